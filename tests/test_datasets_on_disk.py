@@ -5,7 +5,6 @@ import re
 import subprocess
 import sys
 import time
-import warnings
 from pathlib import Path
 
 import jax
@@ -16,7 +15,6 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.io.dataset import KnownFault
 from vibrojax.io.threads import in_own_thread
 from vibrojax.io.variables import VARIABLES
 
@@ -177,29 +175,3 @@ def test_a_zarr_store_that_cannot_be_written(tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError):
         vj.write_dataset(dataset, tmp_path / "nowhere" / "x.zarr")
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    "changed, warned",
-    [
-        ({"source": "vibrojax 0.1.0", "friction": "popp-arctan"}, True),
-        ({"source": "vibrojax 0.1.1", "friction": "popp-arctan"}, False),
-        ({"source": "vibrojax 0.1.0", "friction": "stribeck"}, False),
-    ],
-)
-def test_datasets_that_may_be_wrong_say_so(changed, warned, tmp_path):
-    """Sweeps with popp-arctan by 0.1.0, which some versions of jax computed wrongly."""
-    path = tmp_path / "sweep.nc"
-    run = {"settle": 0.5, "observe": 0.5}
-    dataset = vj.run_sweep({"scene": "rotary", "grid": {"beta": [0.4]}, "run": run}, progress=False)
-    assert dataset.attrs["jax"] == jax.__version__
-    vj.write_dataset(dataset.assign_attrs(changed), path)
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        vj.open_dataset(path)
-    assert [one.category for one in told] == [KnownFault] * warned
-    assert all(f"{path}: made by vibrojax 0.1.0" in str(one.message) and "\n" not in str(one.message) for one in told)
-    said = subprocess.run(
-        [sys.executable, "-m", "vibrojax", "info", str(path)], capture_output=True, text=True, check=True
-    ).stderr
-    assert said.count("\n") == warned and ("vibrojax: warning: " in said) == warned

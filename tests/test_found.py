@@ -10,7 +10,7 @@ import vibrojax as vj
 from vibrojax.analyses.frequencies import frequency_part
 from vibrojax.analyses.trajectory.analysis import feature_lines
 from vibrojax.sweep.simulation import run as _recorded
-from vibrojax.sweep.simulation.features import window
+from vibrojax.sweep.simulation.trajectory import window
 
 STRONG = {"threshold": 30e3, "delta": 0.002}
 POINTS = {

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 
 from vibrojax.analyses.sweep import joining
 from vibrojax.analyses.sweep.run import run_sweep, run_to_file
+from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.io import dataset as on_disk
-from vibrojax.io.dataset import Sizes, open_dataset
+from vibrojax.io.dataset import open_dataset
 from vibrojax.io.targets import Regions
 from vibrojax.sweep.input.read import read_sweep
 
@@ -42,12 +43,24 @@ def test_regions_are_whole_chunks_one_after_the_other(shape, most):
     np.testing.assert_array_equal(found.ravel(), np.arange(prod(shape)))
 
 
+@pytest.fixture(scope="module", params=[0, 3])
+def swept(request):
+    """A sweep with so many last returns, its dataset, and `Work.compute` with what was computed once."""
+    sweep, chunks, compute = read_sweep(SWEEP, [f"run.keep_returns={request.param}"]), {}, Work.compute
+
+    def once(self, index, *report):
+        if index not in chunks:
+            chunks[index] = compute(self, index)
+        return dict(chunks[index])
+
+    return sweep, run_sweep(sweep, progress=False), once
+
+
 @pytest.mark.parametrize("region", [1, 2, 7, 20])
-@pytest.mark.parametrize("keep", [0, 3])
-def test_regions_do_not_show(region, keep, tmp_path, monkeypatch):
+def test_regions_do_not_show(region, swept, tmp_path, monkeypatch):
     """Points are cut by chunks and by regions: `hidden_motion` compares all of their starts nevertheless."""
-    sweep = read_sweep(SWEEP, [f"run.keep_returns={keep}"])
-    expected = run_sweep(sweep, progress=False)
+    sweep, expected, once = swept
+    monkeypatch.setattr(Work, "compute", once)
     assert expected.hidden_motion.values.any()
     monkeypatch.setattr(joining, "REGION", region)
     monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
@@ -68,8 +81,7 @@ def test_large_datasets_pack_what_that_makes_half_as_large(tmp_path, monkeypatch
     sweep = read_sweep(SWEEP | many | {"run": {"settle": 3.0, "observe": 2.0, "chunk": 100}})
     expected = run_sweep(sweep, progress=False)
     monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
-    monkeypatch.setattr("vibrojax.io.dataset.UP_TO", 0.0)
-    monkeypatch.setattr(joining, "UP_TO", 0.0)
+    monkeypatch.setattr(joining, "COMPRESSED_BYTES", 0.0)
     found = run_to_file(sweep, tmp_path / "out.nc", progress=False)
     xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
     with netCDF4.Dataset(tmp_path / "out.nc") as file:
@@ -77,23 +89,6 @@ def test_large_datasets_pack_what_that_makes_half_as_large(tmp_path, monkeypatch
         assert file["bit_amplitude"].chunking() == list(sweep.shape)
     assert {"regime", "cycles", "status", "reason", "hidden_motion"} <= packed
     assert not packed & {"bit_amplitude", "striker_amplitude", "drive_power"}
-
-
-@pytest.mark.parametrize("rows, dtype", [(1, "f8"), (3, "f8"), (1, "i4"), (2, "i1")])
-def test_sizes_are_those_of_hdf5(rows, dtype, tmp_path):
-    """What packing is said to leave is what it leaves, but for HDF5's own few bytes."""
-    x = (np.random.default_rng(rows).random((50_000, rows)) * 50).astype(dtype)
-    sizes = Sizes()
-    sizes.add({"x": x})
-    taken = []
-    for how in ({}, {"zlib": True, "complevel": 1, "shuffle": True}):
-        with netCDF4.Dataset(tmp_path / "x.nc", "w") as file:
-            for at, size in enumerate(x.shape):
-                file.createDimension(f"d{at}", size)
-            file.createVariable("x", x.dtype, ("d0", "d1"), chunksizes=x.shape, **how)[:] = x
-        taken.append((tmp_path / "x.nc").stat().st_size)
-    assert sizes.lane_bytes == rows * x.dtype.itemsize
-    assert taken[0] - taken[1] == pytest.approx((1 - sizes.left(50_000)) * x.nbytes, abs=2500)
 
 
 def test_lanes_that_are_carried_come_to_their_places(tmp_path, monkeypatch):

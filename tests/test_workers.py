@@ -16,7 +16,7 @@ from commands import ROOT, TEXT, start
 
 import vibrojax as vj
 from vibrojax.analyses.sweep.run import run_share, run_to_file
-from vibrojax.analyses.sweep.workers.executor import compute_chunk
+from vibrojax.analyses.sweep.workers.executor import by_executor, compute_chunk
 from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import InputError
 from vibrojax.sweep.input.read import read_sweep
@@ -56,13 +56,17 @@ def test_spawned_pool_in_memory(file, expected):
         assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
 
 
-def test_four_workers_into_a_file(file, expected, capfd):
+def test_four_workers_into_a_file(file, expected, capfd, caplog):
+    """Nobody waits for the processes themselves to come to their end, which may take a second."""
+    caplog.set_level("INFO", "vibrojax")
     out = file.with_name("out.nc")
     run_to_file(read_sweep(file), out, processes=4)
     assert_same(vj.open_dataset(out), expected)
     assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.nc"}
     said = capfd.readouterr().err.splitlines()
     assert said[-1].startswith("24/24 lanes, ") and all("lanes" in line for line in said)  # one progress over all
+    [line] = [line for line in caplog.messages if line.startswith("workers: ")]
+    assert re.fullmatch(r"workers: [1-4] in [\d.]+ s; busy for [\d.]+ s, idle at the end for [\d.]+ s(; for .+)?", line)
 
 
 def test_three_shares_at_once(file, expected):
@@ -168,14 +172,6 @@ def test_the_dearest_chunks_come_first(file):
     assert steps[1] > 20 * steps[0] and np.argsort(steps)[::-1].tolist()[:2] == [1, 3]
 
 
-def test_workers_are_not_idle_at_the_end(file, caplog):
-    """Nobody waits for the processes themselves to come to their end, which may take a second."""
-    caplog.set_level("INFO", "vibrojax")
-    run_to_file(read_sweep(file), file.with_name("out.nc"), progress=False, processes=2)
-    [line] = [line for line in caplog.messages if line.startswith("workers: ")]
-    assert re.fullmatch(r"workers: [12] in [\d.]+ s; busy for [\d.]+ s, idle at the end for [\d.]+ s(; for .+)?", line)
-
-
 @pytest.mark.parametrize(
     ("fails", "error", "warning"),
     [
@@ -251,7 +247,7 @@ def test_physics_that_cannot_be_sent(tmp_path):
     )
     sweep = {"scene": "vibro-impact", "parameters": {"friction": law}, "grid": {"beta": [0.4]}}
     with ThreadPoolExecutor(1) as executor, pytest.raises(InputError, match="cannot be sent to other processes"):
-        vj.run_sweep(sweep, progress=False, executor=executor)
+        by_executor(read_sweep(sweep), executor, [0], lambda *_: None)
 
 
 def test_a_share_of_the_cores_each(file):

@@ -31,9 +31,7 @@ class Motion:
         scene = scene or Penetration(shape)
         p = constants(scene, **values)
         settings = Accuracy(*map(jnp.asarray, FINE._replace(**(settings or {}))))
-        self.steps = record(
-            scene, method or Located(), p, scene.start(p, start, (1,)), settings, jnp.asarray(float(duration))
-        )
+        self.steps = record(scene, method or Located(), p, scene.start(p, start, (1,)), settings, float(duration))[0]
         self.scene = scene
         self.p = {name: float(np.ravel(value)[0]) for name, value in Flat(p).items()}
         self.constants = jax.tree.map(lambda value: jnp.ravel(jnp.asarray(value))[0], p)

@@ -53,7 +53,7 @@ def run(start, duration, **values):
     """Constants and record of one lane of the vibro-impact scene."""
     p = constants(DRILL, **values)
     settings = Accuracy(*map(jnp.asarray, FINE))
-    taken = record(DRILL, Located(), p, DRILL.start(p, start, (1,)), settings, jnp.asarray(float(duration)))
+    taken = record(DRILL, Located(), p, DRILL.start(p, start, (1,)), settings, float(duration))[0]
     return Flat(p), taken
 
 

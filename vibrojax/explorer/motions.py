@@ -31,8 +31,8 @@ from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.values import UnusualValue
 from vibrojax.sweep.simulation.dense_output import BATCH, Record, check_size
-from vibrojax.sweep.simulation.features import window
 from vibrojax.sweep.simulation.run import Recorded, constants_at, recorded
+from vibrojax.sweep.simulation.trajectory import window
 
 PLACE = Place("explore")
 

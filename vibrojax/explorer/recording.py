@@ -93,7 +93,9 @@ def _batch_cells(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: 
         accuracy = Accuracy(*(np.float64(x) for x in RECORD_ACCURACY))
         parts = []
         for _ in range(RECORD_MAX_BATCHES):
-            lane, part = record_batch(scene, stepper, RECORD_BATCH_STEPS, constants, lane, accuracy, excerpt.recorded)
+            lane, _, part = record_batch(
+                scene, stepper, None, RECORD_BATCH_STEPS, constants, lane, (), accuracy, np.float64(0), excerpt.recorded
+            )
             parts.append({name: np.asarray(x) for name, x in part.items()})
             if not (np.asarray(lane.clock.until(excerpt.recorded)) > 0).any():
                 break
@@ -159,7 +161,9 @@ def cell_of_record(scene: Scene[Any], record: Record, moments: Mapping[str, np.n
         note="" if excerpt.returns else "it passes no section",
         returns=int(excerpt.returns),
         duration=duration,
-        columns=tuple(StateColumn(name, state.unit, state.long_name) for name, state in shown.items()),
+        columns=tuple(
+            StateColumn(name, state.attrs["units"], state.attrs["long_name"]) for name, state in shown.items()
+        ),
         time=times - first,
         states={name: np.asarray(state.values) for name, state in shown.items()},
         flags=flags,

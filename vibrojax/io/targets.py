@@ -66,8 +66,6 @@ class InMemory:
     """A dataset that is being written in memory, available as `dataset` after `finish`."""
 
     dataset: xr.Dataset
-    packs = False
-    """Whether the target compresses variables."""
 
     def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
         """Create the dataset and its variables.
@@ -93,8 +91,6 @@ class InMemory:
 
 
 class _Netcdf:
-    packs = True
-
     def __init__(self, file: Any) -> None:
         self._file = file
         self._file.set_auto_maskandscale(False)
@@ -134,8 +130,6 @@ class _Netcdf:
 
 
 class _Zarr:
-    packs = False
-
     def __init__(self, path: Path) -> None:
         self._path = path
 

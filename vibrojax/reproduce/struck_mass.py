@@ -130,7 +130,7 @@ def strike(start: tuple[float, float], duration: float, parameters: Mapping[str,
     p = {name: jnp.full(1, float(parameters.get(name, entry.default))) for name, entry in PARAMETERS.items()}
     c = scene.constants(p)
     accuracy = Accuracy(tolerance=1e-10, stride=1.0, step=np.inf)
-    taken = record(scene, Located(), c, scene.start(c, (*start, 0.0), (1,)), accuracy, jnp.asarray(duration))
+    taken, _ = record(scene, Located(), c, scene.start(c, (*start, 0.0), (1,)), accuracy, duration)
     begin, dt, h, polynomials = map(np.asarray, (taken.start, taken.dt, taken.h, taken.polynomials))
     tau = (dt / h)[:, None] ** np.arange(polynomials.shape[2])
     ends = np.einsum("sok,sk->so", polynomials, tau)

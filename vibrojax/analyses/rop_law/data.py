@@ -1,7 +1,7 @@
 """Data of a fit: a dataset, the path of a dataset, or rig data (a CSV file with one measurement per line)."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ from vibrojax.analyses.rop_law.columns import (
 )
 from vibrojax.errors import InputError, Place, shell_assignment, shown
 from vibrojax.models.physics.units import is_unit, likely_units
-from vibrojax.sweep.input.source import read_csv, read_text
+from vibrojax.sweep.input.source import is_number, read_table
 from vibrojax.sweep.input.values import warn_if_far
 
 if TYPE_CHECKING:
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     Columns = Mapping[str, str] | None
 else:
     Data = Columns = object  # at run time `open_data` checks the user's argument, with a one-line error message
+
+_MEASUREMENTS = ("measurement", "no rows; add a line for each measurement", f"{RELIEF},{RATE}")
+"""Words of `read_table` for rig data."""
 
 Rows = list[tuple[int, list[str]]]
 """The non-empty lines of a CSV: (line number, cells)."""
@@ -97,10 +100,10 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
             )
     columns = with_rock(columns)
     place = Place(str(path))
-    line, header, rows = _table(place, read_text(path))
+    line, header, others = read_table(path, *_MEASUREMENTS)
     chosen = choose_columns(place.at(f"line {line}"), header, columns)
     names = required_names(place.at(f"line {line}"), header, chosen, columns)
-    _check_rows(place, header, rows)
+    rows = _rows(place, header, others)
     values = {}
     for name, column in chosen.items():
         if column.index is None:
@@ -133,8 +136,8 @@ def read_numbers(place: Place, path: Path, wanted: Callable[[str], object]) -> d
 
     **Raises:** `InputError` if the file cannot be read or a cell is not a number.
     """
-    line, header, rows = _table(place, read_text(path))
-    _check_rows(place, header, rows)
+    line, header, others = read_table(path, *_MEASUREMENTS)
+    rows = _rows(place, header, others)
     columns: dict[str, Float[np.ndarray, " rows"]] = {}
     for index, name in enumerate(header):
         if wanted(name):
@@ -144,32 +147,15 @@ def read_numbers(place: Place, path: Path, wanted: Callable[[str], object]) -> d
     return columns
 
 
-def _table(place: Place, text: str) -> tuple[int, list[str], Rows]:
-    """Return the header's line number, the header and the rows of a CSV."""
-    rows = list(read_csv(place, text))
-    if not rows:
-        raise place.error("empty; a line of column names and a line for each measurement are needed")
-    line, header = rows[0][0], [cell.strip() for cell in rows[0][1]]
-    here = place.at(f"line {line}")
-    if len(header) == 1 and "\t" in header[0]:
-        raise here.error(f"{shown(header[0])} is one column; separate them by commas")
-    if all(map(_is_number, header)):
-        example = f"{RELIEF},{RATE}"
-        raise here.error(f"{shown(', '.join(header))} are numbers; the first line names the columns, like {example}")
-    return line, header, rows[1:]
-
-
-def _check_rows(place: Place, header: list[str], rows: Rows) -> None:
-    if not rows:
-        raise place.error("no rows; add a line for each measurement below the column names")
-    for line, row in rows:
-        if len(row) != len(header):
-            raise place.at(f"line {line}").error(f"has {len(row)} cells; {len(header)} are needed, one a column")
-    line, first = rows[0]
-    cells = [cell.strip(" []()") for cell in first if cell.strip()]
-    if not any(map(_is_number, cells)) and any(map(is_unit, cells)):
-        like = f"{header[0]} ({cells[0]})"
-        raise place.at(f"line {line}").error(f"holds units; write them behind the names, like {like}, and leave it out")
+def _rows(place: Place, header: list[str], others: Iterator[tuple[int, list[str]]]) -> Rows:
+    """Return the rows of a CSV; raise `InputError` if the first of them holds units."""
+    rows = list(others)
+    line, units = rows[0][0], [cell.strip(" []()") for cell in rows[0][1] if cell.strip()]
+    if not any(map(is_number, units)) and any(map(is_unit, units)):
+        like = f"{header[0]} ({units[0]})"
+        fault = f"holds units; write them behind the names, like {like}, and leave it out"
+        raise place.at(f"line {line}").error(fault)
+    return rows
 
 
 def _check_unit(place: Place, name: str, column: Column, values: Float[np.ndarray, " rows"]) -> None:
@@ -192,13 +178,6 @@ def _check_unit(place: Place, name: str, column: Column, values: Float[np.ndarra
     low, high = quantity.usual or (0.0, 0.0)
     fault = f"no unit is given, and {median:.6g} {column.unit} is far outside what the source and rigs have"
     raise here.error(f"{fault} ({low:g} to {high:g} {column.unit}); {likely}")
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        return float(cell) == float(cell)
-    except ValueError:
-        return False
 
 
 def _numbers(place: Place, name: str, index: int, rows: Rows) -> Float[np.ndarray, " rows"]:

@@ -197,20 +197,15 @@ def minimise(
     return Minimum(theta, converged, residuals(predicted, rate, censored), active, model.jacobian(theta))
 
 
-@dataclass(frozen=True)
-class Loss:
-    """A loss rho(z) of z = residual/scale: its `weight` rho'(z)/(2 z), and `slope`, the derivative of z weight(z)."""
+Loss = tuple[Callable[[Lanes], Lanes], Callable[[Lanes], Lanes]]
+"""A loss rho(z) of z = residual/scale: its weight rho'(z)/(2 z), and the derivative of z weight(z)."""
 
-    weight: Callable[[Lanes], Lanes]
-    slope: Callable[[Lanes], Lanes]
-
-
-LOSSES = {
-    "huber": Loss(
+LOSSES: dict[str, Loss] = {
+    "huber": (
         lambda z: np.minimum(1.0, _HUBER / np.maximum(np.abs(z), _HUBER)),
         lambda z: np.where(np.abs(z) <= _HUBER, 1.0, 0.0),
     ),
-    "soft-l1": Loss(lambda z: (1 + z**2) ** -0.5, lambda z: (1 + z**2) ** -1.5),
+    "soft-l1": (lambda z: (1 + z**2) ** -0.5, lambda z: (1 + z**2) ** -1.5),
 }
 """Losses in which the influence of outliers is bounded."""
 
@@ -225,13 +220,13 @@ def minimise_loss(
 
     **Arguments:** `minimum`: the minimum of S, as initial guess.
     """
-    scale, change = 1.0, np.inf
+    (weight, _), scale, change = loss, 1.0, np.inf
     for count in range(_REWEIGHTING_MAX_ROUNDS):
         if count < _SCALE_ROUNDS:
             deviation = np.median(np.abs(minimum.residual[minimum.active]))
             scale = float(max(_NORMAL_OVER_MAD * deviation, _LEAST_SCALE))
         before = minimum.theta
-        minimum = minimise(model, rate, censored, before, loss.weight(minimum.residual / scale))
+        minimum = minimise(model, rate, censored, before, weight(minimum.residual / scale))
         change = float(np.max(np.abs(minimum.theta - before)) / (1 + np.max(np.abs(before))))
         if not np.isfinite(change) or (change <= _REWEIGHTING_TOLERANCE and count >= _SCALE_ROUNDS):
             break

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -98,6 +99,7 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
     for name in ("reason", "r_squared_reason"):
         values[name] = np.array(str(fit[name].attrs["flag_meanings"]).split())[values[name]]
     groups: list[dict[str, Any]] = []
+    choices, names = recommended(fit), _group_names(fit)
     for index, position in enumerate(np.ndindex(*(fit.sizes[dim] for dim in dims))):
         lanes = fit.isel(dict(zip(dims, position, strict=True)))
         coordinates = {str(name): lanes[name].item() for name in lanes.coords if lanes[name].ndim == 0}
@@ -105,9 +107,8 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
             str(form): {name: rows[index, column].item() for name, rows in values.items()}
             for column, form in enumerate(fit["form"].values)
         }
-        groups.append({"name": _group_name(fit, dims, position), "coordinates": coordinates, "forms": forms})
-    for group, choice in zip(groups, recommended(fit), strict=True):
-        group["recommended"] = choice
+        group = {"name": names[index], "coordinates": coordinates, "forms": forms}
+        groups.append({**group, "recommended": choices[index]})
     columns = table_of(fit, "columns") or None
     return {"along": str(fit.attrs["along"]), "columns": columns, "groups": groups, "verdict": verdict(fit)}
 
@@ -235,11 +236,9 @@ def verdict(fit: xr.Dataset) -> list[str]:
     if beaten.any():
         lines.append(f"it is beaten in {beaten.sum()}, by an AIC of {_range(log_law[beaten])}:")
         worst = np.argsort(-log_law, kind="stable")[: min(_GROUPS_BEATEN_SHOWN, beaten.sum())]
-        dims = [dim for dim in fit["aic"].dims if dim != "form"]
-        positions = list(np.ndindex(*(fit.sizes[dim] for dim in dims)))
+        groups = _group_names(fit)
         for row in worst:
-            group = _group_name(fit, dims, positions[np.flatnonzero(judged)[row]])
-            lines.append(f"  {group}: {names[best[row]]} by {log_law[row]:.3g}")
+            lines.append(f"  {groups[np.flatnonzero(judged)[row]]}: {names[best[row]]} by {log_law[row]:.3g}")
         lines += [f"  and {beaten.sum() - len(worst)} more"] if beaten.sum() > len(worst) else []
     return [*lines, *_recommendation(fit)]
 
@@ -249,13 +248,12 @@ def _recommendation(fit: xr.Dataset) -> list[str]:
     choices = recommended(fit)
     if not any(choices):
         return []
-    dims = [dim for dim in fit["aic"].dims if dim != "form"]
     lines = []
-    for position, choice in zip(np.ndindex(*(fit.sizes[dim] for dim in dims)), choices, strict=True):
+    for name, choice in zip(_group_names(fit), choices, strict=True):
         if choice:
             texts = [_interval(choice, "m/s")]
             texts += [_interval(choice["in_unit"], choice["unit"])] if "unit" in choice else []
-            lines.append(f"{_group_name(fit, dims, position)}: C = {' = '.join(texts)}, {choice['form']}")
+            lines.append(f"{name}: C = {' = '.join(texts)}, {choice['form']}")
     more = [f"  and {len(lines) - _GROUPS_TABULATED} more"] if len(lines) > _GROUPS_TABULATED else []
     title = "recommended C (95 % interval), of the reading of the log law with the lowest AIC:"
     return [title, *(f"  {line}" for line in lines[:_GROUPS_TABULATED]), *more]
@@ -271,13 +269,14 @@ def _formulas(fit: xr.Dataset) -> dict[str, str]:
     return {name: formula for name, _, formula in parts}
 
 
-def _group_name(fit: xr.Dataset, dims: Sequence[Hashable], position: tuple[int, ...]) -> str:
-    """Return the coordinates of a group as text, such as "force=200000 N, rock=granite"."""
-    parts = []
-    for dim, index in zip(dims, position, strict=True):
+def _group_names(fit: xr.Dataset) -> list[str]:
+    """Return the coordinates of each group as text, such as "force=200000 N, rock=granite"."""
+    along = []
+    for dim in (dim for dim in fit["aic"].dims if dim != "form"):
         names = [name for name in fit.coords if fit[name].dims == (dim,)]
-        parts += [f"{name}={_value(fit[name], index)}" for name in names] or [f"{dim}={index}"]
-    return ", ".join(parts) or "all lanes"
+        texts = ([f"{name}={_value(fit[name], k)}" for name in names] or [f"{dim}={k}"] for k in range(fit.sizes[dim]))
+        along.append([", ".join(parts) for parts in texts])
+    return [", ".join(parts) or "all lanes" for parts in product(*along)]
 
 
 def _value(coordinate: xr.DataArray, index: int) -> str:

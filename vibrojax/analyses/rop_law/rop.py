@@ -221,8 +221,8 @@ def _fit_form(form: Form, relief: Lanes, rate: Lanes, robust: str | None) -> dic
     theta, lanes = minimum.theta, minimum.active
     noise = minimum.residual[lanes]
     if robust:  # the residual is replaced by psi (the derivative of the loss), divided by the mean of its slope
-        loss, scaled = LOSSES[robust], noise / spread
-        noise = noise * loss.weight(scaled) / np.mean(loss.slope(scaled))
+        (weight, slope), scaled = LOSSES[robust], noise / spread
+        noise = noise * weight(scaled) / np.mean(slope(scaled))
     square = covariance(minimum.jacobian[lanes], noise)
     values, slopes = form.coefficients(theta, *frame)
     errors = np.sqrt(np.einsum("ci,ij,cj->c", slopes, square, slopes))

@@ -256,7 +256,7 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
     packed = PACKED if sweep.lanes > COMPRESSED else 1.0
     processor, cores = processor_time(chunks), processes or len(chunks.engine.workers)
     if measured is not None:
-        in_chunk, in_file, packed = measured.chunk_bytes, measured.file_bytes, measured.packed
+        in_chunk, in_file = measured.chunk_bytes, measured.file_bytes
         processor = processor._replace(compile=measured.compile_s, step=measured.lane_s * sweep.lanes)
     elapsed = processor._replace(step=processor.step / cores)
     before = elapsed.start + elapsed.compile

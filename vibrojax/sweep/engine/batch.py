@@ -21,7 +21,7 @@ from vibrojax.measures.recorder import Effort, Records, Underway
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes.declared import Values
 from vibrojax.stepping import Accuracy, Stepper
-from vibrojax.sweep.engine.compiler import ByLlvm, ByXla, Programs, in_parallel
+from vibrojax.sweep.engine.compiler import Programs, in_parallel
 from vibrojax.sweep.engine.programs import (
     CARRIED,
     Given,
@@ -107,7 +107,7 @@ class Engine:
         self.most_steps = LANE_MAX_STEPS
         self._dtype = np.dtype(sweep.run.precision)
         kind = Kind(sweep.system, stepper, recorder, sweep.start_names, sweep.run.carry is not None)
-        self.programs: Programs = ByXla(kind, workers[0].platform) if self.accelerated else ByLlvm(kind, self._dtype)
+        self.programs = Programs(kind, self._dtype, workers[0].platform if self.accelerated else None)
 
     def given(self, first: int, end: int) -> Given:
         """Return parameters and initial conditions of the lanes from `first` (inclusive) to `end` (exclusive)."""
@@ -193,8 +193,8 @@ class Engine:
             alone.sweep, alone.workers = instant, [worker]
             # A full block: the comparison that decides whether kernels are trusted uses these lanes.
             still = [alone.start(0, min(self.programs.block, self.sweep.lanes), accuracy)]
-            check = partial(alone.programs.check_arithmetic, self._dtype)
-            tasks: list[Callable[[], object]] = [partial(alone._call, worker, check), partial(alone.settle, still)]
+            check = partial(alone._call, worker, alone.programs.check_arithmetic)
+            tasks: list[Callable[[], object]] = [check, partial(alone.settle, still)]
             if self.accelerated:  # else two threads that need the program would both compile it
                 tasks.append(partial(alone.observe, still))
             for _ in in_parallel(lambda _, task: task(), tasks, range(len(tasks))):
@@ -234,8 +234,8 @@ class Engine:
             try:
                 return call()
             except Untranslatable:
-                self.programs = ByXla(self.programs.kind, worker.platform)
-                self.programs.check_arithmetic(self._dtype)
+                self.programs = Programs(self.programs.kind, self._dtype, worker.platform)
+                self.programs.check_arithmetic()
                 return call()
 
     def _calls(self, recent: Int[np.ndarray, " lanes"]) -> list[Index]:

@@ -1,7 +1,6 @@
 """Compiled programs of lanes. Kernels of scenes from outside the package are first compared with XLA."""
 
 import threading
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from queue import SimpleQueue
 from typing import Any, TypeVar
@@ -49,71 +48,44 @@ def lane_function(static: int, derives: bool = False) -> Callable[[Callable[...,
     return compilation.lane_function(static, derives=derives, policy=scene_subject)
 
 
-class Programs(ABC):
+class Programs:
     """Compiled programs of one `Kind`. They take and return arrays whose last axis is the lane axis, of any length.
+
+    The programs are kernels for the CPU, which raise `Untranslatable` if no kernel can be made or trusted, or compiled
+    by XLA for the devices of a `platform`, such as "cpu".
 
     - `block`: number of lanes that step together, so that each waits for the slowest.
     - `lanes_per_call`: number of lanes per call, large enough for a small overhead of the call.
     - `compiler`: name of the compiler.
     """
 
-    block: int
-    lanes_per_call: int
-    compiler: str
+    def __init__(self, kind: Kind, dtype: np.dtype, platform: str | None = None) -> None:
+        self.kind, self._dtype, self._platform = kind, dtype, platform
+        self.compiler = "llvm" if platform is None else "xla"
+        self.block = XLA_BLOCK if platform == "cpu" else XLA_BLOCK_ON_ACCELERATOR
+        self.lanes_per_call = XLA_BLOCKS_PER_CALL * XLA_BLOCK if platform == "cpu" else XLA_BLOCK_ON_ACCELERATOR
+        if platform is None:
+            self.block = max(KERNEL_REGISTERS.values()) * native.vector_bytes() // dtype.itemsize
+            self.lanes_per_call = 512  # few enough for all threads to have work
 
-    def __init__(self, kind: Kind) -> None:
-        self.kind = kind
-
-    @abstractmethod
-    def check_arithmetic(self, dtype: np.dtype) -> None:
+    def check_arithmetic(self) -> None:
         """Compile `EQUATION_FUNCTIONS` like the programs; raise `InputError` if one of them differs from numpy."""
+        evaluate, compiler = _evaluate_by_kernel, f"llvmlite {llvmlite.__version__}"
+        if self._platform is not None:
+            options = tuple(compiler_options(self._platform).items())
+            evaluate, compiler = evaluation(options), f"jaxlib {jaxlib.__version__}"
+        check(evaluate, EQUATION_FUNCTIONS, compiler, self._dtype, self.block)
 
-    @abstractmethod
     def run(self, program: Callable[..., Any], *arguments: Any) -> Any:
         """Run a program of lanes on the current device and in the current precision, and return its results."""
-
-
-class ByLlvm(Programs):
-    """Programs compiled as kernels for the CPU. They raise `Untranslatable` if no kernel can be made or trusted."""
-
-    compiler = "llvm"
-    lanes_per_call = 512  # enough for a small overhead of the call, few enough for all threads to have work
-
-    def __init__(self, kind: Kind, dtype: np.dtype) -> None:
-        super().__init__(kind)
-        self.block = max(KERNEL_REGISTERS.values()) * native.vector_bytes() // dtype.itemsize
-
-    def check_arithmetic(self, dtype: np.dtype) -> None:
-        check(_evaluate_by_kernel, EQUATION_FUNCTIONS, f"llvmlite {llvmlite.__version__}", dtype, self.block)
-
-    def run(self, program: Callable[..., Any], *arguments: Any) -> Any:
-        registers = KERNEL_REGISTERS.get(program, 1)
-        return run_kernel(program, (self.kind,), *arguments, registers=registers, policy=scene_subject)
+        if self._platform is None:
+            registers = KERNEL_REGISTERS.get(program, 1)
+            return run_kernel(program, (self.kind,), *arguments, registers=registers, policy=scene_subject)
+        return run_in_blocks(program, (self.kind,), self.block, self.lanes_per_call // self.block, *arguments)
 
 
 def _evaluate_by_kernel(function: Callable[..., Any], *x: Any) -> Any:
     return Kernel(function, *x)(*x)
-
-
-class ByXla(Programs):
-    """Programs compiled by XLA for the devices of a `platform`, such as "cpu"."""
-
-    compiler = "xla"
-
-    def __init__(self, kind: Kind, platform: str) -> None:
-        super().__init__(kind)
-        self._platform = platform
-        self.block, self._blocks = (
-            (XLA_BLOCK, XLA_BLOCKS_PER_CALL) if platform == "cpu" else (XLA_BLOCK_ON_ACCELERATOR, 1)
-        )
-        self.lanes_per_call = self.block * self._blocks
-
-    def check_arithmetic(self, dtype: np.dtype) -> None:
-        evaluate = evaluation(tuple(compiler_options(self._platform).items()))
-        check(evaluate, EQUATION_FUNCTIONS, f"jaxlib {jaxlib.__version__}", dtype, self.block)
-
-    def run(self, program: Callable[..., Any], *arguments: Any) -> Any:
-        return run_in_blocks(program, (self.kind,), self.block, self._blocks, *arguments)
 
 
 Worker = TypeVar("Worker")

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -112,21 +112,10 @@ class Ended(NamedTuple):
     features: Features
 
 
-@runtime_checkable
-class EarlyStopping(Protocol):
-    """Search for lanes that need no more steps. Each lane may stop at a different time."""
-
-    def of_chunk(self) -> "EarlyStopping":
-        """Return the search for the lanes of one chunk, independent of other chunks."""
-        ...
-
-    def near(self, batch: Batch) -> Bool[np.ndarray, " lanes"]:
-        """Return a mask of the lanes that deserve a closer examination, from a test of negligible cost."""
-        ...
-
-    def __call__(self, batch: Batch) -> list[Ended]:
-        """Return the lanes of a batch that need no more steps."""
-        ...
+EarlyStopping = Any
+"""Search for lanes that need no more steps, which may stop at different times. `of_chunk()` returns the search for the
+lanes of one chunk, `near(batch)` a mask of the lanes that deserve a closer examination, from a test of negligible cost,
+and a call with a batch a list of `Ended`."""
 
 
 def checkpoints(run: RunSettings, on_orbits: bool = False) -> list[list[float]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from vibrojax.errors import Place, shown
 from vibrojax.sweep.input.names import Names
-from vibrojax.sweep.input.source import read_csv, read_text
+from vibrojax.sweep.input.source import read_table
 from vibrojax.sweep.input.values import STATE, as_table, quantity
 
 VECTOR = "start_"
@@ -58,21 +58,25 @@ def read_points(place: Place, value: object, folder: Path, names: Names) -> Poin
 def _from_csv(path: Path, names: Names) -> Points:
     """Read points from a CSV file whose first line contains the column names."""
     place = Place(str(path))
-    rows = read_csv(place, read_text(path))
+    line, header, rows = read_table(path, "point", "no points; add a line for each", "beta,gamma")
     text = ("start", *names.presets)
     lines = array("q")  # line number of each point in the file
 
     def cell_place(name: str, index: int) -> Place:
         return place.at(f"line {lines[index]}, column {name}")
 
-    line, header = next(rows, (0, []))
-    if not header:
-        raise place.error("empty; a line of column names and a line for each point are needed")
-    columns: dict[str, Any] = {name: [] if name in text else array("d") for name in _header(place, line, header, names)}
-    for line, row in rows:
-        lines.append(line)
-        if len(row) != len(columns):
-            raise place.at(f"line {line}").error(f"has {len(row)} cells; {len(columns)} are needed, one a column")
+    def column_place(name: str) -> Place:
+        return place.at(f"line {line}, column {name}")
+
+    for position, name in enumerate(header):
+        if not name:
+            raise place.at(f"line {line}").error(f"column {position + 1} has no name; name it like a parameter")
+        if name in header[:position]:
+            raise column_place(name).error("is there already; give each column once")
+    _check_columns(column_place, header, names)
+    columns: dict[str, Any] = {name: [] if name in text else array("d") for name in header}
+    for number, row in rows:
+        lines.append(number)
         for (name, column), cell in zip(columns.items(), row, strict=True):
             if name in text:
                 column.append(intern(cell.strip()))
@@ -82,36 +86,7 @@ def _from_csv(path: Path, names: Names) -> Points:
             except ValueError:
                 problem = f"{shown(cell.strip())} is not a number" if cell.strip() else "empty"
                 raise cell_place(name, -1).error(f"{problem}; write one, like 0.4 or 50e6") from None
-    if not lines:
-        raise place.error("no points; add a line for each below the column names")
     return _points(columns, cell_place, names)
-
-
-def _header(place: Place, line: int, header: list[str], names: Names) -> list[str]:
-    """Return the validated column names from the header, which is line `line` of the file."""
-    place, columns = place.at(f"line {line}"), [cell.strip() for cell in header]
-
-    def column_place(name: str) -> Place:
-        return Place(place.file, f"{place.key}, column {name}")
-
-    if len(columns) == 1 and "\t" in columns[0]:
-        raise place.error(f"{shown(columns[0])} is one column; separate them by commas")
-    if all(map(_is_number, columns)):
-        raise place.error(f"{shown(', '.join(columns))} are numbers; the first line names the columns, like beta,gamma")
-    for position, name in enumerate(columns):
-        if not name:
-            raise place.error(f"column {position + 1} has no name; name it like a parameter")
-        if name in columns[:position]:
-            raise column_place(name).error("is there already; give each column once")
-    _check_columns(column_place, columns, names)
-    return columns
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        return float(cell) == float(cell)
-    except ValueError:
-        return False
 
 
 def _check_columns(place_of: Callable[[str], Place], columns: Sequence[str], names: Names) -> None:

@@ -145,6 +145,44 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
 
 
+def read_table(path: Path, row: str, none: str, example: str) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
+    """Return the header of a CSV with the number of its line, and the other rows, each with the number of its line.
+
+    `row`, `none`, `example`: name of a row, advice if there is none, and example of a header, for messages.
+
+    **Raises:** `InputError` if the header is no list of names or, while reading rows, if one has other columns.
+    """
+    place = Place(str(path))
+    rows = read_csv(place, read_text(path))
+    line, header = next(rows, (0, []))
+    if not header:
+        raise place.error(f"empty; a line of column names and a line for each {row} are needed")
+    header, here = [cell.strip() for cell in header], place.at(f"line {line}")
+    if len(header) == 1 and "\t" in header[0]:
+        raise here.error(f"{shown(header[0])} is one column; separate them by commas")
+    if all(map(is_number, header)):
+        raise here.error(f"{shown(', '.join(header))} are numbers; the first line names the columns, like {example}")
+
+    def checked() -> Iterator[tuple[int, list[str]]]:
+        last = 0
+        for last, cells in rows:
+            if len(cells) != len(header):
+                raise place.at(f"line {last}").error(f"has {len(cells)} cells; {len(header)} are needed, one a column")
+            yield last, cells
+        if not last:
+            raise place.error(f"{none} below the column names")
+
+    return line, header, checked()
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell holds a number other than NaN."""
+    try:
+        return float(cell) == float(cell)
+    except ValueError:
+        return False
+
+
 def read_csv(place: Place, text: str) -> Iterator[tuple[int, list[str]]]:
     """Return the non-empty lines of a CSV, each with its number; columns are separated by commas or semicolons.
 

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.errors import InputError, Place
 from vibrojax.io.formatting import size_text
+from vibrojax.measures.recorder import Features, Records
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes import HasFriction, Scene
 from vibrojax.models.scenes.declared import Values
@@ -56,36 +57,60 @@ def record(
     constants: Any,
     state: Values,
     accuracy: Accuracy,
-    duration: Array,
+    duration: float,
     report: Callable[[float], None] | None = None,
     most_steps: int = RECORD_MAX_STEPS,
-    pause: Array | None = None,
-) -> Record:
-    """Step one lane from t = 0 to `duration` [s] and return its steps.
+    recorder: Records | None = None,
+    begin: float = 0.0,
+) -> tuple[Record, Features]:
+    """Step one lane from t = 0 to `duration` [s]; return its steps, and its features from the time `begin` [s] on.
+
+    The features, by name, have the shape (1,), or (1, returns) for the last section crossings. One step ends at the
+    time `begin`.
 
     **Arguments:** `constants`, `state`: constants of the scene and initial state, each (1,); `report(t)`: is called
-    after each batch of steps; `pause`: time at which one step must end [s].
+    after each batch of steps; `recorder`: recorder that measures the features, None if there are none.
 
     **Raises:** `InputError` if the motion takes more than `most_steps` steps.
     """
     constants, lane = begun(scene, constants, state)
-    parts = []
-    goal = duration if pause is None else pause
-    for _ in range(ceil(most_steps / BATCH)):
-        lane, part = record_batch(scene, stepper, BATCH, constants, lane, accuracy, goal)
-        parts.append(jax.tree.map(lambda x: np.asarray(x)[..., 0], part))
-        if report:
-            report(float(lane.clock.high[0]))
-        if not float(lane.clock.until(goal)[0]) > 0:
-            goal = duration
-        if not float(lane.clock.until(duration)[0]) > 0:
-            whole = Record(**{name: np.concatenate([part[name] for part in parts]) for name in Record._fields})
-            return Record(*(x[(whole.dt > 0) | whole.hits.any(axis=1)] for x in whole))
-    reached = float(lane.clock.high[0])
-    raise InputError(
-        f"simulate: duration: {most_steps} steps, all there is room for, led to {reached:.3g} s of "
-        f"{float(duration):g} s; give a shorter duration, or a softer contact"
-    )
+    settled = carry = () if recorder is None else recorder.settling(scene, lane)
+    parts: list[Any] = []
+    for first, end in ((0.0, begin), (begin, duration)) if recorder is not None else ((0.0, duration),):
+        if recorder is not None:
+            # Recorded steps end on the section throughout. A sweep's steps do so only during the observation.
+            carry = _begin(scene, recorder, constants, lane, settled)
+        while True:
+            if len(parts) >= ceil(most_steps / BATCH):
+                raise InputError(
+                    f"simulate: duration: {most_steps} steps, all there is room for, led to "
+                    f"{float(lane.clock.high[0]):.3g} s of {duration:g} s; give a shorter duration, or a softer contact"
+                )
+            lane, carry, part = record_batch(
+                scene, stepper, recorder, BATCH, constants, lane, carry, accuracy, np.float64(first), np.float64(end)
+            )
+            parts.append({name: np.asarray(x)[..., 0] for name, x in part.items()})
+            if report:
+                report(float(lane.clock.high[0]))
+            if not float(lane.clock.until(end)[0]) > 0:
+                break
+        if recorder is not None:
+            settled = recorder.settled(settled, carry)
+    whole = Record(**{name: np.concatenate([part[name] for part in parts]) for name in Record._fields})
+    features = {} if recorder is None else _read(scene, recorder, constants, carry)
+    return Record(*(x[(whole.dt > 0) | whole.hits.any(axis=1)] for x in whole)), {
+        name: np.moveaxis(np.asarray(x), -1, 0) for name, x in features.items()
+    }
+
+
+@lane_function(static=2)
+def _begin(scene: Scene[Any], recorder: Records, c: Any, lane: Lane, settled: Any) -> Any:
+    return recorder.begin(scene, c, lane, settled)
+
+
+@lane_function(static=2)
+def _read(scene: Scene[Any], recorder: Records, c: Any, carry: Any) -> Features:
+    return recorder.read(scene, c, carry)
 
 
 @lane_function(static=1)
@@ -95,21 +120,37 @@ def begun(scene: Scene[Any], constants: Any, state: Values) -> tuple[Any, Lane]:
     return constants, lane_at(scene, constants, state)
 
 
-@lane_function(static=3)
+@lane_function(static=4)
 def record_batch(
-    scene: Scene[Any], stepper: Stepper, count: int, constants: Any, lane: Lane, accuracy: Accuracy, duration: Array
-) -> tuple[Lane, Any]:
-    """Step lanes `count` times, or fewer if they reach the time `duration` [s], and record their steps.
+    scene: Scene[Any],
+    stepper: Stepper,
+    recorder: Records | None,
+    count: int,
+    constants: Any,
+    lane: Lane,
+    carry: Any,
+    accuracy: Accuracy,
+    begin: Array,
+    end: Array,
+) -> tuple[Lane, Any, Any]:
+    """Step lanes `count` times, or fewer if they reach the time `end` [s], and record their steps.
 
-    **Returns:** the lanes after the steps, and the fields of `Record` by name, arrays (steps, ..., lanes).
+    `carry`: carry of the recorder for an observation from `begin` to `end`, () without a recorder.
+
+    **Returns:** the lanes and the carry after the steps, and the fields of `Record` by name,
+    arrays (steps, ..., lanes).
     """
 
     def flags(names: tuple[str, ...], flags_of: Any, like: Array) -> Array:
         return jnp.stack([flags_of[name] for name in names]) if names else jnp.zeros((0, *like.shape), bool)
 
-    def advance(lane: Lane, _: None) -> tuple[Lane, Any]:
-        moving = lane.clock.until(duration) > 0
-        new, step = stepper.step(scene, constants, lane, accuracy, Goal(duration, moving))
+    def advance(now: tuple[Lane, Any], _: None) -> tuple[tuple[Lane, Any], Any]:
+        lane, carry = now
+        moving = lane.clock.until(end) > 0
+        new, step = stepper.step(scene, constants, lane, accuracy, Goal(end, moving))
+        if recorder is not None:
+            carry = recorder.step(scene, constants, carry, new, step)
+            carry = recorder.take_returns(scene, constants, carry, new, (new.clock.high - begin) / (end - begin))
         columns = {
             "start": lane.clock.high,
             "h": step.h,
@@ -120,10 +161,10 @@ def record_batch(
             "hits": flags(scene.event_names, step.hits, moving),
             "falling": flags(scene.marker_names, step.falling, moving),
         }
-        return new, columns
+        return (new, carry), columns
 
-    steps: tuple[Lane, Any] = jax.lax.scan(advance, lane, length=count)
-    return steps
+    (lane, carry), steps = jax.lax.scan(advance, (lane, carry), length=count)
+    return lane, carry, steps
 
 
 def sample(

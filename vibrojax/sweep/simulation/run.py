@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from vibrojax.compile.xla import precision
 from vibrojax.errors import Place
+from vibrojax.measures.recorder import Features
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import HasContact, HasFriction, HasRock, Scene
@@ -21,14 +22,21 @@ from vibrojax.progress import LOG, Progress, timed
 from vibrojax.stepping import STEPPERS, Accuracy, AccuracyRequest, Smoothed, Stepper, stepper_named
 from vibrojax.stepping.located import LEAST_TOLERANCE
 from vibrojax.sweep.engine.agreement import recorder_of
-from vibrojax.sweep.engine.compiler import in_parallel, lane_function
+from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.labelled import unresolved
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.run_settings import check_error
 from vibrojax.sweep.input.values import quantity
 from vibrojax.sweep.simulation.dense_output import RECORD_MAX_STEPS, Record, check_size, record, sample
-from vibrojax.sweep.simulation.features import compile_measures, labelled_features, measured, window
-from vibrojax.sweep.simulation.trajectory import SampledMotion, events, forces, states_shown, trajectory_dataset
+from vibrojax.sweep.simulation.trajectory import (
+    SampledMotion,
+    events,
+    forces,
+    labelled_features,
+    states_shown,
+    trajectory_dataset,
+    window,
+)
 
 if TYPE_CHECKING:
     from diffrax import AbstractSolver
@@ -235,29 +243,19 @@ def recorded(
         state = scene.start(constants, point.start, (1,))
         recorder = recorder_of(scene)
 
-        def compile_steps() -> None:
-            with precision("float64"):
-                record(scene, stepper, constants, state, accuracy, jnp.asarray(0.0))
-
-        def compile_recorder() -> None:
-            if recorder is not None:
-                compile_measures(scene, recorder, stepper, constants, state)
+        def run(duration: float, report: Callable[[float], None] | None, most_steps: int) -> tuple[Record, Features]:
+            begin, _ = window(scene, duration)
+            return record(scene, stepper, constants, state, accuracy, duration, report, most_steps, recorder, begin)
 
         if (scene, stepper) not in _compiled:
             Progress(1, "motion", progress).say(f"compiling the scene {scene.name}, if it is not in the cache")
             with timed("compile"):
-                for _ in in_parallel(lambda _, program: program(), [compile_steps, compile_recorder], [0, 1]):
-                    pass
+                run(0.0, None, RECORD_MAX_STEPS)
             _compiled.add((scene, stepper))
-        begin, observe = window(scene, duration)
         with timed("step"):
-            end, pause = jnp.asarray(duration), jnp.asarray(begin)
-            steps = record(scene, stepper, constants, state, accuracy, end, report, most_steps, pause)
-        if recorder is None:
-            return Recorded(steps, {})
+            steps, features = run(duration, report, most_steps)
         with timed("measure"):
-            features = measured(scene, recorder, constants, state, steps, begin, observe)
-        return Recorded(steps, labelled_features(scene, point.parameters, features, accuracy.tolerance))
+            return Recorded(steps, labelled_features(scene, point.parameters, features, accuracy.tolerance))
 
 
 def constants_at(place: Place, point: Point, stepper: Stepper | None) -> Any:

@@ -11,12 +11,15 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures.section import lowest
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import differing
 from vibrojax.models.scenes import Driven, HasContact, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.sweep.engine.compiler import lane_function
+from vibrojax.sweep.engine.drift import drift
+from vibrojax.sweep.engine.labelled import measured_besides, regime_variables, regimes
 from vibrojax.sweep.input.read import Point
 from vibrojax.sweep.simulation.dense_output import Record, accumulated
 
@@ -32,12 +35,41 @@ FORCES = {
 """Meanings of the sampled forces [N], by variable name."""
 
 
-class AlongTime(NamedTuple):
-    """A variable along `time`: values, unit and meaning."""
+OBSERVED_SHARE = 1 / 6
+"""Observed part of a motion, as a fraction of its duration: that of a sweep's defaults."""
 
-    values: Any
-    unit: str
-    long_name: str
+
+def window(scene: Scene[Any], duration: float) -> tuple[float, float]:
+    """Return the beginning and the length of the observation of a motion with this `duration` [s].
+
+    The observation has at least the scene's usual length, or half of a short motion.
+    """
+    observe = max(OBSERVED_SHARE * duration, min(scene.usual_times[1], duration / 2))
+    return duration - observe, observe
+
+
+def labelled_features(
+    scene: Scene[Any], parameters: dict[str, float], features: dict[str, np.ndarray], tolerance: float
+) -> dict[str, tuple[tuple[()], np.ndarray, dict[str, Any]]]:
+    """Return the features (see `record`) as scalar variables of a motion's dataset, named as in a sweep.
+
+    `tolerance`: error tolerance of the steps.
+    """
+    features = dict(features)
+    if scene.section is not None and "cycles" in features:
+        swing = scene.section.swings[0].amplitude
+        if {swing, "trend"} <= set(features):
+            values = {name: np.array([value]) for name, value in parameters.items()}
+            sound = {"finite": np.isfinite(features[swing]), "finished": np.array([True])}
+            features["regime"] = regimes(scene, values, features | sound)
+        features["drift_estimate"] = drift(features, scene.section, "float64", tolerance)
+    numbers = {}
+    for name, variable in (VARIABLES | regime_variables(scene) | measured_besides(scene)).items():
+        if name in features and features[name].ndim == 1:
+            value = features[name][0]
+            value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value
+            numbers[name] = ((), np.asarray(value, variable.dtype), variable.attributes())
+    return numbers
 
 
 class SampledMotion(NamedTuple):
@@ -99,13 +131,13 @@ def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " st
     return passed
 
 
-def forces(scene: Scene[Any], c: Any, motion: SampledMotion, width: float | None) -> dict[str, AlongTime]:
+def forces(scene: Scene[Any], c: Any, motion: SampledMotion, width: float | None) -> dict[str, xr.Variable]:
     """Return the sampled forces [N] by name; `width`: that of the smoothed friction switch [m/s], None if it is sharp.
 
     Friction is the force of the springs on the bit minus the bit's mass times acceleration.
     """
     values = _forces(scene, width is None, _scalars(c), tuple(motion.modes), tuple(motion.states), width or 0.0)
-    return {name: AlongTime(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in values.items()}  # no -0.0
+    return {name: _along_time(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in values.items()}  # no -0.0
 
 
 @lane_function(static=2)
@@ -142,13 +174,13 @@ def _scalars(c: Any) -> Any:
 
 def states_shown(
     scene: Scene[Any], motion: SampledMotion, record: Record | None, step_of: Int[Array, " samples"] | None
-) -> dict[str, AlongTime]:
+) -> dict[str, xr.Variable]:
     """Return the sampled states by name; with rock, x3 (bit) and x4 (hole) instead of `compression` and `growth`.
 
     `growth` is reset to zero at each impact or pulse. x4 is its sum since the start, and x3 is x4 plus `compression`.
     `record` holds all steps and `step_of` the step of each sample; without them, x3 and x4 are left out.
     """
-    variables: dict[str, AlongTime] = {}
+    variables: dict[str, xr.Variable] = {}
     x3 = x4 = None
     if isinstance(scene, HasRock) and record is not None and step_of is not None:
         growth = scene.place("growth")
@@ -156,34 +188,36 @@ def states_shown(
         x3 = x4 + motion.states[scene.place("compression")]
     for state, values in zip(scene.states, motion.states, strict=True):
         if state.shown:
-            variables[state.name] = AlongTime(values + state.offset, state.unit, state.long_name)
+            variables[state.name] = _along_time(values + state.offset, state.unit, state.long_name)
         elif state.name == "compression" and x3 is not None:
-            variables["x3"] = AlongTime(x3, "m", "normal position of the bit")
+            variables["x3"] = _along_time(x3, "m", "normal position of the bit")
         elif state.name == "growth" and x4 is not None:
-            variables["x4"] = AlongTime(x4, "m", "depth of the hole")
+            variables["x4"] = _along_time(x4, "m", "depth of the hole")
     return variables
+
+
+def _along_time(values: Any, unit: str, long_name: str, flags: tuple[str, ...] = ()) -> xr.Variable:
+    return xr.Variable("time", np.asarray(values), Variable(unit, long_name, flags=flags).attributes())
 
 
 def trajectory_dataset(
     point: Point,
     scene: Scene[Any],
     motion: SampledMotion,
-    along_time: Mapping[str, AlongTime],
+    along_time: Mapping[str, xr.Variable],
     event_list: Events | None,
     solver: Mapping[str, object],
 ) -> xr.Dataset:
     """Return the dataset of a trajectory, with variables along `time` and along `event`."""
-    variables: dict[str, tuple[str, Any, dict[str, Any]]] = {
-        name: ("time", x.values, {"units": x.unit, "long_name": x.long_name}) for name, x in along_time.items()
-    }
+    variables = dict(along_time)
     if isinstance(scene, HasFriction):
-        flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "slides sticks"}
         stuck = (motion.modes[scene.mode_place("slip")] == 0).astype(np.int8)
-        variables["stuck"] = ("time", stuck, {"units": "1", "long_name": "whether the bit sticks to the rock", **flags})
+        variables["stuck"] = _along_time(stuck, "1", "whether the bit sticks to the rock", ("slides", "sticks"))
     if event_list is not None:
-        flags = {"flag_values": np.arange(len(KINDS), dtype=np.int8), "flag_meanings": " ".join(KINDS)}
-        variables["event_time"] = ("event", event_list[0], {"units": "s", "long_name": "time of the event"})
-        variables["event_kind"] = ("event", event_list[1], {"units": "1", "long_name": "what happened", **flags})
+        about = Variable("s", "time of the event"), Variable("1", "what happened", flags=KINDS)
+        variables["event_time"], variables["event_kind"] = (
+            xr.Variable("event", x, of_events.attributes()) for x, of_events in zip(event_list, about, strict=True)
+        )
     start = point.start
     written = {} if start is None else {"start": start if isinstance(start, str) else json.dumps(list(start))}
     attributes = {

@@ -14,7 +14,6 @@ import numpy as np
 
 from vibrojax.analyses.chaos.natures import Natures
 from vibrojax.compile.xla import with_threads
-from vibrojax.io.dataset import Sizes
 from vibrojax.io.shards import Shards
 from vibrojax.periodic import Nearby, Orbits, early_stopping_of
 from vibrojax.sweep.engine.batch import Features, Report, unreported
@@ -179,14 +178,12 @@ class MeasuredCosts(NamedTuple):
     - `compile_s`: processor time [s] that does not depend on the number of lanes.
     - `lane_s`: processor time [s] per lane.
     - `chunk_bytes`, `file_bytes`: bytes per lane in a finished chunk, and in the uncompressed dataset.
-    - `packed`: compressed size of the dataset divided by its uncompressed size.
     """
 
     compile_s: float
     lane_s: float
     chunk_bytes: float
     file_bytes: float
-    packed: float
 
 
 def measured(sweep: Sweep) -> MeasuredCosts:
@@ -196,7 +193,7 @@ def measured(sweep: Sweep) -> MeasuredCosts:
     processor = time.process_time()
     work.compute(chunks.count - 1)  # includes compilation, so it does not count as time of the lanes
     first = time.process_time() - processor
-    sizes, chunk_bytes = Sizes(), 0
+    lanes = chunk_bytes = file_bytes = 0
     began, spent = time.monotonic(), 0.0
     with TemporaryDirectory(prefix="vibrojax-") as folder, Shards(Path(folder) / "measured.chunks", {}) as shards:
         shards.open(resume=False)
@@ -208,9 +205,9 @@ def measured(sweep: Sweep) -> MeasuredCosts:
             del features[SECONDS]
             variables = labelled(sweep, *chunks.lanes(index), features, whole=False)
             spent += time.process_time() - processor
-            sizes.add(variables)
+            lanes += chunks.width(index)
+            file_bytes += sum(x.nbytes for x in variables.values())
             if time.monotonic() - began > MEASURING_SECONDS:
                 break
-    lanes = sizes.lanes
     compiling = max(0.0, first - chunks.width(chunks.count - 1) * spent / lanes)
-    return MeasuredCosts(compiling, spent / lanes, chunk_bytes / lanes, sizes.lane_bytes, sizes.left(sweep.lanes))
+    return MeasuredCosts(compiling, spent / lanes, chunk_bytes / lanes, file_bytes / lanes)
