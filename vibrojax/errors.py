@@ -7,6 +7,7 @@ import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import SequenceMatcher
+from typing import SupportsInt
 
 _LONGEST_VALUE = 60
 """Greatest number of characters of a value that an error message quotes."""
@@ -92,7 +93,7 @@ def suggestion(word: str, words: Iterable[str]) -> str:
     return f"choose from {', '.join(words)}" if words else "nothing is allowed here"
 
 
-def counted(number: int, singular: str, plural: str = "") -> str:
+def counted(number: SupportsInt, singular: str, plural: str = "") -> str:
     """Return a number with the noun that it counts: "1 lane", "2 lanes"; either form may end in a verb."""
     return f"{number} {singular if number == 1 else plural or singular + 's'}"
 

@@ -3,7 +3,7 @@ import { el } from "./dom.js";
 import { MapView } from "./map.js";
 
 const HELP = "Click a cell, or give the map the focus and use the arrow keys (with Shift ten cells, Home and End the first and last). " +
-  "What is chosen stands in the address: a link restores it.";
+  "The URL stores your selection: a link restores it.";
 
 /** Lay a page out in its element; the parts that are drawn into are attributes of the page. */
 export function layOut(page) {

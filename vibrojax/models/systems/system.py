@@ -9,7 +9,7 @@ import operator
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import jax
 import jax.numpy as jnp
@@ -41,6 +41,9 @@ TIME, APPROACH = "t", "approach"
 Rates = dict[str, Any]
 """Time derivatives of the states by name."""
 
+
+DEFINED: "WeakValueDictionary[str, System]" = WeakValueDictionary()
+"""The systems of this process by name, so that a page finds the motions of a dataset; a later one replaces an earlier."""
 
 _ROUNDINGS: "WeakKeyDictionary[System, tuple[Values, Any]]" = WeakKeyDictionary()
 """Arguments and result of the last call of `System._rounded` for each system."""
@@ -143,6 +146,7 @@ class System(Scene[SystemConstants]):
             self.autonomous = period is None  # type: ignore[misc]
             self._declare(states, probe.velocities(), probe.surfaces(), level)
             self.usual_times = self._times()  # type: ignore[misc]
+        DEFINED[name] = self
 
     def _declare(self, units: Mapping[str, str], speeds: Mapping[str, str], surfaces: set[str], level: float) -> None:
         """Set the declarations of a scene; `speeds`: the rate of change of each state that has one among the states."""

@@ -53,9 +53,10 @@ def variables_of(sweep: Sweep) -> dict[str, Variable]:
 def regime_variables(scene: Scene[Any]) -> dict[str, Variable]:
     """Return the variables with regimes, in which some regimes have the scene's own names."""
     names = tuple(scene.regime_names.get(name, name) for name in REGIMES)
-    if names == REGIMES:
+    if names == REGIMES and isinstance(scene, HasFriction | HasContact):
         return {}
-    return {name: replace(VARIABLES[name], flags=names) for name in ("regime", "check_regime")}
+    regime = replace(VARIABLES["regime"], long_name="regime of the motion", flags=names)
+    return {"regime": regime, "check_regime": replace(VARIABLES["check_regime"], flags=names)}
 
 
 def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:

@@ -17,6 +17,7 @@ from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.meanings import suggest_by_meaning, suggest_parameter
 from vibrojax.models.physics.parameters import FREQUENCIES, REPLACED, Parameter, substitutes
 from vibrojax.models.scenes import SCENES, HasContact, Scene
+from vibrojax.models.systems.system import DEFINED
 from vibrojax.stepping import STEPPERS, Stepper
 from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.values import STATE, choice, quantity
@@ -184,7 +185,7 @@ def read_names(
     instead of a name.
     """
     enter_offered()
-    system = scene if isinstance(scene, Scene) else SCENES[choice(place, scene, tuple(SCENES))]()
+    system = scene if isinstance(scene, Scene) else _scene_named(place, scene)
     own: set[str] = {field.name for field in fields(system)} if is_dataclass(system) else set()
     options = {name: getattr(system, name) for name in system.choices if name in own}
     chosen = {name: table.pop(name) for name in known_options() | options if name in table} if table else {}
@@ -199,6 +200,13 @@ def read_names(
     if chosen:
         system = replace(system, **options)  # type: ignore[type-var] # it has options, so it is a dataclass
     return Names(system, {option: str(getattr(value, "name", value)) for option, value in options.items()})
+
+
+def _scene_named(place: Place, name: object) -> Scene[Any]:
+    """Return the scene of this name, or the system that this process has defined under this name."""
+    if isinstance(name, str) and name not in SCENES and name in DEFINED:
+        return DEFINED[name]
+    return SCENES[choice(place, name, tuple(SCENES))]()
 
 
 _GROUPS: dict[str, tuple[dict[str, Any], type]] = {
