@@ -43,7 +43,7 @@ Rates = dict[str, Any]
 
 
 DEFINED: "WeakValueDictionary[str, System]" = WeakValueDictionary()
-"""The systems of this process by name, so that a page finds the motions of a dataset; a later one replaces an earlier."""
+"""The systems of this process by name, for the pages of their datasets. A later system replaces an earlier one."""
 
 _ROUNDINGS: "WeakKeyDictionary[System, tuple[Values, Any]]" = WeakKeyDictionary()
 """Arguments and result of the last call of `System._rounded` for each system."""
