@@ -184,6 +184,11 @@ MISTAKES = {
     "cannot be a name": {"states": {"t": "m", "v": "m s-1"}},
     "cannot see the switch": {"events": [vj.Switch("side", lambda t, y, p: y["x"])]},
     "choose from x, v": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"], velocity="w")]},
+    "a law or its name": {
+        "events": [
+            vj.Friction("belt", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law="coulumb", acts_on="v")
+        ]
+    },
     "between 0 and 1": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"], velocity="v", restitution=1.2)]},
     "either velocity=": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"])]},
     "is not a vj.Impact": {"events": ["stop"]},
@@ -209,3 +214,10 @@ def test_a_start_beyond_the_stop_fails_and_numbers_stand_for_lanes():
     falling = vj.System("falling", **(GOOD | {"field": lambda t, y, p: {"x": 1.0, "v": 0.0}}))
     motion = vj.simulate(falling, start=[0.0, 0.0], duration=2.0, progress=False)
     assert float(motion.x[-1]) == pytest.approx(2.0)
+
+
+def test_the_page_of_a_system_shows_its_motions_without_a_command(tmp_path):
+    ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}}, progress=False)
+    page = vj.write_page(ds, tmp_path / "page.html").read_text()
+    assert '"own_scene": true' in page or '"own_scene":true' in page
+    assert "cannot be computed" not in page and 'id="vibrojax-cells"' in page

@@ -17,6 +17,7 @@ from vibrojax.analyses.attractors.analysis import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.explorer.encoding import pack
 from vibrojax.io.attributes import LONGEST_TEXT, differing_of, run_of, text_of, title_of
+from vibrojax.models.scenes import SCENES
 from vibrojax.plot.axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
 from vibrojax.plot.colours import REGIME_COLOURS, flag_names, value_of
 from vibrojax.plot.contents import POINT, START
@@ -173,7 +174,7 @@ def run_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         names = read_names(Place("explore", "scene"), scene, options)
     except InputError:
         return {"own_scene": True}
-    if sweep is not None and names.system != sweep.system:
+    if (sweep is not None and names.system != sweep.system) or names.scene not in SCENES:
         return {"own_scene": True}
     start = start_of(ds) if names.has_starts else None
     try:

@@ -9,7 +9,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from vibrojax.models.physics.friction import FrictionLaw
+from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.parameters import Parameter
 
 OfMotion = Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Any]
@@ -71,8 +71,8 @@ class Friction:
 
     - `relative`: function u = `relative(t, y, p)`, the sliding velocity [m/s].
     - `normal`: function N = `normal(t, y, p)`, the normal force [N].
-    - `law`: a friction law, whose parameters become parameters of the system; or a constant coefficient, a number or
-      a function of `p`.
+    - `law`: a friction law or the name of one of `vj.FRICTION_LAWS`, whose parameters become parameters of the system;
+      or a constant coefficient, a number or a function of `p`.
     - `acts_on`: name of the velocity that the force changes; `mass`: the mass [kg], a number or a function of `p`.
     - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; left out, it is that of
       the law at rest.
@@ -89,10 +89,14 @@ class Friction:
     name: str
     relative: OfMotion
     normal: OfMotion
-    law: FrictionLaw | float | Callable[[Mapping[str, Any]], Any]
+    law: FrictionLaw | str | float | Callable[[Mapping[str, Any]], Any]
     acts_on: str
     mass: Callable[[Mapping[str, Any]], Any] | float = 1.0
     static: float | Callable[[Mapping[str, Any]], Any] | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.law, str) and self.law in FRICTION_LAWS:
+            object.__setattr__(self, "law", FRICTION_LAWS[self.law])
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:

@@ -121,7 +121,7 @@ class Probe:
                 isinstance(event.law, FrictionLaw | int | float) or callable(event.law)
             ):
                 raise self._refuse(
-                    f"event {event.name}: law is {shown(event.law)}; give a number, a function of p or a vj.FrictionLaw"
+                    f"event {event.name}: law is {shown(event.law)}; give a number, a function of p, a law or its name"
                 )
 
     # What the functions give
