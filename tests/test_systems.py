@@ -221,3 +221,31 @@ def test_the_page_of_a_system_shows_its_motions_without_a_command(tmp_path):
     page = vj.write_page(ds, tmp_path / "page.html").read_text()
     assert '"own_scene": true' in page or '"own_scene":true' in page
     assert "cannot be computed" not in page and 'id="vibrojax-cells"' in page
+
+
+def test_friction_and_a_switch_together():
+    """A mass that sticks on a belt until a spring, stiffer on one side, exceeds the friction of 0.4: at x = 0.4/4."""
+    both = vj.System(
+        "both",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"k": 4.0, "speed": 0.1},
+        field=lambda t, y, p, s: {
+            "x": y["v"],
+            "v": -0.5 * ((p["k"] + 1.0) + (p["k"] - 1.0) * s["side"]) * y["x"],
+        },
+        section="v",
+        events=[
+            vj.Switch("side", lambda t, y, p: y["x"]),
+            vj.Friction(
+                "belt",
+                relative=lambda t, y, p: y["v"] - p["speed"],
+                normal=lambda t, y, p: 1.0,
+                law=0.2,
+                static=0.4,
+                acts_on="v",
+            ),
+        ],
+    )
+    motion = vj.simulate(both, start=[-0.2, 0.1], duration=6.0, sampling=0.01, error=1e-8, progress=False)
+    leaves = float(motion.time[np.abs(motion.v.values - 0.1) > 1e-9][0])
+    assert leaves == pytest.approx((0.1 + 0.2) / 0.1, abs=0.02)

@@ -42,6 +42,11 @@ class Impact:
     restitution: float | Callable[[Mapping[str, Any]], Any] = 1.0
     reset: Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]] | None = None
 
+    @property
+    def surface(self) -> OfMotion:
+        """The function that is zero on the surface of the event."""
+        return self.gap
+
     def bounce(self, p: Mapping[str, Any]) -> Any:
         """Return the coefficient of restitution."""
         return self.restitution(p) if callable(self.restitution) else self.restitution
@@ -63,6 +68,11 @@ class Switch:
 
     name: str
     function: OfMotion
+
+    @property
+    def surface(self) -> OfMotion:
+        """The function that is zero on the surface of the event."""
+        return self.function
 
 
 @dataclass(frozen=True)
@@ -97,6 +107,11 @@ class Friction:
     def __post_init__(self) -> None:
         if isinstance(self.law, str) and self.law in FRICTION_LAWS:
             object.__setattr__(self, "law", FRICTION_LAWS[self.law])
+
+    @property
+    def surface(self) -> OfMotion:
+        """The function that is zero on the surface of the event."""
+        return self.relative
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:

@@ -1,14 +1,13 @@
-"""Systems written as plain functions: states, parameters, a vector field and events, written as plain functions.
+"""Systems written as plain functions: states, parameters, a vector field and events.
 
 The step bounds, resolutions, scales and the Poincaré section that a scene needs are derived from these functions.
 """
 
-import itertools
 import math
 import operator
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import jax
@@ -16,13 +15,13 @@ import jax.numpy as jnp
 
 from vibrojax.errors import InputError
 from vibrojax.models.arrays import Array
-from vibrojax.models.physics import elementary
 from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.scenes.capabilities import HasImpacts
 from vibrojax.models.scenes.declared import Guard, Marker, Mode, Section, Start, State, Swing, Values
 from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch
-from vibrojax.models.systems.numbers import Rounded, array_of, slope_along, slopes_along
+from vibrojax.models.systems.flow import Flow, Motion, SystemConstants
+from vibrojax.models.systems.numbers import Rounded
 from vibrojax.models.systems.probe import Probe
 
 AT_REST = 1e-10
@@ -38,45 +37,11 @@ CYCLES_SETTLING, CYCLES_OBSERVED = 100, 40
 TIME, APPROACH = "t", "approach"
 """Names of the hidden states: the time within a period of the forcing [s], and the speed of the last impact."""
 
-Rates = dict[str, Any]
-"""Time derivatives of the states by name."""
-
-
 DEFINED: "WeakValueDictionary[str, System]" = WeakValueDictionary()
 """The systems of this process by name, for the pages of their datasets. A later system replaces an earlier one."""
 
 _ROUNDINGS: "WeakKeyDictionary[System, tuple[Values, Any]]" = WeakKeyDictionary()
 """Arguments and result of the last call of `System._rounded` for each system."""
-
-
-class SystemConstants(NamedTuple):
-    """Constants of a system, each (lanes,).
-
-    - `p`: the parameters by name; `period` [s]: that of the forcing, or None.
-    - `typical`: typical magnitudes of the states by name.
-    - `rates`: fastest rate of change [1/s] for each combination of the sides of the switches.
-    - `lifts`: for each event, the offset of `LIFT_ROUNDINGS`; `slow`: for each event, the rate of its function that
-      counts as zero after an impact.
-    """
-
-    p: Mapping[str, Any]
-    period: Any
-    typical: Mapping[str, Any]
-    rates: tuple[Any, ...]
-    lifts: tuple[Any, ...]
-    slow: tuple[Any, ...]
-
-
-class _Motion(NamedTuple):
-    """The field at a state, with the frictions at their sides and the switches at theirs or sliding.
-
-    - `rates`: derivatives of the states. - `margins`: for each event, the function that is positive while the motion
-      sticks or slides on its surface, and `pulls` its signed counterpart: the side to which the field leads.
-    """
-
-    rates: Rates
-    margins: tuple[Any, ...]
-    pulls: tuple[Any, ...]
 
 
 class System(Scene[SystemConstants]):
@@ -139,10 +104,10 @@ class System(Scene[SystemConstants]):
         with jax.enable_x64(True):
             probe = Probe(name, states, parameters, field, period, section, events, regimes)
             self.name = name  # type: ignore[misc]
-            self.system_field, self._period, self._rate, self.events = field, period, rate, tuple(events)
+            self.events, self._period, self._own = tuple(events), period, tuple(states)
+            self._flow = Flow(self._own, field, probe.takes_sides, self.events, probe.still_stops(), rate)
             self._parameters, self._renamed = probe.parameters, dict(regimes or {})
-            self._takes_sides, self._own, self._still = probe.takes_sides, tuple(states), probe.still_stops()
-            self._at, level = section if isinstance(section, tuple) else (section, 0.0)
+            self._section_state, level = section if isinstance(section, tuple) else (section, 0.0)
             self.autonomous = period is None  # type: ignore[misc]
             self._declare(states, probe.velocities(), probe.surfaces(), level)
             self.usual_times = self._times()  # type: ignore[misc]
@@ -152,7 +117,7 @@ class System(Scene[SystemConstants]):
         """Set the declarations of a scene; `speeds`: the rate of change of each state that has one among the states."""
         hidden = {TIME: "s"} if not self.autonomous else {}
         hidden |= {APPROACH: "1"} if isinstance(self, HasImpacts) else {}
-        section_state = self._at or TIME
+        section_state = self._section_state or TIME
         shown = [
             State(name, unit, name, True, offset=level if name == section_state else 0.0)
             for name, unit in units.items()
@@ -170,7 +135,7 @@ class System(Scene[SystemConstants]):
 
     def __reduce__(self) -> Any:
         # The functions of a system cannot be pickled if they are lambdas. Other processes import the system instead.
-        module = sys.modules.get(getattr(self.system_field, "__module__", ""), None)
+        module = sys.modules.get(getattr(self._flow.function, "__module__", ""), None)
         for key, value in vars(module).items() if module is not None else ():
             if value is self and module is not None and module.__name__ != "__main__":
                 return _system_of, (module.__name__, key)
@@ -188,8 +153,8 @@ class System(Scene[SystemConstants]):
         return CYCLES_SETTLING * cycle, CYCLES_OBSERVED * cycle
 
     def _rearm(self, c: SystemConstants) -> Any:
-        if self._at is not None:
-            return jnp.zeros_like(c.typical[self._at])
+        if self._section_state is not None:
+            return jnp.zeros_like(c.typical[self._section_state])
         return -0.1 * c.period
 
     @property
@@ -205,147 +170,22 @@ class System(Scene[SystemConstants]):
     def _known(self, state: Values) -> tuple[Any, dict[str, Any]]:
         """Return the time and the states by name."""
         values = dict(zip(self.state_names, state, strict=True))
-        if self._at is not None:
-            offset = self.states[self.place(self._at)].offset
+        if self._section_state is not None:
+            offset = self.states[self.place(self._section_state)].offset
             if offset:
-                values[self._at] = values[self._at] + offset
-        return values.get(TIME, 0.0) if not self.autonomous else 0.0, {name: values[name] for name in self._own}
+                values[self._section_state] = values[self._section_state] + offset
+        return (0.0 if self.autonomous else values[TIME]), {name: values[name] for name in self._own}
 
-    def _field(self, c: SystemConstants, t: Any, y: Mapping[str, Any], sides: Mapping[str, Any]) -> Rates:
-        """Return the user's field; a number becomes one value per lane."""
-        rates = self.system_field(t, y, c.p, sides) if self._takes_sides else self.system_field(t, y, c.p)
-        zero = 0.0 * next(iter(y.values()))
-        return {name: zero + rates[name] if _is_constant(rates[name]) else rates[name] for name in y}
-
-    def _with_friction(
-        self, c: SystemConstants, t: Any, y: Mapping[str, Any], mode: Values, rates: Rates, judged: dict[int, Any]
-    ) -> Rates:
-        """Return the rates with all frictions; `judged` receives margin and pull of each friction."""
-        limits: dict[int, Any] = {}
-        drags: dict[int, Any] = {}
-        held: dict[int, Any] = {}
-        for index, event in enumerate(self.events):
-            if isinstance(event, Friction):
-                slip = jnp.sign(mode[index])
-                limits[index] = event.acceleration(t, y, c.p, slip)
-                drags[index] = slip * limits[index]
-        for index in limits:
-            event = self.events[index]
-            # The field with all other frictions; the body sticks where the rest of the field cannot move it.
-            free = dict(rates)
-            for other, drag in drags.items():
-                if other != index:
-                    free[self.events[other].acts_on] = free[self.events[other].acts_on] - drag
-            pull = self._slope(c, event.relative, t, y, free)
-            gain = self._gain(c, event.relative, t, y, event.acts_on)
-            judged[index] = (event.holding(t, y, c.p) * abs(gain) - elementary.absolute(pull), pull)
-            slip = jnp.sign(mode[index])
-            held[index] = (1.0 - slip * slip) * (pull / gain)
-        total = dict(rates)
-        for index in limits:
-            acts_on = self.events[index].acts_on
-            total[acts_on] = total[acts_on] - drags[index] - held[index]
-        return total
-
-    def _slope(self, c: SystemConstants, function: Any, t: Any, y: Mapping[str, Any], rates: Rates) -> Any:
-        return slope_along(lambda t, y: function(t, y, c.p), t, y, [rates[name] for name in y])
-
-    def _gain(self, c: SystemConstants, function: Any, t: Any, y: Mapping[str, Any], name: str) -> Any:
-        """Return the derivative of a function with respect to one state."""
-        unit = [1.0 if key == name else 0.0 for key in y]
-        return slope_along(lambda t, y: function(t, y, c.p), t, y, unit, 0.0)
-
-    def _motion(self, c: SystemConstants, mode: Values, state: Values) -> _Motion:
-        """Return the field, evaluated once per expansion: its Taylor series serve the states and the guards."""
+    def _motion(self, c: SystemConstants, mode: Values, state: Values) -> Motion:
+        """Return the motion, evaluated once per expansion: its Taylor series serve the field and the guards."""
         seen = getattr(state[0], "seen_motion", None)
-        if seen is not None and seen[0] is c and all(a is b for a, b in zip(seen[1], mode, strict=True)):
-            known: _Motion = seen[2]
+        if seen is not None and all(map(operator.is_, seen[0], (c, *mode))):
+            known: Motion = seen[1]
             return known
-        motion = self._evaluated(c, mode, *self._known(state))
+        motion = self._flow.at(c, mode, *self._known(state))
         if not isinstance(state[0], Array):
-            state[0].seen_motion = (c, mode, motion)
+            state[0].seen_motion = ((c, *mode), motion)
         return motion
-
-    def _evaluated(self, c: SystemConstants, mode: Values, t: Any, y: dict[str, Any]) -> _Motion:
-        judged: dict[int, Any] = {}
-        switches = [index for index, event in enumerate(self.events) if isinstance(event, Switch)]
-
-        def flow(signs: Sequence[float]) -> Rates:
-            sides = {self.events[index].name: sign for index, sign in zip(switches, signs, strict=True)}
-            return self._with_friction(c, t, y, mode, self._field(c, t, y, sides), judged)
-
-        corners = {signs: flow(signs) for signs in itertools.product((-1.0, 1.0), repeat=len(switches))}
-        weights = {index: jnp.sign(mode[index]) for index in switches}
-
-        def blended(fixed: Mapping[int, float]) -> Rates:
-            """Return the convex combination of the corners at the present sides, or at the `fixed` ones."""
-            if len(switches) == 1 and fixed:
-                return corners[tuple(fixed.values())]
-            total: Rates = {}
-            for signs, rates in corners.items():
-                weight: Any = 1.0
-                for index, sign in zip(switches, signs, strict=True):
-                    if index not in fixed:
-                        weight = weight * ((1.0 + sign * weights[index]) * 0.5)
-                    elif fixed[index] != sign:
-                        weight = 0.0
-                if not isinstance(weight, float) or weight:
-                    total = {
-                        name: weight * rate + total[name] if total else weight * rate for name, rate in rates.items()
-                    }
-            return total
-
-        for index in switches:
-            function = self.events[index].function
-            low, high = (self._slope(c, function, t, y, blended({index: sign})) for sign in (-1.0, 1.0))
-            slides = 1.0 - weights[index] * weights[index]
-            # Filippov's share: the combination of the two fields that stays on the surface.
-            gap = low - high
-            gap = gap + jnp.where((slides == 0) | (array_of(gap) == 0), 1.0 - array_of(gap), 0.0)
-            judged[index] = (-elementary.maximum(high, -low), high + low)
-            weights[index] = weights[index] + slides * ((low + high) / gap)
-        rates = blended({}) if switches else corners[()]
-        for index, event in enumerate(self.events):
-            if isinstance(event, Impact):
-                rates = self._held(c, index, mode, t, y, rates, judged)
-        order = range(len(self.events))
-        return _Motion(rates, tuple(judged[i][0] for i in order), tuple(judged[i][1] for i in order))
-
-    def _held(
-        self,
-        c: SystemConstants,
-        index: int,
-        mode: Values,
-        t: Any,
-        y: dict[str, Any],
-        rates: Rates,
-        judged: dict[int, Any],
-    ) -> Rates:
-        """Return the rates of a motion that may rest on a stop, where the second derivative of the gap is zero."""
-        event = self.events[index]
-        assert isinstance(event, Impact)
-        if event.velocity is None:
-            judged[index] = (1.0 + 0.0 * rates[self._own[0]], 0.0 * rates[self._own[0]])
-            return rates
-        sign = self._still.get(index)
-        resting = jnp.where(mode[index] == 1, 1.0, 0.0)
-        velocity = event.velocity
-        if sign is not None:  # the gap is a position, up to sign and a constant
-            judged[index] = ((-sign) * rates[velocity], sign * rates[velocity])
-            return rates | {velocity: (1.0 - resting) * rates[velocity]}
-
-        def closing(t: Any, y: Mapping[str, Any]) -> Any:
-            return self._slope(c, event.gap, t, y, self._plain(c, mode, t, y))
-
-        second = slope_along(closing, t, y, [rates[name] for name in y])
-        gain = slope_along(closing, t, y, [1.0 if name == velocity else 0.0 for name in y], 0.0)
-        judged[index] = (-second, second)
-        return rates | {velocity: rates[velocity] - resting * (second / gain)}
-
-    def _plain(self, c: SystemConstants, mode: Values, t: Any, y: Mapping[str, Any]) -> Rates:
-        """Return the field without events, from which rates of gaps follow."""
-        sides = {event.name: jnp.sign(mode[i]) for i, event in enumerate(self.events) if isinstance(event, Switch)}
-        return self._field(c, t, y, sides)
 
     def field(self, c: SystemConstants, mode: Values, state: Values) -> Values:
         rates = self._motion(c, mode, state).rates
@@ -354,11 +194,6 @@ class System(Scene[SystemConstants]):
         return tuple(rates[name] if name in rates else hidden[name] for name in self.state_names)
 
     # Guards and resets
-
-    def _surface(self, event: Event) -> Any:
-        if isinstance(event, Impact):
-            return event.gap
-        return event.function if isinstance(event, Switch) else event.relative
 
     def guards(self) -> tuple[Guard, ...]:
         guards = [
@@ -377,7 +212,7 @@ class System(Scene[SystemConstants]):
 
         def value(c: SystemConstants, mode: Values, state: Values) -> Any:
             t, y = self._known(state)
-            surface, where = self._surface(event)(t, y, c.p), mode[index]
+            surface, where = event.surface(t, y, c.p), mode[index]
             margin = self._motion(c, mode, state).margins[index]
             if isinstance(event, Impact):
                 rests, lifted, side = jnp.where(where == 1, 1.0, 0.0), where == -1, jnp.ones_like(where)
@@ -428,7 +263,7 @@ class System(Scene[SystemConstants]):
         return terms[: len(self._own)], one
 
     def reset(self, c: SystemConstants, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
-        motion = self._evaluated(c, mode, *self._known(state)) if self.events else None
+        motion = self._flow.at(c, mode, *self._known(state)) if self.events else None
         modes, values = list(mode), dict(zip(self.state_names, state, strict=True))
         for index, event in enumerate(self.events):
             hit, where = hits[event.name], mode[index]
@@ -458,37 +293,27 @@ class System(Scene[SystemConstants]):
             hit, resting = hits[event.name], mode[index] == 1
             struck = hit & ~resting
             t, y = self._known(tuple(values[name] for name in self.state_names))
-            rate = self._slope(c, event.gap, t, y, self._plain(c, mode, t, y))
+            rate = self._flow.closing(c, event, mode, t, y)
             values[APPROACH] = jnp.where(struck, -rate, values[APPROACH])
             if event.velocity is None:
                 assert event.reset is not None
                 for name, new in event.reset(t, y, c.p).items():
                     values[name] = jnp.where(struck, new, values[name])
                 continue
-            gain = self._rate_gain(c, index, event, mode, t, y)
+            gain = self._flow.gain(c, index, mode, t, y)
             slow = jnp.abs(event.bounce(c.p) * rate) <= c.slow[index]
             jump = jnp.where(slow, -rate, -(1.0 + event.bounce(c.p)) * rate) / gain
             values[event.velocity] = values[event.velocity] + jnp.where(struck, jump, 0.0)
             t, y = self._known(tuple(values[name] for name in self.state_names))
-            pushed = self._evaluated(c, mode, t, y).margins[index] > 0
+            pushed = self._flow.at(c, mode, t, y).margins[index] > 0
             after = jnp.where(slow, jnp.where(pushed, 1.0, -1.0), 0.0)
             modes[index] = jnp.where(hit, jnp.where(resting, -1.0, after), modes[index])
         return modes
 
-    def _rate_gain(self, c: SystemConstants, index: int, event: Impact, mode: Values, t: Any, y: dict[str, Any]) -> Any:
-        sign = self._still.get(index)
-        if sign is not None:
-            return sign
-
-        def closing(t: Any, y: Mapping[str, Any]) -> Any:
-            return self._slope(c, event.gap, t, y, self._plain(c, mode, t, y))
-
-        return slope_along(closing, t, y, [1.0 if name == event.velocity else 0.0 for name in y], 0.0)
-
     def mode_at(self, c: SystemConstants, state: Values) -> Values:
         t, y = self._known(state)
         zero = jnp.zeros_like(state[0])
-        surfaces = [self._surface(event)(t, y, c.p) + zero for event in self.events]
+        surfaces = [event.surface(t, y, c.p) + zero for event in self.events]
         if not self.events:
             return (zero,)
         free = tuple(
@@ -503,10 +328,10 @@ class System(Scene[SystemConstants]):
                 jnp.where(near, 1.0 if isinstance(event, Impact) else 0.0, x) if i == index else x
                 for i, x in enumerate(free)
             )
-            motion = self._evaluated(c, there, t, y)
+            motion = self._flow.at(c, there, t, y)
             margin, pull = motion.margins[index], motion.pulls[index]
             if isinstance(event, Impact):
-                rate = self._slope(c, event.gap, t, y, self._plain(c, free, t, y))
+                rate = self._flow.closing(c, event, free, t, y)
                 slow = jnp.abs(rate) <= c.slow[index]
                 rests = near & slow & (margin > 0) if event.velocity is not None else near & False
                 modes[index] = jnp.where(rests, 1.0, jnp.where(near & (rate >= -c.slow[index]), -1.0, 0.0))
@@ -529,29 +354,27 @@ class System(Scene[SystemConstants]):
         zero = {name: like for name in self._own}
         none = (like,) * len(self.events)
         c = SystemConstants(values, period, zero, (), none, none)
-        return c._replace(rates=self._rates(c, like, zero))
+        return c._replace(rates=self._flow.fastest(c, like, zero))
 
     def scaled(self, c: SystemConstants, state: Values) -> SystemConstants:
         """Return the constants with rates and scales of a motion that begins at `state`."""
         t, y = self._known(state)
         like = 0.0 * state[0]
-        rates = self._rates(c, t, y)
+        rates = self._flow.fastest(c, t, y)
         c = c._replace(rates=rates)
         speed, typical = jnp.stack(rates).min(axis=0), {name: jnp.abs(x) + like for name, x in y.items()}
         mode = tuple(like + (0.0 if isinstance(event, Impact) else 1.0) for event in self.events)
         time = 0.0 if c.period is None else c.period
         for _ in range(2):
             known = {name: Rounded(y[name], size) for name, size in typical.items()}
-            sizes = self._evaluated(c, mode, Rounded(t + like, time + like), known).rates
+            sizes = self._flow.at(c, mode, Rounded(t + like, time + like), known).rates
             typical = {name: jnp.maximum(size, _size(sizes[name]) / speed) for name, size in typical.items()}
         known = {name: Rounded(y[name], size) for name, size in typical.items()}
         clock = Rounded(t + like, time + like)
         eps = jnp.finfo(like.dtype).eps
-        surfaces = [_size(self._surface(event)(clock, known, c.p)) + like for event in self.events]
+        surfaces = [_size(event.surface(clock, known, c.p)) + like for event in self.events]
         closing = [
-            _size(self._slope(c, self._surface(event), clock, known, self._plain(c, mode, clock, known))) + like
-            if isinstance(event, Impact)
-            else like
+            _size(self._flow.closing(c, event, mode, clock, known)) + like if isinstance(event, Impact) else like
             for event in self.events
         ]
         return c._replace(
@@ -560,42 +383,12 @@ class System(Scene[SystemConstants]):
             slow=tuple(max(AT_REST, 1e3 * eps) * size for size in closing),
         )
 
-    def _rates(self, c: SystemConstants, t: Any, y: Mapping[str, Any]) -> tuple[Any, ...]:
-        like = 0.0 * next(iter(y.values()))
-        combinations = itertools.product((-1.0, 1.0), repeat=sum(isinstance(e, Switch) for e in self.events))
-        return tuple(self._fastest(c, t, y, sides) + like for sides in combinations)
-
-    def _fastest(self, c: SystemConstants, t: Any, y: Mapping[str, Any], signs: Sequence[float]) -> Any:
-        """Return the fastest rate of change [1/s] of the field with the switches at the sides `signs`."""
-        if self._rate is not None:
-            return self._rate(c.p)
-        switches = [event.name for event in self.events if isinstance(event, Switch)]
-        sides = dict(zip(switches, signs, strict=True))
-
-        def rates(t: Any, y: Mapping[str, Any]) -> list[Any]:
-            return list(self._field(c, t, y, sides).values())
-
-        columns = [slopes_along(rates, t, y, [float(key == name) for key in y], 0.0) for name in y]
-        J = [[jnp.abs(columns[j][i]) for j in range(len(y))] for i in range(len(y))]
-        n = range(len(y))
-        square = [[sum(J[i][k] * J[k][j] for k in n) for j in n] for i in n]
-        # The fourth root of the trace of the fourth power of |J| bounds the spectral radius, whatever the units.
-        trace = sum(square[i][k] * square[k][i] for i in n for k in n)
-        radius = jnp.sqrt(jnp.sqrt(trace))
-        if c.period is not None:
-            return jnp.maximum(radius, 2 * jnp.pi / c.period)
-        # Without a linear part, as in free fall: the second derivative of each state relative to the state.
-        first = [jnp.abs(rate) for rate in rates(t, y)]
-        bends = [sum(J[i][k] * first[k] for k in n) / jnp.abs(x) for i, x in enumerate(y.values())]
-        fall = jnp.sqrt(sum(jnp.where(jnp.isfinite(bend), bend, 0.0) for bend in bends))
-        return jnp.where(radius > 0, radius, jnp.where(fall > 0, fall, 1.0))
-
     def rate(self, c: SystemConstants, mode: Values) -> Any:
         where = [mode[index] for index, event in enumerate(self.events) if isinstance(event, Switch)]
         if not where or len(c.rates) == 1:
             return c.rates[0]
         rate = 0.0 * c.rates[0]
-        for signs, own in zip(itertools.product((-1.0, 1.0), repeat=len(where)), c.rates, strict=True):
+        for signs, own in zip(self._flow.combinations(), c.rates, strict=True):
             # On a surface (mode 0) the field is a combination of both sides.
             fits = jnp.stack([side * sign >= 0 for side, sign in zip(where, signs, strict=True)]).all(axis=0)
             rate = jnp.maximum(rate, jnp.where(fits, own, 0.0))
@@ -603,7 +396,7 @@ class System(Scene[SystemConstants]):
 
     def speed_scale(self, c: SystemConstants) -> Any:
         """Return the typical magnitude of the section's state."""
-        return c.typical[self._at] if self._at is not None else c.period
+        return c.typical[self._section_state] if self._section_state is not None else c.period
 
     def start(self, c: SystemConstants, name: Start, shape: tuple[int, ...]) -> Values:
         """Return the initial state, NaN for a start beyond a stop."""
@@ -641,10 +434,6 @@ def _system_of(module: str, name: str) -> Any:
     from importlib import import_module
 
     return getattr(import_module(module), name)
-
-
-def _is_constant(x: Any) -> bool:
-    return isinstance(x, int | float | Array) or not hasattr(x, "value")
 
 
 def _size(x: Any) -> Any:
