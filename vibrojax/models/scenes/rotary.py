@@ -251,7 +251,7 @@ class Rotary(HasFriction[Any]):
     def speed_scale(self, c: Any) -> Any:
         return c.drill.slip.speed_scale
 
-    def validity(self, c: Any, mode: Values, polynomials: tuple[list[Array], ...]) -> Any:
+    def validity(self, c: Any, mode: Values, polynomials: tuple[list[Array], ...], functions: list[list[Array]]) -> Any:
         return stick_slip.validity(self.friction, c.drill.slip, mode[0], polynomials[1])
 
 

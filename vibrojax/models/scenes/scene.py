@@ -135,11 +135,11 @@ class Scene(ABC, Generic[C]):
         """
         return c
 
-    def validity(self, c: C, mode: Values, polynomials: tuple[list[Array], ...]) -> Any:
+    def validity(self, c: C, mode: Values, polynomials: tuple[list[Array], ...], functions: list[list[Array]]) -> Any:
         """Return the fraction of a step over which the Taylor series are valid.
 
         None means that the last coefficients of the series show where the series are valid. `polynomials` has the
-        states' coefficients in time divided by the step's length.
+        states' coefficients in time divided by the step's length, `functions` those of the guards and then of markers.
         """
         return None
 

@@ -27,7 +27,7 @@ class Impact:
     - `reset`: instead of `velocity` and `restitution`, a function `reset(t, y, p)` that returns new values of states
       by name. Such a stop cannot hold the motion: bounces that accumulate end as a failed lane.
 
-    A bounce whose speed is at most 1e-10 of a typical speed ends in rest on the stop if the field pushes against the
+    A bounce whose speed is at most 2.4e-7 of a typical speed ends in rest on the stop if the field pushes against the
     stop. The rest lasts until the field pulls away.
 
     **Example:**

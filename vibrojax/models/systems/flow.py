@@ -57,6 +57,7 @@ class Flow:
 
     - `names`: the states; `function`: the user's field, which takes sides if `takes_sides`; `events`: the events.
     - `still`: for each impact whose gap is a position, up to its sign and a constant, that sign (by index).
+    - `speeds`: the states that are the rate of change of another state, by the name of that state.
     - `rate`: the user's function for the fastest rate of change [1/s], or None.
     """
 
@@ -65,6 +66,7 @@ class Flow:
     takes_sides: bool
     events: tuple[Event, ...]
     still: Mapping[int, float]
+    speeds: Mapping[str, str]
     rate: Callable[[Mapping[str, Any]], Any] | None = None
 
     def of(self, kind: type) -> list[tuple[int, Any]]:
@@ -101,6 +103,15 @@ class Flow:
         event: Any = self.events[index]
         unit = [float(name == event.velocity) for name in y]
         return slope_along(lambda t, y: self.closing(c, event, mode, t, y), t, y, unit, 0.0)
+
+    def onto_stop(self, c: SystemConstants, event: Impact, t: Any, y: States) -> Rates:
+        """Return the position that closes the gap exactly, by name; empty if no state is the position."""
+        for position, speed in self.speeds.items():
+            if speed == event.velocity:
+                unit = {name: float(name == position) for name in y}
+                slope = self.slope(c, event, t, y, unit, 0.0)
+                return {position: y[position] - event.surface(t, y, c.p) / slope}
+        return {}
 
     def at(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Motion:
         """Return the motion in a mode, at a state or at the series of a step."""

@@ -3,6 +3,7 @@
 The step bounds, resolutions, scales and the Poincaré section that a scene needs are derived from these functions.
 """
 
+import functools
 import math
 import operator
 import sys
@@ -24,12 +25,20 @@ from vibrojax.models.systems.flow import Flow, Motion, SystemConstants
 from vibrojax.models.systems.numbers import Rounded
 from vibrojax.models.systems.probe import Probe
 
-AT_REST = 1e-10
-"""Speed of a bounce, as a fraction of the typical rate of the gap, up to which the motion comes to rest on the stop."""
+AT_REST = 16.0
+"""Speed of a bounce up to which the motion comes to rest on the stop, in square roots of the machine epsilon times the
+typical rate of the gap. The height of a bounce is of second order in its speed: that of a slower one is lost in rounding
+errors."""
+
+LEAST_PUSH = 1e-10
+"""Least second derivative of a gap that holds a motion on its stop, as a fraction of a typical one."""
 
 LIFT_ROUNDINGS = 1e4
 """Offset, in rounding errors of a typical value, by which a surface moves away from a motion that leaves it along a
 tangent. Without it, rounding errors would bring the motion back at once."""
+
+BEYOND_RETURN = 1.5
+"""Longest step in units of the time until a surface's parabola returns to zero: beyond it, the function is negative."""
 
 CYCLES_SETTLING, CYCLES_OBSERVED = 100, 40
 """Default durations of settling and observation, in periods of the forcing or of the fastest oscillation."""
@@ -104,12 +113,13 @@ class System(Scene[SystemConstants]):
         with jax.enable_x64(True):
             probe = Probe(name, states, parameters, field, period, section, events, regimes)
             self.name = name  # type: ignore[misc]
+            speeds = probe.velocities()
             self.events, self._period, self._own = tuple(events), period, tuple(states)
-            self._flow = Flow(self._own, field, probe.takes_sides, self.events, probe.still_stops(), rate)
+            self._flow = Flow(self._own, field, probe.takes_sides, self.events, probe.still_stops(), speeds, rate)
             self._parameters, self._renamed = probe.parameters, dict(regimes or {})
             self._section_state, level = section if isinstance(section, tuple) else (section, 0.0)
             self.autonomous = period is None  # type: ignore[misc]
-            self._declare(states, probe.velocities(), probe.surfaces(), level)
+            self._declare(states, speeds, probe.surfaces(), level)
             self.usual_times = self._times()  # type: ignore[misc]
         DEFINED[name] = self
 
@@ -262,6 +272,22 @@ class System(Scene[SystemConstants]):
         ]
         return terms[: len(self._own)], one
 
+    def validity(
+        self, c: SystemConstants, mode: Values, polynomials: tuple[list[Array], ...], functions: list[list[Array]]
+    ) -> Any:
+        """Return the fraction of a step after which a surface may have been reached and left again.
+
+        After a slow bounce, a motion returns to the surface much faster than the field changes. The step then ends soon
+        after the zero of the parabola through value, rate and curvature of the surface's function.
+        """
+        shares = []
+        for value, rate, curvature, *_ in functions[: len(self.events)]:
+            falls = curvature < 0
+            below = jnp.where(falls, curvature, -1.0)
+            root = (-rate - jnp.sqrt(jnp.maximum(rate * rate - 4 * below * value, 0.0))) / (2 * below)
+            shares.append(jnp.where(falls & (root > jnp.finfo(root.dtype).eps), BEYOND_RETURN * root, 1.0))
+        return functools.reduce(jnp.minimum, shares) if shares else None
+
     def reset(self, c: SystemConstants, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
         motion = self._flow.at(c, mode, *self._known(state)) if self.events else None
         modes, values = list(mode), dict(zip(self.state_names, state, strict=True))
@@ -300,15 +326,26 @@ class System(Scene[SystemConstants]):
                 for name, new in event.reset(t, y, c.p).items():
                     values[name] = jnp.where(struck, new, values[name])
                 continue
+            for name, position in self._flow.onto_stop(c, event, t, y).items():
+                # Steps end on the stop within their tolerance, and a long rest drifts by as much.
+                values[name] = jnp.where(hit, position, values[name])
             gain = self._flow.gain(c, index, mode, t, y)
             slow = jnp.abs(event.bounce(c.p) * rate) <= c.slow[index]
             jump = jnp.where(slow, -rate, -(1.0 + event.bounce(c.p)) * rate) / gain
-            values[event.velocity] = values[event.velocity] + jnp.where(struck, jump, 0.0)
+            values[event.velocity] = values[event.velocity] + jnp.where(struck & (rate < 0), jump, 0.0)
             t, y = self._known(tuple(values[name] for name in self.state_names))
-            pushed = self._flow.at(c, mode, t, y).margins[index] > 0
+            pushed = self._flow.at(c, mode, t, y).margins[index] > self._least_push(c, index)
             after = jnp.where(slow, jnp.where(pushed, 1.0, -1.0), 0.0)
             modes[index] = jnp.where(hit, jnp.where(resting, -1.0, after), modes[index])
         return modes
+
+    def _least_push(self, c: SystemConstants, index: int) -> Any:
+        """Return the least second derivative of a gap that holds a motion on its stop.
+
+        With none, a motion that the field hardly pushes would leave and reach the stop again and again.
+        """
+        typical = c.lifts[index] / (LIFT_ROUNDINGS * jnp.finfo(c.lifts[index].dtype).eps)
+        return LEAST_PUSH * typical * c.rates[0] * c.rates[0]
 
     def mode_at(self, c: SystemConstants, state: Values) -> Values:
         t, y = self._known(state)
@@ -333,7 +370,9 @@ class System(Scene[SystemConstants]):
             if isinstance(event, Impact):
                 rate = self._flow.closing(c, event, free, t, y)
                 slow = jnp.abs(rate) <= c.slow[index]
-                rests = near & slow & (margin > 0) if event.velocity is not None else near & False
+                rests = (
+                    near & slow & (margin > self._least_push(c, index)) if event.velocity is not None else near & False
+                )
                 modes[index] = jnp.where(rests, 1.0, jnp.where(near & (rate >= -c.slow[index]), -1.0, 0.0))
             else:
                 leaves = jnp.where(pull < 0, -2.0, 2.0)
@@ -380,7 +419,7 @@ class System(Scene[SystemConstants]):
         return c._replace(
             typical=typical,
             lifts=tuple(LIFT_ROUNDINGS * eps * size for size in surfaces),
-            slow=tuple(max(AT_REST, 1e3 * eps) * size for size in closing),
+            slow=tuple(AT_REST * eps**0.5 * size for size in closing),
         )
 
     def rate(self, c: SystemConstants, mode: Values) -> Any:
