@@ -308,6 +308,24 @@ def test_the_command_takes_an_axis_and_an_output(tmp_path, capsys):
     assert "too-few-lanes" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("rate", "penetrates"), [(0.0, False), ([0.0, 1.0], True)])
+def test_where_nothing_penetrates_one_sentence_says_so(tmp_path, monkeypatch, capsys, rate, penetrates):
+    """A group without a rate takes one line of the table."""
+    monkeypatch.chdir(tmp_path)
+    rates = np.outer(np.atleast_1d(rate) * np.ones(2), RATE)
+    write_dataset(sweep(rate_of_penetration=(("force", "frequency"), rates)), "map.nc")
+    assert main(["fit", "map.nc"]) == (0 if penetrates else 2)
+    out, err = capsys.readouterr()
+    if penetrates:
+        assert [line for line in out.splitlines() if "8 lanes" in line and "all-censored" in line] and (
+            out.count("all-censored") == 2  # in the table and in the verdict
+        )
+    else:
+        assert not out and not Path("map-fit.nc").exists()
+        reason = "map.nc: nothing penetrates in any of 16 lanes, so there is no rate to fit"
+        assert err == f"vibrojax: {reason}; vibrojax info map.nc says what would give a rate\n"
+
+
 def test_a_table_is_shown_for_the_first_groups_alone():
     data = xr.concat([sweep().isel(force=0, drop=True)] * 15, xr.Variable("group", np.arange(15)))
     lines = law_table(law_facts(fit_rop(data, progress=False)))

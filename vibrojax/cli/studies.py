@@ -6,7 +6,7 @@ from pathlib import Path
 from vibrojax.analyses import WORDS
 from vibrojax.cli.command import JSON, Options, argument, command, files, flag, output_options
 from vibrojax.cli.output import dataset_written, file_facts, output, output_folder, print_json, result_at, write_result
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, counted
 from vibrojax.progress import timed
 
 _DIGEST_LENGTH = 12
@@ -50,6 +50,11 @@ def fit(options: Options) -> None:
     file, columns, by = Path(options.file), read_columns(words), options.by or []
     output(options.out or f"{file.stem}-fit.nc")
     data = read_groups(options.file, options.along, by, columns)
+    groups = data[-1]
+    if groups.valid.any() and not (groups.rate[groups.valid] > 0).any():
+        lanes = counted(groups.count.sum(), "lane")
+        more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
+        raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
     identity = {"data": f"{file.name}, sha256 {_digest(file)}", "along": options.along, "by": ", ".join(by)}
     identity |= {"fit": True} | {f"columns.{name}": text for name, text in columns.items()}
     out = result_at(options, f"{file.stem}-fit.nc", identity)

@@ -9,10 +9,11 @@ from vibrojax.analyses.frequencies import frequency_part
 from vibrojax.analyses.trajectory.hole import pulses, response
 from vibrojax.analyses.trajectory.states import states_over_time
 from vibrojax.analyses.trajectory.time_history import trajectory
+from vibrojax.errors import counted
 from vibrojax.io.attributes import flags, parameters_of, run_of
 from vibrojax.measures.labels import FEWEST_RETURNS
 
-SECTION = "returns to the section (the bit overtakes the drive)"
+SECTION = "to the section (the bit overtakes the drive)"
 
 REPORTED_DRIFT = 1e-3
 """Relative distance from the settled motion above which the summary reports it: half a digit of printed values."""
@@ -57,7 +58,7 @@ def feature_lines(ds: xr.Dataset) -> list[str]:
         return []
     last = f"measured from {run['settle']:.4g} s to the end at {run['settle'] + run['observe']:.4g} s"
     if "returns" in values:
-        last += f": {values['returns']:.0f} {SECTION if 'x1' in ds else 'returns to the section'}"
+        last += f": {counted(int(values['returns']), 'return')} {SECTION if 'x1' in ds else 'to the section'}"
     drift = values.get("drift_estimate", math.nan)
     if drift > REPORTED_DRIFT:
         far = f"by some {100 * drift:.2g} %" if math.isfinite(drift) else "and its returns do not tell how far"
