@@ -170,7 +170,7 @@ def test_a_lone_line_of_the_grid_in_or_out():
         ({"grid": {"beta": [0.3, 0.4], "gamma": [0.7]}}, "no two axes"),
         (
             {"grid": {"beta": [0.3, 0.4], "striker_frequency": [2.0, 3.0]}},
-            "striker_frequency is not a parameter of the",
+            "give gamma, which it replaces: gamma = striker_frequency/bit_frequency",
         ),
     ],
 )

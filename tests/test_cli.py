@@ -162,7 +162,10 @@ def test_bad_input_found_late_is_one_line(calls, capsys, monkeypatch):
             "no command; choose from sweep, simulate, orbits, follow, borders, attractors, push, tolerance, plot, "
             "explore, info",
         ),
-        (["swep"], "invalid choice: 'swep'"),
+        (["swep"], "argument COMMAND: invalid choice: 'swep'; did you mean \"sweep\"?; see vibrojax --help"),
+        (["explore"], "explore: the following arguments are required: OUT.nc; see vibrojax explore --help"),
+        (["push", "rotary", "scan=1"], "vibrojax: push: scan: 1 is not a whole number"),
+        (["simulate", "drilling", "start=moving"], 'did you mean "touching"? (starts: drive, stuck, touching)'),
         (["sweep"], "sweep: the following arguments are required: SWEEP; see vibrojax sweep --help"),
         (["sweep", "map.toml", "--fesh"], "unrecognized arguments: --fesh"),
         (["sweep", "map.toml", "--fresh", "--resume"], "not allowed with argument"),

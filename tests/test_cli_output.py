@@ -114,7 +114,7 @@ def test_verbose_tells_what_was_chosen_and_how_long_it_took(here, capsys):
     for argv, parts in (
         (["simulate", "penetration", "duration=0.1", "--fresh"], ("step", "measure", "write", "draw")),
         (["sweep", "map.toml", "--fresh"], ("compile", "compile and step", "write", "draw")),
-        (["fit", "map.nc"], ("read and fit", "write", "draw")),
+        (["fit", "map.nc"], ("fit", "write", "draw")),
         (["info", "map.nc"], ("read",)),
         (["plot", "map.nc"], ("read", "draw")),
         (["scenes"], ()),

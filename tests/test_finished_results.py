@@ -14,7 +14,7 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.cli import main
-from vibrojax.io.manifest import IDENTITY, check_replaceable, identity_text
+from vibrojax.io.manifest import IDENTITY, changes, check_replaceable, identity_text
 from vibrojax.io.provenance import source
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep
@@ -266,7 +266,26 @@ def test_a_result_of_other_code_is_not_taken_for_the_same(folder):
     out = folder / "own.nc"
     vj.write_dataset(xr.Dataset(attrs={IDENTITY: identity_text(sweep(0.2).identity())}), out)
     check_replaceable(out, sweep(0.2).identity())
-    with pytest.raises(vj.InputError, match=r'holds another result: code\.friction was "sha256 \w+", is "sha256 '):
+    with pytest.raises(vj.InputError, match=r"holds another result: code\.friction has changed since; --fresh"):
         check_replaceable(out, sweep(0.3).identity())
     builtin = read_sweep({"scene": "drilling", "grid": {"gamma": [0.6]}}).identity()
     assert not any(name.startswith("code.") for name in builtin)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "line"),
+    [
+        ({"points.delta": "73 values from 0 to 1, sha256 ab"}, {"points.delta": "73 values from 0 to 1, sha256 cd"},
+         "the values of delta differ"),
+        ({"points.v": "73 values from 0 to 1, sha256 ab"}, {"points.v": "74 values from 0 to 2, sha256 cd"},
+         "points.v was 73 values from 0 to 1, is 74 values from 0 to 2"),
+        ({"grid.v": [1.0]}, {"grid.v": "74 values from 0 to 2, sha256 cd"},
+         "grid.v was [1.0], is 74 values from 0 to 2"),
+        ({"code.scene": "sha256 ab"}, {"code.scene": "sha256 cd"}, "code.scene has changed since"),
+        ({}, {"code.scene": "sha256 cd"}, "code.scene was not there, is there"),
+        ({"title": 80 * "a"}, {"title": ""}, f'title was "{55 * "a"}...", is ""'),
+    ],
+)  # fmt: skip
+def test_differences_are_readable(before, now, line):
+    """Digests are not shown, and a value that is cut ends in its quote."""
+    assert changes(before, now) == line

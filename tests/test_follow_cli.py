@@ -179,8 +179,9 @@ WRONG = [
     ("vibro-impact", {"along": "rpm"}, '"rpm" is not a parameter of the scene; v follows from rpm and bit_radius'),
     (
         "rotary",
-        {"along": "striker_frequency"},
-        "gamma follows from striker_frequency: give gamma, and follow along gamma",
+        {"along": "striker_frequency", "at": 3.0},
+        # gamma = 2 pi f sqrt(m1/k1), with m1 = 250 and k1 = 156250: 2 pi 3/25
+        "gamma follows from striker_frequency: give gamma, and follow along gamma; 3 Hz is gamma=0.753982",
     ),
     (
         "vibro-impact",

@@ -211,13 +211,20 @@ def test_the_command_gives_what_the_sweep_does(folder, given, capsys):
     assert main(["orbits", str(folder / given), "-o", str(out)]) == 0
     assert "4 found of 4 lanes that repeat: 4 stable, 0 unstable" in capsys.readouterr().out
     expected, found = open_dataset(folder / "with.nc"), open_dataset(out)
-    assert out.with_suffix(".png").exists()
+    # The picture shows the orbits; that of the sweep shows regimes.
+    drawn = [folder / f"{name}.png" for name in ("orbits", "sweep")]
+    for path, variables in zip(drawn, (["stable", "multiplier_abs", "regime"], None), strict=True):
+        vj.save_picture(found, path, variables)
+    same = [path.read_bytes() == out.with_suffix(".png").read_bytes() for path in drawn]
+    assert same == [True, False]
     assert set(found.data_vars) == set(expected.data_vars)
     for name in expected.data_vars:
         np.testing.assert_array_equal(found[name], expected[name], name)
 
 
 def test_info_says_what_was_found(folder, capsys):
+    assert main(["sweep", str(folder / "with.nc")]) == 2
+    assert "with.nc: is a dataset, not a sweep; vibrojax info " in capsys.readouterr().err
     assert main(["info", str(folder / "with.nc")]) == 0
     assert "4 found of 4 lanes that repeat" in capsys.readouterr().out
     assert main(["info", str(folder / "with.nc"), "--json"]) == 0

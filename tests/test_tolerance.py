@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.tolerance.run import INTERIOR_SAMPLES, PLACES, QUANTITIES, sample_box
+from vibrojax.analyses.tolerance.run import INTERIOR_SAMPLES, PLACES, QUANTITIES, sample_box, tolerance_variables
 from vibrojax.cli import main
 
 RUN = {"settle": 10.0, "observe": 5.0}
@@ -119,3 +119,9 @@ def test_bad_input_is_one_line(words, line, tmp_path, monkeypatch, capsys):
     assert main(["tolerance", "vibro-impact", *words.split()]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and line in said and not list(tmp_path.iterdir())
+
+
+def test_a_long_name_does_not_say_greatest_twice():
+    names = [variable.long_name for variable in tolerance_variables(["peak_impact_force"]).values()]
+    assert "greatest contact force over the box" in names
+    assert not any("greatest greatest" in name for name in names)

@@ -68,7 +68,10 @@ def shown(value: object) -> str:
         text = f"a whole number of {value.bit_length() * 30103 // 100000 + 1} digits or so"
     else:
         text = str(value)
-    text = text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
+        text = f"a {type(value).__name__}" if "\n" in text else text  # a table, or an array of several dimensions
+    if len(text) > _LONGEST_VALUE:
+        end = '..."' if isinstance(value, str) else "..."
+        text = text[: _LONGEST_VALUE - len(end)] + end
     return escape_json(text)
 
 

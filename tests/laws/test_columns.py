@@ -97,6 +97,7 @@ def test_parameters_are_converted_too_and_stay_coordinates(tmp_path):
             "columns: rop: is not a quantity of rig data; choose from rate_of_penetration, ",
         ),
         ("ROP,WOB", {"relief": "ROP", "mean_force": "ROP"}, 'column "ROP" is relief already; give another'),
+        ("ROP,WOB", {"threshold": "20,5 klbf"}, '"20,5 klbf" has a decimal comma; write a point, like "20.5 klbf"'),
         ("ROP,WOB", {"threshold": "-150 kN"}, "columns: threshold: is -150000; it must be at least 0 N"),
         ("ROP,WOB", {"threshold": "150 m/h"}, '"m/h" is not a unit of threshold'),
         ("ROP,WOB", {"relief": 3}, "columns: relief: 3 is not a column; write one with its unit"),

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
@@ -152,6 +153,20 @@ def test_rig_data_give_what_a_dataset_gives(tmp_path):
     np.testing.assert_allclose(fit.C, expected.C, rtol=1e-12)
 
 
+def test_a_data_frame_gives_what_its_csv_gives(tmp_path):
+    table = {"ROP (m/h)": 3600 * RATE, "WOB (kN)": 150 * RELIEF, "rock": ["a"] * 4 + ["b"] * 4}
+    (tmp_path / "rig.csv").write_text(rows(*table, **table))
+    columns = {"rate_of_penetration": "ROP", "mean_force": "WOB", "threshold": "150 kN"}
+    read, given = (
+        fit_rop(data, by="rock", columns=columns, progress=False)
+        for data in (tmp_path / "rig.csv", pd.DataFrame(table))
+    )
+    xr.testing.assert_equal(read, given)
+    assert refused(pd.DataFrame(table)).startswith("fit_rop: line 1: column rate_of_penetration [m/s] is missing")
+    assert refused([pd.DataFrame(table)]).startswith("fit_rop: [")
+    assert refused(np.zeros((2, 2))) == "fit_rop: a ndarray is not data; give a dataset or a path"
+
+
 def test_relief_comes_from_force_and_threshold_where_it_is_not_there(tmp_path):
     path = tmp_path / "rig.csv"
     columns = {"mean_force": RELIEF * 1.5e5, "threshold": 1.5e5, "rate_of_penetration": RATE}
@@ -260,7 +275,8 @@ def test_the_command_prints_tables_and_writes_the_fit(tmp_path, monkeypatch, cap
 def test_another_fit_is_not_overwritten(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     rig = tmp_path / "rig.csv"
-    rig.write_text(rows("relief", "rate_of_penetration", relief=RELIEF, rate_of_penetration=RATE))
+    table = {"relief": RELIEF, "rate_of_penetration": RATE, "rock": "granite"}
+    rig.write_text(rows(*table, **table))
     write_dataset(sweep(), "rig-fit.nc")
     for argv, line in (
         ([], "rig-fit.nc: exists already, and does not say that it holds this result; --fresh replaces it"),
@@ -270,13 +286,18 @@ def test_another_fit_is_not_overwritten(tmp_path, monkeypatch, capsys):
             ["--columns", "rate_of_penetration=rate_of_penetration (m/s)"],
             "another result: columns.rate_of_penetration was",
         ),
+        # Wrong columns are wrong whatever the file holds.
+        (["--columns", "mean_force=wob"], "columns: mean_force: the file has no column"),
+        (["--by", "Rock"], 'by: "Rock" is not a column of the data; did you mean "rock"?'),
     ):
         stored = Path("rig-fit.nc").read_bytes()
         assert main(["fit", "rig.csv", *argv]) == (2 if line else 0)
         assert line is None or (line in capsys.readouterr().err and Path("rig-fit.nc").read_bytes() == stored)
         capsys.readouterr()
-    rig.write_text(rows("relief", "rate_of_penetration", relief=RELIEF, rate_of_penetration=2 * RATE))
-    assert main(["fit", "rig.csv"]) == 2 and "holds another result: data was" in capsys.readouterr().err
+    rig.write_text(rows(*table, **table | {"rate_of_penetration": 2 * RATE}))
+    assert main(["fit", "rig.csv"]) == 2 and "holds another result: rig.csv has changed since; --fresh" in (
+        capsys.readouterr().err
+    )
 
 
 def test_the_command_takes_an_axis_and_an_output(tmp_path, capsys):
@@ -285,6 +306,24 @@ def test_the_command_takes_an_axis_and_an_output(tmp_path, capsys):
     assert main(["fit", str(tmp_path / "map.nc"), "--along", "force", "-o", str(out)]) == 0
     assert open_dataset(out).sizes["frequency"] == 8
     assert "too-few-lanes" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("rate", "penetrates"), [(0.0, False), ([0.0, 1.0], True)])
+def test_where_nothing_penetrates_one_sentence_says_so(tmp_path, monkeypatch, capsys, rate, penetrates):
+    """A group without a rate takes one line of the table."""
+    monkeypatch.chdir(tmp_path)
+    rates = np.outer(np.atleast_1d(rate) * np.ones(2), RATE)
+    write_dataset(sweep(rate_of_penetration=(("force", "frequency"), rates)), "map.nc")
+    assert main(["fit", "map.nc"]) == (0 if penetrates else 2)
+    out, err = capsys.readouterr()
+    if penetrates:
+        assert [line for line in out.splitlines() if "8 lanes" in line and "all-censored" in line] and (
+            out.count("all-censored") == 2  # in the table and in the verdict
+        )
+    else:
+        assert not out and not Path("map-fit.nc").exists()
+        reason = "map.nc: nothing penetrates in any of 16 lanes, so there is no rate to fit"
+        assert err == f"vibrojax: {reason}; vibrojax info map.nc says what would give a rate\n"
 
 
 def test_a_table_is_shown_for_the_first_groups_alone():

@@ -12,6 +12,8 @@ from vibrojax.cli import main
 
 PENETRATION = {"scene": "penetration", "run": {"settle": 0.5, "observe": 0.5}}
 
+BELOW_D = "without a rate, the rock force never reaches the threshold D, at which the rock yields"
+
 
 def part(ds):
     [rates] = [part for part in summarise(ds) if part.name == "rates"]
@@ -28,7 +30,8 @@ def test_the_rate_its_greatest_place_and_the_lanes_without(tmp_path, capsys):
     assert lines == [
         f"{least:.4g} to {most:.4g} m/s ({3600 * least:.4g} to {3600 * most:.4g} m/h) in 2 of 4 lanes",
         "largest at force=300000 frequency=20",
-        "without a rate, the largest peak force of the pulses is 30 kN, 0.2 of the threshold D",
+        BELOW_D,
+        "the largest force of the pulses there is 30 kN, 0.2 of D; the inertia of the bit takes a part of it",
         "a softer rock (lower threshold) or a larger force can give a rate",
     ]
     assert facts == {"lanes": 2, "least": least, "greatest": most, "peak_over_threshold": pytest.approx(0.2)}
@@ -54,8 +57,10 @@ def drilling(rate, peak, **more):
             [
                 "none: the hole does not grow in any of 4 lanes",
                 "lanes without impacts: 1",
-                "without a rate, the largest peak contact force is 30.95 kN, 0.5 of the threshold D",
-                "a softer rock (lower threshold) or harder impacts (another v, beta, gamma or delta) can give a rate",
+                BELOW_D,
+                "the largest contact force there is 30.95 kN, 0.5 of D; the inertia of the bit takes a part of it",
+                "a softer rock (lower threshold) or harder impacts (greater v; another beta, gamma or delta) can give "
+                "a rate",
             ],
         ),
         (
@@ -77,3 +82,15 @@ def test_the_reason_is_the_peak_contact_force_over_the_threshold(rate, peak, lin
 def test_a_sweep_without_rock_has_no_rates():
     ds = xr.Dataset({"period": ("v", [1.0])}, {"v": [1.0]}, {"source": "vibrojax 0", "kind": "sweep"})
     assert part(ds) == ([], None)
+
+
+def test_a_motion_without_a_rate_says_how_far_the_rock_force_stays_below_the_threshold():
+    """The contact force exceeds D = 204.5 kN here, the rock force does not: the bit's inertia takes the difference."""
+    ds = vj.simulate("drilling", rock="granite", beta=0.6, duration=20.0, progress=False)
+    peak = ds.rock_force.where(ds.time >= 12).max().item()
+    assert ds.peak_impact_force > 204500 > peak and ds.rate_of_penetration == 0
+    [found] = [part.lines for part in summarise(ds) if part.name == "found"]
+    assert found[1] == (
+        f"no penetration: the rock force reaches {peak / 1e3:.4g} kN, {peak / 204500:.2g} of the threshold D = "
+        "204.5 kN at which the rock yields; a softer rock or a greater v raises it"
+    )

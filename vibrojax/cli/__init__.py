@@ -5,6 +5,7 @@ Nothing heavy is imported until a command runs, so that `--help` responds immedi
 
 import logging
 import os
+import re
 import signal
 import sys
 import traceback
@@ -24,7 +25,7 @@ from vibrojax.cli.datasets import explore, info, plot
 from vibrojax.cli.points import follow, push, scenes, simulate, tolerance
 from vibrojax.cli.studies import accuracy, fit, reproduce
 from vibrojax.cli.sweeps import sweep
-from vibrojax.errors import InputError, printable
+from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.provenance import package_version
 from vibrojax.io.threads import asked_to_end, in_own_thread
 from vibrojax.progress import LOG, end_lines, timed
@@ -34,6 +35,9 @@ DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 14
 _DATASETS = (".nc", ".zarr")
 _MALFORMED = (ArithmeticError, AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 """Exceptions that a dataset with inconsistent parts causes in code that does not check the dataset."""
+
+_UNKNOWN_COMMAND = re.compile(r"(argument COMMAND: invalid choice: '(.*?)') \(choose from ")
+"""Message of argparse on a command that does not exist."""
 
 MAX_STDERR_LINE = 4000
 """Maximum length of a line on stderr [characters]: a line may quote a file."""
@@ -76,6 +80,8 @@ class _Parser(ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         command = self.prog.partition(" ")[2]
+        if match := _UNKNOWN_COMMAND.match(message):
+            message = f"{match[1]}; {suggestion(match[2], _commands())}"
         raise InputError(f"{command}{': ' * bool(command)}{message}; see {self.prog} --help")
 
 

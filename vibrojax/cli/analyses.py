@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 _SWEEP = "a sweep: a bundled name, like regime-map, or the path of a TOML file; or "
 
+_ORBIT_VARIABLES = ("stable", "multiplier_abs", "regime")
+"""Variables in the picture of orbits: of the multipliers, the largest is drawn."""
+
 
 @command(
     argument("file", "FILE", _SWEEP + "a sweep's dataset (.nc), whose sweep is then run again", files(".toml", ".nc")),
@@ -33,15 +36,19 @@ def orbits(options: Options) -> None:
 
     file = str(options.file)
     is_dataset = file.endswith(".nc")
+
+    def variables(dataset: "xarray.Dataset") -> list[str]:
+        return [name for name in _ORBIT_VARIABLES if name in dataset]
+
     sweep = sweep_with_orbits(open_dataset(Path(file)) if is_dataset else file)
     out = output(options.out or f"{Path(file).stem if is_dataset else sweep.name}-orbits.nc", drawn=True)
     options.advise("finished chunks are kept; to go on", "orbits", file, "-o", str(out))
     dataset = stored_result(options, out, sweep.identity())
     if dataset is not None:
-        line = stored_line(dataset, out, stored_picture(options, dataset, out))
+        line = stored_line(dataset, out, stored_picture(options, dataset, out, variables(dataset)))
     else:
         dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
-        line = f"{out}: {counted(sweep.lanes, 'lane')}{draw(options, dataset, out)}"
+        line = f"{out}: {counted(sweep.lanes, 'lane')}{draw(options, dataset, out, variables(dataset))}"
     if not options.quiet:
         print("\n".join([line, *orbit_lines(dataset)]))
 

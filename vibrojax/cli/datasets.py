@@ -174,6 +174,7 @@ def _standing_parts(state: "Standing") -> "list[SummaryPart]":
         "of a scene: where its motion begins, as for vibrojax simulate",
         values_with(SIMULATE_SETTINGS),
         nargs="*",
+        default=[],  # without it, argparse before Python 3.13 requires the values
     ),
     argument(
         "-o", "PAGE.html", "where to write (OUT.html beside OUT.nc; with --over OUT-over-BORDERS.html)", dest="out"

@@ -162,10 +162,12 @@ def stored_line(dataset: "xarray.Dataset", out: Path, drawn: str) -> str:
     return f"{out}: is there already ({dataset.attrs['source']}); it is not computed again without --fresh{drawn}"
 
 
-def stored_picture(options: Options, dataset: "xarray.Dataset", out: Path) -> str:
+def stored_picture(
+    options: Options, dataset: "xarray.Dataset", out: Path, variables: Sequence[str] | None = None
+) -> str:
     """Return the end of an output line, which names the picture next to `out`; draw the picture if it is missing."""
     picture = out.with_suffix(".png")
-    return f"; picture {picture}" if picture.exists() else draw(options, dataset, out)
+    return f"; picture {picture}" if picture.exists() else draw(options, dataset, out, variables)
 
 
 def write_result(options: Options, dataset: "xarray.Dataset", out: Path, identity: Mapping[str, object]) -> str:
@@ -178,8 +180,8 @@ def write_result(options: Options, dataset: "xarray.Dataset", out: Path, identit
     return draw(options, dataset, out)
 
 
-def draw(options: Options, dataset: "xarray.Dataset", out: Path) -> str:
-    """Draw the picture of a dataset next to its file `out`, which is complete.
+def draw(options: Options, dataset: "xarray.Dataset", out: Path, variables: Sequence[str] | None = None) -> str:
+    """Draw the picture of a dataset, or of its `variables`, next to its file `out`, which is complete.
 
     **Returns:** the end of an output line, which names the picture. If nothing can be drawn, the string is empty, and
     the reason is printed on stderr.
@@ -190,7 +192,7 @@ def draw(options: Options, dataset: "xarray.Dataset", out: Path) -> str:
     picture = out.with_suffix(".png")
     try:
         with timed("draw"):
-            part = save_picture(dataset, picture)
+            part = save_picture(dataset, picture, variables)
     except InputError as error:  # the result, which is the dataset, has been written
         print(f"no picture: {error}", file=sys.stderr)
         return ""

@@ -5,12 +5,12 @@ from pathlib import Path
 
 from vibrojax.analyses import WORDS
 from vibrojax.cli.command import JSON, Options, argument, command, files, flag, output_options
-from vibrojax.cli.output import dataset_written, file_facts, output_folder, print_json, result_at, write_result
-from vibrojax.errors import InputError
+from vibrojax.cli.output import dataset_written, file_facts, output, output_folder, print_json, result_at, write_result
+from vibrojax.errors import InputError, counted
 from vibrojax.progress import timed
 
 _DIGEST_LENGTH = 12
-"""Number of hexadecimal digits of the SHA-256 by which a fit recognises its data; they are shown in messages."""
+"""Number of hexadecimal digits of the SHA-256 by which a fit recognises its data."""
 
 
 @command(
@@ -43,15 +43,23 @@ def fit(options: Options) -> None:
         options.file = words.pop()  # FILE may follow the columns
     if options.file is None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
-    from vibrojax.analyses.rop_law import fit_rop, law_facts, law_table
+    from vibrojax.analyses.rop_law import law_facts, law_table
     from vibrojax.analyses.rop_law.columns import columns_lines, read_columns
+    from vibrojax.analyses.rop_law.rop import fit_groups, read_groups
 
     file, columns, by = Path(options.file), read_columns(words), options.by or []
-    identity = {"fit": file.name, "data": _digest(file), "along": options.along, "by": ", ".join(by)}
-    identity |= {f"columns.{name}": text for name, text in columns.items()}
+    output(options.out or f"{file.stem}-fit.nc")
+    data = read_groups(options.file, options.along, by, columns)
+    groups = data[-1]
+    if groups.valid.any() and not (groups.rate[groups.valid] > 0).any():
+        lanes = counted(groups.count.sum(), "lane")
+        more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
+        raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
+    identity = {"data": f"{file.name}, sha256 {_digest(file)}", "along": options.along, "by": ", ".join(by)}
+    identity |= {"fit": True} | {f"columns.{name}": text for name, text in columns.items()}
     out = result_at(options, f"{file.stem}-fit.nc", identity)
-    with timed("read and fit"):
-        law = fit_rop(options.file, options.along, by, progress=False, columns=columns)
+    with timed("fit"):
+        law = fit_groups(*data)
     drawn = write_result(options, law, out, identity)
     facts = law_facts(law)
     if options.json:

@@ -5,6 +5,7 @@ If the manifest differs, the chunks belong to another sweep and are rejected.
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,6 +19,11 @@ MANIFEST = "manifest.json"
 """Name of the manifest file in a folder of chunks."""
 
 _CHANGES_SHOWN = 3
+
+_DIGEST = re.compile(r"(?:(.*), )?sha256 [0-9a-f]+")
+"""Value of a manifest that a digest represents, with an optional text before it: a column's size and range, a file."""
+
+_COLUMN = re.compile(r"\d+ (?:values|names)\b.*")
 
 
 def canonical(values: Mapping[str, object]) -> bytes:
@@ -45,10 +51,21 @@ def changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:
     """Describe the differences between everything two results depend on; "" if there are none."""
 
     def value(values: Mapping[str, object], name: str) -> str:
-        return " ".join(shown(values[name]).split()) if name in values else "not there"
+        if name not in values:
+            return "not there"
+        digested = _DIGEST.fullmatch(str(values[name]))
+        return (digested[1] or "there") if digested else " ".join(shown(values[name]).split())
+
+    def difference(name: str) -> str:
+        texts = value(before, name), value(now, name)
+        if texts[0] != texts[1]:
+            return f"{name} was {texts[0]}, is {texts[1]}"
+        if _COLUMN.fullmatch(texts[0]):
+            return f"the values of {name.rpartition('.')[2]} differ"
+        return f"{name if texts[0] == 'there' else texts[0]} has changed since"
 
     names = [name for name in {**before, **now} if before.get(name, ...) != now.get(name, ...)]
-    texts = [f"{name} was {value(before, name)}, is {value(now, name)}" for name in names[:_CHANGES_SHOWN]]
+    texts = [difference(name) for name in names[:_CHANGES_SHOWN]]
     more = f" and {len(names) - _CHANGES_SHOWN} more" if len(names) > _CHANGES_SHOWN else ""
     return "; ".join(texts) + more
 

@@ -89,7 +89,9 @@ def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     if len(axes) != 2 or axes[0] == axes[1] or any(name not in long for name in axes):
         raise InputError(f"borders: axes {shown(axes)} are not two axes of the sweep; choose from {', '.join(long)}")
     for name in (name for name in (*axes, *sweep.parameters) if name in substitutes(sweep.system.parameters())):
-        raise InputError(f"borders: {name} is not a parameter of the scene; give {REPLACED[name]}, which it replaces")
+        formula = ": gamma = striker_frequency/bit_frequency" if name == "striker_frequency" else ""
+        instead = f"give {REPLACED[name]}, which it replaces{formula}"
+        raise InputError(f"borders: {name} is not a parameter of the scene; {instead}")
     return axes[0], axes[1]
 
 

@@ -24,7 +24,7 @@ from vibrojax.models.scenes import HasImpacts, Scene
 from vibrojax.periodic.lane_orbits import known_orbits
 from vibrojax.periodic.margin import HOW
 from vibrojax.sweep.engine.labelled import measured_besides, of_orbits, parameter_attributes, shared_attributes
-from vibrojax.sweep.input.definition import Sweep
+from vibrojax.sweep.input.definition import Sweep, resolved
 from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.read import read_point, read_sweep, several_and_single
 from vibrojax.sweep.input.values import UnusualValue, quantity, warn_if_far
@@ -144,6 +144,11 @@ def family_spec(
         if along in names.writable:  # rpm, bit_radius or a frequency
             given, replaced = "rpm and bit_radius" if along in ROTATION else along, REPLACED[along]
             instead = f"{replaced} follows from {given}: give {replaced}, and follow along {replaced}"
+            if along in FREQUENCIES and isinstance(at, (int, float)):
+                values = {name: parameter.default for name, parameter in names.parameters.items()}
+                values |= {name: x for name, x in fixed.items() if isinstance(x, (int, float))}
+                values = resolved(resolved(values) | {along: at})
+                instead += f"; {at:g} Hz is {replaced}={values[replaced]:.6g}"
         raise place.at("along").error(f"{shown(along)} is not a parameter of the scene; {instead}")
     if along in parameters:
         hint = f"say where it begins by at={shown(fixed.get(along, 'VALUE'))}"

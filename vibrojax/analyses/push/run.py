@@ -103,7 +103,7 @@ def find_pushes(spec: PushSpec, progress: bool = True) -> xr.Dataset:
     cycle = cycle if "point" in cycle.dims else cycle.expand_dims("point")
     stable = np.flatnonzero(cycle["stable"].values == 1)
     if not len(stable):
-        raise Place("smallest_push").error(_why_no_cycle(cycle.isel(point=0)))
+        raise Place("push").error(_why_no_cycle(cycle.isel(point=0)))
     scene, values = sweep.system.driving_part(), sweep.lane_values(0, sweep.lanes)[0]
     section = {name: cycle[orbit_name(name)].values[stable] for name in scene.return_states}
     begin = np.stack([section.get(name, np.zeros(len(stable))) for name in sweep.system.start_states], axis=1)

@@ -48,7 +48,7 @@ def push_spec(
     parameters: Mapping[str, Any],
 ) -> PushSpec:
     """Return the checked specification; raise `InputError` with a one-line message at the first error."""
-    place = Place("smallest_push")
+    place = Place("push")
     columns, fixed = several_and_single(parameters)
     for name, column in columns.items():
         if not column:

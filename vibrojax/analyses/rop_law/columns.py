@@ -31,6 +31,7 @@ LAW = table(
 KNOWN: Mapping[str, Parameter] = BIT_AND_STRIKER | CONTACT | ROTATION | PULSES | ROCK | LAW
 
 _DRILLING_TERMS = {"rop": RATE, "penetration": RATE, "wob": FORCE, "weight": FORCE, "force": FORCE, "p/d": RELIEF}
+_DECIMAL_COMMA = re.compile(r",\d")
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 _BRACKETED = re.compile(r"\s*(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 
@@ -193,6 +194,9 @@ def _user_column(place: Place, header: list[str], name: str, text: str) -> Colum
             raise place.error(f"column {shown(cell)} is in {own} by its name, not in {unit}; give one of them")
         return _column(place, name, cell, matches[0], unit or own)
     number = _NUMBER.fullmatch(text)
+    if number and _DECIMAL_COMMA.match(number[2]):
+        right = shown(text.replace(",", ".", 1))
+        raise place.error(f"{shown(text)} has a decimal comma; write a point, like {right}")
     if number:
         column = _column(place, name, text.strip(), 0, number[2] or None)
         value = float(number[1]) * column.factor

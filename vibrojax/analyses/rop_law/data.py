@@ -4,9 +4,10 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from jaxtyping import Float
 
@@ -28,7 +29,7 @@ from vibrojax.sweep.input.source import is_number, read_table
 from vibrojax.sweep.input.values import warn_if_far
 
 if TYPE_CHECKING:
-    Data = xr.Dataset | str | PathLike[str]
+    Data: TypeAlias = xr.Dataset | str | PathLike[str] | pd.DataFrame
     Columns = Mapping[str, str] | None
 else:
     Data = Columns = object  # at run time `open_data` checks the user's argument, with a one-line error message
@@ -51,6 +52,8 @@ def open_data(data: Data, fit: str, rates: bool = False, columns: Columns = None
 
     **Raises:** `InputError`.
     """
+    if rates and isinstance(data, pd.DataFrame):
+        return Place(fit), _with_rates(Place(fit), read_rig(Path(fit), columns, table=data))
     if not isinstance(data, (xr.Dataset, str, PathLike)):
         raise InputError(f"{fit}: {shown(data)} is not data; give a dataset or a path")
     path = Path("dataset.nc") if isinstance(data, xr.Dataset) else Path(data)
@@ -68,16 +71,21 @@ def open_data(data: Data, fit: str, rates: bool = False, columns: Columns = None
     else:
         wrong = "ends in neither .nc nor .csv" if rates else "does not end in .nc"
         raise place.error(f"{wrong}; give a sweep's dataset{' or a CSV file' if rates else ''}")
-    for name in (RATE, RELIEF) if rates else ():
+    return place, _with_rates(place, dataset) if rates else dataset
+
+
+def _with_rates(place: Place, dataset: xr.Dataset) -> xr.Dataset:
+    """Return the dataset, checked to have numbers as rates and reliefs."""
+    for name in (RATE, RELIEF):
         if name not in dataset:
             names = ", ".join(str(name) for name in dataset.data_vars) or "nothing"
             raise place.at(name).error(f"missing; a sweep of a scene with rock has it, this holds {names}")
         if dataset[name].dtype.kind not in "fiu":
             raise place.at(name).error("does not hold numbers; the data of a sweep are needed")
-    return place, dataset
+    return dataset
 
 
-def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
+def read_rig(path: Path, columns: Columns = None, table: pd.DataFrame | None = None) -> xr.Dataset:
     """Read a CSV into a dataset with rate_of_penetration [m/s] and relief [1] along `point`, the rows.
 
     Without a relief, the relief is computed as mean_force/threshold. Further columns become coordinates, numeric if all
@@ -85,7 +93,7 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
     and unit of each quantity.
 
     **Arguments:** `columns`: by quantity, the column of the file and its unit, see
-    [vibrojax.analyses.rop_law.columns][].
+    [vibrojax.analyses.rop_law.columns][]; `table`: the table that `path` names, if it is not in a file.
 
     **Raises:** `InputError` if the file cannot be read, a column is missing, or a cell is not a number.
     """
@@ -100,7 +108,10 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
             )
     columns = with_rock(columns)
     place = Place(str(path))
-    line, header, others = read_table(path, *_MEASUREMENTS)
+    content = None
+    if table is not None:
+        content = (table.reset_index() if any(table.index.names) else table).to_csv(index=False)
+    line, header, others = read_table(path, *_MEASUREMENTS, text=content)
     chosen = choose_columns(place.at(f"line {line}"), header, columns)
     names = required_names(place.at(f"line {line}"), header, chosen, columns)
     rows = _rows(place, header, others)

@@ -128,7 +128,8 @@ def _group_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence
     row = _lane_dims(place, lanes)[0] if columns else None
     for name in (*by, *([along] if along is not None and along != row else [])):
         if name not in columns:
-            fault = f"; {suggestion(str(name), columns)}" if columns else ": the data are not a table with columns"
+            own = [column for column in columns if not lanes[column].attrs] or columns  # of a CSV: not the quantities
+            fault = f"; {suggestion(str(name), own)}" if own else ": the data are not a table with columns"
             raise place.at("by" if name in by else "along").error(f"{shown(name)} is not a column of the data{fault}")
     keys = list(by) or [name for name in columns if name not in (along, FORCE)]
     codes = [np.unique(lanes[name].values, return_inverse=True)[1].ravel() for name in keys]

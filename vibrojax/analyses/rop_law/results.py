@@ -119,9 +119,12 @@ def law_table(facts: Mapping[str, Any]) -> list[str]:
     for group in facts["groups"][:_GROUPS_TABULATED]:
         first = next(iter(group["forms"].values()))
         left_out = f", {first['left_out']} left out" if first["left_out"] else ""
-        lines += [""] * bool(lines) + [
-            f"{group['name']}: {counted(first['used'], 'lane')} along {facts['along']}{left_out}"
-        ]
+        head = f"{group['name']}: {counted(first['used'], 'lane')} along {facts['along']}{left_out}"
+        reasons = {str(values["reason"]) for values in group["forms"].values()}
+        if len(reasons) == 1 and not any(math.isfinite(values["C"]) for values in group["forms"].values()):
+            lines.append(f"{head}: {reasons.pop()}")
+            continue
+        lines += [""] * bool(lines) + [head]
         lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}")
         lines += [f"  {form:<9}{_table_row(values)}".rstrip() for form, values in group["forms"].items()]
     further = len(facts["groups"]) - _GROUPS_TABULATED

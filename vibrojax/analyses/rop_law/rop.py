@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from vibrojax.analyses.rop_law.columns import columns_lines
 from vibrojax.analyses.rop_law.data import Columns, Data, open_data
-from vibrojax.analyses.rop_law.groups import group_lanes, usable_lanes
+from vibrojax.analyses.rop_law.groups import Groups, group_lanes, usable_lanes
 from vibrojax.analyses.rop_law.least_squares import (
     LOSSES,
     ExponentialRates,
@@ -35,7 +35,7 @@ from vibrojax.analyses.rop_law.least_squares import (
     reason_of_no_fit,
 )
 from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, LAW_TITLE, fit_dataset
-from vibrojax.errors import counted, shown, suggestion
+from vibrojax.errors import Place, counted, shown, suggestion
 from vibrojax.io.variables import Variable
 from vibrojax.progress import LOG
 
@@ -147,7 +147,7 @@ def fit_rop(
     **Arguments:**
 
     - `data`: dataset with rate_of_penetration [m/s], relief [1] and optionally regime, or the path of such a dataset
-      (.nc) or of a .csv with one row per lane.
+      (.nc) or of a .csv with one row per lane, or a DataFrame with the columns of such a .csv.
     - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Each combination of values
       on the other axes is a group.
     - `by`: columns of a table (a CSV, or a sweep of points) whose values distinguish the groups. If `along` is a
@@ -175,10 +175,27 @@ def fit_rop(
     >>> fit.exponent.sel(form="power").round(3).values.tolist()  # along frequency the rate is in proportion to P/D
     [1.0, 1.0]
     """
-    place, data = open_data(data, "fit_rop", rates=True, columns=columns)
+    place, data, groups = read_groups(data, along, by, columns)
     if robust is not None and robust not in LOSSES:
         raise place.at("robust").error(f"{shown(robust)} is unknown; {suggestion(str(robust), LOSSES)}")
-    groups = group_lanes(place, usable_lanes(data), along, (by,) if isinstance(by, str) else tuple(by))
+    return fit_groups(place, data, groups, robust, progress)
+
+
+def read_groups(
+    data: Data, along: str | None, by: str | Sequence[str], columns: Columns
+) -> tuple[Place, xr.Dataset, Groups]:
+    """Return the data of a fit and their groups, and the `Place` for messages; the arguments are those of `fit_rop`.
+
+    **Raises:** `InputError`.
+    """
+    place, data = open_data(data, "fit_rop", rates=True, columns=columns)
+    return place, data, group_lanes(place, usable_lanes(data), along, (by,) if isinstance(by, str) else tuple(by))
+
+
+def fit_groups(
+    place: Place, data: xr.Dataset, groups: Groups, robust: str | None = None, progress: bool = False
+) -> xr.Dataset:
+    """Fit every form to every group; return the dataset that `fit_rop` describes."""
     LOG.info("chosen: along %s, %d groups, loss %s", groups.along, groups.count.size, robust or "squares")
     start = time.monotonic()
     rows = zip(groups.relief, groups.rate, groups.valid, strict=True)

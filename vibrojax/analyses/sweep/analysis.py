@@ -151,7 +151,8 @@ def _nature_lines(ds: xr.Dataset) -> list[str]:
 def _rates(ds: xr.Dataset) -> SummaryPart:
     """Return the rate of penetration: how many lanes have one, its range and where it is largest, or why there is none.
 
-    Without a rate, the largest peak contact force is compared with the threshold D of the rock.
+    Without a rate, the largest peak contact force is given beside the threshold D of the rock, which the force of the
+    rock did not reach.
     """
     if "rate_of_penetration" not in ds:
         return SummaryPart("rates", [], {})
@@ -176,7 +177,11 @@ def _rates(ds: xr.Dataset) -> SummaryPart:
 
 
 def _reason_of_no_rate(ds: xr.Dataset, rate: xr.DataArray, facts: dict[str, Any]) -> list[str]:
-    """Return lines that compare the peak force of the lanes without a rate with the threshold D; add it to `facts`."""
+    """Return lines that give the peak force of the lanes without a rate in threshold D; add it to `facts`.
+
+    The rock yields where its own force reaches D. A part of the contact force accelerates the bit instead, so the
+    contact force may exceed D without a rate.
+    """
     pulses = "peak_impact_force" not in ds
     values: dict[str, Any] = {**parameters_of(ds), **{str(name): data for name, data in ds.coords.items()}}
     if "rock" in ds.coords:
@@ -185,19 +190,18 @@ def _reason_of_no_rate(ds: xr.Dataset, rate: xr.DataArray, facts: dict[str, Any]
     if force is None or threshold is None:
         return []
     force, ratio = ((x + 0 * rate.fillna(0)).where(~(rate > 0)) for x in (force, force / threshold))
-    count, name = (
-        int(force.isnull().sum()) - int((rate > 0).sum()),
-        "force of the pulses" if pulses else "contact force",
-    )
+    count = int(force.isnull().sum()) - int((rate > 0).sum())
+    name = "force of the pulses" if pulses else "contact force"
     lines = [f"lanes without impacts: {count}"] if count else []
     if not bool(ratio.notnull().any()):
         return lines
     peak, share = float(force.isel(ratio.argmax(...))), float(ratio.max())
     facts["peak_over_threshold"] = share
-    harder = "a larger force" if pulses else "harder impacts (another v, beta, gamma or delta)"
+    harder = "a larger force" if pulses else "harder impacts (greater v; another beta, gamma or delta)"
     return [
         *lines,
-        f"without a rate, the largest peak {name} is {peak / 1e3:.4g} kN, {share:.3g} of the threshold D",
+        "without a rate, the rock force never reaches the threshold D, at which the rock yields",
+        f"the largest {name} there is {peak / 1e3:.4g} kN, {share:.3g} of D; the inertia of the bit takes a part of it",
         f"a softer rock (lower threshold) or {harder} can give a rate",
     ]
 

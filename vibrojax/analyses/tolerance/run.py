@@ -63,8 +63,9 @@ def tolerance_variables(names: Iterable[str]) -> dict[str, Variable]:
 
 def _extreme(name: str, word: str) -> dict[str, Variable]:
     """Return the schema of the least or greatest value of a quantity over the box, and of the sample that has it."""
+    long_name = VARIABLES[name].long_name.removeprefix(f"{_WORDS[word]} ")
     return {
-        f"{name}_{word}": Variable(VARIABLES[name].units, f"{_WORDS[word]} {VARIABLES[name].long_name} over the box"),
+        f"{name}_{word}": Variable(VARIABLES[name].units, f"{_WORDS[word]} {long_name} over the box"),
         f"{name}_{word}_sample": Variable("1", f"sample with {name}_{word}; -1: the quantity exists nowhere", np.int32),
     }
 

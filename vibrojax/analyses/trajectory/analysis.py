@@ -9,10 +9,11 @@ from vibrojax.analyses.frequencies import frequency_part
 from vibrojax.analyses.trajectory.hole import pulses, response
 from vibrojax.analyses.trajectory.states import states_over_time
 from vibrojax.analyses.trajectory.time_history import trajectory
+from vibrojax.errors import counted
 from vibrojax.io.attributes import flags, parameters_of, run_of
 from vibrojax.measures.labels import FEWEST_RETURNS
 
-SECTION = "returns to the section (the bit overtakes the drive)"
+SECTION = "to the section (the bit overtakes the drive)"
 
 REPORTED_DRIFT = 1e-3
 """Relative distance from the settled motion above which the summary reports it: half a digit of printed values."""
@@ -57,7 +58,7 @@ def feature_lines(ds: xr.Dataset) -> list[str]:
         return []
     last = f"measured from {run['settle']:.4g} s to the end at {run['settle'] + run['observe']:.4g} s"
     if "returns" in values:
-        last += f": {values['returns']:.0f} {SECTION if 'x1' in ds else 'returns to the section'}"
+        last += f": {counted(int(values['returns']), 'return')} {SECTION if 'x1' in ds else 'to the section'}"
     drift = values.get("drift_estimate", math.nan)
     if drift > REPORTED_DRIFT:
         far = f"by some {100 * drift:.2g} %" if math.isfinite(drift) else "and its returns do not tell how far"
@@ -108,6 +109,23 @@ def _penetration_lines(ds: xr.Dataset, values: dict[str, float]) -> list[str]:
     if not math.isfinite(rate):
         return [f"no whole {event} was observed, so there is no rate of penetration; give a longer duration", *lines]
     if rate == 0:
-        return ["no penetration: the rock does not yield", *lines]
+        return [f"no penetration: {_rock_below_threshold(ds, threshold)}", *lines]
     growth = f", {1e3 * slip:.4g} mm for each {event} (slip)" if math.isfinite(slip) else ""
     return [f"rate of penetration {rate:.4g} m/s ({3600 * rate:.4g} m/h){growth}", *lines]
+
+
+def _rock_below_threshold(ds: xr.Dataset, threshold: float) -> str:
+    """Describe how far the force of the rock stays below the threshold D while it is observed, and what would raise it.
+
+    The inertia of the bit takes a part of the contact force, which can therefore exceed D.
+    """
+    run = run_of(ds)
+    is_observed = (ds["time"] >= run["settle"]) & (ds["time"] <= run["settle"] + run["observe"])
+    force = float(ds["rock_force"].where(is_observed).max()) if "rock_force" in ds else math.nan
+    if not math.isfinite(force):
+        return "the rock does not yield"
+    change = "a greater v" if "impact_velocity" in ds else "a greater force"
+    return (
+        f"the rock force reaches {force / 1e3:.4g} kN, {force / threshold:.2g} of the threshold D = "
+        f"{threshold / 1e3:.4g} kN at which the rock yields; a softer rock or {change} raises it"
+    )

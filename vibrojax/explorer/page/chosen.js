@@ -33,7 +33,9 @@ function panel(title, draw, about, extra = "", ...more) {
 function planePanels(motion, planes) {
   const mass = (one) => one.long_name.replace(/^.*(position|displacement) of (the )?/, "").replace(/ (relative|\().*/, "");
   const size = { 1: "vx-wide vx-tall", 2: "vx-half" }[planes.length] ?? "";
-  return planes.map((plane, k) => panel(`Phase plane, ${mass(plane[0])}`, (canvas) => drawPlane(canvas, motion, plane, k), described(motion), size));
+  const names = planes.map(([position]) => mass(position));
+  const title = (k) => names[k] + (names.filter((name) => name === names[k]).length > 1 ? `: ${symbolOf(planes[k][0].name)}` : "");
+  return planes.map((plane, k) => panel(`Phase plane, ${title(k)}`, (canvas) => drawPlane(canvas, motion, plane, k), described(motion), size));
 }
 
 function historyPanels(motion) {

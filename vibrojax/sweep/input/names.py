@@ -11,7 +11,7 @@ from functools import cache, cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from vibrojax.errors import Place, shown
+from vibrojax.errors import Place, nearest, shown, suggestion
 from vibrojax.measures import GAUGES, Gauge
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.meanings import suggest_by_meaning, suggest_parameter
@@ -135,9 +135,12 @@ class Names:
     def named_start(self, place: Place, value: object) -> str:
         """Return the validated name of an initial condition."""
         known = isinstance(value, str) and any(value in getattr(kind, "starts", ()) for kind in SCENES.values())
+        allowed = ", ".join(self.starts)
         if known and value not in self.starts:
-            allowed = ", ".join(self.starts)
             raise place.error(f"{shown(value)} is not a start of scene {shown(self.scene)}; choose from {allowed}")
+        if isinstance(value, str) and value not in self.starts and nearest(value, self.starts):
+            hint = f"{suggestion(value, self.starts)} (starts: {allowed})"
+            raise place.error(f"{shown(value)} is unknown; {hint}")
         return choice(place, value, self.starts)
 
     def _set_by(self, preset: str) -> list[str]:

@@ -72,6 +72,8 @@ def read_source(source: str | PathLike[str] | Mapping[str, object]) -> Source:
     path = bundled.get(str(source).replace("_", "-"), Path(source))
     if is_name and path == Path(source) and not path.exists():
         raise InputError(f"{source}: no such bundled sweep or file; {suggestion(str(source), bundled_names())}")
+    if path.suffix in (".nc", ".zarr") and path.exists():
+        raise InputError(f"{path}: is a dataset, not a sweep; vibrojax info {path} and vibrojax plot {path} take it")
     text = read_text(path)
     try:
         tables = tomllib.loads(text)
@@ -145,15 +147,18 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
 
 
-def read_table(path: Path, row: str, none: str, example: str) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
+def read_table(
+    path: Path, row: str, none: str, example: str, text: str | None = None
+) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
     """Return the header of a CSV with the number of its line, and the other rows, each with the number of its line.
 
-    `row`, `none`, `example`: name of a row, advice if there is none, and example of a header, for messages.
+    `row`, `none`, `example`: name of a row, advice if there is none, and example of a header, for messages. `text`: the
+    content of the CSV, if that is not read from `path`.
 
     **Raises:** `InputError` if the header is no list of names or, while reading rows, if one has other columns.
     """
     place = Place(str(path))
-    rows = read_csv(place, read_text(path))
+    rows = read_csv(place, read_text(path) if text is None else text)
     line, header = next(rows, (0, []))
     if not header:
         raise place.error(f"empty; a line of column names and a line for each {row} are needed")
