@@ -47,10 +47,11 @@ def test_a_motion_is_measured_and_labelled_as_the_lane_of_a_sweep(scene):
 
 
 def test_what_is_observed_by_default_is_what_sweeps_observe():
-    assert window(48.0) == (40.0, 8.0)
-    assert window(20.0) == (12.0, 8.0)
-    assert window(1.0) == (0.5, 0.5)
-    assert window(120.0) == (100.0, 20.0)
+    drill = vj.SCENES["vibro-impact"]()
+    assert window(drill, 48.0) == (40.0, 8.0)
+    assert window(drill, 20.0) == (12.0, 8.0)
+    assert window(drill, 1.0) == (0.5, 0.5)
+    assert window(drill, 120.0) == (100.0, 20.0)
 
 
 def test_a_motion_too_short_to_judge_says_so_and_how_long_would_do():

@@ -6,6 +6,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.analyses.pictures import picture
 from vibrojax.analyses.summary import summarise, summary_lines
+from vibrojax.errors import counted
 from vibrojax.measures.labels import SINGLE_IMPACT, hides_another
 
 STARTS = ["drive", "stuck", "touching"]
@@ -50,7 +51,7 @@ def test_three_starts_one_label(swept):
     assert (point.hidden_motion == 1).all()
     points = int(swept.hidden_motion.any("start").sum())
     assert summary_lines(summarise(swept.isel(start=0)))
-    assert f"at {points} points starts end in different motions under one label" in "\n".join(
+    assert f"at {counted(points, 'point')} starts end in different motions under one label" in "\n".join(
         summary_lines(summarise(swept))
     )
 

@@ -40,10 +40,13 @@ ATTRACTORS = xr.Dataset(
 OVER_TWO = ATTRACTORS.isel(gamma=[0] * 6).expand_dims(beta=6).assign_coords(gamma=range(6), beta=range(6))
 PUSHES = xr.Dataset({"push_x1": ("sign", [1e-3, -1e-3])}, {"sign": ["up", "down"]})
 BOX = xr.Dataset({"place": ("sample", [0, 1]), "regime": ("sample", [3, 3])}, attrs={"kind": "tolerance"})
+OSCILLATION = xr.Dataset({"x": ("time", np.sin(np.arange(32.0)))}, {"time": np.arange(32.0)})
+
 EXPECTED = {
     "response": lambda: bit_on_rock(**SINE),
     "pulses": bit_on_rock,
     "trajectory": drills.KINDS["trajectory"],
+    "states_over_time": lambda: OSCILLATION,
     "families": families.one_family,
     "border_curves": lambda: BORDERS,
     "share_map": lambda: OVER_TWO,

@@ -189,6 +189,17 @@ MISTAKES = {
             vj.Friction("belt", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law="coulumb", acts_on="v")
         ]
     },
+    "write events=[vj.Impact(...)]": {"events": vj.Impact("stop", gap=lambda t, y, p: y["x"], velocity="v")},
+    "states is list": {"states": ["x", "v"]},
+    'has the unit "blub"': {"states": {"x": "blub", "v": "m s-1"}},
+    "pair of a state and a number": {"section": ("x", "y")},
+    "is not a regime": {"regimes": {"perodic": "rocking"}},
+    "the velocity on which it acts": {
+        "events": [
+            vj.Friction("belt", relative=lambda t, y, p: y["x"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")
+        ]
+    },
+    "gap does not depend": {"events": [vj.Impact("stop", gap=lambda t, y, p: 1.0 - y["x"], velocity="x")]},
     "between 0 and 1": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"], velocity="v", restitution=1.2)]},
     "either velocity=": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"])]},
     "is not a vj.Impact": {"events": ["stop"]},
@@ -249,3 +260,43 @@ def test_friction_and_a_switch_together():
     motion = vj.simulate(both, start=[-0.2, 0.1], duration=6.0, sampling=0.01, error=1e-8, progress=False)
     leaves = float(motion.time[np.abs(motion.v.values - 0.1) > 1e-9][0])
     assert leaves == pytest.approx((0.1 + 0.2) / 0.1, abs=0.02)
+
+
+@pytest.mark.parametrize("a", [0.00249, 0.0026, 0.0045])
+def test_a_ball_that_is_hardly_thrown_up_stays_above_the_table(a):
+    """Just above the amplitude g/w² = 2.485 mm at which it leaves the table; slow bounces near the section included."""
+    motion = vj.simulate(BALL, a=a, w=20 * np.pi, start=[0.1, 0.0], duration=3.0, sampling=5e-4, progress=False)
+    gap = motion.x.values + a * np.cos(20 * np.pi * motion.time.values)
+    assert gap.min() > -1e-9
+
+
+def test_amplitudes_do_not_depend_on_the_steps():
+    """x' = cos(w t) - x swings by 1/sqrt(1 + w²); no state is the rate of x, so no step ends where it turns."""
+    lag = vj.System(
+        "lag",
+        states={"x": "1"},
+        parameters={"w": 3.0},
+        field=lambda t, y, p: {"x": vj.elementary.cos(p["w"] * t) - y["x"]},
+        period=lambda p: 2 * np.pi / p["w"],
+    )
+    ds = vj.run_sweep({"scene": lag, "grid": {"w": [1.0, 3.0]}, "run": {"keep_returns": 4}}, progress=False)
+    exact = 1 / np.sqrt(1 + ds.w.values**2)
+    assert ds.x_amplitude.values.ravel() == pytest.approx(exact, rel=1e-6)
+    assert ds.return_x.dims == ("w", "start", "return_index") and np.isfinite(ds.return_x).all()
+    assert ds.return_x.values[:, 0, -1] == pytest.approx(exact**2, rel=1e-6)  # at t = 0, exact² cos 0
+
+
+def test_impact_velocities_have_the_unit_of_the_velocity():
+    pendulum = vj.System(
+        "pendulum",
+        states={"angle": "rad", "speed": "rad s-1"},
+        parameters={"a": 0.5, "w": 1.5},
+        field=lambda t, y, p: {
+            "angle": y["speed"],
+            "speed": p["a"] * vj.elementary.cos(p["w"] * t) - 0.1 * y["speed"] - vj.elementary.sin(y["angle"]),
+        },
+        period=lambda p: 2 * np.pi / p["w"],
+        events=[vj.Impact("stop", gap=lambda t, y, p: 0.3 - y["angle"], velocity="speed", restitution=0.6)],
+    )
+    ds = vj.run_sweep({"scene": pendulum, "grid": {"w": [1.5]}, "run": {"orbits": True}}, progress=False)
+    assert ds.impact_velocity.units == "rad s-1" and ds.regime.attrs["long_name"] == "regime of the motion"

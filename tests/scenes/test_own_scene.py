@@ -135,5 +135,5 @@ def test_a_gauge_that_there_is_not():
     class Misnamed(WithString):
         measures = ("swing",)
 
-    with pytest.raises(InputError, match='with-string measures "swing"; choose from swings, shares'):
+    with pytest.raises(InputError, match='with-string measures "swing"; choose from swings, rest, shares'):
         recorder_for(Misnamed())

@@ -75,7 +75,7 @@ def write_view(path: Path, write: Callable[[Path], object], *, numbered: bool) -
     before = path.read_bytes() if path.is_file() else None
     if not numbered or before is None:
         write(path)
-        return path, "replaces another" if before not in (None, path.read_bytes()) else ""
+        return path, "replaces another" if before is not None and before != path.read_bytes() else ""
     with tempfile.TemporaryDirectory(prefix=".vibrojax-", dir=path.parent) as folder:
         part = Path(folder) / path.name
         write(part)

@@ -13,7 +13,7 @@ from vibrojax.models.scenes.capabilities import HasFriction
 from vibrojax.models.scenes.declared import Section
 from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
-from vibrojax.stepping.polynomial import integral, value
+from vibrojax.stepping.polynomial import highest, integral, value
 from vibrojax.stepping.series import known
 
 EIGHTHS = 8
@@ -47,8 +47,15 @@ class Swings(Gauge[Scene[Any]]):
         return Swung(tuple((x, x) for x in places), none)
 
     def step(self, scene: Scene[Any], c: Any, carry: Swung, moment: Moment) -> Swung:
-        places = positions(scene, moment.lane)
-        return carry._replace(ranges=tuple(widened(swung, x) for swung, x in zip(carry.ranges, places, strict=True)))
+        ranges, step = [], moment.step
+        for swing, swung, x in zip(section_of(scene).swings, carry.ranges, positions(scene, moment.lane), strict=True):
+            low, high = widened(swung, x)
+            if swing.velocity is None:  # no marker ends steps at the turning points
+                polynomial = step.polynomials[scene.place(swing.position)]
+                high = jnp.maximum(high, highest(polynomial, step.tau))
+                low = jnp.minimum(low, -highest([-k for k in polynomial], step.tau))
+            ranges.append((low, high))
+        return carry._replace(ranges=tuple(ranges))
 
     def section(self, scene: Scene[Any], c: Any, carry: Swung, at: Return) -> Swung:
         eighth = jnp.clip(jnp.floor(at.share * EIGHTHS), 0, EIGHTHS - 1)

@@ -22,7 +22,8 @@ DIRECTION = "direction"  # up or down, of lanes carried along an axis
 _GROUP = "group"  # the dimension of groups of rows of a table
 HIDDEN, SENSITIVE = "hidden_motion", "sensitive"
 REGIME, RATE, RELIEF, COEFFICIENT = "regime", "rate_of_penetration", "relief", "C"
-RETURNS = "return_impact_velocity"
+_IMPACTS_OF_RETURNS = "return_impact_velocity"
+_NOT_STATES = ("return_time", "return_interval", "return_impacts", _IMPACTS_OF_RETURNS)
 BESIDE_REGIMES = (RATE, "impact_velocity", "period", "bit_amplitude")  # the first two that a dataset has
 
 MOST_LINES = 8  # in one panel, and in the legend
@@ -55,7 +56,7 @@ class Contents:
         self.swept_sine = ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0
         # A sweep with labelled lanes; that stored section crossings along an axis; of lanes carried up and down.
         self.regimes = REGIME in ds
-        self.returns = self.regimes and RETURNS in ds and bool(self.axes)
+        self.returns = self.regimes and returns_in(ds) is not None and bool(self.axes)
         self.carried = self.regimes and DIRECTION in ds.dims
         self.rates = RATE in ds
         self.law = COEFFICIENT in ds and FORM in ds.dims
@@ -64,6 +65,14 @@ class Contents:
         self.worth_a_map = len(self.long) >= 2
         if self.points:
             self.worth_a_map = self.points_over_two and (self.regimes or min(self.varied.values()) > MOST_LINES)
+
+
+def returns_in(ds: xr.Dataset) -> str | None:
+    """Return the variable of section crossings that diagrams show: impact velocities, or else the first state."""
+    if _IMPACTS_OF_RETURNS in ds and np.isfinite(ds[_IMPACTS_OF_RETURNS].values).any():
+        return _IMPACTS_OF_RETURNS
+    states = [str(name) for name in ds.data_vars if str(name).startswith("return_") and name not in _NOT_STATES]
+    return states[0] if states else _IMPACTS_OF_RETURNS if _IMPACTS_OF_RETURNS in ds else None
 
 
 def quantities_beside(ds: xr.Dataset) -> tuple[str, ...]:

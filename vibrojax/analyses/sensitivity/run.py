@@ -14,11 +14,10 @@ from vibrojax.analyses.sensitivity.tangents import NEARBY, REASONS, judged, meas
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
-from vibrojax.measures import gauge_named
 from vibrojax.models.physics.meanings import suggest_parameter
 from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import HasFriction, Scene
-from vibrojax.sweep.engine.labelled import unresolved
+from vibrojax.sweep.engine.labelled import measured_besides, unresolved
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.values import quantity
 
@@ -121,12 +120,10 @@ def derivatives(
         return default if value is None else quantity(place.at(name), value, positive(name, default, unit, name, name))
 
     driven = system.section is None
-    settle = setting("settle", settle, 1.0 if driven else 40.0)
-    observe = setting("observe", observe, 1.0 if driven else 8.0)
+    usual = (1.0, 1.0) if driven else system.usual_times
+    settle, observe = setting("settle", settle, usual[0]), setting("observe", observe, usual[1])
     accepted = setting("error", error, 1e-3, "1")
-    known = VARIABLES | {
-        name: Variable(*about) for gauge in system.measures for name, about in gauge_named(gauge).variables.items()
-    }
+    known = VARIABLES | measured_besides(system)
     measured = measured_of(system)
     smooth = [
         name

@@ -28,10 +28,10 @@ from vibrojax.plot.contents import (
     DIRECTION,
     REGIME,
     RETURN,
-    RETURNS,
     START,
     many_starts,
     regimes_in,
+    returns_in,
     swept,
     without_single,
 )
@@ -49,7 +49,6 @@ from vibrojax.plot.style import Mark, nested_line, styled
 
 Places = Int[np.ndarray, " _"]
 
-_RETURNS_LABEL = "impact velocity at each return"
 _MARKERS = {"up": ">", "down": "<"}
 # Height of a diagram [inches] for one facet and for several, by the number of diagrams.
 _HEIGHTS = {1: (3.6, 2.6), 2: (2.4, 2.0), 3: (1.9, 1.6)}
@@ -71,8 +70,8 @@ def bifurcation(ds: xr.Dataset, over: Overlays = None) -> Figure:
 
     **Raises:** `InputError` if no crossings are stored, nothing is swept, or `over` does not match the dataset.
     """
-    if RETURNS not in ds or REGIME not in ds:
-        raise InputError(f"no returns to draw: the dataset holds no {RETURNS}; run the sweep with keep_returns above 0")
+    if returns_in(ds) is None or REGIME not in ds:
+        raise InputError("no returns to draw: the dataset holds none; run the sweep with keep_returns above 0")
     ds = without_single(ds)
     if not swept(ds):
         raise InputError("no bifurcation diagram: none of the grid's axes has more than one value")
@@ -86,37 +85,50 @@ def bifurcation(ds: xr.Dataset, over: Overlays = None) -> Figure:
     return draw_stacks(ds, x, diagrams, _HEIGHTS.get(diagrams, (1.5, 1.3)), draw, handles, over_text(ds, layers))
 
 
-def _dots(lanes: xr.Dataset, factor: float, x: str, *dims: str) -> tuple[Lanes, Lanes]:
-    """Return the places along `x` and the impact velocities, times `factor`, of all section crossings."""
-    returns = lanes[RETURNS].transpose(x, *dims, RETURN)
+def _dots(lanes: xr.DataArray, factor: float, x: str, *dims: str) -> tuple[Lanes, Lanes]:
+    """Return the places along `x` and the values, times `factor`, of all section crossings."""
+    returns = lanes.transpose(x, *dims, RETURN)
     along = np.repeat(values_along(lanes[x]), returns.size // returns.sizes[x])
     return along, factor * returns.values.ravel()
+
+
+def _label(returns: xr.DataArray) -> str:
+    """Return what a diagram of section crossings shows: "impact velocity at each return"."""
+    return str(returns.attrs.get("long_name", returns.name)).replace("at the return", "at each return")
+
+
+def _of_families(returns: str) -> str:
+    """Return the variable of families that lies over the section crossings of the variable `returns`."""
+    return OF_RETURNS if returns == "return_impact_velocity" else returns.replace("return_", "orbit_", 1)
 
 
 def _draw_returns(stack: Stack, x: str, layers: Sequence[xr.Dataset]) -> None:
     """Draw the section crossings of each initial condition over those of all others, then the families."""
     facet, curves = stack.facet, stack.curves
-    factor, unit = scale(facet[RETURNS])
+    shown = str(returns_in(facet))
+    factor, unit = scale(facet[shown])
     size = dot_size(facet.sizes[x])
     for position, axes in enumerate(curves):
         if not axes.get_shared_y_axes().joined(axes, curves[0]):
             axes.sharey(curves[0])
         if many_starts(facet):
             regimes = regime_cells(facet[REGIME].transpose(x, START)).ravel()
-            scatter_lanes(axes, *_dots(facet, factor, x, START), np.repeat(regimes, facet.sizes[RETURN]), size / 2)
+            scatter_lanes(
+                axes, *_dots(facet[shown], factor, x, START), np.repeat(regimes, facet.sizes[RETURN]), size / 2
+            )
         else:
             for other, (name, colour, lanes) in enumerate(starts_of(facet)):
-                along, values = _dots(lanes, factor, x)
+                along, values = _dots(lanes[shown], factor, x)
                 known, own = np.isfinite(values), other == position
                 look = Mark(color=colour, label=name) if own else Mark(color=_OTHERS, label=f"_{name}")
                 area = size if own else _HALO * size
                 axes.scatter(along[known], values[known], s=area, linewidths=0, zorder=2 + own, rasterized=True, **look)
                 if own and name:
                     axes.set_title(", ".join(filter(None, (stack.title, f"start: {name}"))), loc="left")
-        draw_over(axes, layers, facet, x, OF_RETURNS, factor)
+        draw_over(axes, layers, facet, x, _of_families(shown), factor)
     if stack.first:  # a single label, centred on all diagrams of the stack
         middle = curves[len(curves) // 2]
-        middle.set_ylabel(with_unit(_RETURNS_LABEL, unit), y=0.5 if len(curves) % 2 else 1.1)
+        middle.set_ylabel(with_unit(_label(facet[shown]), unit), y=0.5 if len(curves) % 2 else 1.1)
 
 
 # Lanes carried up and down.
@@ -136,7 +148,7 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None) -> Figure:
     if along not in ds.dims:
         raise InputError(f"attribute run: carry: {shown(along)} is not an axis of the carried lanes")
     ds = regimes_in(ds.rename({DIRECTION: START}))
-    values = () if RETURNS in ds else values_beside(ds)
+    values = () if returns_in(ds) is not None else values_beside(ds)
     layers = as_layers(over)
     check_families(ds, layers, along)
     handles: list[Artist] = []
@@ -218,14 +230,15 @@ def _draw_ways(stack: Stack, values: tuple[Value, ...], x: str, layers: Sequence
         draw_values(stack, values, x)
         factors = {value.name: value.factor for value in values}
     else:
-        factor, unit = scale(facet[RETURNS])
-        factors = {OF_RETURNS: factor}
+        shown = str(returns_in(facet))
+        factor, unit = scale(facet[shown])
+        factors = {_of_families(shown): factor}
         for position, way in enumerate(ways):
             size = dot_size(facet.sizes[x]) * (0.5 if position else 1.4)  # larger dots stay visible below smaller ones
-            dots = _dots(way.lanes, factor, x)
+            dots = _dots(way.lanes[shown], factor, x)
             stack.curves[0].scatter(*dots, s=size, linewidths=0, color=way.colour, rasterized=True)
         if stack.first:
-            stack.curves[0].set_ylabel(with_unit(_RETURNS_LABEL, unit))
+            stack.curves[0].set_ylabel(with_unit(_label(facet[shown]), unit))
     along = values_along(facet[x])
     between = (along[1:] + along[:-1]) / 2
     for axes, (variable, factor) in zip(stack.curves, factors.items(), strict=True):

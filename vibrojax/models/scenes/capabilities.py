@@ -72,7 +72,11 @@ class HasImpacts(Scene[C]):
 
     >>> isinstance(vj.SCENES["vibro-impact"](), vj.HasImpacts), isinstance(vj.SCENES["rotary"](), vj.HasImpacts)
     (True, False)
+
+    `impact_unit` is the unit of impact velocities.
     """
+
+    impact_unit: ClassVar[str] = "m s-1"
 
     @property
     def regime_names(self) -> Mapping[str, str]:

@@ -197,6 +197,15 @@ class Flow:
         correction = resting * (second / self.gain(c, index, mode, t, y))
         return rates | {event.velocity: rates[event.velocity] - correction}
 
+    def jacobian(self, c: SystemConstants, t: Any, y: States, sides: Sequence[Any]) -> list[list[Any]]:
+        """Return the derivatives of the field (rows) with respect to the states (columns)."""
+
+        def rates(t: Any, y: States) -> list[Any]:
+            return list(self.field(c, t, y, sides).values())
+
+        columns = [slopes_along(rates, t, y, [float(key == name) for key in y], 0.0) for name in y]
+        return [[column[row] for column in columns] for row in range(len(y))]
+
     def fastest(self, c: SystemConstants, t: Any, y: States) -> tuple[Any, ...]:
         """Return the fastest rate of change [1/s] at a state, for each combination of the sides of the switches."""
         like = 0.0 * next(iter(y.values()))
@@ -205,19 +214,15 @@ class Flow:
         return tuple(self._fastest(c, t, y, sides) + like for sides in self.combinations())
 
     def _fastest(self, c: SystemConstants, t: Any, y: States, sides: Sequence[float]) -> Any:
-        def rates(t: Any, y: States) -> list[Any]:
-            return list(self.field(c, t, y, sides).values())
-
-        columns = [slopes_along(rates, t, y, [float(key == name) for key in y], 0.0) for name in y]
         n = range(len(y))
-        jacobian = [[jnp.abs(columns[j][i]) for j in n] for i in n]
+        jacobian = [[jnp.abs(x) for x in row] for row in self.jacobian(c, t, y, sides)]
         square = [[sum(jacobian[i][k] * jacobian[k][j] for k in n) for j in n] for i in n]
         # The fourth root of the trace of the fourth power of |J| bounds the spectral radius, whatever the units.
         radius = jnp.sqrt(jnp.sqrt(sum(square[i][k] * square[k][i] for i in n for k in n)))
         if c.period is not None:
             return jnp.maximum(radius, 2 * jnp.pi / c.period)
         # Without a linear part, as in free fall: the second derivative of each state relative to the state.
-        first = [jnp.abs(rate) for rate in rates(t, y)]
+        first = [jnp.abs(rate) for rate in self.field(c, t, y, sides).values()]
         bends = [sum(jacobian[i][k] * first[k] for k in n) / jnp.abs(x) for i, x in enumerate(y.values())]
         fall = jnp.sqrt(sum(jnp.where(jnp.isfinite(bend), bend, 0.0) for bend in bends))
         return jnp.where(radius > 0, radius, jnp.where(fall > 0, fall, 1.0))

@@ -2,7 +2,7 @@
 
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -12,14 +12,18 @@ import numpy as np
 from vibrojax.errors import InputError, shown
 from vibrojax.models.physics.friction import FrictionLaw
 from vibrojax.models.physics.parameters import Parameter
+from vibrojax.models.physics.units import is_unit
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch
 from vibrojax.models.systems.numbers import slope_along
 
 LANES = 3
 """Number of lanes with which the functions are tried."""
 
-RESERVED = ("t", "approach", "start", "direction", "point", "return", "time", "rock", "friction")
+RESERVED = ("t", "approach", "start", "direction", "point", "return", "time", "rock", "friction", "regime", "period")
 """Names that datasets and sweep files use for other things."""
+
+RENAMED = ("periodic", "impact-free", "single-impact", "multi-impact", "subharmonic", "irregular", "equilibrium")
+"""Regimes that may have names of the system's own."""
 
 EQUAL = 1e-9
 """Relative difference up to which two probed values are equal."""
@@ -30,18 +34,27 @@ class Probe:
 
     def __init__(
         self,
-        name: str,
-        states: Mapping[str, str],
-        parameters: Mapping[str, float | Parameter],
+        name: Any,
+        states: Any,
+        parameters: Any,
         field: Callable[..., Mapping[str, Any]],
-        period: float | Callable[[Mapping[str, Any]], Any] | None,
-        section: str | tuple[str, float] | None,
-        events: Sequence[Any],
-        regimes: Mapping[str, str] | None,
+        period: Any,
+        section: Any,
+        events: Any,
+        regimes: Any,
     ):
         if not isinstance(name, str) or not name:
             raise InputError(f"system: the name is {shown(name)}; give a string such as 'impact-oscillator'")
-        self._name, self._states, self._field, self._events = name, dict(states), field, tuple(events)
+        self._name = name
+        for what, value, kind, example in (
+            ("states", states, Mapping, "{'x': 'm', 'v': 'm s-1'}"),
+            ("parameters", parameters, Mapping, "{'k': 1.0}"),
+            ("events", events, list | tuple, "[vj.Impact(...)]"),
+            ("regimes", regimes or {}, Mapping, "{'periodic': 'rocking'}"),
+        ):
+            if not isinstance(value, kind):
+                raise self._refuse(f"{what} is {type(value).__name__}; write {what}={example}")
+        self._states, self._field, self._events = dict(states), field, tuple(events)
         self._check_names(states, parameters)
         laws = [event for event in self._events if isinstance(event, Friction)]
         self.parameters = {key: _parameter(key, x, self._refuse) for key, x in parameters.items()}
@@ -70,6 +83,8 @@ class Probe:
         self._p = self._others
         self._check_section(period, section)
         for key, own in dict(regimes or {}).items():
+            if key not in RENAMED:
+                raise self._refuse(f"regimes: {shown(key)} is not a regime; choose from {', '.join(RENAMED)}")
             if not isinstance(own, str) or not own or " " in own:
                 raise self._refuse(f"regimes: {shown(own)} names {shown(key)}; a name is one word, such as 'rocking'")
 
@@ -83,6 +98,9 @@ class Probe:
         for event in self._events:
             if not isinstance(event, Impact | Switch | Friction):
                 raise self._refuse(f"events: {shown(event)} is not a vj.Impact, vj.Switch or vj.Friction")
+        for key, unit in states.items():
+            if not isinstance(unit, str) or not (unit == "1" or is_unit(unit)):
+                raise self._refuse(f"states: {key} has the unit {shown(unit)}; give one such as 'm s-1', or '1'")
         names = [*states, *parameters, *(event.name for event in self._events)]
         for key in names:
             if not isinstance(key, str) or not key.isidentifier() or key in RESERVED:
@@ -117,6 +135,8 @@ class Probe:
                 raise self._refuse(
                     f"event {event.name}: {shown(name)} is not a state; choose from {', '.join(self._states)}"
                 )
+            if isinstance(event, Friction) and isinstance(event.law, int | float) and event.law < 0:
+                raise self._refuse(f"event {event.name}: law is {event.law:g}; a coefficient is at least 0")
             if isinstance(event, Friction) and not (
                 isinstance(event.law, FrictionLaw | int | float) or callable(event.law)
             ):
@@ -176,6 +196,7 @@ class Probe:
         for event in self._events:
             what, function = self._surface(event)
             self._number(what, self._call(what, function, self._t, self._y, self._p))
+            self._check_effect(event)
             if isinstance(event, Friction):
                 what = f"event {event.name}: normal"
                 self._number(what, self._call(what, event.normal, self._t, self._y, self._p))
@@ -192,6 +213,20 @@ class Probe:
                 if not bool(((r >= 0) & (r <= 1)).all()):
                     raise self._refuse(f"{what} is {float(r[0]):g}; it must lie between 0 and 1")
         self._check_series()
+
+    def _check_effect(self, event: Event) -> None:
+        """Refuse an event whose function does not depend on what the event changes."""
+        if isinstance(event, Friction):
+            names, what = {event.acts_on}, f"relative does not depend on {event.acts_on}, the velocity on which it acts"
+        elif isinstance(event, Impact) and event.velocity is not None:
+            names = {key for key, speed in self.velocities().items() if speed == event.velocity}
+            what = f"gap does not depend on a state whose rate is {event.velocity}, the velocity that jumps"
+        else:
+            return
+        moved = {key: y + 0.1 for key, y in self._y.items() if key in names}
+        before, after = (event.surface(self._t, y, self._p) for y in (self._y, self._y | moved))
+        if _equal(before, after):
+            raise self._refuse(f"event {event.name}: {what}")
 
     def _check_series(self) -> None:
         """Try the functions on the number types of a step, which `jnp` and `np` functions do not accept."""
@@ -218,9 +253,7 @@ class Probe:
             raise self._refuse("give period= for a forced system, or section= (a state) for one without forcing")
         if section is not None:
             name, known = section[0] if isinstance(section, tuple) else section, ", ".join(self._states)
-            if name not in self._states or (
-                isinstance(section, tuple) and (len(section) != 2 or not math.isfinite(section[1]))
-            ):
+            if name not in self._states or (isinstance(section, tuple) and not _is_level(section)):
                 raise self._refuse(
                     f"section: {shown(section)} is not a state, or a pair of a state and a number; states are {known}"
                 )
@@ -277,6 +310,11 @@ class Probe:
             if linear and all(bool(_equal(x, 0.0)) for x in moves):
                 signs[index] = math.copysign(1.0, sign)
         return signs
+
+
+def _is_level(section: tuple[Any, ...]) -> bool:
+    """Return whether a section is a pair of a state and a finite number."""
+    return len(section) == 2 and isinstance(section[1], int | float) and math.isfinite(section[1])
 
 
 def _equal(a: Any, b: Any) -> bool:

@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from vibrojax.errors import InputError
 from vibrojax.models.arrays import Array
@@ -27,8 +28,7 @@ from vibrojax.models.systems.probe import Probe
 
 AT_REST = 16.0
 """Speed of a bounce up to which the motion comes to rest on the stop, in square roots of the machine epsilon times the
-typical rate of the gap. The height of a bounce is of second order in its speed: that of a slower one is lost in rounding
-errors."""
+typical rate of the gap. The height of a bounce is of second order in its speed: below, it is lost in rounding."""
 
 LEAST_PUSH = 1e-10
 """Least second derivative of a gap that holds a motion on its stop, as a fraction of a typical one."""
@@ -97,18 +97,19 @@ class System(Scene[SystemConstants]):
         impacts = isinstance(events, Sequence) and any(isinstance(event, Impact) for event in events)
         return object.__new__(ImpactSystem if impacts and cls is System else cls)
 
+    # What users give is checked by `Probe`, in one line each.
     def __init__(
         self,
         name: str,
         *,
-        states: Mapping[str, str],
-        parameters: Mapping[str, float | Parameter],
+        states: Any,
+        parameters: Any,
         field: Callable[..., Mapping[str, Any]],
         period: float | Callable[[Mapping[str, Any]], Any] | None = None,
-        section: str | tuple[str, float] | None = None,
-        events: Sequence[Any] = (),
+        section: Any = None,
+        events: Any = (),
         rate: Callable[[Mapping[str, Any]], Any] | None = None,
-        regimes: Mapping[str, str] | None = None,
+        regimes: Any = None,
     ) -> None:
         with jax.enable_x64(True):
             probe = Probe(name, states, parameters, field, period, section, events, regimes)
@@ -141,6 +142,9 @@ class System(Scene[SystemConstants]):
         self.markers = (Marker("strobe", section_state), *(Marker(f"{speed}_zero", speed) for speed in turning))  # type: ignore[misc]
         self.section = Section(tuple(swings), self._rearm, at=section_state)  # type: ignore[misc]
         self.starts, self.start_states, self.measures = ("zero",), self._own, ("rest",)  # type: ignore[misc]
+        struck = [units[event.velocity] for event in self.events if isinstance(event, Impact) and event.velocity]
+        if struck and isinstance(self, ImpactSystem):
+            self.impact_unit = struck[0]
         self.drifting = (APPROACH,) if isinstance(self, HasImpacts) else ()  # type: ignore[misc]
 
     def __reduce__(self) -> Any:
@@ -156,11 +160,25 @@ class System(Scene[SystemConstants]):
     def _times(self) -> tuple[float, float]:
         defaults = {name: parameter.default for name, parameter in self._parameters.items()}
         if self._period is None:
-            cycle = 2 * math.pi / float(max(jax.jit(lambda p: self.constants(p).rates)(defaults)))
+            cycle = 2 * math.pi / self._slow_rate(defaults)
         else:
             cycle = float(self._period(defaults) if callable(self._period) else self._period)
         cycle = float(f"{cycle:.2g}") if math.isfinite(cycle) and cycle > 0 else 1.0
         return CYCLES_SETTLING * cycle, CYCLES_OBSERVED * cycle
+
+    def _slow_rate(self, p: dict[str, float]) -> float:
+        """Return the slowest oscillation about the zero state [rad/s], else the slowest rate of change there [1/s]."""
+
+        def jacobians(p: dict[str, Any]) -> list[list[list[Any]]]:
+            c = self.constants(p)
+            zero = {name: 0.0 * c.rates[0] for name in self._own}
+            return [self._flow.jacobian(c, 0.0 * c.rates[0], zero, sides) for sides in self._flow.combinations()]
+
+        values = np.linalg.eigvals(np.array(jax.jit(jacobians)(p), float)).ravel()
+        turning, moving = np.abs(values.imag), np.abs(values)
+        chosen = turning[turning > 0] if (turning > 0).any() else moving[moving > 0]
+        rate = float(max(self.constants(p).rates)) if not chosen.size else chosen.min()
+        return float(rate) if np.isfinite(rate) else 1.0
 
     def _rearm(self, c: SystemConstants) -> Any:
         if self._section_state is not None:
@@ -438,7 +456,7 @@ class System(Scene[SystemConstants]):
         return c.typical[self._section_state] if self._section_state is not None else c.period
 
     def start(self, c: SystemConstants, name: Start, shape: tuple[int, ...]) -> Values:
-        """Return the initial state, NaN for a start beyond a stop."""
+        """Return the initial state, NaN for a start beyond a stop or a restitution outside 0 to 1."""
         given = (0.0,) * len(self._own) if name is None or isinstance(name, str) else name
         dtype = c.rates[0].dtype
         offsets = [state.offset for state in self.states]
@@ -447,8 +465,9 @@ class System(Scene[SystemConstants]):
         t, y = self._known(state)
         for index, event in enumerate(self.events):
             if isinstance(event, Impact):
-                inside = event.gap(t, y, c.p) < -c.lifts[index]
-                state = (jnp.where(inside, jnp.nan, state[0]), *state[1:])
+                r = event.bounce(c.p) + 0.0 * state[0]
+                fails = (event.gap(t, y, c.p) < -c.lifts[index]) | (r < 0) | (r > 1)
+                state = (jnp.where(fails, jnp.nan, state[0]), *state[1:])
         return state
 
 

@@ -18,9 +18,10 @@ from vibrojax.io.manifest import IDENTITY, identity_text
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.measures import gauge_named
 from vibrojax.measures.labels import LABELLED_BY, REGIMES, hides_another, label
+from vibrojax.measures.repeats import state_name
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import differing, substitutes
-from vibrojax.models.scenes import HasContact, HasFriction, Scene
+from vibrojax.models.scenes import HasContact, HasFriction, HasImpacts, Scene
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
 from vibrojax.sweep.input.points import VECTOR
@@ -68,6 +69,13 @@ def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
         state = scene.states[scene.place(swing.position)]
         if swing.amplitude not in VARIABLES:
             variables[swing.amplitude] = Variable(state.unit, f"half the swing of: {state.long_name}")
+    for state in scene.states:
+        name = state_name(state.name)
+        if state.name in scene.return_states and name not in VARIABLES:
+            variables[name] = Variable(state.unit, f"{state.long_name} at the return", along="return_index")
+    if isinstance(scene, HasImpacts) and scene.impact_unit != "m s-1":
+        velocities = ("impact_velocity", "impact_velocity_min", "impact_velocity_max", "return_impact_velocity")
+        variables |= {name: replace(VARIABLES[name], units=scene.impact_unit) for name in velocities}
     gauges = map(gauge_named, scene.measures)
     return variables | {name: Variable(*about) for gauge in gauges for name, about in gauge.variables.items()}
 
