@@ -95,7 +95,7 @@ def _dots(lanes: xr.DataArray, factor: float, x: str, *dims: str) -> tuple[Lanes
 def _label(returns: xr.DataArray) -> str:
     """Return what a diagram of section crossings shows: "impact velocity at each return"."""
     name = str(returns.name).removeprefix("return_").replace("_", " ")
-    return str(returns.attrs.get("long_name", f"{name} at the return")).replace("at the return", "at each return")
+    return str(returns.attrs.get("long_name", name)).removesuffix(" at the return") + " at each return"
 
 
 def _of_families(returns: str) -> str:
