@@ -94,8 +94,9 @@ def _dots(lanes: xr.DataArray, factor: float, x: str, *dims: str) -> tuple[Lanes
 
 def _label(returns: xr.DataArray) -> str:
     """Return what a diagram of section crossings shows: "impact velocity at each return"."""
-    name = str(returns.name).removeprefix("return_").replace("_", " ")
-    return str(returns.attrs.get("long_name", name)).removesuffix(" at the return") + " at each return"
+    if returns.name == "return_impact_velocity":
+        return "impact velocity at each return"
+    return str(returns.attrs.get("long_name", returns.name)).removesuffix(" at the return") + " at each return"
 
 
 def _of_families(returns: str) -> str:
