@@ -61,7 +61,10 @@ default_role = "code"
 add_module_names = False
 nitpick_ignore_regex = [
     ("py:.*", r"(?!vibrojax\.).*"),
-    ("py:.*", r"vibrojax\.(models\.arrays|analyses\.sweep\.workers|models\.systems\.numbers|reproduce|stepping\.series)\..*|.*\.[A-Z]"),
+    (
+        "py:.*",
+        r"vibrojax\.(models\.arrays|analyses\.sweep\.workers|models\.systems\.numbers|reproduce|stepping\.series)\..*|.*\.[A-Z]",
+    ),
 ]
 """Types in signatures: those of others, whose sites are not asked, and aliases and type variables."""
 

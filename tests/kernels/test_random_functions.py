@@ -21,7 +21,7 @@ from writers import WRITERS
 from vibrojax.compile.kernels import Kernel, Untranslatable, native
 from vibrojax.compile.kernels.translation import primitives
 
-COUNT = int(os.environ.get("VIBROJAX_FUNCTIONS", 1000))
+COUNT = int(os.environ.get("VIBROJAX_FUNCTIONS", 400))
 SEED = int(os.environ.get("VIBROJAX_FUNCTIONS_SEED", 0))
 
 QUICK: dict[str, Any] = {
