@@ -16,6 +16,7 @@ from own_scenes import (
 from systems import BALL, BELT, BILINEAR, IMPACT_OSCILLATOR, RELAY, belt_period
 
 import vibrojax as vj
+from vibrojax.analyses.trajectory.analysis import feature_lines
 
 OSCILLATOR = {"w": 0.9, "stiffness": 1.0, "damping": 0.1, "stop": 1.0}
 R = 0.7
@@ -222,6 +223,8 @@ def test_a_mistake_in_a_system_is_one_line(message):
 def test_a_start_beyond_the_stop_fails_and_numbers_stand_for_lanes():
     ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}, "starts": [[1.5, 0.0]]}, progress=False)
     assert ds.regime.attrs["flag_meanings"].split()[int(ds.regime[0, 0])] == "failed"
+    bounces = vj.run_sweep({"scene": BALL, "grid": {"r": [0.5, 1.01]}, "starts": [[1.0, 0.0]]}, progress=False)
+    assert (bounces.regime.values.ravel() == 7).tolist() == [False, True]
     falling = vj.System("falling", **(GOOD | {"field": lambda t, y, p: {"x": 1.0, "v": 0.0}}))
     motion = vj.simulate(falling, start=[0.0, 0.0], duration=2.0, progress=False)
     assert float(motion.x[-1]) == pytest.approx(2.0)
@@ -299,4 +302,22 @@ def test_impact_velocities_have_the_unit_of_the_velocity():
         events=[vj.Impact("stop", gap=lambda t, y, p: 0.3 - y["angle"], velocity="speed", restitution=0.6)],
     )
     ds = vj.run_sweep({"scene": pendulum, "grid": {"w": [1.5]}, "run": {"orbits": True}}, progress=False)
+    motion = vj.simulate(pendulum, start=[0.0, 0.0], progress=False)
+    assert motion.impact_velocity.units == "rad s-1" and " rad/s" in feature_lines(motion)[0]
     assert ds.impact_velocity.units == "rad s-1" and ds.regime.attrs["long_name"] == "regime of the motion"
+
+
+def test_the_default_times_follow_the_slowest_oscillation():
+    pair = vj.System(
+        "pair",
+        states={"x": "m", "v": "m s-1", "z": "m", "w": "m s-1"},
+        parameters={"slow": 1.0, "fast": 10.0},
+        field=lambda t, y, p: {
+            "x": y["v"],
+            "v": -p["slow"] * p["slow"] * y["x"],
+            "z": y["w"],
+            "w": -p["fast"] * p["fast"] * y["z"],
+        },
+        section="x",
+    )
+    assert pair.usual_times == pytest.approx((200 * np.pi, 80 * np.pi), rel=0.02)

@@ -12,6 +12,7 @@ from vibrojax.analyses.trajectory.time_history import trajectory
 from vibrojax.errors import counted
 from vibrojax.io.attributes import flags, parameters_of, run_of
 from vibrojax.measures.labels import FEWEST_RETURNS
+from vibrojax.plot.axes import pretty_unit
 
 SECTION = "to the section (the bit overtakes the drive)"
 
@@ -90,7 +91,8 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
         return f"{regime}: {repeats}, with {period:.5g} s from return to return"
     blows = values["impacts"]
     energy = f" and {values['impact_energy']:.4g} J" if "impact_energy" in values else ""
-    strength = f", at {values['impact_velocity']:.4g} m/s{energy}" if blows else ""
+    unit = pretty_unit(str(ds["impact_velocity"].attrs.get("units", "m s-1"))) if blows else ""
+    strength = f", at {values['impact_velocity']:.4g} {unit}{energy}" if blows else ""
     mean = ", on average" if blows > 1 or not cycles else ""
     if not cycles:
         often = f"a blow every {period / blows:.4g} s" if blows else "no blow"

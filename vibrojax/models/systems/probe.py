@@ -14,7 +14,7 @@ from vibrojax.models.physics.friction import FrictionLaw
 from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.physics.units import is_unit
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch
-from vibrojax.models.systems.numbers import slope_along
+from vibrojax.models.systems.numbers import Dual, slope_along
 
 LANES = 3
 """Number of lanes with which the functions are tried."""
@@ -230,8 +230,6 @@ class Probe:
 
     def _check_series(self) -> None:
         """Try the functions on the number types of a step, which `jnp` and `np` functions do not accept."""
-        from vibrojax.models.systems.numbers import Dual
-
         y = {key: Dual(x, 1.0, 1) for key, x in self._y.items()}
         what = "field"
         advice = "use + - * / ** and vj.elementary, not jnp or np, on states and time"

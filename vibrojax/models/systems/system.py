@@ -8,6 +8,7 @@ import math
 import operator
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from typing import Any
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
@@ -41,7 +42,8 @@ BEYOND_RETURN = 1.5
 """Longest step in units of the time until a surface's parabola returns to zero: beyond it, the function is negative."""
 
 CYCLES_SETTLING, CYCLES_OBSERVED = 100, 40
-"""Default durations of settling and observation, in periods of the forcing or of the fastest oscillation."""
+"""Default durations of settling and observation, in periods of the forcing or of the slowest oscillation about
+the zero state."""
 
 TIME, APPROACH = "t", "approach"
 """Names of the hidden states: the time within a period of the forcing [s], and the speed of the last impact."""
@@ -489,8 +491,6 @@ def _mode(event: Event) -> Mode:
 
 
 def _system_of(module: str, name: str) -> Any:
-    from importlib import import_module
-
     return getattr(import_module(module), name)
 
 
