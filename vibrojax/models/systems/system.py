@@ -22,21 +22,15 @@ from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.scenes.capabilities import HasImpacts
 from vibrojax.models.scenes.declared import Guard, Marker, Mode, Section, Start, State, Swing, Values
 from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
-from vibrojax.models.systems.events import Event, Friction, Impact, Switch
+from vibrojax.models.systems.events import Event, Impact, Switch
 from vibrojax.models.systems.flow import Flow, Motion, SystemConstants
 from vibrojax.models.systems.numbers import Rounded
 from vibrojax.models.systems.probe import Probe
+from vibrojax.models.systems.transitions import APPROACH, LIFT_ROUNDINGS, after_events, free_modes, initial_modes
 
 AT_REST = 16.0
 """Speed of a bounce up to which the motion comes to rest on the stop, in square roots of the machine epsilon times the
 typical rate of the gap. The height of a bounce is of second order in its speed: below, it is lost in rounding."""
-
-LEAST_PUSH = 1e-10
-"""Least second derivative of a gap that holds a motion on its stop, as a fraction of a typical one."""
-
-LIFT_ROUNDINGS = 1e4
-"""Offset, in rounding errors of a typical value, by which a surface moves away from a motion that leaves it along a
-tangent. Without it, rounding errors would bring the motion back at once."""
 
 BEYOND_RETURN = 1.5
 """Longest step in units of the time until a surface's parabola returns to zero: beyond it, the function is negative."""
@@ -45,8 +39,8 @@ CYCLES_SETTLING, CYCLES_OBSERVED = 100, 40
 """Default durations of settling and observation, in periods of the forcing or of the slowest oscillation about
 the zero state."""
 
-TIME, APPROACH = "t", "approach"
-"""Names of the hidden states: the time within a period of the forcing [s], and the speed of the last impact."""
+TIME = "t"
+"""Name of the hidden state with the time within a period of the forcing [s]."""
 
 DEFINED: "WeakValueDictionary[str, System]" = WeakValueDictionary()
 """The systems of this process by name, for the pages of their datasets. A later system replaces an earlier one."""
@@ -199,7 +193,11 @@ class System(Scene[SystemConstants]):
 
     def _known(self, state: Values) -> tuple[Any, dict[str, Any]]:
         """Return the time and the states by name."""
-        values = dict(zip(self.state_names, state, strict=True))
+        return self._known_values(dict(zip(self.state_names, state, strict=True)))
+
+    def _known_values(self, values: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
+        """Return the time and the states of the user's functions from all states by name."""
+        values = dict(values)
         if self._section_state is not None:
             offset = self.states[self.place(self._section_state)].offset
             if offset:
@@ -309,99 +307,19 @@ class System(Scene[SystemConstants]):
         return functools.reduce(jnp.minimum, shares) if shares else None
 
     def reset(self, c: SystemConstants, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
-        motion = self._flow.at(c, mode, *self._known(state)) if self.events else None
-        modes, values = list(mode), dict(zip(self.state_names, state, strict=True))
-        for index, event in enumerate(self.events):
-            hit, where = hits[event.name], mode[index]
-            assert motion is not None
-            if isinstance(event, Impact):
-                continue
-            pull, margin = motion.pulls[index], motion.margins[index]
-            leaves = 2.0 * jnp.sign(pull)
-            if isinstance(event, Friction):
-                # The margin of a body that slides decides with the field without friction, as that of one that sticks.
-                after = jnp.where(margin >= 0, 0.0, leaves)
-            else:
-                after = jnp.where(margin > 0, 0.0, -jnp.sign(where))
-            modes[index] = jnp.where(hit, jnp.where(where == 0, leaves, after), where)
-        bounced = self._bounced(c, mode, modes, values, hits)
+        values = dict(zip(self.state_names, state, strict=True))
+        modes = after_events(self._flow, self._known_values, c, mode, values, hits) if self.events else mode
         if not self.autonomous:
             values[TIME] = jnp.where(hits["turned"], -0.5 * c.period, values[TIME])
-        return tuple(bounced), tuple(values[name] for name in self.state_names)
-
-    def _bounced(
-        self, c: SystemConstants, mode: Values, modes: list[Any], values: dict[str, Any], hits: Mapping[str, Any]
-    ) -> list[Any]:
-        """Update the states and modes of the lanes that hit a stop or leave it."""
-        for index, event in enumerate(self.events):
-            if not isinstance(event, Impact):
-                continue
-            hit, resting = hits[event.name], mode[index] == 1
-            struck = hit & ~resting
-            t, y = self._known(tuple(values[name] for name in self.state_names))
-            rate = self._flow.closing(c, event, mode, t, y)
-            values[APPROACH] = jnp.where(struck, -rate, values[APPROACH])
-            if event.velocity is None:
-                assert event.reset is not None
-                for name, new in event.reset(t, y, c.p).items():
-                    values[name] = jnp.where(struck, new, values[name])
-                continue
-            for name, position in self._flow.onto_stop(c, event, t, y).items():
-                # Steps end on the stop within their tolerance, and a long rest drifts by as much.
-                values[name] = jnp.where(hit, position, values[name])
-            gain = self._flow.gain(c, index, mode, t, y)
-            slow = jnp.abs(event.bounce(c.p) * rate) <= c.slow[index]
-            jump = jnp.where(slow, -rate, -(1.0 + event.bounce(c.p)) * rate) / gain
-            values[event.velocity] = values[event.velocity] + jnp.where(struck & (rate < 0), jump, 0.0)
-            t, y = self._known(tuple(values[name] for name in self.state_names))
-            pushed = self._flow.at(c, mode, t, y).margins[index] > self._least_push(c, index)
-            after = jnp.where(slow, jnp.where(pushed, 1.0, -1.0), 0.0)
-            modes[index] = jnp.where(hit, jnp.where(resting, -1.0, after), modes[index])
-        return modes
-
-    def _least_push(self, c: SystemConstants, index: int) -> Any:
-        """Return the least second derivative of a gap that holds a motion on its stop.
-
-        With none, a motion that the field hardly pushes would leave and reach the stop again and again.
-        """
-        typical = c.lifts[index] / (LIFT_ROUNDINGS * jnp.finfo(c.lifts[index].dtype).eps)
-        return LEAST_PUSH * typical * c.rates[0] * c.rates[0]
+        return modes, tuple(values[name] for name in self.state_names)
 
     def mode_at(self, c: SystemConstants, state: Values) -> Values:
-        t, y = self._known(state)
         zero = jnp.zeros_like(state[0])
-        surfaces = [event.surface(t, y, c.p) + zero for event in self.events]
         if not self.events:
             return (zero,)
-        free = tuple(
-            zero if isinstance(event, Impact) else jnp.where(f < 0, -1.0, 1.0)
-            for event, f in zip(self.events, surfaces, strict=True)
-        )
-        small = self.resolutions(c, free, state, False)
-        modes = list(free)
-        for index, event in enumerate(self.events):
-            near = jnp.abs(surfaces[index]) <= small[index]
-            there = tuple(
-                jnp.where(near, 1.0 if isinstance(event, Impact) else 0.0, x) if i == index else x
-                for i, x in enumerate(free)
-            )
-            motion = self._flow.at(c, there, t, y)
-            margin, pull = motion.margins[index], motion.pulls[index]
-            if isinstance(event, Impact):
-                rate = self._flow.closing(c, event, free, t, y)
-                slow = jnp.abs(rate) <= c.slow[index]
-                rests = (
-                    near & slow & (margin > self._least_push(c, index)) if event.velocity is not None else near & False
-                )
-                modes[index] = jnp.where(rests, 1.0, jnp.where(near & (rate >= -c.slow[index]), -1.0, 0.0))
-            else:
-                leaves = jnp.where(pull < 0, -2.0, 2.0)
-                modes[index] = jnp.where(
-                    near,
-                    jnp.where(margin >= 0 if isinstance(event, Friction) else margin > 0, 0.0, leaves),
-                    free[index],
-                )
-        return tuple(modes)
+        t, y = self._known(state)
+        free = free_modes(self._flow, c, t, y, zero)
+        return initial_modes(self._flow, c, t, y, free, self.resolutions(c, free, state, False))
 
     # Scales
 
