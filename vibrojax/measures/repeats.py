@@ -63,8 +63,8 @@ class Returns(NamedTuple):
 def returned(seen: Seen, here: Flags, state: Array, time: Lanes, scales: tuple[Lanes, ...]) -> tuple[Seen, Array]:
     """Return the last section crossings including a new one, and the differences of the new one from those before.
 
-    The new crossing of the lanes `here` is in `state` at `time`. `scales` are those of the compared states since the
-    previous crossing.
+    The new crossing of the lanes `here` is in `state` at `time`. `scales`: scales of the compared
+    states since the previous crossing.
     """
     scale = keep(jnp.stack(scales))
     compared = len(scale)

@@ -66,7 +66,7 @@ def follow(
       bound, which enclose `at`.
     - `start`: initial condition of the motion that settles on the first orbit, by default the scene's first.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation, which must cover nine section crossings.
-      The defaults are those of the scene's sweeps.
+      The defaults are the scene's, as in a sweep.
     - `cycles`: largest number of section crossings per period of doubled branches, 1 to 8; 1 excludes such branches.
     - `progress`: True to report progress on stderr.
 

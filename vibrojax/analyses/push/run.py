@@ -73,7 +73,7 @@ def smallest_push(
     - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). By default it is the
       peak-to-peak range of a position over the cycle, and for a velocity that of its position times 2 pi/period.
     - `scan`: number of pushes per scan and direction; `precision`: relative width of the final bracket.
-    - `settle` [s]: settling time; `observe` [s]: duration of the observation; by default those of the scene's sweeps.
+    - `settle` [s]: settling time; `observe` [s]: duration of the observation; by default as in a sweep of the scene.
     - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset.

@@ -158,7 +158,7 @@ class Section:
     def scales(self, amplitudes: Sequence[Any], period: Any) -> list[Any]:
         """Return the scales of the compared states: the amplitudes, for velocities the amplitudes times 2 pi/`period`.
 
-        `amplitudes`: those of the swings, in their order.
+        `amplitudes`: amplitudes of the swings, in order.
         """
         scale = {swing.position: half for swing, half in zip(self.swings, amplitudes, strict=True)}
         for swing, half in zip(self.swings, amplitudes, strict=True):
