@@ -192,7 +192,7 @@ def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
         x, y = varied(ds)
         return draw_map(ds, x, y, values, note)
     if not held.points and (held.worth_a_map or (held.regimes and len(held.axes) > 1)):
-        return draw_map(ds, *axes_of_map(ds, None, None), values, note)
+        return draw_map(ds, *axes_of_map(ds), values, note)
     if not held.points and held.regimes and held.axes:
         return regime_lines(ds, note=note, values=tuple(value for value in values if value is not None))
     return _draw_curves(ds, values, note)

@@ -67,7 +67,15 @@ def plot(options: Options) -> None:
         dataset = open_dataset(path)
         over = [open_dataset(Path(name)) for name in options.over or ()] or None
     with dataset:
-        parts = _name_parts(options)
+        names = [shortened(options.variable or ()), shortened([word.replace("=", "-") for word in options.where or ()])]
+        stems = shortened([Path(name).stem for name in options.over or ()])
+        parts = [
+            *names[0],
+            *names[1],
+            *([options.colours] if options.colours else []),
+            *(["over"] if stems else []),
+            *stems,
+        ]
         picture = view_path(options, path, PICTURES, parts)
         from vibrojax.analyses.pictures import save_picture
 
@@ -81,14 +89,6 @@ def plot(options: Options) -> None:
     if not options.quiet:
         notes = [*drawn, f"{replaced} picture" if replaced and not options.out else ""]
         print(": ".join(filter(None, (str(picture), "; ".join(filter(None, notes))))))
-
-
-def _name_parts(options: Options) -> list[str]:
-    """Return the options of a view as parts of the default name of its file."""
-    over = [Path(name).stem for name in options.over or ()]
-    values = [word.replace("=", "-") for word in options.where or ()]
-    parts = [*shortened(options.variable or ()), *shortened(values), *([options.colours] if options.colours else [])]
-    return [*parts, *(["over", *shortened(over)] if over else [])]
 
 
 @command(
