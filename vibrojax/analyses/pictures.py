@@ -199,7 +199,6 @@ def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
 
 
 def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
-    """Raise `InputError` unless all `names` can be drawn."""
     if not isinstance(names, Sequence):
         raise InputError(f"variable: {shown(names)} is not the name of a variable; give one, or a list")
     run, orbits = TIME in ds.dims, kind_of(ds) == "family"
@@ -248,7 +247,6 @@ def _draw_curves(ds: xr.Dataset, values: Values, note: str = "") -> Figure:
 
 
 def _draw_histories(ds: xr.Dataset, names: Sequence[str]) -> Figure:
-    """Draw the variables of a run over time."""
     figure = new_figure(10.0, 1.5 * len(names) + 0.9)
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     time = ds[TIME].values.astype(float)

@@ -136,7 +136,6 @@ class Live(AbstractContextManager["Live"]):
         self.close()
 
     def wait(self) -> None:
-        """Wait until the server is closed, or this thread is interrupted."""
         while self._threads[0].is_alive():
             self._threads[0].join(0.5)
 

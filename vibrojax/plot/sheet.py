@@ -80,7 +80,6 @@ def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST_PANELS) -> Fac
 
 
 def _listed(ds: xr.Dataset, name: str, pick: list[int]) -> str:
-    """Format the values of a dimension at the indices `pick`."""
     if name not in ds.coords:
         return "; ".join(index_text(ds, name, i) for i in pick)
     values, (factor, unit) = ds[name].values[pick], scale(ds[name]) if is_numeric(ds[name]) else (1.0, "")

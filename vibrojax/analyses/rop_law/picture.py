@@ -221,7 +221,6 @@ def _mark(name: str, x: Across | None = None) -> Mark:
 
 
 def _line_handles(fit: xr.Dataset) -> list[Artist]:
-    """Return legend entries for the forms, with their formulas if the dataset contains them."""
     formulas = formulas_of(fit)
     signs = {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}
     handles: list[Artist] = []
@@ -316,5 +315,4 @@ class Fits(Analysis):
     )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return a summary part that lists the CSV column used for each quantity."""
         return [SummaryPart("columns", columns_lines(ds))]
