@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Inexact
 
@@ -57,52 +56,52 @@ class Variations(NamedTuple):
     ) -> "Variations":
         """Return the variations of the map along all states and parameters, combined by the implicit function theorem.
 
-        Each direction has lanes of its own, so that one compiled program serves all parameters.
+        Each pair of a state and a direction, in which the map is differentiated once and twice, has lanes of its own,
+        so that one small compiled program serves all parameters.
         """
         lanes, cycles, rows = orbit.states.shape
         count = rows + len(by)
-        index = np.repeat(np.arange(lanes), cycles * count)
-        states = np.repeat(orbit.states.reshape(-1, rows), count, axis=0).T
-        direction = np.tile(np.arange(count), lanes * cycles)
-        unit = {
-            name: (direction == rows + by.index(name)) + 0.0 if name in by else 0.0 * direction for name in parameters
-        }
-        basis = (direction == np.arange(rows)[:, None]) + 0.0
+        shape = (lanes, cycles, rows, count)
+        lane, crossing, column, direction = (index.ravel() for index in np.indices(shape))
+        states = orbit.states[lane, crossing].T
+        along = {name: (direction == rows + by.index(name)) + 0.0 if name in by else 0.0 * lane for name in parameters}
+        basis = np.arange(rows)[:, None]
+        first, second = (basis == column) + 0.0, (basis == direction) + 0.0
 
         def work(part: Any) -> Any:
-            p = {name: parameters[name][index[part]] for name in driving.parameters()}
-            along = {name: unit[name][part] for name in p}
-            accuracy = Accuracy(*map(np.float64, DERIVATIVE_ACCURACY))
-            most = np.float64(MOST_STEPS)
-            return _variation(driving, Located(), p, states[:, part], along, basis[:, part], accuracy, most)
+            p = {name: (parameters[name][lane[part]], along[name][part]) for name in driving.parameters()}
+            accuracy, most_steps = Accuracy(*map(np.float64, DERIVATIVE_ACCURACY)), np.float64(MOST_STEPS)
+            changes = first[:, part], second[:, part]
+            return _variation(driving, Located(), p, states[:, part], *changes, accuracy, most_steps)
 
-        map_and_slopes = jax.tree.map(
-            lambda x: np.moveaxis(np.asarray(x), -1, 0).reshape(lanes, cycles, count, *np.shape(x)[:-1]),
-            in_calls(work, len(index), workers()),
+        variation = jax.tree.map(
+            lambda x: np.moveaxis(np.asarray(x), -1, 0).reshape(*shape, *np.shape(x)[:-1]),
+            in_calls(work, len(lane), workers()),
         )
-        (_, times, jacobian, margin, impacts), slopes = map_and_slopes
-        jacobian = jacobian[:, :, 0]
-        by_image = np.moveaxis(slopes[0][:, :, rows:], 2, -1)
+        (_, times, moved, margin, impacts), slopes = variation
+        jacobian = np.swapaxes(moved[:, :, :, 0], 2, 3)
+        by_image, by_time, by_margin = (slopes[k][:, :, 0] for k in (0, 1, 3))
+        by_jacobian = np.moveaxis(slopes[2], 2, -1)  # (lanes, cycles, directions, images, columns)
         scale = orbit.scales
         scaled = jacobian * scale[:, None, None, :] / scale[:, None, :, None]
-        right = -by_image / scale[:, None, :, None]
+        right = -np.swapaxes(by_image[:, :, rows:], 2, 3) / scale[:, None, :, None]
         d_states = _solve(shooting_matrix(scaled), right.reshape(lanes, cycles * rows, len(by)))
         d_states = d_states.reshape(lanes, cycles, rows, len(by)) * scale[:, None, :, None]
 
         def total(slope: np.ndarray) -> np.ndarray:
-            by_state, by_parameter = np.moveaxis(slope[:, :, :rows], 2, -1), np.moveaxis(slope[:, :, rows:], 2, -1)
-            return np.einsum("lk...i,lkij->lk...j", by_state, d_states) + by_parameter
+            """Return derivatives along the families from those (lanes, cycles, directions, ...)."""
+            by_state = np.einsum("lki...,lkij->lk...j", slope[:, :, :rows], d_states)
+            return by_state + np.moveaxis(slope[:, :, rows:], 2, -1)
 
-        _, d_times, d_jacobian, d_margin, _ = (total(slope) for slope in slopes)
         return Variations(
-            times[:, :, 0],
+            times[:, :, 0, 0],
             jacobian,
-            margin[:, :, 0],
-            impacts[:, :, 0].sum(axis=1),
+            margin[:, :, 0, 0],
+            impacts[:, :, 0, 0].sum(axis=1),
             d_states,
-            d_times,
-            d_jacobian,
-            d_margin,
+            total(by_time),
+            total(by_jacobian),
+            total(by_margin),
         )
 
     @property
@@ -156,16 +155,17 @@ def eigenvalues(
 def _variation(
     scene: Scene[Any],
     stepper: Located,
-    p: dict[str, Lanes],
+    p: dict[str, tuple[Lanes, Lanes]],
     state: Array,
-    along_p: dict[str, Lanes],
-    along_state: Array,
+    first: Array,
+    second: Array,
     accuracy: Accuracy,
     most_steps: Any,
 ) -> Any:
-    """Return (image, time, derivative, margin, impacts) of the map, and their derivatives along a direction per lane.
+    """Return (image, time, derivative of the image, margin, impacts) of the map, and their derivatives.
 
-    The direction is in the space of parameters and states. The map's own derivative is that with respect to the state.
+    The image is differentiated along the change `first` of the state; the results, along the change `second` of the
+    state and that of the parameters. `p`: values and changes of the parameters. Changes are different for each lane.
     """
     fixed = jax.lax.stop_gradient(state)
 
@@ -174,13 +174,9 @@ def _variation(
         (there, time), seen = one_return(scene, stepper, c, state, accuracy, most_steps, derives_margin=True)
         return there, (time, seen.margin, seen.impacts)
 
-    def everything(p: dict[str, Lanes], state: Array) -> Any:
-        def derivative(tangent: Array) -> Any:
-            there, moved, rest = jax.jvp(lambda s: image(p, s), (state,), (tangent,), has_aux=True)
-            return there, moved, rest
-
-        basis = jnp.broadcast_to(jnp.eye(len(state), dtype=state.dtype)[:, :, None], (len(state), *state.shape))
-        there, moved, (time, margin, impacts) = jax.vmap(derivative, out_axes=(None, 1, None))(basis)
+    def derivative(p: dict[str, Lanes], state: Array) -> Any:
+        there, moved, (time, margin, impacts) = jax.jvp(lambda s: image(p, s), (state,), (first,), has_aux=True)
         return there, time, moved, margin, impacts
 
-    return jax.jvp(everything, (p, state), (along_p, along_state))
+    values, changes = ({name: pair[k] for name, pair in p.items()} for k in (0, 1))
+    return jax.jvp(derivative, (values, state), (changes, second))
