@@ -90,8 +90,8 @@ class System(Scene[SystemConstants]):
 
     def __new__(cls, *args: Any, **options: Any) -> "System":
         events = options.get("events") or ()
-        impacts = isinstance(events, Sequence) and any(isinstance(event, Impact) for event in events)
-        return object.__new__(ImpactSystem if impacts and cls is System else cls)
+        counted = isinstance(events, Sequence) and any(map(_is_impact, events))
+        return object.__new__(ImpactSystem if counted and cls is System else cls)
 
     # What users give is checked by `Probe`, in one line each.
     def __init__(
@@ -112,7 +112,8 @@ class System(Scene[SystemConstants]):
             self.name = name  # type: ignore[misc]
             speeds = probe.velocities()
             self.events, self._period, self._own = tuple(events), period, tuple(states)
-            self._flow = Flow(self._own, field, probe.takes_sides, self.events, probe.still_stops(), speeds, rate)
+            structure = probe.still_stops(), speeds, probe.switching()
+            self._flow = Flow(self._own, field, probe.takes_sides, self.events, *structure, rate)
             self._parameters, self._renamed = probe.parameters, dict(regimes or {})
             self._section_state, level = section if isinstance(section, tuple) else (section, 0.0)
             # The error of these positions follows from that of their velocities.
@@ -332,6 +333,18 @@ class System(Scene[SystemConstants]):
         free = free_modes(self._flow, c, t, y, zero)
         return initial_modes(self._flow, c, t, y, free, self.resolutions(c, free, state, False))
 
+    def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
+        kinds: dict[str, Any] = {}
+        for index, event in enumerate(self.events):
+            before, now, hit = mode[index], after[index], hits[event.name]
+            if isinstance(event, Impact):
+                masks = {"stick": hit & (now == 1), "release": hit & (before == 1)}
+            else:
+                starts, moves = ("slide", "switch") if isinstance(event, Switch) else ("stick", "slip")
+                masks = {starts: hit & (before != 0) & (now == 0), moves: hit & (now != 0)}
+            kinds |= {kind: kinds.get(kind, False) | mask for kind, mask in masks.items()}
+        return kinds
+
     # Scales
 
     def constants(self, p: Mapping[str, Any]) -> SystemConstants:
@@ -409,8 +422,16 @@ class ImpactSystem(System, HasImpacts[SystemConstants]):
         return state[self.place(APPROACH)]
 
     def impact_begins(self, c: SystemConstants, mode: Values, state: Values, hits: Mapping[str, Any]) -> Any:
-        masks = [hits[e.name] & (mode[i] != 1) for i, e in enumerate(self.events) if isinstance(e, Impact)]
+        masks = [
+            hits[event.name] & ((mode[index] != 1) if isinstance(event, Impact) else (mode[index] < 0))
+            for index, event in enumerate(self.events)
+            if _is_impact(event)
+        ]
         return jnp.stack(masks).any(axis=0)
+
+
+def _is_impact(event: object) -> bool:
+    return isinstance(event, Impact) or (isinstance(event, Switch) and event.impact)
 
 
 def _mode(event: Event) -> Mode:

@@ -24,7 +24,7 @@ from vibrojax.sweep.engine.labelled import measured_besides, regime_variables, r
 from vibrojax.sweep.input.read import Point
 from vibrojax.sweep.simulation.dense_output import Record, accumulated
 
-KINDS = ("none", "stick", "slip", "impact", "release", "section")
+KINDS = ("none", "stick", "slip", "impact", "release", "section", "switch", "slide")
 """Meanings of the CF flag values of `event_kind`."""
 
 FORCES = {
@@ -92,11 +92,13 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
     """Return the events in the `record` of one lane. `c`: constants of the scene."""
     masks: dict[str, Bool[Array, " steps"]] = {}
     hits = dict(zip(scene.event_names, record.hits.T, strict=True))
+    after = np.concatenate([record.mode[1:], record.mode[-1:]])
+    masks |= scene.events_of(tuple(record.mode.T), tuple(after.T), hits)
     if isinstance(scene, HasFriction):
-        slip = record.mode[:, scene.mode_place("slip")]
-        after = np.append(slip[1:], slip[-1:])
-        masks["stick"] = hits["friction"] & (slip != 0) & (after == 0)
-        masks["slip"] = hits["friction"] & (after != 0)
+        place = scene.mode_place("slip")
+        slip, next_slip = record.mode[:, place], after[:, place]
+        masks["stick"] = hits["friction"] & (slip != 0) & (next_slip == 0)
+        masks["slip"] = hits["friction"] & (next_slip != 0)
     if isinstance(scene, HasImpacts):
         modes, states = tuple(record.mode.T), tuple(record.after.T)
         masks["impact"] = np.asarray(impact_begins(scene, _scalars(c), modes, states, hits))
