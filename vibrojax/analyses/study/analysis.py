@@ -23,6 +23,9 @@ from vibrojax.plot.style import BIT, FAINT, INK, Mark, new_figure, styled
 MIN_SHARE = 0.05
 """Share of the variance below which a parameter or a pair counts as unimportant."""
 
+WIDE = 0.3
+"""Half-width of a confidence interval above which the summary recommends more samples."""
+
 CURVED = 0.5
 """Ratio of an effect to that of a straight line with the same variance below which the summary calls it not steady."""
 
@@ -163,6 +166,8 @@ def _sentences(row: xr.Dataset) -> list[str]:
     if others:
         hardly, each = ("hardly matters", "") if len(others) == 1 else ("hardly matter", " each")
         sentences.append(f"{_listed(others)} {hardly}: less than {_percent(MIN_SHARE)} of the variation{each}")
+    if float(row["total_order_conf"].max()) > WIDE:
+        sentences.append("some of these shares are uncertain; double the samples until they are known well enough")
     return sentences
 
 
@@ -172,8 +177,8 @@ def _parameter_sentence(row: xr.Dataset, k: int) -> str:
     first, total, error, effect = (
         float(row[key][k]) for key in ("first_order", "total_order", "total_order_conf", "effect")
     )
-    text = f"{name} ({long_name}) causes {100 * total:.0f} ± {_percent(error)} of the variation"
-    text += f", {_percent(max(first, 0.0))} on its own"
+    text = f"{name} ({long_name}) causes {100 * min(total, 1.0):.0f} ± {_percent(error)} of the variation"
+    text += f", {_percent(min(max(first, 0.0), 1.0))} on its own"
     if not np.isfinite(effect):
         return text
     change = f"{'raises' if effect > 0 else 'lowers'} it by {factor * abs(effect):.3g} {pretty_unit(unit)}".rstrip()
