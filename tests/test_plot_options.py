@@ -235,13 +235,8 @@ def test_the_command_takes_the_same(written, monkeypatch):
     assert main([*argv, "--where", "delta=0.005", "start=stuck", "--colours", "magma"]) == 0
     name = "map-stick_fraction-regime-period-delta-0.005-start-stuck-magma.png"
     assert asked["path"] == written.with_name(name)
-    assert asked["how"] == (
-        ["stick_fraction", "regime", "period"],
-        {"delta": 0.005, "start": "stuck"},
-        "magma",
-        None,
-        None,
-    )
+    variables, values = ["stick_fraction", "regime", "period"], {"delta": 0.005, "start": "stuck"}
+    assert asked["how"] == (variables, values, "magma", None, None)
 
 
 @pytest.mark.parametrize(

@@ -178,7 +178,6 @@ def _commands() -> dict[str, Command]:
 
 
 def _parser(words: Collection[str]) -> ArgumentParser:
-    """Return the command-line parser; only the commands that occur in `words` get their arguments."""
     parser = _Parser(
         prog="vibrojax",
         description="Simulate a self-exciting percussive-rotary drill: maps over parameters, single points, pictures.",
