@@ -191,4 +191,6 @@ def test_what_is_missing_is_named(monkeypatch, capsys):
 
 def test_the_bundled_study_is_valid():
     spec = read_study("drill")
-    assert spec.of and spec.sweep.lanes == 256 * (2 * len(spec.sampling.bounds) + 2) + 2 ** len(spec.sampling.bounds)
+    assert spec.of and spec.sweep.lanes == spec.sampling.samples * (2 * len(spec.sampling.bounds) + 2) + 2 ** len(
+        spec.sampling.bounds
+    )
