@@ -106,6 +106,8 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     >>> vj.list_variables("drilling").loc["relief", ["units", "meaning"]].tolist()
     ['1', 'mean force over threshold, P/D']
     """
+    from vibrojax.analyses.study.run import SCHEMA  # the specification of a study uses this table
+
     system = read_names(Place("scenes"), scene).system
     has_section, orbit_states = system.section is not None, of_orbits(system)
     held = _OF_ALL | set(_measured(system))
@@ -118,6 +120,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
         "borders": OF_BORDERS if isinstance(system, HasImpacts) and has_section else {},
         "attractors": OF_ATTRACTORS if has_section else {},
         "tolerance": tolerance_variables(held) if "regime" in held else {},
+        "study": {name: about for name, (_, about) in SCHEMA.items()} if "regime" in held else {},
         **offered_variables(),
     }
     rows = {
