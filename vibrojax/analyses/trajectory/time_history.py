@@ -22,13 +22,13 @@ from vibrojax.analyses.trajectory.motion import (
     read_motion,
     separate_peaks,
 )
-from vibrojax.errors import InputError
 from vibrojax.plot.axes import number
 from vibrojax.plot.contents import Contents
 from vibrojax.plot.curves import band_text, draw_over_time, is_band
 from vibrojax.plot.sheet import write_margins
 from vibrojax.plot.style import BIT, DASHED, FAINT, IMPACT, STICK, STRIKER, Mark, new_figure, styled
 
+_WINDOW = 1.5  # duration of the end of the run that is shown [s]
 _OVERVIEW_FROM = 1.5  # ratio of the run's length to the window from which there is an overview
 _SPECTRUM_SPAN = 5.0  # in units of the bit's dominant frequency
 _SPECTRUM_AT_REST = 25.0  # span [Hz] if nothing moves
@@ -37,24 +37,20 @@ _DOTS = Mark(linestyle="none", marker="o", markersize=4.0, color=IMPACT)
 
 
 @styled
-def trajectory(ds: xr.Dataset, last: float = 1.5) -> Figure:
+def trajectory(ds: xr.Dataset) -> Figure:
     """Draw the time history, phase portraits and spectrum of one run.
 
-    Displacements, velocities and forces are drawn over the last `last` seconds, below an overview of the whole run.
+    Displacements, velocities and forces are drawn over the last 1.5 s, below an overview of the whole run.
     Sticking and impacts are marked. The transient is faint in the phase portraits of bit and striker. The amplitude
     spectrum is computed from the run's second half. In scenes with rock, bit and hole are drawn over the same time, and
     enlarged at the last impact.
 
-    **Arguments:** `last`: duration of the end of the run that is shown [s].
-
-    **Raises:** `InputError` if the dataset holds no trajectory, or `last` is not above 0.
+    **Raises:** `InputError` if the dataset holds no trajectory.
     """
-    if not last > 0:
-        raise InputError(f"last = {last} s: give a time above 0")
     motion = read_motion(ds)
     hole = read_hole(ds) if Contents(ds).hole else None
-    start, end = max(float(motion.time[-1]) - last, float(motion.time[0])), float(motion.time[-1])
-    overview = float(np.ptp(motion.time)) > _OVERVIEW_FROM * last
+    start, end = max(float(motion.time[-1]) - _WINDOW, float(motion.time[0])), float(motion.time[-1])
+    overview = float(np.ptp(motion.time)) > _OVERVIEW_FROM * _WINDOW
     forces = motion.has("impact_force", "friction_force")
     near = hole and last_impact(hole, motion.impacts[(motion.impacts >= start) & (motion.impacts < end)])
     rows: dict[str, tuple[list[Any], float]] = {

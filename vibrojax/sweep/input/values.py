@@ -166,15 +166,9 @@ class UnusualValue(UserWarning):
 
 
 def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str = "", meant: str = "") -> None:
-    """Issue a one-line warning if any of `values` is far outside the parameter's usual range.
+    """Issue a one-line warning if any of `values`, a number or an array, is far outside the parameter's usual range.
 
-    **Arguments:**
-
-    - `place`: place of the values in the input.
-    - `parameter`: parameter to which the values belong.
-    - `values`: number or array.
-    - `likely`: replacement for the default advice about the likely unit.
-    - `meant`: advice in case the values are intended.
+    `likely` replaces the default advice about the likely unit; `meant` is advice in case the values are intended.
     """
     if parameter.usual is None:
         return
