@@ -73,7 +73,10 @@ def plot(options: Options) -> None:
         dataset = open_dataset(path)
         over = [open_dataset(Path(name)) for name in options.over or ()] or None
     with dataset:
-        parts = _name_parts(options)
+        places = [word.replace("=", "-") for word in options.where or ()]
+        stems = [Path(name).stem for name in options.over or ()]
+        parts = [*shortened(options.variable or ()), *filter(None, [options.diagram]), *shortened(places)]
+        parts += [*filter(None, [options.colours]), *(["over", *shortened(stems)] if stems else [])]
         picture = view_path(options, path, PICTURES, parts)
         from vibrojax.analyses.pictures import save_picture
 
@@ -89,15 +92,6 @@ def plot(options: Options) -> None:
     if not options.quiet:
         notes = [*drawn, f"{replaced} picture" if replaced and not options.out else ""]
         print(": ".join(filter(None, (str(picture), "; ".join(filter(None, notes))))))
-
-
-def _name_parts(options: Options) -> list[str]:
-    """Return the options of a view as parts of the default name of its file."""
-    over = [Path(name).stem for name in options.over or ()]
-    values = [word.replace("=", "-") for word in options.where or ()]
-    views = [*shortened(options.variable or ()), *([options.diagram] if options.diagram else [])]
-    parts = [*views, *shortened(values), *([options.colours] if options.colours else [])]
-    return [*parts, *(["over", *shortened(over)] if over else [])]
 
 
 @command(

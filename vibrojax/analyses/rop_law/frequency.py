@@ -2,7 +2,6 @@
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
 
 from vibrojax.analyses.rop_law.data import Data, open_data
 from vibrojax.analyses.rop_law.least_squares import Reason
@@ -70,8 +69,13 @@ def refit_frequency(data: Data, within: float = 0.01) -> xr.Dataset:
     names = ("m1", "k1", "beta", "gamma")
     period, *others = xr.broadcast(data["period"], *(_parameter(place, data, name) for name in names))
     p = {name: other.transpose(*period.dims).values for name, other in zip(names, others, strict=True)}
-    w = _upper_mode(data, period, p)
-    counts = np.isfinite(w)
+    counts = np.isfinite(period.values) & (period.values > 0)
+    if "regime" in data:
+        counts &= (xr.broadcast(data["regime"], period)[0].transpose(*period.dims) == IMPACT_FREE).values
+    w = 2 * np.pi / np.where(counts, period.values, np.nan)
+    lower, upper = np.moveaxis(np.asarray(natural_frequencies(p)), -1, 0)
+    counts = w > np.sqrt(lower * upper)
+    w = np.where(counts, w, np.nan)
     used = int(counts.sum())
     # w²(a)/w² - 1 = slope a - missing
     missing, slope = 1 - (np.asarray(empirical_frequency(p, 0.0)) / w) ** 2, p["gamma"] ** 2 * p["k1"] / p["m1"] / w**2
@@ -108,19 +112,6 @@ def _parameter(place: Place, data: xr.Dataset, name: str) -> xr.DataArray:
     if values.dtype.kind not in "fiu":
         raise place.at(name).error("does not hold numbers")
     return values
-
-
-def _upper_mode(
-    data: xr.Dataset, period: xr.DataArray, p: dict[str, Float[np.ndarray, "*lanes"]]
-) -> Float[np.ndarray, "*lanes"]:
-    """Return the angular frequency [rad/s] of impact-free periodic lanes in the upper mode, NaN for other lanes."""
-    counts = np.isfinite(period.values) & (period.values > 0)
-    if "regime" in data:
-        regime = xr.broadcast(data["regime"], period)[0].transpose(*period.dims)
-        counts = counts & (regime == IMPACT_FREE).values
-    w = 2 * np.pi / np.where(counts, period.values, np.nan)
-    lower, upper = np.moveaxis(np.asarray(natural_frequencies(p)), -1, 0)
-    return np.where(w > np.sqrt(lower * upper), w, np.nan)
 
 
 def _region_of_validity(holds: xr.DataArray, used: int) -> str:

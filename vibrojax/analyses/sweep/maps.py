@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -149,7 +149,10 @@ def rate_grid(ds: xr.Dataset) -> Figure:
 
 
 def draw_cells(panel: Panel, x: str, y: str) -> None:
-    """Draw the regimes or the value of `panel` over two axes; lanes without penetration are white."""
+    """Draw the regimes or the value of `panel` over two axes; lanes without penetration are white.
+
+    On maps of rates, lines separate cells with and without a single impact.
+    """
     value = panel.value
     cells = coloured(panel.facet, value, y, x)
     right, top = fill_cells(panel, x, y, cells)
@@ -160,7 +163,12 @@ def draw_cells(panel: Panel, x: str, y: str) -> None:
         white = ListedColormap([NOTHING], name="nothing")
         panel.axes.pcolormesh(right, top, np.ma.masked_where(~nothing, nothing), cmap=white, rasterized=True)
     if REGIME in panel.facet:
-        _outline_single(panel.axes, panel.facet[REGIME].transpose(y, x).values == SINGLE, right, top)
+        single = panel.facet[REGIME].transpose(y, x).values == SINGLE
+        across, along = np.argwhere(single[:, 1:] != single[:, :-1]), np.argwhere(single[1:] != single[:-1])
+        lines = [((right[j + 1], top[i]), (right[j + 1], top[i + 1])) for i, j in across]
+        lines += [((right[j], top[i + 1]), (right[j + 1], top[i + 1])) for i, j in along]
+        for colour, width in (("white", 2.2), (INK, 1.0)) if lines else ():
+            panel.axes.add_collection(LineCollection(lines, colors=colour, linewidths=width), autolim=False)
 
 
 def fill_cells(panel: Panel, x: str, y: str, cells: Coloured) -> list[Float[np.ndarray, " edges"]]:
@@ -188,22 +196,6 @@ def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
         axes.set_ylabel(label(y, int(_LETTERS_PER_INCH * height)))
     if panel.bottom:
         axes.set_xlabel(label(x))
-
-
-def _outline_single(
-    axes: Axes,
-    single: Bool[np.ndarray, "rows columns"],
-    right: Float[np.ndarray, " columns+1"],
-    top: Float[np.ndarray, " rows+1"],
-) -> None:
-    """Draw the edges between map cells with and without a single impact."""
-    upright = [
-        ((right[j + 1], top[i]), (right[j + 1], top[i + 1])) for i, j in np.argwhere(single[:, 1:] != single[:, :-1])
-    ]
-    flat = [((right[j], top[i + 1]), (right[j + 1], top[i + 1])) for i, j in np.argwhere(single[1:] != single[:-1])]
-    if upright or flat:
-        for colour, width in (("white", 2.2), (INK, 1.0)):
-            axes.add_collection(LineCollection([*upright, *flat], colors=colour, linewidths=width), autolim=False)
 
 
 def _mark_cells(panel: Panel, x: str, y: str) -> dict[str, Artist]:

@@ -7,8 +7,7 @@ import xarray as xr
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.frequencies import frequency_part
 from vibrojax.analyses.trajectory.hole import pulses, response
-from vibrojax.analyses.trajectory.states import states_over_time
-from vibrojax.analyses.trajectory.time_history import trajectory
+from vibrojax.analyses.trajectory.time_history import states_over_time, trajectory
 from vibrojax.errors import counted
 from vibrojax.io.attributes import flags, parameters_of, run_of
 from vibrojax.measures.labels import FEWEST_RETURNS

@@ -189,7 +189,12 @@ def read_names(
     instead of a name.
     """
     enter_offered()
-    system = scene if isinstance(scene, Scene) else _scene_named(place, scene)
+    if isinstance(scene, Scene):
+        system = scene
+    elif isinstance(scene, str) and scene not in SCENES and scene in DEFINED:  # a system of this process
+        system = DEFINED[scene]
+    else:
+        system = SCENES[choice(place, scene, tuple(SCENES))]()
     own: set[str] = {field.name for field in fields(system)} if is_dataclass(system) else set()
     options = {name: getattr(system, name) for name in system.choices if name in own}
     chosen = {name: table.pop(name) for name in known_options() | options if name in table} if table else {}
@@ -204,13 +209,6 @@ def read_names(
     if chosen:
         system = replace(system, **options)  # type: ignore[type-var] # it has options, so it is a dataclass
     return Names(system, {option: str(getattr(value, "name", value)) for option, value in options.items()})
-
-
-def _scene_named(place: Place, name: object) -> Scene[Any]:
-    """Return the scene of this name, or the system that this process has defined under this name."""
-    if isinstance(name, str) and name not in SCENES and name in DEFINED:
-        return DEFINED[name]
-    return SCENES[choice(place, name, tuple(SCENES))]()
 
 
 _GROUPS: dict[str, tuple[dict[str, Any], type]] = {

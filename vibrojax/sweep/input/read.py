@@ -141,19 +141,16 @@ def _read_varied(place: Place, origin: Source, names: Names) -> tuple[dict[str, 
     axes = {}
     for name, value in grid.items():
         if name in names.presets:
-            axes[name] = _read_presets(place.at(name), name, value, names)
+            here = place.at(name)
+            if not isinstance(value, list) or not value:
+                first, *_, last = names.presets[name]
+                raise here.error(f'{shown(value)} is not a list of {name}s; write one like ["{first}", "{last}"]')
+            chosen = [names.preset(here.item(index), name, item) for index, item in enumerate(value)]
+            check_distinct(here, chosen, name)
+            axes[name] = np.array(chosen)
         else:
             axes[name] = read_axis(place.at(name), value, names.parameter(place.at(name), name))
     return axes, None
-
-
-def _read_presets(place: Place, name: str, value: object, names: Names) -> np.ndarray:
-    if not isinstance(value, list) or not value:
-        first, *_, last = names.presets[name]
-        raise place.error(f'{shown(value)} is not a list of {name}s; write one like ["{first}", "{last}"]')
-    chosen = [names.preset(place.item(index), name, item) for index, item in enumerate(value)]
-    check_distinct(place, chosen, name)
-    return np.array(chosen)
 
 
 def _check_run(place: Place, sweep: Sweep) -> None:

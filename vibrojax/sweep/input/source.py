@@ -266,7 +266,12 @@ def plain(place: Place, value: object) -> object:
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         return plain(place, value.tolist())
     if hasattr(value, "columns") and hasattr(value, "to_dict"):
-        return plain_table(place, _columns_of(place, value))
+        frame: Any = value  # of pandas or polars; the index is not a column
+        names = list(frame.columns)
+        for name in names:
+            if names.count(name) > 1:
+                raise place.at(str(name)).error("is there already; give each column once")
+        return plain_table(place, {name: np.asarray(frame[name]).tolist() for name in names})
     if isinstance(value, (list, tuple, range)):
         if all(type(item) is float for item in value):
             return list(value)  # a fast path, because columns of points are long
@@ -278,15 +283,6 @@ def plain(place: Place, value: object) -> object:
     if isinstance(value, (bool, int, float, str, *_OBJECTS)):
         return value
     raise place.error(f"{shown(value)} cannot stand in a sweep; write a number, text, a list or a table")
-
-
-def _columns_of(place: Place, frame: Any) -> dict[str, object]:
-    """Return the columns of a DataFrame (pandas or polars) by name; its index is not a column."""
-    names = list(frame.columns)
-    for name in names:
-        if names.count(name) > 1:
-            raise place.at(str(name)).error("is there already; give each column once")
-    return {name: np.asarray(frame[name]).tolist() for name in names}
 
 
 def render(table: Mapping[str, object]) -> str:
