@@ -113,7 +113,8 @@ def _near_miss(f: Coefficients, step: Step, scale: Array) -> jax.Array:
     """Return the positive minimum of a function within the step, divided by `scale`; infinity without a minimum."""
     rate = [k * coefficient for k, coefficient in enumerate(f)][1:]
     start, end = rate[0], value(rate, step.tau)
-    turns = (start < 0) & (end > 0)
+    # A step that ends on a marker, such as the striker's turning point, ends at the minimum within rounding errors.
+    turns = (start < 0) & (end > FLAT * start)
     place = jnp.where(turns, step.tau * start / jnp.where(turns, start - end, 1), 0)
     for _ in range(2):
         better = place - value(rate, place) / slope(rate, place)
@@ -121,6 +122,9 @@ def _near_miss(f: Coefficients, step: Step, scale: Array) -> jax.Array:
     least = value(f, place)
     return jnp.where(turns & (least > 0), least / scale, jnp.inf)
 
+
+FLAT = 1e-9
+"""Slope at the end of a step that counts as zero, relative to the slope at its start."""
 
 ORBIT_ACCURACY = Accuracy(tolerance=1e-10, stride=LOCATED_STRIDE, step=np.inf)
 """Accuracy of the steps with which orbits are measured."""
