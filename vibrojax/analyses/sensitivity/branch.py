@@ -104,17 +104,24 @@ class Branch:
         if self._known is None:
             nothing = np.full((size, count), np.nan)
             return Evaluated(nothing, np.full((size, count, len(self._by)), np.nan), np.zeros(size, bool))
-        begin = self._known.of(self._nearest(x))
+        nearest = self._nearest(x)
+        begin = self._known.of(nearest)
         orbit, reached = self._correct(x, begin, self._of)
-        result = Evaluated(orbit.values, orbit.derivatives, reached)
+        result = Evaluated(orbit.values, orbit.derivatives, reached.copy())
+        self._remember(_place(x, orbit).of(reached))
         far = np.flatnonzero(~reached)
         if len(far):
-            end = self._continue(x[far], begin.of(far))
-            other = self._correct(end.x, end, self._of)[0]
-            result.values[far], result.derivatives[far] = other.values, other.derivatives
+            # The way from the first orbit does not depend on the points that were evaluated before.
+            end = self._continue(x[far], self._known.of(np.zeros(len(far), int)))
+            short = np.flatnonzero((end.x != x[far]).any(axis=1) & (nearest[far] > 0))
+            if len(short):
+                around = self._continue(x[far[short]], begin.of(far[short]))
+                there = (around.x == x[far[short]]).all(axis=1)
+                for mine, new in zip(end, around, strict=True):
+                    mine[short[there]] = new[there]
+            orbit = self._correct(end.x, end, self._of)[0]
+            result.values[far], result.derivatives[far] = orbit.values, orbit.derivatives
             result.valid[far] = (end.x == x[far]).all(axis=1)
-        else:
-            self._remember(_place(x, orbit))
         stable = result.values[:, self._of.index(STABILITY)] < 0
         finite = np.isfinite(result.derivatives).all(axis=(1, 2))
         derivatives = np.where(np.isfinite(result.derivatives), result.derivatives, 0.0)
@@ -182,7 +189,7 @@ class Branch:
     def _continue(self, x: Points, begin: _Place) -> _Place:
         """Return the places on the branch that are nearest to `x` on the straight lines from `begin`."""
         here = _Place(*(part.copy() for part in begin))
-        done, step = np.zeros(len(x)), np.full(len(x), 0.5)
+        done, step = np.zeros(len(x)), np.ones(len(x))
         active = np.arange(len(x))
         for _ in range(MAX_STEPS):
             active = active[(done[active] < 1) & (step[active] >= LEAST_FRACTION)]
@@ -196,7 +203,6 @@ class Branch:
                 mine[moved] = new
             done[moved] = goal[reached]
             step[active] *= np.where(reached, 2.0, 0.5)
-        self._remember(here)
         return here
 
     def _nearest(self, x: Points) -> Int[np.ndarray, " lanes"]:

@@ -43,7 +43,7 @@ def as_jax(
 
     The function is valid as long as the orbit exists, has the same numbers of section crossings and impacts, and is
     stable. Beyond a graze, a fold or a border of the regime there is no such orbit: the result then belongs to the last
-    orbit on the straight line from the nearest known one. An orbit that has become unstable is continued, with a
+    orbit on the straight line from the first one. An orbit that has become unstable is continued, with a
     positive `margin`, so that stability can be a smooth constraint; it is not valid either.
 
     Orbits are computed in float64, whatever the type of the argument is. Results have the type of the argument.
