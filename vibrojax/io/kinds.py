@@ -25,6 +25,7 @@ STRUCTURES: dict[str, Callable[[xr.Dataset], bool]] = {
     "push": lambda ds: "sign" in ds.dims and any(str(name).startswith("push_") for name in ds.data_vars),
     "tolerance": lambda ds: "sample" in ds.dims and "place" in ds and "regime" in ds,
     "study": lambda ds: {"first_order", "total_order", "effect"} <= set(ds.variables) and "of" in ds.dims,
+    "sensitivity": lambda ds: {"valid", "reason", "parameter_value"} <= set(ds.variables) and "parameter" in ds.dims,
     "accuracy": lambda ds: "setting" in ds.dims and "error_worst" in ds,
 }
 """The structure that pictures and summaries of each kind require."""
