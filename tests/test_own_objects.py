@@ -129,6 +129,13 @@ def test_what_an_installed_package_offers(tmp_path):
                 return {}
 
         stepper, gauge = Stepper(), Gauge()
+        system = vj.System(
+            "my-system",
+            states={"x": "m"},
+            parameters={"k": 1.0},
+            field=lambda t, y, p: {"x": -p["k"] * y["x"] + vj.elementary.cos(t)},
+            period=2 * 3.141592653589793,
+        )
         """)
     )
     (tmp_path / "mine-1.0.dist-info").mkdir()
@@ -142,6 +149,7 @@ def test_what_an_installed_package_offers(tmp_path):
         [vibrojax.scenes]
         a = mine:Scene
         b = mine:law
+        c = mine:system
         [vibrojax.steppers]
         a = mine:stepper
         [vibrojax.gauges]
@@ -157,15 +165,16 @@ def test_what_an_installed_package_offers(tmp_path):
             grid = {"gamma": [0.7]}
             run = {"method": "my-stepper"}
             sweep = vj.read_sweep({"scene": "my-scene", "parameters": {"friction": "mine"}, "grid": grid, "run": run})
+        own = vj.read_sweep({"scene": "my-system", "grid": {"k": [1.0, 2.0]}})
         gauge = recorder_for(sweep.system).gauges[-2]
-        print(sweep.scene, sweep.friction, sweep.run.stepper.name, type(gauge).__name__)
+        print(sweep.scene, sweep.friction, sweep.run.stepper.name, type(gauge).__name__, own.system.name)
         print(*(one.message for one in left_out), sep="\\n")
         """
     done = subprocess.run([sys.executable, "-c", dedent(code)], capture_output=True, text=True, cwd=tmp_path)
     assert done.stdout.splitlines() == [
-        "my-scene mine my-stepper Gauge",
+        "my-scene mine my-stepper Gauge my-system",
         'mine: vibrojax.friction_laws: b: the name "coulomb" is taken; it is left out',
         "mine: vibrojax.friction_laws: c: mine:none cannot be imported (module 'mine' has no attribute 'none'); "
         "it is left out",
-        "mine: vibrojax.scenes: b: mine:law is not a subclass of Scene; it is left out",
+        "mine: vibrojax.scenes: b: mine:law is not a System or a subclass of Scene; it is left out",
     ], done.stderr

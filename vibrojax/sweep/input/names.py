@@ -17,7 +17,7 @@ from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.meanings import suggest_by_meaning, suggest_parameter
 from vibrojax.models.physics.parameters import FREQUENCIES, REPLACED, Parameter, substitutes
 from vibrojax.models.scenes import SCENES, HasContact, HasRock, Scene
-from vibrojax.models.systems.system import DEFINED
+from vibrojax.models.systems.system import DEFINED, System
 from vibrojax.stepping import STEPPERS, Stepper
 from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.values import STATE, choice, quantity
@@ -194,6 +194,11 @@ def read_names(
     elif isinstance(scene, str) and scene not in SCENES and scene in DEFINED:  # a system of this process
         system = DEFINED[scene]
     else:
+        if isinstance(scene, str) and nearest(scene, SCENES) is None and scene not in SCENES:
+            known = ", ".join((*SCENES, *DEFINED))
+            raise place.error(
+                f"{shown(scene)} is unknown; choose from {known}; a vj.System is known to the process that defines it"
+            )
         system = SCENES[choice(place, scene, tuple(SCENES))]()
     own: set[str] = {field.name for field in fields(system)} if is_dataclass(system) else set()
     options = {name: getattr(system, name) for name in system.choices if name in own}
@@ -218,7 +223,7 @@ _GROUPS: dict[str, tuple[dict[str, Any], type]] = {
     "vibrojax.gauges": (GAUGES, Gauge),
 }
 """Groups of entry points. For each group: the registry of the objects, and their required type. Scenes are registered
-as classes, not as instances."""
+as classes, systems as instances."""
 
 
 @cache
@@ -245,10 +250,12 @@ def _enter(entry: EntryPoint, table: dict[str, Any], kind: type) -> str | None:
         offered = entry.load()
     except Exception as error:  # the package's code may raise any exception
         return " ".join(f"{entry.value} cannot be imported ({error})".split())
+    if kind is Scene and isinstance(offered, System):
+        return None  # a system is known by name once it is defined
     is_subclass = isinstance(offered, type) and issubclass(offered, Scene)
     fits = is_subclass if kind is Scene else isinstance(offered, kind)
     if not fits:
-        return f"{entry.value} is not a {'subclass of Scene' if kind is Scene else kind.__name__}"
+        return f"{entry.value} is not a {'System or a subclass of Scene' if kind is Scene else kind.__name__}"
     name = getattr(offered, "name", entry.name)
     if name in table:
         return f'the name "{name}" is taken'
