@@ -96,10 +96,11 @@ def test_a_browser_is_opened_where_there_is_a_display(file, monkeypatch, capsys)
 def test_a_scene_without_a_dataset(monkeypatch, capsys):
     """Its sliders stand where NAME=VALUE say."""
     served = []
-    monkeypatch.setattr("vibrojax.explorer.live.Live.wait", lambda self: served.append(self))
+    monkeypatch.setattr("vibrojax.explorer.motions.LiveMotions.warm", lambda self: served.append(self))
+    monkeypatch.setattr("vibrojax.explorer.live.Live.wait", lambda self: self._threads[1].join())
     assert main(["explore", "rotary", "v=0.7", "start=stuck", "duration=2", "--live", "--no-browser", "--quiet"]) == 0
-    [live] = served
-    assert live.answers.point.parameters["v"] == 0.7 and live.answers.point.start == "stuck"
+    [motions] = served
+    assert motions.point.parameters["v"] == 0.7 and motions.point.start == "stuck"
     assert main(["explore", "rotary", "v=-1", "--live"]) == 2
     assert "v: is -1" in capsys.readouterr().err
     assert main(["explore", "rotry", "--live"]) == 2

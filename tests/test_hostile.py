@@ -13,6 +13,7 @@ from vibrojax.cli import main
 from vibrojax.errors import InputError, escape_json, printable, shell_assignment
 from vibrojax.explorer.document import check_names
 from vibrojax.explorer.live import Live
+from vibrojax.explorer.motions import LiveMotions
 
 SWEEP = {
     "scene": "vibro-impact",
@@ -34,7 +35,7 @@ def sweep() -> xr.Dataset:
 def said(tmp_path, monkeypatch, capsys):
     """Return what a command says of a dataset: its status, and its lines on stdout and stderr."""
     monkeypatch.setattr(Live, "wait", lambda self: None)
-    monkeypatch.setattr(Live, "_warm", lambda self: None)
+    monkeypatch.setattr(LiveMotions, "warm", lambda self: None)
 
     def run(words, ds):
         path = tmp_path / "sent.nc"

@@ -171,7 +171,7 @@ MISTAKES = {
     "field asks for 'c'": {"field": lambda t, y, p: {"x": y["v"], "v": -p["c"]}},
     "shape (2,) for 3 lanes": {"field": lambda t, y, p: {"x": y["v"], "v": np.zeros(2)}},
     "real numbers": {"field": lambda t, y, p: {"x": y["v"], "v": 1j}},
-    "not jnp or np": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(y["x"])}},
+    "not jnp, np or math": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(y["x"])}},
     "field depends on t": {"field": lambda t, y, p: {"x": y["v"], "v": cos(t)}},
     "does not repeat after the period": {
         "field": lambda t, y, p: {"x": y["v"], "v": cos(t)},
@@ -185,7 +185,12 @@ MISTAKES = {
     "cannot be a name": {"states": {"t": "m", "v": "m s-1"}},
     "cannot see the switch": {"events": [vj.Switch("side", lambda t, y, p: y["x"])]},
     "choose from x, v": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"], velocity="w")]},
-    "a law or its name": {
+    "decides by a value": {"field": lambda t, y, p: {"x": y["v"], "v": -max(y["x"], 0.0)}},
+    "field, v, is nan at x = ": {"field": lambda t, y, p: {"x": y["v"], "v": vj.elementary.sqrt(-y["x"])}},
+    "switches none": {"field": lambda t, y, p, s: {"x": y["v"], "v": -s["side"] * y["x"]}},
+    "reset gave an array": {"events": [vj.Impact("a", gap=lambda t, y, p: 1 - y["x"], reset=lambda t, y, p: -y["v"])]},
+    "write a function: lambda t, y, p: 0.5": {"events": [vj.Impact("stop", gap=0.5, velocity="v")]},
+    'did you mean "coulomb"?': {
         "events": [
             vj.Friction("belt", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law="coulumb", acts_on="v")
         ]
@@ -321,3 +326,70 @@ def test_the_default_times_follow_the_slowest_oscillation():
         section="x",
     )
     assert pair.usual_times == pytest.approx((200 * np.pi, 80 * np.pi), rel=0.02)
+
+
+def kinds(motion):
+    """Return the times [s] of the events of a motion by kind."""
+    names, flags = motion.event_kind.attrs["flag_meanings"].split(), motion.event_kind.values
+    return {name: motion.event_time.values[flags == flag] for flag, name in enumerate(names)}
+
+
+def test_a_body_that_sticks_has_exactly_the_speed_of_its_surface():
+    """Departures move the surface away by 1e-12 of a typical speed; the body must not stick there."""
+    motion = vj.simulate(BELT, start=[0.0, 0.0], duration=60.0, progress=False)
+    sticks, slips = kinds(motion)["stick"], kinds(motion)["slip"]
+    time = motion.time.values
+    stuck = np.any([(time > a) & (time < b) for a, b in zip(sticks, slips, strict=False)], axis=0)
+    assert len(sticks) >= 4 and stuck.sum() > 100
+    assert np.abs(motion.v.values[stuck] - 0.2).max() < 1e-15
+
+
+def test_trajectories_name_the_events_of_systems():
+    bounces = kinds(vj.simulate(BALL, start=[1.0, 0.0], duration=2.0, progress=False))
+    assert len(bounces["impact"]) > 10 and len(bounces["stick"]) == 1
+    assert bounces["stick"][0] == pytest.approx(3 * np.sqrt(2 / 9.81), abs=1e-6)
+    slides = kinds(vj.simulate(RELAY, start=[0.5, 0.2], duration=2.0, progress=False))
+    assert len(slides["slide"]) == 1 and not len(slides["impact"])
+    sides = kinds(vj.simulate(BILINEAR, start=[1.0, 0.0], duration=np.pi * 4 / 3, error=1e-10, progress=False))
+    assert sides["switch"] == pytest.approx(np.array([1 / 6, 1 / 6 + 1]) * np.pi, abs=1e-8)
+
+
+def test_soft_contacts_are_impacts_with_the_speed_of_their_approach():
+    """A ball on an elastic ground: a parabola, and an arc of the oscillation about g/k."""
+    ball = vj.System(
+        "soft-ball",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"g": 9.81, "k": 1e4},
+        field=lambda t, y, p, s: {"x": y["v"], "v": -p["g"] - p["k"] * y["x"] * (1 + s["contact"]) / 2},
+        section="v",
+        events=[vj.Switch("contact", lambda t, y, p: -y["x"], impact=True)],
+    )
+    ds = vj.run_sweep({"scene": ball, "starts": [[0.2, 0.0]], "run": {"settle": 2.0, "observe": 10.0}}, progress=False)
+    speed, w = np.sqrt(2 * 9.81 * 0.2), 100.0
+    assert ds.regime.attrs["flag_meanings"].split()[ds.regime.item()] == "single-impact"
+    assert ds.impact_velocity.item() == pytest.approx(speed, rel=1e-6)
+    contact = 2 * (np.pi - np.arctan(speed * w / 9.81)) / w
+    assert ds.period.item() == pytest.approx(2 * speed / 9.81 + contact, rel=1e-6)
+
+
+def test_the_normal_force_of_a_friction_may_depend_on_switches():
+    """A block slides onto ground where the normal force is doubled: the work of friction is its kinetic energy."""
+    block = vj.System(
+        "block",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"N": 1.0, "edge": 0.5},
+        field=lambda t, y, p, s: {"x": y["v"], "v": 0.0},
+        section="v",
+        events=[
+            vj.Switch("far", lambda t, y, p: y["x"] - p["edge"]),
+            vj.Friction(
+                "slip",
+                relative=lambda t, y, p: y["v"],
+                normal=lambda t, y, p, s: p["N"] * (1.5 + 0.5 * s["far"]),
+                law=0.3,
+                acts_on="v",
+            ),
+        ],
+    )
+    motion = vj.simulate(block, start=[0.0, 1.0], duration=5.0, progress=False)
+    assert float(motion.x[-1]) == pytest.approx(0.5 + (0.5 - 0.3 * 0.5) / 0.6, abs=1e-9)

@@ -33,12 +33,8 @@ class Progress:
     On a terminal, a bar is redrawn. Elsewhere, a plain line is printed at most every `QUIET_SECONDS`, for each outcome,
     and at the end. The rate is measured from the first completed amount on, because programs are compiled before.
 
-    **Arguments:**
-
-    - `total`: total amount of work.
-    - `unit`: unit shown after a number: "lanes", "settings", "s simulated".
-    - `shown`: whether progress is shown at all.
-    - `pace`: whether the amount per second is shown.
+    `total`: total amount of work; `unit`: unit shown after a number, such as "lanes" or "s simulated"; `shown`: whether
+    progress is shown at all; `pace`: whether the amount per second is shown.
     """
 
     _on_terminal: ClassVar["set[Progress]"] = set()
@@ -141,12 +137,8 @@ class Progress:
 class Portions:
     """Converts work on many items in parallel into a number of completed items.
 
-    The number is the number of items that the same work would complete one after the other.
-
-    **Arguments:**
-
-    - `count`: total number of items.
-    - `report`: function called with the number of newly completed items. The last item is reported only by `finish`.
+    The number is the number of items that the same work would complete one after the other, of `count` items in total.
+    `report` is called with the number of newly completed items. The last item is reported only by `finish`.
     """
 
     def __init__(self, count: int, report: Callable[[int], None]) -> None:
@@ -159,7 +151,6 @@ class Portions:
         self._reach(min(int(self._work), self._count - 1))
 
     def finish(self) -> None:
-        """Report all items as completed."""
         self._reach(self._count)
 
     def _reach(self, done: int) -> None:

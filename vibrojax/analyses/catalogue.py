@@ -18,6 +18,7 @@ from vibrojax.errors import Place
 from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
 from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import recorder_for
+from vibrojax.measures.derived import derived_names
 from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.models.physics.friction import FRICTION_LAWS
 from vibrojax.models.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
@@ -105,6 +106,8 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     >>> vj.list_variables("drilling").loc["relief", ["units", "meaning"]].tolist()
     ['1', 'mean force over threshold, P/D']
     """
+    from vibrojax.analyses.study.run import SCHEMA  # the specification of a study uses this table
+
     system = read_names(Place("scenes"), scene).system
     has_section, orbit_states = system.section is not None, of_orbits(system)
     held = _OF_ALL | set(_measured(system))
@@ -117,6 +120,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
         "borders": OF_BORDERS if isinstance(system, HasImpacts) and has_section else {},
         "attractors": OF_ATTRACTORS if has_section else {},
         "tolerance": tolerance_variables(held) if "regime" in held else {},
+        "study": {name: about for name, (_, about) in SCHEMA.items()} if "regime" in held else {},
         **offered_variables(),
     }
     rows = {
@@ -217,7 +221,7 @@ def _measured(scene: Scene[Any]) -> list[str]:
         return run_block(scene, stepper, recorder_for(scene), constants, state, effort, 1.0, 1.0)
 
     with precision("float64"):
-        return list(jax.eval_shape(run))
+        return [*jax.eval_shape(run), *derived_names(scene)]
 
 
 def _summary(kind: type) -> str:

@@ -50,6 +50,12 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
         files(".nc"),
         **_SEVERAL,
     ),
+    argument(
+        "--diagram",
+        "NAME",
+        "of a sweep: campbell (frequencies over the speed) or rate-over-force (rate of penetration with its onset)",
+        lambda prefix, **_: [name for name in ("campbell", "rate-over-force") if name.startswith(prefix)],
+    ),
     argument("--colours", "MAP", "matplotlib's colour map for quantities"),
 )
 def plot(options: Options) -> None:
@@ -67,28 +73,25 @@ def plot(options: Options) -> None:
         dataset = open_dataset(path)
         over = [open_dataset(Path(name)) for name in options.over or ()] or None
     with dataset:
-        parts = _name_parts(options)
+        places = [word.replace("=", "-") for word in options.where or ()]
+        stems = [Path(name).stem for name in options.over or ()]
+        parts = [*shortened(options.variable or ()), *filter(None, [options.diagram]), *shortened(places)]
+        parts += [*filter(None, [options.colours]), *(["over", *shortened(stems)] if stems else [])]
         picture = view_path(options, path, PICTURES, parts)
         from vibrojax.analyses.pictures import save_picture
 
         drawn: list[str] = []
 
         def draw(picture: Path) -> None:
-            drawn.append(save_picture(dataset, picture, options.variable, where, options.colours, over))
+            drawn.append(
+                save_picture(dataset, picture, options.variable, where, options.colours, over, options.diagram)
+            )
 
         with timed("draw"):
             picture, replaced = write_view(picture, draw, numbered=bool(parts) and not options.out)
     if not options.quiet:
         notes = [*drawn, f"{replaced} picture" if replaced and not options.out else ""]
         print(": ".join(filter(None, (str(picture), "; ".join(filter(None, notes))))))
-
-
-def _name_parts(options: Options) -> list[str]:
-    """Return the options of a view as parts of the default name of its file."""
-    over = [Path(name).stem for name in options.over or ()]
-    values = [word.replace("=", "-") for word in options.where or ()]
-    parts = [*shortened(options.variable or ()), *shortened(values), *([options.colours] if options.colours else [])]
-    return [*parts, *(["over", *shortened(over)] if over else [])]
 
 
 @command(
@@ -243,7 +246,6 @@ def explore(options: Options) -> None:
 
 
 def _serve(options: Options, live: Any) -> None:
-    """Show the live page until the process is interrupted."""
     from vibrojax.analyses.sweep.workers.lifetime import on_leaving
 
     with live, on_leaving(lambda: live.close(1.0)):

@@ -56,12 +56,9 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",), *, drawn: bool =
 
 
 def view_path(options: Options, file: Path, endings: Sequence[str], parts: Sequence[str]) -> Path:
-    """Return the path of the picture or page of a dataset: `-o`, or the dataset's name and `parts`.
+    """Return the path of the picture or page of a dataset: `-o`, or the dataset's name, `parts` and the first ending.
 
-    **Arguments:** `endings`: the allowed endings, first that of the default name; `parts`: texts that state the options
-    of the view.
-
-    **Raises:** `InputError` if the file cannot be written.
+    **Raises:** `InputError` if the name has none of the `endings`, or the file cannot be written.
     """
     name = "-".join([file.stem, *(re.sub(r"[^\w.+-]+", "_", part) for part in parts)])
     return output(options.out or file.with_name(name[:_NAME_MAX_CHARACTERS] + endings[0]), endings)
@@ -104,13 +101,9 @@ def output_folder(folder: str, names: Sequence[str]) -> list[Path]:
 
 
 def result_at(options: Options, default: str, identity: Mapping[str, object], *, numbered: bool = False) -> Path:
-    """Return the file of a result.
+    """Return the file of a result, which depends on `identity`: `default` without `-o`.
 
-    **Arguments:**
-
-    - `default`: its name without `-o`.
-    - `identity`: everything that it depends on.
-    - `numbered`: whether results without `-o` are numbered, where they would replace others.
+    With `numbered`, results without `-o` get a number where they would replace others.
 
     **Raises:** `InputError` if the file or its picture cannot be written, or the file holds another result.
     """
@@ -248,7 +241,6 @@ def print_json(facts: Mapping[str, object]) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return `value` converted to JSON types."""
     if isinstance(value, Mapping):
         return {str(name): _plain(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -43,7 +43,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-EVENTS = ("none", "stick", "slip", "impact", "release", "section")
+EVENTS = ("none", "stick", "slip", "impact", "release", "section", "switch", "slide")
 """Meanings of the event number in a sample's flag; the same as in `event_kind` of a trajectory."""
 
 STUCK, TOUCHING = 8, 16

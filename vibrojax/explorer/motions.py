@@ -86,11 +86,9 @@ class LiveMotions:
     def answer(self, request: Mapping[str, Any], check: Callable[..., None]) -> bytes:
         """Return the requested motion, encoded for the explorer page.
 
-        **Arguments:**
-
-        - `request`: `lane`, the number of a lane; or `parameters`, numbers by name that replace those of the point, and
-          `start`, the name or the vector of an initial condition.
-        - `check`: function that is called often; an exception that it raises ends the simulation.
+        `request` is `lane`, the number of a lane; or `parameters`, numbers by name that replace those of the point, and
+        `start`, the name or the vector of an initial condition. `check` is called often; an exception that it raises
+        ends the simulation.
 
         **Raises:** `InputError` if the request is invalid, or the motion takes too long.
         """

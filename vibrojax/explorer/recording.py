@@ -40,7 +40,7 @@ RETURN_SAMPLES, CELL_MAX_SAMPLES = 56, 180
 STEP_PLACES = 6
 """Number of points in each step at which the path of the states is measured."""
 
-EVENT_PRIORITY = ("section", "release", "slip", "stick", "impact")
+EVENT_PRIORITY = ("section", "switch", "release", "slip", "slide", "stick", "impact")
 """Order of simultaneous events; the page shows the last in this list."""
 
 TIME_TOLERANCE = 1e-6
@@ -64,7 +64,6 @@ class Excerpt(NamedTuple):
     returns: Int[np.ndarray, " lanes"]
 
     def lanes(self, which: Any) -> "Excerpt":
-        """Return the excerpt of one lane, or of several."""
         return Excerpt(*(values[..., which] for values in self))
 
 

@@ -18,15 +18,10 @@ ZARR = ".zarr"
 
 @contextmanager
 def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:
-    """Yield a temporary path, which is renamed to `path` when the `with` block ends.
+    """Yield a temporary path, which is renamed to `path` when the `with` block ends, or deleted if the block raises.
 
-    If the block raises, the temporary file is deleted. Temporary files for `path` left by killed processes are also
-    removed.
-
-    **Arguments:**
-
-    - `path`: the final path.
-    - `ending`: suffix of the temporary name, for libraries that derive the file format from the suffix.
+    Temporary files for `path` left by killed processes are also removed. `ending` is the suffix of the temporary name,
+    for libraries that derive the file format from the suffix.
 
     **Raises:** `OSError` if the disk is full or the folder is not writable.
     """

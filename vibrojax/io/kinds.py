@@ -24,6 +24,7 @@ STRUCTURES: dict[str, Callable[[xr.Dataset], bool]] = {
     "attractors": lambda ds: {"share", "share_stderr", "lane_attractor"} <= set(ds.variables),
     "push": lambda ds: "sign" in ds.dims and any(str(name).startswith("push_") for name in ds.data_vars),
     "tolerance": lambda ds: "sample" in ds.dims and "place" in ds and "regime" in ds,
+    "study": lambda ds: {"first_order", "total_order", "effect"} <= set(ds.variables) and "of" in ds.dims,
     "sensitivity": lambda ds: {"valid", "reason", "parameter_value"} <= set(ds.variables) and "parameter" in ds.dims,
     "accuracy": lambda ds: "setting" in ds.dims and "error_worst" in ds,
 }
@@ -144,18 +145,21 @@ def check_structure(ds: xr.Dataset) -> None:
             _check_axis(Place(f"coordinate {name}"), ds[name])
     for name, data in ds.variables.items():
         _check_variable(Place(f"variable {name}"), str(name), data)
-    for name, dimensions in _DIMENSIONS.items():
-        if name in ds:
-            _check_dimensions(ds, name, dimensions)
-    _check_lanes(ds)
-
-
-def _check_dimensions(ds: xr.Dataset, of: str, dimensions: dict[str, tuple[str, ...]]) -> None:
-    for name, expected in dimensions.items():
-        if name not in ds:
-            raise InputError(f"variable {name}: is missing; it goes with {of}")
-        if ds[name].dims != expected:
-            raise InputError(f"variable {name}: its dimensions are {shown(list(ds[name].dims))}, not {shown(expected)}")
+    for of in (name for name in _DIMENSIONS if name in ds):
+        for name, expected in _DIMENSIONS[of].items():
+            if name not in ds:
+                raise InputError(f"variable {name}: is missing; it goes with {of}")
+            if ds[name].dims != expected:
+                dims = shown(list(ds[name].dims))
+                raise InputError(f"variable {name}: its dimensions are {dims}, not {shown(expected)}")
+    # Of the variables with one value per lane, one has the dimensions of all others.
+    along = {name: set(ds[name].dims) - {known.along} for name, known in VARIABLES.items() if name in ds}
+    widest = max(along.values(), key=len, default=set())
+    for name, own in along.items():
+        if not own <= widest:
+            lists = [shown(sorted(map(str, dims))) for dims in (own, widest)]
+            first = next(other for other, dims in along.items() if dims is widest)
+            raise InputError(f"variable {name}: its dimensions {lists[0]} are not among {lists[1]}, those of {first}")
 
 
 def _check_axis(place: Place, data: xr.DataArray) -> None:
@@ -190,15 +194,3 @@ def _check_variable(place: Place, name: str, data: xr.Variable) -> None:
         unknown = np.setdiff1d(data.values[~np.isnan(data.values)], flags)
         if unknown.size:
             raise place.error(f"{unknown[0]} is none of its flags {shown(flags.tolist())}")
-
-
-def _check_lanes(ds: xr.Dataset) -> None:
-    """Raise `InputError` if the dimensions of the variables with one value per lane are inconsistent."""
-    dims = {name: set(ds[name].dims) - {known.along} for name, known in VARIABLES.items() if name in ds}
-    widest = max(dims, key=lambda name: len(dims[name]), default=None)
-    for name, own in dims.items():
-        if not own <= dims[str(widest)]:
-            raise InputError(
-                f"variable {name}: its dimensions {shown(sorted(map(str, own)))} are not among "
-                f"{shown(sorted(map(str, dims[str(widest)])))}, those of {widest}"
-            )

@@ -68,13 +68,10 @@ class InMemory:
     dataset: xr.Dataset
 
     def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
-        """Create the dataset and its variables.
+        """Create the dataset and its variables from `template`, which has placeholders as values of its data variables.
 
-        **Arguments:**
-
-        - `template`: the dataset with placeholders as values of its data variables.
-        - `chunk`: the shape of a region, along the first dimensions of every variable.
-        - `plain`: the names of the variables that are not compressed.
+        `chunk` is the shape of a region, along the first dimensions of every variable. Variables whose names are in
+        `plain` are not compressed.
         """
         self.dataset = template
         self._arrays = {str(name): np.empty(data.shape, data.dtype) for name, data in template.data_vars.items()}

@@ -18,20 +18,12 @@ _POLL_SECONDS = 0.2
 
 
 def in_own_thread(work: Callable[[], Result], seconds: float | None = None) -> Result:
-    """Run `work` in a thread while the calling thread only waits.
+    """Run `work` in a thread while the calling thread only waits; return its result, or raise its exception.
 
     Python handles an interrupt only between two bytecode instructions of its main thread. Compiling the lanes' program
     or reading a file can take seconds within one instruction, and jax drops an interrupt during garbage collection.
 
-    **Arguments:**
-
-    - `work`: the function to call.
-    - `seconds`: maximum time to wait [s]; None: no limit.
-
-    **Returns:** the result of `work`.
-
-    **Raises:** any exception of `work`; `TimeoutError` after `seconds`. After a timeout or an interrupt, the thread is
-    abandoned.
+    **Raises:** `TimeoutError` after `seconds` (None: no limit). After a timeout or interrupt, the thread is abandoned.
     """
     future: Future[Result] = Future()
 

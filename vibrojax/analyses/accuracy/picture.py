@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -26,8 +25,6 @@ _MOST_COLUMNS = 3
 _MICRO = 1e6
 _SINGLE_PRECISION = (0.0, (3.0, 1.5))  # dashes
 _BAND = Mark(color=_FRONT, linewidth=4.5, alpha=0.65)
-
-PerSetting = Float[np.ndarray, " settings"]
 
 
 class _Look(NamedTuple):
@@ -94,7 +91,11 @@ def _panel(axes: Axes, ds: xr.Dataset, scene: str) -> None:
     axes.set_yscale("log")
     axes.grid(which="major")
     time, worst = _MICRO * ds["time_per_lane_second"].values, ds["error_worst"].values
-    _draw_front(axes, time, worst, ds["on_front"].values == 1)
+    on_front = np.flatnonzero(ds["on_front"].values == 1)
+    if on_front.size:  # the Pareto front as a staircase; settings above and to the right of it are worse
+        front = on_front[np.argsort(time[on_front])]
+        x, y = np.concatenate([time[front[:1]], time[front], [1e9]]), np.concatenate([[1e9], worst[front]])
+        axes.step(x, np.append(y, y[-1]), where="post", solid_joinstyle="round", zorder=1, **_BAND)
     axes.axhspan(1e-30, max(float(ds["reference_spread"].values[0]), 1e-16), color=_FLOOR, linewidth=0, zorder=0)
     keys = list(zip(*(ds[name].values.tolist() for name in ("method", "varied", "precision")), strict=True))
     for key in dict.fromkeys(keys):
@@ -108,15 +109,6 @@ def _panel(axes: Axes, ds: xr.Dataset, scene: str) -> None:
 
 def _look(method: str, varied: str) -> _Look:
     return _LOOKS.get((method, varied), _Look(f"{method}, over {varied}", "h", INK))
-
-
-def _draw_front(axes: Axes, time: PerSetting, worst: PerSetting, front: Bool[np.ndarray, " settings"]) -> None:
-    """Draw the Pareto front as a staircase; settings above and to the right of the staircase are worse."""
-    order = np.argsort(time[front])
-    time, worst = time[front][order], worst[front][order]
-    if time.size:
-        x, y = np.concatenate([time[:1], time, [1e9]]), np.concatenate([[1e9], worst, worst[-1:]])
-        axes.step(x, y, where="post", solid_joinstyle="round", zorder=1, **_BAND)
 
 
 def _draw_series(axes: Axes, ds: xr.Dataset, look: _Look, single: bool) -> None:
@@ -151,7 +143,6 @@ def _shape_axes(axes: Axes, ds: xr.Dataset) -> None:
 
 
 def _handles(ds: xr.Dataset) -> list[Artist]:
-    """Return the legend entries for methods, followed by those for markers and lines."""
     keys = dict.fromkeys(zip(ds["method"].values.tolist(), ds["varied"].values.tolist(), strict=True))
     looks = dict.fromkeys(_look(*key) for key in sorted(keys, key=lambda key: [*_LOOKS, key].index(key)))
     handles: list[Artist] = [

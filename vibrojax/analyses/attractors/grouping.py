@@ -106,29 +106,16 @@ def classify_motions(
 ) -> PointMotions:
     """Return the final motions of the lanes, point by point.
 
-    **Arguments:**
-
-    - `scene`: scene of the return map; `dataset`: lanes with orbits, whose last dimension is `start`.
-    - `parameters`: parameter values of the lanes by name; `starts`: number of lanes per point, which are adjacent.
+    **Arguments:** `scene`: scene of the return map; `dataset`: lanes with orbits, whose last dimension is `start`;
+    `parameters`: parameter values of the lanes by name; `starts`: number of lanes per point, which are adjacent.
     """
     motions = PointMotions(np.full(dataset["regime"].size, -1))
-    _add_orbits(scene, dataset, parameters, starts, motions)
-    for lanes in _split_by_cell(np.flatnonzero(dataset["regime"].values.ravel() == EQUILIBRIUM), starts):
-        motions.add(lanes, PointMotion(int(lanes[0]) // starts, EQUILIBRIUM))
-    _add_irregular(dataset, starts, motions)
-    return motions
-
-
-def _add_orbits(
-    scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int, motions: PointMotions
-) -> None:
-    """Add the orbits of each point: that of its first lane, then that of its first lane on another orbit, and so on."""
     states = np.stack([dataset[orbit_name(name)].values.ravel() for name in scene.return_states], axis=1)
     cycles, regime = dataset["orbit_cycles"].values.ravel(), dataset["regime"].values.ravel()
     # An orbit next to a graze counts although it has no multipliers; on an unstable orbit no lane stays.
     has_orbit = np.isfinite(states).all(axis=1) & (cycles > 0) & (dataset["stable"].values.ravel() != 0)
     remaining = np.flatnonzero(has_orbit & ~np.isin(regime, (EQUILIBRIUM, FAILED, UNDECIDED)))
-    while len(remaining):
+    while len(remaining):  # the orbit of each point's first lane, then that of its first lane on another orbit, ...
         cells = _split_by_cell(remaining, starts)
         known = known_orbits(scene, dataset, parameters, np.array([lanes[0] for lanes in cells]))
         motions.max_steps = max(motions.max_steps, known.most_steps)
@@ -138,13 +125,10 @@ def _add_orbits(
             label = int(np.argmax(np.bincount(regime[lanes[same]])))
             motions.add(lanes[same], PointMotion(int(lanes[0]) // starts, label, orbit, scale))
         remaining = remaining[motions.of_lane[remaining] < 0]
-
-
-def _add_irregular(dataset: xr.Dataset, starts: int, motions: PointMotions) -> None:
-    """Add the irregular motions.
-
-    Without Lyapunov exponents, a few lanes similar to a larger group may belong to it or not; they stay unassigned.
-    """
+    for lanes in _split_by_cell(np.flatnonzero(regime == EQUILIBRIUM), starts):
+        motions.add(lanes, PointMotion(int(lanes[0]) // starts, EQUILIBRIUM))
+    # Without Lyapunov exponents, a few irregular lanes similar to a larger group may belong to it or not; they stay
+    # unassigned.
     values = _log_statistics(dataset)
     for groups in irregular_groups(dataset, starts):
         centres = [np.median(values[lanes], axis=0) for lanes in groups]
@@ -153,6 +137,7 @@ def _add_irregular(dataset: xr.Dataset, starts: int, motions: PointMotions) -> N
             tail = any(np.abs(centre - other).max() <= np.log(SIMILAR_FACTOR) for other in large)
             if len(lanes) >= IRREGULAR_MIN_LANES or not tail or "nature" in dataset:
                 motions.add(lanes, PointMotion(int(lanes[0]) // starts, IRREGULAR, statistics=centre))
+    return motions
 
 
 def irregular_groups(dataset: xr.Dataset, starts: int) -> list[list[Index]]:

@@ -56,7 +56,22 @@ def find_links(
                 if distance is not None:
                     links[min(index, other), max(index, other)] = distance
     for same_cycles in edges.values():
-        _link_orbits(scene, parameters, same_cycles, in_cell, motions, links)
+        begin = [motions.items[index] for index, _ in same_cycles]
+        cells = [motion.cell for motion in begin], [cell for _, cell in same_cycles]
+        first, last = ({name: x[np.array(ends)] for name, x in parameters.items()} for ends in cells)
+        states = np.stack([np.asarray(motion.states) for motion in begin])
+        scales = np.stack([np.asarray(motion.scales) for motion in begin])
+        arrived, final = _continue_orbits(scene, first, last, states, scales, motions.max_steps)
+        for k in np.flatnonzero(arrived).tolist():
+            for other in in_cell[cells[1][k]]:
+                motion = motions.items[other]
+                if motion.states is None or motion.scales is None:
+                    continue
+                if is_on_orbit(final[k, :1], motion.states, motion.scales)[0]:
+                    # Distance between the two orbits: that between their nearest states.
+                    apart = np.abs(states[k][:, None] - motion.states[None]) / ((scales[k] + motion.scales) / 2)
+                    pair = min(same_cycles[k][0], other), max(same_cycles[k][0], other)
+                    links[pair] = float(apart.max(axis=2).min())
     return links
 
 
@@ -79,33 +94,6 @@ def _distance(motion: PointMotion, other: PointMotion) -> float | None:
         return None
     distance = float(np.abs(motion.statistics - other.statistics).max())
     return distance if distance <= np.log(SIMILAR_FACTOR) else None
-
-
-def _link_orbits(
-    scene: Scene[Any],
-    parameters: Mapping[str, Float[np.ndarray, " points"]],
-    edges: list[tuple[int, int]],
-    in_cell: Mapping[int, list[int]],
-    motions: PointMotions,
-    links: Links,
-) -> None:
-    """Continue each orbit to a neighbouring cell, and add its distance from the orbit it becomes to `links`."""
-    begin = [motions.items[index] for index, _ in edges]
-    here, there = np.array([motion.cell for motion in begin]), np.array([cell for _, cell in edges])
-    states = np.stack([np.asarray(motion.states) for motion in begin])
-    scales = np.stack([np.asarray(motion.scales) for motion in begin])
-    first, last = ({name: x[cells] for name, x in parameters.items()} for cells in (here, there))
-    arrived, final = _continue_orbits(scene, first, last, states, scales, motions.max_steps)
-    for k in np.flatnonzero(arrived).tolist():
-        for other in in_cell[int(there[k])]:
-            motion = motions.items[other]
-            if motion.states is None or motion.scales is None:
-                continue
-            if is_on_orbit(final[k, :1], motion.states, motion.scales)[0]:
-                # Distance between the two orbits: that between their nearest states.
-                apart = np.abs(states[k][:, None] - motion.states[None]) / ((scales[k] + motion.scales) / 2)
-                pair = min(edges[k][0], other), max(edges[k][0], other)
-                links[pair] = float(apart.max(axis=2).min())
 
 
 def _continue_orbits(

@@ -174,7 +174,14 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Figure:
         draw_families(axes, ds, curves, name, thin=many)
         axes.set_ylabel(_label(ds, name))
         axes.grid(True)
-    _shape_moduli(panels[-1])
+    moduli = panels[-1]
+    moduli.axhline(1.0, color=INK, linewidth=0.8, zorder=1)  # the stability limit
+    low, high = (float(end) for end in moduli.dataLim.intervaly)
+    low, high = max(min(low, 0.5), _MODULUS_RANGE[0]) / 1.2, min(max(high, 1.5), _MODULUS_RANGE[1]) * 1.2
+    moduli.set(yscale="log", ylim=(low, high))
+    moduli.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high / low < _DENSE_TICKS_BELOW else (1.0,)))
+    moduli.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    moduli.yaxis.set_minor_formatter(NullFormatter())
     panels[-1].set_xlabel(label(ds[along_name(ds)]))
     figure.align_ylabels(panels)
     beside = columns[1].subgridspec(3, 1, height_ratios=[2.55, 0.09, 0.85 * len(names) - 0.45])
@@ -185,8 +192,8 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Figure:
     keys.legend(handles=handles, loc="upper left", ncols=2, borderpad=0.0)
     largest, (low, high) = heights_of(ds, LARGEST, 1.0), _MODULUS_RANGE
     cut = bool(((largest < low) | (largest > high)).any())
-    moduli = f"The largest modulus is drawn from {low:g} to {high:g}" if cut else ""
-    write_margins(figure, ds, ranges_text(ds, names), moduli, outside)
+    note = f"The largest modulus is drawn from {low:g} to {high:g}" if cut else ""
+    write_margins(figure, ds, ranges_text(ds, names), note, outside)
     return figure
 
 
@@ -196,18 +203,6 @@ def _label(ds: xr.Dataset, name: str) -> str:
     state = name.removeprefix("orbit_")
     words = f"{SYMBOLS.get(state, state)} at the section" if state != name else name.replace("_", " ")
     return with_unit(words, scale(ds[name])[1]).replace(" [", "\n[")
-
-
-def _shape_moduli(axes: Axes) -> None:
-    """Use a logarithmic axis for the largest modulus, and draw the stability limit."""
-    axes.axhline(1.0, color=INK, linewidth=0.8, zorder=1)
-    low, high = (float(end) for end in axes.dataLim.intervaly)
-    low, high = max(min(low, 0.5), _MODULUS_RANGE[0]) / 1.2, min(max(high, 1.5), _MODULUS_RANGE[1]) * 1.2
-    axes.set_yscale("log")
-    axes.set_ylim(low, high)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high / low < _DENSE_TICKS_BELOW else (1.0,)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _draw_plane(axes: Axes, bar: Axes, ds: xr.Dataset, curves: Sequence[Curve]) -> str:
@@ -255,5 +250,4 @@ class Families(Analysis):
     pictures = (PictureRule("families", lambda held: True, families),)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the numbers of points and branches, the special points, and the stable intervals."""
         return [SummaryPart("families", family_lines(ds), {"families": family_facts(ds)})]

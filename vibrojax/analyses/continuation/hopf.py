@@ -83,7 +83,11 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
     if not near or abs(eigenvalue.imag / frequency - 1) > SAME_FREQUENCY:
         return None
     period = 2 * np.pi / eigenvalue.imag
-    product = _return_derivative(known.jacobian, eigenvalue, vector, names.index(scene.section.velocity))
+    # The derivative of the return map to zeros of the section's velocity, in the limit of zero amplitude.
+    velocity = names.index(scene.section.velocity)
+    away = (vector / vector[velocity] * 1j).real  # on the section: its velocity is zero
+    flow, whole = known.jacobian @ away, expm(known.jacobian * period)
+    product = whole - np.outer(flow / flow[velocity], whole[velocity])
     scale = problem.scales[family[0]]
     product = product[np.ix_(rows, rows)] * scale / scale[:, None]
     u = problem.unknowns(family, known.states[rows][None, None], np.array([located]))
@@ -140,13 +144,3 @@ def _extrapolated(problem: Problem, points: Points, field: _Field, rows: list[in
         if squares[-1] > SHRINKING**2 * squares[0]:
             return float(values[-1] + squares[0] * (values[-1] - values[k]) / (squares[-1] - squares[0]))
     return None
-
-
-def _return_derivative(
-    jacobian: Float[np.ndarray, "states states"], eigenvalue: complex, vector: np.ndarray, velocity: int
-) -> Float[np.ndarray, "states states"]:
-    """Return the derivative of the return map to zeros of the state `velocity`, in the limit of zero amplitude."""
-    away = (vector / vector[velocity] * 1j).real  # on the section: its velocity is zero
-    flow = jacobian @ away
-    whole = expm(jacobian * (2 * np.pi / eigenvalue.imag))
-    return whole - np.outer(flow / flow[velocity], whole[velocity])

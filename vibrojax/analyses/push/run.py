@@ -162,7 +162,6 @@ class _Search:
         self.regime = np.zeros(self._bounds.shape, int)
 
     def run(self) -> None:
-        """Find the smallest leaving pushes."""
         scan = np.arange(1, self._spec.scan + 1) / self._spec.scan
         top, mask = self._bounds, np.ones(self._bounds.shape, bool)
         for _ in range(MAX_SCANS):
@@ -180,8 +179,17 @@ class _Search:
 
     def _narrow(self, pushes: Float[np.ndarray, "points directions pushes"], mask: np.ndarray) -> None:
         """Update the brackets with the results of `pushes` in the directions selected by `mask`."""
-        tried = pushes[mask]
-        returned, leaving, ends = self._classify(np.argwhere(mask), tried)
+        tried, count = pushes[mask], pushes.shape[-1]
+        point, direction = np.repeat(np.argwhere(mask), count, axis=0).T
+        begin = self._begin[point]
+        begin[np.arange(len(point)), direction // len(SIGNS)] += np.array(SIGNS)[direction % 2] * tried.ravel()
+        outcomes = self._simulate(point, begin, 1.0)
+        unclear = np.flatnonzero(outcomes[1] & (outcomes[2] == IRREGULAR))
+        if len(unclear):
+            later = self._simulate(point[unclear], begin[unclear], PATIENCE)
+            for whole, part in zip(outcomes, later, strict=True):
+                whole[unclear] = part
+        returned, leaving, ends = (x.reshape(tried.shape) for x in outcomes)
         first = np.argmax(leaving, axis=1)[:, None]
         leaves = leaving.any(axis=1)
         self.high[mask] = np.where(leaves, np.take_along_axis(tried, first, axis=1)[:, 0], self.high[mask])
@@ -190,30 +198,8 @@ class _Search:
         below = np.max(np.where(returned & (tried < top[:, None]), tried, 0.0), axis=1)
         self.low[mask] = np.maximum(np.where(self.low[mask] < top, self.low[mask], 0.0), below)
 
-    def _classify(
-        self, directions: Int[np.ndarray, "_ 2"], pushes: Float[np.ndarray, "_ pushes"]
-    ) -> tuple[np.ndarray, ...]:
-        """Return masks of pushes after which motions return and leave, and the final regimes, shaped like `pushes`.
-
-        **Arguments:** `directions`: for each row of `pushes`, index of the point and number of the direction.
-        """
-        count = pushes.shape[1]
-        point, direction = np.repeat(directions, count, axis=0).T
-        begin = self._begin[point]
-        begin[np.arange(len(point)), direction // len(SIGNS)] += np.array(SIGNS)[direction % 2] * pushes.ravel()
-        outcomes = self._simulate(point, begin, 1.0)
-        _, leaving, regime = outcomes
-        unclear = np.flatnonzero(leaving & (regime == IRREGULAR))
-        if len(unclear):
-            later = self._simulate(point[unclear], begin[unclear], PATIENCE)
-            for whole, part in zip(outcomes, later, strict=True):
-                whole[unclear] = part
-        return tuple(x.reshape(pushes.shape) for x in outcomes)
-
     def _simulate(self, point: np.ndarray, begin: np.ndarray, factor: float) -> tuple[np.ndarray, ...]:
-        """Simulate motions from the states `begin`, with settling times multiplied by `factor`.
-
-        **Arguments:** `point`: index of each motion's point.
+        """Simulate motions of points from the states `begin`, with settling times multiplied by `factor`.
 
         **Returns:** for each motion, whether it returns to its cycle, whether it leaves the cycle, and its regime.
         """

@@ -52,7 +52,6 @@ class Column:
     value: float | None = None
 
     def described(self) -> dict[str, object]:
-        """Return the source as a dictionary of JSON values."""
         if self.index is None:
             return {"value": self.value, "given_in": self.unit, "assumed": self.assumed}
         return {"column": self.header, "unit": self.unit, "assumed": self.assumed}
@@ -124,11 +123,7 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
     """Return the column of each quantity: the user's `columns`, and columns whose header is the quantity's name.
 
     A header without a unit is recognised only for the quantities of the law, and means SI units. A header with a unit
-    is recognised for every known quantity.
-
-    **Arguments:** `place`: location of the header in the file, for error messages; `header`: column names in the file.
-
-    **Raises:** `InputError`.
+    is recognised for every known quantity. `place` is the location of the `header` in the file.
     """
     chosen = {name: _user_column(Place("columns", name), header, name, text) for name, text in columns.items()}
     taken = {column.index: name for name, column in reversed(chosen.items()) if column.index is not None}

@@ -44,13 +44,8 @@ Rows = list[tuple[int, list[str]]]
 def open_data(data: Data, fit: str, rates: bool = False, columns: Columns = None) -> tuple[Place, xr.Dataset]:
     """Return the dataset, opened if `data` is a path, and the `Place` that error messages mention.
 
-    **Arguments:**
-
-    - `fit`: name of the calling function, mentioned in messages if `data` is not a path.
-    - `rates`: whether the data must contain a rate of penetration and a relief; they may then also be a CSV.
-    - `columns`: columns of the CSV, as in `read_rig`.
-
-    **Raises:** `InputError`.
+    `fit` is the name of the calling function. With `rates`, the data must contain a rate of penetration and a relief,
+    and may be a CSV or a table with `columns`, as in `read_rig`.
     """
     if rates and isinstance(data, pd.DataFrame):
         return Place(fit), _with_rates(Place(fit), read_rig(Path(fit), columns, table=data))

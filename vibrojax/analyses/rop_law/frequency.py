@@ -2,7 +2,6 @@
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
 
 from vibrojax.analyses.rop_law.data import Data, open_data
 from vibrojax.analyses.rop_law.least_squares import Reason
@@ -70,8 +69,13 @@ def refit_frequency(data: Data, within: float = 0.01) -> xr.Dataset:
     names = ("m1", "k1", "beta", "gamma")
     period, *others = xr.broadcast(data["period"], *(_parameter(place, data, name) for name in names))
     p = {name: other.transpose(*period.dims).values for name, other in zip(names, others, strict=True)}
-    w = _upper_mode(data, period, p)
-    counts = np.isfinite(w)
+    counts = np.isfinite(period.values) & (period.values > 0)
+    if "regime" in data:
+        counts &= (xr.broadcast(data["regime"], period)[0].transpose(*period.dims) == IMPACT_FREE).values
+    w = 2 * np.pi / np.where(counts, period.values, np.nan)
+    lower, upper = np.moveaxis(np.asarray(natural_frequencies(p)), -1, 0)
+    counts = w > np.sqrt(lower * upper)
+    w = np.where(counts, w, np.nan)
     used = int(counts.sum())
     # w²(a)/w² - 1 = slope a - missing
     missing, slope = 1 - (np.asarray(empirical_frequency(p, 0.0)) / w) ** 2, p["gamma"] ** 2 * p["k1"] / p["m1"] / w**2
@@ -110,19 +114,6 @@ def _parameter(place: Place, data: xr.Dataset, name: str) -> xr.DataArray:
     return values
 
 
-def _upper_mode(
-    data: xr.Dataset, period: xr.DataArray, p: dict[str, Float[np.ndarray, "*lanes"]]
-) -> Float[np.ndarray, "*lanes"]:
-    """Return the angular frequency [rad/s] of impact-free periodic lanes in the upper mode, NaN for other lanes."""
-    counts = np.isfinite(period.values) & (period.values > 0)
-    if "regime" in data:
-        regime = xr.broadcast(data["regime"], period)[0].transpose(*period.dims)
-        counts = counts & (regime == IMPACT_FREE).values
-    w = 2 * np.pi / np.where(counts, period.values, np.nan)
-    lower, upper = np.moveaxis(np.asarray(natural_frequencies(p)), -1, 0)
-    return np.where(w > np.sqrt(lower * upper), w, np.nan)
-
-
 def _region_of_validity(holds: xr.DataArray, used: int) -> str:
     """Return text: at how many lanes eq. 5.17 holds and, for a grid, the intervals of gamma per beta where it does.
 
@@ -133,12 +124,8 @@ def _region_of_validity(holds: xr.DataArray, used: int) -> str:
         others = [dim for dim in holds.dims if dim not in ("beta", "gamma")]
         everywhere = ((holds == 1).any(others) & (holds != 0).all(others)).transpose("beta", "gamma").values
         for beta, row in zip(holds["beta"].values, everywhere, strict=True):
-            parts += [f"beta {beta:.4g}: gamma {_intervals(row, holds['gamma'].values)}"] if row.any() else []
+            ends = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+            gammas = [(holds["gamma"].values[i], holds["gamma"].values[k - 1]) for i, k in ends.reshape(-1, 2)]
+            texts = [f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in gammas]
+            parts += [f"beta {beta:.4g}: gamma {', '.join(texts)}"] if texts else []
     return "; ".join(parts)
-
-
-def _intervals(row: Bool[np.ndarray, " values"], values: Float[np.ndarray, " values"]) -> str:
-    """Return text that lists the intervals of `values` in which `row` is True."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
-    pairs = [(values[first], values[after - 1]) for first, after in zip(ends[::2], ends[1::2], strict=True)]
-    return ", ".join(f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in pairs)

@@ -152,13 +152,8 @@ def minimise(
 
     Close to the minimum, S is constant up to rounding errors while theta still changes by the square root of their
     size. Newton steps with the exact Hessian therefore determine the final digits. The size of the next Newton step
-    decides on convergence.
-
-    **Arguments:**
-
-    - `rate`: rates, scaled to order one.
-    - `start`: initial guess of theta, by default that of the model for the seen lanes.
-    - `weight`: weight w of each lane, by default 1.
+    decides on convergence. `rate` is scaled to order one. `start` is an initial guess of theta, by default that of the
+    model for the seen lanes. `weight` is the weight w of each lane, by default 1.
     """
     weight = np.ones(rate.size) if weight is None else weight
     root = np.sqrt(weight)
@@ -216,9 +211,7 @@ def minimise_loss(
     """Minimise a loss by iteratively reweighted least squares; return the minimum and the scale of the residuals.
 
     The scale is the standard deviation of the residuals, estimated from their median absolute deviation. It is updated
-    in the first iterations and constant afterwards, so that the search has a fixed objective.
-
-    **Arguments:** `minimum`: the minimum of S, as initial guess.
+    in the first iterations and constant afterwards, so that the search has a fixed objective. It begins at `minimum`.
     """
     (weight, _), scale, change = loss, 1.0, np.inf
     for count in range(_REWEIGHTING_MAX_ROUNDS):

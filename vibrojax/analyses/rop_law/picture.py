@@ -18,6 +18,7 @@ from matplotlib.typing import MarkerType
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.rop_law.columns import columns_lines
+from vibrojax.analyses.rop_law.results import formulas_of
 from vibrojax.analyses.rop_law.rop import FORMS
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
 from vibrojax.plot.axes import scale, shape_zero, share_text, with_unit
@@ -104,7 +105,12 @@ def law_lines(fit: xr.Dataset) -> Figure:
     legend_at_right(figure, _line_handles(fit), equal if has_aic and has_any else [], uses)
     over = "over the rows of the table" if fit.attrs.get("along") == POINT else f"along {fit.attrs.get('along')}"
     along = f"Fitted {over}; bars of one standard error" if "along" in fit.attrs else ""
-    write_margins(figure, fit, panels.note, data_text(groups, fit), along, _lacking_text(fit))
+    # Groups without a C: their number per reading if the numbers differ.
+    lacking = {name: int(np.isnan(fit["C"].sel({FORM: name}).values).sum()) for name in _readings(fit)}
+    counts = [f"{name}: {count}" for name, count in lacking.items() if count]
+    counts = counts if len(set(lacking.values())) > 1 else [str(count) for count in lacking.values() if count][:1]
+    note = f"Groups without a C, of {fit['C'].size // fit.sizes[FORM]}: {', '.join(counts)}" if counts else ""
+    write_margins(figure, fit, panels.note, data_text(groups, fit), along, note)
     return figure
 
 
@@ -135,15 +141,6 @@ def _scale_excess(rows: Sequence[Row]) -> None:
     ticks = [tick for tick in _TICKS if tick <= 1.6 * greatest]
     axes.set_yticks(ticks, [str(tick) for tick in ticks])
     axes.set_yticks([], minor=True)
-
-
-def _lacking_text(fit: xr.Dataset) -> str:
-    """Return the note on how many groups have no C, per reading if the numbers differ; empty if all groups have one."""
-    lacking = {name: int(np.isnan(fit["C"].sel({FORM: name}).values).sum()) for name in _readings(fit)}
-    differ = len(set(lacking.values())) > 1
-    parts = [f"{name}: {count}" if differ else str(count) for name, count in lacking.items() if count]
-    parts = parts if differ else parts[:1]
-    return f"Groups without a C, of {fit['C'].size // fit.sizes[FORM]}: {', '.join(parts)}" if parts else ""
 
 
 @styled
@@ -220,8 +217,7 @@ def _mark(name: str, x: Across | None = None) -> Mark:
 
 
 def _line_handles(fit: xr.Dataset) -> list[Artist]:
-    """Return legend entries for the forms, with their formulas if the dataset contains them."""
-    formulas = dict(part.split(": ", 1) for part in str(fit.attrs.get("formulas", "")).split("; ") if ": " in part)
+    formulas = formulas_of(fit)
     signs = {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}
     handles: list[Artist] = []
     for name in _forms(fit):
@@ -315,5 +311,4 @@ class Fits(Analysis):
     )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return a summary part that lists the CSV column used for each quantity."""
         return [SummaryPart("columns", columns_lines(ds))]

@@ -32,9 +32,7 @@ _QUANTITIES = {"time": "s", "v1": "m s-1", "x1": "m", "x2": "m", "v2": "m s-1", 
 def open_recording(data: Recording, fit: str) -> tuple[Place, xr.Dataset]:
     """Return a dataset with `v1` and the other recorded quantities along `time`, and the `Place` for messages.
 
-    **Arguments:** `fit`: name of the calling function, mentioned in messages if `data` is not a path.
-
-    **Raises:** `InputError`.
+    `fit` is the name of the calling function.
     """
     if isinstance(data, xr.Dataset):
         return open_data(data, fit)

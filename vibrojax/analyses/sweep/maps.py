@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -64,14 +64,14 @@ _REGION_NAME = "source's best region"
 
 
 @styled
-def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None, over: xr.Dataset | None = None) -> Figure:
+def regime_grid(ds: xr.Dataset, over: xr.Dataset | None = None) -> Figure:
     """Draw the regimes over two axes, with further quantities next to them, and the borders `over` on top.
 
     Each value of further axes and each initial condition gets a panel, twelve at most; the figure notes which values
     are shown.
     """
     ds = regimes_in(ds)
-    x, y = varied(ds) if POINT in lane_dims(ds) else axes_of_map(ds, x, y)
+    x, y = varied(ds) if POINT in lane_dims(ds) else axes_of_map(ds)
     if POINT in lane_dims(ds) and (x, y) == ("beta", "gamma"):
         x, y = y, x
     return draw_map(ds, x, y, (None, *values_beside(ds)), over=over)
@@ -110,7 +110,7 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
 
 
 @styled
-def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
+def rate_grid(ds: xr.Dataset) -> Figure:
     """Draw the rate of penetration over two axes, and the quantities that vary.
 
     Each value of further axes gets a panel, nine at most; the figure notes which are shown. Constant values are in the
@@ -123,9 +123,7 @@ def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fig
         if len(names) != 2:
             raise InputError(f"no map: {', '.join(names) or 'none'} is what varies over the points, not two parameters")
         return draw_map(ds, names[0], names[1], (None,) * (REGIME in ds) + values[: _MOST_VALUES[3]])
-    if x is None and y is None:
-        x, y = (*long_axes(ds), None, None)[:2]
-    x, y = axes_of_map(ds, x, y)
+    x, y = axes_of_map(ds, *long_axes(ds))
     ds = ds.sortby([x, y])
     panels = facets(ds, (x, y), _MOST_RATE_FACETS)
     shown = values[: _MOST_VALUES.get(len(panels), 1)]
@@ -151,7 +149,10 @@ def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fig
 
 
 def draw_cells(panel: Panel, x: str, y: str) -> None:
-    """Draw the regimes or the value of `panel` over two axes; lanes without penetration are white."""
+    """Draw the regimes or the value of `panel` over two axes; lanes without penetration are white.
+
+    On maps of rates, lines separate cells with and without a single impact.
+    """
     value = panel.value
     cells = coloured(panel.facet, value, y, x)
     right, top = fill_cells(panel, x, y, cells)
@@ -162,7 +163,12 @@ def draw_cells(panel: Panel, x: str, y: str) -> None:
         white = ListedColormap([NOTHING], name="nothing")
         panel.axes.pcolormesh(right, top, np.ma.masked_where(~nothing, nothing), cmap=white, rasterized=True)
     if REGIME in panel.facet:
-        _outline_single(panel.axes, panel.facet[REGIME].transpose(y, x).values == SINGLE, right, top)
+        single = panel.facet[REGIME].transpose(y, x).values == SINGLE
+        across, along = np.argwhere(single[:, 1:] != single[:, :-1]), np.argwhere(single[1:] != single[:-1])
+        lines = [((right[j + 1], top[i]), (right[j + 1], top[i + 1])) for i, j in across]
+        lines += [((right[j], top[i + 1]), (right[j + 1], top[i + 1])) for i, j in along]
+        for colour, width in (("white", 2.2), (INK, 1.0)) if lines else ():
+            panel.axes.add_collection(LineCollection(lines, colors=colour, linewidths=width), autolim=False)
 
 
 def fill_cells(panel: Panel, x: str, y: str, cells: Coloured) -> list[Float[np.ndarray, " edges"]]:
@@ -190,22 +196,6 @@ def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
         axes.set_ylabel(label(y, int(_LETTERS_PER_INCH * height)))
     if panel.bottom:
         axes.set_xlabel(label(x))
-
-
-def _outline_single(
-    axes: Axes,
-    single: Bool[np.ndarray, "rows columns"],
-    right: Float[np.ndarray, " columns+1"],
-    top: Float[np.ndarray, " rows+1"],
-) -> None:
-    """Draw the edges between map cells with and without a single impact."""
-    upright = [
-        ((right[j + 1], top[i]), (right[j + 1], top[i + 1])) for i, j in np.argwhere(single[:, 1:] != single[:, :-1])
-    ]
-    flat = [((right[j], top[i + 1]), (right[j + 1], top[i + 1])) for i, j in np.argwhere(single[1:] != single[:-1])]
-    if upright or flat:
-        for colour, width in (("white", 2.2), (INK, 1.0)):
-            axes.add_collection(LineCollection([*upright, *flat], colors=colour, linewidths=width), autolim=False)
 
 
 def _mark_cells(panel: Panel, x: str, y: str) -> dict[str, Artist]:

@@ -3,7 +3,6 @@
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -72,7 +71,11 @@ def rates(ds: xr.Dataset) -> Figure:
     handles = line_handles(split_lines(ds, by), Mark(linestyle=style))
     for k, handle in enumerate(handles if named and style == "-" else ()):
         handle.set(**nested_line(k, len(handles)))
-    legend_at_right(figure, handles, _mark_handles(ds))
+    texts = {"single": "single impact", "other": "other motion", "none": "no penetration"}
+    shown = [motion for motion, mask in _motions(ds).items() if mask.any() and (motion == "none" or REGIME in ds)]
+    look = Mark(linestyle="none", markersize=4.5)
+    marks = [Line2D([], [], label=texts[motion], **look | _mark(motion, INK)) for motion in shown]
+    legend_at_right(figure, handles, marks)
     count = int(np.isnan(ds[RATE].values).sum())
     write_margins(
         figure, ds, panels.note, f"{count} of {counted(ds[RATE].size, 'lane')} without a rate" if count else ""
@@ -126,11 +129,3 @@ def _motions(lanes: xr.Dataset) -> dict[str, Bool[np.ndarray, "*lanes"]]:
 def _mark(motion: str, colour: str) -> Mark:
     mark = Mark(color=colour, marker="x" if motion == "other" else "o", markeredgewidth=1.0)
     return mark | Mark(markerfacecolor="white", zorder=4) if motion == "none" else mark
-
-
-def _mark_handles(ds: xr.Dataset) -> list[Artist]:
-    """Return the legend entries of the markers that need an explanation."""
-    texts = {"single": "single impact", "other": "other motion", "none": "no penetration"}
-    shown = [motion for motion, mask in _motions(ds).items() if mask.any() and (motion == "none" or REGIME in ds)]
-    look = Mark(linestyle="none", markersize=4.5)
-    return [Line2D([], [], label=texts[motion], **look | _mark(motion, INK)) for motion in shown]

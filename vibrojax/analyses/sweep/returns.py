@@ -65,8 +65,7 @@ def bifurcation(ds: xr.Dataset, over: Overlays = None) -> Figure:
     per initial condition, or the fractions of many. The swept axis is the one with the most values; further axes become
     panels.
 
-    **Arguments:** `over`: families of orbits along the swept axis, drawn over the crossings that have the same
-    parameters.
+    Families of orbits along the swept axis, `over`, are drawn over the crossings that have the same parameters.
 
     **Raises:** `InputError` if no crossings are stored, nothing is swept, or `over` does not match the dataset.
     """

@@ -93,14 +93,9 @@ def run_to_file(
 ) -> xr.Dataset:
     """Run a sweep and write its dataset to the file `out`, netCDF or Zarr.
 
-    Finished chunks are kept next to `out` until the dataset is complete.
-
-    **Arguments:**
-
-    - `resume`: whether to continue with the existing chunks; otherwise start over, and replace `out`, whatever it
-      holds.
-    - `executor`: the object that computes the chunks, see `run_sweep`. Alternatives are a number of spawned `processes`
-      on this machine, or a number of SLURM `jobs`.
+    Finished chunks are kept next to `out` until the dataset is complete. With `resume`, existing chunks are continued;
+    otherwise the run starts over and replaces `out`, whatever it holds. The chunks are computed by an `executor`, see
+    `run_sweep`, by a number of spawned `processes` on this machine, or by a number of SLURM `jobs`.
 
     **Returns:** the dataset that was written.
 
@@ -203,7 +198,6 @@ def run_share(sweep: Sweep, out: Path, part: tuple[int, int], progress: bool = T
 
 
 def _shards(sweep: Sweep, chunks: Chunks, out: Path) -> Shards:
-    """Return the `Shards` object of the finished chunks next to `out`."""
     manifest = sweep.identity() | provenance() | {"chunk size": chunks.size}
     title = sweep.title or f"{sweep.scene}: {sweep.name}"
     about = {"title": title, "lanes": sweep.lanes, "chunks": chunks.count, "size": chunks.size}

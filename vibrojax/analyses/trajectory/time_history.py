@@ -1,4 +1,4 @@
-"""Picture of a trajectory: time history, phase portraits of bit and striker, and amplitude spectrum."""
+"""Pictures of trajectories: time history, phase portraits, and of bit and striker also the amplitude spectrum."""
 
 from typing import Any
 
@@ -20,41 +20,40 @@ from vibrojax.analyses.trajectory.motion import (
     peaks,
     read_hole,
     read_motion,
+    read_states,
     separate_peaks,
 )
 from vibrojax.errors import InputError
-from vibrojax.plot.axes import number
-from vibrojax.plot.contents import Contents
+from vibrojax.plot.axes import label, number
+from vibrojax.plot.contents import TIME, Contents
 from vibrojax.plot.curves import band_text, draw_over_time, is_band
 from vibrojax.plot.sheet import write_margins
 from vibrojax.plot.style import BIT, DASHED, FAINT, IMPACT, STICK, STRIKER, Mark, new_figure, styled
 
+_WINDOW = 1.5  # duration of the end of the run that is shown [s]
 _OVERVIEW_FROM = 1.5  # ratio of the run's length to the window from which there is an overview
 _SPECTRUM_SPAN = 5.0  # in units of the bit's dominant frequency
 _SPECTRUM_AT_REST = 25.0  # span [Hz] if nothing moves
 _LEAST_AMPLITUDE = 1e-6  # [mm]: less is rounding error
 _DOTS = Mark(linestyle="none", marker="o", markersize=4.0, color=IMPACT)
+_MOST_STATES = 6  # of a system; more would not be legible on one page
 
 
 @styled
-def trajectory(ds: xr.Dataset, last: float = 1.5) -> Figure:
+def trajectory(ds: xr.Dataset) -> Figure:
     """Draw the time history, phase portraits and spectrum of one run.
 
-    Displacements, velocities and forces are drawn over the last `last` seconds, below an overview of the whole run.
+    Displacements, velocities and forces are drawn over the last 1.5 s, below an overview of the whole run.
     Sticking and impacts are marked. The transient is faint in the phase portraits of bit and striker. The amplitude
     spectrum is computed from the run's second half. In scenes with rock, bit and hole are drawn over the same time, and
     enlarged at the last impact.
 
-    **Arguments:** `last`: duration of the end of the run that is shown [s].
-
-    **Raises:** `InputError` if the dataset holds no trajectory, or `last` is not above 0.
+    **Raises:** `InputError` if the dataset holds no trajectory.
     """
-    if not last > 0:
-        raise InputError(f"last = {last} s: give a time above 0")
     motion = read_motion(ds)
     hole = read_hole(ds) if Contents(ds).hole else None
-    start, end = max(float(motion.time[-1]) - last, float(motion.time[0])), float(motion.time[-1])
-    overview = float(np.ptp(motion.time)) > _OVERVIEW_FROM * last
+    start, end = max(float(motion.time[-1]) - _WINDOW, float(motion.time[0])), float(motion.time[-1])
+    overview = float(np.ptp(motion.time)) > _OVERVIEW_FROM * _WINDOW
     forces = motion.has("impact_force", "friction_force")
     near = hole and last_impact(hole, motion.impacts[(motion.impacts >= start) & (motion.impacts < end)])
     rows: dict[str, tuple[list[Any], float]] = {
@@ -203,3 +202,51 @@ def _draw_spectrum(axes: Axes, motion: Run) -> None:
     axes.set_ylabel("amplitude [mm]")
     axes.grid(True)
     axes.legend(loc="upper right", handlelength=1.2)
+
+
+# Systems.
+
+
+@styled
+def states_over_time(ds: xr.Dataset) -> Figure:
+    """Draw the states over the last ten periods of a motion, and a phase portrait of its first two states.
+
+    The transient is faint in the portrait. Dots are impacts.
+
+    **Raises:** `InputError` if the dataset holds no state.
+    """
+    along = [str(name) for name, data in ds.data_vars.items() if data.dims == (TIME,) and data.dtype.kind == "f"]
+    names = [name for name in along if not name.endswith("_force")][:_MOST_STATES]
+    if not names:
+        raise InputError("no trajectory to draw: the dataset has no state along time")
+    motion, end = read_states(ds, names), float(ds[TIME].values[-1])
+    start = end - _observed(ds, end)
+    late, impacts = motion.since(start), motion.impacts[motion.impacts >= start]
+    portrait = len(names) > 1
+    rows: list[Any] = [[f"{name}-over-time"] * 2 + (["portrait"] if portrait else []) for name in names]
+    figure = new_figure(10.0, max(1.5 * len(names) + 1.0, 3.6))
+    panels = figure.subplot_mosaic(rows)
+    history = [panels[f"{name}-over-time"] for name in names]
+    for name, axes in zip(names, history, strict=True):
+        draw_over_time(axes, motion.time[late], motion[name][late], BIT, 0.9)
+        axes.set(xlim=(start, end), ylabel=label(ds[name]))
+    # Only the first state is continuous in an impact; elsewhere a dot would lie within the jump.
+    history[0].plot(impacts, np.interp(impacts, motion.time, motion[names[0]]), **_DOTS | Mark(markersize=3.0))
+    for axes in history[:-1]:
+        axes.tick_params(labelbottom=False)
+    history[-1].set_xlabel("time [s]")
+    figure.align_ylabels(history)
+    if portrait:
+        x, y = names[:2]
+        panels["portrait"].plot(motion[x], motion[y], color=FAINT, linewidth=0.5).pop().set_rasterized(True)
+        panels["portrait"].plot(motion[x][late], motion[y][late], color=BIT, linewidth=1.0)
+        panels["portrait"].set(xlabel=label(ds[x]), ylabel=label(ds[y]))
+    notes = ["dots: impacts"] if impacts.size else []
+    write_margins(figure, ds, *notes, band_text(*figure.axes))
+    return figure
+
+
+def _observed(ds: xr.Dataset, end: float) -> float:
+    """Return the length of the part of the motion that is drawn [s]: ten periods, or a tenth of the motion."""
+    period = float(ds["period"]) if "period" in ds and ds["period"].ndim == 0 else np.nan
+    return min(10 * period, end) if np.isfinite(period) else end / 10

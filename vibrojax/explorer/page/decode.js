@@ -1,6 +1,6 @@
 // Reads what vibrojax/explorer/encoding.py writes. See there for the form.
 
-export const EVENTS = ["none", "stick", "slip", "impact", "release", "section"];
+export const EVENTS = ["none", "stick", "slip", "impact", "release", "section", "switch", "slide"];
 export const STUCK = 8, TOUCHING = 16;
 
 export function bytesOf(base64) {

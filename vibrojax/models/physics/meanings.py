@@ -72,15 +72,12 @@ def suggest_by_meaning(word: str, parameters: Iterable[Parameter]) -> str:
 def _rank(word: str, parameter: Parameter) -> tuple[int, int]:
     """Return how many words of `word` are in the long name, and 2 if its noun is one, 1 if an attribute is, else 0."""
     wanted = [{part, *(key for key, names in _SYNONYMS.items() if part in names.split())} for part in _words(word)]
-    head = [part for part in _words(_noun(parameter.long_name)) if part.isalpha()]
+    # The noun phrase with which the long name begins: `gap` of "gap between striker and bit".
+    noun = re.split(r"\s+(?:between|of|at|per|that|with)\b|\s*\(", printable(parameter.long_name))[0]
+    head = [part for part in _words(noun) if part.isalpha()]
     count = sum(bool(part & set(_words(parameter.long_name))) for part in wanted)
     known = set().union(*wanted) if wanted else set()
     return count, 2 if head and head[-1] in known else int(bool(known & set(head)))
-
-
-def _noun(long_name: str) -> str:
-    """Return the noun phrase with which a long name begins: `gap` of "gap between striker and bit"."""
-    return re.split(r"\s+(?:between|of|at|per|that|with)\b|\s*\(", printable(long_name))[0]
 
 
 def _described(parameter: Parameter) -> str:

@@ -270,6 +270,13 @@ class Scene(ABC, Generic[C]):
         speed = SLOPE_ROUNDINGS * self.velocity_resolution(c)
         return (*slopes, *(speed for _ in self.markers if marked))
 
+    def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
+        """Return masks of events by kind, for trajectories, in addition to those of friction, impacts and the section.
+
+        `mode` is the mode before the event and `after` the mode after it, `hits` the masks of guards and markers.
+        """
+        return {}
+
     def after_event(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
         """Return mode and state after an event: where a marker is hit its velocity is zero, then `reset` is applied."""
         turned = list(state)

@@ -5,6 +5,8 @@ Functions of an event take the time t [s], the states `y` and the parameters `p`
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from inspect import signature
 from typing import Any
 
 import jax.numpy as jnp
@@ -37,7 +39,7 @@ class Impact:
     """
 
     name: str
-    gap: OfMotion
+    gap: Any
     velocity: str | None = None
     restitution: float | Callable[[Mapping[str, Any]], Any] = 1.0
     reset: Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]] | None = None
@@ -54,7 +56,11 @@ class Impact:
 
 @dataclass(frozen=True)
 class Switch:
-    """A surface on which the field changes: `function(t, y, p)` is positive on one side and negative on the other.
+    """A surface on which the field changes.
+
+    - `function`: function `function(t, y, p)`, positive on one side of the surface and negative on the other.
+    - `impact`: True for a soft contact, which begins where the function becomes positive. This is counted as an impact
+      with the rate of change of the function as its velocity.
 
     The field takes a fourth argument `s`; `s[name]` is the side, 1 or -1. Where the fields of both sides push towards
     the surface, the motion slides along it by Filippov's convex combination of the two fields. Sliding ends when one
@@ -68,6 +74,7 @@ class Switch:
 
     name: str
     function: OfMotion
+    impact: bool = False
 
     @property
     def surface(self) -> OfMotion:
@@ -80,7 +87,8 @@ class Friction:
     """Dry friction with the force -sgn(u) mu(|u|) N on a body, which sticks while mu(0) N holds it.
 
     - `relative`: function u = `relative(t, y, p)`, the sliding velocity [m/s].
-    - `normal`: function N = `normal(t, y, p)`, the normal force [N].
+    - `normal`: function N = `normal(t, y, p)`, or `normal(t, y, p, s)` with the sides of switches: the normal force
+      [N].
     - `law`: a friction law or the name of one of `vj.FRICTION_LAWS`, whose parameters become parameters of the system;
       or a constant coefficient, a number or a function of `p`.
     - `acts_on`: name of the velocity that the force changes; `mass`: the mass [kg], a number or a function of `p`.
@@ -98,7 +106,7 @@ class Friction:
 
     name: str
     relative: OfMotion
-    normal: OfMotion
+    normal: Callable[..., Any]
     law: FrictionLaw | str | float | Callable[[Mapping[str, Any]], Any]
     acts_on: str
     mass: Callable[[Mapping[str, Any]], Any] | float = 1.0
@@ -124,18 +132,27 @@ class Friction:
             return self.law.on_weight(speed, {name: p[name] for name in self.law.parameters})
         return self.law(p) if callable(self.law) else self.law
 
-    def acceleration(self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any], slip: Any) -> Any:
-        """Return the greatest deceleration mu N/m [m/s²] at the sliding speed `slip` u; `slip`: sgn u or 0."""
-        return self._deceleration(self.coefficient(slip * self.relative(t, y, p), p), t, y, p)
+    @cached_property
+    def takes_sides(self) -> bool:
+        """Whether the normal force depends on the sides of switches."""
+        return len(signature(self.normal).parameters) == 4
 
-    def holding(self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any]) -> Any:
-        """Return the greatest acceleration [m/s²] against which the body sticks."""
-        static = self.static(p) if callable(self.static) else self.static
-        return self._deceleration(self.coefficient(jnp.zeros(()), p) if static is None else static, t, y, p)
+    def force(self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any], s: Mapping[str, Any]) -> Any:
+        """Return the normal force [N]; `s`: the sides of the switches by name."""
+        return self.normal(t, y, p, s) if self.takes_sides else self.normal(t, y, p)
 
-    def _deceleration(self, coefficient: Any, t: Any, y: Mapping[str, Any], p: Mapping[str, Any]) -> Any:
+    def limits(
+        self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any], s: Mapping[str, Any], slip: Any
+    ) -> tuple[Any, Any]:
+        """Return the deceleration mu N/m of a body that slides, and the greatest one of a body that sticks [m/s²].
+
+        `slip`: sgn u or 0; `s`: the sides of the switches by name.
+        """
         mass = self.mass(p) if callable(self.mass) else self.mass
-        return coefficient * self.normal(t, y, p) * (1.0 / jnp.asarray(mass))
+        load = self.force(t, y, p, s) * (1.0 / jnp.asarray(mass))
+        static = self.static(p) if callable(self.static) else self.static
+        static = self.coefficient(jnp.zeros(()), p) if static is None else static
+        return self.coefficient(slip * self.relative(t, y, p), p) * load, static * load
 
 
 Event = Impact | Switch | Friction

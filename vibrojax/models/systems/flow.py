@@ -58,6 +58,7 @@ class Flow:
     - `names`: the states; `function`: the user's field, which takes sides if `takes_sides`; `events`: the events.
     - `still`: for each impact whose gap is a position, up to its sign and a constant, that sign (by index).
     - `speeds`: the states that are the rate of change of another state, by the name of that state.
+    - `switching`: the states on which the function of each switch depends, by the name of the switch.
     - `rate`: the user's function for the fastest rate of change [1/s], or None.
     """
 
@@ -67,6 +68,7 @@ class Flow:
     events: tuple[Event, ...]
     still: Mapping[int, float]
     speeds: Mapping[str, str]
+    switching: Mapping[str, Sequence[str]]
     rate: Callable[[Mapping[str, Any]], Any] | None = None
 
     def of(self, kind: type) -> list[tuple[int, Any]]:
@@ -113,6 +115,17 @@ class Flow:
                 return {position: y[position] - event.surface(t, y, c.p) / slope}
         return {}
 
+    def onto_surface(self, c: SystemConstants, event: Friction | Switch, t: Any, y: States) -> Rates:
+        """Return the nearest states on the surface of an event, by name; a friction moves its velocity alone."""
+        names = [event.acts_on] if isinstance(event, Friction) else self.switching[event.name]
+        value = event.surface(t, y, c.p)
+        slopes = {key: self.slope(c, event, t, y, {name: float(name == key) for name in y}, 0.0) for key in names}
+        sizes = {key: c.typical[key] if len(names) > 1 else 1.0 for key in names}
+        weights = {key: slope * sizes[key] * sizes[key] for key, slope in slopes.items()}
+        total = sum(weights[key] * slope for key, slope in slopes.items())
+        share = jnp.where(total == 0, 0.0, value / jnp.where(total == 0, 1.0, total))
+        return {key: y[key] - weights[key] * share for key in names}
+
     def at(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Motion:
         """Return the motion in a mode, at a state or at the series of a step."""
         switches = self.of(Switch)
@@ -122,6 +135,7 @@ class Flow:
 
         def blended(fixed: Mapping[int, float]) -> Rates:
             """Return the field, with frictions, at the present shares of the sides or at the `fixed` sides."""
+            present = {event.name: fixed.get(index, weights[index]) for index, event in switches}
             total: Rates = {}
             for sides, rates in corners.items():
                 shares = [
@@ -132,7 +146,7 @@ class Flow:
                     weight = _product([share for share in shares if not isinstance(share, float)])
                     part = rates if weight is None else {name: weight * rate for name, rate in rates.items()}
                     total = {name: total[name] + part[name] for name in part} if total else part
-            return self._with_friction(c, mode, t, y, total, judged)
+            return self._with_friction(c, mode, t, y, total, present, judged)
 
         for index, event in switches:
             low, high = (self.slope(c, event, t, y, blended({index: side})) for side in (-1.0, 1.0))
@@ -149,12 +163,20 @@ class Flow:
         return Motion(rates, tuple(margins), tuple(pulls))
 
     def _with_friction(
-        self, c: SystemConstants, mode: Values, t: Any, y: States, rates: Rates, judged: dict[int, tuple[Any, Any]]
+        self,
+        c: SystemConstants,
+        mode: Values,
+        t: Any,
+        y: States,
+        rates: Rates,
+        sides: Mapping[str, Any],
+        judged: dict[int, tuple[Any, Any]],
     ) -> Rates:
         """Return the rates with all frictions; `judged` receives margin and pull of each friction."""
         frictions = self.of(Friction)
         slips = {index: jnp.sign(mode[index]) for index, _ in frictions}
-        drags = {index: slips[index] * event.acceleration(t, y, c.p, slips[index]) for index, event in frictions}
+        limits = {index: event.limits(t, y, c.p, sides, slips[index]) for index, event in frictions}
+        drags = {index: slips[index] * limits[index][0] for index, _ in frictions}
         total = dict(rates)
         for index, event in frictions:
             # The field with all other frictions; the body sticks where the rest of the field cannot move it.
@@ -165,7 +187,7 @@ class Flow:
             unit = {name: float(name == event.acts_on) for name in y}
             gain = self.slope(c, event, t, y, unit, 0.0)
             pull = self.slope(c, event, t, y, free)
-            judged[index] = (event.holding(t, y, c.p) * abs(gain) - elementary.absolute(pull), pull)
+            judged[index] = (limits[index][1] * abs(gain) - elementary.absolute(pull), pull)
             held = (1.0 - slips[index] * slips[index]) * (pull / gain)
             total[event.acts_on] = total[event.acts_on] - drags[index] - held
         return total

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax.errors import InputError, shown
-from vibrojax.models.physics.friction import FrictionLaw
+from vibrojax.errors import InputError, shown, suggestion
+from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.physics.units import is_unit
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch
@@ -24,6 +24,9 @@ RESERVED = ("t", "approach", "start", "direction", "point", "return", "time", "r
 
 RENAMED = ("periodic", "impact-free", "single-impact", "multi-impact", "subharmonic", "irregular", "equilibrium")
 """Regimes that may have names of the system's own."""
+
+CANNOT_EXPAND = "uses a function that steps cannot expand; use + - * / ** and vj.elementary, not jnp, np or math"
+"""End of a message on functions that do not accept a Taylor series."""
 
 EQUAL = 1e-9
 """Relative difference up to which two probed values are equal."""
@@ -61,6 +64,7 @@ class Probe:
         for event in laws:
             self.parameters |= {key: x for key, x in event.parameters.items() if key not in self.parameters}
         self.takes_sides = self._takes_sides()
+        self._sides = {event.name: 1.0 for event in self._events if isinstance(event, Switch)}
         self._check_events()
         rng = np.random.default_rng(5)
         self._p = {
@@ -140,9 +144,13 @@ class Probe:
             if isinstance(event, Friction) and not (
                 isinstance(event.law, FrictionLaw | int | float) or callable(event.law)
             ):
-                raise self._refuse(
-                    f"event {event.name}: law is {shown(event.law)}; give a number, a function of p, a law or its name"
-                )
+                hint = suggestion(event.law, FRICTION_LAWS) if isinstance(event.law, str) else ""
+                hint = hint or "give a number, a function of p, a law or its name"
+                raise self._refuse(f"event {event.name}: law is {shown(event.law)}; {hint}")
+            functions = {what: function for what, function in (self._surface(event), _normal(event)) if what}
+            for what, function in functions.items():
+                if not callable(function):
+                    raise self._refuse(f"{what} is {shown(function)}; write a function: lambda t, y, p: {function}")
 
     # What the functions give
 
@@ -150,12 +158,18 @@ class Probe:
         try:
             return function(*arguments)
         except KeyError as error:
-            known = ", ".join([*self._states, *self.parameters])
-            raise self._refuse(f"{what} asks for {error.args[0]!r}; the states and parameters are {known}") from None
+            known, sides = ", ".join([*self._states, *self.parameters]), ", ".join(self._sides) or "none"
+            raise self._refuse(
+                f"{what} asks for {error.args[0]!r}; states and parameters are {known}, switches {sides}"
+            ) from None
         except InputError:
             raise
         except Exception as error:
             text = str(error).strip().split("\n")[0]
+            if "truth value" in text:
+                raise self._refuse(f"{what} decides by a value (if, max or min); write a vj.Switch instead") from None
+            if "scalar arrays" in text:
+                raise self._refuse(f"{what} {CANNOT_EXPAND}") from None
             raise self._refuse(f"{what} fails with {type(error).__name__}: {text}") from None
 
     def _number(self, what: str, value: Any) -> Any:
@@ -174,7 +188,7 @@ class Probe:
 
     def rates(self, t: Any, y: Mapping[str, Any], number: bool = True) -> dict[str, Any]:
         """Return the field at a time and state, with all switches on the positive side."""
-        sides = ({event.name: 1.0 for event in self._events if isinstance(event, Switch)},) if self.takes_sides else ()
+        sides = (self._sides,) if self.takes_sides else ()
         rates = self._call("field", self._field, t, y, self._p, *sides)
         if not isinstance(rates, Mapping):
             raise self._refuse(f"field gave {type(rates).__name__}; it must give a dict with the rate of each state")
@@ -187,26 +201,33 @@ class Probe:
             )
         return {key: self._number(f"field, {key},", rates[key]) if number else rates[key] for key in self._states}
 
-    def _surface(self, event: Event) -> tuple[str, Callable[..., Any]]:
+    def _surface(self, event: Event) -> tuple[str, Any]:
         kind = {Impact: "gap", Switch: "function", Friction: "relative"}[type(event)]
         return f"event {event.name}: {kind}", getattr(event, kind)
 
     def _check_functions(self) -> None:
-        self.rates(self._t, self._y)
+        for key, rate in self.rates(self._t, self._y).items():
+            if not bool(jnp.isfinite(rate).all()):
+                lane = int(jnp.argmax(~jnp.isfinite(rate)))
+                at = ", ".join(f"{name} = {float(y[lane]):.2g}" for name, y in self._y.items())
+                raise self._refuse(f"field, {key}, is {float(rate[lane])} at {at}; it must be finite there")
         for event in self._events:
             what, function = self._surface(event)
             self._number(what, self._call(what, function, self._t, self._y, self._p))
             self._check_effect(event)
             if isinstance(event, Friction):
                 what = f"event {event.name}: normal"
-                self._number(what, self._call(what, event.normal, self._t, self._y, self._p))
+                self._number(what, self._call(what, event.force, self._t, self._y, self._p, self._sides))
                 what = f"event {event.name}: mass"
                 self._number(what, self._call(what, event.mass, self._p) if callable(event.mass) else event.mass)
             if isinstance(event, Impact) and event.reset is not None:
                 what = f"event {event.name}: reset"
                 new = self._call(what, event.reset, self._t, self._y, self._p)
                 if not isinstance(new, Mapping) or not set(new) <= set(self._states):
-                    raise self._refuse(f"{what} gave {shown(new)}; it must give a dict of new values of states")
+                    kind = "an array" if hasattr(new, "shape") else type(new).__name__
+                    given = f"values of {', '.join(map(str, new))}" if isinstance(new, Mapping) else kind
+                    known = ", ".join(self._states)
+                    raise self._refuse(f"{what} gave {given}; it must give a dict of new values of the states {known}")
             elif isinstance(event, Impact):
                 what = f"event {event.name}: restitution"
                 r = self._number(what, self._call(what, event.bounce, self._p))
@@ -232,7 +253,6 @@ class Probe:
         """Try the functions on the number types of a step, which `jnp` and `np` functions do not accept."""
         y = {key: Dual(x, 1.0, 1) for key, x in self._y.items()}
         what = "field"
-        advice = "use + - * / ** and vj.elementary, not jnp or np, on states and time"
         try:
             self.rates(Dual(self._t, 1.0, 1), y, number=False)
             for event in self._events:
@@ -241,10 +261,10 @@ class Probe:
         except InputError as error:
             text = str(error)
             if "TypeError" in text or "AttributeError" in text:
-                raise self._refuse(f"{what} uses a function that steps cannot expand; {advice}") from None
+                raise self._refuse(f"{what} {CANNOT_EXPAND}") from None
             raise
         except TypeError:
-            raise self._refuse(f"{what} uses a function that steps cannot expand; {advice}") from None
+            raise self._refuse(f"{what} {CANNOT_EXPAND}") from None
 
     def _check_section(self, period: Any, section: Any) -> None:
         if (period is None) == (section is None):
@@ -289,6 +309,18 @@ class Probe:
         values = [self._surface(event)[1](self._t, self._y, self._p) for event in self._events]
         return {key for key, y in self._y.items() for value in values if _equal(abs(value), abs(y))}
 
+    def switching(self) -> dict[str, list[str]]:
+        """Return the states on which the function of each switch depends, by the name of the switch."""
+
+        def changes(event: Switch, name: str) -> bool:
+            before, after = (
+                event.function(self._t, y, self._p) for y in (self._y, self._y | {name: self._y[name] + 0.1})
+            )
+            return not _equal(before, after)
+
+        switches = [event for event in self._events if isinstance(event, Switch)]
+        return {event.name: [name for name in self._y if changes(event, name)] for event in switches}
+
     def still_stops(self) -> dict[int, float]:
         """Return, for each impact whose gap is a constant plus or minus the position of its velocity, that sign."""
         signs: dict[int, float] = {}
@@ -308,6 +340,11 @@ class Probe:
             if linear and all(bool(_equal(x, 0.0)) for x in moves):
                 signs[index] = math.copysign(1.0, sign)
         return signs
+
+
+def _normal(event: Event) -> tuple[str, Any]:
+    """Return the name and the function of a friction's normal force; no name for other events."""
+    return (f"event {event.name}: normal", event.normal) if isinstance(event, Friction) else ("", None)
 
 
 def _is_level(section: tuple[Any, ...]) -> bool:

@@ -90,8 +90,8 @@ class System(Scene[SystemConstants]):
 
     def __new__(cls, *args: Any, **options: Any) -> "System":
         events = options.get("events") or ()
-        impacts = isinstance(events, Sequence) and any(isinstance(event, Impact) for event in events)
-        return object.__new__(ImpactSystem if impacts and cls is System else cls)
+        counted = isinstance(events, Sequence) and any(map(_is_impact, events))
+        return object.__new__(ImpactSystem if counted and cls is System else cls)
 
     # What users give is checked by `Probe`, in one line each.
     def __init__(
@@ -112,9 +112,12 @@ class System(Scene[SystemConstants]):
             self.name = name  # type: ignore[misc]
             speeds = probe.velocities()
             self.events, self._period, self._own = tuple(events), period, tuple(states)
-            self._flow = Flow(self._own, field, probe.takes_sides, self.events, probe.still_stops(), speeds, rate)
+            structure = probe.still_stops(), speeds, probe.switching()
+            self._flow = Flow(self._own, field, probe.takes_sides, self.events, *structure, rate)
             self._parameters, self._renamed = probe.parameters, dict(regimes or {})
             self._section_state, level = section if isinstance(section, tuple) else (section, 0.0)
+            # The error of these positions follows from that of their velocities.
+            self._integrated = frozenset(speeds) if set(speeds) < set(states) else frozenset()
             self.autonomous = period is None  # type: ignore[misc]
             self._declare(states, speeds, probe.surfaces(), level)
             self.usual_times = self._times()  # type: ignore[misc]
@@ -240,15 +243,18 @@ class System(Scene[SystemConstants]):
 
         def value(c: SystemConstants, mode: Values, state: Values) -> Any:
             t, y = self._known(state)
-            surface, where = event.surface(t, y, c.p), mode[index]
             margin = self._motion(c, mode, state).margins[index]
-            if isinstance(event, Impact):
-                rests, lifted, side = jnp.where(where == 1, 1.0, 0.0), where == -1, jnp.ones_like(where)
-            else:
-                rests, lifted, side = jnp.where(where == 0, 1.0, 0.0), jnp.abs(where) == 2, jnp.sign(where)
-            return (side * (1.0 - rests)) * surface + jnp.where(lifted, c.lifts[index], 0.0) + rests * margin
+            return self._guard_value(c, index, mode[index], event.surface(t, y, c.p), margin)
 
         return value
+
+    def _guard_value(self, c: SystemConstants, index: int, where: Any, surface: Any, margin: Any) -> Any:
+        """Return a guard's value from the event's function and margin; `where`: the mode of the event."""
+        if isinstance(self.events[index], Impact):
+            rests, lifted, side = jnp.where(where == 1, 1.0, 0.0), where == -1, jnp.ones_like(where)
+        else:
+            rests, lifted, side = jnp.where(where == 0, 1.0, 0.0), jnp.abs(where) == 2, jnp.sign(where)
+        return (side * (1.0 - rests)) * surface + jnp.where(lifted, c.lifts[index], 0.0) + rests * margin
 
     def _rounded(self, c: SystemConstants, mode: Values, state: Values) -> tuple[list[Any], list[Any]]:
         """Return bounds on the rounding errors of the states and of the guards, in machine epsilons."""
@@ -256,14 +262,19 @@ class System(Scene[SystemConstants]):
         known = _ROUNDINGS.get(self)
         if known is not None and len(known[0]) == len(arguments) and all(map(operator.is_, known[0], arguments)):
             return known[1]  # a step asks for the same bounds three times
-        names = self.state_names
-        first = tuple(Rounded(x, jnp.abs(x)) for x in state)
-        rates, speed = self.field(c, mode, first), self.rate(c, mode)
-        sizes = [jnp.abs(x) + _size(rate) / speed for x, rate in zip(state, rates, strict=True)]
+        speed, names = self.rate(c, mode), self.state_names
+        # A state that passes through zero has the errors of its values nearby.
+        near = [jnp.abs(x) + jnp.abs(rate) / speed for x, rate in zip(state, self.field(c, mode, state), strict=True)]
+        motion = self._motion(c, mode, tuple(Rounded(x, size) for x, size in zip(state, near, strict=True)))
+        sizes = [size + _size(motion.rates.get(name, 0.0)) / speed for name, size in zip(names, near, strict=True)]
         if not self.autonomous:
             sizes[names.index(TIME)] = jnp.zeros_like(state[0]) + c.period
-        second = tuple(Rounded(x, size) for x, size in zip(state, sizes, strict=True))
-        bounds = sizes, [_size(guard.function(c, mode, second)) for guard in self.guards()]
+        t, y = self._known(tuple(Rounded(x, size) for x, size in zip(state, sizes, strict=True)))
+        guards = [
+            _size(self._guard_value(c, index, mode[index], event.surface(t, y, c.p), motion.margins[index]))
+            for index, event in enumerate(self.events)
+        ]
+        bounds = sizes, guards + ([] if self.autonomous else [jnp.zeros_like(state[0]) + c.period])
         _ROUNDINGS[self] = arguments, bounds
         return bounds
 
@@ -283,12 +294,13 @@ class System(Scene[SystemConstants]):
         speed, one = self.rate(c, mode), jnp.ones_like(state[0])
         tiny = jnp.finfo(one.dtype).tiny
         rates = self.field(c, mode, state)
-        # The rate of change comes first: a motion is at rest if it is slow, not if the step is short.
-        terms = [
-            [rate / (speed * size + tiny), *(x / (size + tiny) for x in series[1:])]
-            for series, size, rate in zip(polynomials, sizes, rates, strict=True)
-        ]
-        return terms[: len(self._own)], one
+        terms, none = [], jnp.zeros((), one.dtype)
+        for index, name in enumerate(self._own):
+            inverse = 1.0 / (sizes[index] + tiny)
+            higher = [none, none] if name in self._integrated else [x * inverse for x in polynomials[index][1:]]
+            # The rate of change comes first: a motion is at rest if it is slow, not if the step is short.
+            terms.append([rates[index] * (inverse / speed), *higher])
+        return terms, one
 
     def validity(
         self, c: SystemConstants, mode: Values, polynomials: tuple[list[Array], ...], functions: list[list[Array]]
@@ -320,6 +332,18 @@ class System(Scene[SystemConstants]):
         t, y = self._known(state)
         free = free_modes(self._flow, c, t, y, zero)
         return initial_modes(self._flow, c, t, y, free, self.resolutions(c, free, state, False))
+
+    def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
+        kinds: dict[str, Any] = {}
+        for index, event in enumerate(self.events):
+            before, now, hit = mode[index], after[index], hits[event.name]
+            if isinstance(event, Impact):
+                masks = {"stick": hit & (now == 1), "release": hit & (before == 1)}
+            else:
+                starts, moves = ("slide", "switch") if isinstance(event, Switch) else ("stick", "slip")
+                masks = {starts: hit & (before != 0) & (now == 0), moves: hit & (now != 0)}
+            kinds |= {kind: kinds.get(kind, False) | mask for kind, mask in masks.items()}
+        return kinds
 
     # Scales
 
@@ -398,8 +422,16 @@ class ImpactSystem(System, HasImpacts[SystemConstants]):
         return state[self.place(APPROACH)]
 
     def impact_begins(self, c: SystemConstants, mode: Values, state: Values, hits: Mapping[str, Any]) -> Any:
-        masks = [hits[e.name] & (mode[i] != 1) for i, e in enumerate(self.events) if isinstance(e, Impact)]
+        masks = [
+            hits[event.name] & ((mode[index] != 1) if isinstance(event, Impact) else (mode[index] < 0))
+            for index, event in enumerate(self.events)
+            if _is_impact(event)
+        ]
         return jnp.stack(masks).any(axis=0)
+
+
+def _is_impact(event: object) -> bool:
+    return isinstance(event, Impact) or (isinstance(event, Switch) and event.impact)
 
 
 def _mode(event: Event) -> Mode:

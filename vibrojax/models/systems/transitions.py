@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from vibrojax.models.scenes.declared import Values
-from vibrojax.models.systems.events import Friction, Impact
+from vibrojax.models.systems.events import Friction, Impact, Switch
 from vibrojax.models.systems.flow import Flow, States, SystemConstants
 
 LEAST_PUSH = 1e-10
@@ -27,6 +27,10 @@ def after_events(
     flow: Flow, known: Known, c: SystemConstants, mode: Values, values: dict[str, Any], hits: Mapping[str, Any]
 ) -> Values:
     """Return the modes after events, and update the states in `values`; `hits`: masks of the events by name."""
+    for _, event in (*flow.of(Friction), *flow.of(Switch)):
+        # A departure along a tangent moves the surface away; the motion returns exactly to the surface.
+        for name, value in flow.onto_surface(c, event, *known(values)).items():
+            values[name] = jnp.where(hits[event.name], value, values[name])
     motion, modes = flow.at(c, mode, *known(values)), list(mode)
     for index, event in enumerate(flow.events):
         if isinstance(event, Impact):
@@ -38,6 +42,10 @@ def after_events(
             after = jnp.where(margin >= 0, 0.0, leaves)
         else:
             after = jnp.where(margin > 0, 0.0, -jnp.sign(where))
+            if event.impact:
+                t, y = known(values)
+                begins = hits[event.name] & (where < 0)
+                values[APPROACH] = jnp.where(begins, flow.closing(c, event, mode, t, y), values[APPROACH])
         modes[index] = jnp.where(hits[event.name], jnp.where(where == 0, leaves, after), where)
     for index, event in flow.of(Impact):
         modes[index] = _after_impact(flow, known, c, mode, index, event, values, hits[event.name])

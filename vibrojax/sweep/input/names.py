@@ -16,7 +16,7 @@ from vibrojax.measures import GAUGES, Gauge
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.meanings import suggest_by_meaning, suggest_parameter
 from vibrojax.models.physics.parameters import FREQUENCIES, REPLACED, Parameter, substitutes
-from vibrojax.models.scenes import SCENES, HasContact, Scene
+from vibrojax.models.scenes import SCENES, HasContact, HasRock, Scene
 from vibrojax.models.systems.system import DEFINED
 from vibrojax.stepping import STEPPERS, Stepper
 from vibrojax.sweep.input.run_settings import RunSettings
@@ -54,12 +54,10 @@ class Names:
 
     @property
     def scene(self) -> str:
-        """Name of the scene."""
         return self.system.name
 
     @property
     def starts(self) -> tuple[str, ...]:
-        """Names of the initial conditions."""
         return self.system.starts
 
     @property
@@ -69,7 +67,6 @@ class Names:
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
-        """Parameters by name."""
         return dict(self.system.parameters())
 
     @cached_property
@@ -99,13 +96,15 @@ class Names:
     def substituted(self, names: set[str]) -> set[str]:
         """Return the parameters that are defined by a preset, a rotation or a frequency in `names`."""
         parameters = {name for preset in self.presets if preset in names for name in self._set_by(preset)}
-        return parameters | {REPLACED[name] for name in names & substitutes(self.parameters).keys()}
+        # A radius without a rotation speed is that of the hole alone.
+        return parameters | {REPLACED[name] for name in names & substitutes(self.parameters).keys() - {"bit_radius"}}
 
     def check_substitutes(self, places: Mapping[str, Place]) -> None:
         """Raise if a parameter is specified twice, or if one of rpm and bit_radius is missing.
 
         A rock defines threshold and k3, rpm and bit_radius together define v, bit_frequency defines k1, and
-        striker_frequency defines gamma. `places`: place of each specified name in the file.
+        striker_frequency defines gamma. In a scene with rock, bit_radius alone is the radius of the hole. `places`:
+        place of each specified name in the file.
         """
         for preset in self.presets:
             for name in self._set_by(preset):
@@ -113,6 +112,8 @@ class Names:
                     instead = " and ".join(self._set_by(preset))
                     raise places[preset].error(f"{name} is given as well; give the {preset}, or {instead}")
         rotation = [name for name in ("rpm", "bit_radius") if name in places]
+        if rotation == ["bit_radius"] and isinstance(self.system, HasRock):
+            rotation = []  # the radius of the hole
         if rotation and "v" in places:
             raise places[rotation[0]].error("v is given as well; give v, or rpm with bit_radius")
         for name in (name for name in FREQUENCIES if name in places and name not in self.parameters):
@@ -188,7 +189,12 @@ def read_names(
     instead of a name.
     """
     enter_offered()
-    system = scene if isinstance(scene, Scene) else _scene_named(place, scene)
+    if isinstance(scene, Scene):
+        system = scene
+    elif isinstance(scene, str) and scene not in SCENES and scene in DEFINED:  # a system of this process
+        system = DEFINED[scene]
+    else:
+        system = SCENES[choice(place, scene, tuple(SCENES))]()
     own: set[str] = {field.name for field in fields(system)} if is_dataclass(system) else set()
     options = {name: getattr(system, name) for name in system.choices if name in own}
     chosen = {name: table.pop(name) for name in known_options() | options if name in table} if table else {}
@@ -203,13 +209,6 @@ def read_names(
     if chosen:
         system = replace(system, **options)  # type: ignore[type-var] # it has options, so it is a dataclass
     return Names(system, {option: str(getattr(value, "name", value)) for option, value in options.items()})
-
-
-def _scene_named(place: Place, name: object) -> Scene[Any]:
-    """Return the scene of this name, or the system that this process has defined under this name."""
-    if isinstance(name, str) and name not in SCENES and name in DEFINED:
-        return DEFINED[name]
-    return SCENES[choice(place, name, tuple(SCENES))]()
 
 
 _GROUPS: dict[str, tuple[dict[str, Any], type]] = {

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
+from vibrojax.measures.derived import HOLE_RADIUS
 from vibrojax.models.scenes import SCENES, Scene
 from vibrojax.sweep.input.definition import Sweep, with_substitutes
 from vibrojax.sweep.input.names import Names, read_names
@@ -140,20 +141,16 @@ def _read_varied(place: Place, origin: Source, names: Names) -> tuple[dict[str, 
     axes = {}
     for name, value in grid.items():
         if name in names.presets:
-            axes[name] = _read_presets(place.at(name), name, value, names)
+            here = place.at(name)
+            if not isinstance(value, list) or not value:
+                first, *_, last = names.presets[name]
+                raise here.error(f'{shown(value)} is not a list of {name}s; write one like ["{first}", "{last}"]')
+            chosen = [names.preset(here.item(index), name, item) for index, item in enumerate(value)]
+            check_distinct(here, chosen, name)
+            axes[name] = np.array(chosen)
         else:
             axes[name] = read_axis(place.at(name), value, names.parameter(place.at(name), name))
     return axes, None
-
-
-def _read_presets(place: Place, name: str, value: object, names: Names) -> np.ndarray:
-    """Return an axis of the names of presets, such as rocks."""
-    if not isinstance(value, list) or not value:
-        first, *_, last = names.presets[name]
-        raise place.error(f'{shown(value)} is not a list of {name}s; write one like ["{first}", "{last}"]')
-    chosen = [names.preset(place.item(index), name, item) for index, item in enumerate(value)]
-    check_distinct(place, chosen, name)
-    return np.array(chosen)
 
 
 def _check_run(place: Place, sweep: Sweep) -> None:
@@ -185,7 +182,7 @@ class Point:
     - `scene`: name of the scene. `system`: the scene itself.
     - `options`: names of the scene's options.
     - `start`: initial condition.
-    - `parameters`: all parameters by name, in SI units.
+    - `parameters`: all parameters by name, in SI units. `hole_radius` [m]: the radius that is given, or the default.
     """
 
     scene: str
@@ -193,6 +190,7 @@ class Point:
     start: Start | None
     parameters: dict[str, float]
     system: Scene[Any]
+    hole_radius: float = HOLE_RADIUS
 
 
 def read_point(place: Place, scene: object, parameters: Mapping[str, object], start: object = None) -> Point:
@@ -227,7 +225,8 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     values = {name: parameter.default for name, parameter in names.parameters.items() if name not in absent}
     values = with_substitutes(names.system, values | fixed)
     ordered = {name: values[name] for name in names.parameters}
-    return Point(names.scene, dict(names.options), start, ordered, names.system)
+    radius = fixed.get("bit_radius", HOLE_RADIUS)
+    return Point(names.scene, dict(names.options), start, ordered, names.system, radius)
 
 
 def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:

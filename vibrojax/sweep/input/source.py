@@ -30,6 +30,7 @@ _PACKAGE = Path(__file__).parents[2]
 # A wheel contains the sweeps inside the package. In a checkout, they are in the root folder.
 _CHECKOUT = (_PACKAGE.parent,) if (_PACKAGE.parent / "pyproject.toml").exists() else ()
 BUNDLED_FOLDERS = tuple(folder / "sweeps" for folder in (_PACKAGE, *_CHECKOUT))
+STUDY_FOLDERS = tuple(folder / "studies" for folder in (_PACKAGE, *_CHECKOUT))
 
 _TABLES = ("parameters", "grid", "run")
 _TOP_KEYS = ("scene", "title", "starts", "unusual")
@@ -57,23 +58,24 @@ class Source:
     tables: dict[str, object]
 
 
-def read_source(source: str | PathLike[str] | Mapping[str, object]) -> Source:
+def read_source(source: str | PathLike[str] | Mapping[str, object], noun: str = "sweep") -> Source:
     """Read a sweep from the path of a TOML file, the name of a bundled sweep, or a dict with the same structure.
 
-    In a dict, a scene, a friction law or a stepper may be an object instead of a name.
+    `noun`: "sweep", or "study", which is read in the same way. In a dict, a scene, a friction law or a stepper may be
+    an object instead of a name.
     """
     if isinstance(source, Mapping):
-        tables = plain_table(Place("sweep"), source)
-        return Source("sweep", "sweep", Path(), render(tables), tables)
+        tables = plain_table(Place(noun), source)
+        return Source(noun, noun, Path(), render(tables), tables)
     if not isinstance(source, (str, PathLike)):
-        raise InputError(f"sweep: {shown(source)} is not a sweep; give a path, a bundled name or a dict")
+        raise InputError(f"{noun}: {shown(source)} is not a {noun}; give a path, a bundled name or a dict")
     is_name = isinstance(source, str) and Path(source).name == source and not source.endswith(".toml")
-    bundled = {path.stem.replace("_", "-"): path for path in reversed(_bundled())} if is_name else {}
+    bundled = {path.stem.replace("_", "-"): path for path in reversed(_bundled(noun))} if is_name else {}
     path = bundled.get(str(source).replace("_", "-"), Path(source))
     if is_name and path == Path(source) and not path.exists():
-        raise InputError(f"{source}: no such bundled sweep or file; {suggestion(str(source), bundled_names())}")
+        raise InputError(f"{source}: no such bundled {noun} or file; {suggestion(str(source), bundled_names(noun))}")
     if path.suffix in (".nc", ".zarr") and path.exists():
-        raise InputError(f"{path}: is a dataset, not a sweep; vibrojax info {path} and vibrojax plot {path} take it")
+        raise InputError(f"{path}: is a dataset, not a {noun}; vibrojax info {path} and vibrojax plot {path} take it")
     text = read_text(path)
     try:
         tables = tomllib.loads(text)
@@ -228,13 +230,17 @@ def _with_decimal_points(place: Place, rows: list[tuple[int, list[str]]]) -> lis
     ]
 
 
-def bundled_names() -> list[str]:
-    """Return the names of the bundled sweeps. Hyphens and underscores are interchangeable in these names."""
-    return sorted({path.stem.replace("_", "-") for path in _bundled()})
+def bundled_names(noun: str = "sweep") -> list[str]:
+    """Return the names of the bundled sweeps, or of the bundled studies if `noun` is "study".
+
+    Hyphens and underscores are interchangeable in these names.
+    """
+    return sorted({path.stem.replace("_", "-") for path in _bundled(noun)})
 
 
-def _bundled() -> list[Path]:
-    return [path for folder in BUNDLED_FOLDERS for path in sorted(folder.glob("*.toml"))]
+def _bundled(noun: str) -> list[Path]:
+    folders = BUNDLED_FOLDERS if noun == "sweep" else STUDY_FOLDERS
+    return [path for folder in folders for path in sorted(folder.glob("*.toml"))]
 
 
 def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
@@ -260,7 +266,12 @@ def plain(place: Place, value: object) -> object:
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         return plain(place, value.tolist())
     if hasattr(value, "columns") and hasattr(value, "to_dict"):
-        return plain_table(place, _columns_of(place, value))
+        frame: Any = value  # of pandas or polars; the index is not a column
+        names = list(frame.columns)
+        for name in names:
+            if names.count(name) > 1:
+                raise place.at(str(name)).error("is there already; give each column once")
+        return plain_table(place, {name: np.asarray(frame[name]).tolist() for name in names})
     if isinstance(value, (list, tuple, range)):
         if all(type(item) is float for item in value):
             return list(value)  # a fast path, because columns of points are long
@@ -272,15 +283,6 @@ def plain(place: Place, value: object) -> object:
     if isinstance(value, (bool, int, float, str, *_OBJECTS)):
         return value
     raise place.error(f"{shown(value)} cannot stand in a sweep; write a number, text, a list or a table")
-
-
-def _columns_of(place: Place, frame: Any) -> dict[str, object]:
-    """Return the columns of a DataFrame (pandas or polars) by name; its index is not a column."""
-    names = list(frame.columns)
-    for name in names:
-        if names.count(name) > 1:
-            raise place.at(str(name)).error("is there already; give each column once")
-    return {name: np.asarray(frame[name]).tolist() for name in names}
 
 
 def render(table: Mapping[str, object]) -> str:

@@ -55,7 +55,6 @@ class Starts:
         return len(self.number)
 
     def __getitem__(self, index: int) -> Start:
-        """Return the name or the vector of an initial condition."""
         number = int(self.number[index])
         return self.names[number] if number < len(self.names) else tuple(self.vectors[index].tolist())
 
@@ -64,7 +63,6 @@ class Starts:
 
     @property
     def has_vectors(self) -> bool:
-        """True if any initial condition is a vector."""
         return bool(np.any(self.number == len(self.names)))
 
 
@@ -102,13 +100,20 @@ def read_starts(place: Place, value: object, names: Names) -> Starts | None:
 
 
 def _read_many(place: Place, table: dict[str, object], names: Names) -> Starts:
-    """Return the initial conditions of a sample or a plane."""
+    """Return the initial conditions of a sample, or of a plane in row-major order over the listed states."""
     states = names.system.start_states
     if not states:
         raise place.error(f"scene {shown(names.scene)} accepts no initial states; give names")
     if "plane" in table:
         known_keys(place, table, ("plane", "at"), {key: "a plane has no such key" for key in _SAMPLE_KEYS})
-        columns = _read_plane(place.at("plane"), table["plane"], states)
+        here = place.at("plane")
+        axes = _states_of(here, table["plane"], states)
+        if not axes:
+            raise here.error(f"empty; write one like {PLANE}")
+        values = [read_axis(here.at(name), axis, STATE) for name, axis in axes.items()]
+        if prod(map(len, values)) > AXIS_MAX_VALUES:
+            raise here.error(f"{prod(map(len, values))} starts are too many; {AXIS_MAX_VALUES} at most")
+        columns = dict(zip(axes, map(np.ravel, np.meshgrid(*values, indexing="ij")), strict=True))
     elif "sample" in table:
         known_keys(place, table, _SAMPLE_KEYS)
         columns = _read_sample(place, table, states)
@@ -157,17 +162,6 @@ def _read_side(place: Place, value: object) -> tuple[float, float]:
     if not low < high:
         raise place.error(f"from {low:g} to {high:g} is not a side of a box; the first end must be below the second")
     return low, high
-
-
-def _read_plane(place: Place, value: object, states: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Return the states of a plane by name, each (starts,), in row-major order over the listed states."""
-    axes = _states_of(place, value, states)
-    if not axes:
-        raise place.error(f"empty; write one like {PLANE}")
-    values = [read_axis(place.at(name), axis, STATE) for name, axis in axes.items()]
-    if prod(map(len, values)) > AXIS_MAX_VALUES:
-        raise place.error(f"{prod(map(len, values))} starts are too many; {AXIS_MAX_VALUES} at most")
-    return {name: grid.ravel() for name, grid in zip(axes, np.meshgrid(*values, indexing="ij"), strict=True)}
 
 
 def _states_of(place: Place, value: object, states: tuple[str, ...]) -> dict[str, object]:

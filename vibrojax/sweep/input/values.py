@@ -166,15 +166,9 @@ class UnusualValue(UserWarning):
 
 
 def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str = "", meant: str = "") -> None:
-    """Issue a one-line warning if any of `values` is far outside the parameter's usual range.
+    """Issue a one-line warning if any of `values`, a number or an array, is far outside the parameter's usual range.
 
-    **Arguments:**
-
-    - `place`: place of the values in the input.
-    - `parameter`: parameter to which the values belong.
-    - `values`: number or array.
-    - `likely`: replacement for the default advice about the likely unit.
-    - `meant`: advice in case the values are intended.
+    `likely` replaces the default advice about the likely unit; `meant` is advice in case the values are intended.
     """
     if parameter.usual is None:
         return
@@ -190,18 +184,12 @@ def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str 
         of = f"of {numbers.size} values, such as {_with_unit(worst, parameter)},"
         subject = counted(int(np.isin(numbers, far).sum()), f"{of} is", f"{of} are")
     usual = f"{low:g} to {_with_unit(high, parameter)}" if low != high else _with_unit(high, parameter)
-    advice = likely or _likely(worst, parameter, (least or high / _USUAL_SPAN, high))
+    units = likely_units(abs(worst), parameter.unit, (least or high / _USUAL_SPAN, high))
+    guesses = [f"if in {unit}, write {_with_unit(worst * scale, parameter)}" for unit, scale in units.items()]
+    guesses += ["of a rotation give rpm and bit_radius"] if parameter.name == "v" else []
+    advice = likely or "; ".join(guesses) or "check its unit"
     line = f"{subject} far outside what the source and rigs have ({usual}); {advice}{meant}"
     warnings.warn(str(place.error(line)), UnusualValue, stacklevel=_level_of_caller())
-
-
-def _likely(value: float, parameter: Parameter, usual: tuple[float, float]) -> str:
-    """Return advice: the SI value for each other unit in which `value` would be within the usual range."""
-    units = likely_units(abs(value), parameter.unit, usual)
-    advice = [f"if in {unit}, write {_with_unit(value * scale, parameter)}" for unit, scale in units.items()]
-    if parameter.name == "v":
-        advice.append("of a rotation give rpm and bit_radius")
-    return "; ".join(advice) or "check its unit"
 
 
 def _with_unit(value: float, parameter: Parameter) -> str:
