@@ -222,7 +222,8 @@ def test_ratios_are_those_of_the_race():
 
 def test_limits_of_systems():
     from vibrojax.measures.motion import REST_SWING
-    from vibrojax.models.systems.system import AT_REST, CYCLES_OBSERVED, CYCLES_SETTLING
+    from vibrojax.models.systems.equations import AT_REST
+    from vibrojax.models.systems.system import CYCLES_OBSERVED, CYCLES_SETTLING
 
     assert (CYCLES_SETTLING, CYCLES_OBSERVED, REST_SWING) == (100, 40, 1e-6)
     assert AT_REST * np.finfo(float).eps ** 0.5 == pytest.approx(2.4e-7, rel=0.02)

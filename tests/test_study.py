@@ -10,9 +10,15 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax.analyses.study import sampling as samples
 from vibrojax.analyses.study.analysis import Studies
-from vibrojax.analyses.study.indices import REASONS, factorial_effects, indices
 from vibrojax.analyses.study.run import SCHEMA, study_of, values_of
-from vibrojax.analyses.study.sampling import MAX_PARAMETERS, Sampling, factorial_signs
+from vibrojax.analyses.study.sampling import (
+    MAX_PARAMETERS,
+    REASONS,
+    Sampling,
+    factorial_effects,
+    factorial_signs,
+    indices,
+)
 from vibrojax.analyses.study.spec import read_study
 from vibrojax.cli import main
 from vibrojax.errors import InputError

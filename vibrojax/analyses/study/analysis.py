@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, Source, SummaryPart
-from vibrojax.analyses.study.indices import REASONS
 from vibrojax.analyses.study.run import SCHEMA, study
+from vibrojax.analyses.study.sampling import REASONS
 from vibrojax.analyses.study.spec import SHARE
 from vibrojax.errors import counted
 from vibrojax.io.variables import Variable

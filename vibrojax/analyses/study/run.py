@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from vibrojax.analyses.study.indices import CONFIDENCE, REASONS, indices
+from vibrojax.analyses.study.sampling import CONFIDENCE, REASONS, indices
 from vibrojax.analyses.study.spec import SHARE, Study, read_study
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.io.kinds import dataset_attributes

@@ -1,4 +1,4 @@
-"""Checks of the functions of a system, and the structure that random states reveal."""
+"""Checks of the functions of a system at random states."""
 
 import inspect
 import math
@@ -14,7 +14,7 @@ from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.physics.units import is_unit
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch
-from vibrojax.models.systems.numbers import Dual, slope_along
+from vibrojax.models.systems.numbers import Dual
 
 LANES = 3
 """Number of lanes with which the functions are tried."""
@@ -246,7 +246,7 @@ class Probe:
             return
         moved = {key: y + 0.1 for key, y in self._y.items() if key in names}
         before, after = (event.surface(self._t, y, self._p) for y in (self._y, self._y | moved))
-        if _equal(before, after):
+        if equal(before, after):
             raise self._refuse(f"event {event.name}: {what}")
 
     def _check_series(self) -> None:
@@ -290,9 +290,7 @@ class Probe:
         def values(t: Any) -> list[Any]:
             return [*self.rates(t, self._y).values(), *(f(t, self._y, self._p) + 0.0 * t for f in functions)]
 
-        return all(bool(_equal(a, b)) for a, b in zip(values(first), values(second), strict=True))
-
-    # Structure
+        return all(bool(equal(a, b)) for a, b in zip(values(first), values(second), strict=True))
 
     def velocities(self) -> dict[str, str]:
         """Return the velocity of each state whose rate of change is a state itself, by name."""
@@ -303,43 +301,6 @@ class Probe:
             for other, value in self._y.items()
             if other != key and bool((rate == value).all())
         }
-
-    def surfaces(self) -> set[str]:
-        """Return the states whose zeros are those of an event."""
-        values = [self._surface(event)[1](self._t, self._y, self._p) for event in self._events]
-        return {key for key, y in self._y.items() for value in values if _equal(abs(value), abs(y))}
-
-    def switching(self) -> dict[str, list[str]]:
-        """Return the states on which the function of each switch depends, by the name of the switch."""
-
-        def changes(event: Switch, name: str) -> bool:
-            before, after = (
-                event.function(self._t, y, self._p) for y in (self._y, self._y | {name: self._y[name] + 0.1})
-            )
-            return not _equal(before, after)
-
-        switches = [event for event in self._events if isinstance(event, Switch)]
-        return {event.name: [name for name in self._y if changes(event, name)] for event in switches}
-
-    def still_stops(self) -> dict[int, float]:
-        """Return, for each impact whose gap is a constant plus or minus the position of its velocity, that sign."""
-        signs: dict[int, float] = {}
-        positions = {speed: key for key, speed in self.velocities().items()}
-        for index, event in enumerate(self._events):
-            if not isinstance(event, Impact) or event.velocity not in positions:
-                continue
-            position, gap = positions[event.velocity], event.gap
-
-            def slope(unit: str | None, gap: Any = gap) -> Any:
-                directions = [float(key == unit) for key in self._y]
-                return slope_along(lambda t, y: gap(t, y, self._p), self._t, self._y, directions, float(unit is None))
-
-            moves = [slope(key) for key in self._y if key != position] + [slope(None)]
-            sign = float(jnp.ravel(jnp.asarray(slope(position)))[0])
-            linear = bool(_equal(slope(position), sign)) and abs(abs(sign) - 1.0) < EQUAL
-            if linear and all(bool(_equal(x, 0.0)) for x in moves):
-                signs[index] = math.copysign(1.0, sign)
-        return signs
 
 
 def _normal(event: Event) -> tuple[str, Any]:
@@ -352,7 +313,8 @@ def _is_level(section: tuple[Any, ...]) -> bool:
     return len(section) == 2 and isinstance(section[1], int | float) and math.isfinite(section[1])
 
 
-def _equal(a: Any, b: Any) -> bool:
+def equal(a: Any, b: Any) -> bool:
+    """Return whether two values are equal within `EQUAL` in all lanes."""
     a, b = jnp.asarray(a), jnp.asarray(b)
     return bool((jnp.abs(a - b) <= EQUAL * (1 + jnp.abs(a))).all())
 
