@@ -20,10 +20,11 @@ def derived_names(scene: Scene[Any]) -> tuple[str, ...]:
     return "impact_power", "blow_frequency", *(("specific_energy",) if isinstance(scene, HasRock) else ())
 
 
-def derived(scene: Scene[Any], features: Mapping[str, Any], bit_radius: Any) -> dict[str, Any]:
+def derived(scene: Scene[Any], features: Mapping[str, Any], bit_radius: Any, xp: Any = np) -> dict[str, Any]:
     """Return the derived quantities of lanes by name; NaN where they are undefined.
 
-    `features`: features of the lanes; `bit_radius` [m]: radius of the hole, one value or (lanes,).
+    `features`: features of the lanes; `bit_radius` [m]: radius of the hole, one value or (lanes,); `xp`: the module of
+    the arrays, numpy or jax.numpy.
     """
     names = derived_names(scene)
     if not names or not {"impacts", "cycles", "period", "impact_energy"} <= features.keys():
@@ -31,14 +32,14 @@ def derived(scene: Scene[Any], features: Mapping[str, Any], bit_radius: Any) -> 
     impacts, cycles, period = (features[name] for name in ("impacts", "cycles", "period"))
     with np.errstate(all="ignore"):
         power = features["impact_energy"] * impacts / (cycles * period)
-        power = np.where(cycles > 0, np.where(impacts == 0, 0.0 * period, power), np.nan)
-        quantities = {"impact_power": power, "blow_frequency": blow_frequency(impacts, cycles, period)}
+        power = xp.where(cycles > 0, xp.where(impacts == 0, 0.0 * period, power), np.nan)
+        quantities = {"impact_power": power, "blow_frequency": blow_frequency(impacts, cycles, period, xp)}
         if "specific_energy" in names:
             rate = features["rate_of_penetration"]
-            quantities["specific_energy"] = np.where(rate > 0, power / (pi * bit_radius**2 * rate), np.nan)
+            quantities["specific_energy"] = xp.where(rate > 0, power / (pi * bit_radius**2 * rate), np.nan)
     return {name: x.astype(period.dtype) for name, x in quantities.items()}
 
 
-def blow_frequency(impacts: Any, cycles: Any, period: Any) -> Any:
+def blow_frequency(impacts: Any, cycles: Any, period: Any, xp: Any = np) -> Any:
     """Return the impacts per minute; without a repeat, `impacts` counts the impacts of one return."""
-    return 60 * impacts / (np.maximum(cycles, 1) * period)
+    return 60 * impacts / (xp.maximum(cycles, 1) * period)

@@ -16,6 +16,8 @@ from jaxtyping import Bool, Complex, Float, Int
 from vibrojax.compile.xla import precision, workers
 from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import Recorder, recorder_for
+from vibrojax.measures.derived import HOLE_RADIUS
+from vibrojax.measures.derived import derived as derived_quantities
 from vibrojax.measures.recorder import Effort, Underway, observe_block, settle_block
 from vibrojax.measures.repeats import KeptReturns
 from vibrojax.measures.section import on_orbit
@@ -56,9 +58,9 @@ DERIVATIVE_REASONS = (
 COUNTED = {"impacts", "striker_turns", "settling_time", "error_estimate", "drift_estimate"}
 """Variables that do not vary smoothly with the parameters, so they cannot be differentiated."""
 
-STABILITY, POWER, BLOWS, MARGIN = "log_multiplier", "impact_power", "blow_frequency", "grazing_margin"
-"""Features in addition to those that the scene's recorder measures: natural logarithm of the largest modulus,
-impact_energy impacts/(cycles period) [W], impacts per minute, and distance from a change in the order of events."""
+STABILITY, MARGIN = "log_multiplier", "grazing_margin"
+"""Features of the orbit itself: natural logarithm of the largest modulus of the multipliers, and the distance from a
+change in the order of events."""
 
 MODULUS = "multiplier_abs_"
 """Prefix of the moduli of the multipliers, which are numbered from 0 in decreasing order."""
@@ -104,10 +106,8 @@ def orbit_variables(scene: Scene[Any]) -> tuple[str, ...]:
         if name in known and np.issubdtype(known[name].dtype, np.floating) and name not in COUNTED
     ]
     period = [] if "period" in measured else ["period"]
-    power = [POWER] if "impact_energy" in measured else []
-    blows = [BLOWS] if "impact_velocity" in measured else []
     moduli = [f"{MODULUS}{k}" for k in range(len(scene.driving_part().return_states))]
-    return (*period, *measured, *power, *blows, MARGIN, STABILITY, *moduli)
+    return (*period, *measured, MARGIN, STABILITY, *moduli)
 
 
 def orbit_features(
@@ -247,6 +247,9 @@ def _features(scene: Scene[Any], on: _OnOrbit, past: Array, settle: Lanes, obser
         carry = on_orbit(carry, past, on.when, on.period)
     underway = settle_block(scene, Located(), recorder, c, Underway(lane, carry, zero), settle, effort)
     _, features = observe_block(scene, Located(), recorder, c, underway, settle, observe, effort)
+    if "impacts" in features:  # per section crossing, because the observation is too short to detect a repeat
+        quantities = derived_quantities(scene, features | {"cycles": zero + 1}, HOLE_RADIUS, jnp)
+        features |= {name: x for name, x in quantities.items() if name != "specific_energy"}
     return {name: jnp.asarray(x).astype(zero.dtype) for name, x in features.items()}
 
 
@@ -287,13 +290,4 @@ def _measured(
     whole = (values["finished"] > 0) & (values["finite"] > 0)
     whole &= values[counted] == cycles + (counted == "returns")
     values["period"], tangents["period"] = start.length / cycles, d_length / cycles
-    if "impact_velocity" in values:
-        blows = 60 * varied.impacts / start.length
-        values[BLOWS], tangents[BLOWS] = blows, -(blows / start.length)[:, None] * d_length
-    if "impact_energy" in values:
-        energy, slope = values["impact_energy"], tangents["impact_energy"]
-        none = varied.impacts == 0
-        energy, slope = np.where(none, 0.0, energy), np.where(none[:, None], 0.0, slope)
-        values[POWER] = energy * blows / 60
-        tangents[POWER] = (slope * blows[:, None] + energy[:, None] * tangents[BLOWS]) / 60
     return values, tangents, whole

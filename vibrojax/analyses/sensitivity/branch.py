@@ -25,8 +25,11 @@ KNOWN_SPACING = 1e-3
 SAME_BRANCH = 0.05
 """Largest distance, in half swings, between an orbit and its linear prediction. Otherwise the step is halved."""
 
-LEAST_FRACTION = 1 / 512
-"""Smallest step of the continuation, as a fraction of the way between two points."""
+LEAST_FRACTION = 1 / 64
+"""Smallest step of the continuation from the first orbit, as a fraction of the way between two points."""
+
+LEAST_AROUND = 1 / 8
+"""The same for the continuation from the nearest known orbit, which may find a way around a border."""
 
 MAX_STEPS = 200
 """Limit of steps of one continuation."""
@@ -112,10 +115,10 @@ class Branch:
         far = np.flatnonzero(~reached)
         if len(far):
             # The way from the first orbit does not depend on the points that were evaluated before.
-            end = self._continue(x[far], self._known.of(np.zeros(len(far), int)))
+            end = self._continue(x[far], self._known.of(np.zeros(len(far), int)), LEAST_FRACTION)
             short = np.flatnonzero((end.x != x[far]).any(axis=1) & (nearest[far] > 0))
             if len(short):
-                around = self._continue(x[far[short]], begin.of(far[short]))
+                around = self._continue(x[far[short]], begin.of(far[short]), LEAST_AROUND)
                 there = (around.x == x[far[short]]).all(axis=1)
                 for mine, new in zip(end, around, strict=True):
                     mine[short[there]] = new[there]
@@ -186,13 +189,16 @@ class Branch:
         bad = [DERIVATIVE_REASONS.index(name) for name in ("no-orbit", "neutral-orbit", "failed")]
         return orbit, found & (orbit.moved <= SAME_BRANCH) & ~np.isin(orbit.reason, bad).any(axis=1)
 
-    def _continue(self, x: Points, begin: _Place) -> _Place:
-        """Return the places on the branch that are nearest to `x` on the straight lines from `begin`."""
+    def _continue(self, x: Points, begin: _Place, least: float) -> _Place:
+        """Return the places on the branch that are nearest to `x` on the straight lines from `begin`.
+
+        `least`: smallest step, as a fraction of the way.
+        """
         here = _Place(*(part.copy() for part in begin))
         done, step = np.zeros(len(x)), np.ones(len(x))
         active = np.arange(len(x))
         for _ in range(MAX_STEPS):
-            active = active[(done[active] < 1) & (step[active] >= LEAST_FRACTION)]
+            active = active[(done[active] < 1) & (step[active] >= least)]
             if not len(active):
                 break
             goal = np.minimum(done[active] + step[active], 1.0)

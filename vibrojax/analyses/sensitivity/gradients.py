@@ -66,8 +66,10 @@ def as_jax(
     >>> import jax, jax.numpy as jnp
     >>> f = vj.as_jax("vibro-impact", of="period", by=["beta", "gamma"], start="stuck", delta=0.005)
     >>> x = jnp.array([0.4, 0.75])
-    >>> f(x)["period"].round(4).item(), jax.grad(lambda x: f(x)["period"])(x).round(3).tolist(), bool(f(x)["valid"])
-    (0.2296, [-0.027, -0.056], True)
+    >>> f"{f(x)['period']:.4f} s, {bool(f(x)['valid'])}"
+    '0.2296 s, True'
+    >>> " ".join(f"{slope:.3f}" for slope in jax.grad(lambda x: f(x)["period"])(x))
+    '-0.027 -0.056'
     """
     place = Place("as_jax")
     if outside not in OUTSIDE:

@@ -15,10 +15,8 @@ from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.lane_orbits import known_orbits
 from vibrojax.periodic.orbit_derivatives import (
-    BLOWS,
     DERIVATIVE_REASONS,
     MODULUS,
-    POWER,
     STABILITY,
     orbit_features,
     orbit_variables,
@@ -34,8 +32,6 @@ LANES_PER_CALL = 256
 
 ORBIT_VARIABLES = {
     STABILITY: Variable("1", "natural logarithm of the largest modulus of the orbit's multipliers"),
-    POWER: Variable("W", "impact energy per time: impact_energy impacts/(cycles period)"),
-    BLOWS: Variable("min-1", "impacts per minute"),
 }
 """Variables of orbits that sweeps do not have."""
 
