@@ -164,6 +164,7 @@ GOOD = {
 }
 MISTAKES = {
     "is not a state": {"section": "z"},
+    "are both given; give only one": {"period": 6.0},
     "give period=": {"section": None},
     "field gave no rate of v": {"field": lambda t, y, p: {"x": y["v"]}},
     'a rate of "z"': {"field": lambda t, y, p: {"x": y["v"], "v": 0.0, "z": 1.0}},
@@ -228,8 +229,10 @@ def test_a_mistake_in_a_system_is_one_line(message):
 def test_a_start_beyond_the_stop_fails_and_numbers_stand_for_lanes():
     ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}, "starts": [[1.5, 0.0]]}, progress=False)
     assert ds.regime.attrs["flag_meanings"].split()[int(ds.regime[0, 0])] == "failed"
+    assert reasons_of(ds) == ["beyond-a-stop"] * 2
     bounces = vj.run_sweep({"scene": BALL, "grid": {"r": [0.5, 1.01]}, "starts": [[1.0, 0.0]]}, progress=False)
     assert (bounces.regime.values.ravel() == 7).tolist() == [False, True]
+    assert reasons_of(bounces) == ["none", "restitution-not-0-to-1"]
     falling = vj.System("falling", **(GOOD | {"field": lambda t, y, p: {"x": 1.0, "v": 0.0}}))
     motion = vj.simulate(falling, start=[0.0, 0.0], duration=2.0, progress=False)
     assert float(motion.x[-1]) == pytest.approx(2.0)
@@ -240,6 +243,21 @@ def test_the_page_of_a_system_shows_its_motions_without_a_command(tmp_path):
     page = vj.write_page(ds, tmp_path / "page.html").read_text()
     assert '"own_scene": true' in page or '"own_scene":true' in page
     assert "cannot be computed" not in page and 'id="vibrojax-cells"' in page
+
+
+def reasons_of(ds):
+    """Return the reasons of the lanes of a dataset, by name."""
+    return np.array(ds.reason.attrs["flag_meanings"].split())[ds.reason.values.ravel()].tolist()
+
+
+def test_a_start_that_cannot_be_is_one_line():
+    with pytest.raises(vj.InputError, match=r"start: \[1.5, 0.0\]: the gap of stop_hit is -0.5; it must not be neg"):
+        vj.simulate(IMPACT_OSCILLATOR, start=[1.5, 0.0], progress=False)
+    with pytest.raises(vj.InputError, match=r"cannot be run \(beyond a stop\)"):
+        vj.follow(IMPACT_OSCILLATOR, along="a", at=0.1, span=(0.05, 0.2), start=[1.5, 0.0], progress=False)
+    power = vj.System("power", **(GOOD | {"field": lambda t, y, p: {"x": y["v"], "v": -(y["x"] ** 1.5)}}))
+    with pytest.raises(vj.InputError, match="the field, v, is nan at the start; it must be finite"):
+        vj.simulate(power, start=[-0.2, 0.0], progress=False)
 
 
 def test_friction_and_a_switch_together():

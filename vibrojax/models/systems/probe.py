@@ -268,7 +268,9 @@ class Probe:
 
     def _check_section(self, period: Any, section: Any) -> None:
         if (period is None) == (section is None):
-            raise self._refuse("give period= for a forced system, or section= (a state) for one without forcing")
+            both = "period= and section= are both given; give only one: "
+            need = "period= for a forced system, or section= (a state) for one without forcing"
+            raise self._refuse(f"{both if section is not None else 'give '}{need}")
         if section is not None:
             name, known = section[0] if isinstance(section, tuple) else section, ", ".join(self._states)
             if name not in self._states or (isinstance(section, tuple) and not _is_level(section)):

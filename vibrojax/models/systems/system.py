@@ -156,7 +156,8 @@ class System(SystemEquations):
             zero = {name: 0.0 * c.rates[0] for name in self._own}
             return [self._flow.jacobian(c, 0.0 * c.rates[0], zero, sides) for sides in self._flow.combinations()]
 
-        values = np.linalg.eigvals(np.array(jax.jit(jacobians)(p), float)).ravel()
+        matrices = np.array(jax.jit(jacobians)(p), float)
+        values = np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))]).ravel()
         turning, moving = np.abs(values.imag), np.abs(values)
         chosen = turning[turning > 0] if (turning > 0).any() else moving[moving > 0]
         rate = float(max(self.constants(p).rates)) if not chosen.size else chosen.min()
