@@ -181,6 +181,8 @@ MISTAKES = {
     },
     "it must be above zero": {"section": None, "period": lambda p: -p["k"]},
     "finite number": {"parameters": {"k": np.nan}},
+    'parameter k has the unit "blub"': {"parameters": {"k": (1.0, "blub")}},
+    "a pair such as (0.5, 'rad s-2')": {"parameters": {"k": (1.0, "s-2", 3)}},
     "at least one parameter": {"parameters": {}},
     "name of two things": {"parameters": {"x": 1.0}},
     "cannot be a name": {"states": {"t": "m", "v": "m s-1"}},
@@ -328,6 +330,14 @@ def test_impact_velocities_have_the_unit_of_the_velocity():
     motion = vj.simulate(pendulum, start=[0.0, 0.0], progress=False)
     assert motion.impact_velocity.units == "rad s-1" and " rad/s" in feature_lines(motion)[0]
     assert ds.impact_velocity.units == "rad s-1" and ds.regime.attrs["long_name"] == "regime of the motion"
+
+
+def test_parameters_have_units_and_units_are_those_of_pint(tmp_path):
+    units = {"states": {"x": "deg", "v": "deg/s"}, "parameters": {"k": (1.0, "N m rad-1")}}
+    torsion = vj.System("torsion", **(GOOD | units))
+    ds = vj.run_sweep({"scene": torsion, "grid": {"k": [1.0, 2.0]}, "starts": [[1.0, 0.0]]}, progress=False)
+    assert ds.k.units == "N m rad-1" and ds.x_amplitude.units == "deg"
+    assert "k [N m/rad]" in [axes.get_xlabel() for axes in vj.picture(ds, variable="x_amplitude").axes]
 
 
 def test_the_default_times_follow_the_slowest_oscillation():
