@@ -332,6 +332,26 @@ def test_impact_velocities_have_the_unit_of_the_velocity():
     assert ds.impact_velocity.units == "rad s-1" and ds.regime.attrs["long_name"] == "regime of the motion"
 
 
+def test_diagrams_of_systems_show_states_where_some_motions_have_no_impacts():
+    """Below the graze all motions are the linear response: x at t = 0 is a stiffness/D, with its branch and border."""
+    grid = [0.5 * GRAZE, 0.8 * GRAZE, 1.6 * GRAZE]
+    run = {"scene": IMPACT_OSCILLATOR, "grid": {"a": grid}, "run": {"keep_returns": 4}}
+    ds = vj.run_sweep(run, progress=False)
+    family = vj.follow(IMPACT_OSCILLATOR, along="a", at=grid[1], span=(grid[0], 1.2 * GRAZE), cycles=1, progress=False)
+    figure = vj.picture(ds, over=family)
+    curves = figure.axes[0]
+    (dots,) = (x.get_offsets() for x in curves.collections if len(x.get_offsets()))
+    real = 1.0 - OSCILLATOR["w"] ** 2
+    exact = np.array(grid[:2]) * real / (real**2 + (OSCILLATOR["damping"] * OSCILLATOR["w"]) ** 2)
+    factor = 1e3 if "mm" in curves.get_ylabel() else 1.0
+    assert np.asarray(dots)[:8, 1] == pytest.approx(factor * np.repeat(exact, 4), rel=1e-5)
+    assert "_grazing" in [line.get_label() for line in curves.lines]
+    speeds = vj.picture(ds, variable="return_impact_velocity").axes[0]
+    assert (
+        speeds.get_ylabel().startswith("impact velocity") and "v at" in vj.picture(ds, "return_v").axes[0].get_ylabel()
+    )
+
+
 def test_parameters_have_units_and_units_are_those_of_pint(tmp_path):
     units = {"states": {"x": "deg", "v": "deg/s"}, "parameters": {"k": (1.0, "N m rad-1")}}
     torsion = vj.System("torsion", **(GOOD | units))

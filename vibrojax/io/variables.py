@@ -43,6 +43,9 @@ class Variable:
         return attributes
 
 
+OWN_REGIMES = "regime of the motion"
+"""Meaning of the variable `regime` of scenes without a striker."""
+
 STATUSES = ("done", "failed", "refused")
 """Meaning of each flag of `status`."""
 

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Int8, Shaped
 from vibrojax.compile.xla import precision
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.manifest import IDENTITY, identity_text
-from vibrojax.io.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable, orbit_name
+from vibrojax.io.variables import ORBIT_REASONS, OWN_REGIMES, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.measures import gauge_named
 from vibrojax.measures.derived import derived
 from vibrojax.measures.labels import LABELLED_BY, REGIMES, hides_another, label
@@ -65,7 +65,7 @@ def regime_variables(scene: Scene[Any]) -> dict[str, Variable]:
     names = tuple(scene.regime_names.get(name, name) for name in REGIMES)
     if names == REGIMES and isinstance(scene, HasFriction | HasContact):
         return {}
-    regime = replace(VARIABLES["regime"], long_name="regime of the motion", flags=names)
+    regime = replace(VARIABLES["regime"], long_name=OWN_REGIMES, flags=names)
     return {"regime": regime, "check_regime": replace(VARIABLES["check_regime"], flags=names)}
 
 
