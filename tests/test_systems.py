@@ -1,6 +1,7 @@
 """Systems written as plain functions against closed forms, and one-line errors for mistakes in them."""
 
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -260,6 +261,16 @@ def test_a_start_that_cannot_be_is_one_line():
     power = vj.System("power", **(GOOD | {"field": lambda t, y, p: {"x": y["v"], "v": -(y["x"] ** 1.5)}}))
     with pytest.raises(vj.InputError, match="the field, v, is nan at the start; it must be finite"):
         vj.simulate(power, start=[-0.2, 0.0], progress=False)
+
+
+def test_messages_on_starts_have_the_states_of_the_system():
+    for wrong, right in (
+        ({}, "plane = { x = { start = -0.05, stop = 0.05, num = 50 }, v = [-1.0, 1.0] }"),
+        ({"sample": "sobol", "count": 4}, "box = { x = [-0.05, 0.05], v = [-2.0, 2.0] }"),
+        (3, "[[0.1, 0.1]]"),
+    ):
+        with pytest.raises(vj.InputError, match=re.escape(right)):
+            vj.run_sweep({"scene": BALL, "grid": {"r": [0.5]}, "starts": wrong}, progress=False)
 
 
 def test_friction_and_a_switch_together():
