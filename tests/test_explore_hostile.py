@@ -235,7 +235,7 @@ def test_copying_works_under_the_policy(browser: Any, tmp_path: Path) -> None:
 def test_a_page_of_a_scene_without_a_name_has_no_commands(browser: Any, tmp_path: Path) -> None:
     page, _, _ = opened(browser, page_text(document_of(small_map().assign_attrs(scene="mine", sweep=""))), tmp_path)
     assert page.evaluate("vibrojax.calls()") is None
-    assert page.get_by_text("No name stands for this scene").count() == 1
+    assert page.get_by_text("This system is known only to the Python session").count() == 1
 
 
 def test_the_policy_allows_what_is_in_the_page_alone() -> None:

@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from read_off import panel, texts
 from test_plot import lanes, returns, run, square
 
 from vibrojax.analyses.pictures import picture, pulses, trajectory
 from vibrojax.plot.curves import is_band
+from vibrojax.plot.sheet import write_margins
+from vibrojax.plot.style import new_figure, settings
 
 
 def drawn(axes, label):
@@ -53,6 +56,19 @@ def test_a_long_run_has_a_band_for_its_overview_and_lines_for_its_end():
     assert sum(map(is_band, overview.collections)) == 2
     assert not any(map(is_band, displacement.collections))
     assert "Bands" not in trajectory(run()).get_supxlabel()
+
+
+def test_the_notes_stay_within_the_page_at_the_resolutions_of_notebooks():
+    words = "Attractors 2, 3, 4 pass the section outside the picture; twenty lanes of 400 end in none. "
+    ds = returns({"gamma": np.linspace(0.3, 1.2, 15)}, keep=4)
+    for length in range(0, len(words), 5):
+        with settings():  # a notebook draws the picture later, with its own settings
+            figure = new_figure(6.6, 4.4)
+            write_margins(figure, ds, (2 * words)[length : length + len(words)] * 2, point="")
+        for dpi in (72, 100, 150):
+            figure.set_dpi(dpi)
+            (note,) = (text for text in figure.texts if text.get_text() == figure.get_supxlabel())
+            assert note.get_window_extent(FigureCanvasAgg(figure).get_renderer()).x1 <= figure.bbox.x1
 
 
 def test_a_title_that_fits_beside_the_legend_stays_on_one_line():

@@ -144,6 +144,7 @@ def test_a_section_may_lie_at_a_number_and_regimes_may_have_names_of_ones_own():
     assert motion.regime.attrs["flag_meanings"].split()[int(motion.regime)] == "ticking"
     assert float(motion.period) == pytest.approx(6.3807, abs=2e-3)  # van der Pol, mu = 0.5
     assert float(motion.x[0]) == pytest.approx(0.1) and float(motion.x.max()) == pytest.approx(2.0, abs=0.02)
+    assert "Drawn: the last ten periods, grey: the whole motion" in vj.picture(motion).get_supxlabel()
     crossings = motion.event_time.values[motion.event_kind.values == 5]
     assert motion.x.interp(time=crossings[-3:]).values == pytest.approx([0.5] * 3, abs=1e-4)
 
@@ -233,6 +234,7 @@ def test_a_start_beyond_the_stop_fails_and_numbers_stand_for_lanes():
     ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}, "starts": [[1.5, 0.0]]}, progress=False)
     assert ds.regime.attrs["flag_meanings"].split()[int(ds.regime[0, 0])] == "failed"
     assert reasons_of(ds) == ["beyond-a-stop"] * 2
+    assert "Lanes failed: beyond-a-stop" in vj.picture(ds).get_supxlabel()
     bounces = vj.run_sweep({"scene": BALL, "grid": {"r": [0.5, 1.01]}, "starts": [[1.0, 0.0]]}, progress=False)
     assert (bounces.regime.values.ravel() == 7).tolist() == [False, True]
     assert reasons_of(bounces) == ["none", "restitution-not-0-to-1"]

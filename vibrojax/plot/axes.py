@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from vibrojax.errors import counted, printable
-from vibrojax.io.attributes import differing_of, parameters_of, table_of, text_of
+from vibrojax.io.attributes import differing_of, flag_counts, parameters_of, table_of, text_of
 from vibrojax.plot.style import plain
 
 _HERTZ = {"s-1": "Hz", "s-2": "Hz s-1"}  # printed units of frequencies
@@ -181,7 +181,13 @@ def point_text(ds: xr.Dataset) -> str:
 
 
 def certified_text(ds: xr.Dataset) -> str:
-    """Return how many periodic lanes meet the error tolerance and how many are still settling, or "" if unknown."""
+    """Return how many periodic lanes meet the error tolerance or still settle, and why lanes failed; "" if unknown."""
+    reasons = [name for name in flag_counts(ds, "reason") if name != "none"] if "status" in ds else []
+    failed = f"Lanes failed: {', '.join(reasons)}" if reasons else ""
+    return ". ".join(filter(None, (_known_text(ds), failed)))
+
+
+def _known_text(ds: xr.Dataset) -> str:
     counts = table_of(ds, "certified")
     if not counts.get("estimated") or not {"within", "still_settling", "error"} <= set(counts):
         return ""

@@ -227,6 +227,8 @@ LEGEND_WIDTH = 1.9
 """The approximate width [inch] of a legend at the right."""
 
 _NOTE_SIZE = 8.0
+# Small text is wider by some per cent at other resolutions, and with the hinting of a notebook.
+_NOTE_SHARE = 0.955
 _TITLE_LINES, _NOTE_LINES = 3, 6  # at most
 _LINE_HEIGHT = 1.6  # line spacing in units of the font size
 _BESIDE_LEGEND = 0.15  # inches left free
@@ -270,8 +272,7 @@ def write_margins(figure: Figure, ds: xr.Dataset, *notes: str, point: str | None
     note = ". ".join(filter(None, (point_text(ds) if point is None else point, *notes)))
     bold = FontProperties(size=TITLE_SIZE, weight="bold")
     above = wrap(title, bold, width - max(legends, default=0.0), _TITLE_LINES)
-    # At the higher resolution of a saved picture, small text is wider by a hundredth.
-    below = wrap(note, FontProperties(size=_NOTE_SIZE), 0.985 * width, _NOTE_LINES)
+    below = wrap(note, FontProperties(size=_NOTE_SIZE), _NOTE_SHARE * width, _NOTE_LINES)
     if above:
         figure.suptitle("\n".join(above), x=0.01, ha="left", fontproperties=bold)
     if below:

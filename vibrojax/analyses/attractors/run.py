@@ -266,8 +266,9 @@ def _dataset(
         "fewest": IRREGULAR_MIN_LANES,
         "aside": PREDICTION_WITHIN,
     }
+    title = (sweep.title or sweep.name).removesuffix(f": {sweep.name}")  # not two colons
     attributes = {
-        **shared_attributes(sweep, "attractors", f"Attractors: {sweep.title or sweep.name}", "attractors"),
+        **shared_attributes(sweep, "attractors", f"Attractors: {title}", "attractors"),
         "sweep": sweep.text,
         "attractors": json.dumps(settings),
         "lanes": sweep.lanes,

@@ -220,7 +220,8 @@ def states_over_time(ds: xr.Dataset) -> Figure:
     if not names:
         raise InputError("no trajectory to draw: the dataset has no state along time")
     motion, end = read_states(ds, names), float(ds[TIME].values[-1])
-    start = end - _observed(ds, end)
+    length, part = _observed(ds, end)
+    start = end - length
     late, impacts = motion.since(start), motion.impacts[motion.impacts >= start]
     portrait = len(names) > 1
     rows: list[Any] = [[f"{name}-over-time"] * 2 + (["portrait"] if portrait else []) for name in names]
@@ -241,12 +242,14 @@ def states_over_time(ds: xr.Dataset) -> Figure:
         panels["portrait"].plot(motion[x], motion[y], color=FAINT, linewidth=0.5).pop().set_rasterized(True)
         panels["portrait"].plot(motion[x][late], motion[y][late], color=BIT, linewidth=1.0)
         panels["portrait"].set(xlabel=label(ds[x]), ylabel=label(ds[y]))
-    notes = ["dots: impacts"] if impacts.size else []
-    write_margins(figure, ds, *notes, band_text(*figure.axes))
+    about = f"Drawn: {part}" + (", grey: the whole motion" if portrait and start > 0 else "")
+    write_margins(figure, ds, about, "Dots: impacts" if impacts.size else "", band_text(*figure.axes))
     return figure
 
 
-def _observed(ds: xr.Dataset, end: float) -> float:
-    """Return the length of the part of the motion that is drawn [s]: ten periods, or a tenth of the motion."""
+def _observed(ds: xr.Dataset, end: float) -> tuple[float, str]:
+    """Return the length of the part of the motion that is drawn [s] and its name: ten periods, or a tenth of it."""
     period = float(ds["period"]) if "period" in ds and ds["period"].ndim == 0 else np.nan
-    return min(10 * period, end) if np.isfinite(period) else end / 10
+    if not np.isfinite(period):
+        return end / 10, "the last tenth"
+    return (10 * period, "the last ten periods") if 10 * period < end else (end, "the whole motion")

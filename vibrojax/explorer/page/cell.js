@@ -7,9 +7,20 @@ const NAMES = { x1: "x₁", v1: "x₁′", x2: "x₂", v2: "x₂′", x3: "x₃"
 
 export const symbolOf = (name) => NAMES[name] ?? name.replaceAll("_", " ");
 
+/** A unit as it is printed: rad/s for rad s-1, as `pretty_unit` of the axes. */
+function prettyUnit(units) {
+  if (units === "1") return "";
+  const parts = units.split(" ").map((part) => /^([^\d\s-]+)(-?\d+)?$/.exec(part));
+  if (parts.some((part) => !part)) return units;
+  const power = (part) => Number(part[2] ?? 1), raised = (n) => (n === 1 ? "" : String(n).replace(/\d/g, (d) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[d]));
+  const text = (part) => part[1] + raised(Math.abs(power(part)));
+  const above = parts.filter((part) => power(part) > 0).map(text), below = parts.filter((part) => power(part) < 0).map(text);
+  return below.length > 1 ? units : (above.join(" ") || "1") + (below.length ? `/${below[0]}` : "");
+}
+
 /** The unit that values read well in: [factor, unit]. */
 export function shownIn(units, values) {
-  const pretty = { "m s-1": "m/s", "1": "", rad: "rad", s: "s" }[units] ?? units;
+  const pretty = prettyUnit(units);
   let most = 0;
   for (const x of values) if (Math.abs(x) > most) most = Math.abs(x);
   if (units === "m" && most < 1) return [1e3, "mm"];
