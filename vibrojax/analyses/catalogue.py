@@ -134,6 +134,8 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
 def list_settings() -> pd.DataFrame:
     """Return a table of the settings of a sweep, which belong in its table [run], with their defaults.
 
+    The default times of a `vj.System` are its `usual_times` instead.
+
     **Example:**
 
     >>> vj.list_settings().default[["settle", "observe", "error"]].to_dict()
