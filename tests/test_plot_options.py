@@ -181,7 +181,7 @@ WRONG = [
         'variable: "stick_fractoin" is not in the dataset; did you mean "stick_fraction"?',
     ),
     ({"variable": "qqq"}, '"qqq" is not in the dataset; choose from regime, impact_velocity, period'),
-    ({"variable": "return_impact_velocity"}, "is not one number a lane; choose from regime"),
+    ({"variable": ["return_impact_velocity", "period"]}, "is not one number a lane; choose from regime"),
     ({"variable": ["period"] * 5}, "variable: 5 names; give one to 4"),
     ({"variable": []}, "variable: 0 names"),
     ({"where": {"k0": 1.0}}, 'where: "k0" is none of the dataset\'s axes; choose from gamma, start'),
