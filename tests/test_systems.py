@@ -13,6 +13,7 @@ from own_scenes import (
     oscillator_grazes,
     oscillator_orbits,
 )
+from scipy.optimize import brentq
 from systems import BALL, BELT, BILINEAR, IMPACT_OSCILLATOR, RELAY, belt_period
 
 import vibrojax as vj
@@ -393,3 +394,15 @@ def test_the_normal_force_of_a_friction_may_depend_on_switches():
     )
     motion = vj.simulate(block, start=[0.0, 1.0], duration=5.0, progress=False)
     assert float(motion.x[-1]) == pytest.approx(0.5 + (0.5 - 0.3 * 0.5) / 0.6, abs=1e-9)
+
+
+def test_families_continue_where_an_impact_passes_the_time_of_the_section():
+    """The impact occurs at the maximum of the force, t = 0. The state at the section jumps there."""
+    fixed = {"a": 1.0, "stop": 0.5, "stiffness": 1.0, "damping": 0.1}
+    family = vj.follow(IMPACT_OSCILLATOR, along="w", at=1.1, span=(0.9, 1.2), cycles=1, progress=False, a=1.0, stop=0.5)
+    passed = brentq(lambda w: np.sin(oscillator_orbits(R=R, w=w, **fixed)[-1].phase), 0.9, 1.1)
+    assert special(family, "section") == pytest.approx([passed], abs=1e-8)
+    main = family.branch.values == 0
+    assert {0.9, 1.2} <= set(family.w.values[main].tolist())
+    for w, x in zip(family.w.values[main][::4], family.orbit_x.values[main][::4], strict=True):
+        assert min(abs(x - orbit.section[0]) for orbit in oscillator_orbits(R=R, w=w, **fixed)) < 1e-8
