@@ -175,6 +175,7 @@ _HOMES = {
     "attractors": "attractors.analysis:Attractors",
     "push": "push.analysis:Pushes",
     "tolerance": "tolerance.analysis:Tolerances",
+    "design": "design.analysis:Designs",
     "fit": "rop_law.picture:Fits",
     "accuracy": "accuracy.picture:AccuracyStudy",
     "derivatives": "sensitivity.run:Derivatives",
