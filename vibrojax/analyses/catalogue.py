@@ -18,6 +18,7 @@ from vibrojax.errors import Place
 from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
 from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import recorder_for
+from vibrojax.measures.derived import derived_names
 from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.models.physics.friction import FRICTION_LAWS
 from vibrojax.models.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
@@ -217,7 +218,7 @@ def _measured(scene: Scene[Any]) -> list[str]:
         return run_block(scene, stepper, recorder_for(scene), constants, state, effort, 1.0, 1.0)
 
     with precision("float64"):
-        return list(jax.eval_shape(run))
+        return [*jax.eval_shape(run), *derived_names(scene)]
 
 
 def _summary(kind: type) -> str:

@@ -10,6 +10,7 @@ import xarray as xr
 from vibrojax.analyses.analysis import SummaryPart
 from vibrojax.compile.xla import precision
 from vibrojax.io.attributes import parameters_of
+from vibrojax.measures.derived import blow_frequency
 from vibrojax.models.physics.modes import natural_frequencies, uncoupled_frequencies
 from vibrojax.models.physics.parameters import REPLACED
 from vibrojax.plot.axes import pretty_unit
@@ -64,8 +65,7 @@ def _computed(ds: xr.Dataset, given: dict[str, xr.DataArray]) -> dict[str, xr.Da
         for k, name in enumerate(("lower_frequency", "upper_frequency")):
             found[name] = columns[0].copy(data=np.asarray(modes[..., k]) / (2 * pi))
     if all(name in ds and ds[name].dtype.kind in "fiu" for name in ("impacts", "period", "cycles")):
-        # Without a repeat, `impacts` counts the impacts of one return.
-        found["blow_frequency"] = 60 * ds["impacts"] / (ds["cycles"].clip(min=1) * ds["period"])
+        found["blow_frequency"] = blow_frequency(*(ds[name] for name in ("impacts", "cycles", "period")))
     if "bit_radius" in given and ("rpm" in given or "v" in values):
         found["rpm"] = given["rpm"] if "rpm" in given else 60 * values["v"] / (2 * pi * given["bit_radius"])
     return found

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from vibrojax.analyses.accuracy.picture import work_precision as work_precision
 from vibrojax.analyses.analysis import analysis_of
 from vibrojax.analyses.continuation.analysis import families
+from vibrojax.analyses.diagrams import DIAGRAMS
 from vibrojax.analyses.sweep.basins import many_starts
 from vibrojax.analyses.sweep.maps import draw_map
 from vibrojax.analyses.sweep.rates import rates as rates
@@ -66,6 +67,7 @@ def picture(
     where: Mapping[str, Value] | None = None,
     colours: str | None = None,
     over: Overlays = None,
+    diagram: str | None = None,
 ) -> Figure:
     """Draw the picture that fits a dataset.
 
@@ -84,6 +86,9 @@ def picture(
     - `over`: datasets to draw on top. Families of orbits, from `follow`, are drawn over the section crossings of a
       sweep along the same parameter, or over lanes carried along it. Borders, from `borders`, are drawn over the map of
       regimes.
+    - `diagram`: name of a diagram to draw instead. "campbell" draws the frequencies of a sweep's motions, the natural
+      frequencies and the multiples of the rotation over the speed. "rate-over-force" draws the rate of penetration over
+      the mean force, with the onset of penetration.
 
     **Returns:** a figure that pyplot does not manage.
 
@@ -103,11 +108,17 @@ def picture(
         like = nearest(str(colours), colormaps)
         right = f"did you mean {shown(like)}?" if like else "choose one of matplotlib's, like viridis or magma"
         raise InputError(f"colours: {shown(colours)} is not a colour map; {right}")
+    if diagram is not None and diagram not in DIAGRAMS:
+        raise InputError(f"diagram: {shown(diagram)} is unknown; {suggestion(str(diagram), DIAGRAMS)}")
+    if diagram is not None and (variable is not None or over is not None):
+        raise InputError(f"diagram: {diagram} draws its own variables; leave variable and over out")
     layers = as_layers(over)
     token = COLOURS.set(colours)
     try:
         ds = select(ds, where) if where else ds
         ds = ds if layers else thin_out(ds)
+        if diagram is not None:
+            return DIAGRAMS[diagram](ds)
         if variable is None:
             return analysis_of(ds).picture(ds, layers)
         if layers:
@@ -124,12 +135,13 @@ def save_picture(
     where: Mapping[str, Value] | None = None,
     colours: str | None = None,
     over: Overlays = None,
+    diagram: str | None = None,
 ) -> str:
     """Save the picture that fits a dataset to a file, atomically: the file is complete or does not exist.
 
     **Arguments:**
 
-    - `ds`, `variable`, `where`, `colours`, `over`: as for [vibrojax.analyses.pictures.picture][].
+    - `ds`, `variable`, `where`, `colours`, `over`, `diagram`: as for [vibrojax.analyses.pictures.picture][].
     - `path`: file name that ends in .png, .pdf or .svg.
 
     **Returns:** a description of the values that are drawn, or "" if all are drawn.
@@ -146,7 +158,7 @@ def save_picture(
     suffix = path.suffix.lower()
     if suffix not in _METADATA:
         raise InputError(f"{path}: pictures end in .png, .pdf or .svg, not in {suffix or 'nothing'}")
-    figure = picture(ds, variable, where, colours, over)
+    figure = picture(ds, variable, where, colours, over, diagram)
     try:
         with settings(), atomic_write(path, "part") as part:
             figure.savefig(part, format=suffix[1:], metadata=_METADATA[suffix])

@@ -50,6 +50,12 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
         files(".nc"),
         **_SEVERAL,
     ),
+    argument(
+        "--diagram",
+        "NAME",
+        "of a sweep: campbell (frequencies over the speed) or rate-over-force (rate of penetration with its onset)",
+        lambda prefix, **_: [name for name in ("campbell", "rate-over-force") if name.startswith(prefix)],
+    ),
     argument("--colours", "MAP", "matplotlib's colour map for quantities"),
 )
 def plot(options: Options) -> None:
@@ -74,7 +80,9 @@ def plot(options: Options) -> None:
         drawn: list[str] = []
 
         def draw(picture: Path) -> None:
-            drawn.append(save_picture(dataset, picture, options.variable, where, options.colours, over))
+            drawn.append(
+                save_picture(dataset, picture, options.variable, where, options.colours, over, options.diagram)
+            )
 
         with timed("draw"):
             picture, replaced = write_view(picture, draw, numbered=bool(parts) and not options.out)
@@ -87,7 +95,8 @@ def _name_parts(options: Options) -> list[str]:
     """Return the options of a view as parts of the default name of its file."""
     over = [Path(name).stem for name in options.over or ()]
     values = [word.replace("=", "-") for word in options.where or ()]
-    parts = [*shortened(options.variable or ()), *shortened(values), *([options.colours] if options.colours else [])]
+    views = [*shortened(options.variable or ()), *([options.diagram] if options.diagram else [])]
+    parts = [*views, *shortened(values), *([options.colours] if options.colours else [])]
     return [*parts, *(["over", *shortened(over)] if over else [])]
 
 

@@ -1,6 +1,8 @@
 """The variables of a sweep's dataset: name, unit, meaning, and data type."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +17,7 @@ class Variable:
     - `dtype`: data type of the stored values.
     - `flags`: the meanings of the values 0, 1, ..., or of `first_flag` and the following integers.
     - `along`: the dimension in addition to the sweep's dimensions, "" if there is none.
+    - `notes`: further attributes by name, such as a definition.
 
     **Example:**
 
@@ -28,10 +31,11 @@ class Variable:
     flags: tuple[str, ...] = ()
     first_flag: int = 0
     along: str = ""
+    notes: Mapping[str, str | float] = field(default_factory=dict, hash=False)
 
-    def attributes(self) -> dict[str, str | np.ndarray]:
+    def attributes(self) -> dict[str, Any]:
         """Return the CF attributes of the variable, by name."""
-        attributes: dict[str, str | np.ndarray] = {"units": self.units, "long_name": self.long_name}
+        attributes: dict[str, Any] = {"units": self.units, "long_name": self.long_name, **self.notes}
         if self.flags:
             attributes["flag_values"] = self.first_flag + np.arange(len(self.flags), dtype=np.int8)
             # CF 1.11, section 3.5: apart from letters and digits, a flag's meaning may contain only - _ . + @.
@@ -79,10 +83,24 @@ VARIABLES: dict[str, Variable] = {
     "bit_velocity_at_impact": Variable("m s-1", "sliding velocity of the bit at impact"),
     "impact_phase": Variable("rad", "phase of impacts within the return in which they fall"),
     "impact_energy": Variable("J", "impact energy"),
+    "impact_power": Variable(
+        "W",
+        "mean power of the impacts",
+        notes={"definition": "impact_energy impacts/(cycles period); 0 without impacts, none if cycles is 0"},
+    ),
+    "blow_frequency": Variable("min-1", "impacts per minute"),
     "peak_impact_force": Variable("N", "greatest contact force"),
     "mean_impact_force": Variable("N", "mean contact force"),
     "stick_fraction": Variable("1", "share of time in which the bit sticks to the rock"),
     "reverse_fraction": Variable("1", "share of time in which the bit slides backwards"),
+    "stick_slip_index": Variable(
+        "1",
+        "stick-slip index of the bit",
+        notes={
+            "definition": "(greatest - least)/(2 mean) of the bit's sliding velocity u = x1' + v in the observation; "
+            "the mean of a periodic motion is the drive speed v"
+        },
+    ),
     "bit_amplitude": Variable("m", "half the swing of the bit"),
     "striker_amplitude": Variable("m", "half the swing of the striker"),
     "striker_turns": Variable("1", "turns of the striker from forward to backward per return"),
@@ -98,6 +116,14 @@ VARIABLES: dict[str, Variable] = {
     "mean_force": Variable("N", "mean force on the bit, P"),
     "relief": Variable("1", "mean force over threshold, P/D"),
     "slip_per_impact": Variable("m", "growth of the hole per impact (per pulse under a given force)"),
+    "specific_energy": Variable(
+        "J m-3",
+        "impact energy per volume of the hole",
+        notes={
+            "definition": "impact_power/(pi bit_radius^2 rate_of_penetration); none where nothing penetrates, or if "
+            "cycles is 0"
+        },
+    ),
     "deepest_gap": Variable("m", "deepest gap between bit and rock (negative: how far the bit jumps off)"),
     "multiplier_abs": Variable("1", "modulus of the orbit's multipliers, falling", along="multiplier"),
     "multiplier_arg": Variable("rad", "argument of the orbit's multipliers, 0 to pi", along="multiplier"),

@@ -13,7 +13,7 @@ from vibrojax.models.scenes.capabilities import HasFriction
 from vibrojax.models.scenes.declared import Section
 from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
-from vibrojax.stepping.polynomial import highest, integral, value
+from vibrojax.stepping.polynomial import extremes, highest, integral, value
 from vibrojax.stepping.series import known
 
 EIGHTHS = 8
@@ -135,10 +135,12 @@ class Rest(Gauge[Scene[Any]]):
 
 @dataclass(frozen=True)
 class Shares(Gauge[HasFriction[Any]]):
-    """stick_fraction [1], reverse_fraction [1], drive_power [W], and with a striker striker_turns [1].
+    """stick_fraction, reverse_fraction, stick_slip_index [1], drive_power [W], and with a striker striker_turns [1].
 
-    drive_power is the mean of F v. striker_turns is the number of maxima of the striker's position per return interval.
-    The striker's position is the second of the section's oscillating positions.
+    stick_slip_index is half the range of the bit's sliding velocity in the observation over the drive speed, which is
+    the mean sliding velocity of a periodic motion. drive_power is the mean of F v. striker_turns is the number of
+    maxima of the striker's position per return interval. The striker's position is the second of the section's
+    oscillating positions.
     """
 
     summed = ("stick", "reverse", "turns", "friction")
@@ -158,12 +160,22 @@ class Shares(Gauge[HasFriction[Any]]):
             "friction": _friction_impulse(scene, c, step),
         }
 
-    def read(self, scene: HasFriction[Any], c: Any, carry: Any, whole: Whole) -> dict[str, Lanes]:
+    def begin(self, scene: HasFriction[Any], c: Any, lane: Lane) -> tuple[Lanes, Lanes]:
+        velocity = lane.state[scene.place(scene.bit_velocity)]
+        return velocity, velocity
+
+    def step(self, scene: HasFriction[Any], c: Any, carry: tuple[Lanes, Lanes], moment: Moment) -> tuple[Lanes, Lanes]:
+        low, high = extremes(moment.step.polynomials[scene.place(scene.bit_velocity)], moment.step.tau)
+        return jnp.minimum(carry[0], low), jnp.maximum(carry[1], high)
+
+    def read(self, scene: HasFriction[Any], c: Any, carry: tuple[Lanes, Lanes], whole: Whole) -> dict[str, Lanes]:
+        drive, (low, high) = scene.bit(c).drive_speed, carry
         turns = {"striker_turns": whole.sums["turns"] / whole.returns} if _striker(scene) is not None else {}
         return {
             "stick_fraction": whole.sums["stick"] / whole.time,
             "reverse_fraction": whole.sums["reverse"] / whole.time,
-            "drive_power": whole.sums["friction"] / whole.time * scene.bit(c).drive_speed,
+            "stick_slip_index": jnp.where(drive > 0, (high - low) / (2 * jnp.where(drive > 0, drive, 1)), jnp.nan),
+            "drive_power": whole.sums["friction"] / whole.time * drive,
             **turns,
         }
 

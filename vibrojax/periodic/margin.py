@@ -47,28 +47,35 @@ is valid over a distance of about the squared margin. At this limit that distanc
 
 @dataclass(frozen=True)
 class Margin:
-    """Grazing margin of a motion of `scene` with the constants `c`, accumulated step by step."""
+    """Grazing margin of a motion of `scene` with the constants `c`, accumulated step by step.
+
+    The margin has two rows (2, lanes): that of switches of friction, which vanishes where a stick phase appears or
+    vanishes, and that of all other guards. `derives`: True if the margin is differentiated.
+    """
 
     scene: Scene[Any]
     section: Section | None
     c: Any
+    derives: bool = False
 
-    def after(self, least: Lanes, armed: Flags, lane: Lane, step: Step) -> Lanes:
-        """Return the minimum of `least` and of the margins within `step`, which leads to `lane`, without derivatives.
+    def after(self, least: Array, armed: Flags, lane: Lane, step: Step) -> Array:
+        """Return the minimum of `least` (2, lanes) and of the margins within `step`, which leads to `lane`.
 
         `armed`: mask of lanes whose next zero of the section's velocity is a crossing.
         """
-        lane, step = lax.stop_gradient((lane, step))
+        if not self.derives:
+            lane, step = lax.stop_gradient((lane, step))
         states = tuple(known(polynomial) for polynomial in step.polynomials)
         functions = self.scene.guard_values(self.c, step.mode, states)
         scales = _typical(self.scene.resolutions(self.c, step.mode, step.before, marked=False))
         # The fastest rate of the free motion [1/s].
         pace = self.scene.rate(self.c, tuple(jnp.full_like(step.dt, mode.calmest) for mode in self.scene.modes))
-        margins = [least]
-        for name, function, scale in zip(self.scene.guard_names, functions, scales, strict=True):
+        switches, others = [least[0], *self._at_switches(lane, step)], [least[1], *self._of_section(armed, step, pace)]
+        for guard, function, scale in zip(self.scene.guards(), functions, scales, strict=True):
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
-            margins += [_at_hit(f, step, step.hits[name], scale * pace), _near_miss(f, step, scale)]
-        return reduce(jnp.minimum, [*margins, *self._of_section(armed, step, pace), *self._at_switches(lane, step)])
+            margins = switches if guard.is_switch else others
+            margins += [_at_hit(f, step, step.hits[guard.name], scale * pace), _near_miss(f, step, scale)]
+        return jnp.stack([reduce(jnp.minimum, margins) for margins in (switches, others)])
 
     def _of_section(self, armed: Flags, step: Step, pace: Lanes) -> list[Array]:
         section = self.section
@@ -165,6 +172,22 @@ def joined(parts: list[Begun]) -> Begun:
     return Begun(*(np.concatenate(fields, axis=-1) for fields in zip(*parts, strict=True)))
 
 
+def observation(scene: Scene[Any], begun: Begun) -> tuple[PerLane, PerLane, str]:
+    """Return settling time [s], duration [s], and the name of the feature that counts section crossings (or pulses).
+
+    The observation covers one period of the orbit. It ends between two section crossings, so that rounding errors do
+    not affect their number.
+    """
+    driving = scene.driving_part()
+    settle, duration, counted = np.zeros(len(begun.lanes)), begun.length + begun.first + begun.second / 2, "returns"
+    if driving.section is None:  # the pulse that begins at t = 0 counts
+        duration, counted = begun.length + begun.first / 2, "pulses"
+    if scene is not driving:
+        settle = -(-DRIVEN_RETURNS // begun.cycles) * begun.length - begun.last / 2
+        duration = begun.length + (begun.last + begun.first) / 2
+    return settle, duration, counted
+
+
 class Measuring:
     """Measurement of a sweep's lanes on their orbits, with the compiled programs of the sweep."""
 
@@ -189,13 +212,7 @@ class Measuring:
         known = dict(zip(self._driving.return_states, begun.state, strict=True))
         zero = np.zeros(len(lanes))
         state = tuple(np.ascontiguousarray(known.get(name, zero)) for name in scene.state_names)
-        # The observation ends between two section crossings, so that rounding errors do not affect their number.
-        settle, duration, counted = zero, begun.length + begun.first + begun.second / 2, "returns"
-        if self._driving.section is None:  # the pulse that begins at t = 0 counts
-            duration, counted = begun.length + begun.first / 2, "pulses"
-        if scene is not self._driving:
-            settle = -(-DRIVEN_RETURNS // begun.cycles) * begun.length - begun.last / 2
-            duration = begun.length + (begun.last + begun.first) / 2
+        settle, duration, counted = observation(scene, begun)
         given = jax.tree.map(lambda x: np.take(x, lanes).astype(float if x.dtype.kind == "f" else x.dtype), given)
         batch = Batch(steps, lanes, given, settle, duration, None, begun.steps.astype(np.int32))
         batch = self._engine.on_orbit(batch, state, begun.past, begun.when, begun.length / begun.cycles)

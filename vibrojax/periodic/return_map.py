@@ -7,8 +7,8 @@ Forward-mode derivatives include the implicit derivative of each event time, hen
 (Leine and Nijmeijer, *Dynamics and Bifurcations of Non-Smooth Mechanical Systems*, 2004, chapter 7).
 """
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -28,12 +28,17 @@ MOST_STEPS = 4000
 """Default limit of steps between two section crossings; the usual drill takes about fifty."""
 
 
+Index = Int[np.ndarray, " segments"]
+
+R = TypeVar("R")
+
+
 class ReturnEvents(NamedTuple):
     """Events and state ranges of a motion between two section crossings; each (lanes,) unless stated otherwise.
 
     - `returned`: True if the section was reached; `impacts`: number of impacts; `steps`: number of steps.
     - `mode_changes` (modes, 3, lanes): numbers of changes of each mode to the values -1, 0 and 1.
-    - `margin`: grazing margin, see [vibrojax.periodic.margin][].
+    - `margin`: grazing margin, see [vibrojax.periodic.margin][]; its two rows (2, lanes) in results of `one_return`.
     - `least`, `greatest` (states, lanes): smallest and greatest values of the return map's states.
     """
 
@@ -41,7 +46,7 @@ class ReturnEvents(NamedTuple):
     impacts: Lanes
     steps: Lanes
     mode_changes: Array
-    margin: Lanes
+    margin: Array
     least: Array
     greatest: Array
 
@@ -98,7 +103,7 @@ def mapped(
 
     def derivative(tangent: Array) -> Any:
         (there, time), (moved, _), seen = jax.jvp(image, (unknowns,), (tangent,), has_aux=True)
-        return there, time, moved, seen
+        return there, time, moved, seen._replace(margin=jnp.min(seen.margin, axis=0))
 
     unknowns = jnp.stack([*state, *(p[name] for name in along)])
     basis = jnp.broadcast_to(jnp.eye(len(unknowns), dtype=state.dtype)[:, :, None], (len(unknowns), *unknowns.shape))
@@ -114,20 +119,28 @@ def at_section(scene: Scene[Any], state: Array) -> Values:
 
 
 def one_return(
-    scene: Scene[Any], stepper: Stepper, c: Any, state: Array, accuracy: Accuracy, most_steps: Real = MOST_STEPS
+    scene: Scene[Any],
+    stepper: Stepper,
+    c: Any,
+    state: Array,
+    accuracy: Accuracy,
+    most_steps: Real = MOST_STEPS,
+    derives_margin: bool = False,
 ) -> tuple[tuple[Array, Lanes], ReturnEvents]:
     """Return ((image under the return map, time [s] until the image), events on the way): pure, hence differentiable.
 
-    `c`: the scene's constants, scaled for the motion; `state` (states, lanes): state at the section.
+    `c`: the scene's constants, scaled for the motion; `state` (states, lanes): state at the section; `derives_margin`:
+    True if the grazing margin is differentiated.
     """
     section = scene.section
-    margin = Margin(scene, section, c)
+    margin = Margin(scene, section, c, derives_margin)
     lane = lane_at(scene, c, at_section(scene, state))
     zero = jnp.zeros_like(state[0])
     none = jnp.zeros_like(zero, bool)
     own = jax.lax.stop_gradient(_map_state(scene, lane))
     changes = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
-    begin = _Flight(lane, zero, none, ReturnEvents(none, zero, zero, changes, jnp.full_like(zero, jnp.inf), own, own))
+    far = jnp.full((2, *zero.shape), jnp.inf, zero.dtype)
+    begin = _Flight(lane, zero, none, ReturnEvents(none, zero, zero, changes, far, own, own))
 
     def is_moving(flight: _Flight) -> Flags:
         return ~flight.seen.returned & (flight.seen.steps < most_steps) & jnp.isfinite(flight.lane.state[0])
@@ -143,7 +156,7 @@ def one_return(
             impacts=seen.impacts + _impacts(scene, c, step),
             steps=seen.steps + moving.astype(seen.steps.dtype),
             mode_changes=seen.mode_changes + _mode_changes(step.mode, lane.mode),
-            margin=jnp.where(moving, margin.after(seen.margin, flight.armed, lane, step), seen.margin),
+            margin=jnp.where(moving[None], margin.after(seen.margin, flight.armed, lane, step), seen.margin),
             least=jnp.minimum(seen.least, own),
             greatest=jnp.maximum(seen.greatest, own),
         )
@@ -216,19 +229,28 @@ class Segments:
         self, parameters: Mapping[str, Float[np.ndarray, " segments"]], states: Float[np.ndarray, "states segments"]
     ) -> Mapped:
         """Return the image of each segment at the next section crossing; the last axis of all arrays is the segment."""
-        number = states.shape[1]
-        by_threads = min(len(self._workers), number // MIN_SEGMENTS_PER_THREAD)
-        calls = max(-(-number // MAX_SEGMENTS_PER_CALL), by_threads, 1)
-        items = np.array_split(np.arange(number), calls)
 
-        def work(_: jax.Device, part: np.ndarray) -> Mapped:
-            with precision("float64"):
-                p = {name: x[part] for name, x in parameters.items()}
-                return mapped(self._scene, Located(), self._along, p, states[:, part], self._steps, self._most)
+        def work(part: Index) -> Mapped:
+            p = {name: x[part] for name, x in parameters.items()}
+            return mapped(self._scene, Located(), self._along, p, states[:, part], self._steps, self._most)
 
-        if len(items) == 1:
-            return work(self._workers[0], items[0])
-        parts: list[Any] = [None] * len(items)
-        for index, part in in_parallel(work, items, self._workers):
-            parts[index] = part
-        return jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *parts)
+        return in_calls(work, states.shape[1], self._workers)
+
+
+def in_calls(work: Callable[[Index], R], number: int, workers: Sequence[jax.Device]) -> R:
+    """Return `work(part)` in float64 for `number` segments, joined along the last axis; `part`: indices of segments."""
+    by_threads = min(len(workers), number // MIN_SEGMENTS_PER_THREAD)
+    calls = max(-(-number // MAX_SEGMENTS_PER_CALL), by_threads, 1)
+    items = np.array_split(np.arange(number), calls)
+
+    def call(_: jax.Device, part: Index) -> R:
+        with precision("float64"):
+            return work(part)
+
+    if len(items) == 1:
+        return call(workers[0], items[0])
+    parts: list[Any] = [None] * len(items)
+    for index, result in in_parallel(call, items, workers):
+        parts[index] = result
+    joined: R = jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *parts)
+    return joined

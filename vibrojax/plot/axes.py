@@ -33,6 +33,7 @@ _PREFIXED = {
     "N": (("MN", 1e-6, 1e6, np.inf), ("kN", 1e-3, 1e3, np.inf)),
     "N m-1": (("MN m-1", 1e-6, 1e6, np.inf), ("kN m-1", 1e-3, 1e3, np.inf)),
     "J": (("kJ", 1e-3, 1e4, np.inf),),
+    "J m-3": (("MJ m-3", 1e-6, 1e6, np.inf),),
     "W": (("kW", 1e-3, 1e4, np.inf),),
 }
 

@@ -1,6 +1,7 @@
 """Polynomials in the scaled time tau of one step: values, slopes, integrals, maxima, and the root that ends a step."""
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import jax
@@ -48,6 +49,22 @@ def highest(coefficients: Coefficients, tau: Array) -> jax.Array:
         better = keep(top - value(rate, top) / slope(rate, top))
         top = jnp.where(turns & (better > 0) & (better < tau), better, top)
     return jnp.maximum(jnp.maximum(coefficients[0], value(coefficients, tau)), value(coefficients, top))
+
+
+def extremes(coefficients: Coefficients, tau: Array) -> tuple[jax.Array, jax.Array]:
+    """Return the least and the greatest value between 0 and tau, for a polynomial with at most one turning point there.
+
+    The turning point is found as in `highest`.
+    """
+    rate = [k * c for k, c in enumerate(coefficients)][1:]
+    start, end = rate[0], value(rate, tau)
+    turns = start * end < 0
+    top = jnp.where(turns, tau * start / jnp.where(turns, start - end, 1), 0)
+    for _ in range(2):
+        better = keep(top - value(rate, top) / slope(rate, top))
+        top = jnp.where(turns & (better > 0) & (better < tau), better, top)
+    values = keep((coefficients[0], value(coefficients, tau), value(coefficients, top)))
+    return reduce(jnp.minimum, values), reduce(jnp.maximum, values)
 
 
 def first_guess(start: Array, rate: Array, end: Array) -> jax.Array:

@@ -37,6 +37,7 @@ from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import OF_ATTRACTORS
 from vibrojax.io.variables import VARIABLES
+from vibrojax.measures.derived import blow_frequency
 from vibrojax.measures.labels import IRREGULAR
 from vibrojax.sweep.engine.labelled import of_orbits, shared_attributes
 from vibrojax.sweep.input.definition import Sweep
@@ -45,7 +46,7 @@ from vibrojax.sweep.input.starts import DEFAULT_STARTS, list_of
 NAMED = "named_start"
 """Dimension of the scene's named initial conditions, in addition to a sample or a plane of initial conditions."""
 
-MEASURED = ("period", "impacts", "impact_velocity")
+MEASURED = ("period", "impacts", "impact_velocity", "impact_power", "stick_slip_index", "specific_energy")
 """Variables whose medians over an attractor's lanes are stored."""
 
 METHOD = (
@@ -89,8 +90,9 @@ def attractors(
     - Over the grid and `attractor`: `share`, the fraction of initial conditions (basin stability), and its binomial
       standard error `share_stderr`, an upper bound for Sobol samples. `regime` is the most frequent regime of the
       attractor's lanes, `cycles` the period of its orbit in returns (0 without an orbit). `period`, `impacts` and
-      `impact_velocity` are medians over the lanes, from the longer observation if they are irregular. `orbit_x1` and so
-      on are one point of the orbit on the section.
+      `impact_velocity` are medians over the lanes, from the longer observation if they are irregular. So are
+      `impact_power`, `stick_slip_index` and `specific_energy`, but from the sweep's observation; `blow_frequency`
+      follows from `impacts` and `period`. `orbit_x1` and so on are one point of the orbit on the section.
     - Over the grid, `unassigned`: number of initial conditions without an attractor. Their lanes failed, were
       undecided, had not settled, did not converge, or their orbit was not found.
     - Over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
@@ -223,6 +225,8 @@ def _columns(
         if motion.states is not None:
             for name, state in zip(states, motion.states[0], strict=True):
                 columns[name][cell] = state
+    if "blow_frequency" in dataset:
+        columns["blow_frequency"] = blow_frequency(columns["impacts"], columns["cycles"], columns["period"])
     return columns
 
 

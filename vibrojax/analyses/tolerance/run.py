@@ -28,7 +28,15 @@ INTERIOR_SAMPLES = 64
 MAX_TOLERANCES = 6
 """Largest number of parameters with a tolerance; six have 64 corners and 192 edges."""
 
-QUANTITIES = ("impact_velocity", "impact_energy", "period", "peak_impact_force", "rate_of_penetration")
+QUANTITIES = (
+    "impact_velocity",
+    "impact_energy",
+    "impact_power",
+    "period",
+    "peak_impact_force",
+    "rate_of_penetration",
+    "specific_energy",
+)
 """Variables whose least and greatest value over the box is stored."""
 
 _WORDS = {"least": "least", "most": "greatest"}

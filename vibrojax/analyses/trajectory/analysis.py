@@ -12,7 +12,7 @@ from vibrojax.analyses.trajectory.time_history import trajectory
 from vibrojax.errors import counted
 from vibrojax.io.attributes import flags, parameters_of, run_of
 from vibrojax.measures.labels import FEWEST_RETURNS
-from vibrojax.plot.axes import pretty_unit
+from vibrojax.plot.axes import pretty_unit, scale
 
 SECTION = "to the section (the bit overtakes the drive)"
 
@@ -57,6 +57,8 @@ def feature_lines(ds: xr.Dataset) -> list[str]:
         lines += _penetration_lines(ds, values)
     if not lines:
         return []
+    if power := _power_line(ds, values):
+        lines.append(power)
     last = f"measured from {run['settle']:.4g} s to the end at {run['settle'] + run['observe']:.4g} s"
     if "returns" in values:
         last += f": {counted(int(values['returns']), 'return')} {SECTION if 'x1' in ds else 'to the section'}"
@@ -100,6 +102,16 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
     each = f"each period of {period:.5g} s" if cycles == 1 else f"each repeat, of {cycles} periods of {period:.5g} s"
     count = {0: "no blow", 1: "one blow"}.get(int(blows), f"{blows:.0f} blows")
     return f"{regime}: {count} in {each}{mean if blows else ''}{strength}"
+
+
+def _power_line(ds: xr.Dataset, values: dict[str, float]) -> str:
+    """Return impact power, specific energy and stick-slip index as text; quantities that are undefined are left out."""
+    parts = []
+    for name in ("impact_power", "specific_energy", "stick_slip_index"):
+        if math.isfinite(values.get(name, math.nan)) and (name != "impact_power" or values[name] > 0):
+            factor, unit = scale(ds[name])
+            parts.append(f"{name.replace('_', ' ')} {factor * values[name]:.4g} {pretty_unit(unit)}".rstrip())
+    return ", ".join(parts).replace("stick slip", "stick-slip")
 
 
 def _penetration_lines(ds: xr.Dataset, values: dict[str, float]) -> list[str]:

@@ -17,6 +17,7 @@ from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.manifest import IDENTITY, identity_text
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.measures import gauge_named
+from vibrojax.measures.derived import derived
 from vibrojax.measures.labels import LABELLED_BY, REGIMES, hides_another, label
 from vibrojax.measures.repeats import state_name
 from vibrojax.models.arrays import Array
@@ -48,7 +49,15 @@ def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = T
 
 def variables_of(sweep: Sweep) -> dict[str, Variable]:
     """Return all variables that the dataset of a sweep may have, by name and in dataset order."""
-    return VARIABLES | regime_variables(sweep.system) | measured_besides(sweep.system) | of_orbits(sweep.system)
+    known = VARIABLES | regime_variables(sweep.system) | measured_besides(sweep.system) | of_orbits(sweep.system)
+    radius = sweep.hole_radius
+    return known if radius is None else known | with_radius(radius)
+
+
+def with_radius(bit_radius: float) -> dict[str, Variable]:
+    """Return the variable `specific_energy` with the radius of the hole [m] that it is computed with."""
+    energy = VARIABLES["specific_energy"]
+    return {"specific_energy": replace(energy, notes={**energy.notes, "bit_radius": bit_radius})}
 
 
 def regime_variables(scene: Scene[Any]) -> dict[str, Variable]:
@@ -115,6 +124,7 @@ def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
             name: x if name in kept else np.where(failed.reshape(-1, *[1] * (x.ndim - 1)), np.nan, x)
             for name, x in features.items()
         }
+    features = features | derived(sweep.system, features, sweep.hole_radii(first, end))
     flags = [STATUSES.index(name) for name in ("refused", "failed")]
     status = np.select([refused, failed], flags, STATUSES.index("done"))
     return features | labels | {"status": status, "reason": reason}

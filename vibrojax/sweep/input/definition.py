@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from vibrojax.measures.derived import HOLE_RADIUS
 from vibrojax.models.physics.parameters import REPLACED, substitutes
-from vibrojax.models.scenes import Scene
+from vibrojax.models.scenes import HasRock, Scene
 from vibrojax.sweep.input.own_code import code_identity
 from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.starts import Starts
@@ -127,6 +128,21 @@ class Sweep:
             return values, self._start_of_point()[indices["point"]]
         return values, np.asarray(indices["start"] if self.crosses_starts else np.zeros(len(numbers), int))
 
+    @property
+    def hole_radius(self) -> float | None:
+        """Radius of the hole [m] that `specific_energy` is computed with; None if it varies among the lanes."""
+        varies = "bit_radius" in (self.points or self.axes)
+        return None if varies else self.given.get("bit_radius", HOLE_RADIUS)
+
+    def hole_radii(self, first: int, end: int) -> float | np.ndarray:
+        """Return the radius of the hole [m]: one value, or that of each lane from `first` to `end`."""
+        radius = self.hole_radius
+        if radius is not None:
+            return radius
+        places = np.unravel_index(np.arange(first, end), self._sizes(self.counted))
+        name = "point" if self.points is not None else "bit_radius"
+        return (self.points or self.axes)["bit_radius"][places[self.counted.index(name)]]
+
     def lane_starts(self, first: int, end: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
         """Return the initial conditions of the lanes from `first` (inclusive) to `end` (exclusive).
 
@@ -161,6 +177,8 @@ class Sweep:
         fixed = {"scene": self.scene, **self.options, "dims": list(self.dims), "starts": starts}
         fixed |= code_identity(self.system, self.options, method=self.run.stepper)
         fixed |= {f"parameters.{name}": value for name, value in self.parameters.items()}
+        if isinstance(self.system, HasRock) and "bit_radius" in self.given:
+            fixed["parameters.bit_radius"] = self.given["bit_radius"]
         fixed |= {name: _outline(column) for name, column in varied.items()}
         return fixed | {f"run.{name}": value for name, value in self.run.described().items()}
 

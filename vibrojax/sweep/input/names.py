@@ -16,7 +16,7 @@ from vibrojax.measures import GAUGES, Gauge
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.meanings import suggest_by_meaning, suggest_parameter
 from vibrojax.models.physics.parameters import FREQUENCIES, REPLACED, Parameter, substitutes
-from vibrojax.models.scenes import SCENES, HasContact, Scene
+from vibrojax.models.scenes import SCENES, HasContact, HasRock, Scene
 from vibrojax.models.systems.system import DEFINED
 from vibrojax.stepping import STEPPERS, Stepper
 from vibrojax.sweep.input.run_settings import RunSettings
@@ -99,13 +99,15 @@ class Names:
     def substituted(self, names: set[str]) -> set[str]:
         """Return the parameters that are defined by a preset, a rotation or a frequency in `names`."""
         parameters = {name for preset in self.presets if preset in names for name in self._set_by(preset)}
-        return parameters | {REPLACED[name] for name in names & substitutes(self.parameters).keys()}
+        # A radius without a rotation speed is that of the hole alone.
+        return parameters | {REPLACED[name] for name in names & substitutes(self.parameters).keys() - {"bit_radius"}}
 
     def check_substitutes(self, places: Mapping[str, Place]) -> None:
         """Raise if a parameter is specified twice, or if one of rpm and bit_radius is missing.
 
         A rock defines threshold and k3, rpm and bit_radius together define v, bit_frequency defines k1, and
-        striker_frequency defines gamma. `places`: place of each specified name in the file.
+        striker_frequency defines gamma. In a scene with rock, bit_radius alone is the radius of the hole. `places`:
+        place of each specified name in the file.
         """
         for preset in self.presets:
             for name in self._set_by(preset):
@@ -113,6 +115,8 @@ class Names:
                     instead = " and ".join(self._set_by(preset))
                     raise places[preset].error(f"{name} is given as well; give the {preset}, or {instead}")
         rotation = [name for name in ("rpm", "bit_radius") if name in places]
+        if rotation == ["bit_radius"] and isinstance(self.system, HasRock):
+            rotation = []  # the radius of the hole
         if rotation and "v" in places:
             raise places[rotation[0]].error("v is given as well; give v, or rpm with bit_radius")
         for name in (name for name in FREQUENCIES if name in places and name not in self.parameters):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
+from vibrojax.measures.derived import HOLE_RADIUS
 from vibrojax.models.scenes import SCENES, Scene
 from vibrojax.sweep.input.definition import Sweep, with_substitutes
 from vibrojax.sweep.input.names import Names, read_names
@@ -185,7 +186,7 @@ class Point:
     - `scene`: name of the scene. `system`: the scene itself.
     - `options`: names of the scene's options.
     - `start`: initial condition.
-    - `parameters`: all parameters by name, in SI units.
+    - `parameters`: all parameters by name, in SI units. `hole_radius` [m]: the radius that is given, or the default.
     """
 
     scene: str
@@ -193,6 +194,7 @@ class Point:
     start: Start | None
     parameters: dict[str, float]
     system: Scene[Any]
+    hole_radius: float = HOLE_RADIUS
 
 
 def read_point(place: Place, scene: object, parameters: Mapping[str, object], start: object = None) -> Point:
@@ -227,7 +229,8 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     values = {name: parameter.default for name, parameter in names.parameters.items() if name not in absent}
     values = with_substitutes(names.system, values | fixed)
     ordered = {name: values[name] for name in names.parameters}
-    return Point(names.scene, dict(names.options), start, ordered, names.system)
+    radius = fixed.get("bit_radius", HOLE_RADIUS)
+    return Point(names.scene, dict(names.options), start, ordered, names.system, radius)
 
 
 def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:

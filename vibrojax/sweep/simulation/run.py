@@ -255,7 +255,7 @@ def recorded(
         with timed("step"):
             steps, features = run(duration, report, most_steps)
         with timed("measure"):
-            return Recorded(steps, labelled_features(scene, point.parameters, features, accuracy.tolerance))
+            return Recorded(steps, labelled_features(point, features, accuracy.tolerance))
 
 
 def constants_at(place: Place, point: Point, stepper: Stepper | None) -> Any:

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.measures.derived import derived
 from vibrojax.measures.section import lowest
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import differing
@@ -19,7 +20,7 @@ from vibrojax.models.scenes import Driven, HasContact, HasFriction, HasImpacts, 
 from vibrojax.models.scenes.declared import Values
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.drift import drift
-from vibrojax.sweep.engine.labelled import measured_besides, regime_variables, regimes
+from vibrojax.sweep.engine.labelled import measured_besides, regime_variables, regimes, with_radius
 from vibrojax.sweep.input.read import Point
 from vibrojax.sweep.simulation.dense_output import Record, accumulated
 
@@ -49,22 +50,25 @@ def window(scene: Scene[Any], duration: float) -> tuple[float, float]:
 
 
 def labelled_features(
-    scene: Scene[Any], parameters: dict[str, float], features: dict[str, np.ndarray], tolerance: float
+    point: Point, features: dict[str, np.ndarray], tolerance: float
 ) -> dict[str, tuple[tuple[()], np.ndarray, dict[str, Any]]]:
     """Return the features (see `record`) as scalar variables of a motion's dataset, named as in a sweep.
 
     `tolerance`: error tolerance of the steps.
     """
+    scene = point.system
     features = dict(features)
     if scene.section is not None and "cycles" in features:
         swing = scene.section.swings[0].amplitude
         if {swing, "trend"} <= set(features):
-            values = {name: np.array([value]) for name, value in parameters.items()}
+            values = {name: np.array([value]) for name, value in point.parameters.items()}
             sound = {"finite": np.isfinite(features[swing]), "finished": np.array([True])}
             features["regime"] = regimes(scene, values, features | sound)
         features["drift_estimate"] = drift(features, scene.section, "float64", tolerance)
+    features |= derived(scene, features, point.hole_radius)
+    known = VARIABLES | regime_variables(scene) | measured_besides(scene) | with_radius(point.hole_radius)
     numbers = {}
-    for name, variable in (VARIABLES | regime_variables(scene) | measured_besides(scene)).items():
+    for name, variable in known.items():
         if name in features and features[name].ndim == 1:
             value = features[name][0]
             value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value

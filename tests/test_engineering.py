@@ -1,0 +1,122 @@
+"""What engineers read: impact power, blows per minute, stick-slip index, specific energy, and two diagrams."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from read_off import legend
+
+import vibrojax as vj
+from vibrojax.errors import InputError
+
+RUN = {"end_early": False, "settle": 20.0}  # one program for all sweeps of the scene
+DRILL = {"scene": "drilling", "parameters": {"k1": 625000.0}, "run": RUN}
+
+
+@pytest.fixture(scope="module")
+def drilling():
+    """Lanes that repeat after one return and after several, and one that does not repeat; some do not penetrate."""
+    return vj.run_sweep(DRILL | {"grid": {"gamma": [0.6, 0.75, 1.1, 1.2]}}, progress=False)
+
+
+def test_power_and_energy_are_those_of_their_definitions(drilling):
+    ds = drilling
+    assert {0, 1} < set(ds.cycles.values.ravel().tolist()) and (ds.rate_of_penetration == 0).any()
+    repeats = ds.cycles > 0
+    power = (ds.impact_energy * ds.impacts / (ds.cycles * ds.period)).where(repeats)
+    xr.testing.assert_allclose(ds.impact_power, power.rename("impact_power"))
+    np.testing.assert_allclose(ds.blow_frequency, 60 * ds.impacts / (ds.cycles.clip(min=1) * ds.period))
+    rate = ds.rate_of_penetration.where(ds.rate_of_penetration > 0)
+    np.testing.assert_allclose(ds.specific_energy, power / (np.pi * 0.036**2 * rate))
+    assert ds.specific_energy.bit_radius == 0.036
+    names = ("impact_power", "blow_frequency", "stick_slip_index", "specific_energy")
+    assert [ds[name].units for name in names] == ["W", "min-1", "1", "J m-3"]
+    assert all(ds[name].attrs.get("definition") for name in names if name != "blow_frequency")
+
+
+def test_a_wider_hole_takes_less_energy_per_volume():
+    """The radius may be given alone, on an axis, and with a rotation; the energy is that of its area."""
+    shared, values = DRILL | {"starts": ["stuck"]}, {"k1": 625000.0, "delta": 0.0}
+    rotation = {**values, "bit_radius": 0.05, "rpm": 120 / (np.pi * 0.1)}
+    runs = [
+        shared | {"parameters": {**values, "v": 2.0}, "grid": {"bit_radius": [0.05]}},
+        shared | {"parameters": rotation, "grid": {"gamma": [0.75]}},
+    ]
+    for run in runs:
+        ds = vj.run_sweep(run, progress=False).squeeze()
+        volume = np.pi * 0.05**2 * float(ds.rate_of_penetration)
+        assert volume > 0 and float(ds.specific_energy) == pytest.approx(float(ds.impact_power) / volume)
+    assert ds.specific_energy.bit_radius == 0.05
+    alone = vj.read_sweep(shared | {"parameters": {**values, "v": 2.0, "bit_radius": 0.05}, "grid": {"gamma": [0.75]}})
+    assert alone.hole_radius == 0.05 and alone.parameters["v"] == 2.0
+    with pytest.raises(InputError, match="v is given as well"):
+        vj.read_sweep(shared | {"parameters": rotation | {"v": 1.0}, "grid": {"gamma": [0.75]}})
+
+
+def test_stick_slip_index_of_a_harmonic_motion():
+    """Without friction and damping, a mode of amplitude a at the angular frequency w moves the bit at v +- a w."""
+    m1, beta, gamma, k1, v, a = 250.0, 0.4, 0.75, 156250.0, 1.5, 0.02
+    m2, k2 = beta * m1, beta * gamma**2 * k1
+    squares, shapes = np.linalg.eig(np.array([[(k1 + k2) / m1, -k2 / m1], [-k2 / m2, k2 / m2]]))
+    upper = int(np.argmax(squares))
+    x1, x2 = a * shapes[:, upper] / shapes[0, upper]
+    sweep = {"scene": "rotary", "parameters": {"c2": 0.0, "g": 0.0}, "starts": [[x1, 0.0, x2, 0.0]], "grid": {"v": [v]}}
+    sweep["run"] = {"end_early": False, "settle": 5.0, "error": 1e-8}
+    ds = vj.run_sweep(sweep, progress=False)
+    assert float(ds.stick_slip_index.squeeze()) == pytest.approx(a * np.sqrt(squares[upper]) / v, rel=1e-6)
+    assert not {"impact_power", "blow_frequency", "specific_energy"} & set(ds.data_vars)
+
+
+def test_scenes_have_the_variables_that_mean_something_for_them():
+    held = {scene: set(vj.list_variables(scene).index) for scene in ("rotary", "penetration", "coupled-drilling")}
+    new = {"impact_power", "blow_frequency", "stick_slip_index", "specific_energy"}
+    assert held["rotary"] & new == {"stick_slip_index"} and not held["penetration"] & new
+    assert new <= held["coupled-drilling"]
+
+
+def test_campbell_diagram_over_the_rotation():
+    grid = {"rpm": [60.0, 90.0, 120.0, 150.0]}
+    sweep = DRILL | {"starts": ["stuck"], "grid": grid, "parameters": {"bit_radius": 0.12, "delta": 0.005}}
+    ds = vj.run_sweep(sweep, progress=False)
+    (axes,) = vj.picture(ds, diagram="campbell").axes
+    drawn = {line.get_marker(): line for line in axes.lines if line.get_linestyle() == "None"}
+    np.testing.assert_allclose(drawn["o"].get_xdata(), grid["rpm"])
+    np.testing.assert_allclose(drawn["o"].get_ydata(), 1 / ds.period.squeeze())
+    np.testing.assert_allclose(drawn["x"].get_ydata(), ds.blow_frequency.squeeze() / 60)
+    modes = vj.frequencies(ds)
+    levels = [float(line.get_ydata()[0]) for line in axes.lines if len(line.get_ydata()) == len(grid["rpm"])]
+    for name in ("lower_frequency", "upper_frequency"):
+        assert np.isclose(levels, float(modes[name])).any()
+    assert "2n" in [text.get_text() for text in axes.texts] and axes.get_xlabel() == "rotation [1/min]"
+
+
+def test_rate_over_force_shows_the_onset():
+    """Twice as many pulses per second: twice the mean force at the onset."""
+    grid = {"force": np.linspace(40e3, 300e3, 8).tolist(), "frequency": [10.0, 20.0]}
+    sweep = {"scene": "penetration", "parameters": {"rock": "sandstone"}, "grid": grid}
+    ds = vj.run_sweep(sweep, progress=False)
+    figure = vj.picture(ds, diagram="rate-over-force")
+    none = ds.mean_force.where(ds.rate_of_penetration == 0).max("force").values / 1e3
+    some = ds.mean_force.where(ds.rate_of_penetration > 0).min("force").values / 1e3
+    np.testing.assert_allclose(some[1] / some[0], 2.0, rtol=1e-6)
+    texts = " ".join(legend(figure))
+    for low, high in zip(none, some, strict=True):
+        assert f"onset at {low:.4g} to {high:.4g} kN" in texts
+    assert figure.axes[0].get_xlabel() == "mean force P [kN]"
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        ({"diagram": "cambell"}, 'diagram: "cambell" is unknown; did you mean "campbell"?'),
+        ({"diagram": "campbell", "variable": "impacts"}, "campbell draws its own variables"),
+        (
+            {"diagram": "campbell", "where": {"gamma": 0.6, "start": "stuck"}},
+            "campbell: the dataset holds no lanes over a grid",
+        ),
+        ({"diagram": "rate-over-force", "where": {"gamma": 0.6}}, "rate-over-force: no number varies"),
+    ],
+)
+def test_diagrams_that_cannot_be_drawn(drilling, call, line):
+    with pytest.raises(InputError) as caught:
+        vj.picture(drilling, **call)
+    assert line in str(caught.value) and "\n" not in str(caught.value)

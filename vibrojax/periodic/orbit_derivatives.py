@@ -1,0 +1,294 @@
+"""Derivatives of the features of periodic orbits with respect to parameters, by the implicit function theorem.
+
+Features are measured over one period, with forward-mode tangents along (ds/dp, dp), where s is the state at the
+section ([vibrojax.periodic.variations][]). Nothing is differentiated through the time in which a motion settles.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+
+from vibrojax.compile.xla import precision, workers
+from vibrojax.io.variables import VARIABLES
+from vibrojax.measures import Recorder, recorder_for
+from vibrojax.measures.recorder import Effort, Underway, observe_block, settle_block
+from vibrojax.measures.repeats import KeptReturns
+from vibrojax.measures.section import on_orbit
+from vibrojax.models.arrays import Array, Lanes
+from vibrojax.models.scenes import Scene
+from vibrojax.periodic.margin import begun, observation
+from vibrojax.periodic.newton import ACCEPTED, PeriodicOrbits, PerLane, chain, orbits
+from vibrojax.periodic.return_map import Segments, in_calls
+from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, ZERO_MULTIPLIER, Variations, eigenvalues
+from vibrojax.stepping import Accuracy, Located, lane_at
+from vibrojax.sweep.engine.compiler import lane_function
+from vibrojax.sweep.engine.labelled import measured_besides
+
+EXACT = 1e-14
+"""Residual below which an orbit is not improved any further."""
+
+NEAR_EVENT = 1e-4
+"""Grazing margin below which derivatives are not valid: they would hold over a parameter range of about its square."""
+
+NEUTRAL = 1e-6
+"""Distance of a multiplier from 1 below which an orbit counts as neutral: it has no derivative."""
+
+MOST_STEPS_MEASURED = 1e6
+"""Limit of steps while an orbit is measured."""
+
+DERIVATIVE_REASONS = (
+    "none",
+    "no-orbit",
+    "neutral-orbit",
+    "near-grazing",
+    "near-stick",
+    "undefined",
+    "equal-multipliers",
+    "failed",
+)
+"""Meaning of each value of `OrbitFeatures.reason`."""
+
+COUNTED = {"impacts", "striker_turns", "settling_time", "error_estimate", "drift_estimate"}
+"""Variables that do not vary smoothly with the parameters, so they cannot be differentiated."""
+
+STABILITY, POWER, BLOWS, MARGIN = "log_multiplier", "impact_power", "blow_frequency", "grazing_margin"
+"""Features in addition to those that the scene's recorder measures: natural logarithm of the largest modulus,
+impact_energy impacts/(cycles period) [W], impacts per minute, and distance from a change in the order of events."""
+
+MODULUS = "multiplier_abs_"
+"""Prefix of the moduli of the multipliers, which are numbered from 0 in decreasing order."""
+
+Features = dict[str, Any]
+
+
+class OrbitFeatures(NamedTuple):
+    """Features of periodic orbits, and their derivatives along the families of orbits; the first axis is the lane.
+
+    - `values`, `derivatives`: of the features `of`, and with respect to the parameters `by`; NaN where unknown.
+    - `reason`: why value or derivative do not hold, a flag of `DERIVATIVE_REASONS`; 0 where they hold.
+    - `states`, `state_derivatives`: states at the section crossings, and derivatives of the first of them.
+    - `times` [s]: time from each state to the next; `multipliers`: by decreasing modulus.
+    - `margin`: grazing margin; `impacts`: number of impacts in a period.
+    - `residual`, `moved`: see [vibrojax.periodic.newton.PeriodicOrbits][].
+    """
+
+    values: Float[np.ndarray, "lanes of"]
+    derivatives: Float[np.ndarray, "lanes of by"]
+    reason: Int[np.ndarray, "lanes of"]
+    states: Float[np.ndarray, "lanes cycles states"]
+    state_derivatives: Float[np.ndarray, "lanes states by"]
+    times: Float[np.ndarray, "lanes cycles"]
+    multipliers: Complex[np.ndarray, "lanes states"]
+    margin: PerLane
+    impacts: PerLane
+    residual: PerLane
+    moved: PerLane
+
+    @property
+    def valid(self) -> Bool[np.ndarray, " lanes"]:
+        """Mask of the lanes in which all values and derivatives hold."""
+        return np.asarray((self.reason == 0).all(axis=1))
+
+
+def orbit_variables(scene: Scene[Any]) -> tuple[str, ...]:
+    """Return the names of the features of a scene's orbits that can be differentiated."""
+    known = VARIABLES | measured_besides(scene)
+    measured = [
+        name
+        for name in _measured_names(scene)
+        if name in known and np.issubdtype(known[name].dtype, np.floating) and name not in COUNTED
+    ]
+    period = [] if "period" in measured else ["period"]
+    power = [POWER] if "impact_energy" in measured else []
+    blows = [BLOWS] if "impact_velocity" in measured else []
+    moduli = [f"{MODULUS}{k}" for k in range(len(scene.driving_part().return_states))]
+    return (*period, *measured, *power, *blows, MARGIN, STABILITY, *moduli)
+
+
+def orbit_features(
+    scene: Scene[Any],
+    of: Sequence[str],
+    by: Sequence[str],
+    parameters: Mapping[str, PerLane],
+    guess: Float[np.ndarray, "lanes cycles states"],
+    reach: float = np.inf,
+) -> OrbitFeatures:
+    """Return the features `of` the orbits near `guess`, and their derivatives with respect to the parameters `by`.
+
+    **Arguments:** `of`: names in `orbit_variables(scene)`; `parameters`: all parameters of the scene; `guess`: states
+    of the driving part's return map; `reach`: distance from the guess, in half swings, beyond which an orbit is not
+    accepted.
+    """
+    with np.errstate(all="ignore"):
+        orbit = _solved(scene, parameters, guess, reach)
+        return derived(scene, of, by, parameters, orbit)
+
+
+def _solved(scene: Scene[Any], parameters: Mapping[str, PerLane], guess: np.ndarray, reach: float) -> PeriodicOrbits:
+    """Return the orbits near `guess`."""
+    driving = scene.driving_part()
+    go = Segments(driving).of({name: parameters[name] for name in driving.parameters()})
+    lanes, _, rows = guess.shape
+    orbit = orbits(guess, np.full((lanes, rows), np.nan), np.full(lanes, reach), go)
+    # One more Newton step leaves nothing but rounding errors. Exact states, such as rest, are left alone.
+    converged = (orbit.residual <= ACCEPTED) & (orbit.residual > EXACT) & np.isfinite(orbit.step).all(axis=(1, 2))
+    return orbit._replace(states=orbit.states + np.where(converged[:, None, None], orbit.step, 0.0))
+
+
+def derived(
+    scene: Scene[Any], of: Sequence[str], by: Sequence[str], parameters: Mapping[str, PerLane], orbit: PeriodicOrbits
+) -> OrbitFeatures:
+    """Return features and derivatives of orbits that Newton's method has computed; see `orbit_features`."""
+    lanes, _, rows = orbit.states.shape
+    found = np.flatnonzero((orbit.residual <= ACCEPTED) & np.isfinite(orbit.moved))
+    parameters = {name: np.asarray(x, float)[found] for name, x in parameters.items()}
+    result = OrbitFeatures(
+        values=np.full((lanes, len(of)), np.nan),
+        derivatives=np.full((lanes, len(of), len(by)), np.nan),
+        reason=np.full((lanes, len(of)), DERIVATIVE_REASONS.index("no-orbit")),
+        states=orbit.states.copy(),
+        state_derivatives=np.full((lanes, rows, len(by)), np.nan),
+        times=orbit.times.copy(),
+        multipliers=np.full((lanes, rows), np.nan, complex),
+        margin=orbit.margin.copy(),
+        impacts=orbit.impacts.copy(),
+        residual=orbit.residual,
+        moved=orbit.moved,
+    )
+    if not len(found):
+        return result
+    orbit, count = orbit.of(found), len(by)
+    by = by or [*parameters][:1]
+    varied = Variations.of(scene.driving_part(), by, parameters, orbit)
+    product, d_product = chain(varied.jacobian), varied.d_product
+    values, slopes, alike = eigenvalues(product, d_product, orbit.scales)
+    table, tangents, whole = _measured(scene, by, parameters, orbit, varied)
+    moduli = np.abs(values)
+    is_zero = moduli <= ZERO_MULTIPLIER
+    by_modulus = np.real(np.conj(values)[..., None] * slopes) / np.where(is_zero, 1.0, moduli)[..., None]
+    by_modulus[is_zero] = moduli[is_zero] = 0.0
+    for k in range(rows):
+        table[f"{MODULUS}{k}"], tangents[f"{MODULUS}{k}"] = moduli[:, k], by_modulus[:, k]
+    largest = np.maximum(moduli[:, 0], np.finfo(float).eps)
+    table[STABILITY], tangents[STABILITY] = np.log(largest), by_modulus[:, 0] / largest[:, None]
+    least = varied.margin.min(axis=2)
+    first = least.argmin(axis=1)
+    number = np.arange(len(found))
+    kind = varied.margin[number, first].argmin(axis=1)
+    table[MARGIN], tangents[MARGIN] = least.min(axis=1), varied.d_margin[number, first, kind]
+    neutral = ~(np.abs(1 - values).min(axis=1) >= NEUTRAL) | ~np.isfinite(varied.d_states).all(axis=(1, 2, 3))
+    switching, grazing = (varied.margin.min(axis=1) < NEAR_EVENT).T
+    for place, name in enumerate(of):
+        value, slope = table[name], tangents[name]
+        rules = {
+            "failed": ~whole,
+            "neutral-orbit": neutral,
+            "near-grazing": grazing,
+            "near-stick": switching,
+            "undefined": ~np.isfinite(value),
+            "equal-multipliers": _of_multiplier(name, alike),
+        }
+        reason = np.select([*rules.values()], [*map(DERIVATIVE_REASONS.index, rules)], 0)
+        broken = (reason == 0) & ~np.isfinite(slope).all(axis=1)
+        result.reason[found, place] = np.where(broken, DERIVATIVE_REASONS.index("failed"), reason)
+        result.values[found, place] = np.where(whole, value, np.nan)
+        result.derivatives[found, place] = np.where((whole & ~neutral)[:, None], slope, np.nan)[:, :count]
+    result.state_derivatives[found] = varied.d_states[:, 0, :, :count]
+    result.times[found], result.multipliers[found] = varied.times, values
+    result.margin[found], result.impacts[found] = least.min(axis=1), varied.impacts
+    return result
+
+
+def _of_multiplier(name: str, alike: Bool[np.ndarray, "lanes states"]) -> Bool[np.ndarray, " lanes"]:
+    """Return the lanes in which the multiplier that the feature `name` belongs to equals another one."""
+    if name == STABILITY:
+        return alike[:, 0]
+    return alike[:, int(name.removeprefix(MODULUS))] if name.startswith(MODULUS) else np.zeros(len(alike), bool)
+
+
+class _OnOrbit(NamedTuple):
+    """What a motion on an orbit depends on; the last axis is the lane. See [vibrojax.periodic.margin.Begun][]."""
+
+    parameters: dict[str, Lanes]
+    state: Array
+    when: Array
+    period: Lanes
+
+
+@lane_function(static=1, derives=True)
+def _features_along(
+    scene: Scene[Any], on: _OnOrbit, along: _OnOrbit, past: Array, settle: Lanes, observe: Lanes, effort: Effort
+) -> tuple[Features, Features]:
+    """Return the features of lanes that begin on their orbits, and their derivatives along a direction per lane."""
+    return jax.jvp(lambda on: _features(scene, on, past, settle, observe, effort), (on,), (along,))
+
+
+def _features(scene: Scene[Any], on: _OnOrbit, past: Array, settle: Lanes, observe: Lanes, effort: Effort) -> Features:
+    rows = dict(zip(scene.driving_part().return_states, on.state, strict=True))
+    zero = jnp.zeros_like(on.period)
+    state = tuple(rows.get(name, zero) for name in scene.state_names)
+    c = scene.scaled(scene.constants(on.parameters), jax.lax.stop_gradient(state))
+    recorder = recorder_for(scene)
+    if isinstance(recorder, Recorder):
+        recorder = replace(recorder, gauges=tuple(g for g in recorder.gauges if not isinstance(g, KeptReturns)))
+    lane = lane_at(scene, c, state)
+    carry = recorder.settling(scene, lane)
+    if isinstance(recorder, Recorder):
+        carry = on_orbit(carry, past, on.when, on.period)
+    underway = settle_block(scene, Located(), recorder, c, Underway(lane, carry, zero), settle, effort)
+    _, features = observe_block(scene, Located(), recorder, c, underway, settle, observe, effort)
+    return {name: jnp.asarray(x).astype(zero.dtype) for name, x in features.items()}
+
+
+def _measured_names(scene: Scene[Any]) -> list[str]:
+    """Return the names of the features of a scene, without computing the features."""
+    with precision("float64"):
+        one = jnp.ones(1)
+        rows = len(scene.driving_part().return_states)
+        on = _OnOrbit(dict.fromkeys(scene.parameters(), one), jnp.ones((rows, 1)), jnp.ones((8, 1)), one)
+        effort = Effort(DERIVATIVE_ACCURACY, 1.0)
+        return list(jax.eval_shape(lambda on: _features(scene, on, jnp.ones((8, rows, 1)), one, one, effort), on))
+
+
+def _measured(
+    scene: Scene[Any], by: Sequence[str], parameters: Mapping[str, PerLane], orbit: PeriodicOrbits, varied: Variations
+) -> tuple[Features, Features, Bool[np.ndarray, " lanes"]]:
+    """Return features over one period, derivatives (lanes, by), and a mask of lanes with the expected crossings."""
+    lanes, cycles, _ = orbit.states.shape
+    start = begun(np.arange(lanes), orbit.states, varied.times, orbit.steps)
+    d_ago = np.cumsum(np.concatenate([np.zeros((lanes, 1, len(by))), varied.d_times[:, ::-1]], axis=1), axis=1)
+    d_length = varied.d_times.sum(axis=1)
+    d_when = -np.stack([d_ago[:, k % cycles] + (k // cycles) * d_length for k in range(len(start.when))])
+    settle, observe, counted = observation(scene, start)
+    lane, direction = np.repeat(np.arange(lanes), len(by)), np.tile(np.arange(len(by)), lanes)
+
+    def work(part: Any) -> Any:
+        i, j = lane[part], direction[part]
+        p = {name: parameters[name][i] for name in scene.parameters()}
+        unit = {name: (j == by.index(name)) + 0.0 if name in by else 0.0 * j for name in p}
+        on = _OnOrbit(p, start.state[:, i], start.when[:, i], start.length[i] / cycles)
+        along = _OnOrbit(unit, varied.d_states[i, 0, :, j].T, d_when[:, i, j], d_length[i, j] / cycles)
+        effort = Effort(Accuracy(*map(np.float64, DERIVATIVE_ACCURACY)), np.float64(MOST_STEPS_MEASURED))
+        return _features_along(scene, on, along, start.past[..., i], settle[i], observe[i], effort)
+
+    both = in_calls(work, len(lane), workers())
+    table, tangents = ({name: np.asarray(x).reshape(lanes, len(by)) for name, x in t.items()} for t in both)
+    values = {name: x[:, 0] for name, x in table.items()}
+    whole = (values["finished"] > 0) & (values["finite"] > 0)
+    whole &= values[counted] == cycles + (counted == "returns")
+    values["period"], tangents["period"] = start.length / cycles, d_length / cycles
+    if "impact_velocity" in values:
+        blows = 60 * varied.impacts / start.length
+        values[BLOWS], tangents[BLOWS] = blows, -(blows / start.length)[:, None] * d_length
+    if "impact_energy" in values:
+        energy, slope = values["impact_energy"], tangents["impact_energy"]
+        none = varied.impacts == 0
+        energy, slope = np.where(none, 0.0, energy), np.where(none[:, None], 0.0, slope)
+        values[POWER] = energy * blows / 60
+        tangents[POWER] = (slope * blows[:, None] + energy[:, None] * tangents[BLOWS]) / 60
+    return values, tangents, whole
