@@ -38,6 +38,6 @@ def test_derivatives_are_the_slopes_of_converged_orbits(case):
         step = 1e-6 * abs(values.get(varied, 1.5))
         up, down = (orbit_features(scene, of, (), p | {varied: p[varied] + h}, orbit.states) for h in (step, -step))
         slope = (up.values - down.values)[0] / (2 * step)
-        scale = np.abs(orbit.derivatives[0, :, place]) + 1e-3 * np.abs(orbit.values[0]) / p[varied][0]
+        scale = np.abs(orbit.derivatives[0, :, place]) + 0.1 * np.abs(orbit.values[0]) / p[varied][0]
         off = np.abs(slope - orbit.derivatives[0, :, place]) / np.where(scale > 0, scale, 1.0)
         assert dict(zip(of, off, strict=True)) == pytest.approx(dict.fromkeys(of, 0.0), abs=1e-6)

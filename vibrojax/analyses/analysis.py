@@ -179,6 +179,7 @@ _HOMES = {
     "fit": "rop_law.picture:Fits",
     "accuracy": "accuracy.picture:AccuracyStudy",
     "derivatives": "sensitivity.run:Derivatives",
+    "sensitivity": "sensitivity.analysis:Sensitivity",
 }
 """Module and class of each of the package's own analyses, which are imported when they are needed."""
 

@@ -130,8 +130,8 @@ def derivatives(
         for name, about in known.items()
         if about.dtype == np.float64 and name in measured and name not in COUNTED and not name.startswith("return_")
     ]
-    variables = _read_names(place.at("of"), of, smooth)
-    wrt = _read_names(place.at("by"), by, points[0].system.parameters())
+    variables = read_names(place.at("of"), of, smooth)
+    wrt = read_names(place.at("by"), by, points[0].system.parameters())
     value = np.array([[point.parameters[name] for name in wrt] for point in points])
     # A parameter that is zero is changed relative to its default, or to 1 if the default is zero, too.
     scales = np.array([abs(system.parameters()[name].default) or 1.0 for name in wrt])
@@ -193,7 +193,8 @@ def _read_points(
     return points, columns
 
 
-def _read_names(place: Place, value: str | Sequence[str], known: Collection[str]) -> list[str]:
+def read_names(place: Place, value: str | Sequence[str], known: Collection[str]) -> list[str]:
+    """Return the validated list of names, which must be in `known`."""
     names = [value] if isinstance(value, str) else list(value)
     if not names:
         raise place.error(f"is empty; choose from {', '.join(known)}")
