@@ -126,7 +126,7 @@ def design_dataset(
     data |= _front_variables(spec, front)
     title = str(spec.tables.get("title") or f"Design of {spec.template.scene}: most {objective.long_name}")
     attributes = dataset_attributes(
-        "design", title, "design", scene=spec.template.scene, lanes=simulator.lanes, design=spec.text,
+        "design", title, "design", scene=spec.template.scene, lanes=simulator.lanes, orbits=simulator.orbits, design=spec.text,
         maximise=spec.maximise, requirements=requirements(spec),
     )  # fmt: skip
     attributes |= {f"tolerance_{name}": width for name, width in spec.tolerances.items()}

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from jaxtyping import Bool, Float
 from vibrojax.analyses.design.spec import Constraint, DesignSpec
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.measures.labels import REGIMES
+from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_variables
 
 Unit = Float[np.ndarray, " varied"]
 Offsets = Float[np.ndarray, "samples tolerances"]
@@ -34,10 +36,11 @@ class Lanes(NamedTuple):
 
 @dataclass
 class Simulator:
-    """Simulation of a design's points, with a count of the lanes."""
+    """Simulation of a design's points, with counts of the lanes, and of the orbits that were differentiated."""
 
     spec: DesignSpec
     lanes: int = 0
+    orbits: int = 0
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -45,6 +48,13 @@ class Simulator:
         against = (spec.front.against,) if spec.front is not None and spec.front.against != "tolerance" else ()
         variables = (spec.maximise, *(c.variable for c in spec.constraints), *against)
         self.names = tuple(dict.fromkeys(variables))
+
+    @cached_property
+    def features(self) -> dict[str, str]:
+        """The features of orbits that have the derivatives of the variables, by variable."""
+        known = orbit_variables(self.spec.template.system)
+        features = {name: f"{MODULUS}0" if name == "multiplier_abs" else name for name in self.names}
+        return {name: feature for name, feature in features.items() if feature in known}
 
     def __call__(self, unit: Float[np.ndarray, "points varied"], offsets: Offsets) -> Lanes:
         """Simulate points of the unit box with offsets (in half-widths), one row each, from every start."""

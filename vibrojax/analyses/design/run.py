@@ -103,9 +103,10 @@ def _concluded(simulator: Simulator, candidates: Sequence[Candidate], checked: S
     """Return the results of verified candidates, with gradients and conditions at the nominal points."""
     spec = simulator.spec
     results = []
-    for c, found, slopes in zip(candidates, checked, slopes_at(simulator, [c.point for c in candidates]), strict=True):
+    known = slopes_at(simulator, [c.point for c in candidates], checked)
+    for c, found, slopes in zip(candidates, checked, known, strict=True):
         c.assessment, c.slopes = found, slopes
         starts = distinct_starts(found)
-        gradient = slopes.of[spec.maximise][starts[0]] / (spec.high - spec.low)
+        gradient = slopes[spec.maximise][starts[0]] / (spec.high - spec.low)
         results.append(Result(c, found, conditions(spec, c), gradient))
     return results

@@ -91,7 +91,10 @@ def improve(
 
 def _derive(simulator: Simulator, candidates: Sequence[Candidate]) -> None:
     if candidates:
-        for candidate, slopes in zip(candidates, slopes_at(simulator, [c.point for c in candidates]), strict=True):
+        found = [c.assessment for c in candidates if c.assessment is not None]
+        for candidate, slopes in zip(
+            candidates, slopes_at(simulator, [c.point for c in candidates], found), strict=True
+        ):
             candidate.slopes = slopes
 
 
@@ -111,7 +114,7 @@ def linear_model(candidate: Candidate, maximise: str) -> LinearModel | None:
     found, slopes = candidate.assessment, candidate.slopes
     assert found is not None and slopes is not None
     values = found.lanes.values[maximise][0]
-    starts = [s for s in distinct_starts(found) if np.isfinite(slopes.of[maximise][s]).all()]
+    starts = [s for s in distinct_starts(found) if np.isfinite(slopes[maximise][s]).all()]
     if not starts:
         return None
     scale = abs(found.objective) or 1.0
@@ -119,14 +122,14 @@ def linear_model(candidate: Candidate, maximise: str) -> LinearModel | None:
     slack, slope = [], []
     for j, c in enumerate(candidate.constraints):
         for s in starts:
-            gradient = c.sign * slopes.of[c.variable][s] / c.scale
+            gradient = c.sign * slopes[c.variable][s] / c.scale
             if np.isfinite(gradient).all() and np.isfinite(found.slack[j, s]):
                 rows.append((j, s))
                 slack.append(found.slack[j, s])
                 slope.append(gradient)
     count = len(candidate.point)
     return LinearModel(
-        values[starts] / scale, slopes.of[maximise][starts] / scale,
+        values[starts] / scale, slopes[maximise][starts] / scale,
         np.array(slack), np.array(slope).reshape(-1, count), rows,
     )  # fmt: skip
 
