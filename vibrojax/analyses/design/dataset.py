@@ -126,7 +126,8 @@ def design_dataset(
     data |= _front_variables(spec, front)
     title = str(spec.tables.get("title") or f"Design of {spec.template.scene}: most {objective.long_name}")
     attributes = dataset_attributes(
-        "design", title, "design", scene=spec.template.scene, lanes=simulator.lanes, orbits=simulator.orbits, design=spec.text,
+        "design", title, "design", scene=spec.template.scene, design=spec.text,
+        lanes=simulator.lanes, orbits=simulator.orbits,
         maximise=spec.maximise, requirements=requirements(spec),
     )  # fmt: skip
     attributes |= {f"tolerance_{name}": width for name, width in spec.tolerances.items()}
@@ -178,12 +179,13 @@ def _front_variables(spec: DesignSpec, front: Sequence[FrontPoint]) -> dict[str,
     }  # fmt: skip
     if against != "tolerance":
         end = spec.front.end
-        data[f"front_{against}"] = _described(
-            _own(spec, against), column(lambda p: extreme(_held(p.checked, against, slice(0, 1)), end)), "front")  # fmt: skip
+        values = column(lambda p: extreme(_held(p.checked, against, slice(0, 1)), end))
+        data[f"front_{against}"] = _described(_own(spec, against), values, "front")
     for k, name in enumerate(spec.varied):
-        span = spec.high[k] - spec.low[k]
+        unit = np.array(column(lambda p, k=k: p.candidate.point[k]))
         data[f"front_{name}"] = _described(
-            _parameter(spec, name), column(lambda p, k=k, span=span: spec.low[k] + p.candidate.point[k] * span), "front")  # fmt: skip
+            _parameter(spec, name), spec.low[k] + unit * (spec.high[k] - spec.low[k]), "front"
+        )
     return data
 
 

@@ -11,8 +11,9 @@ import numpy as np
 from vibrojax.analyses.design.dataset import FrontPoint
 from vibrojax.analyses.design.evaluation import Simulator, extreme
 from vibrojax.analyses.design.mapping import CoarseMap, ranked
+from vibrojax.analyses.design.orbit_search import advance
 from vibrojax.analyses.design.robustness import box_samples, search_offsets, settle
-from vibrojax.analyses.design.search import Candidate, evaluate, improve
+from vibrojax.analyses.design.search import Candidate, improve
 from vibrojax.analyses.design.spec import Constraint, DesignSpec
 
 MAX_PASSES = 3
@@ -20,6 +21,9 @@ MAX_PASSES = 3
 
 WARM_RADIUS = 0.03
 """Half-width of the first trust region of a point that continues from a neighbour, in the unit box."""
+
+OTHER_BRANCH = 0.03
+"""Distance from a neighbour's solution in the unit box from which a point continues from it as well."""
 
 TOLERANCE_SPAN = (0.0, 2.0)
 """Default range of the factor of the tolerances."""
@@ -32,11 +36,11 @@ def find_front(simulator: Simulator, coarse: CoarseMap, optima: Sequence[Candida
     points = [_begin(spec, coarse, limit, optima) for limit in front_limits(spec, coarse, optima)]
     limits = [limit for limit, _ in points]
     candidates = [candidate for _, candidate in points]
+    advance(simulator, candidates)
     improve(simulator, candidates)
-    for _ in range(MAX_PASSES):
-        if not _pass_on(simulator, candidates):
-            break
-        improve(simulator, [c for c in candidates if not c.done])
+    passes = 0
+    while passes < MAX_PASSES and _pass_on(simulator, candidates):
+        passes += 1
     samples = box_samples(spec)
     result = []
     for limit, candidate in zip(limits, candidates, strict=True):
@@ -89,18 +93,19 @@ def _begin(spec: DesignSpec, coarse: CoarseMap, limit: float, optima: Sequence[C
     return float(limit), Candidate(coarse.unit[best], offsets, constraints, min(coarse.spacing / 2, 0.25))
 
 
-def _pass_on(simulator: Simulator, candidates: Sequence[Candidate]) -> bool:
-    """Move each candidate to a neighbour's solution that is better there; return whether any moved."""
-    trials = [
-        (c, candidates[k].point)
+def _pass_on(simulator: Simulator, candidates: list[Candidate]) -> bool:
+    """Continue each candidate from its neighbours' solutions; keep what is better, and return whether any is."""
+    rivals = [
+        (i, Candidate(candidates[k].point, c.offsets, c.constraints, WARM_RADIUS))
         for i, c in enumerate(candidates)
         for k in (i - 1, i + 1)
-        if 0 <= k < len(candidates) and np.abs(candidates[k].point - c.point).max() > 1e-6
+        if 0 <= k < len(candidates) and np.abs(candidates[k].point - c.point).max() > OTHER_BRANCH
     ]
+    advance(simulator, [rival for _, rival in rivals])
+    improve(simulator, [rival for _, rival in rivals])
     moved = False
-    for (c, point), found in zip(trials, evaluate(simulator, trials), strict=True):
-        if c.assessment is None or found.better(c.assessment, 1e-6):
-            c.point, c.assessment, c.slopes, c.hessian = point, found, None, None
-            c.radius, c.done, c.polling = WARM_RADIUS, False, False
-            moved = True
+    for i, rival in rivals:
+        now, found = candidates[i].assessment, rival.assessment
+        if now is None or (found is not None and found.better(now, 1e-4)):
+            candidates[i], moved = rival, True
     return moved

@@ -21,7 +21,7 @@ ENOUGH_FEASIBLE = 4
 """Feasible points of the map with which a sample is not doubled."""
 
 SEEDS, TRIED_SEEDS = 3, 12
-"""Number of points from which the search begins, and number of those compared over their tolerance boxes."""
+"""Number of candidates of the search, and number of points compared over their tolerance boxes to choose them."""
 
 APART = 0.12
 """Least distance between two seeds in the unit box (greatest coordinate)."""
@@ -65,7 +65,7 @@ def ranked(spec: DesignSpec, coarse: CoarseMap, constraints: Sequence[Constraint
 
 
 def seeds(
-    simulator: Simulator, coarse: CoarseMap, offsets: np.ndarray, constraints: Sequence[Constraint], most: int = SEEDS
+    simulator: Simulator, coarse: CoarseMap, offsets: np.ndarray, constraints: Sequence[Constraint], most: int
 ) -> list[Candidate]:
     """Return candidates at the best points of the map that are apart from one another."""
 

@@ -10,7 +10,8 @@ from vibrojax.analyses.design.conditions import conditions
 from vibrojax.analyses.design.dataset import Result, design_dataset, infeasibility
 from vibrojax.analyses.design.evaluation import Assessment, Simulator, distinct_starts
 from vibrojax.analyses.design.fronts import find_front
-from vibrojax.analyses.design.mapping import coarse_map, seeds
+from vibrojax.analyses.design.mapping import SEEDS, coarse_map, seeds
+from vibrojax.analyses.design.orbit_search import advance
 from vibrojax.analyses.design.robustness import box_samples, search_offsets, settle
 from vibrojax.analyses.design.search import Candidate, improve
 from vibrojax.analyses.design.slopes import slopes_at
@@ -68,7 +69,10 @@ def find_design(spec: DesignSpec, progress: bool = True) -> xr.Dataset:
         coarse = coarse_map(simulator)
         count = sum(a.feasible for a in coarse.assessments)
         bar.add(1, f"map: {count} of {len(coarse.unit)} points feasible without tolerances")
-        candidates = seeds(simulator, coarse, search_offsets(spec), spec.constraints)
+        candidates = seeds(simulator, coarse, search_offsets(spec), spec.constraints, 2 * SEEDS)
+        advance(simulator, candidates)
+        # Over few parameters, borders of regimes cut off an orbit's optimum more often, and lanes are cheap.
+        candidates = distinct(candidates)[: SEEDS + 2 * (len(spec.varied) <= 2)]
         improve(simulator, candidates)
         bar.add(1, f"search: {len(candidates)} candidates, {simulator.lanes} lanes so far")
         candidates = distinct(candidates)

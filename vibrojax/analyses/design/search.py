@@ -17,7 +17,7 @@ from vibrojax.analyses.design.slopes import Slopes, slopes_at
 from vibrojax.analyses.design.spec import Constraint
 
 MAX_ITERATIONS = 40
-LARGEST_RADIUS, LEAST_RADIUS = 0.25, 2e-4
+LARGEST_RADIUS, LEAST_RADIUS = 0.25, 4e-4
 """Bounds of a trust region's half-width in the unit box; the search ends below the lower one."""
 
 LEAST_GAIN = 1e-5
@@ -28,6 +28,9 @@ POLLS = 6
 
 ELASTIC = 1e3
 """Weight of violated linearised constraints in the model, relative to the objective."""
+
+BEND_MARGIN = 1.2
+"""Factor of curvatures that trials show, so that the next step keeps the constraints."""
 
 SHORT_STEP = 0.3
 """Length of the second, shorter trial step."""
@@ -40,6 +43,8 @@ class Candidate:
     - `offsets` (samples, tolerances): samples of the box at which the constraints must hold; the first is the centre.
     - `radius`: half-width of the trust region. `polling`: whether the model's last steps failed.
     - `path`: points that were accepted before.
+    - `bend` (1 + constraints,): curvatures by which the model of objective and slacks is lowered (conservative convex
+      approximation: Svanberg, SIAM J. Optim. 12, 2002).
     """
 
     point: Unit
@@ -48,7 +53,7 @@ class Candidate:
     radius: float
     assessment: Assessment | None = None
     slopes: Slopes | None = None
-    hessian: np.ndarray | None = None
+    bend: np.ndarray | None = None
     polling: bool = False
     done: bool = False
     path: list[Unit] = field(default_factory=list)
@@ -171,33 +176,50 @@ def _predicted(model: LinearModel, step: np.ndarray) -> float:
 
 
 def _model_step(model: LinearModel, candidate: Candidate, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the step that maximises the quadratic model of the objective under the linearised constraints."""
-    count = len(low)
-    hessian = candidate.hessian if candidate.hessian is not None else np.zeros((count, count))
+    """Return the step that maximises the model of the objective under the model of the constraints."""
+    count, motions = len(low), len(model.objective)
     # Unknowns: the step, the worst objective, and one violation that all constraints share.
-    top = model.objective.min()
     linear = np.zeros(count + 2)
     linear[count], linear[count + 1] = -1.0, ELASTIC
-    objective_rows = np.hstack(
-        [model.objective_slope, -np.ones((len(model.objective), 1)), np.zeros((len(model.objective), 1))]
-    )
-    slack_rows = np.hstack([model.slack_slope, np.zeros((len(model.slack), 1)), np.ones((len(model.slack), 1))])
-    matrix, right = np.vstack([objective_rows, slack_rows]), np.concatenate([model.objective - top, model.slack])
+    matrix = np.zeros((motions + len(model.slack), count + 2))
+    matrix[:, :count] = np.concatenate([model.objective_slope, model.slack_slope])
+    matrix[:motions, count], matrix[motions:, count + 1] = -1.0, 1.0
+    right = np.concatenate([model.objective - model.objective.min(), model.slack])
     bounds = [*zip(low, high, strict=True), (None, None), (0.0, None)]
-    start = linprog(linear, A_ub=-matrix, b_ub=right, bounds=bounds)
-    first = start.x if start.status == 0 else np.zeros(count + 2)
-    if not hessian.any():
+    solved = linprog(linear, A_ub=-matrix, b_ub=right, bounds=bounds)
+    first = np.asarray(solved.x if solved.status == 0 else np.zeros(count + 2))
+    if candidate.bend is None or not candidate.bend.any():
         return np.asarray(first[:count])
+    bend = candidate.bend[[0] * motions + [1 + j for j, _ in model.rows]]
 
-    def value(z: np.ndarray) -> float:
-        return float(linear @ z + z[:count] @ hessian @ z[:count] / 2)
+    def value(z: np.ndarray) -> np.ndarray:
+        return np.asarray(matrix @ z + right - bend * (z[:count] @ z[:count]))
 
     def slope(z: np.ndarray) -> np.ndarray:
-        return linear + np.concatenate([hessian @ z[:count], [0.0, 0.0]])
+        return matrix - np.outer(bend, np.concatenate([2 * z[:count], [0.0, 0.0]]))
 
-    constraint = {"type": "ineq", "fun": lambda z: matrix @ z + right, "jac": lambda z: matrix}
-    solved = minimize(value, first, jac=slope, method="SLSQP", bounds=bounds, constraints=[constraint])
-    return np.asarray(solved.x[:count] if solved.success else first[:count])
+    limits = [{"type": "ineq", "fun": value, "jac": slope}]
+    start = np.concatenate([0.1 * first[:count], [0.0, 0.0]])
+    result = minimize(
+        lambda z: linear @ z, start, jac=lambda z: linear, method="SLSQP", bounds=bounds, constraints=limits
+    )
+    return np.asarray(result.x[:count] if result.success else first[:count])
+
+
+def _bend(candidate: Candidate, model: LinearModel, point: Unit, found: Assessment) -> None:
+    """Raise or lower the curvatures of the candidate's model to those that a trial at `point` shows."""
+    step = point - candidate.point
+    square = float(step @ step)
+    scale = abs(candidate.assessment.objective) if candidate.assessment is not None else 1.0
+    shown = np.zeros(1 + len(candidate.constraints))
+    predicted = float((model.objective + model.objective_slope @ step).min())
+    shown[0] = (predicted - found.objective / (scale or 1.0)) / square
+    for row, (j, start) in enumerate(model.rows):
+        actual = found.slack[j, start]
+        if np.isfinite(actual):
+            shown[1 + j] = max(shown[1 + j], (model.slack[row] + model.slack_slope[row] @ step - actual) / square)
+    before = np.zeros_like(shown) if candidate.bend is None else candidate.bend
+    candidate.bend = np.maximum(np.maximum(np.nan_to_num(shown), 0.0) * BEND_MARGIN, before / 2)
 
 
 def _polled(model: LinearModel, low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -214,21 +236,29 @@ def _polled(model: LinearModel, low: np.ndarray, high: np.ndarray, rng: np.rando
 
 def _update(candidate: Candidate, trials: list[tuple[Unit, Assessment]], maximise: str) -> None:
     """Accept the best of the trials if it is better than the candidate, and adapt the trust region."""
-    now = candidate.assessment
+    now, model = candidate.assessment, linear_model(candidate, maximise)
     assert now is not None
     if candidate.done or not trials:
         return
+    full, shown = trials[0]
+    inside = shown.lost == 0
+    if model is not None and inside and not candidate.polling:
+        _bend(candidate, model, full, shown)
     point, best = trials[0]
     for p, a in trials[1:]:
         if a.better(best):
             point, best = p, a
     if best.better(now):
-        moved = np.abs(point - candidate.point).max()
+        moved = float(np.abs(point - candidate.point).max())
         candidate.path.append(candidate.point)
         candidate.point, candidate.assessment, candidate.slopes = point, best, None
-        long = moved > 0.8 * candidate.radius
-        candidate.radius = min(2 * candidate.radius if long else max(moved, candidate.radius / 2), LARGEST_RADIUS)
+        if point is full:
+            candidate.radius = min(max(2 * moved, candidate.radius), LARGEST_RADIUS)
+        else:
+            candidate.radius = max(moved, candidate.radius / 2)
         candidate.polling = False
+    elif not candidate.polling and inside and model is not None:
+        candidate.radius /= 2  # the next model knows the curvature
     elif not candidate.polling:
         candidate.polling = True
     else:

@@ -33,14 +33,14 @@ def slopes_at(simulator: Simulator, points: Sequence[Unit], assessments: Sequenc
     starts = max((a.lanes.in_regime.shape[1] for a in assessments), default=0)
     slopes: list[Slopes] = [{name: np.full((starts, count), np.nan) for name in simulator.names} for _ in points]
     known = simulator.features
-    lanes = [(k, start) for k, a in enumerate(assessments) for start in distinct_starts(a) if _is_periodic(a, start)]
+    lanes = [(k, start) for k, a in enumerate(assessments) for start in distinct_starts(a) if is_periodic(a, start)]
     groups: dict[int, list[tuple[int, int]]] = {}
     for k, start in lanes:
         groups.setdefault(int(assessments[k].lanes.dataset["cycles"].values[0, start]), []).append((k, start))
     for cycles, group in groups.items():
-        parameters, chain = _parameters(spec, np.array([points[k] for k, _ in group]))
+        parameters, chain = scene_parameters(spec, np.array([points[k] for k, _ in group]))
         guess = np.stack(
-            [_orbit(spec, assessments[k], start, cycles, parameters, i) for i, (k, start) in enumerate(group)]
+            [orbit_states(spec, assessments[k], start, cycles, parameters, i) for i, (k, start) in enumerate(group)]
         )
         by = tuple(chain)
         features = orbit_features(scene, tuple(known.values()), by, parameters, guess)
@@ -50,18 +50,22 @@ def slopes_at(simulator: Simulator, points: Sequence[Unit], assessments: Sequenc
         for i, (k, start) in enumerate(group):
             for place, name in enumerate(known):
                 slopes[k][name][start] = derivatives[i, place]
-    missing = [k for k in range(len(points)) if any(np.isnan(slopes[k][name][s]).any() for name in simulator.names
-                                                    for j, s in lanes if j == k)]  # fmt: skip
+    missing = [
+        k
+        for k, found in enumerate(assessments)
+        if any(np.isnan(slopes[k][name][start]).any() for name in simulator.names for start in distinct_starts(found))
+    ]
     _by_differences(simulator, points, missing, slopes)
     return slopes
 
 
-def _is_periodic(found: Assessment, start: int) -> bool:
+def is_periodic(found: Assessment, start: int) -> bool:
+    """Return whether the orbit of the nominal point was found from this start."""
     lanes = found.lanes.dataset
     return "orbit_reason" in lanes and int(lanes["orbit_reason"].values[0, start]) == reason("found")
 
 
-def _parameters(
+def scene_parameters(
     spec: DesignSpec, unit: Float[np.ndarray, "lanes varied"]
 ) -> tuple[dict[str, np.ndarray], dict[str, Float[np.ndarray, "lanes varied"]]]:
     """Return the scene's parameters of nominal points, and the derivatives of those that depend on the unit box."""
@@ -83,7 +87,7 @@ def _parameters(
     return values, {name: slope for name, slope in chain.items() if slope.any()}
 
 
-def _orbit(
+def orbit_states(
     spec: DesignSpec, found: Assessment, start: int, cycles: int, parameters: Mapping[str, np.ndarray], lane: int
 ) -> Float[np.ndarray, "cycles states"]:
     """Return the states of a lane's orbit at the section crossings."""
