@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.analyses.design.chart_page import chart_page
 from vibrojax.analyses.design.dataset import DESIGN_VARIABLES
 from vibrojax.errors import counted
 from vibrojax.plot.axes import label, pretty_unit, scale, values_along
@@ -123,7 +124,10 @@ class Designs(Analysis):
 
     kind = "design"
     variables = DESIGN_VARIABLES
-    pictures = (PictureRule("candidates over the map of a design", lambda held: True, design_picture),)
+    pictures = (
+        PictureRule("designer's chart", lambda held: "chart_region" in held.variables, chart_page),
+        PictureRule("candidates over the map of a design", lambda held: True, design_picture),
+    )
     view = "none"
     no_view = "it holds candidates, not a map; draw it with vibrojax plot"
 

@@ -127,7 +127,7 @@ def design_dataset(
     title = str(spec.tables.get("title") or f"Design of {spec.template.scene}: most {objective.long_name}")
     attributes = dataset_attributes(
         "design", title, "design", scene=spec.template.scene, design=spec.text,
-        lanes=simulator.lanes, orbits=simulator.orbits,
+        lanes=simulator.lanes, orbit_solves=simulator.orbits,
         maximise=spec.maximise, requirements=requirements(spec),
     )  # fmt: skip
     attributes |= {f"tolerance_{name}": width for name, width in spec.tolerances.items()}
