@@ -39,8 +39,9 @@ MOST_STARTS_NAMED = 4
 SAME_MOTION = 0.02
 """Relative spread of the impact energy over the starts, up to which their motions count as one."""
 
-CLIFF = 1.5
-"""Ratio of the impact energies of neighbouring cells from which the motion changes between them."""
+CLIFF = 0.2
+"""Difference of the impact energy between neighbouring cells, relative to the chart's greatest, from which another
+motion begins between them."""
 
 
 def charted(ds: xr.Dataset, spec: DesignSpec, progress: bool = True) -> xr.Dataset:
@@ -70,7 +71,7 @@ def charted(ds: xr.Dataset, spec: DesignSpec, progress: bool = True) -> xr.Datas
     box = _box(spec, axes)
     energy = np.where(single, _worst(lanes, "impact_energy"), np.nan)
     known = np.nan_to_num(energy)
-    cliff = maximum_filter(known, footprint=box) > CLIFF * minimum_filter(known, footprint=box)
+    cliff = maximum_filter(known, footprint=box) - minimum_filter(known, footprint=box) > CLIFF * known.max()
     robust = binary_erosion(single, box, border_value=1) & ~cliff
     data: dict[str, Any] = {}
     meaning = "same single impact from every start; robust: everywhere within the tolerances or a cell"

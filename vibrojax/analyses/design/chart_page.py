@@ -78,8 +78,18 @@ def _draw_panel(axes: Axes, ds: xr.Dataset, solid: str, dashed: str) -> None:
     (low, high), (start, stop) = RECTANGLE["beta"], RECTANGLE["gamma"]
     axes.add_patch(Rectangle((start, low), stop - start, high - low, fill=False, edgecolor=INK, linewidth=1.6))
     x, y = ds["compared_gamma"].values, ds["compared_beta"].values
-    axes.plot(x[0], y[0], "+", color=INK, markersize=10, markeredgewidth=1.6)
-    axes.plot(x[1], y[1], "*", color=IMPACT, markersize=16, markeredgecolor="white", markeredgewidth=0.8, clip_on=False)
+    axes.plot(x[0], y[0], "+", color=INK, markersize=10, markeredgewidth=1.6, zorder=5)
+    axes.plot(
+        x[1],
+        y[1],
+        "*",
+        color=IMPACT,
+        markersize=16,
+        markeredgecolor="white",
+        markeredgewidth=0.8,
+        clip_on=False,
+        zorder=5,
+    )
     handles = [
         Line2D([], [], color=_LINES[name][2], linestyle=_LINES[name][3], linewidth=1.3, label=_LINES[name][0])
         for name in (solid, dashed)
@@ -149,7 +159,7 @@ def _draw_key(figure: Figure) -> None:
     ]
     figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.545, 0.29), fontsize=9, handlelength=1.6)
     words = (
-        "Choose γ and β in the white region, and read a blow at the left, the hole at the right:\n"
-        "values are the worst over the starts. Lines end where the motion is no longer robust."
+        "Choose γ and β in the white region, and read the blow at the left and the\n"
+        "hole at the right, worst over the starts. Lines end where the motion is not robust."
     )
     figure.text(0.55, 0.105, words, fontsize=8.5, color="0.25", va="center")

@@ -76,7 +76,11 @@ def find_design(spec: DesignSpec, progress: bool = True) -> xr.Dataset:
         improve(simulator, candidates)
         bar.add(1, f"search: {len(candidates)} candidates, {simulator.lanes} lanes so far")
         candidates = distinct(candidates)
-        checked = [settle(simulator, candidate, samples) for candidate in candidates]
+        checked: list[Assessment] = []
+        for candidate in candidates:
+            if sum(found.feasible for found in checked) < SEEDS:
+                checked.append(settle(simulator, candidate, samples))
+        candidates = candidates[: len(checked)]
         feasible = [k for k, found in enumerate(checked) if found.feasible]
         if not feasible:
             raise infeasibility(spec, coarse, candidates, checked)
