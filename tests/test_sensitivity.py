@@ -1,17 +1,97 @@
-"""Derivatives at periodic orbits, against central differences of orbits that Newton's method has converged."""
+"""Derivatives at periodic orbits, against central differences of other converged orbits, and closed forms.
 
+The second half tests `as_jax`, in the same file because both use the same compiled programs.
+"""
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
+from jax.test_util import check_grads
+from scipy.optimize import minimize
 
+import vibrojax as vj
+from vibrojax.analyses.analysis import analysis_of
+from vibrojax.analyses.sensitivity import branch
+from vibrojax.errors import InputError
 from vibrojax.models.scenes import SCENES
-from vibrojax.periodic.orbit_derivatives import orbit_features, orbit_variables
+from vibrojax.periodic.orbit_derivatives import DERIVATIVE_REASONS, orbit_features, orbit_variables
 from vibrojax.periodic.return_map import Segments
+from vibrojax.periodic.variations import eigenvalues
 
-DRILL = {"beta": 0.4, "gamma": 0.75, "delta": 0.005}
-ORBITS = {
-    "impact": ("vibro-impact", ("beta", "gamma", "v", "delta"), DRILL),
-    "hole": ("drilling", ("beta", "threshold"), {"beta": 0.4, "gamma": 0.6, "zeta": 0.5, "threshold": 1e5}),
+BY = ("gamma", "v")
+STEP = 1e-6
+MOTIONS = {  # by name: beta, gamma, v, delta, start, cycles
+    "single impact": (0.4, 0.75, 1.5, 0.005, "stuck", 1),
+    "no impact": (0.4, 0.75, 1.5, 0.5, "stuck", 1),
+    "two returns": (0.6, 0.3, 1.5, -0.005, "drive", 2),
+    "irregular": (0.601, 0.818, 1.5, 0.005, "stuck", 0),
 }
+
+
+@pytest.fixture(scope="module")
+def map_of_motions():
+    """Sensitivities of the motions, and of the same motions with a parameter moved up and down: (change, motion)."""
+    moves = [np.array([0.0, 0.0, 0.0, 0.0])]
+    moves += [sign * STEP * (np.arange(4) == 1 + place) for place in range(len(BY)) for sign in (1, -1)]
+    rows = [np.array(about[:4]) * (1 + move) for move in moves for about in MOTIONS.values()]
+    points = dict(zip(("beta", "gamma", "v", "delta"), np.transpose(rows).tolist(), strict=True))
+    points["start"] = [about[4] for _ in moves for about in MOTIONS.values()]
+    sweep = {"scene": "vibro-impact", "points": points, "run": {"orbits": True}, "unusual": True}
+    ds = vj.run_sweep(sweep, progress=False)
+    return ds, vj.sensitivity(ds, by=BY, progress=False)
+
+
+def test_derivatives_are_the_slopes_of_other_lanes(map_of_motions):
+    _, s = map_of_motions
+    count = len(MOTIONS)
+    names = [str(name) for name in s.data_vars if f"d_{name}" in s]
+    assert {"period", "impact_power", "peak_impact_force", "impact_phase", "multiplier_abs", "grazing_margin"} <= {
+        *names
+    }
+    for place, name in enumerate(BY):
+        up, down = (s.isel(point=slice((2 * place + k) * count, (2 * place + k + 1) * count)) for k in (1, 2))
+        for variable in names:
+            at = s["parameter_value"].isel(point=slice(0, count)).sel(parameter=name).values
+            at = at.reshape(-1, *[1] * (s[variable].ndim - 1))
+            slope = (up[variable].values - down[variable].values) / (2 * STEP * at)
+            given = s[f"d_{variable}"].isel(point=slice(0, count)).sel(parameter=name).values
+            scale = np.abs(given) + 0.1 * np.abs(s[variable].values[:count]) / at
+            off = np.abs(slope - given) / np.where(scale > 0, scale, 1)
+            assert np.nanmax(off) < 1e-6, (variable, name, off)
+
+
+def test_nothing_is_unknown_without_a_reason(map_of_motions):
+    ds, s = map_of_motions
+    count = len(MOTIONS)
+    reasons = np.array(DERIVATIVE_REASONS)[s.reason.values[:count]]
+    assert dict(zip(MOTIONS, reasons, strict=True)) == {**dict.fromkeys(MOTIONS, "none"), "irregular": "no-orbit"}
+    assert ds.orbit_cycles.values[:count].tolist() == [about[5] for about in MOTIONS.values()]
+    assert ((s.valid == 1) == (s.reason == 0)).all()
+    for name in s.data_vars:
+        if str(name).startswith("d_"):
+            unknown = s[name].isnull() & s[str(name).removeprefix("d_")].notnull()
+            assert not unknown.where(s.valid == 1, False).any()
+            assert s[name].isel(point=3).isnull().all()
+    assert s.d_impact_velocity.isel(point=1).isnull().all() and (s.d_impact_power.isel(point=1) == 0).all()
+
+
+def test_picture_summary_and_refusals(map_of_motions):
+    ds, s = map_of_motions
+    assert s.attrs["kind"] == "sensitivity"
+    [part] = analysis_of(s).summary(s)
+    assert part.facts["sensitivity"] == {"valid": 15, "no-orbit": 5}
+    single = s.isel(point=[0])
+    elasticity = float((single.d_period.sel(parameter="gamma") * 0.75 / single.period).item())
+    assert f"{elasticity:.2f}".replace("-", "−") in {t.get_text() for t in vj.picture(single).axes[0].texts}
+    for source, by, message in (
+        (ds, "gama", "by: the scene has no .gama. to differentiate; did you mean .gamma."),
+        (ds.isel(point=slice(0, 3)), "gamma", "the sweep that the dataset names has changed"),
+        (xr.Dataset({"x": 1.0}), "gamma", "not the dataset of a sweep"),
+    ):
+        with pytest.raises(InputError, match=message):
+            vj.sensitivity(source, by=by, progress=False)
 
 
 def settled(scene, values, returns=200):
@@ -26,18 +106,168 @@ def settled(scene, values, returns=200):
     return p, state.T[None]
 
 
-@pytest.mark.parametrize("case", ORBITS)
-def test_derivatives_are_the_slopes_of_converged_orbits(case):
-    name, by, values = ORBITS[case]
-    scene = SCENES[name]()
+def test_near_grazing_derivatives_do_not_hold():
+    """The margin of a striker that turns before the bit falls linearly with the gap; its slope leads to the graze."""
+    scene, of = SCENES["vibro-impact"](), ("grazing_margin", "period")
+    p, guess = settled(scene, {"beta": 0.4, "gamma": 0.75, "delta": 0.034})
+    far = orbit_features(scene, of, ("delta",), p, guess)
+    assert far.impacts == 0 and far.valid
+    margin, slope = far.values[0, 0], far.derivatives[0, 0, 0]
+    for close, reason in ((1e-3, "none"), (1e-5, "near-grazing")):
+        near = orbit_features(scene, of, (), p | {"delta": p["delta"] - (margin - close) / slope}, guess)
+        assert near.values[0, 0] == pytest.approx(close, rel=1e-6)
+        assert near.reason[0].tolist() == [DERIVATIVE_REASONS.index(reason)] * 2
+
+
+def test_with_rock_they_are_the_slopes_of_converged_orbits():
+    values, by = {"beta": 0.4, "gamma": 0.6, "zeta": 0.5, "threshold": 1e5}, ("beta", "threshold")
+    scene = SCENES["drilling"]()
     p, guess = settled(scene, values)
-    of = orbit_variables(scene)
+    of = ("rate_of_penetration", "relief", "deepest_gap", "impact_energy", "log_multiplier")
     orbit = orbit_features(scene, of, by, p, guess)
-    assert orbit.residual[0] < 1e-12 and set(orbit.reason.ravel()) == {0}
+    assert set(of) <= set(orbit_variables(scene)) and orbit.valid.all()
     for place, varied in enumerate(by):
-        step = 1e-6 * abs(values.get(varied, 1.5))
+        step = STEP * values[varied]
         up, down = (orbit_features(scene, of, (), p | {varied: p[varied] + h}, orbit.states) for h in (step, -step))
-        slope = (up.values - down.values)[0] / (2 * step)
-        scale = np.abs(orbit.derivatives[0, :, place]) + 0.1 * np.abs(orbit.values[0]) / p[varied][0]
-        off = np.abs(slope - orbit.derivatives[0, :, place]) / np.where(scale > 0, scale, 1.0)
-        assert dict(zip(of, off, strict=True)) == pytest.approx(dict.fromkeys(of, 0.0), abs=1e-6)
+        slope, scale = (up.values - down.values)[0] / (2 * step), 0.1 * np.abs(orbit.values[0]) / values[varied]
+        np.testing.assert_array_less(np.abs(slope - orbit.derivatives[0, :, place]), 1e-6 * scale)
+
+
+def test_eigenvalues_against_closed_forms():
+    """The eigenvalues of ((0, 1), (-p, 0)) are +-i sqrt(p); those of ((a, 1), (0, a)) are defective."""
+    p, one = 0.3, np.ones((1, 2))
+    values, slopes, alike = eigenvalues(
+        np.array([[[0, 1], [-p, 0]]]), np.array([[[[0.0], [0.0]], [[-1.0], [0.0]]]]), one
+    )
+    np.testing.assert_allclose(np.abs(values[0]), np.sqrt(p))
+    np.testing.assert_allclose((slopes[0, :, 0] * values[0].conj()).real, 0.5)  # d|λ|/dp = 1/(2 sqrt(p))
+    assert not alike.any()
+    defective = np.array([[[0.5, 1], [1e-9, 0.5]]])
+    assert eigenvalues(defective, np.zeros((1, 2, 2, 1)), one)[2].all()
+
+
+# Functions of JAX arrays
+
+
+OF = ("impact_power", "period")
+FIXED = {"start": "stuck", "delta": 0.005}
+HERE = np.array([0.4, 0.75])
+BEYOND = np.array([0.6, 0.5])  # on the way from HERE the stick vanishes, and the orbit with it
+
+
+def function(**given):
+    f = vj.as_jax("vibro-impact", of=OF, by=["beta", "gamma"], **FIXED | given)
+    f(HERE)
+    return f
+
+
+@pytest.fixture(scope="module")
+def f():
+    return function()
+
+
+def test_values_are_those_of_the_sweep_and_of_sensitivity(f):
+    sweep = {"scene": "vibro-impact", "parameters": {"beta": 0.42, "gamma": 0.7, "delta": 0.005}, "starts": ["stuck"]}
+    s = vj.sensitivity(sweep, by=["beta", "gamma"], progress=False)
+    x = jnp.array([0.42, 0.7])
+    found = f(x)
+    assert bool(found["valid"]) and found["margin"] == pytest.approx(np.log(s.multiplier_abs.values.max()), rel=1e-9)
+    for name in (*OF, "grazing_margin"):
+        assert found[name] == pytest.approx(s[name].item(), rel=1e-9)
+        gradient = jax.grad(lambda x, name=name: f(x)[name])(x)
+        np.testing.assert_allclose(gradient, s[f"d_{name}"].values.ravel(), rtol=1e-8)
+
+
+def test_gradients_at_random_points_in_both_modes(f):
+    points = np.random.default_rng(2).uniform([0.3, 0.65], [0.5, 0.85], (8, 2))
+    valid = [x for x in map(jnp.asarray, points) if f(x)["valid"]]
+    assert len(valid) > 5
+    for name in (*OF, "margin", "grazing_margin"):
+        for x in valid:
+            check_grads(lambda x, name=name: f(x)[name], (x,), order=1, modes=("fwd", "rev"), eps=1e-6)
+
+
+def test_transformations_and_precisions(f):
+    points = jnp.array([[0.4, 0.75], [0.41, 0.73], BEYOND])
+    alone = [jax.value_and_grad(lambda x: f(x)["impact_power"])(x) for x in points]
+    values, gradients = jax.jit(jax.vmap(jax.value_and_grad(lambda x: f(x)["impact_power"])))(points)
+    np.testing.assert_allclose(values, [value for value, _ in alone], rtol=1e-12)
+    np.testing.assert_allclose(gradients, [gradient for _, gradient in alone], rtol=1e-9)
+    assert jax.jit(jax.vmap(f))(points)["valid"].tolist() == [True, True, False]
+    nested = jax.jacrev(jax.vmap(jax.vmap(lambda x: f(x)["period"])))(points[None])
+    np.testing.assert_allclose(nested[0, 1, 0, 1], jax.jacfwd(lambda x: f(x)["period"])(points[1]), rtol=1e-12)
+    with jax.enable_x64(False):
+        single = jax.value_and_grad(lambda x: f(x)["impact_power"])(jnp.array([0.4, 0.75]))
+        assert single[1].dtype == jnp.float32
+        np.testing.assert_allclose(single[1], alone[0][1], rtol=1e-4)
+    with pytest.raises(InputError, match=r"as_jax: second derivatives are not available; use finite differences"):
+        jax.hessian(lambda x: f(x)["period"])(HERE)
+
+
+def test_results_do_not_depend_on_the_order_of_calls(f, monkeypatch):
+    points = np.random.default_rng(5).uniform([0.3, 0.5], [0.7, 1.1], (6, 2))
+    monkeypatch.setattr(branch, "MAX_KNOWN", 4)
+    other = function()
+    forth = [f(jnp.asarray(x)) for x in points]
+    back = [other(jnp.asarray(x)) for x in points[::-1]][::-1]
+    assert 0 < sum(bool(found["valid"]) for found in forth) < 6
+    for one, two in zip(forth, back, strict=True):
+        assert one.keys() == two.keys() and bool(one["valid"]) == bool(two["valid"])
+        np.testing.assert_allclose([one[name] for name in OF], [two[name] for name in OF], rtol=1e-9)
+
+
+def test_outside_its_validity(f):
+    """The value there is that of an orbit between, which the function gives as its own."""
+    beyond = f(BEYOND)
+    gradient = jax.grad(lambda x: f(x)["period"])(BEYOND)
+    assert not beyond["valid"] and np.isfinite([*gradient, *(beyond[name] for name in OF)]).all()
+    between = jax.vmap(f)(jnp.asarray(np.linspace(HERE, BEYOND, 65)))
+    last = int(np.flatnonzero(between["valid"])[-1])
+    assert (np.diff(between["valid"].astype(int)) <= 0).all() and 0 < last < 64
+    assert beyond["period"] == pytest.approx(float(between["period"][last]), rel=1e-2)
+    unknown = function(outside="nan")
+    assert np.isnan([unknown(BEYOND)[name] for name in OF]).all() and not unknown(BEYOND)["valid"]
+    assert np.isnan(jax.grad(lambda x: unknown(x)["period"])(BEYOND)).all()
+    assert jnp.isfinite(unknown(HERE)["period"])
+
+
+def test_optimizers(f):
+    """With a bound of the stability margin, the largest power is on the bound."""
+    scale, least = 1e-3, 0.4
+    value = jax.jit(jax.value_and_grad(lambda x: -scale * f(x)["impact_power"]))
+    margin = jax.jit(jax.value_and_grad(lambda x: -f(x)["margin"] - least))
+    bound = {"type": "ineq", "fun": lambda x: margin(x)[0], "jac": lambda x: np.asarray(margin(x)[1])}
+    best = minimize(
+        lambda x: tuple(map(np.asarray, value(x))), HERE, jac=True, method="SLSQP", constraints=[bound],
+        bounds=[(0.35, 0.45), (0.65, 0.8)],
+    )  # fmt: skip
+    assert best.success and f(jnp.asarray(best.x))["valid"]
+    assert f(jnp.asarray(best.x))["margin"] == pytest.approx(-least, abs=1e-6)
+    optimistix = pytest.importorskip("optimistix")
+    target = f(jnp.array([0.42, 0.72]))
+
+    def off(x, _):
+        return jnp.stack([f(x)[name] / target[name] - 1 for name in OF])
+
+    solver = optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8)
+    solution = optimistix.least_squares(off, solver, jnp.asarray(HERE))
+    np.testing.assert_allclose(solution.value, [0.42, 0.72], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"of": "impacts"}, r"as_jax: of: the scene has no .impacts. to differentiate"),
+        ({"by": ["gama"]}, "as_jax: by: .* did you mean .gamma."),
+        ({"beta": 0.4}, "as_jax: beta: is in `by` as well"),
+        ({"outside": "zero"}, "as_jax: outside: .zero. is unknown; choose from nearest, nan"),
+    ],
+)
+def test_wrong_arguments(given, message):
+    with pytest.raises(InputError, match=message):
+        vj.as_jax("vibro-impact", **{"of": "period", "by": ["beta", "gamma"]} | given)
+
+
+def test_wrong_shapes(f):
+    with pytest.raises(InputError, match=r"shape \(3,\); give \(2,\), one number for each of beta, gamma"):
+        f(jnp.zeros(3))

@@ -23,6 +23,7 @@ from vibrojax.analyses.rop_law import fit_friction as fit_friction
 from vibrojax.analyses.rop_law import fit_joint as fit_joint
 from vibrojax.analyses.rop_law import fit_rop as fit_rop
 from vibrojax.analyses.rop_law import refit_frequency as refit_frequency
+from vibrojax.analyses.sensitivity.gradients import as_jax as as_jax
 from vibrojax.analyses.sensitivity.maps import sensitivity as sensitivity
 from vibrojax.analyses.sensitivity.run import derivatives as derivatives
 from vibrojax.analyses.sweep.run import run_sweep as run_sweep

@@ -70,12 +70,19 @@ class Margin:
         scales = _typical(self.scene.resolutions(self.c, step.mode, step.before, marked=False))
         # The fastest rate of the free motion [1/s].
         pace = self.scene.rate(self.c, tuple(jnp.full_like(step.dt, mode.calmest) for mode in self.scene.modes))
+        turned = reduce(jnp.logical_or, [step.hits[name] for name in self._turns()], jnp.zeros_like(armed))
         switches, others = [least[0], *self._at_switches(lane, step)], [least[1], *self._of_section(armed, step, pace)]
         for guard, function, scale in zip(self.scene.guards(), functions, scales, strict=True):
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins = switches if guard.is_switch else others
-            margins += [_at_hit(f, step, step.hits[guard.name], scale * pace), _near_miss(f, step, scale)]
+            margins += [_at_hit(f, step, step.hits[guard.name], scale * pace), _near_miss(f, step, scale, turned)]
         return jnp.stack([reduce(jnp.minimum, margins) for margins in (switches, others)])
+
+    def _turns(self) -> list[str]:
+        """Return the names of the markers of the section's oscillating positions, such as those of bit and striker."""
+        swings = self.section.swings if self.section is not None else ()
+        markers = {marker.velocity: marker.name for marker in self.scene.markers}
+        return [markers[swing.velocity] for swing in swings if swing.velocity in markers]
 
     def _of_section(self, armed: Flags, step: Step, pace: Lanes) -> list[Array]:
         section = self.section
@@ -85,7 +92,7 @@ class Margin:
         speed = self.scene.speed_scale(self.c)
         hit = step.hits[self.scene.marker_of(section.velocity)]
         away = [-coefficient for coefficient in velocity] if section.rising else velocity
-        near = jnp.where(armed, _near_miss(away, step, speed), jnp.inf)
+        near = jnp.where(armed, _near_miss(away, step, speed, jnp.zeros_like(armed)), jnp.inf)
         return [_at_hit(velocity, step, hit & armed, speed * pace), near]
 
     def _at_switches(self, lane: Lane, step: Step) -> list[Array]:
@@ -109,11 +116,14 @@ def _at_hit(f: Coefficients, step: Step, hit: Flags, rate: Array) -> jax.Array:
     return jnp.where(hit, jnp.abs(slope(f, step.tau)) / (step.h * rate), jnp.inf)
 
 
-def _near_miss(f: Coefficients, step: Step, scale: Array) -> jax.Array:
-    """Return the positive minimum of a function within the step, divided by `scale`; infinity without a minimum."""
+def _near_miss(f: Coefficients, step: Step, scale: Array, turned: Flags) -> jax.Array:
+    """Return the positive minimum of a function within the step, divided by `scale`; infinity without a minimum.
+
+    `turned`: mask of steps that end where a velocity is zero, and hence at a minimum within rounding errors.
+    """
     rate = [k * coefficient for k, coefficient in enumerate(f)][1:]
     start, end = rate[0], value(rate, step.tau)
-    turns = (start < 0) & (end > 0)
+    turns = (start < 0) & (end > jnp.where(turned, FLAT * start, 0.0))
     place = jnp.where(turns, step.tau * start / jnp.where(turns, start - end, 1), 0)
     for _ in range(2):
         better = place - value(rate, place) / slope(rate, place)
@@ -121,6 +131,9 @@ def _near_miss(f: Coefficients, step: Step, scale: Array) -> jax.Array:
     least = value(f, place)
     return jnp.where(turns & (least > 0), least / scale, jnp.inf)
 
+
+FLAT = 1e-9
+"""Slope at the end of a step that counts as zero, relative to the slope at its start."""
 
 ORBIT_ACCURACY = Accuracy(tolerance=1e-10, stride=LOCATED_STRIDE, step=np.inf)
 """Accuracy of the steps with which orbits are measured."""

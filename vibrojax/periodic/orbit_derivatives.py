@@ -71,7 +71,7 @@ class OrbitFeatures(NamedTuple):
 
     - `values`, `derivatives`: of the features `of`, and with respect to the parameters `by`; NaN where unknown.
     - `reason`: why value or derivative do not hold, a flag of `DERIVATIVE_REASONS`; 0 where they hold.
-    - `states`, `state_derivatives`: states at the section crossings, and derivatives of the first of them.
+    - `states`, `state_derivatives`: states at the section crossings, and their derivatives.
     - `times` [s]: time from each state to the next; `multipliers`: by decreasing modulus.
     - `margin`: grazing margin; `impacts`: number of impacts in a period.
     - `residual`, `moved`: see [vibrojax.periodic.newton.PeriodicOrbits][].
@@ -81,7 +81,7 @@ class OrbitFeatures(NamedTuple):
     derivatives: Float[np.ndarray, "lanes of by"]
     reason: Int[np.ndarray, "lanes of"]
     states: Float[np.ndarray, "lanes cycles states"]
-    state_derivatives: Float[np.ndarray, "lanes states by"]
+    state_derivatives: Float[np.ndarray, "lanes cycles states by"]
     times: Float[np.ndarray, "lanes cycles"]
     multipliers: Complex[np.ndarray, "lanes states"]
     margin: PerLane
@@ -152,7 +152,7 @@ def derived(
         derivatives=np.full((lanes, len(of), len(by)), np.nan),
         reason=np.full((lanes, len(of)), DERIVATIVE_REASONS.index("no-orbit")),
         states=orbit.states.copy(),
-        state_derivatives=np.full((lanes, rows, len(by)), np.nan),
+        state_derivatives=np.full((*orbit.states.shape, len(by)), np.nan),
         times=orbit.times.copy(),
         multipliers=np.full((lanes, rows), np.nan, complex),
         margin=orbit.margin.copy(),
@@ -167,7 +167,12 @@ def derived(
     varied = Variations.of(scene.driving_part(), by, parameters, orbit)
     product, d_product = chain(varied.jacobian), varied.d_product
     values, slopes, alike = eigenvalues(product, d_product, orbit.scales)
-    table, tangents, whole = _measured(scene, by, parameters, orbit, varied)
+    recorded = [name for name in of if name not in (MARGIN, STABILITY) and not name.startswith(MODULUS)]
+    table: Features = {}
+    tangents: Features = {}
+    whole = np.ones(len(found), bool)
+    if recorded:
+        table, tangents, whole = _measured(scene, by, parameters, orbit, varied)
     moduli = np.abs(values)
     is_zero = moduli <= ZERO_MULTIPLIER
     by_modulus = np.real(np.conj(values)[..., None] * slopes) / np.where(is_zero, 1.0, moduli)[..., None]
@@ -198,7 +203,7 @@ def derived(
         result.reason[found, place] = np.where(broken, DERIVATIVE_REASONS.index("failed"), reason)
         result.values[found, place] = np.where(whole, value, np.nan)
         result.derivatives[found, place] = np.where((whole & ~neutral)[:, None], slope, np.nan)[:, :count]
-    result.state_derivatives[found] = varied.d_states[:, 0, :, :count]
+    result.state_derivatives[found] = varied.d_states[..., :count]
     result.times[found], result.multipliers[found] = varied.times, values
     result.margin[found], result.impacts[found] = least.min(axis=1), varied.impacts
     return result

@@ -1,0 +1,136 @@
+"""Features of orbits as functions of JAX arrays, with gradients by the implicit function theorem: `as_jax`."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vibrojax.analyses.sensitivity.branch import Branch
+from vibrojax.analyses.sensitivity.run import read_names
+from vibrojax.errors import InputError, Place, shown
+from vibrojax.models.scenes import Scene
+from vibrojax.periodic.orbit_derivatives import MARGIN, STABILITY, orbit_variables
+from vibrojax.sweep.input.read import read_point
+
+OUTSIDE = ("nearest", "nan")
+
+VALID, LOGARITHM = "valid", "margin"
+"""Names of the outputs in addition to the features: whether the point has an orbit, and the stability margin."""
+
+
+def as_jax(
+    scene: str | Scene[Any],
+    *,
+    of: str | Sequence[str],
+    by: str | Sequence[str],
+    start: str | Sequence[float] | None = None,
+    outside: str = "nearest",
+    **fixed: Any,
+) -> Callable[[Any], dict[str, jax.Array]]:
+    """Return a function of JAX arrays that gives features of a periodic orbit, and that JAX can differentiate.
+
+        f = vj.as_jax("vibro-impact", of=["impact_energy"], by=["beta", "gamma"], start="stuck", delta=0.005)
+        f(jnp.array([0.4, 0.75]))  # {"impact_energy": ..., "margin": ..., "grazing_margin": ..., "valid": ...}
+        jax.grad(lambda x: f(x)["impact_energy"])(jnp.array([0.4, 0.75]))
+
+    At its first use, the function finds the orbit on which the motion from `start` settles. From then on it follows
+    this orbit: at other parameters, the orbit is continued from the nearest one known. The gradients are those of
+    [vibrojax.sensitivity][]: by the implicit function theorem at the orbit, through all events. `jax.grad`,
+    `jax.jacfwd`, `jax.jacrev`, `jax.jit` and `jax.vmap` work, so do optimizers that use them. A batch of `jax.vmap` is
+    computed at once. Second derivatives are not available.
+
+    The function is valid as long as the orbit exists, has the same numbers of section crossings and impacts, and is
+    stable. Beyond a graze, a fold or a border of the regime there is no such orbit: the result then belongs to the last
+    orbit on the straight line from the first one. An orbit that has become unstable is continued, with a
+    positive `margin`, so that stability can be a smooth constraint; it is not valid either.
+
+    Orbits are computed in float64, whatever the type of the argument is. Results have the type of the argument.
+
+    **Arguments:**
+
+    - `scene`, `start`, `fixed` (SI): as in `simulate`.
+    - `of`: features of orbits, as in `sensitivity`; `by`: parameters, in the order of the array.
+    - `outside`: "nearest" for the values and gradients of the nearest orbit where the function is not valid, or "nan".
+
+    **Returns:** a function of an array (parameters,), which returns a dict of scalars: the features `of`, `margin` (the
+    natural logarithm of the largest modulus of the multipliers, negative if stable), `grazing_margin` (the distance
+    from a change in the order of events), and the boolean `valid`. Features are NaN if no motion from `start` is
+    periodic at the first point or near it, or if the orbit does not have them (without impacts, an impact velocity).
+
+    **Raises:** `InputError` for an unknown name or a wrong value.
+
+    **Example:**
+
+    >>> import jax, jax.numpy as jnp
+    >>> f = vj.as_jax("vibro-impact", of="period", by=["beta", "gamma"], start="stuck", delta=0.005)
+    >>> x = jnp.array([0.4, 0.75])
+    >>> f(x)["period"].round(4).item(), jax.grad(lambda x: f(x)["period"])(x).round(3).tolist(), bool(f(x)["valid"])
+    (0.2296, [-0.027, -0.056], True)
+    """
+    place = Place("as_jax")
+    if outside not in OUTSIDE:
+        raise place.at("outside").error(f"{shown(outside)} is unknown; choose from {', '.join(OUTSIDE)}")
+    point = read_point(place, scene, fixed, start)
+    if not point.system.driving_part().return_states:
+        raise place.at("scene").error(f"{shown(point.scene)} has neither a section nor pulses, so it has no orbits")
+    names = read_names(place.at("of"), of, orbit_variables(point.system))
+    parameters = read_names(place.at("by"), by, point.system.parameters())
+    for name in parameters:
+        if name in fixed:
+            raise place.at(name).error("is in `by` as well; give it in one of the two")
+    branch = Branch(point, names, parameters)
+    outputs = {name: branch.of.index(name) for name in names}
+    outputs |= {LOGARITHM: branch.of.index(STABILITY), MARGIN: branch.of.index(MARGIN)}
+    features = _features(branch, len(parameters), outside)
+
+    def f(x: Any) -> dict[str, jax.Array]:
+        x = jnp.asarray(x)
+        if x.shape != (len(parameters),):
+            wanted = f"({len(parameters)},), one number for each of {', '.join(parameters)}"
+            raise InputError(f"as_jax: the array has the shape {x.shape}; give {wanted}")
+        results = features(x.astype(jnp.result_type(float, x.dtype)))
+        values = {name: results[index] for name, index in outputs.items()}
+        return values | {VALID: jax.lax.stop_gradient(results[-1]) > 0.5}
+
+    return f
+
+
+def _features(branch: Branch, size: int, outside: str) -> Callable[[jax.Array], jax.Array]:
+    """Return the function from parameters to features (and, as the last number, 1 if valid), with its derivatives."""
+    count = len(branch.of) + 1
+
+    def compute(x: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return features (..., features) and derivatives (..., features, by) at the points (..., by)."""
+        x = np.asarray(x)
+        found = branch.evaluate(np.ascontiguousarray(x.reshape(-1, size), float))
+        values = np.concatenate([found.values, found.valid[:, None]], axis=1)
+        slopes = np.concatenate([found.derivatives, np.zeros((len(values), 1, size))], axis=1)
+        if outside == "nan":
+            values[~found.valid, :-1] = np.nan
+            slopes[~found.valid, :-1] = np.nan
+        return (
+            values.reshape(*x.shape[:-1], count).astype(x.dtype),
+            slopes.reshape(*x.shape[:-1], count, size).astype(x.dtype),
+        )
+
+    @jax.custom_jvp
+    def both(x: jax.Array) -> Any:
+        shapes = (jax.ShapeDtypeStruct((count,), x.dtype), jax.ShapeDtypeStruct((count, size), x.dtype))
+        return jax.pure_callback(compute, shapes, x, vmap_method="broadcast_all")
+
+    @both.defjvp
+    def _(primals: Any, tangents: Any) -> Any:
+        raise InputError("as_jax: second derivatives are not available; use finite differences of the gradient")
+
+    @jax.custom_jvp
+    def features(x: jax.Array) -> jax.Array:
+        return jnp.asarray(both(x)[0])
+
+    @features.defjvp
+    def _(primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> tuple[jax.Array, jax.Array]:
+        values, slopes = both(*primals)
+        return values, slopes @ tangents[0]
+
+    return features
