@@ -82,6 +82,14 @@ def test_the_strong_single_impact_and_the_rattle(sweep, found, gamma):
     assert velocity[0] == pytest.approx(float(lanes.impact_velocity.values[strong][0]), rel=1e-9)
 
 
+def test_power_and_blows_are_those_of_the_lanes(sweep, found):
+    at = {"beta": 0.4, "gamma": 0.75}
+    lanes, strong = sweep.sel(at), int(found.impact_velocity.sel(at).argmax("attractor"))
+    mine = lanes.where(found.lane_attractor.sel(at) == strong)
+    for name in ("impact_power", "stick_slip_index", "blow_frequency"):
+        assert float(found[name].sel(at)[strong]) == pytest.approx(float(mine[name].median()), rel=1e-6), name
+
+
 def test_numbers_stay_along_the_axes(found):
     numbers = {
         (beta, gamma): present(found, beta=beta, gamma=gamma).attractor.values.tolist()

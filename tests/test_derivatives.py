@@ -86,9 +86,10 @@ def test_at_random_points_they_are_the_exact_slopes():
 
 
 def test_a_jacobian_of_ones_own_goes_through_the_pure_function():
-    scene = SCENES["vibro-impact"]()
+    """Of the scene with the fewest events, whose program XLA compiles soonest."""
+    scene = SCENES["rotary"]()
     defaults = {name: parameter.default for name, parameter in scene.parameters().items()}
-    wrt, of = ("beta", "gamma", "v", "mu"), ("period", "impact_velocity")
+    wrt, of = ("beta", "gamma", "v", "mu"), ("period", "bit_amplitude")
 
     def run(values):
         p = {name: jnp.full(1, value) for name, value in defaults.items()}
@@ -99,10 +100,10 @@ def test_a_jacobian_of_ones_own_goes_through_the_pure_function():
         return jnp.concatenate([read[name] for name in of])
 
     at = jnp.asarray([defaults[name] for name in wrt])
-    found = derivatives("vibro-impact", of=of, by=wrt, settle=4.0, observe=2.0)
+    found = derivatives("rotary", of=of, by=wrt, settle=4.0, observe=2.0)
     np.testing.assert_allclose(jax.jit(jax.jacfwd(run))(at), found.derivative, rtol=1e-8)
     with pytest.raises(ValueError, match=r"Reverse-mode differentiation does not work for lax\.while_loop"):
-        jax.grad(lambda values: run(values)[0])(at)
+        jax.make_jaxpr(jax.grad(lambda values: run(values)[0]))(at)  # tracing suffices, and compiles nothing
 
 
 SHORT = {"settle": 0.3, "observe": 0.2, "zeta": 0.6}

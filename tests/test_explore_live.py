@@ -48,7 +48,7 @@ class Slow:
 def served(answers):
     """A server, and afterwards: no thread and no port is left of it."""
     before = set(threading.enumerate())
-    live = Live(HTML, answers)
+    live = Live(HTML, answers.answer, answers.warm)
     try:
         assert answers.warmed.wait(5)
         yield live

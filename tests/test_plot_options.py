@@ -235,7 +235,8 @@ def test_the_command_takes_the_same(written, monkeypatch):
     assert main([*argv, "--where", "delta=0.005", "start=stuck", "--colours", "magma"]) == 0
     name = "map-stick_fraction-regime-period-delta-0.005-start-stuck-magma.png"
     assert asked["path"] == written.with_name(name)
-    assert asked["how"] == (["stick_fraction", "regime", "period"], {"delta": 0.005, "start": "stuck"}, "magma", None)
+    variables, values = ["stick_fraction", "regime", "period"], {"delta": 0.005, "start": "stuck"}
+    assert asked["how"] == (variables, values, "magma", None, None)
 
 
 @pytest.mark.parametrize(
@@ -266,8 +267,8 @@ def test_the_command_replaces_no_other_picture(tmp_path, monkeypatch, capsys):
         vj.write_dataset(lanes(square(5, delta=[-0.005, gap])).assign_attrs(source="vibrojax 0"), tmp_path / name)
     content = {}
 
-    def save_picture(ds, path, variable, where, colours, over):
-        path.write_bytes(content.setdefault("as", "").encode() + repr((variable, where, colours, over)).encode())
+    def save_picture(ds, path, *how):
+        path.write_bytes(content.setdefault("as", "").encode() + repr(how).encode())
         return ""
 
     def drawn(*words):
@@ -282,6 +283,7 @@ def test_the_command_replaces_no_other_picture(tmp_path, monkeypatch, capsys):
         assert drawn("--over", "a/borders.nc") == "map-over-borders.png"
         assert drawn("--over", "b/borders.nc") == "map-over-borders-2.png"
         assert drawn("--over", "b/borders.nc", "--variable", "period") == "map-period-over-borders.png"
+        assert drawn("--diagram", "campbell") == "map-campbell.png"
         assert drawn(*many) == "map-a-b-c-and-2-more-start-_0_0_1_0_.png"
     (tmp_path / "map-magma.png").write_bytes(b"of something else")
     kept = {path.name: path.read_bytes() for path in tmp_path.glob("map*.png")}

@@ -26,6 +26,7 @@ from vibrojax.analyses.rop_law import refit_frequency as refit_frequency
 from vibrojax.analyses.sensitivity.gradients import as_jax as as_jax
 from vibrojax.analyses.sensitivity.maps import sensitivity as sensitivity
 from vibrojax.analyses.sensitivity.run import derivatives as derivatives
+from vibrojax.analyses.study.run import study as study
 from vibrojax.analyses.sweep.run import run_sweep as run_sweep
 from vibrojax.analyses.tolerance.run import tolerance as tolerance
 from vibrojax.errors import InputError as InputError

@@ -159,7 +159,6 @@ class Portions:
         self._reach(min(int(self._work), self._count - 1))
 
     def finish(self) -> None:
-        """Report all items as completed."""
         self._reach(self._count)
 
     def _reach(self, done: int) -> None:

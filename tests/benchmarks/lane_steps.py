@@ -13,6 +13,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+import vibrojax as vj
 from vibrojax.compile.xla import usable_cores
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep
@@ -24,6 +25,32 @@ CASES = {  # name: lanes, [run]
     "located, error 1e-4": (2048, {"method": "located", "error": 1e-4}),
     "smoothed, width 1e-3 m/s, step 1e-4 s": (128, {"method": "smoothed", "smoothing": 1e-3, "step": 1e-4}),
 }
+
+
+ROTARY = vj.System(
+    "own-rotary",
+    states={"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"},
+    parameters={"m1": 250.0, "beta": 0.4, "gamma": 0.75, "k1": 156250.0, "c2": 250.0, "v": 1.5},
+    field=lambda t, y, p: {
+        "x1": y["v1"],
+        "v1": (-p["k1"] * y["x1"] - p["beta"] * p["gamma"] ** 2 * p["k1"] * (y["x1"] - y["x2"])) / p["m1"],
+        "x2": y["v2"],
+        "v2": (-p["c2"] * y["v2"] - p["beta"] * p["gamma"] ** 2 * p["k1"] * (y["x2"] - y["x1"]))
+        / (p["beta"] * p["m1"]),
+    },
+    section="v1",
+    events=[
+        vj.Friction(
+            "bit",
+            relative=lambda t, y, p: y["v1"] + p["v"],
+            normal=lambda t, y, p: 9.81 * p["m1"],
+            law="stribeck",
+            acts_on="v1",
+            mass=lambda p: p["m1"],
+        )
+    ],
+)
+"""The scene `rotary`, written as a system."""
 
 
 def sweep(lanes: int, run: dict):
@@ -44,9 +71,19 @@ def once(chunks: Chunks) -> tuple[float, float]:
     return time.perf_counter() - began, float(found["steps"].sum())
 
 
-def measured(lanes: int, run: dict, cores: int) -> dict:
+def rotary(scene, lanes: int = 3000):
+    """Lanes of `rotary`, or of the same equations as a system."""
+    grid = {
+        "gamma": {"start": 0.4, "stop": 1.2, "num": 60},
+        "beta": {"start": 0.2, "stop": 0.8, "num": lanes // 60},
+    }
+    starts, times = [[0.0, -1.5, 0.0, 0.0]], {"settle": SETTLE, "observe": OBSERVE, "error": 1e-4, "chunk": lanes}
+    return read_sweep({"scene": scene, "grid": grid, "starts": starts, "run": times})
+
+
+def measured(definition, cores: int) -> dict:
     """Compile time, and by the median run, what a lane-step costs and how many lane-seconds a second gives."""
-    chunks = Chunks(sweep(lanes, run))
+    chunks, lanes = Chunks(definition), definition.lanes
     chunks.engine.workers = chunks.engine.workers[:cores]
     began = time.perf_counter()
     chunks.compile()
@@ -82,7 +119,7 @@ def main() -> None:
     print("{:<40}{:>8}{:>7}{:>11}{:>8}{:>8}{:>9}{:>14}{:>10}".format(*titles))
     for name, (lanes, run) in CASES.items():
         for cores in range(1, most + 1):
-            it = found[name, cores] = measured(lanes, run, cores)
+            it = found[name, cores] = measured(sweep(lanes, run), cores)
             print(
                 f"{name:<40}{cores:>8}{it['lanes']:>7}{it['compile_s']:>11.1f}{it['run_s']:>8.2f}"
                 f"{it['spread']:>8.0%}{it['steps_per_second']:>9.0f}{it['ns']:>14.0f}{it['lane_seconds']:>10.0f}"
@@ -96,6 +133,8 @@ def main() -> None:
     for cores in sorted({cores for _, cores in found}):
         gain = found[located, cores]["lane_seconds"] / found[smoothed, cores]["lane_seconds"]
         print(f"lane-seconds per second, located over smoothed, on {cores}: {gain:.1f}")
+    system, scene = (measured(rotary(scene), 1)["run_s"] for scene in (ROTARY, "rotary"))
+    print(f"time of the same lanes, rotary as a System over the scene rotary, on 1: {system / scene:.2f}")
 
 
 if __name__ == "__main__":

@@ -176,6 +176,7 @@ _HOMES = {
     "push": "push.analysis:Pushes",
     "tolerance": "tolerance.analysis:Tolerances",
     "design": "design.analysis:Designs",
+    "study": "study.analysis:Studies",
     "fit": "rop_law.picture:Fits",
     "accuracy": "accuracy.picture:AccuracyStudy",
     "derivatives": "sensitivity.run:Derivatives",

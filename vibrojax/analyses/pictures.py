@@ -204,14 +204,13 @@ def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
         x, y = varied(ds)
         return draw_map(ds, x, y, values, note)
     if not held.points and (held.worth_a_map or (held.regimes and len(held.axes) > 1)):
-        return draw_map(ds, *axes_of_map(ds, None, None), values, note)
+        return draw_map(ds, *axes_of_map(ds), values, note)
     if not held.points and held.regimes and held.axes:
         return regime_lines(ds, note=note, values=tuple(value for value in values if value is not None))
     return _draw_curves(ds, values, note)
 
 
 def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
-    """Raise `InputError` unless all `names` can be drawn."""
     if not isinstance(names, Sequence):
         raise InputError(f"variable: {shown(names)} is not the name of a variable; give one, or a list")
     run, orbits = TIME in ds.dims, kind_of(ds) == "family"
@@ -260,7 +259,6 @@ def _draw_curves(ds: xr.Dataset, values: Values, note: str = "") -> Figure:
 
 
 def _draw_histories(ds: xr.Dataset, names: Sequence[str]) -> Figure:
-    """Draw the variables of a run over time."""
     figure = new_figure(10.0, 1.5 * len(names) + 0.9)
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     time = ds[TIME].values.astype(float)

@@ -24,7 +24,7 @@ from vibrojax.cli.command import Command, Options, either, flag
 from vibrojax.cli.datasets import explore, info, plot
 from vibrojax.cli.designs import design
 from vibrojax.cli.points import follow, push, scenes, simulate, tolerance
-from vibrojax.cli.studies import accuracy, fit, reproduce
+from vibrojax.cli.studies import accuracy, fit, reproduce, study
 from vibrojax.cli.sweeps import sweep
 from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.provenance import package_version
@@ -63,6 +63,7 @@ _COMMANDS: dict[str, Command] = {
     "push": push,
     "tolerance": tolerance,
     "design": design,
+    "study": study,
     "plot": plot,
     "explore": explore,
     "info": info,
@@ -179,7 +180,6 @@ def _commands() -> dict[str, Command]:
 
 
 def _parser(words: Collection[str]) -> ArgumentParser:
-    """Return the command-line parser; only the commands that occur in `words` get their arguments."""
     parser = _Parser(
         prog="vibrojax",
         description="Simulate a self-exciting percussive-rotary drill: maps over parameters, single points, pictures.",

@@ -84,7 +84,6 @@ def _settings(analysis: "type[Analysis]") -> "dict[str, dataclasses.Field[Any]]"
 
 
 def _run(kind: str, options: Options) -> None:
-    """Run an analysis, write and draw its dataset, and print its summary."""
     from vibrojax.analyses.analysis import analyse, checked_result
     from vibrojax.analyses.orbits.analysis import SweepAnalysis
     from vibrojax.io.dataset import open_dataset
@@ -131,7 +130,6 @@ def _run(kind: str, options: Options) -> None:
 
 
 def _result_line(analysis: "Analysis", dataset: "xarray.Dataset", out: Path, drawn: str) -> str:
-    """Return the output line of a computed result; `drawn` is the return value of `write_result`."""
     count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
     return f"{out}{count}{drawn}"
 

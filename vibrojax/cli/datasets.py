@@ -252,7 +252,6 @@ def explore(options: Options) -> None:
 
 
 def _serve(options: Options, live: Any) -> None:
-    """Show the live page until the process is interrupted."""
     from vibrojax.analyses.sweep.workers.lifetime import on_leaving
 
     with live, on_leaving(lambda: live.close(1.0)):

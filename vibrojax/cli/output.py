@@ -248,7 +248,6 @@ def print_json(facts: Mapping[str, object]) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return `value` converted to JSON types."""
     if isinstance(value, Mapping):
         return {str(name): _plain(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,13 +1,26 @@
-"""The commands `fit`, `accuracy` and `reproduce`."""
+"""The commands `study`, `fit`, `accuracy` and `reproduce`."""
 
 import hashlib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from vibrojax.analyses import WORDS
 from vibrojax.cli.command import JSON, Options, argument, command, files, flag, output_options
-from vibrojax.cli.output import dataset_written, file_facts, output, output_folder, print_json, result_at, write_result
+from vibrojax.cli.output import (
+    answer,
+    dataset_written,
+    file_facts,
+    output,
+    output_folder,
+    print_json,
+    result_at,
+    write_result,
+)
 from vibrojax.errors import InputError, counted
 from vibrojax.progress import timed
+
+if TYPE_CHECKING:
+    import xarray
 
 _DIGEST_LENGTH = 12
 """Number of hexadecimal digits of the SHA-256 by which a fit recognises its data."""
@@ -89,6 +102,35 @@ def _digest(file: Path) -> str:
     if identity is not None:
         return digest(identity)[:_DIGEST_LENGTH]
     return hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGEST_LENGTH] if file.is_file() else ""
+
+
+@command(
+    argument("file", "FILE", "a study: a bundled name, like drill, or the path of a TOML file", files(".toml")),
+    output_options("NAME-study.nc"),
+    JSON,
+)
+def study(options: Options) -> None:
+    """Find which parameters decide about a machine: effects, interactions and Sobol indices; FILE is a study (TOML)."""
+    from vibrojax.analyses.study.spec import read_study
+
+    spec = read_study(options.file)
+    name = f"{Path(options.file).stem}-study.nc"
+    options.advise("finished chunks are kept; to go on", "study", options.file, "-o", options.out or name)
+
+    def compute() -> "xarray.Dataset":
+        from vibrojax.analyses.study.run import study_of
+        from vibrojax.analyses.sweep.run import lanes_beside
+
+        out, resume = Path(options.out or name), not options.fresh
+        with lanes_beside(spec.sweep, out, resume=resume, progress=not options.quiet) as lanes:
+            return study_of(spec, lanes)
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.study.analysis import Studies
+
+        return dict(Studies().summary(dataset)[0].facts)
+
+    answer(options, name, spec.identity(), compute, facts)
 
 
 @command(

@@ -93,7 +93,6 @@ class Server(ThreadingHTTPServer):
         self._hang_up(time.monotonic())
 
     def server_close(self) -> None:
-        """Close the port and all connections."""
         super().server_close()
         self._hang_up(float("inf"))
 
@@ -173,7 +172,6 @@ class _Handler(BaseHTTPRequestHandler):
         return path
 
     def _motion(self) -> bytes:
-        """Return the encoded motion that the request body specifies."""
         if self.headers.get_content_type() != "application/json":
             raise RefusedRequest(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "application/json is needed")
         lengths = self.headers.get_all("Content-Length", [])

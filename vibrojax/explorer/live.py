@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from http import HTTPStatus
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, TypeVar
 
 import xarray as xr
 
@@ -100,32 +100,34 @@ class RequestQueue:
             self._changed.wait_for(lambda: not self._running, seconds)
 
 
-@runtime_checkable
-class Answers(Protocol):
-    """An object that computes motions, such as [vibrojax.explorer.motions.LiveMotions][]."""
-
-    def answer(self, request: dict[str, Any], check: Check) -> bytes:
-        """Return the requested motion, encoded; raise `InputError`, or the error that `check()` raises."""
-
-    def warm(self) -> None:
-        """Compile the programs that simulate motions."""
-
-
 class Live(AbstractContextManager["Live"]):
     """A server of one explorer page, which runs in its own threads until closed; `url` is the page's address.
+
+    **Arguments:** `answer(request, check)` returns the requested motion, encoded; it raises `InputError`, or the error
+    that `check()` raises. `warm()` compiles the programs that simulate motions.
 
     **Raises:** `OSError` if no port is free.
     """
 
-    def __init__(self, html: str, answers: Answers) -> None:
-        self.answers, self.queue = answers, RequestQueue()
+    def __init__(self, html: str, answer: Callable[[dict[str, Any], Check], bytes], warm: Callable[[], None]) -> None:
+        self.queue = RequestQueue()
         self.token = secrets.token_urlsafe(32)
-        self._server = Server(html.encode(), self.token, self._ask)
+
+        def ask(client: str, number: int, request: dict[str, Any]) -> bytes:
+            return self.queue.ask(client, number, lambda check: answer(request, check))
+
+        def compile_all() -> None:
+            try:
+                self.queue.ask("", 0, lambda check: warm())
+            except Exception as error:  # it occurs again at a client's request
+                LOG.info("not warm: %s", error)
+
+        self._server = Server(html.encode(), self.token, ask)
         self.port = int(self._server.server_address[1])
         self.url = f"http://{HOST}:{self.port}/{self.token}/"
         self._threads = [
             threading.Thread(target=self._server.serve_forever, args=(0.1,), name="page", daemon=True),
-            threading.Thread(target=self._warm, name="warm", daemon=True),
+            threading.Thread(target=compile_all, name="warm", daemon=True),
         ]
         for thread in self._threads:
             thread.start()
@@ -134,7 +136,6 @@ class Live(AbstractContextManager["Live"]):
         self.close()
 
     def wait(self) -> None:
-        """Wait until the server is closed, or this thread is interrupted."""
         while self._threads[0].is_alive():
             self._threads[0].join(0.5)
 
@@ -146,16 +147,6 @@ class Live(AbstractContextManager["Live"]):
         for thread in self._threads:
             thread.join(seconds)
 
-    def _ask(self, client: str, number: int, request: dict[str, Any]) -> bytes:
-        return self.queue.ask(client, number, lambda check: self.answers.answer(request, check))
-
-    def _warm(self) -> None:
-        """Compile all programs before the first request; an error here occurs again at a client's request."""
-        try:
-            self.queue.ask("", 0, lambda check: self.answers.warm())
-        except Exception as error:
-            LOG.info("not warm: %s", error)
-
 
 def serve(ds: xr.Dataset, over: xr.Dataset | None = None, progress: bool = False) -> Live:
     """Serve the live page of a dataset until it is closed.
@@ -166,4 +157,4 @@ def serve(ds: xr.Dataset, over: xr.Dataset | None = None, progress: bool = False
     """
     _, document, blocks, motions = page_contents(ds, over, None, True, progress)
     assert motions is not None
-    return Live(page_text(document | {"live": motions.offered()}, blocks), motions)
+    return Live(page_text(document | {"live": motions.offered()}, blocks), motions.answer, motions.warm)

@@ -100,7 +100,7 @@ def _first_axes(ds: xr.Dataset) -> list[str]:
     if len(long) > 1 and "regime" not in ds:
         return list(long[:2])
     try:
-        return list(axes_of_map(ds, None, None))
+        return list(axes_of_map(ds))
     except InputError:
         return [str(name) for name in ds.dims if str(name).startswith("start_")][:2]
 

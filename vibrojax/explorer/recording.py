@@ -64,7 +64,6 @@ class Excerpt(NamedTuple):
     returns: Int[np.ndarray, " lanes"]
 
     def lanes(self, which: Any) -> "Excerpt":
-        """Return the excerpt of one lane, or of several."""
         return Excerpt(*(values[..., which] for values in self))
 
 

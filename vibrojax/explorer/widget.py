@@ -55,7 +55,6 @@ class Explorer(anywidget.AnyWidget):
 
     @traitlets.validate("cell")
     def _checked_cell(self, proposal: Any) -> dict[str, int]:
-        """Return the indices along all axes, each within its axis."""
         indices = {**self.cell, **proposal["value"]}
         if set(indices) != set(self._axes):
             raise PLACE.error(f"a cell has an index for each of {', '.join(self._axes)}")

@@ -74,12 +74,6 @@ def differing_of(ds: xr.Dataset) -> list[Differing]:
     return differing
 
 
-def counts_of(ds: xr.Dataset) -> dict[str, float | int]:
-    """Return the attribute `certified`: the error tolerance, and lane counts such as `within`, the lanes within it."""
-    counts: dict[str, float | int] = _read(ds, "certified", {})
-    return counts
-
-
 def history_of(ds: xr.Dataset) -> list[str]:
     """Return the first `MOST_LINES` lines of the history, newest first, each shortened."""
     return [printable(line, LONGEST_TEXT) for line in str(_read(ds, "history", "")).split("\n")[:MOST_LINES]]

@@ -109,7 +109,6 @@ class Claims:
         return True
 
     def release(self, name: str) -> None:
-        """Release a claim of this process."""
         path = self._path(name)
         with self._lock:
             self._mine.discard(path)
@@ -122,12 +121,10 @@ class Claims:
                 self._path(held.name).unlink(missing_ok=True)
 
     def held(self) -> list[Held]:
-        """Return all existing claims, sorted by name."""
         contents = {path: _read(path) for path in sorted(self.folder.glob(f"*{_SUFFIX}"))}
         return [self._held(path, content) for path, content in contents.items() if content is not None]
 
     def close(self) -> None:
-        """Release all claims of this process."""
         self._closed.set()
         with self._lock:
             mine, self._mine = self._mine, set()

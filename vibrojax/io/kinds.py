@@ -25,3 +25,182 @@ STRUCTURES: dict[str, Callable[[xr.Dataset], bool]] = {
     "push": lambda ds: "sign" in ds.dims and any(str(name).startswith("push_") for name in ds.data_vars),
     "tolerance": lambda ds: "sample" in ds.dims and "place" in ds and "regime" in ds,
     "sensitivity": lambda ds: {"valid", "reason", "parameter_value"} <= set(ds.variables) and "parameter" in ds.dims,
+    "study": lambda ds: {"first_order", "total_order", "effect"} <= set(ds.variables) and "of" in ds.dims,
+    "design": lambda ds: "candidate" in ds.dims and {"objective", "parameter", "limit"} <= set(ds.variables),
+    "accuracy": lambda ds: "setting" in ds.dims and "error_worst" in ds,
+}
+"""The structure that pictures and summaries of each kind require."""
+
+_RECOGNISED = STRUCTURES | {
+    "fit": lambda ds: ("C" in ds and "form" in ds["C"].dims) or "columns" in ds.attrs,
+    "derivatives": lambda ds: {"variable", "parameter"} <= set(ds.dims),
+    "sweep": lambda ds: not {"regime", "status", "rate_of_penetration"}.isdisjoint(ds.variables),
+}
+"""The structure that identifies the kind of a dataset without the attribute. The first match is used."""
+
+
+def kind_of(ds: xr.Dataset) -> str:
+    """Return the kind of a dataset: its attribute, else the first kind whose structure matches, else "".
+
+    If the variables of the stated kind are missing, say after a selection of variables, only the structure is used.
+    """
+    kind = str(ds.attrs.get(KIND, ""))
+    if kind and STRUCTURES.get(kind, lambda _: True)(ds):
+        return kind
+    return next((name for name, has_structure in _RECOGNISED.items() if has_structure(ds)), "")
+
+
+def check_kind(ds: xr.Dataset) -> None:
+    """Raise `InputError` if the attribute `kind` is not a short string, or the structure of that kind is missing."""
+    kind = ds.attrs.get(KIND, "")
+    if not isinstance(kind, str) or printable(kind, LONGEST_KIND) != kind:
+        raise InputError(f"attribute {KIND}: {shown(kind)} is not the name of a kind of dataset")
+    if not STRUCTURES.get(kind, lambda _: True)(ds):
+        raise InputError(f'attribute {KIND}: is "{kind}", but the variables and dimensions of that kind are missing')
+
+
+def dataset_attributes(kind: str, title: str, command: str, **further: object) -> dict[str, object]:
+    """Return the attributes of a new dataset: kind, title, provenance, history, `further` ones and the conventions.
+
+    `command` becomes the entry of the history, with the current time in UTC.
+    """
+    return {
+        "title": title,
+        KIND: kind,
+        **provenance(),
+        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {command}",
+        **further,
+        "Conventions": "CF-1.11",
+    }
+
+
+SPECIAL_KINDS = ("fold", "period-doubling", "torus", "grazing", "stick", "section", "hopf", "end")
+"""Meanings of the flags of `special_kind`."""
+
+BORDER_KINDS = (*SPECIAL_KINDS, "basin", "not-settled")
+"""Meanings of the flags of `kind`: kinds of special points, and limits beyond which an initial condition no longer
+leads to an existing orbit."""
+
+OF_FAMILIES: dict[str, Variable] = {
+    "branch": Variable("1", "branch of the family, 0 the one that it begins with", np.int32),
+    "special_kind": Variable("1", "kind of the special point", np.int8, SPECIAL_KINDS),
+    "special_value": Variable("of the parameter", "value of the parameter at the special point"),
+    "special_branch": Variable("1", "branch of the special point", np.int32),
+    "special_note": Variable("", "what there is to say", np.str_),
+    "point_family": Variable("1", "number of the family", np.int32),
+    "special_family": Variable("1", "number of the family", np.int32),
+}
+"""Variables in addition to those of orbits and measures; the last two exist only for several families."""
+
+OF_BORDERS: dict[str, Variable] = {
+    "curve": Variable("1", "number of the curve", np.int32),
+    "kind": Variable("1", "what ends the region there", np.int8, BORDER_KINDS),
+    "region_area": Variable("1", "share of the plane with a stable single impact"),
+}
+
+OF_ATTRACTORS: dict[str, Variable] = {
+    "share": Variable("1", "share of the starts that end in the attractor"),
+    "share_stderr": Variable("1", "standard error of share, binomial"),
+    "unassigned": Variable("1", "starts of which no attractor could be told", np.int32),
+    "lane_attractor": Variable("1", "number of the attractor that the lane ends in; -1: none could be told", np.int32),
+    "named_attractor": Variable(
+        "1", "number of the attractor that the start of this name leads to; -1: none", np.int32
+    ),
+    "named_regime": Variable("1", "regime that the start of this name leads to", np.int8, REGIMES),
+}
+
+
+LONGEST_NAME = 200
+"""Maximum length of a variable name [characters]: column names of a CSV file become variable names, too."""
+
+MOST_CHECKED = 10**7
+"""Number of values up to which a variable is checked: a larger variable is read only when it is used."""
+
+LARGEST_COORDINATE = 1e100
+"""Bound on the absolute values of coordinates: squares and differences of larger values may overflow."""
+
+_DERIVED = OF_FAMILIES | OF_BORDERS | OF_ATTRACTORS
+_KNOWN = VARIABLES | _DERIVED
+
+_DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
+    "special_kind": {
+        **dict.fromkeys(("branch", "stable", "cycles", "period"), ("point",)),
+        **dict.fromkeys(("special_kind", "special_value", "special_branch", "special_note"), ("special",)),
+        "multiplier_abs": ("point", "multiplier"),
+    },
+    "region_area": {"curve": ("vertex",), "kind": ("curve",), "region_area": ("region",)},
+    "event_time": {"event_time": ("event",), "event_kind": ("event",)},
+}
+"""Dimensions of the variables of families, of borders and of a motion's events. The key is the variable whose presence
+implies the others."""
+
+
+def check_structure(ds: xr.Dataset) -> None:
+    """Raise `InputError`, with a one-line message that names the variable, if the structure is inconsistent."""
+    for name in (*ds.sizes, *ds.variables):
+        text = str(name)
+        if printable(text) != text or not 0 < len(text) <= LONGEST_NAME:
+            raise InputError(f"variable {shown(text)}: the name is not a printable text of 1 to {LONGEST_NAME} letters")
+    for name in ds.sizes:
+        if name in ds.variables and ds[name].dims == (name,):
+            _check_axis(Place(f"coordinate {name}"), ds[name])
+    for name, data in ds.variables.items():
+        _check_variable(Place(f"variable {name}"), str(name), data)
+    for name, dimensions in _DIMENSIONS.items():
+        if name in ds:
+            _check_dimensions(ds, name, dimensions)
+    _check_lanes(ds)
+
+
+def _check_dimensions(ds: xr.Dataset, of: str, dimensions: dict[str, tuple[str, ...]]) -> None:
+    for name, expected in dimensions.items():
+        if name not in ds:
+            raise InputError(f"variable {name}: is missing; it goes with {of}")
+        if ds[name].dims != expected:
+            raise InputError(f"variable {name}: its dimensions are {shown(list(ds[name].dims))}, not {shown(expected)}")
+
+
+def _check_axis(place: Place, data: xr.DataArray) -> None:
+    if data.dtype.kind in "fiu":
+        if not (np.abs(data.values) < LARGEST_COORDINATE).all():
+            raise place.error(f"its values are not all finite numbers below {LARGEST_COORDINATE:g}")
+        if data.name == "time":
+            rises = data.size < 2 or (data.values[-1] > data.values[0] and (np.diff(data.values) >= 0).all())
+            if not rises:
+                raise place.error("its values do not rise")
+        elif len(np.unique(data.values)) < data.size:
+            raise place.error("its values are not all different")
+    elif data.dtype.kind not in "UOT":
+        raise place.error(f"its values are neither numbers nor names, but {data.dtype}")
+
+
+def _check_variable(place: Place, name: str, data: xr.Variable) -> None:
+    known = _KNOWN.get(name)
+    if known is not None and known.dtype is not np.str_ and data.dtype.kind not in "fiu":
+        raise place.error(f"its values are not numbers, but {data.dtype}")
+    if name in _DERIVED and known is not None and issubclass(known.dtype, np.integer) and data.dtype.kind not in "iu":
+        raise place.error(f"its values are not whole numbers, but {data.dtype}")
+    meanings = data.attrs.get("flag_meanings")
+    if meanings is None:
+        return
+    if not isinstance(meanings, str):
+        raise place.error(f"flag_meanings {shown(meanings)} is not a text")
+    flags = np.atleast_1d(data.attrs.get("flag_values", np.arange(len(meanings.split()))))
+    if flags.dtype.kind not in "iu" or len(np.unique(flags)) != len(flags) or len(flags) != len(meanings.split()):
+        raise place.error(f"flag_values {shown(flags.tolist())} and flag_meanings {shown(meanings)} do not match")
+    if data.dtype.kind in "fiu" and data.chunks is None and data.size <= MOST_CHECKED:
+        unknown = np.setdiff1d(data.values[~np.isnan(data.values)], flags)
+        if unknown.size:
+            raise place.error(f"{unknown[0]} is none of its flags {shown(flags.tolist())}")
+
+
+def _check_lanes(ds: xr.Dataset) -> None:
+    """Raise `InputError` if the dimensions of the variables with one value per lane are inconsistent."""
+    dims = {name: set(ds[name].dims) - {known.along} for name, known in VARIABLES.items() if name in ds}
+    widest = max(dims, key=lambda name: len(dims[name]), default=None)
+    for name, own in dims.items():
+        if not own <= dims[str(widest)]:
+            raise InputError(
+                f"variable {name}: its dimensions {shown(sorted(map(str, own)))} are not among "
+                f"{shown(sorted(map(str, dims[str(widest)])))}, those of {widest}"
+            )

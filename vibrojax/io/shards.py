@@ -142,7 +142,6 @@ class Shards:
             return set()
 
     def discard(self, index: int) -> None:
-        """Remove a chunk, if it exists."""
         self._path(index).unlink(missing_ok=True)
 
     def claim(self, index: int) -> bool:
@@ -155,16 +154,13 @@ class Shards:
         return True
 
     def release(self, index: int) -> None:
-        """Release the claim on a chunk."""
         self.claims.release(_chunk_name(index))
 
     def record_failure(self, index: int, reason: str) -> None:
-        """Record that a chunk could not be computed, and the reason."""
         failure = {"chunk": index, "by": this_process().text, "why": reason}
         self._put(self._failure_path(index), json.dumps(failure).encode())
 
     def has_failed(self, index: int) -> bool:
-        """Return whether a failure of the chunk is recorded."""
         return self._failure_path(index).exists()
 
     def write(self, index: int, arrays: Arrays) -> None:

@@ -52,7 +52,6 @@ class Standing:
 
     @property
     def finished_lanes(self) -> int:
-        """Number of lanes in the existing chunks."""
         last = self.chunks - 1 in self.finished
         return len(self.finished) * self.size - last * (self.chunks * self.size - self.lanes)
 

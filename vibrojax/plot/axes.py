@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from vibrojax.errors import counted, printable
-from vibrojax.io.attributes import counts_of, differing_of, parameters_of, text_of
+from vibrojax.io.attributes import differing_of, parameters_of, table_of, text_of
 from vibrojax.plot.style import plain
 
 _HERTZ = {"s-1": "Hz", "s-2": "Hz s-1"}  # printed units of frequencies
@@ -182,7 +182,7 @@ def point_text(ds: xr.Dataset) -> str:
 
 def certified_text(ds: xr.Dataset) -> str:
     """Return how many periodic lanes meet the error tolerance and how many are still settling, or "" if unknown."""
-    counts = counts_of(ds)
+    counts = table_of(ds, "certified")
     if not counts.get("estimated") or not {"within", "still_settling", "error"} <= set(counts):
         return ""
     within, estimated, still = (round(counts[name]) for name in ("within", "estimated", "still_settling"))

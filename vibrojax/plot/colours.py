@@ -160,13 +160,13 @@ def regime_counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
     return dict(zip(occurring.astype(int).tolist(), lanes.tolist(), strict=True))
 
 
-def regime_handles(data: Sequence[xr.DataArray], of: str = "lanes") -> list[Artist]:
-    """Return a legend patch for each regime that occurs, labelled with name and fraction of the lanes (or `of`)."""
+def regime_handles(data: Sequence[xr.DataArray]) -> list[Artist]:
+    """Return a legend patch for each regime that occurs, labelled with name and fraction of the lanes."""
     names = regime_names(data[0])
     lanes = sum(part.size for part in data)
     counts = regime_counts(data)
     return [
-        patch(REGIME_COLOURS[flag], f"{names[flag]}  {share_text(n / lanes)} of {of}") for flag, n in counts.items()
+        patch(REGIME_COLOURS[flag], f"{names[flag]}  {share_text(n / lanes)} of lanes") for flag, n in counts.items()
     ]
 
 

@@ -143,22 +143,16 @@ def long_axes(ds: xr.Dataset) -> tuple[str, ...]:
     return tuple(sorted(names, key=lambda name: (name != "frequency", -ds.sizes[name])))
 
 
-def axes_of_map(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[str, str]:
-    """Return the two axes of a map: `x` and `y`, each None replaced by the first remaining axis to draw along.
+def axes_of_map(ds: xr.Dataset, *preferred: str) -> tuple[str, str]:
+    """Return the two axes of a map: the `preferred` ones, and then those to draw along.
 
-    **Raises:** `InputError` if a name is not an axis, both names are the same, or fewer than two axes vary.
+    **Raises:** `InputError` if fewer than two axes vary.
     """
     axes = swept(ds)
-    for name in (x, y):
-        if name is not None and name not in axes:
-            raise InputError(f'no map along "{name}": {suggest_coordinate(name, {key: ds[key].attrs for key in axes})}')
-    if x is not None and x == y:
-        raise InputError(f'a map needs two axes, "{x}" is given twice; choose from {", ".join(axes)}')
     if len(axes) < 2:
         raise InputError(f"no map: {', '.join(axes) or 'none'} is all that varies, and two axes are needed")
-    rest = [name for name in (*axes_to_draw(ds), *axes) if name not in (x, y)]
-    first = x if x is not None else rest.pop(0)
-    return first, y if y is not None else next(name for name in rest if name != first)
+    x, y, *_ = dict.fromkeys((*preferred, *axes_to_draw(ds), *axes))
+    return x, y
 
 
 def varied(ds: xr.Dataset, names: bool = False) -> dict[str, int]:

@@ -58,7 +58,6 @@ class Across:
         return np.array([float(self.values.tolist().index(value)) for value in values.tolist()])
 
     def shape(self, axes: Axes) -> None:
-        """Set scale and ticks of the x axis of `axes`."""
         if not self.name:
             axes.set_xticks([])
         elif not self.is_number:

@@ -80,7 +80,6 @@ def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST_PANELS) -> Fac
 
 
 def _listed(ds: xr.Dataset, name: str, pick: list[int]) -> str:
-    """Format the values of a dimension at the indices `pick`."""
     if name not in ds.coords:
         return "; ".join(index_text(ds, name, i) for i in pick)
     values, (factor, unit) = ds[name].values[pick], scale(ds[name]) if is_numeric(ds[name]) else (1.0, "")
@@ -190,7 +189,8 @@ def sheet(panels: Facets, values: Values, above: float = 0.0) -> Sheet:
         cells = []
         for block, k in product(range(wide), range(rows)):
             row, column = divmod(k, across)
-            title = _wrapped(panels.titles[k], width) if deep > 1 or block == 0 else ""
+            unbroken = ", ".join(part.replace(" ", "\u00a0") for part in panels.titles[k].split(", "))
+            title = fill(unbroken, int(13 * width)).replace("\u00a0", " ") if deep > 1 or block == 0 else ""
             last = block == wide - 1 and k + across >= rows
             cells.append(((block * deep + row, column), k, block, column == 0, last, title))
         bars = [grid.panels[block * deep : (block + 1) * deep, across] for block in range(wide)]
@@ -218,12 +218,6 @@ def new_grid(width: float, height: float, above: float, heights: list[float], wi
     ratios = {"height_ratios": heights, "width_ratios": widths}
     panels = strips[-1].subgridspec(len(heights), len(widths), **ratios)
     return Grid(figure, strips[0] if above > 0 else None, panels)
-
-
-def _wrapped(title: str, width: float) -> str:
-    """Wrap the title to lines of about `width` inches, broken only after commas."""
-    unbroken = ", ".join(part.replace(" ", "\u00a0") for part in title.split(", "))
-    return fill(unbroken, int(13 * width)).replace("\u00a0", " ")
 
 
 PAGE = (16.0, 20.0)

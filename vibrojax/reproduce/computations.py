@@ -74,7 +74,6 @@ class Need:
 
     @property
     def numbers(self) -> Parameters:
-        """The numeric parameters."""
         return tuple((name, value) for name, value in self.parameters if not isinstance(value, str))
 
 

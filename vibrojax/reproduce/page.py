@@ -89,7 +89,6 @@ def _code(text: str) -> Markup:
 
 
 def _picture(figure: Figure) -> str:
-    """Return the figure as a PNG image in a data URL."""
     content = BytesIO()
     figure.savefig(content, format="png", dpi=120)
     return f"data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}"

@@ -66,7 +66,6 @@ class Sequence:
         return self._known[order]
 
     def append(self, c: Number) -> None:
-        """Add the next coefficient."""
         self._known.append(kept(c))
 
 

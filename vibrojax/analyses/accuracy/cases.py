@@ -74,7 +74,6 @@ class StudyLanes:
 
     @property
     def count(self) -> int:
-        """Number of lanes."""
         return len(next(iter(self.points.values())))
 
     def sweep(self, method: str, precision: str, copies: int) -> dict[str, object]:
@@ -100,7 +99,6 @@ class Setting:
 
     @property
     def accuracy(self) -> Accuracy:
-        """Accuracy that is passed to the stepper."""
         if self.method == "located":
             if self.varied == "stride":  # relative to the mode's time scale
                 return Accuracy(NO_TOLERANCE, self.value, np.inf, 0.0)

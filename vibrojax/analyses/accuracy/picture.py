@@ -151,7 +151,6 @@ def _shape_axes(axes: Axes, ds: xr.Dataset) -> None:
 
 
 def _handles(ds: xr.Dataset) -> list[Artist]:
-    """Return the legend entries for methods, followed by those for markers and lines."""
     keys = dict.fromkeys(zip(ds["method"].values.tolist(), ds["varied"].values.tolist(), strict=True))
     looks = dict.fromkeys(_look(*key) for key in sorted(keys, key=lambda key: [*_LOOKS, key].index(key)))
     handles: list[Artist] = [

@@ -56,12 +56,10 @@ class Program:
         return self.copies * self.lanes.count * (self.lanes.settle + self.lanes.observe)
 
     def prepare(self, method: str, precision: str) -> None:
-        """Read the sweep."""
         self._chunks = Chunks(read_sweep(self.lanes.sweep(method, precision, self.copies)))
         self._chunks.engine.most_steps = STUDY_MAX_STEPS
 
     def compile(self, accuracy: Accuracy) -> None:
-        """Compile without running."""
         self._chunks.compile()
 
     def run(self, accuracy: Accuracy) -> Outcome:

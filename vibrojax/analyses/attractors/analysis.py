@@ -211,7 +211,7 @@ def share_map(ds: xr.Dataset) -> Figure:
     impact is strong if the mean impact velocity exceeds the drive's speed `v`. Each value of further axes gets a row.
     """
     ds = without_single(ds)
-    x, y = axes_of_map(ds, None, None)
+    x, y = axes_of_map(ds)
     ds = ds.sortby([x, y])
     names = [str(name) for name in ds[NAMED].values] if NAMED in ds.dims else []
     share = strong_share(ds)

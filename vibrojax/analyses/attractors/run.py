@@ -236,7 +236,6 @@ def _dataset(
     columns: Mapping[str, Float[np.ndarray, "points attractors"]],
     of_lane: Int[np.ndarray, "*lanes"],
 ) -> xr.Dataset:
-    """Return the dataset of attractors."""
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
     points, count = columns["regime"].shape
     share = np.zeros((points, count))

@@ -133,7 +133,6 @@ class Regions:
         self._grid.propagate()
 
     def borders(self) -> xr.Dataset:
-        """Return the curves and areas of all regions."""
         curves: list[tuple[Border, int, str]] = []
         areas: list[tuple[float, int, str]] = []
         x, y = self._grid.values

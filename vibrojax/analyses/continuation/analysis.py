@@ -255,5 +255,4 @@ class Families(Analysis):
     pictures = (PictureRule("families", lambda held: True, families),)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the numbers of points and branches, the special points, and the stable intervals."""
         return [SummaryPart("families", family_lines(ds), {"families": family_facts(ds)})]

@@ -80,16 +80,13 @@ class Brackets(NamedTuple):
     far: Points
 
     def of(self, subset: Any) -> "Brackets":
-        """Return a subset of the brackets, by index or mask."""
         return Brackets(self.kind[subset], self.place[subset], self.near.of(subset), self.far.of(subset))
 
     def as_kind(self, kind: int) -> "Brackets":
-        """Return the brackets with another kind."""
         return self._replace(kind=np.full(len(self.place), kind))
 
     @staticmethod
     def join(parts: "Sequence[Brackets]") -> "Brackets":
-        """Concatenate brackets."""
         kind, place, near, far = zip(*parts, strict=True)
         return Brackets(np.concatenate(kind), np.concatenate(place), Points.join(near), Points.join(far))
 

@@ -57,7 +57,6 @@ class Points(NamedTuple):
     margin: PerLane
 
     def of(self, lanes: Any) -> "Points":
-        """Return a subset of the lanes, by index or mask."""
         return Points(*(x[lanes] for x in self))
 
     def put(self, lanes: Any, other: "Points") -> None:
@@ -67,7 +66,6 @@ class Points(NamedTuple):
 
     @staticmethod
     def join(parts: "Sequence[Points]") -> "Points":
-        """Concatenate the lanes of points with the same number of unknowns."""
         return Points(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
     def along(self, direction: Unknowns) -> "Points":
@@ -121,11 +119,9 @@ class Problem:
 
     @property
     def rows(self) -> int:
-        """Number of states of the return map."""
         return self.scales.shape[1]
 
     def unknowns(self, family: Index, states: Float[np.ndarray, "lanes cycles states"], value: PerLane) -> Unknowns:
-        """Return the unknowns of orbits with the given states and parameter values."""
         scaled = states / self.scales[family][:, None]
         return np.column_stack([scaled.reshape(len(family), -1), value / self.unit[family]])
 
@@ -134,7 +130,6 @@ class Problem:
         return u[:, :-1].reshape(len(u), (u.shape[1] - 1) // self.rows, self.rows) * self.scales[family][:, None]
 
     def value(self, family: Index, u: Unknowns) -> PerLane:
-        """Return the value of the continuation parameter that belongs to the unknowns `u`."""
         return u[:, -1] * self.unit[family]
 
     def evaluate(self, family: Index, u: Unknowns) -> Points:

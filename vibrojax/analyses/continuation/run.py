@@ -261,7 +261,6 @@ def _no_orbit(lane: xr.Dataset, where: str) -> str:
 
 
 def _dataset(sweep: Sweep, problem: Problem, points: list[FamilyPoint], special: list[FamilyPoint]) -> xr.Dataset:
-    """Return the dataset of families."""
     table, at_special = columns(problem, points), columns(problem, special)
     along, system = problem.along, problem.scene
     schema = VARIABLES | OF_FAMILIES | measured_besides(sweep.system) | of_orbits(sweep.system)

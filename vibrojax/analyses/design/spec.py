@@ -3,21 +3,20 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from vibrojax.analyses.catalogue import list_variables
-from vibrojax.errors import InputError, Place, shown, suggestion
+from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures.labels import REGIMES
 from vibrojax.sweep.engine.labelled import measured_besides
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.read import read_sweep
-from vibrojax.sweep.input.source import BUNDLED_FOLDERS, plain_table, read_source, render
+from vibrojax.sweep.input.source import read_source
 from vibrojax.sweep.input.values import as_table, choice, count, known_keys, number
 
 MAX_VARIED = 12
@@ -140,8 +139,9 @@ class DesignSpec:
 
 def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpec:
     """Read and check a design; raise `InputError` with a one-line message at the first problem."""
-    name, text, file, tables = _read_tables(source)
-    place = Place(file)
+    origin = read_source(source, "design")
+    tables: dict[str, Any] = origin.tables
+    place = Place(origin.file)
     for key in tables:
         if key not in _KEYS:
             raise place.at(key).error(f"unknown key; {suggestion(key, _KEYS)}")
@@ -184,33 +184,10 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
         for c in constraints
     )
     return DesignSpec(
-        name, file, text, base, template, str(maximise), tuple(low), np.array([*low.values()]),
+        origin.name, origin.file, origin.text, base, template, str(maximise), tuple(low), np.array([*low.values()]),
         np.array([*high.values()]), tolerances, fixed, regime, share, constraints,
         _read_front(place.at("front"), tables.get("front"), known, constraints, tolerances, str(maximise)), known,
     )  # fmt: skip
-
-
-def bundled_designs() -> dict[str, Path]:
-    """Return the files of the bundled designs by name."""
-    files = [path for folder in BUNDLED_FOLDERS for path in sorted((folder / "designs").glob("*.toml"))]
-    return {path.stem.replace("_", "-"): path for path in files}
-
-
-def _read_tables(source: Any) -> tuple[str, str, str, dict[str, Any]]:
-    """Return name, text, file name for messages, and tables of a design."""
-    if isinstance(source, Mapping):
-        tables = plain_table(Place("design"), source)
-        return "design", render(tables), "design", tables
-    if not isinstance(source, (str, PathLike)):
-        raise InputError(f"design: {shown(source)} is not a design; give a path, a bundled name or a dict")
-    bundled = bundled_designs()
-    key = str(source).replace("_", "-")
-    if not str(source).endswith(".toml") and not Path(source).exists():
-        if key not in bundled:
-            raise InputError(f"{source}: no such bundled design or file; {suggestion(key, bundled)}")
-        source = bundled[key]
-    origin = read_source(Path(source))
-    return origin.name, origin.text, origin.file, origin.tables
 
 
 def _without_presets(place: Place, names: Names, parameters: dict[str, object]) -> dict[str, object]:

@@ -162,7 +162,6 @@ class _Search:
         self.regime = np.zeros(self._bounds.shape, int)
 
     def run(self) -> None:
-        """Find the smallest leaving pushes."""
         scan = np.arange(1, self._spec.scan + 1) / self._spec.scan
         top, mask = self._bounds, np.ones(self._bounds.shape, bool)
         for _ in range(MAX_SCANS):

@@ -32,7 +32,6 @@ class PushSpec:
     precision: float
 
     def identity(self) -> dict[str, object]:
-        """Return all settings on which the result depends, as flat JSON values."""
         own = {"scan": self.scan, "precision": self.precision, **{f"most_{name}": x for name, x in self.most.items()}}
         return self.sweep.identity() | own
 

@@ -52,7 +52,6 @@ class Column:
     value: float | None = None
 
     def described(self) -> dict[str, object]:
-        """Return the source as a dictionary of JSON values."""
         if self.index is None:
             return {"value": self.value, "given_in": self.unit, "assumed": self.assumed}
         return {"column": self.header, "unit": self.unit, "assumed": self.assumed}

@@ -2,7 +2,7 @@
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from vibrojax.analyses.rop_law.data import Data, open_data
 from vibrojax.analyses.rop_law.least_squares import Reason
@@ -133,12 +133,8 @@ def _region_of_validity(holds: xr.DataArray, used: int) -> str:
         others = [dim for dim in holds.dims if dim not in ("beta", "gamma")]
         everywhere = ((holds == 1).any(others) & (holds != 0).all(others)).transpose("beta", "gamma").values
         for beta, row in zip(holds["beta"].values, everywhere, strict=True):
-            parts += [f"beta {beta:.4g}: gamma {_intervals(row, holds['gamma'].values)}"] if row.any() else []
+            ends = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+            gammas = [(holds["gamma"].values[i], holds["gamma"].values[k - 1]) for i, k in ends.reshape(-1, 2)]
+            texts = [f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in gammas]
+            parts += [f"beta {beta:.4g}: gamma {', '.join(texts)}"] if texts else []
     return "; ".join(parts)
-
-
-def _intervals(row: Bool[np.ndarray, " values"], values: Float[np.ndarray, " values"]) -> str:
-    """Return text that lists the intervals of `values` in which `row` is True."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
-    pairs = [(values[first], values[after - 1]) for first, after in zip(ends[::2], ends[1::2], strict=True)]
-    return ", ".join(f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in pairs)

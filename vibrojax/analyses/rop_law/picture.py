@@ -18,6 +18,7 @@ from matplotlib.typing import MarkerType
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.rop_law.columns import columns_lines
+from vibrojax.analyses.rop_law.results import formulas_of
 from vibrojax.analyses.rop_law.rop import FORMS
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
 from vibrojax.plot.axes import scale, shape_zero, share_text, with_unit
@@ -220,8 +221,7 @@ def _mark(name: str, x: Across | None = None) -> Mark:
 
 
 def _line_handles(fit: xr.Dataset) -> list[Artist]:
-    """Return legend entries for the forms, with their formulas if the dataset contains them."""
-    formulas = dict(part.split(": ", 1) for part in str(fit.attrs.get("formulas", "")).split("; ") if ": " in part)
+    formulas = formulas_of(fit)
     signs = {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}
     handles: list[Artist] = []
     for name in _forms(fit):
@@ -315,5 +315,4 @@ class Fits(Analysis):
     )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return a summary part that lists the CSV column used for each quantity."""
         return [SummaryPart("columns", columns_lines(ds))]

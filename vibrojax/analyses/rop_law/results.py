@@ -225,9 +225,9 @@ def verdict(fit: xr.Dataset) -> list[str]:
     for name, mask in sorted(readings.items(), key=lambda reading: not reading[1].any()):
         share = f"R2 {_range(r_squared[judged, names.index(name)][mask if mask.any() else slice(None)])}"
         if mask.any():
-            lines.append(f"  as {name}, {_formulas(fit)[name]}, in {mask.sum()}: {share}")
+            lines.append(f"  as {name}, {formulas_of(fit)[name]}, in {mask.sum()}: {share}")
         elif name == "literal" and not beaten.all():
-            lines.append(f"  not as literal, {_formulas(fit)[name]}, which is how the source writes it: {share}")
+            lines.append(f"  not as literal, {formulas_of(fit)[name]}, which is how the source writes it: {share}")
     onset = names.index("onset")
     eta0, error = (table(fit, name)[judged, onset] for name in ("eta0", "eta0_stderr"))
     if (early := readings["onset"] & (eta0 + ONSET_STANDARD_ERRORS * error < 1)).any():
@@ -266,10 +266,9 @@ def _interval(values: Mapping[str, Any], unit: str) -> str:
     return f"{values['C']:.4g} {unit} ({values['low']:.4g} to {values['high']:.4g})"
 
 
-def _formulas(fit: xr.Dataset) -> dict[str, str]:
-    """Return the formula of each form, by name."""
-    parts = (text.partition(": ") for text in str(fit.attrs["formulas"]).split("; "))
-    return {name: formula for name, _, formula in parts}
+def formulas_of(fit: xr.Dataset) -> dict[str, str]:
+    """Return the formula of each form, by name; empty if the dataset contains none."""
+    return dict(part.split(": ", 1) for part in str(fit.attrs.get("formulas", "")).split("; ") if ": " in part)
 
 
 def _group_names(fit: xr.Dataset) -> list[str]:

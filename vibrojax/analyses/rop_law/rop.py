@@ -85,7 +85,6 @@ class Form:
 
     @property
     def size(self) -> int:
-        """Number of coefficients."""
         return 1 if self.kind == "proportional" else 2
 
     def model(self, relief: Lanes, seen: LaneFlags) -> tuple[RateModel, tuple[float, float]]:

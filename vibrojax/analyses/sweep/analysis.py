@@ -39,7 +39,6 @@ class Sweeps(Analysis):
     )
 
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
-        """Run a sweep and return its dataset, as [vibrojax.analyses.sweep.run.run_sweep][] does."""
         return run_sweep(source, progress=progress)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:

@@ -93,14 +93,7 @@ def many_starts(ds: xr.Dataset, values: Values | None = None) -> Figure:
         return _phase_planes(described(ds), shown) if varied_states(ds) else regime_bars(ds)
     if len(axes) == 1 or len(long) == 1:
         return regime_lines(ds, values=quantities)
-    return _over_two(ds, axes_of_map(ds, None, None), values)
-
-
-@styled
-def share_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
-    """Draw the most frequent regime over two axes, and the fraction of initial conditions in each regime."""
-    ds = regimes_in(ds)
-    return _over_two(ds, axes_of_map(ds, x, y), None)
+    return _over_two(ds, axes_of_map(ds), values)
 
 
 def _over_two(ds: xr.Dataset, axes: tuple[str, ...], values: Values | None) -> Figure:

@@ -64,14 +64,14 @@ _REGION_NAME = "source's best region"
 
 
 @styled
-def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None, over: xr.Dataset | None = None) -> Figure:
+def regime_grid(ds: xr.Dataset, over: xr.Dataset | None = None) -> Figure:
     """Draw the regimes over two axes, with further quantities next to them, and the borders `over` on top.
 
     Each value of further axes and each initial condition gets a panel, twelve at most; the figure notes which values
     are shown.
     """
     ds = regimes_in(ds)
-    x, y = varied(ds) if POINT in lane_dims(ds) else axes_of_map(ds, x, y)
+    x, y = varied(ds) if POINT in lane_dims(ds) else axes_of_map(ds)
     if POINT in lane_dims(ds) and (x, y) == ("beta", "gamma"):
         x, y = y, x
     return draw_map(ds, x, y, (None, *values_beside(ds)), over=over)
@@ -110,7 +110,7 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
 
 
 @styled
-def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
+def rate_grid(ds: xr.Dataset) -> Figure:
     """Draw the rate of penetration over two axes, and the quantities that vary.
 
     Each value of further axes gets a panel, nine at most; the figure notes which are shown. Constant values are in the
@@ -123,9 +123,7 @@ def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fig
         if len(names) != 2:
             raise InputError(f"no map: {', '.join(names) or 'none'} is what varies over the points, not two parameters")
         return draw_map(ds, names[0], names[1], (None,) * (REGIME in ds) + values[: _MOST_VALUES[3]])
-    if x is None and y is None:
-        x, y = (*long_axes(ds), None, None)[:2]
-    x, y = axes_of_map(ds, x, y)
+    x, y = axes_of_map(ds, *long_axes(ds))
     ds = ds.sortby([x, y])
     panels = facets(ds, (x, y), _MOST_RATE_FACETS)
     shown = values[: _MOST_VALUES.get(len(panels), 1)]

@@ -129,7 +129,6 @@ def _mark(motion: str, colour: str) -> Mark:
 
 
 def _mark_handles(ds: xr.Dataset) -> list[Artist]:
-    """Return the legend entries of the markers that need an explanation."""
     texts = {"single": "single impact", "other": "other motion", "none": "no penetration"}
     shown = [motion for motion, mask in _motions(ds).items() if mask.any() and (motion == "none" or REGIME in ds)]
     look = Mark(linestyle="none", markersize=4.5)

@@ -203,7 +203,6 @@ def run_share(sweep: Sweep, out: Path, part: tuple[int, int], progress: bool = T
 
 
 def _shards(sweep: Sweep, chunks: Chunks, out: Path) -> Shards:
-    """Return the `Shards` object of the finished chunks next to `out`."""
     manifest = sweep.identity() | provenance() | {"chunk size": chunks.size}
     title = sweep.title or f"{sweep.scene}: {sweep.name}"
     about = {"title": title, "lanes": sweep.lanes, "chunks": chunks.count, "size": chunks.size}

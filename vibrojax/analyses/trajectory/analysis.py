@@ -36,7 +36,6 @@ class Trajectories(Analysis):
     )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Summarise regime, period, impacts, rate of penetration and frequencies."""
         return [SummaryPart("found", feature_lines(ds), {"found": features(ds)}), frequency_part(ds)]
 
 

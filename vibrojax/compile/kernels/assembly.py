@@ -244,7 +244,6 @@ class Assembly:
         return self.vector(entry) if varying else self.register(entry).text
 
     def store(self, entry: Entry, slot: Slot) -> None:
-        """Emit a store of an array element to a slot."""
         x = self.text(entry, slot.varying)
         kind = self.type_in_memory(slot.dtype, slot.varying)
         if slot.dtype == BOOL:
@@ -252,7 +251,6 @@ class Assembly:
         self.do(f"store {kind} {x}, ptr {slot.pointer}, align {slot.alignment}")
 
     def store_array(self, value: Value, slots: Value) -> None:
-        """Emit stores of all elements of an array to slots."""
         for entry, slot in zip(value.ravel().tolist(), slots.ravel().tolist(), strict=True):
             self.store(entry, slot)
 
@@ -268,7 +266,6 @@ class Assembly:
         return Slot(name, dtype, varying, alignment, offset)
 
     def slots(self, aval: Any, in_registers: bool) -> Value:
-        """Return new slots for an array; see `slot`."""
         dtype, varying = dtype_of(aval), varies(aval)
         return build(without_lanes(aval.shape), lambda _: self.slot(dtype, varying, in_registers))
 

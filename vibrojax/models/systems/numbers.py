@@ -107,6 +107,8 @@ class Rounded(_Number):
     def _split(self, other: Any) -> tuple[Any, Any]:
         return (other.value, other.size) if isinstance(other, Rounded) else (other, jnp.abs(other))
 
+    # A size is at least the magnitude of the value. It thus includes the rounding error of a product with a parameter.
+
     def __add__(self, other: Any) -> Any:
         if isinstance(other, Dual):
             return other + self
@@ -116,15 +118,17 @@ class Rounded(_Number):
     def __mul__(self, other: Any) -> Any:
         if isinstance(other, Dual):
             return other * self
-        value, size = self._split(other)
-        return Rounded(self.value * value, self.size * jnp.abs(value) + (size * jnp.abs(self.value)))
+        if not isinstance(other, Rounded):
+            return Rounded(self.value * other, self.size * jnp.abs(other))
+        return Rounded(self.value * other.value, self.size * jnp.abs(other.value) + other.size * jnp.abs(self.value))
 
     def __truediv__(self, other: Any) -> Any:
         if isinstance(other, Dual):
             return Dual(self, 0.0, other.level) / other
-        value, size = self._split(other)
-        quotient = self.value / value
-        return Rounded(quotient, (self.size + size * jnp.abs(quotient)) / jnp.abs(value))
+        if not isinstance(other, Rounded):
+            return self * (1.0 / other)
+        quotient = self.value / other.value
+        return Rounded(quotient, (self.size + other.size * jnp.abs(quotient)) / jnp.abs(other.value))
 
     def __rtruediv__(self, other: Any) -> Any:
         return Rounded(other, jnp.abs(other)) / self

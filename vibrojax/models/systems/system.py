@@ -115,6 +115,8 @@ class System(Scene[SystemConstants]):
             self._flow = Flow(self._own, field, probe.takes_sides, self.events, probe.still_stops(), speeds, rate)
             self._parameters, self._renamed = probe.parameters, dict(regimes or {})
             self._section_state, level = section if isinstance(section, tuple) else (section, 0.0)
+            # The error of these positions follows from that of their velocities.
+            self._integrated = frozenset(speeds) if set(speeds) < set(states) else frozenset()
             self.autonomous = period is None  # type: ignore[misc]
             self._declare(states, speeds, probe.surfaces(), level)
             self.usual_times = self._times()  # type: ignore[misc]
@@ -240,15 +242,18 @@ class System(Scene[SystemConstants]):
 
         def value(c: SystemConstants, mode: Values, state: Values) -> Any:
             t, y = self._known(state)
-            surface, where = event.surface(t, y, c.p), mode[index]
             margin = self._motion(c, mode, state).margins[index]
-            if isinstance(event, Impact):
-                rests, lifted, side = jnp.where(where == 1, 1.0, 0.0), where == -1, jnp.ones_like(where)
-            else:
-                rests, lifted, side = jnp.where(where == 0, 1.0, 0.0), jnp.abs(where) == 2, jnp.sign(where)
-            return (side * (1.0 - rests)) * surface + jnp.where(lifted, c.lifts[index], 0.0) + rests * margin
+            return self._guard_value(c, index, mode[index], event.surface(t, y, c.p), margin)
 
         return value
+
+    def _guard_value(self, c: SystemConstants, index: int, where: Any, surface: Any, margin: Any) -> Any:
+        """Return a guard's value from the event's function and margin; `where`: the mode of the event."""
+        if isinstance(self.events[index], Impact):
+            rests, lifted, side = jnp.where(where == 1, 1.0, 0.0), where == -1, jnp.ones_like(where)
+        else:
+            rests, lifted, side = jnp.where(where == 0, 1.0, 0.0), jnp.abs(where) == 2, jnp.sign(where)
+        return (side * (1.0 - rests)) * surface + jnp.where(lifted, c.lifts[index], 0.0) + rests * margin
 
     def _rounded(self, c: SystemConstants, mode: Values, state: Values) -> tuple[list[Any], list[Any]]:
         """Return bounds on the rounding errors of the states and of the guards, in machine epsilons."""
@@ -256,14 +261,19 @@ class System(Scene[SystemConstants]):
         known = _ROUNDINGS.get(self)
         if known is not None and len(known[0]) == len(arguments) and all(map(operator.is_, known[0], arguments)):
             return known[1]  # a step asks for the same bounds three times
-        names = self.state_names
-        first = tuple(Rounded(x, jnp.abs(x)) for x in state)
-        rates, speed = self.field(c, mode, first), self.rate(c, mode)
-        sizes = [jnp.abs(x) + _size(rate) / speed for x, rate in zip(state, rates, strict=True)]
+        speed, names = self.rate(c, mode), self.state_names
+        # A state that passes through zero has the errors of its values nearby.
+        near = [jnp.abs(x) + jnp.abs(rate) / speed for x, rate in zip(state, self.field(c, mode, state), strict=True)]
+        motion = self._motion(c, mode, tuple(Rounded(x, size) for x, size in zip(state, near, strict=True)))
+        sizes = [size + _size(motion.rates.get(name, 0.0)) / speed for name, size in zip(names, near, strict=True)]
         if not self.autonomous:
             sizes[names.index(TIME)] = jnp.zeros_like(state[0]) + c.period
-        second = tuple(Rounded(x, size) for x, size in zip(state, sizes, strict=True))
-        bounds = sizes, [_size(guard.function(c, mode, second)) for guard in self.guards()]
+        t, y = self._known(tuple(Rounded(x, size) for x, size in zip(state, sizes, strict=True)))
+        guards = [
+            _size(self._guard_value(c, index, mode[index], event.surface(t, y, c.p), motion.margins[index]))
+            for index, event in enumerate(self.events)
+        ]
+        bounds = sizes, guards + ([] if self.autonomous else [jnp.zeros_like(state[0]) + c.period])
         _ROUNDINGS[self] = arguments, bounds
         return bounds
 
@@ -283,12 +293,13 @@ class System(Scene[SystemConstants]):
         speed, one = self.rate(c, mode), jnp.ones_like(state[0])
         tiny = jnp.finfo(one.dtype).tiny
         rates = self.field(c, mode, state)
-        # The rate of change comes first: a motion is at rest if it is slow, not if the step is short.
-        terms = [
-            [rate / (speed * size + tiny), *(x / (size + tiny) for x in series[1:])]
-            for series, size, rate in zip(polynomials, sizes, rates, strict=True)
-        ]
-        return terms[: len(self._own)], one
+        terms, none = [], jnp.zeros((), one.dtype)
+        for index, name in enumerate(self._own):
+            inverse = 1.0 / (sizes[index] + tiny)
+            higher = [none, none] if name in self._integrated else [x * inverse for x in polynomials[index][1:]]
+            # The rate of change comes first: a motion is at rest if it is slow, not if the step is short.
+            terms.append([rates[index] * (inverse / speed), *higher])
+        return terms, one
 
     def validity(
         self, c: SystemConstants, mode: Values, polynomials: tuple[list[Array], ...], functions: list[list[Array]]

@@ -70,7 +70,6 @@ class Batch:
     recent: Int[np.ndarray, " lanes"]
 
     def of(self, lanes: Index) -> "Batch":
-        """Return a subset of the lanes, by index."""
         return Batch(self.accuracy, **jax.tree.map(lambda x: np.take(x, lanes, axis=-1), self._arrays()))
 
     def split(self, mask: Bool[np.ndarray, " lanes"]) -> "tuple[Batch, Batch]":

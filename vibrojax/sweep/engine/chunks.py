@@ -60,11 +60,9 @@ class Chunks:
         self._compiled = False
 
     def lanes(self, index: int) -> tuple[int, int]:
-        """Return the first lane (inclusive) and the end (exclusive) of a chunk."""
         return index * self.size, min((index + 1) * self.size, self.sweep.lanes)
 
     def width(self, index: int) -> int:
-        """Return the number of lanes of a chunk."""
         first, end = self.lanes(index)
         return end - first
 

@@ -76,7 +76,6 @@ class Sweep:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Sizes of the dimensions."""
         return self._sizes(self.dims)
 
     @property
@@ -96,7 +95,6 @@ class Sweep:
 
     @property
     def start_names(self) -> tuple[str, ...]:
-        """Names of the named initial conditions."""
         return self.starts.names if self.starts is not None else ()
 
     def over_dims(self, lanes: np.ndarray) -> np.ndarray:

@@ -54,12 +54,10 @@ class Names:
 
     @property
     def scene(self) -> str:
-        """Name of the scene."""
         return self.system.name
 
     @property
     def starts(self) -> tuple[str, ...]:
-        """Names of the initial conditions."""
         return self.system.starts
 
     @property
@@ -69,7 +67,6 @@ class Names:
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
-        """Parameters by name."""
         return dict(self.system.parameters())
 
     @cached_property

@@ -111,7 +111,6 @@ def _check_columns(place_of: Callable[[str], Place], columns: Sequence[str], nam
 
 
 def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Names) -> Points:
-    """Return the points, with each cell validated."""
     columns, vectors, starts = {}, {}, None
     for name, column in cells.items():
         if name.removeprefix(VECTOR) in names.system.start_states and name.startswith(VECTOR):

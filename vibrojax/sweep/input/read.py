@@ -148,7 +148,6 @@ def _read_varied(place: Place, origin: Source, names: Names) -> tuple[dict[str, 
 
 
 def _read_presets(place: Place, name: str, value: object, names: Names) -> np.ndarray:
-    """Return an axis of the names of presets, such as rocks."""
     if not isinstance(value, list) or not value:
         first, *_, last = names.presets[name]
         raise place.error(f'{shown(value)} is not a list of {name}s; write one like ["{first}", "{last}"]')

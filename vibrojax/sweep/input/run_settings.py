@@ -71,12 +71,10 @@ class RunSettings:
 
     @property
     def stepper(self) -> Stepper:
-        """The stepper that `method` selects."""
         return stepper_named(self.method)
 
     @property
     def requested(self) -> AccuracyRequest:
-        """The accuracy that the settings request."""
         return AccuracyRequest(self.error, self.step, self.smoothing, self.precision)
 
     def described(self) -> dict[str, object]:

@@ -30,6 +30,8 @@ _PACKAGE = Path(__file__).parents[2]
 # A wheel contains the sweeps inside the package. In a checkout, they are in the root folder.
 _CHECKOUT = (_PACKAGE.parent,) if (_PACKAGE.parent / "pyproject.toml").exists() else ()
 BUNDLED_FOLDERS = tuple(folder / "sweeps" for folder in (_PACKAGE, *_CHECKOUT))
+STUDY_FOLDERS = tuple(folder / "studies" for folder in (_PACKAGE, *_CHECKOUT))
+DESIGN_FOLDERS = tuple(folder / "designs" for folder in (_PACKAGE, *_CHECKOUT))
 
 _TABLES = ("parameters", "grid", "run")
 _TOP_KEYS = ("scene", "title", "starts", "unusual")
@@ -57,23 +59,24 @@ class Source:
     tables: dict[str, object]
 
 
-def read_source(source: str | PathLike[str] | Mapping[str, object]) -> Source:
+def read_source(source: str | PathLike[str] | Mapping[str, object], noun: str = "sweep") -> Source:
     """Read a sweep from the path of a TOML file, the name of a bundled sweep, or a dict with the same structure.
 
-    In a dict, a scene, a friction law or a stepper may be an object instead of a name.
+    `noun`: "sweep", or "study" or "design", which are read in the same way. In a dict, a scene, a friction law or a
+    stepper may be an object instead of a name.
     """
     if isinstance(source, Mapping):
-        tables = plain_table(Place("sweep"), source)
-        return Source("sweep", "sweep", Path(), render(tables), tables)
+        tables = plain_table(Place(noun), source)
+        return Source(noun, noun, Path(), render(tables), tables)
     if not isinstance(source, (str, PathLike)):
-        raise InputError(f"sweep: {shown(source)} is not a sweep; give a path, a bundled name or a dict")
+        raise InputError(f"{noun}: {shown(source)} is not a {noun}; give a path, a bundled name or a dict")
     is_name = isinstance(source, str) and Path(source).name == source and not source.endswith(".toml")
-    bundled = {path.stem.replace("_", "-"): path for path in reversed(_bundled())} if is_name else {}
+    bundled = {path.stem.replace("_", "-"): path for path in reversed(_bundled(noun))} if is_name else {}
     path = bundled.get(str(source).replace("_", "-"), Path(source))
     if is_name and path == Path(source) and not path.exists():
-        raise InputError(f"{source}: no such bundled sweep or file; {suggestion(str(source), bundled_names())}")
+        raise InputError(f"{source}: no such bundled {noun} or file; {suggestion(str(source), bundled_names(noun))}")
     if path.suffix in (".nc", ".zarr") and path.exists():
-        raise InputError(f"{path}: is a dataset, not a sweep; vibrojax info {path} and vibrojax plot {path} take it")
+        raise InputError(f"{path}: is a dataset, not a {noun}; vibrojax info {path} and vibrojax plot {path} take it")
     text = read_text(path)
     try:
         tables = tomllib.loads(text)
@@ -228,13 +231,17 @@ def _with_decimal_points(place: Place, rows: list[tuple[int, list[str]]]) -> lis
     ]
 
 
-def bundled_names() -> list[str]:
-    """Return the names of the bundled sweeps. Hyphens and underscores are interchangeable in these names."""
-    return sorted({path.stem.replace("_", "-") for path in _bundled()})
+def bundled_names(noun: str = "sweep") -> list[str]:
+    """Return the names of the bundled sweeps, or of the studies or designs if `noun` is "study" or "design".
+
+    Hyphens and underscores are interchangeable in these names.
+    """
+    return sorted({path.stem.replace("_", "-") for path in _bundled(noun)})
 
 
-def _bundled() -> list[Path]:
-    return [path for folder in BUNDLED_FOLDERS for path in sorted(folder.glob("*.toml"))]
+def _bundled(noun: str) -> list[Path]:
+    folders = {"sweep": BUNDLED_FOLDERS, "study": STUDY_FOLDERS, "design": DESIGN_FOLDERS}[noun]
+    return [path for folder in folders for path in sorted(folder.glob("*.toml"))]
 
 
 def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:

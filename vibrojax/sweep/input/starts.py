@@ -55,7 +55,6 @@ class Starts:
         return len(self.number)
 
     def __getitem__(self, index: int) -> Start:
-        """Return the name or the vector of an initial condition."""
         number = int(self.number[index])
         return self.names[number] if number < len(self.names) else tuple(self.vectors[index].tolist())
 
@@ -64,7 +63,6 @@ class Starts:
 
     @property
     def has_vectors(self) -> bool:
-        """True if any initial condition is a vector."""
         return bool(np.any(self.number == len(self.names)))
 
 

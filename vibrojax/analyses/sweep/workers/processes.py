@@ -100,7 +100,6 @@ class _Workers:
         self._starting, self._ended = threading.Lock(), False
 
     def start(self) -> None:
-        """Start one more worker."""
         with self._starting, _settings_of_workers(self._threads):
             if self._ended:
                 return
