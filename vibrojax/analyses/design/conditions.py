@@ -56,12 +56,13 @@ def conditions(spec: DesignSpec, candidate: Candidate) -> Conditions:
     slack += [float(d) for pair in zip(x * ranges, (1 - x) * ranges, strict=True) for d in pair]
     binds = np.zeros(len(slack), bool)
     relaxation = np.zeros(len(slack))
+    candidate.cuts = []
     model = linear_model(candidate, spec.maximise) if candidate.slopes is not None else None
     if model is None:
         return Conditions(np.array(slack), binds, np.full(len(slack), np.nan), np.nan)
     gradient = model.objective_slope[0] * (abs(found.objective) or 1.0)
     columns, limits, units = [], [], []
-    for row, (j, _) in enumerate(model.rows):
+    for row, j in enumerate(model.rows):
         if model.slack[row] <= BINDING_SLACK:
             columns.append(-model.slack_slope[row])
             limits.append(j)

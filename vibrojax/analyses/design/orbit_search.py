@@ -176,6 +176,6 @@ def advance(simulator: Simulator, candidates: Sequence[Candidate]) -> None:
         for point, found in own:
             if c.assessment is None or found.better(c.assessment):
                 c.path.append(c.point)
-                c.point, c.assessment, c.slopes = point, found, None
+                c.point, c.assessment, c.slopes, c.cuts = point, found, None, []
         reached = c.point is optimum
         c.radius = FINE_RADIUS if reached else max(float(np.abs(optimum - begin).max()) / 8, FINE_RADIUS)

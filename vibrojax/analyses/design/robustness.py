@@ -76,7 +76,7 @@ def settle(
         points = [*candidate.path[::-1][:8], candidate.point]
         results = evaluate(simulator, [(candidate, point) for point in points])
         best = min(range(len(points)), key=lambda k: (results[k].badness, -np.nan_to_num(results[k].objective)))
-        candidate.point, candidate.assessment, candidate.slopes = points[best], results[best], None
+        candidate.point, candidate.assessment, candidate.slopes, candidate.cuts = points[best], results[best], None, []
         candidate.radius, candidate.done, candidate.polling = REPAIR_RADIUS, False, False
         improve(simulator, [candidate])
         found = verify(simulator, candidate, samples)

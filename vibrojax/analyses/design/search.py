@@ -1,7 +1,7 @@
-"""The search: sequential quadratic programming in trust regions, for several candidates in one batch.
+"""The search: linear models with cutting planes in trust regions, for several candidates in one batch.
 
 Each trial is simulated from every start at all samples of its tolerance box, and is accepted only if it is better. The
-quadratic model knows the derivatives at the orbits, not the borders of regimes and basins. Where these stop the model's
+model knows the derivatives at the orbits, not the borders of regimes and basins. Where these stop the model's
 steps, the search polls steps along the linearised constraints with perturbed objectives.
 """
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import linprog, minimize
+from scipy.optimize import linprog
 
 from vibrojax.analyses.design.evaluation import Assessment, Offsets, Simulator, Unit, assess, distinct_starts
 from vibrojax.analyses.design.slopes import Slopes, slopes_at
@@ -29,11 +29,17 @@ POLLS = 6
 ELASTIC = 1e3
 """Weight of violated linearised constraints in the model, relative to the objective."""
 
-BEND_MARGIN = 1.2
-"""Factor of curvatures that trials show, so that the next step keeps the constraints."""
-
 SHORT_STEP = 0.3
 """Length of the second, shorter trial step."""
+
+
+@dataclass
+class Cut:
+    """A failed trial, and the derivatives there, which are computed with those of the candidates."""
+
+    point: Unit
+    assessment: Assessment
+    slopes: Slopes | None = None
 
 
 @dataclass
@@ -43,8 +49,7 @@ class Candidate:
     - `offsets` (samples, tolerances): samples of the box at which the constraints must hold; the first is the centre.
     - `radius`: half-width of the trust region. `polling`: whether the model's last steps failed.
     - `path`: points that were accepted before.
-    - `bend` (1 + constraints,): curvatures by which the model of objective and slacks is lowered (conservative convex
-      approximation: Svanberg, SIAM J. Optim. 12, 2002).
+    - `cuts`: failed trials, whose linearisations the model includes (Kelley's cutting planes), with their derivatives.
     """
 
     point: Unit
@@ -53,7 +58,7 @@ class Candidate:
     radius: float
     assessment: Assessment | None = None
     slopes: Slopes | None = None
-    bend: np.ndarray | None = None
+    cuts: "list[Cut]" = field(default_factory=list)
     polling: bool = False
     done: bool = False
     path: list[Unit] = field(default_factory=list)
@@ -95,47 +100,60 @@ def improve(
 
 
 def _derive(simulator: Simulator, candidates: Sequence[Candidate]) -> None:
-    if candidates:
-        found = [c.assessment for c in candidates if c.assessment is not None]
-        for candidate, slopes in zip(
-            candidates, slopes_at(simulator, [c.point for c in candidates], found), strict=True
-        ):
-            candidate.slopes = slopes
+    """Compute the derivatives at the candidates and their cuts that have none."""
+    places: list[Candidate | Cut] = [c for c in candidates if c.slopes is None]
+    places += [cut for c in candidates for cut in c.cuts if cut.slopes is None]
+    known = [(place, place.assessment) for place in places if place.assessment is not None]
+    if known:
+        found = slopes_at(simulator, [place.point for place, _ in known], [assessment for _, assessment in known])
+        for (place, _), slopes in zip(known, found, strict=True):
+            place.slopes = slopes
 
 
 @dataclass(frozen=True)
 class LinearModel:
-    """Objective and slacks near a point: values and derivatives, rows for each distinct motion from the starts."""
+    """Objective and slacks near a point: values and derivatives, rows for each distinct motion and each cut.
 
-    objective: Float[np.ndarray, " motions"]
-    objective_slope: Float[np.ndarray, "motions varied"]
+    `rows`: the index of the constraint for each row of `slack`.
+    """
+
+    objective: Float[np.ndarray, " planes"]
+    objective_slope: Float[np.ndarray, "planes varied"]
     slack: Float[np.ndarray, " rows"]
     slack_slope: Float[np.ndarray, "rows varied"]
-    rows: list[tuple[int, int]]
+    rows: list[int]
 
 
 def linear_model(candidate: Candidate, maximise: str) -> LinearModel | None:
     """Return the model with the objective relative to its present magnitude; None where no derivative is known."""
-    found, slopes = candidate.assessment, candidate.slopes
-    assert found is not None and slopes is not None
-    values = found.lanes.values[maximise][0]
-    starts = [s for s in distinct_starts(found) if np.isfinite(slopes[maximise][s]).all()]
-    if not starts:
-        return None
-    scale = abs(found.objective) or 1.0
-    rows = []
-    slack, slope = [], []
-    for j, c in enumerate(candidate.constraints):
-        for s in starts:
-            gradient = c.sign * slopes[c.variable][s] / c.scale
-            if np.isfinite(gradient).all() and np.isfinite(found.slack[j, s]):
-                rows.append((j, s))
-                slack.append(found.slack[j, s])
-                slope.append(gradient)
-    count = len(candidate.point)
+    assert candidate.assessment is not None and candidate.slopes is not None
+    count, scale = len(candidate.point), abs(candidate.assessment.objective) or 1.0
+    objective: list[tuple[float, np.ndarray]] = []
+    slack: list[tuple[int, float, np.ndarray]] = []
+    places: list[Candidate | Cut] = [candidate, *candidate.cuts]
+    for place in places:
+        found, slopes = place.assessment, place.slopes
+        if found is None or slopes is None:
+            continue
+        values, back = found.lanes.values[maximise][0], candidate.point - place.point
+        for s in distinct_starts(found):
+            gradient = slopes[maximise][s] / scale
+            if np.isfinite(gradient).all():
+                # A plane below the present value is none of a concave function, so it is lifted.
+                value = values[s] / scale + gradient @ back
+                objective.append((value if place is candidate else max(value, objective[0][0]), gradient))
+            for j, c in enumerate(candidate.constraints):
+                gradient = c.sign * slopes[c.variable][s] / c.scale
+                if np.isfinite(gradient).all() and np.isfinite(found.slack[j, s]):
+                    value = float(found.slack[j, s] + gradient @ back)
+                    least = candidate.assessment.slack[j].min()
+                    slack.append((j, value if place is candidate else max(value, least), gradient))
+        if not objective:
+            return None
     return LinearModel(
-        values[starts] / scale, slopes[maximise][starts] / scale,
-        np.array(slack), np.array(slope).reshape(-1, count), rows,
+        np.array([x for x, _ in objective]), np.array([dx for _, dx in objective]),
+        np.array([x for _, x, _ in slack]), np.array([dx for *_, dx in slack]).reshape(-1, count),
+        [j for j, *_ in slack],
     )  # fmt: skip
 
 
@@ -149,7 +167,7 @@ def _trial_points(candidate: Candidate, maximise: str, rng: np.random.Generator)
     if model is None:
         steps = [r * step for step in rng.uniform(-1, 1, (2 * count + POLLS, count))]
     else:
-        full = _model_step(model, candidate, low, high)
+        full = _model_step(model, low, high)
         gain = _predicted(model, full)
         if not candidate.polling:
             if gain < LEAST_GAIN and candidate.assessment is not None and candidate.assessment.feasible:
@@ -175,51 +193,19 @@ def _predicted(model: LinearModel, step: np.ndarray) -> float:
     return float((model.objective + model.objective_slope @ step).min() - model.objective.min() + ELASTIC * missing)
 
 
-def _model_step(model: LinearModel, candidate: Candidate, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def _model_step(model: LinearModel, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return the step that maximises the model of the objective under the model of the constraints."""
-    count, motions = len(low), len(model.objective)
+    count, planes = len(low), len(model.objective)
     # Unknowns: the step, the worst objective, and one violation that all constraints share.
     linear = np.zeros(count + 2)
     linear[count], linear[count + 1] = -1.0, ELASTIC
-    matrix = np.zeros((motions + len(model.slack), count + 2))
+    matrix = np.zeros((planes + len(model.slack), count + 2))
     matrix[:, :count] = np.concatenate([model.objective_slope, model.slack_slope])
-    matrix[:motions, count], matrix[motions:, count + 1] = -1.0, 1.0
+    matrix[:planes, count], matrix[planes:, count + 1] = -1.0, 1.0
     right = np.concatenate([model.objective - model.objective.min(), model.slack])
     bounds = [*zip(low, high, strict=True), (None, None), (0.0, None)]
     solved = linprog(linear, A_ub=-matrix, b_ub=right, bounds=bounds)
-    first = np.asarray(solved.x if solved.status == 0 else np.zeros(count + 2))
-    if candidate.bend is None or not candidate.bend.any():
-        return np.asarray(first[:count])
-    bend = candidate.bend[[0] * motions + [1 + j for j, _ in model.rows]]
-
-    def value(z: np.ndarray) -> np.ndarray:
-        return np.asarray(matrix @ z + right - bend * (z[:count] @ z[:count]))
-
-    def slope(z: np.ndarray) -> np.ndarray:
-        return matrix - np.outer(bend, np.concatenate([2 * z[:count], [0.0, 0.0]]))
-
-    limits = [{"type": "ineq", "fun": value, "jac": slope}]
-    start = np.concatenate([0.1 * first[:count], [0.0, 0.0]])
-    result = minimize(
-        lambda z: linear @ z, start, jac=lambda z: linear, method="SLSQP", bounds=bounds, constraints=limits
-    )
-    return np.asarray(result.x[:count] if result.success else first[:count])
-
-
-def _bend(candidate: Candidate, model: LinearModel, point: Unit, found: Assessment) -> None:
-    """Raise or lower the curvatures of the candidate's model to those that a trial at `point` shows."""
-    step = point - candidate.point
-    square = float(step @ step)
-    scale = abs(candidate.assessment.objective) if candidate.assessment is not None else 1.0
-    shown = np.zeros(1 + len(candidate.constraints))
-    predicted = float((model.objective + model.objective_slope @ step).min())
-    shown[0] = (predicted - found.objective / (scale or 1.0)) / square
-    for row, (j, start) in enumerate(model.rows):
-        actual = found.slack[j, start]
-        if np.isfinite(actual):
-            shown[1 + j] = max(shown[1 + j], (model.slack[row] + model.slack_slope[row] @ step - actual) / square)
-    before = np.zeros_like(shown) if candidate.bend is None else candidate.bend
-    candidate.bend = np.maximum(np.maximum(np.nan_to_num(shown), 0.0) * BEND_MARGIN, before / 2)
+    return np.asarray(solved.x[:count] if solved.status == 0 else np.zeros(count))
 
 
 def _polled(model: LinearModel, low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -241,9 +227,9 @@ def _update(candidate: Candidate, trials: list[tuple[Unit, Assessment]], maximis
     if candidate.done or not trials:
         return
     full, shown = trials[0]
-    inside = shown.lost == 0
-    if model is not None and inside and not candidate.polling:
-        _bend(candidate, model, full, shown)
+    inside = shown.lost == 0 and model is not None
+    if inside and not candidate.polling and not shown.better(now):
+        candidate.cuts = [*candidate.cuts, Cut(full, shown)][-2 * len(full) :]
     point, best = trials[0]
     for p, a in trials[1:]:
         if a.better(best):
@@ -252,16 +238,17 @@ def _update(candidate: Candidate, trials: list[tuple[Unit, Assessment]], maximis
         moved = float(np.abs(point - candidate.point).max())
         candidate.path.append(candidate.point)
         candidate.point, candidate.assessment, candidate.slopes = point, best, None
+        candidate.cuts = [cut for cut in candidate.cuts if np.abs(cut.point - point).max() < 2 * candidate.radius]
         if point is full:
             candidate.radius = min(max(2 * moved, candidate.radius), LARGEST_RADIUS)
         else:
             candidate.radius = max(moved, candidate.radius / 2)
         candidate.polling = False
-    elif not candidate.polling and inside and model is not None:
-        candidate.radius /= 2  # the next model knows the curvature
+    elif not candidate.polling and inside:
+        candidate.radius /= 1.5  # the next model has the trial's linearisation
     elif not candidate.polling:
         candidate.polling = True
     else:
-        candidate.radius /= 3
+        candidate.radius /= 2
         candidate.polling = False
     candidate.done = candidate.radius < LEAST_RADIUS
