@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 )
 def design(options: Options) -> None:
     """Find the best drill under constraints that hold from every start and within the tolerances."""
+    from vibrojax.analyses.design.reading import read_design
     from vibrojax.analyses.design.run import find_design
-    from vibrojax.analyses.design.spec import read_design
 
     spec = read_design(options.file)
 

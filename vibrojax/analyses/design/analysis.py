@@ -185,7 +185,7 @@ def _limit_lines(ds: xr.Dataset, best: xr.Dataset) -> list[str]:
         variable, _, end = str(name).partition(" ")
         gain = float(best["relaxation"].sel(limit=name))
         if variable in ds["parameter"].values:
-            step, about = RELAXED * float(np.ptp(ds[f"map_{variable}"])), "bound"
+            step, about = RELAXED * float(np.ptp(ds[f"map_{variable}"].values)), "bound"
         else:
             step, about = RELAXED * abs(float(best["limit_value"].sel(limit=name))), "limit"
         change = "more" if end == "most" else "less"

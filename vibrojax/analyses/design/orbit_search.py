@@ -54,7 +54,7 @@ class Orbit:
         self._impacts: float | None = None
         self.visited: dict[bytes, Visit] = {}
         nominal = {c.variable: found.lanes.values[c.variable][0, start] for c in candidate.constraints}
-        slack = [c.slack(np.array(nominal[c.variable])) for c in candidate.constraints]
+        slack = [c.slack(nominal[c.variable]) for c in candidate.constraints]
         # The constraints are tightened by what they lose over the samples of the box.
         self._loss = [float(s - found.slack[j].min()) for j, s in enumerate(slack)]
         self.scale = abs(found.objective) or 1.0
@@ -99,7 +99,7 @@ class Orbit:
         rows = [(value / self.scale, slope / self.scale)]
         for c, loss in zip(self._constraints, self._loss, strict=True):
             x, dx = table[c.variable]
-            rows.append((float(c.slack(np.array(x))) - loss, c.sign * dx / c.scale))
+            rows.append((float(c.slack(x)) - loss, c.sign * dx / c.scale))
         rows.append((LARGEST_MODULUS - values[-1], -slopes[-1]))
         rows = [rows[0], *((x - INSIDE, dx) for x, dx in rows[1:])]
         values, slopes = np.array([x for x, _ in rows]), np.array([dx for _, dx in rows])

@@ -12,10 +12,11 @@ from vibrojax.analyses.design.evaluation import Assessment, Simulator, distinct_
 from vibrojax.analyses.design.fronts import find_front
 from vibrojax.analyses.design.mapping import SEEDS, coarse_map, seeds
 from vibrojax.analyses.design.orbit_search import advance
+from vibrojax.analyses.design.reading import read_design
 from vibrojax.analyses.design.robustness import box_samples, search_offsets, settle
 from vibrojax.analyses.design.search import Candidate, improve
 from vibrojax.analyses.design.slopes import slopes_at
-from vibrojax.analyses.design.spec import DesignSpec, read_design
+from vibrojax.analyses.design.spec import DesignSpec
 from vibrojax.progress import Progress
 
 SAME_POINT = 0.01
