@@ -31,6 +31,9 @@ INSIDE = 1e-6
 LEAST_GAIN = 1e-6
 """Relative gain of the objective from which a box is moved."""
 
+LEAST_RELIEF = 1e-2
+"""Relative reduction of the violations from which a box is moved."""
+
 SIMULATED = 5
 """Number of points on the way to the orbit's optimum that are simulated."""
 
@@ -144,7 +147,9 @@ def orbit_path(simulator: Simulator, candidate: Candidate) -> list[Unit]:
         )  # fmt: skip
         simulator.orbits += len(orbit.visited)
         best, now = max(orbit.visited.values(), key=lambda visit: visit.rank), orbit.centre
-        if best.rank[0] > now.rank[0] or best.values[0] > now.values[0] + LEAST_GAIN * abs(now.values[0]):
+        if best.rank[0] > now.rank[0] * (1 - LEAST_RELIEF) or best.values[0] > now.values[0] + LEAST_GAIN * abs(
+            now.values[0]
+        ):
             moved = float(np.abs(best.unit - x).max())
             radius = min(2 * radius, LARGEST_RADIUS) if moved > radius / 2 else radius
             orbit.move(best)

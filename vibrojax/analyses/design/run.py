@@ -112,7 +112,7 @@ def _concluded(simulator: Simulator, candidates: Sequence[Candidate], checked: S
     """Return the results of verified candidates, with gradients and conditions at the nominal points."""
     spec = simulator.spec
     results = []
-    known = slopes_at(simulator, [c.point for c in candidates], checked)
+    known = slopes_at(simulator, [c.point for c in candidates], checked, worst=True)
     for c, found, slopes in zip(candidates, checked, known, strict=True):
         c.assessment, c.slopes = found, slopes
         starts = distinct_starts(found)

@@ -143,7 +143,7 @@ def linear_model(candidate: Candidate, maximise: str) -> LinearModel | None:
                 value = values[s] / scale + gradient @ back
                 objective.append((value if place is candidate else max(value, objective[0][0]), gradient))
             for j, c in enumerate(candidate.constraints):
-                gradient = c.sign * slopes[c.variable][s] / c.scale
+                gradient = c.sign * slopes.get(f"{c.variable} {c.end}", slopes[c.variable])[s] / c.scale
                 if np.isfinite(gradient).all() and np.isfinite(found.slack[j, s]):
                     value = float(found.slack[j, s] + gradient @ back)
                     least = candidate.assessment.slack[j].min()

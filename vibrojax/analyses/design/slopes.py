@@ -22,11 +22,14 @@ Slopes = dict[str, Float[np.ndarray, "starts varied"]]
 """Derivatives at the nominal point by variable (starts, varied), in the unit box; NaN where unknown."""
 
 
-def slopes_at(simulator: Simulator, points: Sequence[Unit], assessments: Sequence[Assessment]) -> list[Slopes]:
+def slopes_at(
+    simulator: Simulator, points: Sequence[Unit], assessments: Sequence[Assessment], worst: bool = False
+) -> list[Slopes]:
     """Return the derivatives at each nominal point, for each start that leads to a motion of its own.
 
     They follow from the periodic orbit (implicit function theorem). Variables that an orbit does not have are
-    differentiated by central differences of simulated lanes.
+    differentiated by central differences of simulated lanes. `worst`: whether limited variables are differentiated at
+    the worst samples of the tolerance box as well, as the multipliers need it.
     """
     spec, scene = simulator.spec, simulator.spec.template.system
     count = len(spec.varied)
@@ -56,7 +59,53 @@ def slopes_at(simulator: Simulator, points: Sequence[Unit], assessments: Sequenc
         if any(np.isnan(slopes[k][name][start]).any() for name in simulator.names for start in distinct_starts(found))
     ]
     _by_differences(simulator, points, missing, slopes)
+    if worst:
+        _at_worst(simulator, points, assessments, lanes, slopes)
     return slopes
+
+
+def _at_worst(
+    simulator: Simulator,
+    points: Sequence[Unit],
+    assessments: Sequence[Assessment],
+    lanes: Sequence[tuple[int, int]],
+    slopes: Sequence[Slopes],
+) -> None:
+    """Add the derivatives of limited variables at the worst samples of the tolerance box, as `VARIABLE END`."""
+    spec, scene = simulator.spec, simulator.spec.template.system
+    limits = {(c.variable, c.end) for c in spec.constraints}
+    limits |= {(spec.front.against, spec.front.end)} if spec.front is not None else set()
+    wanted: list[tuple[int, int, int, str, str]] = []
+    for k, start in lanes:
+        found = assessments[k].lanes
+        once = is_periodic(assessments[k], start) and found.dataset["cycles"].values[0, start] == 1
+        for variable, end in limits if once else ():
+            if variable not in simulator.features:
+                continue
+            x = np.where(found.in_regime[:, start], found.values[variable][:, start], np.nan)
+            sample = int(np.nanargmax(x) if end == "most" else np.nanargmin(x)) if np.isfinite(x).any() else 0
+            known = found.dataset["orbit_reason"].values[sample, start] == reason("found")
+            if sample and known and found.dataset["cycles"].values[sample, start] == 1:
+                wanted.append((k, start, sample, variable, end))
+    if not wanted:
+        return
+    rows = [assessments[k].lanes.dataset.isel(point=sample, start=start) for k, start, sample, *_ in wanted]
+    begin = [assessments[k].lanes.dataset.isel(point=0, start=start) for k, start, *_ in wanted]
+    offsets = np.array([
+        [float(row[name] - first[name]) / width for name, width in spec.tolerances.items()]
+        for row, first in zip(rows, begin, strict=True)
+    ])  # fmt: skip
+    parameters, chain = scene_parameters(spec, np.array([points[k] for k, *_ in wanted]), offsets)
+    states = [orbit_name(name) for name in scene.driving_part().return_states]
+    guess = np.array([[[float(row[name]) for name in states]] for row in rows])
+    of = tuple(dict.fromkeys(simulator.features[variable] for *_, variable, _ in wanted))
+    features = orbit_features(scene, of, tuple(chain), parameters, guess)
+    simulator.orbits += len(wanted)
+    derivatives = features.derivatives @ np.stack([*chain.values()], axis=1)
+    for i, (k, start, _, variable, end) in enumerate(wanted):
+        table = slopes[k].setdefault(f"{variable} {end}", slopes[k][variable].copy())
+        slope = derivatives[i, of.index(simulator.features[variable])]
+        table[start] = slope if np.isfinite(slope).all() else table[start]
 
 
 def is_periodic(found: Assessment, start: int) -> bool:
@@ -66,11 +115,14 @@ def is_periodic(found: Assessment, start: int) -> bool:
 
 
 def scene_parameters(
-    spec: DesignSpec, unit: Float[np.ndarray, "lanes varied"]
+    spec: DesignSpec, unit: Float[np.ndarray, "lanes varied"], offsets: np.ndarray | None = None
 ) -> tuple[dict[str, np.ndarray], dict[str, Float[np.ndarray, "lanes varied"]]]:
-    """Return the scene's parameters of nominal points, and the derivatives of those that depend on the unit box."""
+    """Return the scene's parameters of points, and the derivatives of those that depend on the unit box.
+
+    `offsets` (lanes, tolerances): offsets from the nominal points, in half-widths; by default none.
+    """
     scene, lanes = spec.template.system, len(unit)
-    none = np.zeros((lanes, len(spec.tolerances)))
+    none = np.zeros((lanes, len(spec.tolerances))) if offsets is None else offsets
 
     def resolved(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         values = with_substitutes(scene, spec.template.parameters | dict(columns))
