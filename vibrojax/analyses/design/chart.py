@@ -39,7 +39,7 @@ MOST_STARTS_NAMED = 4
 SAME_MOTION = 0.02
 """Relative spread of the impact energy over the starts, up to which their motions count as one."""
 
-CLIFF = 0.2
+CLIFF = 0.4
 """Difference of the impact energy between neighbouring cells, relative to the chart's greatest, from which another
 motion begins between them."""
 
@@ -74,7 +74,7 @@ def charted(ds: xr.Dataset, spec: DesignSpec, progress: bool = True) -> xr.Datas
     cliff = maximum_filter(known, footprint=box) - minimum_filter(known, footprint=box) > CLIFF * known.max()
     robust = binary_erosion(single, box, border_value=1) & ~cliff
     data: dict[str, Any] = {}
-    meaning = "same single impact from every start; robust: everywhere within the tolerances or a cell"
+    meaning = "same single impact from every start; robust: in the cells around, and within the tolerances, as well"
     about = Variable("1", meaning, np.int8, REGIONS)
     flags = single.astype(np.int8) + robust
     data["chart_region"] = (("chart_beta", "chart_gamma"), flags.astype(np.int8), about.attributes())
