@@ -7,6 +7,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.analyses.design import chart, run
+from vibrojax.analyses.design.analysis import Designs
 from vibrojax.analyses.design.chart_page import A4, chart_page
 from vibrojax.analyses.design.reading import read_design
 from vibrojax.analyses.design.robustness import DRAWS, MAX_CORNERS, box_samples, search_offsets
@@ -85,6 +86,9 @@ def test_points_of_the_front_are_simulated(designed):
     ds = lanes(designed.front_gamma.values)
     np.testing.assert_allclose(ds.impact_power, designed.front_objective, rtol=1e-6)
     np.testing.assert_allclose(ds.peak_impact_force, designed.front_peak_impact_force, rtol=1e-6)
+    [part] = Designs().summary(designed)
+    assert "front against peak_impact_force: 3 of 3 points feasible" in part.lines[-1]
+    assert list(part.facts["design"]["subject"]) == ["peak_impact_force"]
     for end in (-WIDTH, WIDTH):
         assert (lanes(designed.front_gamma.values + end).peak_impact_force.values <= designed.front_limit.values).all()
 

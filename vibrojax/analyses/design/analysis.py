@@ -175,7 +175,8 @@ class Designs(Analysis):
 
 
 def _subject(ds: xr.Dataset) -> list[str]:
-    return [str(n) for n in ds.data_vars if f"{n}_worst" in ds and n not in ("objective", "regime", "share")]
+    own = (str(name) for name in ds.data_vars if ds[name].dims == ("candidate",))
+    return [name for name in own if f"{name}_worst" in ds and name not in ("objective", "regime", "share")]
 
 
 def _limit_lines(ds: xr.Dataset, best: xr.Dataset) -> list[str]:
