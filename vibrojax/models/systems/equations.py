@@ -16,7 +16,14 @@ from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
 from vibrojax.models.systems.events import Event, Impact, Switch
 from vibrojax.models.systems.flow import Flow, Motion, SystemConstants
 from vibrojax.models.systems.numbers import Rounded
-from vibrojax.models.systems.transitions import APPROACH, LIFT_ROUNDINGS, after_events, free_modes, initial_modes
+from vibrojax.models.systems.transitions import (
+    APPROACH,
+    LIFT_ROUNDINGS,
+    after_events,
+    free_modes,
+    initial_modes,
+    move_onto_surfaces,
+)
 
 AT_STOP = 1e-5
 """Largest gap at which a state is at an impact, relative to a typical gap."""
@@ -212,6 +219,12 @@ class SystemEquations(Scene[SystemConstants]):
         t, y = self._known(state)
         free = free_modes(self._flow, c, t, y, zero)
         return initial_modes(self._flow, c, t, y, free, self.resolutions(c, free, state, False))
+
+    def on_surfaces(self, c: SystemConstants, mode: Values, state: Values) -> Values:
+        values = dict(zip(self.state_names, state, strict=True))
+        if self.events:
+            move_onto_surfaces(self._flow, self._known_values, c, mode, values)
+        return tuple(values[name] for name in self.state_names)
 
     def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
         kinds: dict[str, Any] = {}
