@@ -1,6 +1,7 @@
 """Systems written as plain functions against closed forms, and one-line errors for mistakes in them."""
 
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -165,6 +166,7 @@ GOOD = {
 }
 MISTAKES = {
     "is not a state": {"section": "z"},
+    "are both given; give only one": {"period": 6.0},
     "give period=": {"section": None},
     "field gave no rate of v": {"field": lambda t, y, p: {"x": y["v"]}},
     'a rate of "z"': {"field": lambda t, y, p: {"x": y["v"], "v": 0.0, "z": 1.0}},
@@ -181,6 +183,8 @@ MISTAKES = {
     },
     "it must be above zero": {"section": None, "period": lambda p: -p["k"]},
     "finite number": {"parameters": {"k": np.nan}},
+    'parameter k has the unit "blub"': {"parameters": {"k": (1.0, "blub")}},
+    "a pair such as (0.5, 'rad s-2')": {"parameters": {"k": (1.0, "s-2", 3)}},
     "at least one parameter": {"parameters": {}},
     "name of two things": {"parameters": {"x": 1.0}},
     "cannot be a name": {"states": {"t": "m", "v": "m s-1"}},
@@ -229,8 +233,10 @@ def test_a_mistake_in_a_system_is_one_line(message):
 def test_a_start_beyond_the_stop_fails_and_numbers_stand_for_lanes():
     ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}, "starts": [[1.5, 0.0]]}, progress=False)
     assert ds.regime.attrs["flag_meanings"].split()[int(ds.regime[0, 0])] == "failed"
+    assert reasons_of(ds) == ["beyond-a-stop"] * 2
     bounces = vj.run_sweep({"scene": BALL, "grid": {"r": [0.5, 1.01]}, "starts": [[1.0, 0.0]]}, progress=False)
     assert (bounces.regime.values.ravel() == 7).tolist() == [False, True]
+    assert reasons_of(bounces) == ["none", "restitution-not-0-to-1"]
     falling = vj.System("falling", **(GOOD | {"field": lambda t, y, p: {"x": 1.0, "v": 0.0}}))
     motion = vj.simulate(falling, start=[0.0, 0.0], duration=2.0, progress=False)
     assert float(motion.x[-1]) == pytest.approx(2.0)
@@ -241,6 +247,31 @@ def test_the_page_of_a_system_shows_its_motions_without_a_command(tmp_path):
     page = vj.write_page(ds, tmp_path / "page.html").read_text()
     assert '"own_scene": true' in page or '"own_scene":true' in page
     assert "cannot be computed" not in page and 'id="vibrojax-cells"' in page
+
+
+def reasons_of(ds):
+    """Return the reasons of the lanes of a dataset, by name."""
+    return np.array(ds.reason.attrs["flag_meanings"].split())[ds.reason.values.ravel()].tolist()
+
+
+def test_a_start_that_cannot_be_is_one_line():
+    with pytest.raises(vj.InputError, match=r"start: \[1.5, 0.0\]: the gap of stop_hit is -0.5; it must not be neg"):
+        vj.simulate(IMPACT_OSCILLATOR, start=[1.5, 0.0], progress=False)
+    with pytest.raises(vj.InputError, match=r"cannot be run \(beyond a stop\)"):
+        vj.follow(IMPACT_OSCILLATOR, along="a", at=0.1, span=(0.05, 0.2), start=[1.5, 0.0], progress=False)
+    power = vj.System("power", **(GOOD | {"field": lambda t, y, p: {"x": y["v"], "v": -(y["x"] ** 1.5)}}))
+    with pytest.raises(vj.InputError, match="the field, v, is nan at the start; it must be finite"):
+        vj.simulate(power, start=[-0.2, 0.0], progress=False)
+
+
+def test_messages_on_starts_have_the_states_of_the_system():
+    for wrong, right in (
+        ({}, "plane = { x = { start = -0.05, stop = 0.05, num = 50 }, v = [-1.0, 1.0] }"),
+        ({"sample": "sobol", "count": 4}, "box = { x = [-0.05, 0.05], v = [-2.0, 2.0] }"),
+        (3, "[[0.1, 0.1]]"),
+    ):
+        with pytest.raises(vj.InputError, match=re.escape(right)):
+            vj.run_sweep({"scene": BALL, "grid": {"r": [0.5]}, "starts": wrong}, progress=False)
 
 
 def test_friction_and_a_switch_together():
@@ -311,6 +342,34 @@ def test_impact_velocities_have_the_unit_of_the_velocity():
     motion = vj.simulate(pendulum, start=[0.0, 0.0], progress=False)
     assert motion.impact_velocity.units == "rad s-1" and " rad/s" in feature_lines(motion)[0]
     assert ds.impact_velocity.units == "rad s-1" and ds.regime.attrs["long_name"] == "regime of the motion"
+
+
+def test_diagrams_of_systems_show_states_where_some_motions_have_no_impacts():
+    """Below the graze all motions are the linear response: x at t = 0 is a stiffness/D, with its branch and border."""
+    grid = [0.5 * GRAZE, 0.8 * GRAZE, 1.6 * GRAZE]
+    run = {"scene": IMPACT_OSCILLATOR, "grid": {"a": grid}, "run": {"keep_returns": 4}}
+    ds = vj.run_sweep(run, progress=False)
+    family = vj.follow(IMPACT_OSCILLATOR, along="a", at=grid[1], span=(grid[0], 1.2 * GRAZE), cycles=1, progress=False)
+    figure = vj.picture(ds, over=family)
+    curves = figure.axes[0]
+    (dots,) = (x.get_offsets() for x in curves.collections if len(x.get_offsets()))
+    real = 1.0 - OSCILLATOR["w"] ** 2
+    exact = np.array(grid[:2]) * real / (real**2 + (OSCILLATOR["damping"] * OSCILLATOR["w"]) ** 2)
+    factor = 1e3 if "mm" in curves.get_ylabel() else 1.0
+    assert np.asarray(dots)[:8, 1] == pytest.approx(factor * np.repeat(exact, 4), rel=1e-5)
+    assert "_grazing" in [line.get_label() for line in curves.lines]
+    speeds = vj.picture(ds, variable="return_impact_velocity").axes[0]
+    assert (
+        speeds.get_ylabel().startswith("impact velocity") and "v at" in vj.picture(ds, "return_v").axes[0].get_ylabel()
+    )
+
+
+def test_parameters_have_units_and_units_are_those_of_pint(tmp_path):
+    units = {"states": {"x": "deg", "v": "deg/s"}, "parameters": {"k": (1.0, "N m rad-1")}}
+    torsion = vj.System("torsion", **(GOOD | units))
+    ds = vj.run_sweep({"scene": torsion, "grid": {"k": [1.0, 2.0]}, "starts": [[1.0, 0.0]]}, progress=False)
+    assert ds.k.units == "N m rad-1" and ds.x_amplitude.units == "deg"
+    assert "k [N m/rad]" in [axes.get_xlabel() for axes in vj.picture(ds, variable="x_amplitude").axes]
 
 
 def test_the_default_times_follow_the_slowest_oscillation():

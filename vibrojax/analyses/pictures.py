@@ -15,6 +15,7 @@ from vibrojax.analyses.sweep.basins import many_starts
 from vibrojax.analyses.sweep.maps import draw_map
 from vibrojax.analyses.sweep.rates import rates as rates
 from vibrojax.analyses.sweep.returns import bifurcation as bifurcation
+from vibrojax.analyses.sweep.returns import hysteresis
 from vibrojax.analyses.sweep.strips import regime_lines
 from vibrojax.analyses.trajectory.hole import pulses as pulses
 from vibrojax.analyses.trajectory.hole import response as response
@@ -30,6 +31,7 @@ from vibrojax.plot.contents import (
     MULTIPLIER,
     POINT,
     REGIME,
+    RETURN,
     TIME,
     Contents,
     Value,
@@ -77,7 +79,7 @@ def picture(
 
     - `ds`: a dataset of `simulate`, a sweep, or an analysis.
     - `variable`: name of a variable to draw instead, over all varied axes; or a list of up to four names, for a run up
-      to eight.
+      to eight. A variable at the returns, such as "return_x", gives the bifurcation diagram of that state.
     - `where`: values by name of axis or coordinate, in the dataset's units; only lanes with these values are drawn.
       Example: `{"delta": 0.005, "start": "stuck"}`. Numbers must be accurate to four digits. Of more than 300,000
       lanes, only every second value of the longest axes is drawn, or every third, ...
@@ -121,6 +123,9 @@ def picture(
             return DIAGRAMS[diagram](ds)
         if variable is None:
             return analysis_of(ds).picture(ds, layers)
+        if isinstance(variable, str) and variable in ds and RETURN in ds[variable].dims:
+            draw = hysteresis if Contents(ds).carried else bifurcation
+            return draw(ds, layers, variable)
         if layers:
             refuse_overlays(layers, "over no other variable")
         return _draw_variables(ds, (variable,) if isinstance(variable, str) else variable)

@@ -43,10 +43,22 @@ class Variable:
         return attributes
 
 
+OWN_REGIMES = "regime of the motion"
+"""Meaning of the variable `regime` of scenes without a striker."""
+
 STATUSES = ("done", "failed", "refused")
 """Meaning of each flag of `status`."""
 
-REASONS = ("none", "not-finite", "out-of-steps", "pulse-width-not-below-1/frequency", "too-stiff", "too-slow")
+REASONS = (
+    "none",
+    "not-finite",
+    "out-of-steps",
+    "pulse-width-not-below-1/frequency",
+    "too-stiff",
+    "too-slow",
+    "beyond-a-stop",
+    "restitution-not-0-to-1",
+)
 """Meaning of each flag of `reason`."""
 
 ORBIT_REASONS = ("found", "not-repeating", "not-converged", "near-grazing", "another-orbit", "refused")

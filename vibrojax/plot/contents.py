@@ -11,6 +11,7 @@ from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.io.attributes import parameters_of
 from vibrojax.io.branches import FAMILY, numbers_of
 from vibrojax.io.kinds import kind_of
+from vibrojax.io.variables import OWN_REGIMES
 from vibrojax.models.physics.meanings import suggest_coordinate
 from vibrojax.plot.axes import short
 
@@ -22,8 +23,8 @@ DIRECTION = "direction"  # up or down, of lanes carried along an axis
 _GROUP = "group"  # the dimension of groups of rows of a table
 HIDDEN, SENSITIVE = "hidden_motion", "sensitive"
 REGIME, RATE, RELIEF, COEFFICIENT = "regime", "rate_of_penetration", "relief", "C"
-_IMPACTS_OF_RETURNS = "return_impact_velocity"
-_NOT_STATES = ("return_time", "return_interval", "return_impacts", _IMPACTS_OF_RETURNS)
+IMPACTS_OF_RETURNS = "return_impact_velocity"
+_NOT_STATES = ("return_time", "return_interval", "return_impacts", IMPACTS_OF_RETURNS)
 BESIDE_REGIMES = (RATE, "impact_velocity", "period", "bit_amplitude")  # the first two that a dataset has
 
 MOST_LINES = 8  # in one panel, and in the legend
@@ -68,11 +69,16 @@ class Contents:
 
 
 def returns_in(ds: xr.Dataset) -> str | None:
-    """Return the variable of section crossings that diagrams show: impact velocities, or else the first state."""
-    if _IMPACTS_OF_RETURNS in ds and np.isfinite(ds[_IMPACTS_OF_RETURNS].values).any():
-        return _IMPACTS_OF_RETURNS
+    """Return the variable of section crossings that diagrams show: impact velocities, or else the first state.
+
+    A system of the user's own whose motion repeats without impacts in some lanes is shown by its first state.
+    """
+    if IMPACTS_OF_RETURNS in ds and np.isfinite(ds[IMPACTS_OF_RETURNS].values).any():
+        free = REGIME in ds and ds[REGIME].attrs.get("long_name") == OWN_REGIMES and {"cycles", "impacts"} <= {*ds}
+        if not free or not ((ds["cycles"].values > 0) & (ds["impacts"].values == 0)).any():
+            return IMPACTS_OF_RETURNS
     states = [str(name) for name in ds.data_vars if str(name).startswith("return_") and name not in _NOT_STATES]
-    return states[0] if states else _IMPACTS_OF_RETURNS if _IMPACTS_OF_RETURNS in ds else None
+    return states[0] if states else IMPACTS_OF_RETURNS if IMPACTS_OF_RETURNS in ds else None
 
 
 def quantities_beside(ds: xr.Dataset) -> tuple[str, ...]:

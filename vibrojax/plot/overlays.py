@@ -25,7 +25,7 @@ from vibrojax.plot.branches import (
     stability_handles,
 )
 from vibrojax.plot.colours import flag_names
-from vibrojax.plot.contents import START, is_numeric
+from vibrojax.plot.contents import IMPACTS_OF_RETURNS, START, is_numeric
 from vibrojax.plot.style import DASHED, FAINT, INK
 
 OF_RETURNS = "impact_velocity"
@@ -119,10 +119,13 @@ def special_points(over: xr.Dataset) -> list[tuple[str, float]]:
     return [point for point in points if point[0] != "end"]
 
 
-def over_text(ds: xr.Dataset, layers: Sequence[xr.Dataset]) -> str:
-    """Return the note on the family lines over the section crossings in `ds`, or "" without layers."""
+def over_text(ds: xr.Dataset, layers: Sequence[xr.Dataset], shown: str) -> str:
+    """Return the note on the family lines over the section crossings `shown` in `ds`, or "" without layers."""
     if not layers:
         return ""
+    if shown != IMPACTS_OF_RETURNS:
+        longer = any(int(over["cycles"].max()) > 1 for over in layers)
+        return "Lines: orbits that were followed" + ", each at one of its returns" * longer
     several = "return_impacts" in ds and bool((ds["return_impacts"].values > 1).any())
     mean = "A dot is the mean of the blows since the return before" if several else ""
     ranges = {ranges_text(over, (OF_RETURNS,)) for over in layers}

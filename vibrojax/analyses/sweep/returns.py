@@ -26,6 +26,7 @@ from vibrojax.plot.axes import number, pretty_unit, scale, values_along, with_un
 from vibrojax.plot.colours import Value, regime_cells, values_beside
 from vibrojax.plot.contents import (
     DIRECTION,
+    IMPACTS_OF_RETURNS,
     REGIME,
     RETURN,
     START,
@@ -57,8 +58,11 @@ _HALO = 3.0  # area of the dots of other starts over that of a start's own: a ri
 
 
 @styled
-def bifurcation(ds: xr.Dataset, over: Overlays = None) -> Figure:
-    """Draw the impact velocity at each stored section crossing over the swept axis, one diagram per initial condition.
+def bifurcation(ds: xr.Dataset, over: Overlays = None, variable: str | None = None) -> Figure:
+    """Draw `variable` at each stored section crossing over the swept axis, one diagram per initial condition.
+
+    The default is the impact velocity. It is the first state without impacts, or if some motions of a `vj.System`
+    repeat without them.
 
     The crossings of all other initial conditions are grey: two motions coexist where coloured and grey dots differ.
     Many initial conditions share one diagram, coloured by regime. Panels below show the regimes along the axis: one row
@@ -80,8 +84,9 @@ def bifurcation(ds: xr.Dataset, over: Overlays = None) -> Figure:
     check_families(ds, layers, x)
     grey = Line2D([], [], label="all other starts", linestyle="none", marker="o", markersize=6.5, color=_OTHERS)
     handles = ([grey] if diagrams > 1 else []) + over_handles(layers)
-    draw = partial(_draw_returns, x=x, layers=layers)
-    return draw_stacks(ds, x, diagrams, _HEIGHTS.get(diagrams, (1.5, 1.3)), draw, handles, over_text(ds, layers))
+    shown = variable or str(returns_in(ds))
+    draw = partial(_draw_returns, shown=shown, x=x, layers=layers)
+    return draw_stacks(ds, x, diagrams, _HEIGHTS.get(diagrams, (1.5, 1.3)), draw, handles, over_text(ds, layers, shown))
 
 
 def _dots(lanes: xr.DataArray, factor: float, x: str, *dims: str) -> tuple[Lanes, Lanes]:
@@ -93,20 +98,19 @@ def _dots(lanes: xr.DataArray, factor: float, x: str, *dims: str) -> tuple[Lanes
 
 def _label(returns: xr.DataArray) -> str:
     """Return what a diagram of section crossings shows: "impact velocity at each return"."""
-    if returns.name == "return_impact_velocity":
+    if returns.name == IMPACTS_OF_RETURNS:
         return "impact velocity at each return"
     return str(returns.attrs.get("long_name", returns.name)).removesuffix(" at the return") + " at each return"
 
 
 def _of_families(returns: str) -> str:
     """Return the variable of families that lies over the section crossings of the variable `returns`."""
-    return OF_RETURNS if returns == "return_impact_velocity" else returns.replace("return_", "orbit_", 1)
+    return OF_RETURNS if returns == IMPACTS_OF_RETURNS else returns.replace("return_", "orbit_", 1)
 
 
-def _draw_returns(stack: Stack, x: str, layers: Sequence[xr.Dataset]) -> None:
+def _draw_returns(stack: Stack, shown: str, x: str, layers: Sequence[xr.Dataset]) -> None:
     """Draw the section crossings of each initial condition over those of all others, then the families."""
     facet, curves = stack.facet, stack.curves
-    shown = str(returns_in(facet))
     factor, unit = scale(facet[shown])
     size = dot_size(facet.sizes[x])
     for position, axes in enumerate(curves):
@@ -136,11 +140,11 @@ def _draw_returns(stack: Stack, x: str, layers: Sequence[xr.Dataset]) -> None:
 
 
 @styled
-def hysteresis(ds: xr.Dataset, over: Overlays = None) -> Figure:
+def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = None) -> Figure:
     """Draw lanes carried up and down along an axis, with the jumps of both directions, above the regimes of each.
 
-    The curves are the impact velocity at each section crossing if these were stored, else impact velocity and period. A
-    jump is a place where the two directions begin or cease to differ.
+    The curves are `variable` at each section crossing if these were stored, else impact velocity and period. The
+    default is that of `bifurcation`. A jump is a place where the two directions begin or cease to differ.
 
     **Arguments:** `over`: families of orbits along the axis, drawn over the lanes. The note lists the special point
     nearest to each jump, except special points of the kind "end".
@@ -149,7 +153,8 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None) -> Figure:
     if along not in ds.dims:
         raise InputError(f"attribute run: carry: {shown(along)} is not an axis of the carried lanes")
     ds = regimes_in(ds.rename({DIRECTION: START}))
-    values = () if returns_in(ds) is not None else values_beside(ds)
+    at_returns = variable or returns_in(ds)
+    values = () if at_returns is not None else values_beside(ds)
     layers = as_layers(over)
     check_families(ds, layers, along)
     handles: list[Artist] = []
@@ -163,9 +168,10 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None) -> Figure:
             mark = Mark(marker=_MARKERS.get(way.name, "o"), linestyle="--", linewidth=1.0)
             handles.append(Line2D([], [], color=way.colour, label=f"jump on the way {way.name}", **mark))
     about = "Each lane starts from where its neighbour ended; where the two ways differ, two motions coexist"
-    note = ". ".join(filter(None, (about, over_text(ds, layers), _jumps_text(ds, along, layers))))
+    of_families = over_text(ds, layers, at_returns or IMPACTS_OF_RETURNS)
+    note = ". ".join(filter(None, (about, of_families, _jumps_text(ds, along, layers))))
     height = 3.4 if len(values) < 2 else 1.9
-    draw = partial(_draw_ways, values=values, x=along, layers=layers)
+    draw = partial(_draw_ways, values=values, shown=str(at_returns), x=along, layers=layers)
     return draw_stacks(ds, along, max(len(values), 1), (height, height), draw, handles + over_handles(layers), note)
 
 
@@ -224,14 +230,13 @@ def _relative_difference(a: Float[np.ndarray, " lanes"], b: Float[np.ndarray, " 
     return np.abs(a - b) / np.where(greater > 0, greater, 1.0)
 
 
-def _draw_ways(stack: Stack, values: tuple[Value, ...], x: str, layers: Sequence[xr.Dataset]) -> None:
-    """Draw `values`, or the section crossings of both directions in one panel, with families and jumps."""
+def _draw_ways(stack: Stack, values: tuple[Value, ...], shown: str, x: str, layers: Sequence[xr.Dataset]) -> None:
+    """Draw `values`, or `shown` at the section crossings of both directions in one panel, with families and jumps."""
     facet, ways = stack.facet, starts_of(stack.facet)
     if values:
         draw_values(stack, values, x)
         factors = {value.name: value.factor for value in values}
     else:
-        shown = str(returns_in(facet))
         factor, unit = scale(facet[shown])
         factors = {_of_families(shown): factor}
         for position, way in enumerate(ways):

@@ -60,6 +60,8 @@ _STANDARD_GRAVITY = 9.80665  # m/s2, for tonnes and pounds that are used as unit
 
 # A string that does not match, such as a power of a power, is not passed to pint's parser.
 _UNIT = re.compile(r"(?:1|%|[a-zµ]+(?:-?[1-4]|[²³])?)(?:[ */·](?:%|[a-zµ]+(?:-?[1-4]|[²³])?))*", re.IGNORECASE)
+_DRAWN = re.compile(r"[A-Za-zµ°Ω][A-Za-z0-9µ°Ω /*·-]*|1/[A-Za-zµ°Ω][A-Za-z0-9µ°Ω]*")
+_powers = partial(re.compile(r"(?<=[A-Za-zµ])(?=-?\d)").sub, "**")  # "m s-1" is m*s**-1
 _MILLINEWTON = re.compile(r"\bm[nN]\b")
 
 
@@ -68,9 +70,7 @@ def _registry() -> "pint.UnitRegistry":
     """Return the pint registry of the units above; pint is imported here because few commands parse units."""
     import pint
 
-    # "m s-1" is m*s**-1.
-    powers = partial(re.compile(r"(?<=[A-Za-zµ])(?=-?\d)").sub, "**")
-    registry: pint.UnitRegistry = pint.UnitRegistry(None, case_sensitive=False, preprocessors=[powers])
+    registry: pint.UnitRegistry = pint.UnitRegistry(None, case_sensitive=False, preprocessors=[_powers])
     registry.load_definitions([line.strip() for line in _DEFINITIONS.splitlines()])
     gravity = registry.Quantity(_STANDARD_GRAVITY, "m/s**2")
 
@@ -103,6 +103,22 @@ def factor(unit: str, si: str) -> float | None:
 def is_unit(text: str) -> bool:
     """Return whether `text` is a known unit of any dimension."""
     return any(factor(text, si) is not None for si in UNITS)
+
+
+@cache
+def is_drawn_unit(text: str) -> bool:
+    """Return whether `text` is "1" or a unit that pint knows, such as "deg" or "N m rad-1", and that can be drawn."""
+    if text == "1" or is_unit(text):
+        return True
+    if not _DRAWN.fullmatch(text):
+        return False
+    import pint
+
+    try:
+        pint.UnitRegistry(preprocessors=[_powers]).parse_units(text)
+    except (pint.PintError, ValueError):
+        return False
+    return True
 
 
 def likely_units(value: float, si: str, usual: tuple[float, float]) -> dict[str, float]:

@@ -132,6 +132,10 @@ class Scene(ABC, Generic[C]):
         """Return the reason why some lanes are rejected (a string) and a mask of them (lanes,), or None."""
         return None
 
+    def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
+        """Return what can be wrong with an initial `state`: reasons of lanes, messages of the first, masks (lanes,)."""
+        return []
+
     def scaled(self, c: C, state: Values) -> C:
         """Return the constants adapted to an initial `state` that causes a much faster motion than usual.
 

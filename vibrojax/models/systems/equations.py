@@ -299,13 +299,36 @@ class SystemEquations(Scene[SystemConstants]):
         offsets = [state.offset for state in self.states]
         values = [jnp.full(shape, value, dtype) - offset for value, offset in zip(given, offsets, strict=False)]
         state = (*values, *(jnp.zeros(shape, dtype) for _ in self.states[len(values) :]))
+        fails = [(gap < 0) | (r < 0) | (r > 1) for _, gap, r in self._stops(c.p, state)]
+        return (functools.reduce(lambda x, fails: jnp.where(fails, jnp.nan, x), fails, state[0]), *state[1:])
+
+    def _stops(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, Any, Any]]:
+        """Return name, gap and restitution of each stop."""
         t, y = self._known(state)
-        for index, event in enumerate(self.events):
-            if isinstance(event, Impact):
-                r = event.bounce(c.p) + 0.0 * state[0]
-                fails = (event.gap(t, y, c.p) < -c.lifts[index]) | (r < 0) | (r > 1)
-                state = (jnp.where(fails, jnp.nan, state[0]), *state[1:])
-        return state
+        stops = [event for event in self.events if isinstance(event, Impact)]
+        return [(stop.name, stop.gap(t, y, p), stop.bounce(p) + 0.0 * state[0]) for stop in stops]
+
+    def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
+        """Return stops that are passed at the start, restitutions outside 0 to 1, and rates that are not finite."""
+        offsets, p = [known.offset for known in self.states], {name: jnp.asarray(x) for name, x in p.items()}
+        state = tuple(jnp.asarray(x) - offset for x, offset in zip(state, offsets, strict=False))
+        state = (*state, *(0.0 * state[0] for _ in offsets[len(state) :]))
+        faults: list[tuple[str, str, Any]] = []
+        for name, gap, r in self._stops(p, state):
+            text = f"the gap of {name} is {_first(gap):.6g}; it must not be negative"
+            faults.append(("beyond-a-stop", text, gap < 0))
+            text = f"the restitution of {name} is {_first(r):.6g}; it must lie between 0 and 1"
+            faults.append(("restitution-not-0-to-1", text, (r < 0) | (r > 1)))
+        t, y = self._known(state)
+        sides = {event.name: jnp.sign(event.surface(t, y, p)) for event in self.events if isinstance(event, Switch)}
+        for name, rate in self._flow.function(t, y, p, *([sides] if self._flow.takes_sides else [])).items():
+            text = f"the field, {name}, is {_first(rate):g} at the start; it must be finite"
+            faults.append(("not-finite", text, ~jnp.isfinite(rate)))
+        return faults
+
+
+def _first(x: Any) -> float:
+    return float(jnp.ravel(jnp.asarray(x))[0])
 
 
 def _size(x: Any) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.parameters import Parameter
-from vibrojax.models.physics.units import is_unit
+from vibrojax.models.physics.units import is_drawn_unit
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch
 from vibrojax.models.systems.numbers import Dual
 
@@ -27,6 +27,8 @@ RENAMED = ("periodic", "impact-free", "single-impact", "multi-impact", "subharmo
 
 CANNOT_EXPAND = "uses a function that steps cannot expand; use + - * / ** and vj.elementary, not jnp, np or math"
 """End of a message on functions that do not accept a Taylor series."""
+
+_UNIT_EXAMPLES = "give one such as 'm s-1', 'rad', 'deg', 'N m', or '1'"
 
 EQUAL = 1e-9
 """Relative difference up to which two probed values are equal."""
@@ -103,8 +105,8 @@ class Probe:
             if not isinstance(event, Impact | Switch | Friction):
                 raise self._refuse(f"events: {shown(event)} is not a vj.Impact, vj.Switch or vj.Friction")
         for key, unit in states.items():
-            if not isinstance(unit, str) or not (unit == "1" or is_unit(unit)):
-                raise self._refuse(f"states: {key} has the unit {shown(unit)}; give one such as 'm s-1', or '1'")
+            if not _is_unit(unit):
+                raise self._refuse(f"states: {key} has the unit {shown(unit)}; {_UNIT_EXAMPLES}")
         names = [*states, *parameters, *(event.name for event in self._events)]
         for key in names:
             if not isinstance(key, str) or not key.isidentifier() or key in RESERVED:
@@ -268,7 +270,9 @@ class Probe:
 
     def _check_section(self, period: Any, section: Any) -> None:
         if (period is None) == (section is None):
-            raise self._refuse("give period= for a forced system, or section= (a state) for one without forcing")
+            both = "period= and section= are both given; give only one: "
+            need = "period= for a forced system, or section= (a state) for one without forcing"
+            raise self._refuse(f"{both if section is not None else 'give '}{need}")
         if section is not None:
             name, known = section[0] if isinstance(section, tuple) else section, ", ".join(self._states)
             if name not in self._states or (isinstance(section, tuple) and not _is_level(section)):
@@ -319,15 +323,25 @@ def equal(a: Any, b: Any) -> bool:
     return bool((jnp.abs(a - b) <= EQUAL * (1 + jnp.abs(a))).all())
 
 
-def _parameter(name: str, value: float | Parameter, refuse: Callable[[str], InputError]) -> Parameter:
+def _is_unit(unit: object) -> bool:
+    return isinstance(unit, str) and is_drawn_unit(unit)
+
+
+def _parameter(name: str, value: Any, refuse: Callable[[str], InputError]) -> Parameter:
     if isinstance(value, Parameter):
         if value.name != name:
             raise refuse(f"parameter {name} is declared as {shown(value.name)}; use one name")
         return value
+    unit: Any = "1"
+    if isinstance(value, tuple | list) and len(value) == 2:
+        value, unit = value
+        if not _is_unit(unit):
+            raise refuse(f"parameter {name} has the unit {shown(unit)}; {_UNIT_EXAMPLES}")
     if (
         isinstance(value, bool)
         or not isinstance(value, int | float | np.number | jax.Array)
         or not math.isfinite(value)
     ):
-        raise refuse(f"parameter {name} is {shown(value)}; give a finite number, or an entry of vj.parameters")
-    return Parameter(name, float(value), "1", name, name)
+        example = "give a finite number, a pair such as (0.5, 'rad s-2'), or an entry of vj.parameters"
+        raise refuse(f"parameter {name} is {shown(value)}; {example}")
+    return Parameter(name, float(value), unit, name, name)

@@ -42,7 +42,8 @@ class System(SystemEquations):
 
     - `name`: name of the system in datasets.
     - `states`: unit of each state by name.
-    - `parameters`: default of each parameter by name, or entries of `vj.parameters` with units and ranges.
+    - `parameters`: default of each parameter by name, a pair of default and unit such as `(0.5, "rad s-2")`, or an
+      entry of `vj.parameters` with unit and range.
     - `field`: function `field(t, y, p)`, or `field(t, y, p, s)` with the sides `s` of the switches by name, that
       returns the time derivative of each state by name.
     - `period`: period of the forcing [s], a number or a function of `p`. The section is then at the times 0, T, ...
@@ -156,7 +157,8 @@ class System(SystemEquations):
             zero = {name: 0.0 * c.rates[0] for name in self._own}
             return [self._flow.jacobian(c, 0.0 * c.rates[0], zero, sides) for sides in self._flow.combinations()]
 
-        values = np.linalg.eigvals(np.array(jax.jit(jacobians)(p), float)).ravel()
+        matrices = np.array(jax.jit(jacobians)(p), float)
+        values = np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))]).ravel()
         turning, moving = np.abs(values.imag), np.abs(values)
         chosen = turning[turning > 0] if (turning > 0).any() else moving[moving > 0]
         rate = float(max(self.constants(p).rates)) if not chosen.size else chosen.min()

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Int8, Shaped
 from vibrojax.compile.xla import precision
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.manifest import IDENTITY, identity_text
-from vibrojax.io.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable, orbit_name
+from vibrojax.io.variables import ORBIT_REASONS, OWN_REGIMES, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.measures import gauge_named
 from vibrojax.measures.derived import derived
 from vibrojax.measures.labels import LABELLED_BY, REGIMES, hides_another, label
@@ -65,7 +65,7 @@ def regime_variables(scene: Scene[Any]) -> dict[str, Variable]:
     names = tuple(scene.regime_names.get(name, name) for name in REGIMES)
     if names == REGIMES and isinstance(scene, HasFriction | HasContact):
         return {}
-    regime = replace(VARIABLES["regime"], long_name="regime of the motion", flags=names)
+    regime = replace(VARIABLES["regime"], long_name=OWN_REGIMES, flags=names)
     return {"regime": regime, "check_regime": replace(VARIABLES["check_regime"], flags=names)}
 
 
@@ -106,6 +106,8 @@ def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
     refused = unfit | stiff | slow
     flags = [REASONS.index(name) for name in (why, "too-stiff", "too-slow", "not-finite", "out-of-steps")]
     reason = np.select([unfit, stiff, slow, ~features["finite"], ~features["finished"]], flags, 0)
+    if not features["finite"].all():
+        reason = np.where(reason == REASONS.index("not-finite"), _reasons_of_starts(sweep, first, end), reason)
     failed = reason != 0
     labels = {}
     if "cycles" in features:
@@ -128,6 +130,21 @@ def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
     flags = [STATUSES.index(name) for name in ("refused", "failed")]
     status = np.select([refused, failed], flags, STATUSES.index("done"))
     return features | labels | {"status": status, "reason": reason}
+
+
+def _reasons_of_starts(sweep: Sweep, first: int, end: int) -> Int8[np.ndarray, " lanes"]:
+    """Return why lanes that do not stay finite cannot begin: flags of `reason`, *not-finite* without another reason."""
+    reason = np.full(end - first, REASONS.index("not-finite"), np.int8)
+    number, vectors = sweep.lane_starts(first, end)
+    named = number < len(sweep.start_names)
+    columns = vectors or tuple(np.zeros((len(sweep.system.start_states), end - first)))
+    if sweep.run.carry is None:  # a carried lane begins elsewhere
+        with precision("float64"):
+            state = tuple(np.where(named, 0.0, column) for column in columns)
+            faults = sweep.system.start_faults(sweep.lane_values(first, end)[0], state)
+            for name, _, mask in reversed(faults):  # the first one counts
+                reason[np.broadcast_to(mask, reason.shape)] = REASONS.index(name)
+    return reason
 
 
 def regimes(

@@ -1,5 +1,6 @@
 """Initial conditions of a sweep: a list of names and vectors, a random sample of a box, or a plane of states."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
@@ -24,6 +25,16 @@ from vibrojax.sweep.input.values import (
 SAMPLE = '{ sample = "sobol", count = 256, seed = 0, box = { x1 = [-0.05, 0.05], v1 = [-2.0, 2.0] } }'
 PLANE = "{ plane = { x2 = { start = -0.05, stop = 0.05, num = 50 }, v2 = [-1.0, 1.0] } }"
 """Examples of a sample and a plane of initial conditions, for messages and the catalogue."""
+
+
+def _example(text: str, states: Sequence[str]) -> str:
+    """Return `SAMPLE` or `PLANE` with the first states of a scene that has other ones."""
+    if {"x1", "v1", "x2", "v2"} <= set(states):
+        return text
+    first, second = (*states, *states)[:2]
+    text = re.sub(r"\b[xv][12] = ", lambda match: f"{first if match[0][0] == 'x' else second} = ", text)
+    return text if len(states) > 1 else re.sub(r", \w+ = \[[^]]*\] }", " }", text)
+
 
 DEFAULT_STARTS = ("drive", "stuck")
 """Initial conditions of a sweep that specifies none, if the scene has them."""
@@ -92,11 +103,20 @@ def read_starts(place: Place, value: object, names: Names) -> Starts | None:
         return _read_many(place, value, names)
     if not isinstance(value, list) or not value:
         raise place.error(
-            f'{shown(value)} is not a list of starts; write one like ["drive", "stuck"], a sample of a box or a plane'
+            f"{shown(value)} is not a list of starts; write one like {_list_example(names)}, "
+            "a sample of a box or a plane"
         )
     starts = [names.start(place.item(index), item) for index, item in enumerate(value)]
     check_distinct(place, starts, "start")
     return list_of(starts, states)
+
+
+def _list_example(names: Names) -> str:
+    return (
+        '["drive", "stuck"]'
+        if set(DEFAULT_STARTS) <= set(names.starts)
+        else shown([[0.1] * len(names.system.start_states)])
+    )
 
 
 def _read_many(place: Place, table: dict[str, object], names: Names) -> Starts:
@@ -109,7 +129,7 @@ def _read_many(place: Place, table: dict[str, object], names: Names) -> Starts:
         here = place.at("plane")
         axes = _states_of(here, table["plane"], states)
         if not axes:
-            raise here.error(f"empty; write one like {PLANE}")
+            raise here.error(f"empty; write one like {_example(PLANE, states)}")
         values = [read_axis(here.at(name), axis, STATE) for name, axis in axes.items()]
         if prod(map(len, values)) > AXIS_MAX_VALUES:
             raise here.error(f"{prod(map(len, values))} starts are too many; {AXIS_MAX_VALUES} at most")
@@ -118,7 +138,9 @@ def _read_many(place: Place, table: dict[str, object], names: Names) -> Starts:
         known_keys(place, table, _SAMPLE_KEYS)
         columns = _read_sample(place, table, states)
     else:
-        raise place.error(f"neither a sample nor a plane; write one like {SAMPLE}, or {PLANE}")
+        raise place.error(
+            f"neither a sample nor a plane; write one like {_example(PLANE, states)}, or {_example(SAMPLE, states)}"
+        )
     shared = _states_of(place.at("at"), table.get("at", {}), states)
     for name in shared:
         if name in columns:
@@ -137,12 +159,12 @@ def _read_sample(place: Place, table: Mapping[str, object], states: tuple[str, .
     kind = choice(place.at("sample"), table["sample"], ("sobol", "random"))
     for key in ("count", "box"):
         if key not in table:
-            raise place.at(key).error(f"missing; write one like {SAMPLE}")
+            raise place.at(key).error(f"missing; write one like {_example(SAMPLE, states)}")
     rows = count(place.at("count"), table["count"], 1, AXIS_MAX_VALUES)
     seed = count(place.at("seed"), table.get("seed", 0), 0)
     box = _states_of(place.at("box"), table["box"], states)
     if not box:
-        raise place.at("box").error(f"empty; write one like {SAMPLE}")
+        raise place.at("box").error(f"empty; write one like {_example(SAMPLE, states)}")
     low, high = np.array([_read_side(place.at("box").at(name), side) for name, side in box.items()]).T
     random = np.random.default_rng(seed)
     if kind == "sobol":
