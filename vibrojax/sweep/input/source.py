@@ -27,11 +27,12 @@ from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.values import number
 
 _PACKAGE = Path(__file__).parents[2]
-# A wheel contains the sweeps inside the package. In a checkout, they are in the root folder.
+# A wheel contains the sweeps inside the package. In a checkout, they are in the root folder. Studies and designs have
+# folders of their own there.
 _CHECKOUT = (_PACKAGE.parent,) if (_PACKAGE.parent / "pyproject.toml").exists() else ()
 BUNDLED_FOLDERS = tuple(folder / "sweeps" for folder in (_PACKAGE, *_CHECKOUT))
-STUDY_FOLDERS = tuple(folder / "studies" for folder in (_PACKAGE, *_CHECKOUT))
-DESIGN_FOLDERS = tuple(folder / "designs" for folder in (_PACKAGE, *_CHECKOUT))
+STUDY_FOLDERS = tuple(folder / "studies" for folder in BUNDLED_FOLDERS)
+DESIGN_FOLDERS = tuple(folder / "designs" for folder in BUNDLED_FOLDERS)
 
 _TABLES = ("parameters", "grid", "run")
 _TOP_KEYS = ("scene", "title", "starts", "unusual")
