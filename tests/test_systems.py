@@ -14,6 +14,7 @@ from own_scenes import (
     oscillator_grazes,
     oscillator_orbits,
 )
+from scipy.optimize import brentq
 from systems import BALL, BELT, BILINEAR, IMPACT_OSCILLATOR, RELAY, belt_period
 
 import vibrojax as vj
@@ -454,3 +455,49 @@ def test_the_normal_force_of_a_friction_may_depend_on_switches():
     )
     motion = vj.simulate(block, start=[0.0, 1.0], duration=5.0, progress=False)
     assert float(motion.x[-1]) == pytest.approx(0.5 + (0.5 - 0.3 * 0.5) / 0.6, abs=1e-9)
+
+
+def test_families_continue_where_an_impact_passes_the_time_of_the_section():
+    """The impact occurs at the maximum of the force, t = 0. The state at the section jumps there."""
+    fixed = {"a": 1.0, "stop": 0.5, "stiffness": 1.0, "damping": 0.1}
+    family = vj.follow(IMPACT_OSCILLATOR, along="w", at=1.1, span=(0.9, 1.2), cycles=1, progress=False, a=1.0, stop=0.5)
+    passed = brentq(lambda w: np.sin(oscillator_orbits(R=R, w=w, **fixed)[-1].phase), 0.9, 1.1)
+    assert special(family, "section") == pytest.approx([passed], abs=1e-8)
+    main = family.branch.values == 0
+    assert {0.9, 1.2} <= set(family.w.values[main].tolist())
+    for w, x in zip(family.w.values[main][::4], family.orbit_x.values[main][::4], strict=True):
+        assert min(abs(x - orbit.section[0]) for orbit in oscillator_orbits(R=R, w=w, **fixed)) < 1e-8
+
+
+def test_a_section_during_sliding_has_the_multipliers_of_the_sliding_motion():
+    """On the surface v + 1.5 x = 0, x' = -1.5 x + b cos w t: the multipliers are exp(-1.5 T) and 0."""
+    relay = vj.System(
+        "forced-relay",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"b": 0.5, "w": 2.0},
+        field=lambda t, y, p, s: {"x": y["v"] + p["b"] * cos(p["w"] * t), "v": -4.0 * s["relay"]},
+        period=lambda p: 2 * np.pi / p["w"],
+        events=[vj.Switch("relay", lambda t, y, p: y["v"] + 1.5 * y["x"])],
+    )
+    ds = vj.run_sweep({"scene": relay, "starts": [[0.3, 0.1]], "run": {"orbits": True}}, progress=False)
+    assert ds.multiplier_abs.values.ravel() == pytest.approx([np.exp(-1.5 * np.pi), 0.0], abs=1e-8)
+
+
+def test_departures_along_a_tangent_are_not_grazes():
+    """Coulomb friction that sticks in each period; the multiplier is that of a map computed with SciPy."""
+    floor = vj.System(
+        "floor",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"w": 0.3},
+        field=lambda t, y, p: {
+            "x": y["v"],
+            "v": 1.5 * vj.elementary.sin(p["w"] * t + 0.3) - y["x"] - 0.1 * y["v"],
+        },
+        period=lambda p: 2 * np.pi / p["w"],
+        events=[
+            vj.Friction("floor_friction", lambda t, y, p: y["v"], lambda t, y, p: 0.8, law=1.0, acts_on="v"),
+        ],
+    )
+    ds = vj.run_sweep({"scene": floor, "starts": [[0.0, 0.0]], "run": {"orbits": True}}, progress=False)
+    assert ds.orbit_reason.attrs["flag_meanings"].split()[ds.orbit_reason.item()] == "found"
+    assert ds.multiplier_abs.values.ravel()[0] == pytest.approx(0.10922531, abs=1e-7)

@@ -175,6 +175,7 @@ _HOMES = {
     "attractors": "attractors.analysis:Attractors",
     "push": "push.analysis:Pushes",
     "tolerance": "tolerance.analysis:Tolerances",
+    "design": "design.analysis:Designs",
     "study": "study.analysis:Studies",
     "fit": "rop_law.picture:Fits",
     "accuracy": "accuracy.picture:AccuracyStudy",

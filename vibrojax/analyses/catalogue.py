@@ -106,7 +106,9 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     >>> vj.list_variables("drilling").loc["relief", ["units", "meaning"]].tolist()
     ['1', 'mean force over threshold, P/D']
     """
-    from vibrojax.analyses.study.run import SCHEMA  # the specification of a study uses this table
+    # The specifications of designs and studies use this table.
+    from vibrojax.analyses.design.dataset import DESIGN_VARIABLES
+    from vibrojax.analyses.study.run import SCHEMA
 
     system = read_names(Place("scenes"), scene).system
     has_section, orbit_states = system.section is not None, of_orbits(system)
@@ -120,6 +122,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
         "borders": OF_BORDERS if isinstance(system, HasImpacts) and has_section else {},
         "attractors": OF_ATTRACTORS if has_section else {},
         "tolerance": tolerance_variables(held) if "regime" in held else {},
+        "design": DESIGN_VARIABLES,
         "study": {name: about for name, (_, about) in SCHEMA.items()} if "regime" in held else {},
         **offered_variables(),
     }

@@ -22,6 +22,7 @@ from vibrojax.analyses.sweep.workers.lifetime import leave
 from vibrojax.cli.analyses import analysis_command, orbits
 from vibrojax.cli.command import Command, Options, either, flag
 from vibrojax.cli.datasets import explore, info, plot
+from vibrojax.cli.designs import design
 from vibrojax.cli.points import follow, push, scenes, simulate, tolerance
 from vibrojax.cli.studies import accuracy, fit, reproduce, study
 from vibrojax.cli.sweeps import sweep
@@ -61,6 +62,7 @@ _COMMANDS: dict[str, Command] = {
     ),
     "push": push,
     "tolerance": tolerance,
+    "design": design,
     "study": study,
     "plot": plot,
     "explore": explore,

@@ -24,8 +24,9 @@ STRUCTURES: dict[str, Callable[[xr.Dataset], bool]] = {
     "attractors": lambda ds: {"share", "share_stderr", "lane_attractor"} <= set(ds.variables),
     "push": lambda ds: "sign" in ds.dims and any(str(name).startswith("push_") for name in ds.data_vars),
     "tolerance": lambda ds: "sample" in ds.dims and "place" in ds and "regime" in ds,
-    "study": lambda ds: {"first_order", "total_order", "effect"} <= set(ds.variables) and "of" in ds.dims,
     "sensitivity": lambda ds: {"valid", "reason", "parameter_value"} <= set(ds.variables) and "parameter" in ds.dims,
+    "study": lambda ds: {"first_order", "total_order", "effect"} <= set(ds.variables) and "of" in ds.dims,
+    "design": lambda ds: "candidate" in ds.dims and {"objective", "parameter", "limit"} <= set(ds.variables),
     "accuracy": lambda ds: "setting" in ds.dims and "error_worst" in ds,
 }
 """The structure that pictures and summaries of each kind require."""

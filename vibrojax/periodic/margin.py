@@ -129,8 +129,13 @@ def _near_miss(f: Coefficients, step: Step, scale: Array, turned: Flags) -> jax.
         better = place - value(rate, place) / slope(rate, place)
         place = jnp.where(turns & (better > 0) & (better < step.tau), better, place)
     least = value(f, place)
-    return jnp.where(turns & (least > 0), least / scale, jnp.inf)
+    # A motion that has just left a surface along a tangent begins next to it, with a rate that is a rounding error.
+    left = f[0] <= DEPARTED * scale
+    return jnp.where(turns & (least > 0) & ~left, least / scale, jnp.inf)
 
+
+DEPARTED = 1e-9
+"""Value of a guard at the start of a step, relative to its typical value, up to which the step departs from it."""
 
 FLAT = 1e-9
 """Slope at the end of a step that counts as zero, relative to the slope at its start."""

@@ -67,7 +67,9 @@ class Step(NamedTuple):
 def lane_at(scene: Scene[Any], constants: Any, state: tuple[Array, ...]) -> Lane:
     """Return the lane at t = 0 with the initial `state`, a tuple of arrays (lanes,)."""
     zero: jax.Array = jnp.zeros_like(state[0])
-    return Lane(Clock(zero, zero), state, scene.mode_at(constants, state), jnp.full_like(zero, jnp.inf))
+    mode = scene.mode_at(constants, state)
+    state = scene.on_surfaces(constants, mode, state)
+    return Lane(Clock(zero, zero), state, mode, jnp.full_like(zero, jnp.inf))
 
 
 class Accuracy(NamedTuple):

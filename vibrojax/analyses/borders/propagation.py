@@ -14,8 +14,8 @@ from jaxtyping import Float, Int
 
 from vibrojax.analyses.continuation.arclength import ENDED, STALLED, continue_branches
 from vibrojax.analyses.continuation.brackets import Brackets, shrink_brackets
-from vibrojax.analyses.continuation.families import STEP_AFTER_CORNER
 from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points, Problem, spectral_radius, towards
+from vibrojax.analyses.continuation.segments import STEP_AFTER_CORNER
 from vibrojax.analyses.continuation.special_points import TEST_FUNCTIONS, classify_event_changes, turn_corner
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.models.scenes import Scene

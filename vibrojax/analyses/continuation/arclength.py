@@ -64,6 +64,10 @@ MAX_MULTIPLIER = 1e3
 resolved."""
 
 
+NEAR_GRAZE = 1e-3
+"""Grazing margin below which branches are continued whatever their multipliers."""
+
+
 class Branches(NamedTuple):
     """Points of all lanes, sorted by lane and along each branch, and the final `status` (lanes,) of each lane."""
 
@@ -129,7 +133,7 @@ class _ActiveBranches:
         self._step = np.minimum(step, longest)
         self.status = np.full(lanes, RUNNING)
         self._count = np.ones(lanes, int)
-        self._length = np.zeros(lanes)
+        self._length, self._changed_at = np.zeros((2, lanes))
         self._iterate, self._predictor = begin.u.copy(), begin.u.copy()
         self._bound, self._level = np.full(lanes, np.nan), np.zeros(lanes)
         self._iterations = np.zeros(lanes, int)
@@ -253,6 +257,7 @@ class _ActiveBranches:
         # After a change of events, earlier margins and points cannot be used for extrapolation.
         self._prior_u[kept] = np.where(changed[:, None], np.nan, last.u)
         self._prior_tangent[kept] = last.tangent
+        self._changed_at[kept[changed]] = self._length[kept[changed]]
         for history, new in ((self._arclengths, self._length[kept]), (self._margins, now.margin)):
             history[kept[changed]] = np.nan
             push_history(history, kept, new)
@@ -271,7 +276,9 @@ class _ActiveBranches:
             closed &= np.einsum("ij,ij->i", now.tangent, self._home[kept, 1]) > 0.9
             self.status[kept[closed & (self._length[kept] > 5 * self._longest)]] = CLOSED
         self.status[kept[self._count[kept] >= BRANCH_MAX_POINTS]] = TOO_LONG
-        self.status[kept[spectral_radius(now.product) > MAX_MULTIPLIER]] = TOO_UNSTABLE
+        # Near a graze, multipliers grow without limit, but no special points accumulate.
+        near_change = (self._length[kept] - self._changed_at[kept] < CORNER) | (now.margin < NEAR_GRAZE)
+        self.status[kept[(spectral_radius(now.product) > MAX_MULTIPLIER) & ~near_change]] = TOO_UNSTABLE
         self.status[kept[self._stop(kept, now)]] = STOPPED
         self.status[kept[~np.isnan(self._bound[kept])]] = ENDED
         self.predict(kept)

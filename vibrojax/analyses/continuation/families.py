@@ -13,6 +13,7 @@ from vibrojax.analyses.continuation.hopf import hopf_point
 from vibrojax.analyses.continuation.problem import Flags, Index, Points, Problem, towards
 from vibrojax.analyses.continuation.segments import (
     ENDINGS,
+    REJOIN_DISTANCE,
     SAME_POINT,
     FamilyPoint,
     Segment,
@@ -21,6 +22,7 @@ from vibrojax.analyses.continuation.segments import (
 from vibrojax.analyses.continuation.special_points import (
     branch_distance,
     classify_event_changes,
+    cross_impact,
     doubled_branch,
     locate_special_points,
     reindex_returns,
@@ -28,8 +30,8 @@ from vibrojax.analyses.continuation.special_points import (
 )
 from vibrojax.io.kinds import SPECIAL_KINDS
 
-FIRST_STEP, STEP_AFTER_CORNER = 0.02, 1e-3
-"""First scaled step lengths: of a branch, and beyond a corner."""
+FIRST_STEP = 0.02
+"""First scaled step length of a branch."""
 
 MAX_SEGMENTS = 24
 """Largest number of segments of a branch in one direction. Segments end at corners and where the motion touches the
@@ -101,6 +103,12 @@ class FamilyContinuation:
                 beyond = float(np.abs(branches.points.u[last] - segment.points.u[-1]).max())
                 segment.reach = max(segment.reach, beyond)
             inside = (special.place >= first) & (special.place < last - 1)
+            if segment.departure is None and segment.origin is not None and len(segment.origin) == size:
+                rejoined = inside & (np.abs(special.near.u - segment.origin).max(axis=1) < REJOIN_DISTANCE)
+                if rejoined.any():
+                    status, last = STOPPED, int(special.place[rejoined].min()) + 1
+                    segment.points = branches.points.of(slice(first, last))
+                    inside &= special.place < last - 1
             self._add_marks(segment, special.of(inside), first)
             if status == STALLED and segment.number < MAX_SEGMENTS:
                 stalled.append(segment)
@@ -147,6 +155,11 @@ class FamilyContinuation:
             if changed[k] or end.margin[0] < GRAZED_MARGIN:
                 flags = classify_event_changes(self._problem, corners.of([k])).kind
                 kinds = [SPECIAL_KINDS[flag] for flag in flags]
+            crossed = cross_impact(self._problem, end)
+            if crossed is not None:
+                segment.mark("section", "an impact passes the time of the section")
+                following.append(segment.onward(crossed))
+                continue
             beyond, note = (corners.far.of([k]), "") if turned[k] else (reindex_returns(self._problem, end), "")
             if beyond is None and not kinds:
                 distance = np.inf if departure is None else abs(branch_distance(end.u, departure[None])[0])
@@ -161,10 +174,7 @@ class FamilyContinuation:
             for kind in kinds:
                 segment.mark(kind, note)
             if beyond is not None:
-                start = (beyond.u[0], beyond.tangent[0], STEP_AFTER_CORNER, segment.number + 1)
-                onward = Segment(segment.family, segment.branch, segment.direction, *start, departure, segment.home)
-                onward.parent = segment
-                following.append(onward)
+                following.append(segment.onward(beyond, departure))
         return following
 
     def _doubled_branches(self, segments: list[Segment]) -> list[Segment]:
@@ -180,5 +190,6 @@ class FamilyContinuation:
                 u, tangent = doubled_branch(self._problem, mark.orbit)
                 self._branches[segment.family] += 1
                 start = (u[0], tangent[0], FIRST_STEP)
-                doubled.append(Segment(segment.family, branch, 1, *start, departure=tangent[0], parent=segment))
+                departure = {"departure": tangent[0], "origin": u[0]}
+                doubled.append(Segment(segment.family, branch, 1, *start, parent=segment, **departure))
         return doubled

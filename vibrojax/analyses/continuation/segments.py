@@ -32,6 +32,9 @@ SAME_POINT = 1e-6
 POINT_SPACING = 0.02
 """Scaled distance within which points that are not special are omitted."""
 
+STEP_AFTER_CORNER = 1e-3
+"""First scaled step length of a segment beyond a corner."""
+
 STEPS_PER_RETURN = 60.0
 """Approximate number of steps between two section crossings; lanes with similar numbers of steps are batched."""
 
@@ -63,6 +66,7 @@ class Segment:
     - `u`, `tangent`, `step`: initial unknowns, tangent and step length.
     - `departure`: tangent at the period doubling, for doubled branches only.
     - `home`: first unknowns and tangent of the branch.
+    - `origin`: unknowns at the period doubling at which a branch ends that an impact at the section has interrupted.
     - `parent`: the segment that this segment continues, or on which its doubled branch begins.
     - `reach`: largest scaled distance between the segment's end and the branch that it joins.
     - `points`, `marks`: results, that is the accepted points and the special points.
@@ -78,9 +82,15 @@ class Segment:
     departure: np.ndarray | None = None
     home: tuple[np.ndarray, np.ndarray] | None = None
     parent: "Segment | None" = None
+    origin: np.ndarray | None = None
     reach: float = REJOIN_DISTANCE
     points: Points = field(init=False)
     marks: list[FamilyPoint] = field(init=False, default_factory=list)
+
+    def onward(self, beyond: Points, departure: np.ndarray | None = None) -> "Segment":
+        """Return the segment that begins at the point `beyond`, behind the end of this segment."""
+        start = beyond.u[0], beyond.tangent[0], STEP_AFTER_CORNER, self.number + 1
+        return Segment(self.family, self.branch, self.direction, *start, departure, self.home, self, self.origin)
 
     def mark(self, kind: str, note: str) -> None:
         """Add a special point at the segment's end; an existing one of the same kind there gets the note instead."""

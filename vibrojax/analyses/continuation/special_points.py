@@ -16,6 +16,7 @@ from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.scenes import HasFriction
+from vibrojax.models.systems.system import System
 from vibrojax.periodic.newton import multipliers
 
 MAX_EVENT_CHANGES = 8
@@ -218,6 +219,32 @@ def reindex_returns(problem: Problem, last: Points) -> Points | None:
             now, converged = problem.correct(lane, guess, towards(guess, 1.0), guess[:, -1])
             if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
                 return now.along(towards(guess, np.sign(tangent[:, -1])))
+    return None
+
+
+def cross_impact(problem: Problem, last: Points) -> Points | None:
+    """Describe the motion just behind a point at which an impact passes the time of a stroboscopic section.
+
+    The states before and after the impact differ, although the motion changes smoothly. Return the new point, or None
+    if no state at the section is at an impact. `last`: last point of one branch.
+    """
+    scene, lane, sign = problem.scene, last.family, np.sign(last.tangent[:, -1])
+    if not isinstance(scene, System):
+        return None
+    states, value = problem.states(lane, last.u)[0], problem.value(lane, last.u)
+    parameters = {name: x[lane] for name, x in problem.parameters.items()} | {problem.along: value}
+    for cycle, state in enumerate(states):
+        for other in scene.states_across_impacts(parameters, dict(zip(scene.return_states, state, strict=True))):
+            rows = problem.rows
+            mine, previous = (slice(k * rows, (k + 1) * rows) for k in (cycle, (cycle - 1) % len(states)))
+            for distance in REINDEX_DISTANCES:
+                guess = last.u + distance * last.tangent
+                guess[0, mine] = other / problem.scales[lane[0]]
+                if len(states) > 1:
+                    guess[0, mine] += problem.evaluate(lane, guess).off[0, previous]
+                now, converged = problem.correct(lane, guess, towards(guess, 1.0), guess[:, -1])
+                if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
+                    return now.along(towards(guess, sign))
     return None
 
 

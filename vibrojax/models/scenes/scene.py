@@ -99,6 +99,10 @@ class Scene(ABC, Generic[C]):
     def mode_at(self, c: C, state: Values) -> Values:
         """Return the mode in which the motion continues from `state`."""
 
+    def on_surfaces(self, c: C, mode: Values, state: Values) -> Values:
+        """Return the initial state exactly on the surfaces on which `mode` holds the motion; here, the state itself."""
+        return state
+
     @abstractmethod
     def field(self, c: C, mode: Values, state: Values) -> Values:
         """Return the time derivatives of the states within a mode."""

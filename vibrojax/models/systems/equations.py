@@ -6,7 +6,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes.declared import Guard, Start, Values
@@ -14,7 +16,17 @@ from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
 from vibrojax.models.systems.events import Event, Impact, Switch
 from vibrojax.models.systems.flow import Flow, Motion, SystemConstants
 from vibrojax.models.systems.numbers import Rounded
-from vibrojax.models.systems.transitions import APPROACH, LIFT_ROUNDINGS, after_events, free_modes, initial_modes
+from vibrojax.models.systems.transitions import (
+    APPROACH,
+    LIFT_ROUNDINGS,
+    after_events,
+    free_modes,
+    initial_modes,
+    move_onto_surfaces,
+)
+
+AT_STOP = 1e-5
+"""Largest gap at which a state is at an impact, relative to a typical gap."""
 
 AT_REST = 16.0
 """Speed of a bounce up to which the motion comes to rest on the stop, in square roots of the machine epsilon times the
@@ -177,6 +189,29 @@ class SystemEquations(Scene[SystemConstants]):
             values[TIME] = jnp.where(hits["turned"], -0.5 * c.period, values[TIME])
         return modes, tuple(values[name] for name in self.state_names)
 
+    def states_across_impacts(self, p: Mapping[str, Any], state: Mapping[str, Any]) -> list[Any]:
+        """Return the states on the other side of an impact, if `state` is at one, with the names of `state`.
+
+        The other side is after the impact if the bodies approach, and before it if they separate. `p`: parameters
+        (1,); `state`: the values of the return map's states.
+        """
+        with jax.enable_x64(True):
+            values = tuple(jnp.full((1,), state.get(name, 0.0)) for name in self.state_names)
+            c = self.scaled(self.constants({name: jnp.asarray(x) for name, x in p.items()}), values)
+            (t, y), mode = self._known(values), free_modes(self._flow, c, *self._known(values), 0.0 * values[0])
+            found = []
+            for index, event in self._flow.of(Impact):
+                near = jnp.abs(event.gap(t, y, c.p)) <= AT_STOP / LIFT_ROUNDINGS / jnp.finfo(float).eps * c.lifts[index]
+                r, rate = event.bounce(c.p), self._flow.closing(c, event, mode, t, y)
+                new = jnp.where(rate < 0, -r * rate, -rate / r)
+                if event.velocity is None or not bool((near & jnp.isfinite(new)).all()):
+                    continue
+                jump = (new - rate) / self._flow.gain(c, index, mode, t, y)
+                moved = dict(zip(self.state_names, values, strict=True))
+                moved[event.velocity] = moved[event.velocity] + jump
+                found.append(np.array([float(jnp.ravel(moved[name])[0]) for name in state]))
+        return found
+
     def mode_at(self, c: SystemConstants, state: Values) -> Values:
         zero = jnp.zeros_like(state[0])
         if not self.events:
@@ -184,6 +219,12 @@ class SystemEquations(Scene[SystemConstants]):
         t, y = self._known(state)
         free = free_modes(self._flow, c, t, y, zero)
         return initial_modes(self._flow, c, t, y, free, self.resolutions(c, free, state, False))
+
+    def on_surfaces(self, c: SystemConstants, mode: Values, state: Values) -> Values:
+        values = dict(zip(self.state_names, state, strict=True))
+        if self.events:
+            move_onto_surfaces(self._flow, self._known_values, c, mode, values)
+        return tuple(values[name] for name in self.state_names)
 
     def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
         kinds: dict[str, Any] = {}

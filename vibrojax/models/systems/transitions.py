@@ -93,6 +93,25 @@ def _least_push(c: SystemConstants, index: int) -> Any:
     return LEAST_PUSH * typical * c.rates[0] * c.rates[0]
 
 
+def move_onto_surfaces(flow: Flow, known: Known, c: SystemConstants, mode: Values, values: dict[str, Any]) -> None:
+    """Move a motion that slides, sticks or rests in `mode` exactly onto its surfaces, by updating `values`.
+
+    A motion next to a surface that holds it is on the surface at once. Without this, a deviation from the surface
+    would last, and the derivative of a return would have a false multiplier of 1.
+    """
+    for index, event in enumerate(flow.events):
+        if not isinstance(event, Impact):
+            for name, value in flow.onto_surface(c, event, *known(values)).items():
+                values[name] = jnp.where(mode[index] == 0, value, values[name])
+        elif event.velocity is not None:
+            rests = mode[index] == 1
+            for name, value in flow.onto_stop(c, event, *known(values)).items():
+                values[name] = jnp.where(rests, value, values[name])
+            t, y = known(values)
+            jump = flow.closing(c, event, mode, t, y) / flow.gain(c, index, mode, t, y)
+            values[event.velocity] = values[event.velocity] - jnp.where(rests, jump, 0.0)
+
+
 def free_modes(flow: Flow, c: SystemConstants, t: Any, y: States, zero: Any) -> Values:
     """Return the modes of a motion on no surface: 0 for stops, else the side; `zero`: zeros (lanes,)."""
     return tuple(

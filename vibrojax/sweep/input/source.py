@@ -27,10 +27,12 @@ from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.values import number
 
 _PACKAGE = Path(__file__).parents[2]
-# A wheel contains the sweeps inside the package. In a checkout, they are in the root folder.
+# A wheel contains the sweeps inside the package. In a checkout, they are in the root folder. Studies and designs have
+# folders of their own there.
 _CHECKOUT = (_PACKAGE.parent,) if (_PACKAGE.parent / "pyproject.toml").exists() else ()
 BUNDLED_FOLDERS = tuple(folder / "sweeps" for folder in (_PACKAGE, *_CHECKOUT))
-STUDY_FOLDERS = tuple(folder / "studies" for folder in (_PACKAGE, *_CHECKOUT))
+STUDY_FOLDERS = tuple(folder / "studies" for folder in BUNDLED_FOLDERS)
+DESIGN_FOLDERS = tuple(folder / "designs" for folder in BUNDLED_FOLDERS)
 
 _TABLES = ("parameters", "grid", "run")
 _TOP_KEYS = ("scene", "title", "starts", "unusual")
@@ -61,8 +63,8 @@ class Source:
 def read_source(source: str | PathLike[str] | Mapping[str, object], noun: str = "sweep") -> Source:
     """Read a sweep from the path of a TOML file, the name of a bundled sweep, or a dict with the same structure.
 
-    `noun`: "sweep", or "study", which is read in the same way. In a dict, a scene, a friction law or a stepper may be
-    an object instead of a name.
+    `noun`: "sweep", or "study" or "design", which are read in the same way. In a dict, a scene, a friction law or a
+    stepper may be an object instead of a name.
     """
     if isinstance(source, Mapping):
         tables = plain_table(Place(noun), source)
@@ -231,7 +233,7 @@ def _with_decimal_points(place: Place, rows: list[tuple[int, list[str]]]) -> lis
 
 
 def bundled_names(noun: str = "sweep") -> list[str]:
-    """Return the names of the bundled sweeps, or of the bundled studies if `noun` is "study".
+    """Return the names of the bundled sweeps, or of the studies or designs if `noun` is "study" or "design".
 
     Hyphens and underscores are interchangeable in these names.
     """
@@ -239,7 +241,7 @@ def bundled_names(noun: str = "sweep") -> list[str]:
 
 
 def _bundled(noun: str) -> list[Path]:
-    folders = BUNDLED_FOLDERS if noun == "sweep" else STUDY_FOLDERS
+    folders = {"sweep": BUNDLED_FOLDERS, "study": STUDY_FOLDERS, "design": DESIGN_FOLDERS}[noun]
     return [path for folder in folders for path in sorted(folder.glob("*.toml"))]
 
 

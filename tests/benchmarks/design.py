@@ -1,0 +1,131 @@
+"""Designs against maps ten times as fine per axis, and against CMA-ES and random search.
+
+    python tests/benchmarks/design.py [maps] [draws] [search]
+
+`maps`: of the three bundled designs, objective and lanes of the design, and of the best cell of a map ten times as fine
+per axis whose corners hold as well. `draws`: how many of 200 random draws within the tolerances keep the constraints.
+`search`: lanes of CMA-ES (package cma) and of random search until they reach 99.9 % of a design of six parameters.
+"""
+
+import sys
+import time
+import warnings
+from itertools import product
+
+import numpy as np
+
+import vibrojax as vj
+from vibrojax.analyses.design.evaluation import Simulator, assess
+from vibrojax.analyses.design.reading import read_design
+from vibrojax.analyses.design.spec import DesignSpec
+
+DESIGNS = ("energy", "rate-in-sandstone", "power-at-120-kn")
+FINE, CELLS_AT_ONCE = 160, 4096
+SIX = {
+    "scene": "vibro-impact",
+    "maximise": "impact_power",
+    "vary": {"beta": [0.2, 0.7], "gamma": [0.5, 1.0], "v": [0.8, 2.0], "c2": [100.0, 400.0], "delta": [-0.006, 0.004],
+             "m1": [150.0, 350.0]},
+    "subject": {"regime": "single-impact", "peak_impact_force": {"most": 150e3}, "drive_power": {"most": 3e3}},
+}  # fmt: skip
+REACHED, SEEDS, MOST = 0.999, 10, 8000
+
+
+def maps(name: str) -> None:
+    spec = read_design(name)
+    wall, cpu = time.perf_counter(), time.process_time()
+    best = vj.design(name, progress=False)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    value = float(best.objective[0])
+    print(f"{name}: {value:.6g} with {best.attrs['lanes']} lanes, {best.attrs['orbit_solves']} orbits; "
+          f"{wall:.1f} s by the clock, {cpu:.1f} s of processor time")  # fmt: skip
+    simulator, began = Simulator(spec), time.process_time()
+    axis = np.linspace(0, 1, FINE)
+    unit = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    corners = np.array([(0.0, 0.0), *product((-1.0, 1.0), repeat=2)])
+    found = []
+    for first in range(0, len(unit), CELLS_AT_ONCE):
+        lanes = simulator(unit[first : first + CELLS_AT_ONCE], np.zeros_like(unit[first : first + CELLS_AT_ONCE]))
+        found += [assess(lanes.part(slice(k, k + 1)), spec, spec.constraints) for k in range(len(lanes.in_regime))]
+    fine = time.process_time() - began
+    order = sorted((k for k, a in enumerate(found) if a.feasible), key=lambda k: -found[k].objective)
+    print(f"  map {FINE} x {FINE}: {simulator.lanes} lanes, {fine:.1f} s; best cell {found[order[0]].objective:.6g}")
+    for k in order:  # the corners only of cells that may be the best
+        lanes = simulator(np.repeat(unit[k][None], len(corners), axis=0), corners)
+        if assess(lanes, spec, spec.constraints).feasible:
+            print(f"  best cell whose corners hold: {found[k].objective:.6g}; corners of all cells: "
+                  f"{5 * len(unit) * lanes.in_regime.shape[1]} lanes")  # fmt: skip
+            break
+
+
+def draws(name: str, count: int = 200) -> None:
+    spec, best = read_design(name), vj.design(name, progress=False)
+    rng = np.random.default_rng(7)
+    simulator = Simulator(spec)
+    for candidate in range(best.sizes["candidate"]):
+        values = np.array([float(best[key][candidate]) for key in spec.varied])
+        unit = np.repeat(((values - spec.low) / (spec.high - spec.low))[None], count, axis=0)
+        lanes = simulator(unit, rng.uniform(-1, 1, (count, len(spec.tolerances))))
+        kept = lanes.in_regime.all(axis=1)
+        for c in spec.constraints:
+            x = lanes.values[c.variable]
+            kept &= ((x <= c.limit) if c.end == "most" else (x >= c.limit)).all(axis=1)
+        print(f"{name}, candidate {candidate}: {kept.sum()} of {count} draws keep the constraints")
+
+
+def search() -> None:
+    spec = read_design(SIX)
+    best = vj.design(SIX, progress=False)
+    target = REACHED * float(best.objective[0])
+    print(f"six parameters: {float(best.objective[0]):.6g} with {best.attrs['lanes']} lanes, "
+          f"{best.attrs['orbit_solves']} orbits")  # fmt: skip
+    for method in (by_cma, by_random):
+        lanes = [method(spec, target, seed) for seed in range(SEEDS)]
+        reached = sum(n < np.inf for n in lanes)
+        print(f"{method.__name__}: reached by {reached} of {SEEDS}; median {np.median(lanes):g} lanes, "
+              f"{np.median(lanes) / best.attrs['lanes']:.1f} times as many; {sorted(lanes)}")  # fmt: skip
+
+
+def costs(spec: DesignSpec, simulator: Simulator, unit: np.ndarray) -> np.ndarray:
+    """Return what is minimised: minus the objective of feasible points, else a penalty."""
+    lanes = simulator(unit, np.zeros((len(unit), 0)))
+    found = [assess(lanes.part(slice(k, k + 1)), spec, spec.constraints) for k in range(len(unit))]
+    return np.array([-a.objective if a.feasible else 1e3 * a.badness for a in found])
+
+
+def by_cma(spec: DesignSpec, target: float, seed: int) -> float:
+    import cma
+
+    simulator = Simulator(spec)
+    rng = np.random.default_rng(seed)
+    while simulator.lanes < MOST:  # restarts from random points
+        options = {"bounds": [0, 1], "seed": int(rng.integers(1, 2**31)), "verbose": -9}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            run = cma.CMAEvolutionStrategy(rng.uniform(0, 1, len(spec.varied)), 0.3, options)
+            while not run.stop() and simulator.lanes < MOST:
+                points = run.ask()
+                values = costs(spec, simulator, np.array(points))
+                if values.min() <= -target:
+                    return simulator.lanes
+                run.tell(points, values.tolist())
+    return np.inf
+
+
+def by_random(spec: DesignSpec, target: float, seed: int) -> float:
+    simulator, rng = Simulator(spec), np.random.default_rng(seed)
+    while simulator.lanes < MOST:
+        if costs(spec, simulator, rng.uniform(0, 1, (200, len(spec.varied)))).min() <= -target:
+            return simulator.lanes
+    return np.inf
+
+
+if __name__ == "__main__":
+    asked = sys.argv[1:] or ["maps", "draws", "search"]
+    for design in DESIGNS:
+        if "maps" in asked:
+            maps(design)
+        if "draws" in asked:
+            draws(design)
+    if "search" in asked:
+        search()

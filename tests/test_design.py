@@ -1,0 +1,186 @@
+"""Designs: against maps and draws simulated again, multipliers, fronts, the chart, the command, refusals."""
+
+import json
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.analyses.design import chart, run
+from vibrojax.analyses.design.analysis import Designs
+from vibrojax.analyses.design.chart_page import A4, chart_page
+from vibrojax.analyses.design.reading import read_design
+from vibrojax.analyses.design.robustness import DRAWS, MAX_CORNERS, box_samples, search_offsets
+from vibrojax.analyses.design.slopes import scene_parameters
+from vibrojax.cli import main
+from vibrojax.measures.labels import REGIMES
+
+FORCE, WIDTH = 165e3, 0.004
+RUN = {"settle": 25.0, "observe": 6.0}
+DESIGN = {
+    "scene": "vibro-impact",
+    "maximise": "impact_power",
+    "starts": ["stuck"],
+    "parameters": {"beta": 0.4, "delta": 0.005},
+    "vary": {"gamma": [0.7, 0.9]},
+    "tolerance": {"gamma": WIDTH},
+    "subject": {"regime": "single-impact", "peak_impact_force": {"most": FORCE}},
+    "front": {"against": "peak_impact_force", "points": 3},
+    "run": RUN,
+}
+
+
+def lanes(gamma, **parameters):
+    fixed = DESIGN["parameters"] | parameters
+    sweep = {"scene": "vibro-impact", "starts": ["stuck"], "parameters": fixed, "points": {"gamma": list(gamma)}}
+    return vj.run_sweep(sweep | {"run": RUN | {"orbits": True}}, progress=False).isel(start=0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_seeds():
+    """Search from two points: the designs here have one parameter."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "SEEDS", 1)
+        yield
+
+
+@pytest.fixture(scope="module")
+def designed(few_seeds):
+    return vj.design(DESIGN, progress=False)
+
+
+def test_no_cell_of_a_finer_map_is_better(designed):
+    gamma = np.linspace(0.7, 0.9, 331)
+    shifts = np.array([0.0, -WIDTH, WIDTH])
+    ds = lanes((gamma[:, None] + shifts).ravel())
+    held = (ds.regime.values == REGIMES.index("single-impact")) & (ds.peak_impact_force.values <= FORCE)
+    power = ds.impact_power.values.reshape(-1, 3)[held.reshape(-1, 3).all(axis=1), 0]
+    assert designed.objective[0] >= power.max() * (1 - 1e-3) and (designed.feasible == 1).all()
+    assert (np.diff(designed.objective) <= 0).all()
+    assert float(designed.objective[0]) >= float(designed.map_objective.max()) * 0.9
+
+
+def test_draws_within_the_tolerance_keep_the_constraints(designed):
+    rng = np.random.default_rng(5)
+    for candidate in range(designed.sizes["candidate"]):
+        ds = lanes(float(designed.gamma[candidate]) + WIDTH * rng.uniform(-1, 1, 100))
+        assert (ds.regime == REGIMES.index("single-impact")).all() and float(ds.peak_impact_force.max()) <= FORCE
+        worst = float(designed.peak_impact_force_worst[candidate])
+        assert float(ds.peak_impact_force.max()) <= worst * (1 + 1e-6) <= FORCE
+        assert float(ds.impact_power.min()) >= float(designed.objective_worst[candidate]) * (1 - 1e-6)
+
+
+def test_gradient_and_multiplier_are_slopes(designed):
+    best, step = designed.isel(candidate=0), 1e-5
+    ds = lanes(float(best.gamma) + step * np.array([1.0, -1.0]))
+    assert float(best.gradient[0]) == pytest.approx(float(-ds.impact_power.diff("point")[0]) / (2 * step), rel=1e-5)
+    assert best.binds.sel(limit="peak_impact_force most") == 1 and float(best.unexplained) < 1e-6
+    relaxed = {**DESIGN, "subject": {"regime": "single-impact", "peak_impact_force": {"most": 1.01 * FORCE}}}
+    relaxed = {key: table for key, table in relaxed.items() if key != "front"}
+    gain = float(vj.design(relaxed, progress=False).objective[0] - best.objective)
+    assert gain == pytest.approx(0.01 * FORCE * float(best.relaxation.sel(limit="peak_impact_force most")), rel=0.1)
+
+
+def test_points_of_the_front_are_simulated(designed):
+    assert (designed.front_feasible == 1).all() and (np.diff(designed.front_objective) > 0).all()
+    ds = lanes(designed.front_gamma.values)
+    np.testing.assert_allclose(ds.impact_power, designed.front_objective, rtol=1e-6)
+    np.testing.assert_allclose(ds.peak_impact_force, designed.front_peak_impact_force, rtol=1e-6)
+    [part] = Designs().summary(designed)
+    assert "front against peak_impact_force: 3 of 3 points feasible" in part.lines[-1]
+    assert list(part.facts["design"]["subject"]) == ["peak_impact_force"]
+    for end in (-WIDTH, WIDTH):
+        assert (lanes(designed.front_gamma.values + end).peak_impact_force.values <= designed.front_limit.values).all()
+
+
+def test_the_chart_is_one_page(designed, monkeypatch):
+    monkeypatch.setattr(chart, "CELLS", 8)
+    ds = chart.charted(designed, read_design(DESIGN), progress=False)
+    assert tuple(chart_page(ds).get_size_inches()) == A4
+    compared = ds.isel(compared=1)
+    assert float(compared.compared_impact_power) == pytest.approx(float(designed.objective[0]), rel=1e-3)
+    assert float(compared.compared_gamma) == float(designed.gamma[0]) and float(compared.compared_beta) == 0.4
+    robust = ds.chart_region == chart.REGIONS.index("robust")
+    assert ds.chart_impact_energy.where(robust).isnull().equals(~robust.rename(None)) or robust.sum() == 0
+
+
+def test_the_command_writes_draws_and_is_read_again(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text(
+        'scene = "vibro-impact"\nmaximise = "impact_velocity"\nstarts = ["stuck"]\nparameters = { delta = 0.005 }\n'
+        'vary = { gamma = [0.7, 0.8] }\nsubject = { regime = "single-impact" }\nrun = { settle = 20, observe = 5 }\n'
+    )
+    assert main(["design", "mine.toml", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["design"]["at"]["gamma"] == pytest.approx(0.7) and "gamma least" in facts["design"]["binds"]
+    assert (tmp_path / "mine-design.nc").is_file() and (tmp_path / "mine-design.png").is_file()
+    assert main(["info", "mine-design.nc"]) == 0
+    assert "binds: bound gamma least" in capsys.readouterr().out
+    assert main(["design", "mine.toml"]) == 0
+    assert "is there already" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (
+            {"subject": {"regime": "single-impact", "peak_impact_force": {"most": 1e3}}},
+            "most 1000 N cannot be met; nearest: ",
+        ),
+        (
+            {"subject": {"regime": "impact-free"}},
+            "impact-free from every start cannot be reached; nearest: 0 of 1 lane",
+        ),
+    ],
+)
+def test_what_cannot_be_met_is_one_line(change, line):
+    table = {key: x for key, x in DESIGN.items() if key not in ("tolerance", "front")} | {
+        "vary": {"gamma": [0.7, 0.72]}
+    }
+    with pytest.raises(vj.InputError, match=r"^design: subject") as error:
+        vj.design(table | change, progress=False)
+    assert line in str(error.value) and "gamma = " in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    {
+        "vary": ({"vary": {}}, "vary: empty, so there is nothing to design"),
+        "unbounded": ({"vary": {"gamma": [0.5, np.inf]}}, "vary.gamma: [0.5, inf] is unbounded"),
+        "order": ({"vary": {"gamma": [0.9, 0.5]}}, "the lower bound comes first"),
+        "both": ({"vary": {"beta": [0.3, 0.5]}}, "vary.beta: is in [parameters] as well"),
+        "name": ({"vary": {"gama": [0.3, 0.5]}}, 'did you mean "gamma"?'),
+        "ends": ({"subject": {"period": {"least": 2.0, "most": 1.0}}}, "contradictory: least 2 is above most 1"),
+        "empty": ({"subject": {"period": {}}}, "subject.period: a table is not a limit"),
+        "variable": ({"subject": {"perod": {"most": 1.0}}}, 'did you mean "period"?'),
+        "regime": ({"subject": {"regime": "single"}}, 'subject.regime: "single" is unknown'),
+        "share": ({"subject": {"share": {"least": 2.0}}}, "is not a range of shares"),
+        "wide": ({"tolerance": {"gamma": 0.8}}, "tolerance.gamma: 0.8 is too wide"),
+        "maximise": ({"maximise": "power"}, 'maximise: "power" is unknown'),
+        "front": ({"front": {"against": "impact_power"}}, "is what is maximised"),
+        "key": ({"minimise": "period"}, "minimise: unknown key"),
+    }.values(),
+)
+def test_bad_input_is_one_line(change, line):
+    with pytest.raises(vj.InputError) as error:
+        read_design(DESIGN | change)
+    assert line in str(error.value) and "\n" not in str(error.value)
+
+
+def test_samples_of_the_tolerance_box():
+    spec = read_design({**DESIGN, "tolerance": {name: 1e-3 for name in ("gamma", "beta", "v", "mu")}})
+    samples, few = box_samples(spec), search_offsets(spec)
+    assert samples.shape == (1 + 16 + DRAWS, 4) and (samples[0] == 0).all() and np.abs(samples).max() > 1
+    assert len(few) <= 1 + MAX_CORNERS and (np.abs(few[1:]) == 1).all()
+    columns = spec.columns(np.array([[0.5]]), np.array([[1.0, -1.0, 0.0, 0.0]]))
+    assert columns["gamma"][0] == pytest.approx(0.8 + 1e-3) and columns["beta"][0] == pytest.approx(0.399)
+
+
+def test_substituted_parameters_are_differentiated():
+    """v = 2 pi rpm/60 bit_radius, k1 = m1 (2 pi f)²."""
+    vary = {"rpm": [100.0, 200.0], "bit_frequency": [3.0, 5.0]}
+    spec = read_design({**DESIGN, "vary": vary, "tolerance": {}, "parameters": {"bit_radius": 0.1}})
+    values, chain = scene_parameters(spec, np.array([[0.5, 0.5]]))
+    assert values["v"][0] == pytest.approx(2 * np.pi / 60 * 150 * 0.1)
+    assert chain["v"][0].tolist() == pytest.approx([2 * np.pi / 60 * 0.1 * 100, 0.0])
+    assert chain["k1"][0].tolist() == pytest.approx([0.0, 250 * 2 * (2 * np.pi) ** 2 * 4.0 * 2.0])

@@ -1,0 +1,225 @@
+"""The dataset of a design, and the line that says why there is none."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.analyses.design.conditions import Conditions, limit_names, limit_values
+from vibrojax.analyses.design.evaluation import Assessment, Simulator, extreme
+from vibrojax.analyses.design.mapping import CoarseMap
+from vibrojax.analyses.design.search import Candidate
+from vibrojax.analyses.design.spec import DesignSpec
+from vibrojax.errors import InputError, counted
+from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.measures.labels import REGIMES
+
+_YES_NO = ("no", "yes")
+
+DESIGN_VARIABLES = {
+    "share": Variable("1", "share of the starts from which all requirements hold at the nominal point"),
+    "share_worst": Variable("1", "least such share over the tolerances"),
+    "feasible": Variable("1", "whether all requirements hold over the tolerances", np.int8, _YES_NO),
+    "gradient": Variable("", "derivative of the objective at the nominal orbit, in its unit per the parameter's"),
+    "limit_value": Variable("", "value of the limit, in the unit of its variable"),
+    "slack": Variable("", "distance to the limit over the tolerances, in the unit of the limit"),
+    "binds": Variable("1", "whether the limit binds", np.int8, _YES_NO),
+    "relaxation": Variable("", "gain of the objective per unit by which the limit is relaxed"),
+    "unexplained": Variable("1", "share of the gradient that no limit balances; a border of the regime does"),
+    "map_feasible": Variable("1", "whether all requirements hold at the nominal point", np.int8, _YES_NO),
+    "front_feasible": Variable("1", "whether a feasible point was found", np.int8, _YES_NO),
+}
+"""Variables in addition to objective, subject, map and front, whose units are those of the design."""
+
+
+class Result(NamedTuple):
+    """A verified candidate: its assessment over all samples, and the conditions at its nominal point."""
+
+    candidate: Candidate
+    checked: Assessment
+    conditions: Conditions
+    gradient: np.ndarray
+
+
+class FrontPoint(NamedTuple):
+    """A point of a front: its limit, and the verified candidate, or None if no feasible point was found."""
+
+    limit: float
+    candidate: Candidate | None
+    checked: Assessment | None
+
+
+def _described(variable: Variable, values: Any, dims: Any) -> tuple[Any, ...]:
+    attributes = {key: x for key, x in variable.attributes().items() if key != "units" or variable.units}
+    return dims, np.asarray(values, variable.dtype), attributes
+
+
+def _own(spec: DesignSpec, name: str, words: str = "{}") -> Variable:
+    """Return the schema of a variable of the scene with another long name."""
+    about = spec.variables[name]
+    return Variable(about.units, words.format(about.long_name))
+
+
+def _parameter(spec: DesignSpec, name: str) -> Variable:
+    about = {**spec.template.system.parameters()}.get(name)
+    return Variable("1", name) if about is None else Variable(about.unit, about.long_name)
+
+
+def design_dataset(
+    spec: DesignSpec, simulator: Simulator, coarse: CoarseMap, results: Sequence[Result], front: Sequence[FrontPoint]
+) -> xr.Dataset:
+    """Return the dataset of the candidates, best first, with the map and the front."""
+    objective = spec.variables[spec.maximise]
+    ends = {c.variable: c.end for c in spec.constraints}
+    checked = [result.checked for result in results]
+    data: dict[str, Any] = {
+        "objective": _described(
+            Variable(objective.units, f"{objective.long_name} at the nominal point, worst over the starts"),
+            [a.objective for a in checked], "candidate"),
+        "objective_worst": _described(
+            Variable(objective.units, f"least {objective.long_name} over the tolerances and starts"),
+            [extreme(_held(a, spec.maximise), "least") for a in checked], "candidate"),
+    }  # fmt: skip
+    for name, end in ends.items():
+        extremes = {"": "at the nominal point, worst over the starts", "_worst": "worst over the tolerances and starts"}
+        for suffix, words in extremes.items():
+            rows = slice(0, 1) if not suffix else slice(None)
+            values = [extreme(_held(a, name, rows), end) for a in checked]
+            data[name + suffix] = _described(_own(spec, name, f"{{}}, {words}"), values, "candidate")
+    if spec.regime is not None:
+        flags = [a.lanes.dataset["regime"].values for a in checked]
+        data["regime"] = _described(VARIABLES["regime"], [_other(spec, x[:1]) for x in flags], "candidate")
+        about = Variable(
+            "1", "first other regime over the tolerances and starts, else that asked for", np.int8, REGIMES
+        )
+        data["regime_worst"] = _described(about, [_other(spec, x) for x in flags], "candidate")
+    shares = np.array([[a.good[0].mean(), a.good.mean(axis=1).min()] for a in checked])
+    limits = [result.conditions for result in results]
+    table = {
+        "share": ("candidate", shares[:, 0]),
+        "share_worst": ("candidate", shares[:, 1]),
+        "feasible": ("candidate", [a.feasible for a in checked]),
+        "gradient": (("candidate", "parameter"), [result.gradient for result in results]),
+        "limit_value": ("limit", limit_values(spec)),
+        "slack": (("candidate", "limit"), [c.slack for c in limits]),
+        "binds": (("candidate", "limit"), [c.binds for c in limits]),
+        "relaxation": (("candidate", "limit"), [c.relaxation for c in limits]),
+        "unexplained": ("candidate", [c.unexplained for c in limits]),
+        "map_feasible": ("map", [a.feasible for a in coarse.assessments]),
+    }
+    data |= {name: _described(DESIGN_VARIABLES[name], values, dims) for name, (dims, values) in table.items()}
+    data["map_objective"] = _described(
+        Variable(objective.units, f"{objective.long_name} on the map, worst over the starts; NaN: not feasible"),
+        [a.objective if a.feasible else np.nan for a in coarse.assessments], "map")  # fmt: skip
+    coords: dict[str, Any] = {
+        "parameter": ("parameter", list(spec.varied), {"long_name": "varied parameter"}),
+        "limit": ("limit", limit_names(spec), {"long_name": "constraint, or bound of a varied parameter"}),
+    }
+    unit = np.array([result.candidate.point for result in results])
+    for k, name in enumerate(spec.varied):
+        about = _parameter(spec, name)
+        coords[name] = _described(about, (spec.low + unit * (spec.high - spec.low))[:, k], "candidate")
+        column = (spec.low + coarse.unit * (spec.high - spec.low))[:, k]
+        coords[f"map_{name}"] = _described(about, column, "map")
+    data |= _front_variables(spec, front)
+    title = str(spec.tables.get("title") or f"Design of {spec.template.scene}: most {objective.long_name}")
+    attributes = dataset_attributes(
+        "design", title, "design", scene=spec.template.scene, design=spec.text,
+        lanes=simulator.lanes, orbit_solves=simulator.orbits,
+        maximise=spec.maximise, requirements=requirements(spec),
+    )  # fmt: skip
+    attributes |= {f"tolerance_{name}": width for name, width in spec.tolerances.items()}
+    if spec.front is not None:
+        attributes["against"] = spec.front.against
+    return xr.Dataset(data, coords, attributes)
+
+
+def requirements(spec: DesignSpec) -> str:
+    """Return the subject of a design in one line of text."""
+    words = [f"regime {spec.regime}"] if spec.regime else []
+    words += [f"{c.variable} {c.end} {c.limit:g} {spec.variables[c.variable].units}" for c in spec.constraints]
+    if spec.share is not None:
+        words.append(f"share of starts {spec.share[0]:g} to {spec.share[1]:g}")
+    words += [f"{name} +- {width:g}" for name, width in spec.tolerances.items()]
+    return ", ".join(words) or "none"
+
+
+def _held(found: Assessment, name: str, rows: slice = slice(None)) -> np.ndarray:
+    """Return a variable's values in the lanes that count."""
+    values, fit = found.lanes.values[name][rows], found.lanes.in_regime[rows]
+    return np.asarray(values[fit] if fit.any() else values)
+
+
+def _other(spec: DesignSpec, regimes: np.ndarray) -> int:
+    """Return the first regime that is not the one asked for, or else that one."""
+    asked = REGIMES.index(str(spec.regime))
+    others = regimes[regimes != asked]
+    return int(others.flat[0]) if others.size else asked
+
+
+def _front_variables(spec: DesignSpec, front: Sequence[FrontPoint]) -> dict[str, Any]:
+    if spec.front is None or not front:
+        return {}
+    against, objective = spec.front.against, spec.variables[spec.maximise]
+    known = [point.checked is not None and point.checked.feasible for point in front]
+
+    def column(value: Any) -> list[float]:
+        return [value(p) if ok else np.nan for p, ok in zip(front, known, strict=True)]
+
+    data = {
+        "front_limit": _described(
+            Variable("1", "factor of the tolerances") if against == "tolerance" else _own(spec, against, "limit of {}"),
+            [p.limit for p in front], "front"),
+        "front_objective": _described(objective, column(lambda p: p.checked.objective), "front"),
+        "front_objective_worst": _described(
+            objective, column(lambda p: extreme(_held(p.checked, spec.maximise), "least")), "front"),
+        "front_feasible": _described(DESIGN_VARIABLES["front_feasible"], known, "front"),
+    }  # fmt: skip
+    if against != "tolerance":
+        end = spec.front.end
+        values = column(lambda p: extreme(_held(p.checked, against, slice(0, 1)), end))
+        data[f"front_{against}"] = _described(_own(spec, against), values, "front")
+    for k, name in enumerate(spec.varied):
+        unit = np.array(column(lambda p, k=k: p.candidate.point[k]))
+        data[f"front_{name}"] = _described(
+            _parameter(spec, name), spec.low[k] + unit * (spec.high[k] - spec.low[k]), "front"
+        )
+    return data
+
+
+def infeasibility(
+    spec: DesignSpec, coarse: CoarseMap, candidates: Sequence[Candidate], checked: Sequence[Assessment]
+) -> InputError:
+    """Return the error that says which requirement cannot be met, and how near the search came."""
+    pairs = [(c.point, a) for c, a in zip(candidates, checked, strict=True)]
+    pairs += list(zip(coarse.unit, coarse.assessments, strict=True)) if not spec.tolerances else []
+    point, nearest = min(pairs, key=lambda pair: pair[1].badness)
+    columns = spec.columns(point[None], np.zeros((1, len(spec.tolerances))))
+    where = "at " + ", ".join(f"{name} = {x[0]:.4g}" for name, x in columns.items())
+    place, fit = spec.place.at("subject"), nearest.lanes.in_regime
+    whole = " within the tolerances" if spec.tolerances else ""
+    if spec.share is not None:
+        share = float(nearest.good.mean(axis=1).min())
+        ends = f"least {spec.share[0]:g}, most {spec.share[1]:g}"
+        return place.at("share").error(f"{ends} cannot be met{whole}; nearest: {share:.3g} {where}")
+    lanes = f"nearest: {fit.sum()} of {counted(fit.size, 'lane')} {where}"
+    violated = [(float(nearest.slack[j].min()), j) for j in range(len(nearest.slack)) if nearest.slack[j].min() < 0]
+    if not violated or not fit.any():
+        what = f"{spec.regime} from every start" if spec.regime else f"a value of {spec.maximise} from every start"
+        if any(a.feasible for a in coarse.assessments):
+            return spec.place.at("tolerance").error(f"{what} cannot be held within the tolerances; {lanes}")
+        return place.at("regime" if spec.regime else spec.maximise).error(f"{what} cannot be reached{whole}; {lanes}")
+    _, j = min(violated)
+    limit = spec.constraints[j]
+    units = spec.variables[limit.variable].units
+    unit = "" if units == "1" else f" {units}"
+    alone = [extreme(_held(a, limit.variable), limit.end) for a in coarse.assessments if a.lanes.in_regime.all()]
+    reached = extreme(np.array(alone), "most" if limit.end == "least" else "least")
+    others = ", with the other limits" if len(spec.constraints) > 1 else ""
+    value = extreme(_held(nearest, limit.variable), limit.end)
+    return place.at(limit.variable).error(
+        f"{limit.end} {limit.limit:g}{unit} cannot be met{whole}{others}; nearest: {value:.6g} {where}"
+        + (f"; the map alone reaches {reached:.6g}" if np.isfinite(reached) else "")
+    )

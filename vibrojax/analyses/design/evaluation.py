@@ -1,0 +1,150 @@
+"""Simulation of points from every start, and their assessment against the subject of a design."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float
+
+from vibrojax.analyses.design.spec import Constraint, DesignSpec
+from vibrojax.analyses.sweep.run import run_sweep
+from vibrojax.measures.labels import REGIMES
+from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_variables
+
+Unit = Float[np.ndarray, " varied"]
+Offsets = Float[np.ndarray, "samples tolerances"]
+
+SAME_ORBIT = 1e-6
+"""Relative difference within which the motions from two starts count as one."""
+
+
+class Lanes(NamedTuple):
+    """Simulated points: `values` by variable (points, starts), `in_regime` (points, starts), and the `dataset`."""
+
+    values: dict[str, np.ndarray]
+    in_regime: Bool[np.ndarray, "points starts"]
+    dataset: xr.Dataset
+
+    def part(self, points: slice) -> "Lanes":
+        """Return consecutive points."""
+        values = {name: x[points] for name, x in self.values.items()}
+        return Lanes(values, self.in_regime[points], self.dataset.isel(point=points))
+
+
+@dataclass
+class Simulator:
+    """Simulation of a design's points, with counts of the lanes, and of the orbits that were differentiated."""
+
+    spec: DesignSpec
+    lanes: int = 0
+    orbits: int = 0
+    names: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        spec = self.spec
+        against = (spec.front.against,) if spec.front is not None and spec.front.against != "tolerance" else ()
+        variables = (spec.maximise, *(c.variable for c in spec.constraints), *against)
+        self.names = tuple(dict.fromkeys(variables))
+
+    @cached_property
+    def features(self) -> dict[str, str]:
+        """The features of orbits that have the derivatives of the variables, by variable."""
+        known = orbit_variables(self.spec.template.system)
+        features = {name: f"{MODULUS}0" if name == "multiplier_abs" else name for name in self.names}
+        return {name: feature for name, feature in features.items() if feature in known}
+
+    def __call__(self, unit: Float[np.ndarray, "points varied"], offsets: Offsets) -> Lanes:
+        """Simulate points of the unit box with offsets (in half-widths), one row each, from every start."""
+        sweep = self.spec.sweep(self.spec.columns(unit, offsets))
+        self.lanes += sweep.lanes
+        ds = run_sweep(sweep, progress=False)
+        rows = ds if "start" in ds.dims else ds.expand_dims("start")
+        rows = rows.transpose("point", "start", ...)
+        values = {}
+        for name in self.names:
+            x = rows[name].values.astype(float)
+            values[name] = x if x.ndim == 2 else np.fmax.reduce(x, axis=2)
+        in_regime = np.isfinite(values[self.spec.maximise])
+        if self.spec.regime is not None:
+            in_regime &= rows["regime"].values == REGIMES.index(self.spec.regime)
+        elif "status" in rows:
+            in_regime &= rows["status"].values == 0
+        return Lanes(values, in_regime, rows)
+
+
+class Assessment(NamedTuple):
+    """Assessment of one nominal point over its samples; the first sample is the nominal point.
+
+    - `objective`: at the nominal point, worst over the good starts; NaN if there are none.
+    - `badness`: 0 for a feasible point, else a measure of the violations.
+    - `slack` (constraints, starts): least slack over the samples.
+    - `good` (samples, starts): lanes in which all requirements hold.
+    - `lost`: share of (sample, start) lanes in another regime.
+    - `lanes`: the simulated lanes.
+    """
+
+    objective: float
+    badness: float
+    slack: Float[np.ndarray, "constraints starts"]
+    good: Bool[np.ndarray, "samples starts"]
+    lost: float
+    lanes: Lanes
+
+    @property
+    def feasible(self) -> bool:
+        """Whether every requirement holds in every sample."""
+        return self.badness == 0
+
+    def better(self, other: "Assessment", gain: float = 1e-9) -> bool:
+        """Return whether this point is better: less bad, or feasible with an objective greater by a share `gain`."""
+        if self.badness != other.badness:
+            return self.badness < other.badness
+        if not np.isfinite(other.objective):
+            return bool(np.isfinite(self.objective))
+        return bool(self.objective > other.objective + gain * abs(other.objective))
+
+
+def assess(lanes: Lanes, spec: DesignSpec, constraints: Sequence[Constraint]) -> Assessment:
+    """Assess a nominal point, whose samples are the points of `lanes`."""
+    fit = lanes.in_regime
+    slack = np.array([c.slack(lanes.values[c.variable]) for c in constraints]).reshape(-1, *fit.shape)
+    slack = np.where(np.isnan(slack) & fit, -1.0, slack)
+    objective = lanes.values[spec.maximise][0]
+    violation = np.maximum(np.where(fit, -slack, 0.0), 0.0)
+    good = fit & (slack >= 0).all(axis=0)
+    lost = float((~fit).mean())
+    if spec.share is None:
+        # Of two points that fail, one in the regime is better than one outside, whatever its violations.
+        worst_of = violation.max(axis=(1, 2), initial=0.0)
+        badness = (len(slack) + 1) * lost + float((worst_of / (1 + worst_of)).sum())
+    else:
+        share = good.mean(axis=1)
+        short = np.maximum(np.maximum(spec.share[0] - share, share - spec.share[1]), 0.0).max()
+        badness = float(short) if good[0].any() or short > 0 else 1.0
+    counted = good[0] if good[0].any() else fit[0]
+    worst = float(objective[counted].min()) if counted.any() else np.nan
+    least = np.where(fit, slack, np.inf).min(axis=1)
+    return Assessment(worst, badness, least, good, lost, lanes)
+
+
+def extreme(values: np.ndarray, end: str) -> float:
+    """Return the worst of some values for a limit of this kind: the greatest for "most"; NaN if there are none."""
+    known = values[np.isfinite(values)]
+    return float("nan") if not known.size else float(known.max() if end == "most" else known.min())
+
+
+def distinct_starts(assessment: Assessment) -> list[int]:
+    """Return the good starts of the nominal point that lead to different motions, the worst objective first."""
+    lanes = assessment.lanes
+    chosen: list[int] = []
+    starts = np.flatnonzero(assessment.good[0] if assessment.good[0].any() else lanes.in_regime[0])
+    first = next(iter(lanes.values))
+    for start in sorted(starts, key=lambda s: lanes.values[first][0, s]):
+        motion = [x[0, start] for x in lanes.values.values()]
+        known = ([x[0, other] for x in lanes.values.values()] for other in chosen)
+        if not any(np.allclose(motion, other, rtol=SAME_ORBIT, atol=0, equal_nan=True) for other in known):
+            chosen.append(int(start))
+    return chosen

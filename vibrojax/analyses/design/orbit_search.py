@@ -1,0 +1,186 @@
+"""Optimisation on the equations of one periodic orbit: SLSQP with derivatives from the implicit function theorem.
+
+No motion has to settle here, so a step costs a few milliseconds. What the orbit does not know, which is the motion from
+the other starts and over the tolerances, the points that it proposes are simulated for.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize
+
+from vibrojax.analyses.design.evaluation import Simulator, Unit, distinct_starts
+from vibrojax.analyses.design.search import Candidate, evaluate
+from vibrojax.analyses.design.slopes import is_periodic, orbit_states, scene_parameters
+from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_features
+
+FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.05, 0.2, 1e-4
+"""Half-widths of the boxes in which SLSQP runs, in the unit box: the first, and bounds of the others."""
+
+ROUND_STEPS, MAX_ROUNDS = 8, 30
+"""Largest number of iterations of SLSQP in a box, and of boxes."""
+
+LARGEST_MODULUS = 0.98
+"""Largest modulus of a multiplier: nearer to 1, an orbit is about to lose its stability, and settles slowly."""
+
+INSIDE = 1e-6
+"""Slack that SLSQP keeps, which covers its own tolerance."""
+
+LEAST_GAIN = 1e-6
+"""Relative gain of the objective from which a box is moved."""
+
+LEAST_RELIEF = 1e-2
+"""Relative reduction of the violations from which a box is moved."""
+
+SIMULATED = 5
+"""Number of points on the way to the orbit's optimum that are simulated."""
+
+FINE_RADIUS = 0.01
+"""Half-width of the trust region after an optimum of the orbit that holds from every start."""
+
+
+class Orbit:
+    """The orbit of a candidate's worst start as a function of the point in the unit box."""
+
+    def __init__(self, simulator: Simulator, candidate: Candidate, start: int) -> None:
+        found = candidate.assessment
+        assert found is not None
+        self._spec, self._constraints = simulator.spec, candidate.constraints
+        self._names = list(simulator.names)
+        self._of = (*(simulator.features[name] for name in self._names), f"{MODULUS}0")
+        parameters, chain = scene_parameters(simulator.spec, candidate.point[None])
+        self._by = tuple(chain)
+        cycles = int(found.lanes.dataset["cycles"].values[0, start])
+        self._guess = orbit_states(simulator.spec, found, start, cycles, parameters, 0)[None]
+        self._impacts: float | None = None
+        self.visited: dict[bytes, Visit] = {}
+        nominal = {c.variable: found.lanes.values[c.variable][0, start] for c in candidate.constraints}
+        slack = [c.slack(nominal[c.variable]) for c in candidate.constraints]
+        # The constraints are tightened by what they lose over the samples of the box.
+        self._loss = [float(s - found.slack[j].min()) for j, s in enumerate(slack)]
+        self.scale = abs(found.objective) or 1.0
+        self.centre = self._visit(candidate.point)
+
+    def rows(self, unit: Unit) -> "Visit":
+        """Return objective and slacks at a point, solved from the orbit at the centre."""
+        key = unit.tobytes()
+        if key not in self.visited:
+            self.visited[key] = self._visit(unit)
+        return self.visited[key]
+
+    def move(self, centre: "Visit") -> None:
+        """Solve further orbits from that of another centre."""
+        self.centre, self._guess = centre, centre.states
+        self.visited = {centre.unit.tobytes(): centre}
+
+    def _visit(self, unit: Unit) -> "Visit":
+        """Return a visit; without such an orbit, it has the centre's values extrapolated, and violates a constraint."""
+        found = self._valid(unit)
+        if found is None:
+            centre = getattr(self, "centre", None)
+            count = 2 + len(self._constraints)
+            if centre is None:
+                return Visit(unit.copy(), np.full(count, -1.0), np.zeros((count, len(unit))), self._guess, False)
+            values = centre.values + centre.slopes @ (unit - centre.unit)
+            values[-1] = min(values[-1], -1.0)
+            return Visit(unit.copy(), values, centre.slopes, self._guess, False)
+        return found
+
+    def _valid(self, unit: Unit) -> "Visit | None":
+        parameters, chain = scene_parameters(self._spec, unit[None])
+        orbit = orbit_features(self._spec.template.system, self._of, self._by, parameters, self._guess, reach=1.0)
+        jacobian = np.stack([chain.get(name, np.zeros((1, len(unit)))) for name in self._by], axis=1)
+        values, slopes = orbit.values[0], (orbit.derivatives @ jacobian)[0]
+        self._impacts = float(orbit.impacts[0]) if self._impacts is None else self._impacts
+        sound = np.isfinite(values).all() and np.isfinite(slopes).all() and orbit.impacts[0] == self._impacts
+        if not sound:
+            return None
+        table = dict(zip(self._names, zip(values, slopes, strict=False), strict=False))
+        value, slope = table[self._spec.maximise]
+        rows = [(value / self.scale, slope / self.scale)]
+        for c, loss in zip(self._constraints, self._loss, strict=True):
+            x, dx = table[c.variable]
+            rows.append((float(c.slack(x)) - loss, c.sign * dx / c.scale))
+        rows.append((LARGEST_MODULUS - values[-1], -slopes[-1]))
+        rows = [rows[0], *((x - INSIDE, dx) for x, dx in rows[1:])]
+        values, slopes = np.array([x for x, _ in rows]), np.array([dx for _, dx in rows])
+        return Visit(unit.copy(), values, slopes, orbit.states, True)
+
+
+class Visit(NamedTuple):
+    """An orbit that SLSQP visited: objective and slacks with derivatives, its states, and whether it is valid."""
+
+    unit: Unit
+    values: Float[np.ndarray, " rows"]
+    slopes: Float[np.ndarray, "rows varied"]
+    states: Float[np.ndarray, "1 cycles states"]
+    valid: bool
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Key of the order from worst to best: smaller violations, then greater objectives."""
+        return (float(np.minimum(self.values[1:] + INSIDE / 2, 0.0).sum()) if self.valid else -np.inf, self.values[0])
+
+
+def orbit_path(simulator: Simulator, candidate: Candidate) -> list[Unit]:
+    """Return points up to the optimum on the orbit of the candidate's worst start; empty if there is no such orbit."""
+    found = candidate.assessment
+    assert found is not None
+    starts = distinct_starts(found)
+    if not starts or not is_periodic(found, starts[0]) or set(simulator.features) != set(simulator.names):
+        return []
+    if not np.isfinite(found.slack).all():
+        return []
+    orbit = Orbit(simulator, candidate, starts[0])
+    if not orbit.centre.valid:
+        return []
+    radius, path = FIRST_RADIUS, []
+    for _ in range(MAX_ROUNDS):
+        x = orbit.centre.unit
+        bounds = list(zip(np.maximum(0.0, x - radius), np.minimum(1.0, x + radius), strict=True))
+        limits = {"fun": lambda u: orbit.rows(u).values[1:], "jac": lambda u: orbit.rows(u).slopes[1:]}
+        minimize(
+            lambda u: -orbit.rows(u).values[0], x, jac=lambda u: -orbit.rows(u).slopes[0], method="SLSQP",
+            bounds=bounds, constraints=[{"type": "ineq", **limits}], options={"maxiter": ROUND_STEPS, "ftol": 1e-9},
+        )  # fmt: skip
+        simulator.orbits += len(orbit.visited)
+        best, now = max(orbit.visited.values(), key=lambda visit: visit.rank), orbit.centre
+        if best.rank[0] > now.rank[0] * (1 - LEAST_RELIEF) or best.values[0] > now.values[0] + LEAST_GAIN * abs(
+            now.values[0]
+        ):
+            moved = float(np.abs(best.unit - x).max())
+            radius = min(2 * radius, LARGEST_RADIUS) if moved > radius / 2 else radius
+            orbit.move(best)
+            path.append(best.unit)
+        else:
+            radius /= 4
+            orbit.move(now)
+        if radius < LEAST_RADIUS:
+            break
+    return path
+
+
+def advance(simulator: Simulator, candidates: Sequence[Candidate]) -> None:
+    """Move candidates towards the optima of their orbits, as far as these hold when simulated; modify them in place."""
+    new = [c for c in candidates if c.assessment is None]
+    for candidate, found in zip(new, evaluate(simulator, [(c, c.point) for c in new]), strict=True):
+        candidate.assessment = found
+    trials: list[tuple[Candidate, Unit]] = []
+    for c in candidates:
+        path = orbit_path(simulator, c)
+        kept = sorted({round(k) for k in np.linspace(len(path) - 1, 0, SIMULATED)}, reverse=True) if path else []
+        trials += [(c, np.clip(path[k], 0.0, 1.0)) for k in kept]
+    results = evaluate(simulator, trials)
+    for c in candidates:
+        own = [(p, a) for (other, p), a in zip(trials, results, strict=True) if other is c]
+        if not own:
+            continue
+        begin, optimum = c.point, own[0][0]
+        for point, found in own:
+            if c.assessment is None or found.better(c.assessment):
+                c.path.append(c.point)
+                c.point, c.assessment, c.slopes, c.cuts = point, found, None, []
+        reached = c.point is optimum
+        c.radius = FINE_RADIUS if reached else max(float(np.abs(optimum - begin).max()) / 8, FINE_RADIUS)

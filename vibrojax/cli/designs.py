@@ -1,0 +1,53 @@
+"""The command `design`, which takes a design file."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vibrojax.cli.command import JSON, Options, argument, command, files, flag, output_options
+from vibrojax.cli.output import answer
+
+if TYPE_CHECKING:
+    import xarray
+
+
+@command(
+    argument(
+        "file",
+        "FILE",
+        "a design: the path of a TOML file with scene, maximise, [vary] and, as needed, [subject], [tolerance], "
+        "[parameters], starts, [run], [front]; or a bundled name: energy, rate-in-sandstone, power-at-120-kn",
+        files(".toml"),
+    ),
+    flag("--chart", "draw the designer's chart, an A4 page over mass ratio and frequency ratio: OUT.png and OUT.pdf"),
+    output_options("NAME-design.nc, or NAME-chart.nc with --chart,"),
+    JSON,
+)
+def design(options: Options) -> None:
+    """Find the best drill under constraints that hold from every start and within the tolerances."""
+    from vibrojax.analyses.design.reading import read_design
+    from vibrojax.analyses.design.run import find_design
+
+    spec = read_design(options.file)
+
+    def compute() -> "xarray.Dataset":
+        dataset = find_design(spec, progress=not options.quiet)
+        if options.chart:
+            from vibrojax.analyses.design.chart import charted
+
+            dataset = charted(dataset, spec, progress=not options.quiet)
+        return dataset
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.design.analysis import Designs
+
+        return dict(Designs().summary(dataset)[0].facts)
+
+    identity = {**spec.identity(), **({"chart": True} if options.chart else {})}
+    default = f"{spec.name}-{'chart' if options.chart else 'design'}.nc"
+    answer(options, default, identity, compute, facts)
+    if options.chart:
+        from vibrojax.analyses.pictures import save_picture
+        from vibrojax.io.dataset import open_dataset
+
+        out = Path(options.out or default)
+        save_picture(open_dataset(out), out.with_suffix(".pdf"))
