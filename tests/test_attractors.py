@@ -56,6 +56,7 @@ def test_what_is_in_it(sweep, found):
     assert found.attractor.values.tolist() == list(range(found.sizes["attractor"]))
     assert all({"units", "long_name"} <= set(found[name].attrs) for name in found.variables)
     np.testing.assert_array_equal(found.start_x2, sweep.start_x2)
+    assert found.attrs["title"] == "Attractors: vibro-impact"
 
 
 def test_every_start_is_counted(found):
