@@ -40,6 +40,13 @@ ATTRACTORS = xr.Dataset(
 OVER_TWO = ATTRACTORS.isel(gamma=[0] * 6).expand_dims(beta=6).assign_coords(gamma=range(6), beta=range(6))
 PUSHES = xr.Dataset({"push_x1": ("sign", [1e-3, -1e-3])}, {"sign": ["up", "down"]})
 BOX = xr.Dataset({"place": ("sample", [0, 1]), "regime": ("sample", [3, 3])}, attrs={"kind": "tolerance"})
+VALID = {"valid": ("parameter", [1, 1]), "reason": ("parameter", [0, 0]), "parameter_value": ("parameter", [0.4, 0.7])}
+SLOPES = xr.Dataset(VALID, {"parameter": ["beta", "gamma"]}, {"kind": "sensitivity"})
+INDICES = {name: (("of", "parameter"), [[0.4, 0.6]]) for name in ("first_order", "total_order", "effect")}
+EFFECTS = xr.Dataset(INDICES, {"of": ["period"], "parameter": ["beta", "gamma"]}, {"kind": "study"})
+CANDIDATES = {"objective": ("candidate", [1.0]), "limit": ["force"], "parameter": ["gamma"]}
+BEST = xr.Dataset(CANDIDATES, attrs={"kind": "design"})
+CHART = BEST.assign({"chart_region": (("chart_beta", "chart_gamma"), [[1]])})
 OSCILLATION = xr.Dataset({"x": ("time", np.sin(np.arange(32.0)))}, {"time": np.arange(32.0)})
 
 EXPECTED = {
@@ -64,6 +71,10 @@ EXPECTED = {
     "regime_lines": drills.KINDS["line"],
     "regime_bars": drills.KINDS["counts"],
     "rate_grid": rocks.KINDS["map"],
+    "design_picture": lambda: BEST,
+    "chart_page": lambda: CHART,
+    "elasticities": lambda: SLOPES,
+    "bars_and_interactions": lambda: EFFECTS,
 }
 
 
