@@ -126,11 +126,11 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
         "study": {name: about for name, (_, about) in SCHEMA.items()} if "regime" in held else {},
         **offered_variables(),
     }
-    rows = {
-        name: {"units": about.units, "meaning": about.long_name, "where": where}
-        for where, table in tables.items()
-        for name, about in table.items()
-    }
+    rows: dict[str, dict[str, str]] = {}
+    for where, table in tables.items():
+        for name, about in table.items():  # designs have variables of other analyses, too
+            if name not in rows or where != "design":
+                rows[name] = {"units": about.units, "meaning": about.long_name, "where": where}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
 
 

@@ -120,7 +120,7 @@ class Orbits:
         rules = {
             "not-converged": ~converged & np.isfinite(orbit.moved),
             "another-orbit": ~own,
-            "near-grazing": orbit.margin < GRAZING,
+            "near-grazing": orbit.reach < GRAZING,
         }
         result["orbit_reason"][lanes] = np.select(list(rules.values()), list(map(reason, rules)), reason("found"))
         result["orbit_residual"][lanes] = np.where(np.isfinite(orbit.residual), orbit.residual, np.nan)

@@ -49,8 +49,10 @@ is valid over a distance of about the squared margin. At this limit that distanc
 class Margin:
     """Grazing margin of a motion of `scene` with the constants `c`, accumulated step by step.
 
-    The margin has two rows (2, lanes): that of switches of friction, which vanishes where a stick phase appears or
-    vanishes, and that of all other guards. `derives`: True if the margin is differentiated.
+    The margin has three rows (3, lanes): that of switches of friction, which vanishes where a stick phase appears or
+    vanishes; that of all other guards; and the least of both for the validity of derivatives, where the square root of
+    a near miss counts. Short of a graze, the map is smooth over a distance of the margin itself, not of its square.
+    `derives`: True if the margin is differentiated.
     """
 
     scene: Scene[Any]
@@ -59,7 +61,7 @@ class Margin:
     derives: bool = False
 
     def after(self, least: Array, armed: Flags, lane: Lane, step: Step) -> Array:
-        """Return the minimum of `least` (2, lanes) and of the margins within `step`, which leads to `lane`.
+        """Return the minimum of `least` (3, lanes) and of the margins within `step`, which leads to `lane`.
 
         `armed`: mask of lanes whose next zero of the section's velocity is a crossing.
         """
@@ -71,12 +73,19 @@ class Margin:
         # The fastest rate of the free motion [1/s].
         pace = self.scene.rate(self.c, tuple(jnp.full_like(step.dt, mode.calmest) for mode in self.scene.modes))
         turned = reduce(jnp.logical_or, [step.hits[name] for name in self._turns()], jnp.zeros_like(armed))
-        switches, others = [least[0], *self._at_switches(lane, step)], [least[1], *self._of_section(armed, step, pace)]
+        at_switches, of_section = self._at_switches(lane, step), self._of_section(armed, step, pace)
+        switches, others, reach = (
+            [least[0], *at_switches],
+            [least[1], *of_section],
+            [least[2], *at_switches, *of_section],
+        )
         for guard, function, scale in zip(self.scene.guards(), functions, scales, strict=True):
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins = switches if guard.is_switch else others
-            margins += [_at_hit(f, step, step.hits[guard.name], scale * pace), _near_miss(f, step, scale, turned)]
-        return jnp.stack([reduce(jnp.minimum, margins) for margins in (switches, others)])
+            hit, miss = _at_hit(f, step, step.hits[guard.name], scale * pace), _near_miss(f, step, scale, turned)
+            margins += [hit, miss]
+            reach += [hit, jnp.sqrt(lax.stop_gradient(miss))]
+        return jnp.stack([reduce(jnp.minimum, margins) for margins in (switches, others, reach)])
 
     def _turns(self) -> list[str]:
         """Return the names of the markers of the section's oscillating positions, such as those of bit and striker."""

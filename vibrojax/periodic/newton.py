@@ -45,7 +45,8 @@ class PeriodicOrbits(NamedTuple):
     - `product`: derivative of the map over one period of the motion.
     - `step`: next Newton step, which has not been applied; its size estimates the distance from the orbit.
     - `moved`: greatest scaled distance from the initial guess; infinite if it exceeded the limit `reach`.
-    - `impacts`, `margin`, `steps`: numbers of impacts and steps in one period, smallest grazing margin.
+    - `impacts`, `steps`: numbers of impacts and steps in one period; `margin`: smallest grazing margin; `reach`: the
+      margin that limits the validity of the derivative.
     """
 
     states: States
@@ -57,6 +58,7 @@ class PeriodicOrbits(NamedTuple):
     moved: PerLane
     impacts: PerLane
     margin: PerLane
+    reach: PerLane
     steps: PerLane
 
     def of(self, lanes: Index) -> "PeriodicOrbits":
@@ -129,6 +131,7 @@ def orbits(
         moved=np.where(outside, np.inf, _distance(states, begin, scales)),
         impacts=best.seen.impacts.sum(axis=1),
         margin=best.seen.margin.min(axis=1),
+        reach=best.seen.reach.min(axis=1),
         steps=best.seen.steps.sum(axis=1),
     )
 

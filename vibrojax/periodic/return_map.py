@@ -39,6 +39,7 @@ class ReturnEvents(NamedTuple):
     - `returned`: True if the section was reached; `impacts`: number of impacts; `steps`: number of steps.
     - `mode_changes` (modes, 3, lanes): numbers of changes of each mode to the values -1, 0 and 1.
     - `margin`: grazing margin, see [vibrojax.periodic.margin][]; its two rows (2, lanes) in results of `one_return`.
+    - `reach`: the margin that limits the validity of derivatives.
     - `least`, `greatest` (states, lanes): smallest and greatest values of the return map's states.
     """
 
@@ -47,6 +48,7 @@ class ReturnEvents(NamedTuple):
     steps: Lanes
     mode_changes: Array
     margin: Array
+    reach: Lanes
     least: Array
     greatest: Array
 
@@ -140,7 +142,7 @@ def one_return(
     own = jax.lax.stop_gradient(_map_state(scene, lane))
     changes = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
     far = jnp.full((2, *zero.shape), jnp.inf, zero.dtype)
-    begin = _Flight(lane, zero, none, ReturnEvents(none, zero, zero, changes, far, own, own))
+    begin = _Flight(lane, zero, none, ReturnEvents(none, zero, zero, changes, far, far[0], own, own))
 
     def is_moving(flight: _Flight) -> Flags:
         return ~flight.seen.returned & (flight.seen.steps < most_steps) & jnp.isfinite(flight.lane.state[0])
@@ -150,13 +152,16 @@ def one_return(
         lane, step = stepper.step(scene, c, flight.lane, accuracy, Goal(jnp.inf, moving), marked=True)
         armed, returns = passed(scene, section, c, flight.armed, step)
         seen = flight.seen
+        before = jnp.concatenate([seen.margin, seen.reach[None]])
+        margins = jnp.where(moving[None], margin.after(before, flight.armed, lane, step), before)
         own = jax.lax.stop_gradient(_map_state(scene, lane))
         seen = ReturnEvents(
             returned=seen.returned | (returns & moving),
             impacts=seen.impacts + _impacts(scene, c, step),
             steps=seen.steps + moving.astype(seen.steps.dtype),
             mode_changes=seen.mode_changes + _mode_changes(step.mode, lane.mode),
-            margin=jnp.where(moving[None], margin.after(seen.margin, flight.armed, lane, step), seen.margin),
+            margin=margins[:2],
+            reach=margins[2],
             least=jnp.minimum(seen.least, own),
             greatest=jnp.maximum(seen.greatest, own),
         )
