@@ -128,8 +128,8 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     }
     rows: dict[str, dict[str, str]] = {}
     for where, table in tables.items():
-        for name, about in table.items():  # designs have variables of other analyses, too
-            if name not in rows or where != "design":
+        for name, about in table.items():  # designs and studies have variables of others, too
+            if name not in rows or where not in ("design", "study"):
                 rows[name] = {"units": about.units, "meaning": about.long_name, "where": where}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
 
