@@ -217,7 +217,7 @@ def _of_multiplier(name: str, alike: Bool[np.ndarray, "lanes states"]) -> Bool[n
 
 
 class _OnOrbit(NamedTuple):
-    """What a motion on an orbit depends on; the last axis is the lane. See [vibrojax.periodic.margin.Begun][]."""
+    """Inputs of a motion on an orbit; the last axis is the lane. See [vibrojax.periodic.margin.Begun][]."""
 
     parameters: dict[str, Lanes]
     state: Array

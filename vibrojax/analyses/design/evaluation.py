@@ -95,7 +95,7 @@ class Assessment(NamedTuple):
 
     @property
     def feasible(self) -> bool:
-        """Whether every requirement holds in every sample."""
+        """True if every requirement holds in every sample."""
         return self.badness == 0
 
     def better(self, other: "Assessment", gain: float = 1e-9) -> bool:

@@ -134,7 +134,7 @@ class Friction:
 
     @cached_property
     def takes_sides(self) -> bool:
-        """Whether the normal force depends on the sides of switches."""
+        """True if the normal force depends on the sides of switches."""
         return len(signature(self.normal).parameters) == 4
 
     def force(self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any], s: Mapping[str, Any]) -> Any:
