@@ -108,6 +108,7 @@ def lane(multipliers, away, repeats=100, bend=0.0, error=1e-4):
         moved=0 * one,
         impacts=one,
         margin=one,
+        reach=one,
         steps=one,
     )
     return will_reach(near, orbit, np.array([float(repeats)]), 1e-7, error)[0]
