@@ -44,15 +44,21 @@ GRAZING = 1e-5
 """Margin below which no multipliers are reported. Near grazing the map has a square-root singularity, so its derivative
 is valid over a distance of about the squared margin. At this limit that distance is 1e-10, the accepted residual."""
 
+DEPARTED = 1e-9
+"""Value of a guard at the start of a step, relative to its typical value, up to which the step departs from it."""
+
+FLAT = 1e-9
+"""Slope at the end of a step that counts as zero, relative to the slope at its start."""
+
 
 @dataclass(frozen=True)
 class Margin:
     """Grazing margin of a motion of `scene` with the constants `c`, accumulated step by step.
 
-    The margin has three rows (3, lanes): that of switches of friction, which vanishes where a stick phase appears or
-    vanishes; that of all other guards; and the least of both for the validity of derivatives, where the square root of
-    a near miss counts. Short of a graze, the map is smooth over a distance of the margin itself, not of its square.
-    `derives`: True if the margin is differentiated.
+    The margin has three rows (3, lanes). The first is that of switches of friction, which vanishes where a stick phase
+    appears or vanishes. The second is that of all other guards. The third limits the validity of derivatives: it is the
+    least of both, with the square root of a near miss. Short of a graze, the map is smooth over a distance of the
+    margin itself, not of its square. `derives`: True if the margin is differentiated.
     """
 
     scene: Scene[Any]
@@ -142,12 +148,6 @@ def _near_miss(f: Coefficients, step: Step, scale: Array, turned: Flags) -> jax.
     left = f[0] <= DEPARTED * scale
     return jnp.where(turns & (least > 0) & ~left, least / scale, jnp.inf)
 
-
-DEPARTED = 1e-9
-"""Value of a guard at the start of a step, relative to its typical value, up to which the step departs from it."""
-
-FLAT = 1e-9
-"""Slope at the end of a step that counts as zero, relative to the slope at its start."""
 
 ORBIT_ACCURACY = Accuracy(tolerance=1e-10, stride=LOCATED_STRIDE, step=np.inf)
 """Accuracy of the steps with which orbits are measured."""

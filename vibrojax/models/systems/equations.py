@@ -46,7 +46,7 @@ class SystemEquations(Scene[SystemConstants]):
     """The equations of a system; a subclass declares the names and units.
 
     - `events`: the events; `_flow`: the functions.
-    - `_own`: names of the states; `_integrated`: the states whose rate is another state.
+    - `_own`: names of the states; `_integrated`: the states whose rate of change is a state itself.
     - `_period`: period of the forcing [s], a number or a function of `p`; `_section_state`: the state whose zeros are
       the section. One of them is None.
     """
@@ -199,7 +199,7 @@ class SystemEquations(Scene[SystemConstants]):
             values = tuple(jnp.full((1,), state.get(name, 0.0)) for name in self.state_names)
             c = self.scaled(self.constants({name: jnp.asarray(x) for name, x in p.items()}), values)
             (t, y), mode = self._known(values), free_modes(self._flow, c, *self._known(values), 0.0 * values[0])
-            found = []
+            across = []
             for index, event in self._flow.of(Impact):
                 near = jnp.abs(event.gap(t, y, c.p)) <= AT_STOP / LIFT_ROUNDINGS / jnp.finfo(float).eps * c.lifts[index]
                 r, rate = event.bounce(c.p), self._flow.closing(c, event, mode, t, y)
@@ -209,8 +209,8 @@ class SystemEquations(Scene[SystemConstants]):
                 jump = (new - rate) / self._flow.gain(c, index, mode, t, y)
                 moved = dict(zip(self.state_names, values, strict=True))
                 moved[event.velocity] = moved[event.velocity] + jump
-                found.append(np.array([float(jnp.ravel(moved[name])[0]) for name in state]))
-        return found
+                across.append(np.array([float(jnp.ravel(moved[name])[0]) for name in state]))
+        return across
 
     def mode_at(self, c: SystemConstants, state: Values) -> Values:
         zero = jnp.zeros_like(state[0])
