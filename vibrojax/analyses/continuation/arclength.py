@@ -63,7 +63,6 @@ MAX_MULTIPLIER = 1e3
 """Multiplier modulus up to which branches are continued. Beyond it special points are too close together to be
 resolved."""
 
-
 NEAR_GRAZE = 1e-3
 """Grazing margin below which branches are continued whatever their multipliers."""
 

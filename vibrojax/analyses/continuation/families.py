@@ -190,6 +190,6 @@ class FamilyContinuation:
                 u, tangent = doubled_branch(self._problem, mark.orbit)
                 self._branches[segment.family] += 1
                 start = (u[0], tangent[0], FIRST_STEP)
-                departure = {"departure": tangent[0], "origin": u[0]}
-                doubled.append(Segment(segment.family, branch, 1, *start, parent=segment, **departure))
+                own = Segment(segment.family, branch, 1, *start, departure=tangent[0], parent=segment, origin=u[0])
+                doubled.append(own)
         return doubled

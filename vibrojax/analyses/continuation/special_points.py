@@ -16,7 +16,6 @@ from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.scenes import HasFriction
-from vibrojax.models.systems.system import System
 from vibrojax.periodic.newton import multipliers
 
 MAX_EVENT_CHANGES = 8
@@ -229,8 +228,6 @@ def cross_impact(problem: Problem, last: Points) -> Points | None:
     if no state at the section is at an impact. `last`: last point of one branch.
     """
     scene, lane, sign = problem.scene, last.family, np.sign(last.tangent[:, -1])
-    if not isinstance(scene, System):
-        return None
     states, value = problem.states(lane, last.u)[0], problem.value(lane, last.u)
     parameters = {name: x[lane] for name, x in problem.parameters.items()} | {problem.along: value}
     for cycle, state in enumerate(states):

@@ -136,6 +136,10 @@ class Scene(ABC, Generic[C]):
         """Return what can be wrong with an initial `state`: reasons of lanes, messages of the first, masks (lanes,)."""
         return []
 
+    def states_across_impacts(self, p: Mapping[str, Any], state: Mapping[str, Any]) -> list[Any]:
+        """Return the states on the other side of a rigid impact, if `state` is at one."""
+        return []
+
     def scaled(self, c: C, state: Values) -> C:
         """Return the constants adapted to an initial `state` that causes a much faster motion than usual.
 
