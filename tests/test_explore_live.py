@@ -74,7 +74,7 @@ def asked(**changes):
 
 def request(live, method="POST", path="motion", body=None, token=None, **headers):
     """Status, headers and body of an answer."""
-    connection = http.client.HTTPConnection("127.0.0.1", live.port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", live.port, timeout=100)
     named = {"Content-Type": "application/json"} | {name.replace("_", "-"): text for name, text in headers.items()}
     try:
         where = f"/{live.token if token is None else token}/{path}"
@@ -256,7 +256,7 @@ def test_wrong_values_are_said_in_one_line_and_faults_are_not_shown(live):
 
 
 def wait_until(condition):
-    end = time.monotonic() + 10
+    end = time.monotonic() + 100
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
@@ -330,7 +330,7 @@ def test_closing_lets_everybody_go():
         time.sleep(0.2)
         began = time.monotonic()
         live.close()
-        assert time.monotonic() - began < 5
+        assert time.monotonic() - began < 25  # a motion takes 30
         for one in ask:
             one.join()
         idle.close()
