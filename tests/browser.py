@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -55,6 +56,17 @@ def new_page(browser: Any, **options: Any) -> tuple[Any, list[tuple[str, str]], 
     page.on("pageerror", lambda error: heard.append(("error", str(error))))
     page.on("request", lambda request: asked.append(request.url))
     return page, heard, asked
+
+
+def wait_for(page: Any, expression: str) -> None:
+    """Wait until an expression is true in a page.
+
+    `page.wait_for_function` evaluates strings inside the page, whose content policy refuses that.
+    """
+    end = time.monotonic() + PATIENCE / 1000
+    while not page.evaluate(expression):
+        assert time.monotonic() < end, expression
+        page.wait_for_timeout(20)
 
 
 def wrong(heard: list[tuple[str, str]]) -> list[str]:

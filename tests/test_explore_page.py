@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from browser import chromium, new_page
+from browser import chromium, new_page, wait_for
 from cell_blocks import decode
 
 import vibrojax as vj
@@ -90,7 +90,7 @@ class Opened:
 
     def settled(self) -> None:
         """Wait until what was picked last is shown."""
-        self.page.wait_for_function("Number(document.querySelector('[data-ready]').dataset.ready) === vibrojax.asked")
+        wait_for(self.page, "Number(document.querySelector('[data-ready]').dataset.ready) === vibrojax.asked")
 
 
 def test_no_request_and_nothing_on_the_console(browser: Any, files: dict[str, Path]) -> None:
@@ -199,9 +199,13 @@ def test_everything_by_keyboard(browser: Any, files: dict[str, Path]) -> None:
         page.locator(".vx-theme").focus()
         page.keyboard.press("Enter")
         assert page.locator("#vibrojax").get_attribute("data-scheme") == "dark"
+        page.evaluate(
+            "() => { const button = document.querySelector('.vx-copy'); window.labels = [];"
+            " new MutationObserver(() => labels.push(button.textContent)).observe(button, {childList: true}); }"
+        )
         page.locator(".vx-copy").first.focus()
         page.keyboard.press("Enter")
-        page.wait_for_function("document.querySelector('.vx-copy').textContent === 'copied'")
+        wait_for(page, "labels.includes('copied')")  # it says so for a moment only
         page.locator("summary").focus()
         page.keyboard.press("Enter")
         assert not page.locator("details").evaluate("e => e.open")
@@ -236,7 +240,7 @@ def test_a_link_restores_what_is_chosen(browser: Any, files: dict[str, Path]) ->
         assert again.page.locator("#vibrojax").get_attribute("data-scheme") == "dark"
         # A link to another cell that is opened in the same window.
         again.evaluate("location.hash = '#variable=regime&at.beta=0.5&at.gamma=0.8&at.start=0'")
-        again.page.wait_for_function("vibrojax.shown.variable === 'regime' && vibrojax.cell.beta === 2")
+        wait_for(again.page, "vibrojax.shown.variable === 'regime' && vibrojax.cell.beta === 2")
         assert again.cell == {"beta": 2, "gamma": 2, "start": 0}
 
 
