@@ -41,8 +41,8 @@ Test = Callable[[Points, Points], PerLane]
 
 def name_of(kind: str, other: str) -> str:
     """Return the name of a point at which the conditions of two kinds hold."""
-    pair = NAMES.get((kind, other)) or NAMES.get((other, kind))
-    return pair or f"{kind} and {other}"
+    first, second = sorted((kind, other), key=SPECIAL_KINDS.index)
+    return NAMES.get((first, second), f"{first} and {second}")
 
 
 def _cusp(points: Points, reference: Points) -> PerLane:

@@ -57,7 +57,17 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, found: list[Curve]) 
             described[f"{dimension}_{name}"] = (dimension, values[:, k], about[name] | meaning)
     for name in ("curve_note", "codim2_kind"):
         described[name][-1].pop("units")
-    return xr.Dataset(described, attrs=_attributes(spec, problem))
+    return xr.Dataset(described, _coordinates(spec, problem), _attributes(spec, problem))
+
+
+def _coordinates(spec: CurvesSpec, problem: CurveProblem) -> dict[str, Any]:
+    """Return the parameters in which the families of the curves differ."""
+    several = [str(name) for name, data in spec.family.coords.items() if data.dims == ("family",) and name != "family"]
+    return {
+        name: ("curve", spec.parameters[name], _parameter(problem, name))
+        for name in several
+        if name in spec.parameters and name != spec.by
+    }
 
 
 def _values(problem: CurveProblem, points: list[Points]) -> np.ndarray:
@@ -129,6 +139,6 @@ def _attributes(spec: CurvesSpec, problem: CurveProblem) -> dict[str, Any]:
         "parameters": json.dumps(fixed),
         "differing": json.dumps(differing(spec.scene.parameters(), fixed)),
         "axes": [spec.along, spec.by],
-        "bounds": json.dumps({spec.along: spec.first_span, spec.by: spec.span}),
+        "bounds": [*spec.first_span, *spec.span],
         "orbits": json.dumps(orbits),
     }

@@ -29,6 +29,11 @@ NEAR_START = 1e-3
 """Largest scaled distance between a special point of the family and the beginning of its curve."""
 
 
+SAME_MARK = 1e-4
+"""Scaled distance of both parameters within which marks of one name on one curve are one. A curve that stalls at an
+event ends within such a distance."""
+
+
 class Mark(NamedTuple):
     """A point of codimension two on a curve: its name and the point."""
 
@@ -91,7 +96,18 @@ def follow_curves(problem: CurveProblem, unknowns: list[np.ndarray]) -> list[Cur
         )
         ways = (1,) if closed else (0, 1)
         curve.notes = list(dict.fromkeys(notes[curve.number, way] for way in ways))
+        curve.marks = _distinct(curve.marks)
     return curves
+
+
+def _distinct(marks: list[Mark]) -> list[Mark]:
+    """Return the marks of a curve without repetitions, of which the one nearest to its event remains."""
+    kept: list[Mark] = []
+    for mark in sorted(marks, key=lambda mark: float(mark.point.margin[0])):
+        same = [x for x in kept if x.name == mark.name and x.point.u.shape == mark.point.u.shape]
+        if all(np.abs(x.point.u - mark.point.u)[0, -2:].max() > SAME_MARK for x in same):
+            kept.append(mark)
+    return kept
 
 
 def _continue(
