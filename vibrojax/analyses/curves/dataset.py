@@ -52,6 +52,8 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, found: list[Curve]) 
     for dimension, points in located.items():
         values = _values(problem, points)
         for k, name in enumerate(names):
+            if dimension == "crossing" and spec.at is not None and spec.at[0] == name:
+                values[:, k] = spec.at[1]
             where = "where the curve crosses the line" if dimension == "crossing" else "at the point"
             meaning = {"long_name": f"{about[name]['long_name']} {where}"}
             described[f"{dimension}_{name}"] = (dimension, values[:, k], about[name] | meaning)

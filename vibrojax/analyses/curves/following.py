@@ -13,6 +13,7 @@ from vibrojax.analyses.continuation.arclength import (
     STOPPED,
     continue_branches,
 )
+from vibrojax.analyses.continuation.families import GRAZED_MARGIN
 from vibrojax.analyses.continuation.problem import Flags, Index, Points, Unknowns, towards
 from vibrojax.analyses.continuation.segments import ENDINGS, STEP_AFTER_CORNER
 from vibrojax.analyses.continuation.special_points import cross_impact, reindex_returns, turn_corner
@@ -155,7 +156,8 @@ def _behind_corners(
     for k, (segment, points) in enumerate(stalled):
         corner = corners.of([k])
         key = (segment.curve, segment.direction)
-        if corner.changes_events[0]:
+        # At a rigid stop no mode changes: only the margin shows that the curve ends at a graze.
+        if corner.changes_events[0] or points.margin[-1] < GRAZED_MARGIN:
             names = event_names(problem, corner)
             curves[segment.curve].marks += [Mark(name, points.of([-1])) for name in names]
             notes[key] = f"ends at the point {names[0]}"

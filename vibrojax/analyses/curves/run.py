@@ -1,12 +1,12 @@
 """Two-parameter continuation of special points: `curves`."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY
 from vibrojax.analyses.curves.dataset import curves_dataset
 from vibrojax.analyses.curves.event_map import conditions_of
 from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
@@ -14,7 +14,6 @@ from vibrojax.analyses.curves.following import follow_curves
 from vibrojax.analyses.curves.spec import CurvesSpec, read_curves
 from vibrojax.io.branches import branches, kind_names, places
 from vibrojax.io.variables import orbit_name
-from vibrojax.models.scenes import Scene
 from vibrojax.periodic.newton import MIN_RELATIVE_SWING
 from vibrojax.periodic.return_map import Segments
 
@@ -79,7 +78,9 @@ def problem_of(spec: CurvesSpec) -> tuple[CurveProblem, list[np.ndarray]]:
     kinds = np.array(kind_names(spec.family))[spec.special]
     orbits = [_orbit_at(spec, index) for index in spec.special]
     parameters = {name: spec.parameters[name] for name in scene.parameters()}
-    states, scales, most_steps = _states(scene, parameters, orbits)
+    # The program of the curves serves here, too: another one would have to be compiled.
+    go = Segments(scene, (spec.along, spec.by), FAMILY_ACCURACY)
+    states, scales, most_steps = _states(go, parameters, orbits)
     count = len(spec.special)
     low, high = spec.first_span
     none = np.zeros((count, len(conditions_of(scene))))
@@ -120,10 +121,10 @@ def _orbit_at(spec: CurvesSpec, index: int) -> tuple[int, Float[np.ndarray, " st
 
 
 def _states(
-    scene: Scene[Any], parameters: Mapping[str, np.ndarray], orbits: list[tuple[int, np.ndarray]]
+    go: Segments, parameters: Mapping[str, np.ndarray], orbits: list[tuple[int, np.ndarray]]
 ) -> tuple[list[Float[np.ndarray, "cycles states"]], Float[np.ndarray, "curves states"], float]:
     """Return the states at all section crossings of orbits, the scales of states, and a limit of steps."""
-    go, state = Segments(scene), np.array([begin for _, begin in orbits]).T
+    state = np.array([begin for _, begin in orbits]).T
     cycles = np.array([count for count, _ in orbits])
     returns, least, greatest, steps = [state], state.copy(), state.copy(), 0.0
     for k in range(int(cycles.max())):

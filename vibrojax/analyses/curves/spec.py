@@ -143,9 +143,8 @@ def _line(place: Place, names: Names, at: object, spans: Mapping[str, tuple[floa
     if at is None:
         return None
     if not isinstance(at, Mapping) or len(at) != 1 or next(iter(at)) not in spans:
-        raise place.at("at").error(
-            f"{shown(at)} is not one of {' and '.join(spans)} with a value; give at={{NAME: VALUE}}"
-        )
+        wrong = " and ".join(map(str, at)) if isinstance(at, Mapping) else at
+        raise place.at("at").error(f"{shown(wrong)} is not {' or '.join(spans)} with a value; give one of them")
     [(name, given)] = at.items()
     value, (low, high) = names.quantity(place.at("at").at(name), name, given), spans[name]
     if not low <= value <= high:
