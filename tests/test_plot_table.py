@@ -29,6 +29,10 @@ STUDY = xr.Dataset({"error_worst": ("setting", np.ones(3))})
 BORDERS = xr.Dataset(
     {"curve": ("vertex", [0]), "kind": ("curve", [0]), "region_area": ("region", [0.5])}, attrs={"axes": "gamma beta"}
 )
+LINE = {name: ("point", [0.4, 0.5]) for name in ("gamma", "beta", "period")} | {"point_curve": ("point", [0, 0])}
+LINE |= {"kind": ("curve", [0], {"flag_meanings": "fold"}), "special": ("curve", [2]), "curve_note": ("curve", [""])}
+LINE |= {"codim2_kind": ("codim2", ["cusp"]), "codim2_gamma": ("codim2", [0.4]), "codim2_beta": ("codim2", [0.4])}
+CURVES = xr.Dataset(LINE, attrs={"kind": "curves", "axes": ["gamma", "beta"], "bounds": [0.3, 1.0, 0.1, 0.9]})
 ATTRACTORS = xr.Dataset(
     {
         "share": (("gamma", "attractor"), [[1.0]]),
@@ -56,6 +60,7 @@ EXPECTED = {
     "states_over_time": lambda: OSCILLATION,
     "families": families.one_family,
     "border_curves": lambda: BORDERS,
+    "curves_picture": lambda: CURVES,
     "share_map": lambda: OVER_TWO,
     "attractor_shares": lambda: ATTRACTORS,
     "smallest_pushes": lambda: PUSHES,

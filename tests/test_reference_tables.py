@@ -42,7 +42,15 @@ def test_variables_of_what_is_made_of_orbits():
     assert set(family.variables) - {"gamma"} <= set(known.index)
     assert known["where"]["special_kind"] == "follow" and known["where"]["region_area"] == "borders"
     assert known["where"]["share"] == "attractors"
-    assert set(vj.list_variables("rotary")["where"]) == {"", "follow", "attractors", "tolerance", "design", "study"}
+    assert set(vj.list_variables("rotary")["where"]) == {
+        "",
+        "follow",
+        "curves",
+        "attractors",
+        "tolerance",
+        "design",
+        "study",
+    }
 
 
 def test_settings_are_those_of_run():

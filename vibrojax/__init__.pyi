@@ -12,6 +12,7 @@ from vibrojax.analyses.catalogue import list_scenes as list_scenes
 from vibrojax.analyses.catalogue import list_settings as list_settings
 from vibrojax.analyses.catalogue import list_variables as list_variables
 from vibrojax.analyses.continuation.run import follow as follow
+from vibrojax.analyses.curves.run import curves as curves
 from vibrojax.analyses.design.run import design as design
 from vibrojax.analyses.frequencies import frequencies as frequencies
 from vibrojax.analyses.orbits.analysis import SweepAnalysis as SweepAnalysis

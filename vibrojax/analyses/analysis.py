@@ -171,6 +171,7 @@ _HOMES = {
     "sweep": "sweep.analysis:Sweeps",
     "trajectory": "trajectory.analysis:Trajectories",
     "family": "continuation.analysis:Families",
+    "curves": "curves.analysis:Curves",
     "borders": "borders.analysis:Borders",
     "attractors": "attractors.analysis:Attractors",
     "push": "push.analysis:Pushes",

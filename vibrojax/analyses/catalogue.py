@@ -15,7 +15,7 @@ from vibrojax.analyses.analysis import offered_variables
 from vibrojax.analyses.tolerance.run import tolerance_variables
 from vibrojax.compile.xla import precision
 from vibrojax.errors import Place
-from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
+from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
 from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import recorder_for
 from vibrojax.measures.derived import derived_names
@@ -120,6 +120,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
         "": {name: about for name, about in known.items() if name in held},
         "follow": OF_FAMILIES if orbit_states else {},
         "borders": OF_BORDERS if isinstance(system, HasImpacts) and has_section else {},
+        "curves": OF_CURVES if orbit_states else {},
         "attractors": OF_ATTRACTORS if has_section else {},
         "tolerance": tolerance_variables(held) if "regime" in held else {},
         "design": DESIGN_VARIABLES,
@@ -129,7 +130,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     rows: dict[str, dict[str, str]] = {}
     for where, table in tables.items():
         for name, about in table.items():  # designs and studies have variables of others, too
-            if name not in rows or where not in ("design", "study"):
+            if name not in rows or where not in ("curves", "design", "study"):
                 rows[name] = {"units": about.units, "meaning": about.long_name, "where": where}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
 

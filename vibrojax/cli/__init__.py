@@ -19,7 +19,7 @@ from typing import NoReturn
 
 from vibrojax.analyses import glossary
 from vibrojax.analyses.sweep.workers.lifetime import leave
-from vibrojax.cli.analyses import analysis_command, orbits
+from vibrojax.cli.analyses import analysis_command, curves, orbits
 from vibrojax.cli.command import Command, Options, either, flag
 from vibrojax.cli.datasets import explore, info, plot
 from vibrojax.cli.designs import design
@@ -53,6 +53,7 @@ _COMMANDS: dict[str, Command] = {
     "simulate": simulate,
     "orbits": orbits,
     "follow": follow,
+    "curves": curves,
     "borders": analysis_command(
         "borders",
         "Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there",

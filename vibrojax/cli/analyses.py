@@ -1,6 +1,6 @@
 """The commands of analyses of a sweep: FILE, an option for each setting, OUT, and a printed summary.
 
-They are `orbits`, `attractors`, `borders`, and the analyses of installed packages.
+They are `orbits`, `curves`, `attractors`, `borders`, and the analyses of installed packages.
 """
 
 import dataclasses
@@ -8,9 +8,28 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.cli.command import Command, Options, argument, command, files, output_options
-from vibrojax.cli.output import draw, output, result_at, stored_line, stored_picture, stored_result, write_result
-from vibrojax.errors import InputError, counted, shown
+from vibrojax.cli.command import (
+    JSON,
+    Command,
+    Options,
+    argument,
+    command,
+    files,
+    named_values,
+    output_options,
+    whole,
+)
+from vibrojax.cli.output import (
+    answer,
+    draw,
+    output,
+    result_at,
+    stored_line,
+    stored_picture,
+    stored_result,
+    write_result,
+)
+from vibrojax.errors import InputError, Place, counted, shown
 
 if TYPE_CHECKING:
     import xarray
@@ -51,6 +70,53 @@ def orbits(options: Options) -> None:
         line = f"{out}: {counted(sweep.lanes, 'lane')}{draw(options, dataset, out, variables(dataset))}"
     if not options.quiet:
         print("\n".join([line, *orbit_lines(dataset)]))
+
+
+_CURVE_SETTINGS = ("by", "from", "to", "special")
+_CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
+
+
+@command(
+    argument("file", "FAMILY.nc", "what vibrojax follow has made", files(".nc")),
+    argument(
+        "values",
+        "NAME=VALUE",
+        f"{_CURVE_SYNTAX}: the second parameter and its bounds; the number of one special point of the family, from 0 "
+        "(by default all that can be continued)",
+        nargs="*",
+        default=[],
+    ),
+    argument("--at", "NAME=VALUE", "locate where the curves pass this value of one of the two parameters"),
+    output_options("FAMILY-NAME.nc"),
+    JSON,
+)
+def curves(options: Options) -> None:
+    """Continue the special points of a family in a second parameter: curves, and the points where several meet."""
+    from vibrojax.analyses.curves.spec import read_curves
+    from vibrojax.io.dataset import open_dataset
+
+    place, file = Place("curves"), Path(str(options.file))
+    settings, others = named_values(place, options.values, _CURVE_SETTINGS, lists=False)
+    if others:
+        raise place.at(next(iter(others))).error(f"is not a setting; write vibrojax curves FAMILY.nc {_CURVE_SYNTAX}")
+    missing = [name for name in ("by", "from", "to") if name not in settings]
+    if missing:
+        raise place.error(f"{' and '.join(missing)} missing; write vibrojax curves FAMILY.nc {_CURVE_SYNTAX}")
+    at = None if options.at is None else named_values(place.at("--at"), [options.at], (), lists=False)[1]
+    special = whole(settings["special"]) if "special" in settings else None
+    spec = read_curves(open_dataset(file), settings["by"], (settings["from"], settings["to"]), special, at)
+
+    def compute() -> "xarray.Dataset":
+        from vibrojax.analyses.curves.run import continue_curves
+
+        return continue_curves(spec, progress=not options.quiet)
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.curves.analysis import curves_facts
+
+        return curves_facts(dataset)
+
+    answer(options, f"{file.stem}-{spec.by}.nc", spec.identity(), compute, facts)
 
 
 def analysis_command(kind: str, summary: str) -> Command:

@@ -21,6 +21,7 @@ STRUCTURES: dict[str, Callable[[xr.Dataset], bool]] = {
     "trajectory": lambda ds: "time" in ds.dims,
     "family": lambda ds: {"special_kind", "branch", str(ds.attrs.get("along", ""))} <= set(ds.variables),
     "borders": lambda ds: {"curve", "kind", "region_area"} <= set(ds.variables) and "axes" in ds.attrs,
+    "curves": lambda ds: {"point_curve", "kind", "special", "curve_note"} <= set(ds.variables) and "axes" in ds.attrs,
     "attractors": lambda ds: {"share", "share_stderr", "lane_attractor"} <= set(ds.variables),
     "push": lambda ds: "sign" in ds.dims and any(str(name).startswith("push_") for name in ds.data_vars),
     "tolerance": lambda ds: "sample" in ds.dims and "place" in ds and "regime" in ds,
@@ -98,6 +99,17 @@ OF_BORDERS: dict[str, Variable] = {
     "region_area": Variable("1", "share of the plane with a stable single impact"),
 }
 
+OF_CURVES: dict[str, Variable] = {
+    "point_curve": Variable("1", "number of the curve", np.int32),
+    "kind": Variable("1", "kind of the special point that is continued", np.int8, SPECIAL_KINDS),
+    "special": Variable("1", "index of the special point in the family; -1: the curve begins elsewhere", np.int32),
+    "curve_note": Variable("", "where and why the curve ends", np.str_),
+    "codim2_kind": Variable("", "name of the point of codimension two", np.str_),
+    "codim2_curve": Variable("1", "number of the curve on which the point is", np.int32),
+    "crossing_curve": Variable("1", "number of the curve that crosses the line", np.int32),
+}
+"""Variables in addition to those of orbits."""
+
 OF_ATTRACTORS: dict[str, Variable] = {
     "share": Variable("1", "share of the starts that end in the attractor"),
     "share_stderr": Variable("1", "standard error of share, binomial"),
@@ -119,7 +131,7 @@ MOST_CHECKED = 10**7
 LARGEST_COORDINATE = 1e100
 """Bound on the absolute values of coordinates: squares and differences of larger values may overflow."""
 
-_DERIVED = OF_FAMILIES | OF_BORDERS | OF_ATTRACTORS
+_DERIVED = OF_FAMILIES | OF_CURVES | OF_BORDERS | OF_ATTRACTORS
 _KNOWN = VARIABLES | _DERIVED
 
 _DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
@@ -128,11 +140,17 @@ _DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
         **dict.fromkeys(("special_kind", "special_value", "special_branch", "special_note"), ("special",)),
         "multiplier_abs": ("point", "multiplier"),
     },
+    "point_curve": {
+        **dict.fromkeys(("point_curve", "period", "cycles"), ("point",)),
+        **dict.fromkeys(("kind", "special", "curve_note"), ("curve",)),
+        **dict.fromkeys(("codim2_kind", "codim2_curve"), ("codim2",)),
+        "multiplier_abs": ("point", "multiplier"),
+    },
     "region_area": {"curve": ("vertex",), "kind": ("curve",), "region_area": ("region",)},
     "event_time": {"event_time": ("event",), "event_kind": ("event",)},
 }
-"""Dimensions of the variables of families, of borders and of a motion's events. The key is the variable whose presence
-implies the others."""
+"""Dimensions of the variables of families, of curves, of borders and of a motion's events. The key is the variable
+whose presence implies the others."""
 
 
 def check_structure(ds: xr.Dataset) -> None:

@@ -86,7 +86,7 @@ class Margin:
             lane, step = lax.stop_gradient((lane, step))
         states = tuple(known(polynomial) for polynomial in step.polynomials)
         functions = self.scene.guard_values(self.c, step.mode, states)
-        scales = _typical(self.scene.resolutions(self.c, step.mode, step.before, marked=False))
+        scales = typical_values(self.scene.resolutions(self.c, step.mode, step.before, marked=False))
         # The fastest rate of the free motion [1/s].
         pace = self.scene.rate(self.c, tuple(jnp.full_like(step.dt, mode.calmest) for mode in self.scene.modes))
         turned = reduce(jnp.logical_or, [step.hits[name] for name in self._turns()], jnp.zeros_like(armed))
@@ -101,7 +101,8 @@ class Margin:
         for guard, function, scale in zip(self.scene.guards(), functions, scales, strict=True):
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins = switches if guard.is_switch else others
-            hit, miss = _at_hit(f, step, step.hits[guard.name], scale * pace), _near_miss(f, step, scale, turned)
+            hit = self.considered(guard.name, "hit", _at_hit(f, step, step.hits[guard.name], scale * pace))
+            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale, turned))
             if guard.name in before:
                 bounces, rests = step.hits[guard.name] & ~before[guard.name], after[guard.name] & ~before[guard.name]
                 slower = bounces & (hit < last)
@@ -119,6 +120,10 @@ class Margin:
     def total(self, rows: Array) -> Array:
         """Return the margins (3, lanes) after the last step."""
         return jnp.stack([rows[0], *jnp.minimum(rows[1:3], rows[4:])])
+
+    def considered(self, guard: str, what: str, margin: Array) -> Array:
+        """Return a margin of a guard, infinite where it does not count; `what`: hit, miss or switch."""
+        return margin
 
     def _turns(self) -> list[str]:
         """Return the names of the markers of the section's oscillating positions, such as those of bit and striker."""
@@ -142,13 +147,13 @@ class Margin:
         values = self.scene.guard_values(self.c, lane.mode, lane.state)
         small = self.scene.resolutions(self.c, lane.mode, lane.state, marked=False)
         return [
-            jnp.where(step.hits[guard.name] & (g > zero), g / scale, jnp.inf)
-            for guard, g, zero, scale in zip(self.scene.guards(), values, small, _typical(small), strict=True)
+            self.considered(guard.name, "switch", jnp.where(step.hits[guard.name] & (g > zero), g / scale, jnp.inf))
+            for guard, g, zero, scale in zip(self.scene.guards(), values, small, typical_values(small), strict=True)
             if guard.is_switch
         ]
 
 
-def _typical(resolutions: tuple[Any, ...]) -> list[Array]:
+def typical_values(resolutions: tuple[Any, ...]) -> list[Array]:
     """Return typical values of functions; `resolutions`: values below which the functions count as zero."""
     return [resolution / (ROUNDINGS * jnp.finfo(resolution.dtype).eps) for resolution in resolutions]
 

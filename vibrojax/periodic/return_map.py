@@ -129,14 +129,15 @@ def one_return(
     accuracy: Accuracy,
     most_steps: Real = MOST_STEPS,
     derives_margin: bool = False,
+    margin: Margin | None = None,
 ) -> tuple[tuple[Array, Lanes], ReturnEvents]:
     """Return ((image under the return map, time [s] until the image), events on the way): pure, hence differentiable.
 
     `c`: the scene's constants, scaled for the motion; `state` (states, lanes): state at the section; `derives_margin`:
-    True if the grazing margin is differentiated.
+    True if the grazing margin is differentiated; `margin`: replacement for the grazing margin.
     """
     section = scene.section
-    margin = Margin(scene, section, c, derives_margin)
+    margin = margin or Margin(scene, section, c, derives_margin)
     lane = lane_at(scene, c, at_section(scene, state))
     zero = jnp.zeros_like(state[0])
     none = jnp.zeros_like(zero, bool)

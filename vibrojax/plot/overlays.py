@@ -1,4 +1,4 @@
-"""Borders and families of orbits drawn over a sweep, and input checks for all overlays."""
+"""Borders, curves and families of orbits drawn over a sweep, and input checks for all overlays."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
@@ -14,7 +14,7 @@ from vibrojax.errors import InputError
 from vibrojax.io.attributes import parameters_of
 from vibrojax.io.branches import FAMILY, along_name, branches, kind_names, numbers_of
 from vibrojax.io.kinds import kind_of
-from vibrojax.plot.axes import edges, number, scale, values_along
+from vibrojax.plot.axes import edges, number, scale, short, values_along
 from vibrojax.plot.branches import (
     MARKS,
     Curve,
@@ -26,13 +26,16 @@ from vibrojax.plot.branches import (
 )
 from vibrojax.plot.colours import flag_names
 from vibrojax.plot.contents import IMPACTS_OF_RETURNS, START, is_numeric
-from vibrojax.plot.style import DASHED, FAINT, INK
+from vibrojax.plot.style import DASHED, FAINT, INK, Mark
 
 OF_RETURNS = "impact_velocity"
 """Variable of a family that is drawn over a sweep's section crossings."""
 
 SAME_DIGITS = 1e-4
 """Relative difference up to which two values count as equal: about as many digits as a picture prints."""
+
+ON_MAPS = ("borders", "curves")
+"""Kinds of datasets that are drawn over a map of regimes."""
 
 Overlays = xr.Dataset | Sequence[xr.Dataset] | None
 
@@ -46,8 +49,8 @@ def as_layers(over: Overlays) -> tuple[xr.Dataset, ...]:
 
 def refuse_overlays(layers: Sequence[xr.Dataset], reason: str) -> NoReturn:
     """Raise `InputError`: say which pictures accept the layers, and the `reason` why this picture does not."""
-    if any(isinstance(layer, xr.Dataset) and kind_of(layer) == "borders" for layer in layers):
-        places = "borders are laid over the map of regimes of a sweep over a grid of two parameters"
+    if any(isinstance(layer, xr.Dataset) and kind_of(layer) in ON_MAPS for layer in layers):
+        places = "borders and curves are laid over the map of regimes of a sweep over a grid of two parameters"
     else:
         places = "families are laid over the returns of a sweep with keep_returns above 0, or over carried lanes"
     raise InputError(f"over: {places}, and {reason}")
@@ -165,8 +168,14 @@ LINES: dict[str, dict[str, Any]] = {
 }
 _OTHER_LINE = {"color": INK, "linestyle": "-"}
 
-OVER_TEXT = "Lines: where stable single impacts end, whichever start leads to them"
-"""Note printed when borders are drawn over a map."""
+
+def over_map_text(over: xr.Dataset, drawn: bool) -> str:
+    """Return the note on the borders or curves over a map; `drawn`: whether any lies in the map."""
+    if kind_of(over) == "curves":
+        return "Lines: special points of orbits, stable or not" if drawn else "No curve is of the map's parameters"
+    if drawn:
+        return "Lines: where stable single impacts end, whichever start leads to them"
+    return "No border of stable single impacts lies in these maps"
 
 
 def axes_of(ds: xr.Dataset) -> tuple[str, str]:
@@ -208,13 +217,57 @@ def border_handles(kinds: Iterable[str]) -> list[Artist]:
 
 
 def check_borders(ds: xr.Dataset, over: xr.Dataset, x: str, y: str) -> None:
-    """Raise `InputError` unless the borders `over` have the map's axes, and the scene and friction law of `ds`."""
+    """Raise `InputError` unless the borders or curves `over` have the map's axes, and scene and friction of `ds`."""
+    name = "curves" if kind_of(over) == "curves" else "borders"
     if set(axes_of(over)) != {x, y}:
-        raise InputError(f"over: the borders are over {' and '.join(axes_of(over))}, the map over {x} and {y}")
-    check_machine(ds, over, "borders", "map", "find those of")
+        raise InputError(f"over: the {name} are over {' and '.join(axes_of(over))}, the map over {x} and {y}")
+    check_machine(ds, over, name, "map", "find those of")
 
 
 def draw_over_panel(axes: Axes, over: xr.Dataset, facet: xr.Dataset, x: str, y: str) -> list[str]:
-    """Draw the borders that hold for any initial condition over a map panel; return the kinds of borders drawn."""
+    """Draw the borders that hold for any initial condition, or curves, over a map panel; return the kinds drawn."""
     plane = {name: float(facet[name]) for name in beyond(over) if name in facet.coords and facet[name].ndim == 0}
-    return draw_borders(axes, over, plane, ANY, x, y)
+    if kind_of(over) != "curves":
+        return draw_borders(axes, over, plane, ANY, x, y)
+    mask = np.ones(over.sizes["curve"], bool)
+    for name, values in _parameter_values(facet).items():
+        if name in beyond(over):
+            mask &= np.array([_is_near(values, value).any() for value in over[name].values])
+        elif name in parameters_of(over) and name not in (x, y):
+            mask &= bool(_is_near(values, parameters_of(over)[name]).any())
+    limits = axes.get_xlim(), axes.get_ylim()
+    kinds = draw_curves(axes, over, mask, x, y)
+    axes.set(xlim=limits[0], ylim=limits[1])
+    return kinds
+
+
+def draw_curves(axes: Axes, ds: xr.Dataset, mask: np.ndarray, x: str, y: str) -> list[str]:
+    """Draw the curves of special points in the mask over two parameters; return their kinds."""
+    names, number = flag_names(ds["kind"]), ds["point_curve"].values
+    factors = [scale(ds[name])[0] for name in (x, y)]
+    stroke = [withStroke(linewidth=2.8, foreground="white", alpha=0.85)]
+    kinds = []
+    for curve in np.flatnonzero(mask):
+        points = number == curve
+        if points.any():
+            kinds.append(names[int(ds["kind"][curve])])
+            path = (factor * ds[name].values[points] for name, factor in zip((x, y), factors, strict=True))
+            axes.plot(*path, linewidth=1.6, path_effects=stroke, **LINES.get(kinds[-1], _OTHER_LINE))
+    return kinds
+
+
+_CODIM2 = "osD^v<>phP*X"  # one marker per name of points of codimension two, in the order of their first occurrence
+
+
+def draw_codim2(axes: Axes, ds: xr.Dataset, x: str, y: str) -> list[Artist]:
+    """Mark the points of codimension two of curves; return the legend entries."""
+    kinds = ds["codim2_kind"].values.astype(str)
+    factors = [scale(ds[name])[0] for name in (x, y)]
+    handles: list[Artist] = []
+    for k, kind in enumerate(dict.fromkeys(kinds.tolist())):
+        places = [
+            factor * ds[f"codim2_{name}"].values[kinds == kind] for name, factor in zip((x, y), factors, strict=True)
+        ]
+        mark = Mark(marker=_CODIM2[k % len(_CODIM2)], markersize=5.0, markerfacecolor="white", linestyle="none")
+        handles += axes.plot(places[0], places[1], color=INK, label=short(kind), zorder=4, **mark)
+    return handles

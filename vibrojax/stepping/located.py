@@ -13,7 +13,7 @@ from typing import Any
 import jax.numpy as jnp
 from jax import lax
 
-from vibrojax.models.arrays import keep
+from vibrojax.models.arrays import Array, keep
 from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Trial, locate
 from vibrojax.stepping.polynomial import rough_root
@@ -78,6 +78,12 @@ class Located(Stepper):
     def coarser(self, accuracy: Accuracy) -> Accuracy:
         return accuracy._replace(tolerance=accuracy.tolerance * self.coarser_by)
 
+    def passing(
+        self, event: Event, functions: list[list[Array]], lane: Lane, reach: Array
+    ) -> tuple[Event, list[list[Array]]]:
+        """Return the event functions of a trial step; a subclass may let the motion pass some of their zeros."""
+        return event, functions
+
     def step(
         self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
     ) -> tuple[Lane, Step]:
@@ -97,6 +103,7 @@ class Located(Stepper):
         last = reduce(jnp.maximum, [jnp.abs(c) for series in terms for c in series[-2:]])
         converged = jnp.minimum(rough_root(accuracy.tolerance * scale / last, self.order - 1), 1.0)
         reach = jnp.where(rest, 1.0, converged)
+        event, functions = self.passing(event, functions, lane, reach)
         validity = scene.validity(constants, lane.mode, polynomials, functions)
         reach = keep(lax.stop_gradient(reach if validity is None else jnp.minimum(reach, validity)))
         trial = Trial(polynomials, functions, h, reach, goal.moving & ~rest)

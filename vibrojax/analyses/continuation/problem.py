@@ -129,6 +129,14 @@ class Problem:
         """Return the states at the section that belong to the unknowns `u`."""
         return u[:, :-1].reshape(len(u), (u.shape[1] - 1) // self.rows, self.rows) * self.scales[family][:, None]
 
+    def with_states(self, family: Index, u: Unknowns, states: Float[np.ndarray, "lanes cycles states"]) -> Unknowns:
+        """Return unknowns with the parameters of `u` and other states."""
+        return self.unknowns(family, states, self.value(family, u))
+
+    def parameters_at(self, family: Index, u: Unknowns) -> dict[str, PerLane]:
+        """Return all parameters of lanes, by name."""
+        return {name: x[family] for name, x in self.parameters.items()} | {self.along: self.value(family, u)}
+
     def value(self, family: Index, u: Unknowns) -> PerLane:
         return u[:, -1] * self.unit[family]
 

@@ -203,18 +203,17 @@ def reindex_returns(problem: Problem, last: Points) -> Points | None:
     period, cycles = float(last.times.sum()), last.times.shape[1]
     for distance in REINDEX_DISTANCES:
         u = last.u + distance * tangent
-        value = problem.value(lane, u)
         for begin in problem.states(lane, u)[0]:
             states, total = [begin], 0.0
             for _ in range(min(cycles + 3, 2 * MOST_CYCLES)):
-                now = problem.evaluate(lane, problem.unknowns(lane, states[-1][None, None], value))
+                now = problem.evaluate(lane, problem.with_states(lane, u, states[-1][None, None]))
                 total += float(now.times[0, 0])
                 if not np.isfinite(total) or total > (1 - SAME_PERIOD) * period:
                     break
-                states.append(states[-1] + now.off[0] * problem.scales[lane[0]])
+                states.append(states[-1] + now.off[0, : problem.rows] * problem.scales[lane[0]])
             if abs(total - period) > SAME_PERIOD * period or len(states) == cycles or len(states) > MOST_CYCLES:
                 continue
-            guess = problem.unknowns(lane, np.stack(states)[None], value)
+            guess = problem.with_states(lane, u, np.stack(states)[None])
             now, converged = problem.correct(lane, guess, towards(guess, 1.0), guess[:, -1])
             if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
                 return now.along(towards(guess, np.sign(tangent[:, -1])))
@@ -228,8 +227,7 @@ def cross_impact(problem: Problem, last: Points) -> Points | None:
     if no state at the section is at an impact. `last`: last point of one branch.
     """
     scene, lane, sign = problem.scene, last.family, np.sign(last.tangent[:, -1])
-    states, value = problem.states(lane, last.u)[0], problem.value(lane, last.u)
-    parameters = {name: x[lane] for name, x in problem.parameters.items()} | {problem.along: value}
+    states, parameters = problem.states(lane, last.u)[0], problem.parameters_at(lane, last.u)
     for cycle, state in enumerate(states):
         for other in scene.states_across_impacts(parameters, dict(zip(scene.return_states, state, strict=True))):
             rows = problem.rows

@@ -20,7 +20,7 @@ from vibrojax.io.attributes import flag_counts, flags, parameters_of, run_of, ta
 from vibrojax.io.kinds import kind_of
 from vibrojax.models.physics.rock import ROCKS
 from vibrojax.plot.contents import Contents
-from vibrojax.plot.overlays import refuse_overlays
+from vibrojax.plot.overlays import ON_MAPS, refuse_overlays
 
 
 class Sweeps(Analysis):
@@ -46,13 +46,13 @@ class Sweeps(Analysis):
         return [_rates(ds), frequency_part(ds)]
 
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Figure:
-        """Return the picture of a sweep; `over`: borders on its regime map, or families on its section crossings."""
+        """Return the picture of a sweep; `over`: borders or curves on its map, or families on its section crossings."""
         if not over:
             return super().picture(ds)
         held = Contents(ds)
-        if any(isinstance(layer, xr.Dataset) and kind_of(layer) == "borders" for layer in over):
+        if any(isinstance(layer, xr.Dataset) and kind_of(layer) in ON_MAPS for layer in over):
             if len(over) > 1:
-                raise InputError("over: borders are laid over a map one dataset at a time; give one")
+                raise InputError("over: borders or curves are laid over a map one dataset at a time; give one")
             if not held.regimes or held.points or len(held.axes) < 2:
                 refuse_overlays(over, "the dataset holds none")
             return regime_grid(ds, over=over[0])

@@ -45,7 +45,7 @@ from vibrojax.plot.contents import (
     regimes_in,
     varied,
 )
-from vibrojax.plot.overlays import OVER_TEXT, border_handles, check_borders, draw_over_panel
+from vibrojax.plot.overlays import border_handles, check_borders, draw_over_panel, over_map_text
 from vibrojax.plot.sheet import MOST_PANELS, Facets, Panel, facets, sheet, write_margins
 from vibrojax.plot.style import INK, NO_VALUE, NOTHING, styled
 
@@ -103,7 +103,7 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
     handles += [marks[name] for name in (HIDDEN, SENSITIVE) if name in marks]
     if any(isinstance(artist, LineCollection) for panel in drawn.panels for artist in panel.axes.collections):
         handles.append(Line2D([], [], color=INK, linewidth=1.0, label="border of single impact"))
-    lines = OVER_TEXT if kinds else "No border of stable single impacts lies in these maps" if over is not None else ""
+    lines = "" if over is None else over_map_text(over, bool(kinds))
     drawn.finish([*handles, *border_handles(kinds), *region_handle(drawn.panels[0].axes)])
     write_margins(drawn.figure, ds, certified_text(ds), panels.note, *notes, lines)
     return drawn.figure

@@ -1,0 +1,141 @@
+"""Curves of special points in two parameters, against closed forms of the impact oscillator."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from own_scenes import oscillator_doubles, oscillator_grazes, oscillator_orbits
+from systems import IMPACT_OSCILLATOR
+
+import vibrojax as vj
+from vibrojax.analyses.curves.codim2 import name_of
+from vibrojax.analyses.curves.extended import compound, compound_along, signed_singular
+from vibrojax.io.kinds import SPECIAL_KINDS
+
+R, W, FOLDING = 0.7, 0.9, 1.25
+FIXED = {"stiffness": 1.0, "damping": 0.1, "stop": 1.0}
+W_SPAN = (0.7, 1.3)
+NATURAL = np.sqrt(1 - 0.05**2)  # of the damped oscillator [rad/s]
+
+
+def fold(w):
+    """Amplitude at which the two orbits with one impact per period of the force meet.
+
+    The speeds V at the impact are the roots of c0 V² + c1 V + 1 - (a G)², where G is the gain without stop.
+    """
+    gain = 1 / abs(complex(1 - w**2, 0.1 * w))
+    speeds = [oscillator_orbits(a / gain, R, w, **FIXED)[-1].speed for a in (2.0, 3.0)]
+    c0, c1 = np.linalg.solve([[v**2, v] for v in speeds], [3.0, 8.0])
+    return float(np.sqrt(1 - c1**2 / (4 * c0)) / gain)
+
+
+def of_kind(ds, kind):
+    return np.flatnonzero(ds.kind.values == ds.kind.attrs["flag_meanings"].split().index(kind))
+
+
+def points(ds, kind):
+    mask = np.isin(ds.point_curve.values, of_kind(ds, kind))
+    assert mask.sum() > 20
+    return ds.isel(point=mask)
+
+
+def family(kind, a, w, section, span=(0.05, 0.65)):
+    """The dataset of a family with one special point, as `follow` writes it."""
+    x, v = section
+    points = {"a": a, "orbit_x": x, "orbit_v": v, "branch": 0, "cycles": 1, "stable": 0, "period": 2 * np.pi / w}
+    points |= {"grazing_margin": 0.0}
+    variables = {name: ("point", [value]) for name, value in points.items()}
+    kinds = {"flag_meanings": " ".join(SPECIAL_KINDS), "flag_values": range(len(SPECIAL_KINDS))}
+    variables["special_kind"] = ("special", [SPECIAL_KINDS.index(kind)], kinds)
+    variables |= {name: ("special", [value]) for name, value in (("special_value", a), ("special_branch", 0))}
+    parameters = json.dumps(FIXED | {"w": w, "r": R})
+    about = {"kind": "family", "scene": IMPACT_OSCILLATOR.name, "along": "a", "span": span, "parameters": parameters}
+    return xr.Dataset(variables, attrs=about)
+
+
+def test_grazing_follows_the_closed_form():
+    a = oscillator_grazes(W, **FIXED)
+    forced = a / complex(1 - W**2, 0.1 * W)
+    rest = family("grazing", a, W, (forced.real, -W * forced.imag), (0.15, 0.25))
+    ds = vj.curves(rest, by="w", span=W_SPAN, at={"w": 0.88}, progress=False)
+    own = points(ds, "grazing")
+    exact = np.array([oscillator_grazes(float(w), **FIXED) for w in own.w])
+    assert np.abs(own.a.values - exact).max() < 1e-9
+    assert float(ds.crossing_w[0]) == 0.88
+    assert abs(float(ds.crossing_a[0]) - oscillator_grazes(0.88, **FIXED)) < 1e-10
+    assert ds.curve_note.values.tolist() == ["the last value of a is reached; the first value of a is reached"]
+
+
+def test_doubling_follows_the_closed_form_to_where_it_grazes():
+    a = oscillator_doubles((0.4, 0.63), R, W, **FIXED)
+    begin = family("period-doubling", a, W, oscillator_orbits(a, R, W, **FIXED)[-1].section)
+    ds = vj.curves(begin, by="w", span=(0.6, 1.3), at={"a": 0.5}, progress=False)
+    own = points(ds, "period-doubling")
+    for k in range(0, own.sizes["point"], 9):
+        a, w = float(own.a[k]), float(own.w[k])
+        if abs(a / oscillator_grazes(w, **FIXED) - 1) > 0.05:  # near the graze, the impact has no speed
+            assert abs(oscillator_doubles((0.99 * a, 1.01 * a), R, w, **FIXED) - a) < 1e-8
+    for a, w in zip(ds.crossing_a.values, ds.crossing_w.values, strict=True):
+        assert a == 0.5 and abs(oscillator_doubles((0.49, 0.51), R, float(w), **FIXED) - 0.5) < 1e-8
+    # An impact without speed, after which the free oscillation makes one and a half turns, or one.
+    corners = ds.codim2_w.values[ds.codim2_kind.values == "grazing-doubling"]
+    assert np.sort(corners) == pytest.approx([2 * NATURAL / 3, NATURAL], abs=1e-6)
+
+
+def test_fold_follows_the_closed_form():
+    ds = vj.curves(family("fold", *joined(FOLDING)), by="w", span=(1.05, 1.3), at={"w": 1.15}, progress=False)
+    own = points(ds, "fold")
+    assert max(abs(fold(float(w)) - float(a)) for a, w in zip(own.a[::7], own.w[::7], strict=True)) < 1e-8
+    assert ds.crossing_a.values == pytest.approx([fold(1.15)], rel=1e-8)
+    assert ds.multiplier_abs.values[:, 0] == pytest.approx(1.0, abs=1e-7)
+    assert len(vj.picture(ds).axes) == 1
+
+
+def joined(w):
+    """Amplitude, frequency and state at the section where two orbits meet."""
+    a = fold(w)
+    return a, w, oscillator_orbits(a * (1 + 1e-12), R, w, **FIXED)[-1].section
+
+
+def test_wrong_arguments_are_one_line():
+    for arguments, words in (
+        ({"by": "k"}, "by"),
+        ({"by": "a"}, "is the parameter of the family"),
+        ({"span": (2.0, 3.0)}, "which is not between 2 and 3"),
+        ({"special": 99}, "is not a number from 0"),
+        ({"at": {"damping": 0.1}}, "is not a or w with a value"),
+    ):
+        with pytest.raises(vj.InputError, match=words):
+            vj.curves(family("fold", *joined(FOLDING)), **{"by": "w", "span": W_SPAN, "progress": False} | arguments)
+
+
+def test_conditions_are_smooth_where_the_matrix_is_singular():
+    random = np.random.default_rng(0)
+    start, way = random.normal(size=(2, 1, 3, 3))
+    step = 1e-6
+    # The compound's eigenvalues are products of two.
+    values = np.linalg.eigvals(start[0])
+    i, j = np.triu_indices(3, 1)
+    assert np.sort_complex(np.linalg.eigvals(compound(start)[0])) == pytest.approx(
+        np.sort_complex(values[i] * values[j])
+    )
+    slope = (compound(start + step * way) - compound(start - step * way)) / (2 * step)
+    assert compound_along(start, way[:, None])[:, 0] == pytest.approx(slope, abs=1e-8)
+    left, _, right = np.linalg.svd(start)
+    singular = left @ (np.array([1.0, 0.5, 0.0])[:, None] * right)
+    ahead, behind = (signed_singular(singular + sign * step * way)[0] for sign in (1, -1))
+    _, w, v = signed_singular(singular)
+    assert abs((ahead - behind)[0] / (2 * step)) == pytest.approx(abs(w[0] @ way[0] @ v[0]), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "name"),
+    [
+        (("grazing", "fold"), "grazing-fold"),
+        (("stick", "grazing"), "stick-graze"),
+        (("torus", "fold"), "fold and torus"),
+    ],
+)
+def test_points_of_codimension_two_are_named(kinds, name):
+    assert name_of(*kinds) == name

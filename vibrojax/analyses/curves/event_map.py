@@ -1,0 +1,200 @@
+"""The return map past a graze: its smooth continuation to both sides, and the signed margin of the grazing event.
+
+At a graze, the return map has a kink or a square-root singularity, because an event begins. Here the motion passes
+shallow zeros of one guard without the event. The guard's minimum is then a smooth function of states and parameters
+that changes its sign at the graze. Newton's method can therefore use orbits on both sides.
+
+At a switch of friction the margin of sticking is evaluated whether the body sticks or reverses. It changes its sign
+where a stick phase appears or vanishes.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Float
+
+from vibrojax.models.arrays import Array, Flags, Lanes
+from vibrojax.models.scenes import Scene
+from vibrojax.models.systems.events import Friction, Switch
+from vibrojax.periodic.margin import FLAT, Margin, typical_values
+from vibrojax.periodic.return_map import Mapped, at_section, one_return
+from vibrojax.stepping import Accuracy, Lane, Located, Step
+from vibrojax.stepping.event import Event
+from vibrojax.stepping.polynomial import Coefficients, slope, value
+from vibrojax.stepping.series import known
+from vibrojax.sweep.engine.compiler import lane_function
+
+PASSED_DEPTH = 1e-4
+"""Depth below zero, relative to a typical value of the guard, up to which a motion passes the guard. It bounds the
+errors of predictors, and with them the step length along curves."""
+
+Chosen = Float[np.ndarray, "conditions lanes"]
+"""For each lane, 1 for the condition of its curve, else 0; see `conditions_of`."""
+
+
+def conditions_of(scene: Scene[Any]) -> list[tuple[str, int | None]]:
+    """Return the conditions of events: the name of a guard, and the mode in which a switch may hold the motion.
+
+    The mode is None for the condition that the minimum of the guard is zero.
+    """
+    modes = [mode.name for mode in scene.modes]
+    events = {event.name for event in getattr(scene, "events", ()) if isinstance(event, Friction | Switch)}
+    switches = {guard.name: modes.index(guard.name if guard.name in events else "slip") for guard in scene.guards()
+                if guard.name in events or guard.is_switch}  # fmt: skip
+    return [(name, None) for name in scene.guard_names] + list(switches.items())
+
+
+@dataclass(frozen=True)
+class PassedEvent(Event):
+    """The functions of a step, with guards lifted where the motion passes them; `lifts`: one array per guard."""
+
+    lifts: tuple[Array, ...] = ()
+
+    def functions(self, state: tuple[Any, ...]) -> tuple[Any, ...]:
+        functions = super().functions(state)
+        lifted = [f + lift for f, lift in zip(functions, self.lifts, strict=False)]
+        return (*lifted, *functions[len(lifted) :])
+
+
+@dataclass(frozen=True)
+class Passing(Located):
+    """The located stepper whose motion passes shallow zeros of the `chosen` guards, masks (lanes,) of 0 and 1."""
+
+    chosen: tuple[Array, ...] = ()
+
+    def passing(
+        self, event: Event, functions: list[list[Array]], lane: Lane, reach: Array
+    ) -> tuple[Event, list[list[Array]]]:
+        scales = _typical(event.scene, event.constants, lane.mode, lane.state)
+        lifts = tuple(
+            lax.stop_gradient(chosen * jnp.where(_predicted_minimum(f, reach) > -PASSED_DEPTH * scale, 2.0, 0.0))
+            * (PASSED_DEPTH * lax.stop_gradient(scale))
+            for f, chosen, scale in zip(functions, self.chosen, scales, strict=False)
+        )
+        lifted = [[f[0] + lift, *f[1:]] for f, lift in zip(functions, lifts, strict=False)]
+        passed = PassedEvent(event.scene, event.constants, event.mode, event.marked, event.smooths, lifts)
+        return passed, [*lifted, *functions[len(lifted) :]]
+
+
+@dataclass(frozen=True)
+class EventMargin(Margin):
+    """Signed margin of the `chosen` condition of each lane, and the grazing margin of all other events.
+
+    Its rows are the signed value that is closest to zero, the margin of the other events, and the second-closest value.
+    """
+
+    chosen: tuple[Array, ...] = ()
+
+    def after(self, least: Array, armed: Flags, lane: Lane, step: Step) -> Array:
+        scene = self.scene
+        states = tuple(known(polynomial) for polynomial in step.polynomials)
+        functions = scene.guard_values(self.c, step.mode, states)
+        scales = _typical(scene, self.c, step.mode, step.before)
+        first, second = least[0], least[2]
+        for (name, place), chosen in zip(conditions_of(scene), self.chosen, strict=True):
+            index = scene.guard_names.index(name)
+            if place is None:
+                f = functions[index].arrays(len(step.polynomials[0]) - 1, step.dt)
+                margin = _signed_minimum(f, step) / lax.stop_gradient(scales[index])
+            else:
+                held = tuple(jnp.zeros_like(m) if k == place else m for k, m in enumerate(step.mode))
+                scale = _typical(scene, self.c, held, step.after)[index]
+                now = scene.guards()[index].function(self.c, held, step.after) / lax.stop_gradient(scale)
+                margin = jnp.where(step.hits[name] & (step.mode[place] != 0), now, jnp.inf)
+            margin = jnp.where(chosen > 0, margin, jnp.inf)
+            closer, between = jnp.abs(margin) < jnp.abs(first), jnp.abs(margin) < jnp.abs(second)
+            second = jnp.where(closer, first, jnp.where(between, margin, second))
+            first = jnp.where(closer, margin, first)
+        others = lax.stop_gradient(
+            super().after(jnp.concatenate([jnp.full_like(least[:3], jnp.inf), least[3:]]), armed, lane, step)
+        )
+        return jnp.stack([first, jnp.minimum(least[1], others[:2].min(axis=0)), second, *others[3:]])
+
+    def total(self, rows: Array) -> Array:
+        return jnp.stack([rows[0], jnp.minimum(rows[1], rows[4]), rows[2]])
+
+    def considered(self, guard: str, what: str, margin: Array) -> Array:
+        for (name, place), chosen in zip(conditions_of(self.scene), self.chosen, strict=True):
+            if name != guard:
+                continue
+            if place is None:
+                own = (chosen > 0) & (what == "miss")
+            else:
+                # A slip that is reversed for an instant before the body sticks belongs to the same event.
+                own = (chosen > 0) & ((what == "switch") | (margin < PASSED_DEPTH))
+            margin = jnp.where(own, jnp.inf, margin)
+        return margin
+
+
+@lane_function(static=2, derives=True)
+def event_mapped(
+    scene: Scene[Any],
+    along: tuple[str, ...],
+    p: dict[str, Lanes],
+    state: Array,
+    chosen: Array,
+    accuracy: Accuracy,
+    most_steps: Any,
+) -> tuple[Mapped, Array]:
+    """Return the images of states past a graze with their derivatives, and the derivatives of the signed margin.
+
+    **Arguments:** `chosen`: see `Chosen`; the others as in [vibrojax.periodic.return_map.mapped][]. Of the results,
+    `seen.margin` has the rows of `EventMargin`.
+    """
+    rows, names = state.shape[0], scene.guard_names
+    masks = tuple(chosen)
+    guards = tuple(masks[: len(names)])
+
+    def image(unknowns: Array) -> Any:
+        varied = dict(zip(along, unknowns[rows:], strict=True))
+        c = scene.scaled(scene.constants(p | varied), lax.stop_gradient(at_section(scene, state)))
+        margin = EventMargin(scene, scene.section, c, True, masks)
+        stepper = Passing(chosen=guards)
+        (there, time), seen = one_return(scene, stepper, c, unknowns[:rows], accuracy, most_steps, margin=margin)
+        return (there, time, seen.margin[0]), seen
+
+    def derivative(tangent: Array) -> Any:
+        (there, time, _), (moved, _, rate), seen = jax.jvp(image, (unknowns,), (tangent,), has_aux=True)
+        return there, time, moved, rate, seen
+
+    unknowns = jnp.stack([*state, *(p[name] for name in along)])
+    basis = jnp.broadcast_to(jnp.eye(len(unknowns), dtype=state.dtype)[:, :, None], (len(unknowns), *unknowns.shape))
+    there, time, moved, rate, seen = jax.vmap(derivative, out_axes=(None, None, 1, 0, None))(basis)
+    margins = jnp.concatenate([seen.margin, seen.reach[None]])
+    return Mapped(there, time, moved, seen._replace(margin=margins)), rate
+
+
+def _typical(scene: Scene[Any], c: Any, mode: tuple[Any, ...], state: tuple[Any, ...]) -> list[Array]:
+    return typical_values(scene.resolutions(c, mode, state, marked=False))
+
+
+def _turn(f: Coefficients, end: Array) -> tuple[Flags, Array]:
+    """Return a mask of the functions with a minimum up to `end`, and the minimum's place."""
+    rate = [k * coefficient for k, coefficient in enumerate(f)][1:]
+    start, last = rate[0], value(rate, end)
+    turns = (start < 0) & (last > FLAT * start)
+    place = jnp.where(turns, end * start / jnp.where(turns, start - jnp.maximum(last, 0.0), 1), 0)
+    for _ in range(3):
+        better = place - value(rate, place) / slope(rate, place)
+        place = jnp.where(turns & (better > 0) & (better < end), better, place)
+    return turns, place
+
+
+def _signed_minimum(f: Coefficients, step: Step) -> Array:
+    """Return the minimum of a function within the step, which may be negative; infinity without a minimum."""
+    turns, place = _turn(f, step.tau)
+    return jnp.where(turns, value(f, lax.stop_gradient(place)), jnp.inf)
+
+
+def _predicted_minimum(f: Coefficients, reach: Array) -> Array:
+    """Return the least value in a step, or the minimum behind its end to which a parabola leads."""
+    end, rate = value(f, reach), slope(f, reach)
+    curvature = slope([k * coefficient for k, coefficient in enumerate(f)][1:], reach)
+    ahead = jnp.where(curvature > 0, end - rate * rate / jnp.where(curvature > 0, 2 * curvature, 1.0), -jnp.inf)
+    turns, place = _turn(f, reach)
+    inside = jnp.where(turns, value(f, place), jnp.inf)
+    return jnp.minimum(jnp.minimum(jnp.minimum(f[0], end), inside), jnp.where(rate < 0, ahead, jnp.inf))

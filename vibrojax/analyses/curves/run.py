@@ -1,0 +1,151 @@
+"""Two-parameter continuation of special points: `curves`."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY
+from vibrojax.analyses.curves.dataset import curves_dataset
+from vibrojax.analyses.curves.event_map import conditions_of
+from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
+from vibrojax.analyses.curves.following import follow_curves
+from vibrojax.analyses.curves.spec import CurvesSpec, read_curves
+from vibrojax.io.branches import branches, kind_names, places
+from vibrojax.io.variables import orbit_name
+from vibrojax.periodic.newton import MIN_RELATIVE_SWING
+from vibrojax.periodic.return_map import Segments
+
+UNITS_PER_SPAN = 8
+"""Number of units of a scaled parameter between its bounds."""
+
+NEAR_EVENT = 1e-3
+"""Largest signed margin at a special point of the condition that its curve satisfies."""
+
+
+def curves(
+    family: xr.Dataset,
+    *,
+    by: str,
+    span: tuple[float, float],
+    special: int | Sequence[int] | None = None,
+    at: Mapping[str, float] | None = None,
+    progress: bool = True,
+) -> xr.Dataset:
+    """Continue the special points of families of orbits in a second parameter, as curves in the plane of both.
+
+        fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
+        ds = vj.curves(fam, by="beta", span=(0.1, 1.2))
+
+    Each fold, period doubling, torus, grazing, stick and Hopf point is continued both ways, until a parameter reaches a
+    bound. The bounds of the family's parameter are those of the family. Points of codimension two on the curves are
+    located and named.
+
+    **Arguments:**
+
+    - `family`: result of `follow`.
+    - `by`: second parameter; `span`: its lower and upper bound, which enclose its value in the family.
+    - `special`: index of one special point of the family, or several; by default all that can be continued.
+    - `at`: either parameter with a value, such as `{"beta": 0.5}`. The points at which curves pass this value are
+      located like special points.
+    - `progress`: True to report progress on stderr.
+
+    **Returns:** a dataset.
+
+    - Along `point`, in order along each curve: `point_curve`, the two parameters, `period` [s] (the mean time between
+      section crossings), `cycles`, the state at the section (`orbit_x1` and so on), and the multipliers.
+    - Along `curve`: `kind`, `special` (the index in the family), and `curve_note` on the ends of the curve.
+    - Along `codim2`: `codim2_kind`, such as cusp or grazing-fold, `codim2_curve`, and `codim2_NAME` for both
+      parameters.
+    - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.
+
+    **Raises:** `InputError` for an invalid name or value.
+    """
+    return continue_curves(read_curves(family, by, span, special, at), progress)
+
+
+def continue_curves(spec: CurvesSpec, progress: bool = True) -> xr.Dataset:
+    """Return the curves of a specification, as `curves` does."""
+    problem, unknowns = problem_of(spec)
+    found = follow_curves(problem, unknowns)
+    return curves_dataset(spec, problem, found)
+
+
+def problem_of(spec: CurvesSpec) -> tuple[CurveProblem, list[np.ndarray]]:
+    """Return the equations of the curves, and the unknowns at the special points."""
+    scene = spec.scene.driving_part()
+    kinds = np.array(kind_names(spec.family))[spec.special]
+    orbits = [_orbit_at(spec, index) for index in spec.special]
+    parameters = {name: spec.parameters[name] for name in scene.parameters()}
+    # The program of the curves serves here, too: another one would have to be compiled.
+    go = Segments(scene, (spec.along, spec.by), FAMILY_ACCURACY)
+    states, scales, most_steps = _states(go, parameters, orbits)
+    count = len(spec.special)
+    low, high = spec.first_span
+    none = np.zeros((count, len(conditions_of(scene))))
+    problem = CurveProblem(
+        scene=scene,
+        along=spec.by,
+        parameters=parameters,
+        scales=scales,
+        unit=np.full(count, (spec.span[1] - spec.span[0]) / UNITS_PER_SPAN),
+        first=np.full(count, spec.span[0]),
+        last=np.full(count, spec.span[1]),
+        most_steps=most_steps,
+        other=spec.along,
+        other_unit=np.full(count, (high - low) / UNITS_PER_SPAN),
+        other_first=np.full(count, low),
+        other_last=np.full(count, high),
+        kinds=kinds,
+        chosen=none,
+    )
+    unknowns = []
+    for k in range(count):
+        values = np.array([[parameters[spec.along][k], parameters[spec.by][k]]])
+        unknowns.append(problem.point(np.array([k]), states[k][None], values)[0])
+        if kinds[k] in EVENTS:
+            none[k] = _condition(problem, k, unknowns[k])
+    return problem, unknowns
+
+
+def _orbit_at(spec: CurvesSpec, index: int) -> tuple[int, Float[np.ndarray, " states"]]:
+    """Return the number of section crossings, and the state at the section, at a special point of the family."""
+    family = spec.family
+    for branch in branches(family):
+        if index in branch.special:
+            point = int(places(family, branch)[list(branch.special).index(index)])
+            names = map(orbit_name, spec.scene.driving_part().return_states)
+            return int(family["cycles"].values[point]), np.array([float(family[name].values[point]) for name in names])
+    raise AssertionError(index)
+
+
+def _states(
+    go: Segments, parameters: Mapping[str, np.ndarray], orbits: list[tuple[int, np.ndarray]]
+) -> tuple[list[Float[np.ndarray, "cycles states"]], Float[np.ndarray, "curves states"], float]:
+    """Return the states at all section crossings of orbits, the scales of states, and a limit of steps."""
+    state = np.array([begin for _, begin in orbits]).T
+    cycles = np.array([count for count, _ in orbits])
+    returns, least, greatest, steps = [state], state.copy(), state.copy(), 0.0
+    for k in range(int(cycles.max())):
+        mapped = go(parameters, returns[-1])
+        active = cycles > k
+        least[:, active] = np.fmin(least, mapped.seen.least)[:, active]
+        greatest[:, active] = np.fmax(greatest, mapped.seen.greatest)[:, active]
+        steps = max(steps, float(mapped.seen.steps[active].max()))
+        returns.append(np.asarray(mapped.state))
+    swing = np.maximum((greatest - least) / 2, MIN_RELATIVE_SWING * np.maximum(greatest, -least))
+    scales = np.where(swing > 0, swing, 1.0).T
+    states = [np.stack([state[:, k] for state in returns[: cycles[k]]]) for k in range(len(orbits))]
+    return states, scales, 8 * steps
+
+
+def _condition(problem: CurveProblem, curve: int, u: np.ndarray) -> Float[np.ndarray, " conditions"]:
+    """Return the choice of the event whose signed margin is zero at a special point; zeros if there is none."""
+    choices = np.eye(problem.chosen.shape[1])
+    every = np.full(len(choices), curve)
+    with np.errstate(all="ignore"):
+        margins = problem.margins(every, np.repeat(u[None], len(choices), axis=0), choices)
+    least = np.nan_to_num(np.abs(margins), nan=np.inf).min(axis=1)
+    nearest = int(least.argmin())
+    return choices[nearest] if least[nearest] < NEAR_EVENT else np.zeros(len(choices))
