@@ -12,7 +12,6 @@ from vibrojax.analyses.study import sampling as samples
 from vibrojax.analyses.study.analysis import Studies
 from vibrojax.analyses.study.run import SCHEMA, study_of, values_of
 from vibrojax.analyses.study.sampling import (
-    MAX_PARAMETERS,
     REASONS,
     Sampling,
     factorial_effects,
@@ -22,6 +21,7 @@ from vibrojax.analyses.study.sampling import (
 from vibrojax.analyses.study.spec import read_study
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.sweep.input.bounds import MAX_VARIED
 from vibrojax.sweep.input.source import read_source
 
 STUDY = {
@@ -64,7 +64,7 @@ def test_indices_of_the_ishigami_function():
     np.testing.assert_allclose([found["mean"], found["std"] ** 2], [a / 2, variance], rtol=0.02)
 
 
-@pytest.mark.parametrize("parameters", range(1, MAX_PARAMETERS + 1))
+@pytest.mark.parametrize("parameters", range(1, MAX_VARIED + 1))
 def test_no_effect_of_the_design_is_confounded_with_another(parameters):
     """Main effects and interactions are orthogonal, and those of a bilinear function are recovered exactly."""
     signs, pairs = factorial_signs(parameters), list(combinations(range(parameters), 2))
@@ -162,7 +162,7 @@ REFUSED = [
     ({"samples": True}, "study: samples: true does not fit"),
     ({"seed": -1}, "study: seed: -1 does not fit"),
     ({"vary": {}}, "study: vary: empty, so nothing varies; write one like"),
-    ({"vary": {"v": [1.5, 1.5]}}, "study: vary.v: [1.5, 1.5]: 1.5 is not below 1.5"),
+    ({"vary": {"v": [1.5, 1.5]}}, "study: vary.v: [1.5, 1.5] is no interval; move one value to [parameters]"),
     ({"vary": {"v": 1.5}}, "study: vary.v: 1.5 is not a pair"),
     (
         {"vary": {"gama": [0.6, 0.8]}},

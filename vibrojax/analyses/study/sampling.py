@@ -9,9 +9,6 @@ from jaxtyping import Bool, Float
 
 from vibrojax.errors import InputError
 
-MAX_PARAMETERS = 12
-"""Largest number of varied parameters."""
-
 CONFIDENCE = 0.95
 """Level of the confidence intervals."""
 
