@@ -107,6 +107,8 @@ def test_a_study_is_of_its_lanes(ran):
     sobol = lanes.regime.values.ravel()[: -(2**size)]
     assert float(ds.share_single_impact) == pytest.approx((sobol == 3).mean())
     assert float(ds.regime_share.sum()) == pytest.approx(1.0)
+    flat = ds.assign(effect=ds.effect * 1e-18)
+    assert any("hardly changes it on average" in line for line in Studies().summary(flat)[0].lines)
     lines = Studies().summary(ds)[0].lines
     assert any(line.strip().startswith("v (drive speed) causes") and "from 1.2 to 1.8 m/s" in line for line in lines)
 
@@ -150,6 +152,11 @@ def test_the_command_writes_draws_and_explains(tmp_path, monkeypatch, capsys):
     assert main(["study", "own.toml"]) == 0
     out = capsys.readouterr().out
     assert "is there already" in out and "impact energy:" in out
+    for command, line in {
+        ("plot", "own-study.nc", "--variable", "effect"): '"effect" has no picture of its own, since a study is drawn',
+        ("borders", "own-study.nc"): "not the dataset of a sweep (its kind is study)",
+    }.items():
+        assert main(list(command)) == 2 and line in capsys.readouterr().err
     assert main(["info", "own-study.nc", "--json"]) == 0
     assert {"v", "gamma"} <= set(json.loads(capsys.readouterr().out)["study"]["impact_energy"]["parameters"])
 
@@ -172,6 +179,7 @@ REFUSED = [
     ({"vary": {"delta": [0.0, 0.001]}}, "study: vary.delta: is in [parameters] as well"),
     ({"vary": {f"x{k}": [0.0, 1.0] for k in range(13)}}, "study: vary: 13 parameters vary; give at most 12"),
     ({"starts": ["stuk"]}, 'study: starts[0]: "stuk" is unknown; did you mean "stuck"?'),
+    ({"run": {"carry": "v"}}, "study: run.carry: points have no axis"),
     ({"sample": 8}, 'study: sample: unknown key; did you mean "samples"?'),
     ({"scene": "vibro"}, "study: scene: "),
 ]

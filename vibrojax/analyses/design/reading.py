@@ -58,8 +58,6 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
         place.at("tolerance"), tables.get("tolerance", {}), names, parameters, low, high
     )
     run = dict(as_table(place.at("run"), tables.get("run", {})))
-    if "carry" in run:
-        raise place.at("run").at("carry").error("a design has no axis along which lanes continue; leave it out")
     known = _known_variables(names)
     maximise = tables.get("maximise")
     if maximise is None:

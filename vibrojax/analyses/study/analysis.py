@@ -29,6 +29,9 @@ WIDE = 0.3
 CURVED = 0.5
 """Ratio of an effect to that of a straight line with the same variance below which the summary calls it not steady."""
 
+NEGLIGIBLE = 1e-3
+"""Effect, relative to the standard deviation, below which the summary says that it hardly changes the variable."""
+
 _MAX_ROWS = 4
 _BAR = 0.38  # height of a bar; two stand at each parameter
 
@@ -182,6 +185,7 @@ def _parameter_sentence(row: xr.Dataset, k: int) -> str:
     if not np.isfinite(effect):
         return text
     change = f"{'raises' if effect > 0 else 'lowers'} it by {factor * abs(effect):.3g} {pretty_unit(unit)}".rstrip()
+    change = change if abs(effect) > NEGLIGIBLE * float(row["std"]) else "hardly changes it"
     text += f"; going from {_bounds(row, k)} {change} on average"
     if first > MIN_SHARE and abs(effect) < CURVED * np.sqrt(12 * first) * float(row["std"]):
         text += ", but not steadily: values in between differ more"

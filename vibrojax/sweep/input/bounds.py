@@ -47,6 +47,9 @@ def read_bounds(
 
 def read_points_of(file: str, tables: Mapping[str, object]) -> Sweep:
     """Return the sweep over the points of another specification, whose file and table the messages name."""
+    run = tables.get("run")
+    if isinstance(run, dict) and "carry" in run:
+        raise Place(file, "run.carry").error("points have no axis along which lanes continue; leave it out")
     try:
         return read_sweep(tables)
     except InputError as error:
