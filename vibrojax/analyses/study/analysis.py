@@ -47,13 +47,13 @@ def bars_and_interactions(ds: xr.Dataset) -> Figure:
     figure = new_figure(9.0, len(of) * max(1.9, 0.8 + 0.26 * size) + 0.8)
     grid = figure.subplots(len(of), 2, squeeze=False, width_ratios=[1.5, 1.0])
     greatest = float(np.nanmax(ds["second_order"].values, initial=MIN_SHARE))
-    for name, (left, right) in zip(of, grid, strict=True):
+    for name, (bars, pairs) in zip(of, grid, strict=True):
         row = ds.sel(of=name)
-        _draw_bars(left, row)
-        left.set_title(_title(row), loc="left")
-        _draw_pairs(right, row, greatest)
-        right.set_title("interactions of pairs [%]", loc="left")
-        left.set_xlabel("share of the variance" if name == of[-1] else "")
+        _draw_bars(bars, row)
+        bars.set_title(_title(row), loc="left")
+        _draw_pairs(pairs, row, greatest)
+        pairs.set_title("interactions of pairs [%]", loc="left")
+        bars.set_xlabel("share of the variance" if name == of[-1] else "")
     handles: list[Artist] = [Patch(color=BIT, label="alone"), Patch(color=FAINT, label="with all its\ninteractions")]
     legend_at_right(figure, handles)
     rest = ds.sizes["of"] - len(of)
