@@ -90,6 +90,34 @@ def test_bounces_that_accumulate_end_in_rest():
     assert motion.regime.attrs["flag_meanings"].split()[int(motion.regime)] == "equilibrium"
 
 
+def test_bounces_that_end_in_rest_in_each_period_are_an_orbit_that_forgets_its_past():
+    """The table throws the ball where a w² cos(w t) = -g; the first impact ends its flight, and rest its bounces."""
+    w, g, drives = 2 * np.pi, 9.81, np.linspace(1.1, 1.9, 9)
+    ds = vj.run_sweep(
+        {
+            "scene": BALL,
+            "grid": {"a": (drives * g / w**2).tolist(), "r": [0.2, 0.4]},
+            "starts": [[0.0, 0.0], [1.0, 0.0]],
+            "run": {"orbits": True},
+        },
+        progress=False,
+    )
+    found = ds.orbit_reason.attrs["flag_meanings"].split().index("found")
+    assert np.all(ds.orbit_reason == found)
+    lanes = ds.where(ds.impacts > 4)  # with r = 0.4, some drives throw the ball so that it never rests
+    assert float(np.isfinite(lanes.impacts).mean()) > 0.7
+    assert float(lanes.multiplier_abs.max()) < 1e-9 and np.nanmin(lanes.grazing_margin) > 1e-4
+    assert np.ptp(ds.impacts.sel(r=0.2).values, axis=-1).max() == 0  # the same from both starts
+    for drive in drives:
+        a, leaves = drive * g / w**2, np.arccos(-1 / drive) / w
+        height, speed = -a * np.cos(w * leaves), a * w * np.sin(w * leaves)
+        above = lambda t: height + speed * t - g * t**2 / 2 + a * np.cos(w * (leaves + t))  # noqa: B023, E731
+        flight = brentq(above, 0.02, 1.0, xtol=1e-15)
+        meets = a * w * np.sin(w * (leaves + flight)) - (speed - g * flight)
+        lane = ds.sel(a=a, r=0.2).impact_velocity_max.values
+        assert lane == pytest.approx([meets] * 2, rel=1e-7)
+
+
 def test_a_ball_at_rest_is_thrown_off_where_the_table_falls_faster_than_it():
     """The table accelerates downwards at most by a w² = 1.5 g; the ball leaves where a w² cos(w t) = -g."""
     a, w = 1.5 * 9.81 / (2 * np.pi) ** 2, 2 * np.pi

@@ -8,6 +8,10 @@ Guards are functions that are positive within a mode. The margin is the smallest
   stick phase appears or vanishes.
 
 The section's velocity also counts as a guard while its next zero is a section crossing.
+
+Of slower and slower bounces that end in rest on a stop (complete chatter), only the first counts. The map through all
+of them is smooth, although the last bounces graze: the rest erases the differences (Nordmark and Piiroinen,
+*Nonlinear Dynamics* 58 (2009), 85).
 """
 
 from dataclasses import dataclass, replace
@@ -55,10 +59,10 @@ FLAT = 1e-9
 class Margin:
     """Grazing margin of a motion of `scene` with the constants `c`, accumulated step by step.
 
-    The margin has three rows (3, lanes). The first is that of switches of friction, which vanishes where a stick phase
-    appears or vanishes. The second is that of all other guards. The third limits the validity of derivatives: it is the
-    least of both, with the square root of a near miss. Short of a graze, the map is smooth over a distance of the
-    margin itself, not of its square. `derives`: True if the margin is differentiated.
+    The margin has three rows (3, lanes), see `total`. The first is that of switches of friction, which vanishes where a
+    stick phase appears or vanishes. The second is that of all other guards. The third limits the validity of
+    derivatives: it is the least of both, with the square root of a near miss. Short of a graze, the map is smooth over
+    a distance of the margin itself, not of its square. `derives`: True if the margin is differentiated.
     """
 
     scene: Scene[Any]
@@ -66,10 +70,17 @@ class Margin:
     c: Any
     derives: bool = False
 
-    def after(self, least: Array, armed: Flags, lane: Lane, step: Step) -> Array:
-        """Return the minimum of `least` (3, lanes) and of the margins within `step`, which leads to `lane`.
+    def begin(self, zero: Lanes) -> Array:
+        """Return the rows (5, lanes) before the first step; see `after`."""
+        far = jnp.full_like(zero, jnp.inf)
+        return jnp.stack([far, far, far, zero, far])
 
-        `armed`: mask of lanes whose next zero of the section's velocity is a crossing.
+    def after(self, rows: Array, armed: Flags, lane: Lane, step: Step) -> Array:
+        """Return the minimum of `rows` (5, lanes) and of the margins within `step`, which leads to `lane`.
+
+        The last two rows are for bounces that may end in rest: the margin of the last bounce, and the least margin of
+        the bounces since the first of the series. `armed`: mask of lanes whose next zero of the section's velocity is
+        a crossing.
         """
         if not self.derives:
             lane, step = lax.stop_gradient((lane, step))
@@ -81,17 +92,33 @@ class Margin:
         turned = reduce(jnp.logical_or, [step.hits[name] for name in self._turns()], jnp.zeros_like(armed))
         at_switches, of_section = self._at_switches(lane, step), self._of_section(armed, step, pace)
         switches, others, reach = (
-            [least[0], *at_switches],
-            [least[1], *of_section],
-            [least[2], *at_switches, *of_section],
+            [rows[0], *at_switches],
+            [rows[1], *of_section],
+            [rows[2], *at_switches, *of_section],
         )
+        last, series = rows[3], rows[4]
+        before, after = self.scene.at_rest(step.mode), self.scene.at_rest(lane.mode)
         for guard, function, scale in zip(self.scene.guards(), functions, scales, strict=True):
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins = switches if guard.is_switch else others
             hit, miss = _at_hit(f, step, step.hits[guard.name], scale * pace), _near_miss(f, step, scale, turned)
+            if guard.name in before:
+                bounces, rests = step.hits[guard.name] & ~before[guard.name], after[guard.name] & ~before[guard.name]
+                slower = bounces & (hit < last)
+                hit, series, last = (
+                    jnp.where(slower, jnp.inf, jnp.where(bounces, jnp.minimum(hit, series), hit)),
+                    jnp.where(
+                        rests | (bounces & ~slower), jnp.inf, jnp.where(slower, jnp.minimum(hit, series), series)
+                    ),
+                    jnp.where(rests, 0.0, jnp.where(bounces, hit, last)),
+                )
             margins += [hit, miss]
             reach += [hit, jnp.sqrt(lax.stop_gradient(miss))]
-        return jnp.stack([reduce(jnp.minimum, margins) for margins in (switches, others, reach)])
+        return jnp.stack([*(reduce(jnp.minimum, margins) for margins in (switches, others, reach)), last, series])
+
+    def total(self, rows: Array) -> Array:
+        """Return the margins (3, lanes) after the last step."""
+        return jnp.stack([rows[0], *jnp.minimum(rows[1:3], rows[4:])])
 
     def _turns(self) -> list[str]:
         """Return the names of the markers of the section's oscillating positions, such as those of bit and striker."""

@@ -76,6 +76,7 @@ class _Flight(NamedTuple):
     lane: Lane
     time: Lanes
     armed: Flags
+    margins: Array
     seen: ReturnEvents
 
 
@@ -144,7 +145,9 @@ def one_return(
     own = jax.lax.stop_gradient(_map_state(scene, lane))
     changes = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
     far = jnp.full((2, *zero.shape), jnp.inf, zero.dtype)
-    begin = _Flight(lane, zero, none, ReturnEvents(none, zero, zero, changes, far, far[0], own, own))
+    begin = _Flight(
+        lane, zero, none, margin.begin(zero), ReturnEvents(none, zero, zero, changes, far, far[0], own, own)
+    )
 
     def is_moving(flight: _Flight) -> Flags:
         return ~flight.seen.returned & (flight.seen.steps < most_steps) & jnp.isfinite(flight.lane.state[0])
@@ -154,20 +157,20 @@ def one_return(
         lane, step = stepper.step(scene, c, flight.lane, accuracy, Goal(jnp.inf, moving), marked=True)
         armed, returns = passed(scene, section, c, flight.armed, step)
         seen = flight.seen
-        before = jnp.concatenate([seen.margin, seen.reach[None]])
-        margins = jnp.where(moving[None], margin.after(before, flight.armed, lane, step), before)
+        margins = jnp.where(moving[None], margin.after(flight.margins, flight.armed, lane, step), flight.margins)
+        total = margin.total(margins)
         own = jax.lax.stop_gradient(_map_state(scene, lane))
         seen = ReturnEvents(
             returned=seen.returned | (returns & moving),
             impacts=seen.impacts + _impacts(scene, c, step),
             steps=seen.steps + moving.astype(seen.steps.dtype),
             mode_changes=seen.mode_changes + _mode_changes(step.mode, lane.mode),
-            margin=margins[:2],
-            reach=margins[2],
+            margin=total[:2],
+            reach=total[2],
             least=jnp.minimum(seen.least, own),
             greatest=jnp.maximum(seen.greatest, own),
         )
-        return _Flight(lane, flight.time + step.dt, jnp.where(moving, armed, flight.armed), seen)
+        return _Flight(lane, flight.time + step.dt, jnp.where(moving, armed, flight.armed), margins, seen)
 
     flight = jax.lax.while_loop(lambda flight: jnp.any(is_moving(flight)), advance, begin)
     return (_map_state(scene, flight.lane), flight.time), flight.seen

@@ -289,6 +289,10 @@ class Scene(ABC, Generic[C]):
         """
         return {}
 
+    def at_rest(self, mode: Values) -> Mapping[str, Any]:
+        """Return, by name of the guard, masks of lanes at rest on a rigid stop; empty without such stops."""
+        return {}
+
     def after_event(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
         """Return mode and state after an event: where a marker is hit its velocity is zero, then `reset` is applied."""
         turned = list(state)

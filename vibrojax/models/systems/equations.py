@@ -30,7 +30,8 @@ AT_STOP = 1e-5
 
 AT_REST = 16.0
 """Speed of a bounce up to which the motion comes to rest on the stop, in square roots of the machine epsilon times the
-typical rate of the gap. The height of a bounce is of second order in its speed: below, it is lost in rounding."""
+typical rate of the gap in a motion from rest, or half of it in a faster motion. The height of a bounce is of second
+order in its speed: below, it is lost in rounding."""
 
 BEYOND_RETURN = 1.5
 """Longest step in units of the time until a surface's parabola returns to zero: beyond it, the function is negative."""
@@ -238,6 +239,9 @@ class SystemEquations(Scene[SystemConstants]):
             kinds |= {kind: kinds.get(kind, False) | mask for kind, mask in masks.items()}
         return kinds
 
+    def at_rest(self, mode: Values) -> Mapping[str, Any]:
+        return {event.name: mode[index] == 1 for index, event in self._flow.of(Impact)}
+
     # Scales
 
     def constants(self, p: Mapping[str, Any]) -> SystemConstants:
@@ -254,28 +258,38 @@ class SystemEquations(Scene[SystemConstants]):
         """Return the constants with rates and scales of a motion that begins at `state`."""
         t, y = self._known(state)
         like = 0.0 * state[0]
-        rates = self._flow.fastest(c, t, y)
-        c = c._replace(rates=rates)
-        speed, typical = jnp.stack(rates).min(axis=0), {name: jnp.abs(x) + like for name, x in y.items()}
+        # A lane and its orbit begin in different states, and must come to rest after the same bounce.
+        _, _, from_rest = self._magnitudes(c, like, {name: like for name in y})
+        c = c._replace(rates=self._flow.fastest(c, t, y))
+        typical, surfaces, closing = self._magnitudes(c, t + like, {name: x + like for name, x in y.items()})
+        eps = jnp.finfo(like.dtype).eps
+        return c._replace(
+            typical=typical,
+            lifts=tuple(LIFT_ROUNDINGS * eps * size for size in surfaces),
+            slow=tuple(
+                AT_REST * eps**0.5 * jnp.maximum(usual, 0.5 * own)
+                for usual, own in zip(from_rest, closing, strict=True)
+            ),
+        )
+
+    def _magnitudes(self, c: SystemConstants, t: Any, y: dict[str, Any]) -> tuple[dict[str, Any], list[Any], list[Any]]:
+        """Return magnitudes of states, surfaces of events, and closing rates of stops in a motion from `y`."""
+        like = 0.0 * t
+        speed, typical = jnp.stack(c.rates).min(axis=0), {name: jnp.abs(x) for name, x in y.items()}
         mode = tuple(like + (0.0 if isinstance(event, Impact) else 1.0) for event in self.events)
         time = 0.0 if c.period is None else c.period
         for _ in range(2):
             known = {name: Rounded(y[name], size) for name, size in typical.items()}
-            sizes = self._flow.at(c, mode, Rounded(t + like, time + like), known).rates
+            sizes = self._flow.at(c, mode, Rounded(t, time + like), known).rates
             typical = {name: jnp.maximum(size, _size(sizes[name]) / speed) for name, size in typical.items()}
         known = {name: Rounded(y[name], size) for name, size in typical.items()}
-        clock = Rounded(t + like, time + like)
-        eps = jnp.finfo(like.dtype).eps
+        clock = Rounded(t, time + like)
         surfaces = [_size(event.surface(clock, known, c.p)) + like for event in self.events]
         closing = [
             _size(self._flow.closing(c, event, mode, clock, known)) + like if isinstance(event, Impact) else like
             for event in self.events
         ]
-        return c._replace(
-            typical=typical,
-            lifts=tuple(LIFT_ROUNDINGS * eps * size for size in surfaces),
-            slow=tuple(AT_REST * eps**0.5 * size for size in closing),
-        )
+        return typical, surfaces, closing
 
     def rate(self, c: SystemConstants, mode: Values) -> Any:
         where = [mode[index] for index, event in enumerate(self.events) if isinstance(event, Switch)]

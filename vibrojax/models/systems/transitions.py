@@ -78,7 +78,10 @@ def _after_impact(
         values[name] = jnp.where(hit, position, values[name])
     slow = jnp.abs(event.bounce(c.p) * rate) <= c.slow[index]
     jump = jnp.where(slow, -rate, -(1.0 + event.bounce(c.p)) * rate) / flow.gain(c, index, mode, t, y)
-    values[event.velocity] = values[event.velocity] + jnp.where(struck & (rate < 0), jump, 0.0)
+    # A long rest also drifts in its velocity: a departure that approaches the stop would take very short steps.
+    released = -rate / flow.gain(c, index, mode, t, y)
+    changes = jnp.where(struck & (rate < 0), jump, jnp.where(hit & resting, released, 0.0))
+    values[event.velocity] = values[event.velocity] + changes
     pushed = flow.at(c, mode, *known(values)).margins[index] > _least_push(c, index)
     after = jnp.where(slow, jnp.where(pushed, 1.0, -1.0), 0.0)
     return jnp.where(hit, jnp.where(resting, -1.0, after), mode[index])
@@ -132,7 +135,9 @@ def initial_modes(flow: Flow, c: SystemConstants, t: Any, y: States, free: Value
         if isinstance(event, Impact):
             rate = flow.closing(c, event, free, t, y)
             pushed = (margin > _least_push(c, index)) & (event.velocity is not None)
-            rests = near & (jnp.abs(rate) <= c.slow[index]) & pushed
+            # A motion at rest drifts by the tolerance of its steps until the section.
+            touches = jnp.abs(event.surface(t, y, c.p) + 0.0 * free[index]) <= jnp.maximum(small[index], c.lifts[index])
+            rests = touches & (jnp.abs(rate) <= c.slow[index]) & pushed
             modes[index] = jnp.where(rests, 1.0, jnp.where(near & (rate >= -c.slow[index]), -1.0, 0.0))
         else:
             stays = margin >= 0 if isinstance(event, Friction) else margin > 0
