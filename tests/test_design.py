@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.design import chart, run
+from vibrojax.analyses.design import chart, mapping, orbit_search, robustness, run, search
 from vibrojax.analyses.design.analysis import Designs
 from vibrojax.analyses.design.chart_page import A4, chart_page
 from vibrojax.analyses.design.reading import read_design
@@ -120,34 +120,62 @@ def test_the_command_writes_draws_and_is_read_again(tmp_path, monkeypatch, capsy
     assert "is there already" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("change", "line"),
-    [
-        (
-            {"subject": {"regime": "single-impact", "peak_impact_force": {"most": 1e3}}},
-            "most 1000 N cannot be met; nearest: ",
-        ),
-        (
-            {"subject": {"regime": "impact-free"}},
-            "impact-free from every start cannot be reached; nearest: 0 of 1 lane",
-        ),
-    ],
-)
-def test_what_cannot_be_met_is_one_line(change, line):
-    table = {key: x for key, x in DESIGN.items() if key not in ("tolerance", "front")} | {
-        "vary": {"gamma": [0.7, 0.72]}
-    }
-    with pytest.raises(vj.InputError, match=r"^design: subject") as error:
-        vj.design(table | change, progress=False)
-    assert line in str(error.value) and "gamma = " in str(error.value) and "\n" not in str(error.value)
+SINGLE = {"regime": "single-impact"}
+PULSES = {"scene": "penetration", "maximise": "rate_of_penetration", "parameters": {"frequency": 10.0}, "starts": None}
+WHOLE = {"share": {"least": 1.0}}
+GRANITE = {"parameters": {"rock": "granite", "beta": 0.4, "delta": 0.005}}
 
 
 @pytest.mark.parametrize(
     ("change", "line"),
     {
-        "vary": ({"vary": {}}, "vary: empty, so there is nothing to design"),
-        "unbounded": ({"vary": {"gamma": [0.5, np.inf]}}, "vary.gamma: [0.5, inf] is unbounded"),
-        "order": ({"vary": {"gamma": [0.9, 0.5]}}, "the lower bound comes first"),
+        "force": ({"subject": {"peak_impact_force": {"most": 1e3}}}, ": most 1000 N cannot be met; nearest: 16"),
+        "regime": ({"subject": {"regime": "impact-free"}}, "nearest: 0 of 1 lane at gamma = 0.7 (single-impact)"),
+        "other limits": (
+            {"subject": {"impact_velocity": {"least": 8.0}, "peak_impact_force": {"most": 150e3}}},
+            "impact_velocity: least 8 m s-1 cannot be met with the other limits; nearest: 2.",
+        ),
+        "tolerance": (
+            {"subject": {"peak_impact_force": {"most": 1e3}}, "tolerance": {"delta": 1e-4}},
+            "cannot be met within the tolerances; nearest: ",
+        ),
+        "share": (
+            {"subject": {**WHOLE, "impact_energy": {"least": 5e3}}},
+            "share: least 1, most 1 cannot be met; nearest: 0 at gamma = 0.7; there impact_energy is 3",
+        ),
+        "objective": (
+            {"scene": "drilling", "maximise": "rate_of_penetration", "subject": SINGLE} | GRANITE,
+            "design: maximise: rate_of_penetration is 0 wherever the requirements hold; it is 0 on the whole map",
+        ),
+        "limited objective": (
+            PULSES | {"vary": {"force": [100e3, 300e3]}, "subject": {"mean_force": {"most": 5e3}}},
+            "is 0 wherever the requirements hold; nearest above 0: 0.00",
+        ),
+        "pulses": (
+            PULSES | {"vary": {"force": [50e3, 100e3]}, "subject": {"rate_of_penetration": {"least": 0.1}}},
+            "rate_of_penetration: least 0.1 m s-1 cannot be met; nearest: 0 m s-1 at force = ",
+        ),
+    }.values(),
+)  # fmt: skip
+def test_what_cannot_be_met_is_one_line(change, line, monkeypatch):
+    monkeypatch.setitem(mapping.AXIS_POINTS, 1, 5)
+    monkeypatch.setattr(search, "MAX_ITERATIONS", 0)
+    monkeypatch.setattr(robustness, "MAX_REPAIRS", 0)
+    table = {key: x for key, x in DESIGN.items() if key not in ("tolerance", "front")}
+    table |= {"vary": {"gamma": [0.7, 0.72]}} | change
+    if table["scene"] != "penetration":  # the search from the map's points is tested elsewhere
+        monkeypatch.setattr(orbit_search, "orbit_path", lambda simulator, candidate: [])
+    with pytest.raises(vj.InputError, match=r"^design: (subject|maximise)") as error:
+        vj.design({key: x for key, x in table.items() if x is not None}, progress=False)
+    assert line in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    {
+        "vary": ({"vary": {}}, "vary: empty, so nothing varies"),
+        "unbounded": ({"vary": {"gamma": [0.5, np.inf]}}, "vary.gamma[1]: is inf; a finite number is needed"),
+        "order": ({"vary": {"gamma": [0.9, 0.5]}}, "is no interval; the least value comes first"),
         "both": ({"vary": {"beta": [0.3, 0.5]}}, "vary.beta: is in [parameters] as well"),
         "name": ({"vary": {"gama": [0.3, 0.5]}}, 'did you mean "gamma"?'),
         "ends": ({"subject": {"period": {"least": 2.0, "most": 1.0}}}, "contradictory: least 2 is above most 1"),
@@ -157,6 +185,9 @@ def test_what_cannot_be_met_is_one_line(change, line):
         "share": ({"subject": {"share": {"least": 2.0}}}, "is not a range of shares"),
         "wide": ({"tolerance": {"gamma": 0.8}}, "tolerance.gamma: 0.8 is too wide"),
         "maximise": ({"maximise": "power"}, 'maximise: "power" is unknown'),
+        "flag": ({"maximise": "regime"}, 'maximise: "regime" is unknown'),
+        "twice": ({"vary": {"v": [1.0, 2.0], "rpm": [100.0, 200.0]}}, "design: vary.rpm: v is given as well"),
+        "run": ({"run": {"settle": -1}}, "design: run.settle: is -1"),
         "front": ({"front": {"against": "impact_power"}}, "is what is maximised"),
         "key": ({"minimise": "period"}, "minimise: unknown key"),
     }.values(),

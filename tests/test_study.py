@@ -12,7 +12,6 @@ from vibrojax.analyses.study import sampling as samples
 from vibrojax.analyses.study.analysis import Studies
 from vibrojax.analyses.study.run import SCHEMA, study_of, values_of
 from vibrojax.analyses.study.sampling import (
-    MAX_PARAMETERS,
     REASONS,
     Sampling,
     factorial_effects,
@@ -22,6 +21,7 @@ from vibrojax.analyses.study.sampling import (
 from vibrojax.analyses.study.spec import read_study
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.sweep.input.bounds import MAX_VARIED
 from vibrojax.sweep.input.source import read_source
 
 STUDY = {
@@ -64,7 +64,7 @@ def test_indices_of_the_ishigami_function():
     np.testing.assert_allclose([found["mean"], found["std"] ** 2], [a / 2, variance], rtol=0.02)
 
 
-@pytest.mark.parametrize("parameters", range(1, MAX_PARAMETERS + 1))
+@pytest.mark.parametrize("parameters", range(1, MAX_VARIED + 1))
 def test_no_effect_of_the_design_is_confounded_with_another(parameters):
     """Main effects and interactions are orthogonal, and those of a bilinear function are recovered exactly."""
     signs, pairs = factorial_signs(parameters), list(combinations(range(parameters), 2))
@@ -107,6 +107,8 @@ def test_a_study_is_of_its_lanes(ran):
     sobol = lanes.regime.values.ravel()[: -(2**size)]
     assert float(ds.share_single_impact) == pytest.approx((sobol == 3).mean())
     assert float(ds.regime_share.sum()) == pytest.approx(1.0)
+    flat = ds.assign(effect=ds.effect * 1e-18)
+    assert any("hardly changes it on average" in line for line in Studies().summary(flat)[0].lines)
     lines = Studies().summary(ds)[0].lines
     assert any(line.strip().startswith("v (drive speed) causes") and "from 1.2 to 1.8 m/s" in line for line in lines)
 
@@ -150,6 +152,11 @@ def test_the_command_writes_draws_and_explains(tmp_path, monkeypatch, capsys):
     assert main(["study", "own.toml"]) == 0
     out = capsys.readouterr().out
     assert "is there already" in out and "impact energy:" in out
+    for command, line in {
+        ("plot", "own-study.nc", "--variable", "effect"): '"effect" has no picture of its own, since a study is drawn',
+        ("borders", "own-study.nc"): "not the dataset of a sweep (its kind is study)",
+    }.items():
+        assert main(list(command)) == 2 and line in capsys.readouterr().err
     assert main(["info", "own-study.nc", "--json"]) == 0
     assert {"v", "gamma"} <= set(json.loads(capsys.readouterr().out)["study"]["impact_energy"]["parameters"])
 
@@ -162,7 +169,7 @@ REFUSED = [
     ({"samples": True}, "study: samples: true does not fit"),
     ({"seed": -1}, "study: seed: -1 does not fit"),
     ({"vary": {}}, "study: vary: empty, so nothing varies; write one like"),
-    ({"vary": {"v": [1.5, 1.5]}}, "study: vary.v: [1.5, 1.5]: 1.5 is not below 1.5"),
+    ({"vary": {"v": [1.5, 1.5]}}, "study: vary.v: [1.5, 1.5] is no interval; move one value to [parameters]"),
     ({"vary": {"v": 1.5}}, "study: vary.v: 1.5 is not a pair"),
     (
         {"vary": {"gama": [0.6, 0.8]}},
@@ -172,6 +179,7 @@ REFUSED = [
     ({"vary": {"delta": [0.0, 0.001]}}, "study: vary.delta: is in [parameters] as well"),
     ({"vary": {f"x{k}": [0.0, 1.0] for k in range(13)}}, "study: vary: 13 parameters vary; give at most 12"),
     ({"starts": ["stuk"]}, 'study: starts[0]: "stuk" is unknown; did you mean "stuck"?'),
+    ({"run": {"carry": "v"}}, "study: run.carry: points have no axis"),
     ({"sample": 8}, 'study: sample: unknown key; did you mean "samples"?'),
     ({"scene": "vibro"}, "study: scene: "),
 ]

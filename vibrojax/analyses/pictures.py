@@ -226,7 +226,11 @@ def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
         if data.dtype.kind in ("f" if orbits else "fiub") and lanes == {*data.dims} - {FORM, MULTIPLIER}
     ]
     noun = "time" if run else "point of the families" if orbits else "lane"
+    analysis = analysis_of(ds)
     for name in names:
+        if not lanes and analysis.view == "none":
+            whole = f"a {analysis.kind} is drawn as a whole"
+            raise InputError(f"variable: {shown(name)} has no picture of its own, since {whole}; leave it out")
         if name in ds.data_vars and name not in drawable:
             choices = f"choose from {', '.join(drawable)}" if drawable else "there is none that can"
             raise InputError(f"variable: {shown(name)} is not one number a {noun}; {choices}")

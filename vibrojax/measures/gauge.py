@@ -110,8 +110,8 @@ class Gauge(ABC, Generic[K]):
         """Return the carry after a step; a step with `dt` 0 that hits no guard or marker must not change the carry."""
         return carry
 
-    def section(self, scene: K, c: Any, carry: Any, at: Return) -> Any:
-        """Return the carry after a section crossing of the lanes in `at.here`."""
+    def section(self, scene: K, c: Any, carry: Any, crossing: Return) -> Any:
+        """Return the carry after a section crossing of the lanes in `crossing.here`."""
         return carry
 
     @abstractmethod

@@ -83,10 +83,10 @@ class Impacts(Gauge[HasImpacts[Any]]):
             carry = carry._replace(peak=jnp.maximum(carry.peak, highest(_force(scene, c, step), step.tau)))
         return carry._replace(since=since)
 
-    def section(self, scene: HasImpacts[Any], c: Any, carry: Extremes, at: Return) -> Extremes:
+    def section(self, scene: HasImpacts[Any], c: Any, carry: Extremes, crossing: Return) -> Extremes:
         slowest, fastest = carry.since
-        whole = _updated(carry.whole, at.here & (at.number > 0), slowest, fastest)
-        since = (jnp.where(at.here, jnp.inf, slowest), jnp.where(at.here, -jnp.inf, fastest))
+        whole = _updated(carry.whole, crossing.here & (crossing.number > 0), slowest, fastest)
+        since = (jnp.where(crossing.here, jnp.inf, slowest), jnp.where(crossing.here, -jnp.inf, fastest))
         return Extremes(since, whole, carry.peak)
 
     def read(self, scene: HasImpacts[Any], c: Any, carry: Extremes, whole: Whole) -> dict[str, Lanes]:

@@ -57,11 +57,11 @@ class Swings(Gauge[Scene[Any]]):
             ranges.append((low, high))
         return carry._replace(ranges=tuple(ranges))
 
-    def section(self, scene: Scene[Any], c: Any, carry: Swung, at: Return) -> Swung:
-        eighth = jnp.clip(jnp.floor(at.share * EIGHTHS), 0, EIGHTHS - 1)
-        index = jnp.arange(EIGHTHS, dtype=eighth.dtype).reshape(-1, *[1] * at.here.ndim)
-        mine = at.here[None] & (at.number[None] > 0) & (eighth[None] == index)
-        greatest = jnp.where(mine, jnp.fmax(carry.greatest, at.amplitudes[0][None]), carry.greatest)
+    def section(self, scene: Scene[Any], c: Any, carry: Swung, crossing: Return) -> Swung:
+        eighth = jnp.clip(jnp.floor(crossing.share * EIGHTHS), 0, EIGHTHS - 1)
+        index = jnp.arange(EIGHTHS, dtype=eighth.dtype).reshape(-1, *[1] * crossing.here.ndim)
+        mine = crossing.here[None] & (crossing.number[None] > 0) & (eighth[None] == index)
+        greatest = jnp.where(mine, jnp.fmax(carry.greatest, crossing.amplitudes[0][None]), carry.greatest)
         return carry._replace(greatest=greatest)
 
     def read(self, scene: Scene[Any], c: Any, carry: Swung, whole: Whole) -> dict[str, Lanes]:

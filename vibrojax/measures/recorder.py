@@ -131,9 +131,9 @@ class Recorder(Records):
             return replaced
 
         totals, sums = ledger.section(carry.ledger, here, number, close)
-        at = Return(here, number, interval, section.amplitudes(returns.seen.ranges), share, lane, sums)
+        crossing = Return(here, number, interval, section.amplitudes(returns.seen.ranges), share, lane, sums)
         own = zip(self.gauges, carry.gauges, strict=True)
-        gauges = tuple(gauge.section(scene, c, mine, at) for gauge, mine in own)
+        gauges = tuple(gauge.section(scene, c, mine, crossing) for gauge, mine in own)
         return Observed(section.take_in(scene, returns, lane), totals, gauges)
 
     def read(self, scene: Scene[Any], c: Any, carry: Observed) -> Features:

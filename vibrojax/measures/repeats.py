@@ -143,14 +143,14 @@ class KeptReturns(Gauge[Scene[Any]]):
         shape = (self.keep, len(_names(scene)), *lane.state[0].shape)
         return jnp.full(shape, jnp.nan, lane.state[0].dtype)
 
-    def section(self, scene: Scene[Any], c: Any, carry: Array, at: Return) -> Array:
-        states = [at.lane.state[scene.place(name)] for name in scene.return_states]
-        new = [at.lane.clock.high, at.interval, *states]
+    def section(self, scene: Scene[Any], c: Any, carry: Array, crossing: Return) -> Array:
+        states = [crossing.lane.state[scene.place(name)] for name in scene.return_states]
+        new = [crossing.lane.clock.high, crossing.interval, *states]
         if isinstance(scene, HasImpacts):
-            whole = at.number > 0
-            new.append(jnp.where(whole, at.sums["impacts"], jnp.nan))
-            new.append(jnp.where(whole, at.sums["velocity"] / at.sums["impacts"], jnp.nan))
-        row = jnp.where(at.here, at.number % self.keep, self.keep).astype(jnp.int32)
+            whole = crossing.number > 0
+            new.append(jnp.where(whole, crossing.sums["impacts"], jnp.nan))
+            new.append(jnp.where(whole, crossing.sums["velocity"] / crossing.sums["impacts"], jnp.nan))
+        row = jnp.where(crossing.here, crossing.number % self.keep, self.keep).astype(jnp.int32)
         put = jax.vmap(lambda rows, row, new: rows.at[row].set(new, mode="drop"), in_axes=-1, out_axes=-1)
         return put(jnp.asarray(carry), row, jnp.stack(new))
 

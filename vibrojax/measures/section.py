@@ -58,8 +58,8 @@ def begin(scene: Scene[Any], lane: Lane) -> Settling:
 def on_orbit(begun: Settling, states: Array, times: Array, period: Lanes) -> Settling:
     """Return the carry of a lane that starts at a section crossing of a periodic orbit.
 
-    It is `begun` with previous crossings on the same orbit. `states` (8, states, lanes) and `times` (8, lanes) [s] are
-    those of the last crossings, newest first; the newest is the lane's present state. `period` [s]: time between
+    It is `begun` with previous crossings on the same orbit. The last crossings, newest first, are at `states` (8,
+    states, lanes) and `times` (8, lanes) [s]; the newest is the lane's present state. `period` [s]: time between
     crossings.
     """
     return begun._replace(seen=begun.seen._replace(states=states, times=times, frequency=2 * jnp.pi / period))

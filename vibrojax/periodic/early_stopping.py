@@ -159,11 +159,11 @@ class EarlyEnds:
                 lanes = np.flatnonzero(free & self._approaches(batch, repeat))
                 if len(lanes):
                     near = read_approach(batch.underway.carry, lanes, repeat, self._accuracy.tolerance)
-                    for found in self._find(near, batch.of(lanes)):
-                        if len(found.lanes):
-                            lanes = near.lanes[found.lanes]
+                    for orbits in self._find(near, batch.of(lanes)):
+                        if len(orbits.lanes):
+                            lanes = near.lanes[orbits.lanes]
                             free[lanes] = False
-                            ended.append(self._ended(found.features, batch.of(lanes)))
+                            ended.append(self._ended(orbits.features, batch.of(lanes)))
         return ended
 
     def _approaches(self, batch: Batch, repeat: int) -> Bool[np.ndarray, " lanes"]:
@@ -189,13 +189,13 @@ class EarlyEnds:
             pool = self._pools.get(repeat)
             first = rank_in_point(points[remaining]) < per_point
             solved, remaining = remaining[first], remaining[~first]
-            found = self.on_orbits(near.of(solved), batch.of(solved))
-            found = found._replace(lanes=solved[found.lanes])
-            if len(found.lanes):
-                new = found._replace(lanes=points[found.lanes])
+            orbits = self.on_orbits(near.of(solved), batch.of(solved))
+            orbits = orbits._replace(lanes=solved[orbits.lanes])
+            if len(orbits.lanes):
+                new = orbits._replace(lanes=points[orbits.lanes])
                 self._pools[repeat] = new if pool is None else pool.joined(new)
             more, remaining = self._compare(near, batch, points, 0 if pool is None else len(pool.lanes), remaining)
-            known += [found, *more]
+            known += [orbits, *more]
             per_point *= 2
         return known
 
@@ -270,7 +270,7 @@ class EarlyEnds:
         return OnOrbits(lanes, orbit, features).of(np.flatnonzero(right))
 
     def _ended(self, features: Features, batch: Batch) -> Ended:
-        """Return the lanes of the `batch` with the `features` of their orbits and those of the lanes themselves."""
+        """Return the lanes of the `batch` with the `features` of their orbits, and their own times and steps."""
         assert batch.underway is not None
         settled, precision = np.asarray(batch.underway.carry.seen.settled), np.dtype(self._run.precision)
         repeat = features["cycles"].astype(int) - 1

@@ -177,8 +177,8 @@ def _near_miss(f: Coefficients, step: Step, scale: Array, turned: Flags) -> jax.
         place = jnp.where(turns & (better > 0) & (better < step.tau), better, place)
     least = value(f, place)
     # A motion that has just left a surface along a tangent begins next to it, with a rate that is a rounding error.
-    left = f[0] <= DEPARTED * scale
-    return jnp.where(turns & (least > 0) & ~left, least / scale, jnp.inf)
+    departed = f[0] <= DEPARTED * scale
+    return jnp.where(turns & (least > 0) & ~departed, least / scale, jnp.inf)
 
 
 ORBIT_ACCURACY = Accuracy(tolerance=1e-10, stride=LOCATED_STRIDE, step=np.inf)

@@ -76,10 +76,13 @@ def orbits(
 ) -> PeriodicOrbits:
     """Return the orbits near the initial guesses `begin`, with the same number of section crossings as the guesses.
 
-    **Arguments:** `scales`: a NaN is replaced by half the peak-to-peak range of the state along the motion from the
-    initial guess, or by 1 if that range is zero; `reach` (lanes,): scaled distance from the initial guess beyond which
-    a lane is no longer iterated; `go`: the return map; `enough`: residual at which the iteration of a lane stops;
-    `most`: largest number of iterations.
+    **Arguments:**
+
+    - `scales`: a NaN is replaced by half the peak-to-peak range of the state along the motion from the initial guess,
+      or by 1 if that range is zero.
+    - `reach` (lanes,): scaled distance from the initial guess beyond which a lane is no longer iterated.
+    - `go`: the return map. `enough`: residual at which the iteration of a lane stops.
+    - `most`: largest number of iterations.
 
     The derivative is evaluated at the states in the result, so callers may apply one more step, `PeriodicOrbits.step`.
     """

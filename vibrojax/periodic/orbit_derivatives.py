@@ -256,11 +256,11 @@ def _features(scene: Scene[Any], on: _OnOrbit, past: Array, settle: Lanes, obser
 def _measured_names(scene: Scene[Any]) -> list[str]:
     """Return the names of the features of a scene, without computing the features."""
     with precision("float64"):
-        one = jnp.ones(1)
+        lane = jnp.ones(1)
         rows = len(scene.driving_part().return_states)
-        on = _OnOrbit(dict.fromkeys(scene.parameters(), one), jnp.ones((rows, 1)), jnp.ones((8, 1)), one)
+        on = _OnOrbit(dict.fromkeys(scene.parameters(), lane), jnp.ones((rows, 1)), jnp.ones((8, 1)), lane)
         effort = Effort(DERIVATIVE_ACCURACY, 1.0)
-        return list(jax.eval_shape(lambda on: _features(scene, on, jnp.ones((8, rows, 1)), one, one, effort), on))
+        return list(jax.eval_shape(lambda on: _features(scene, on, jnp.ones((8, rows, 1)), lane, lane, effort), on))
 
 
 def _measured(

@@ -92,9 +92,11 @@ def mapped(
 ) -> Mapped:
     """Return the images of states at the section under the return map, and their derivatives.
 
-    **Arguments:** `along`: names of parameters with respect to which the map is differentiated in addition to the
-    states; `p`: all parameters by name, each (lanes,); `state` (states, lanes): values of `scene.return_states`;
-    `most_steps`: step limit, above which a lane counts as not returning to the section.
+    **Arguments:**
+
+    - `along`: names of parameters with respect to which the map is differentiated in addition to the states.
+    - `p`: all parameters by name, each (lanes,). `state` (states, lanes): values of `scene.return_states`.
+    - `most_steps`: step limit, above which a lane counts as not returning to the section.
     """
     rows = state.shape[0]
 
@@ -115,7 +117,7 @@ def mapped(
 
 
 def at_section(scene: Scene[Any], state: Array) -> Values:
-    """Return all states at the section from those of the return map (states, lanes); the others are 0."""
+    """Return all states at the section, where states that the return map (states, lanes) lacks are 0."""
     rows = dict(zip(scene.return_states, state, strict=True))
     zero = jnp.zeros_like(state[0])
     return tuple(rows.get(name, zero) for name in scene.state_names)

@@ -24,7 +24,7 @@ from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
 from vibrojax.sweep.engine.compiler import lane_function
 
 DERIVATIVE_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
-"""Accuracy of the steps; the series of tangents converge more slowly than those of the motion."""
+"""Accuracy of the steps; the series of tangents converge more slowly than the series of the motion."""
 
 EQUAL_MODULI = 1e-3
 """Difference of two multipliers (or of their moduli), relative to the largest modulus, below which they count as equal.
@@ -138,8 +138,8 @@ def eigenvalues(
     values = np.take_along_axis(values, order, axis=1)
     vectors = np.take_along_axis(vectors, order[:, None, :], axis=2)
     eye = np.eye(product.shape[1]).astype(complex)
-    left = _solve(vectors, np.broadcast_to(eye, vectors.shape))
-    slopes = np.einsum("lia,labj,lbi->lij", left, slope, vectors)
+    inverse = _solve(vectors, np.broadcast_to(eye, vectors.shape))
+    slopes = np.einsum("lia,labj,lbi->lij", inverse, slope, vectors)
     moduli = np.abs(values)
     small = EQUAL_MODULI * moduli[:, :1, None]
     near = np.abs(moduli[:, :, None] - moduli[:, None, :]) < small

@@ -99,9 +99,11 @@ def continue_branches(
 ) -> Branches:
     """Continue branches until the parameter reaches a bound or another condition for their end holds.
 
-    **Arguments:** `begin`: first points, with tangents; `step`, `longest`: first and largest scaled step length;
-    `stop`: additional condition, see `Stop`; `home`: unknowns and tangents of the points at which closed branches end,
-    NaN if the branch cannot close.
+    **Arguments:**
+
+    - `begin`: first points, with tangents. `stop`: additional condition, see `Stop`.
+    - `step`, `longest`: first and largest scaled step length.
+    - `home`: unknowns and tangents of the points at which closed branches end, NaN if the branch cannot close.
     """
     branches = _ActiveBranches(problem, begin, step, stop, home, longest)
     with np.errstate(all="ignore"):

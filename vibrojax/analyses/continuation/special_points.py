@@ -157,8 +157,8 @@ def turn_corner(problem: Problem, branches: Sequence[Points]) -> tuple[Flags, Br
 
     **Arguments:** `branches`: points of each branch with equal numbers of unknowns, the last ones at the corners.
 
-    **Returns:** a mask of the branches with a continuation, and brackets: `near` is a point of each branch slightly
-    before the corner, with the events of that side, and `far` a point on the continuation or just behind the corner.
+    **Returns:** a mask of the branches with a continuation, and brackets. `near` is a point of each branch slightly
+    before the corner, with the events of that side. `far` is a point on the continuation or just behind the corner.
     """
     last = Points.join([branch.of([-1]) for branch in branches])
     away = [np.flatnonzero(np.abs(x.u - x.u[-1]).max(axis=1) > BEFORE_CORNER) for x in branches]

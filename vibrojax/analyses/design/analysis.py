@@ -40,13 +40,19 @@ def design_picture(ds: xr.Dataset) -> Figure:
             _draw_along(axes, ds, name)
     if front:
         _draw_front(grid[-1], ds)
+    looks = {"best candidate": ("*", 11, IMPACT, IMPACT), "others": ("o", 4, INK, "none")}
+    looks |= {"map: not feasible": ("x", 4, FAINT, FAINT)}
+    if ds.sizes["candidate"] == 1:
+        del looks["others"]
     handles = [
-        Line2D([], [], color=IMPACT, marker="*", markersize=11, linestyle="none", label="best candidate"),
-        Line2D([], [], color=INK, marker="o", markersize=4, markerfacecolor="none", linestyle="none", label="others"),
+        Line2D([], [], color=colour, marker=mark, markersize=size, markerfacecolor=face, linestyle="none", label=words)
+        for words, (mark, size, colour, face) in looks.items()
     ]
-    absent = Line2D([], [], color=FAINT, marker="x", markersize=4, linestyle="none", label="map: not feasible")
-    legend_at_right(figure, [*handles, absent])
-    write_margins(figure, ds, point=f"Requirements: {ds.attrs.get('requirements', '')}")
+    legend_at_right(figure, handles)
+    best = ds.isel(candidate=0)
+    point = ", ".join(f"{name} = {quantity_text(float(best[name]), ds[name])}" for name in names)
+    what = f"Best: {quantity_text(float(best['objective']), ds['objective'])} at {point}"
+    write_margins(figure, ds, point=f"{what}. Requirements: {ds.attrs.get('requirements', '')}")
     return figure
 
 

@@ -1,4 +1,4 @@
-"""The dataset of a design, and the line that says why there is none."""
+"""The dataset of a design."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -11,7 +11,6 @@ from vibrojax.analyses.design.evaluation import Assessment, Simulator, extreme
 from vibrojax.analyses.design.mapping import CoarseMap
 from vibrojax.analyses.design.search import Candidate
 from vibrojax.analyses.design.spec import DesignSpec
-from vibrojax.errors import InputError, counted
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures.labels import REGIMES
@@ -80,13 +79,13 @@ def design_dataset(
             [a.objective for a in checked], "candidate"),
         "objective_worst": _described(
             Variable(objective.units, f"least {objective.long_name} over the tolerances and starts"),
-            [extreme(_held(a, spec.maximise), "least") for a in checked], "candidate"),
+            [extreme(held(a, spec.maximise), "least") for a in checked], "candidate"),
     }  # fmt: skip
     for name, end in ends.items():
         extremes = {"": "at the nominal point, worst over the starts", "_worst": "worst over the tolerances and starts"}
         for suffix, words in extremes.items():
             rows = slice(0, 1) if not suffix else slice(None)
-            values = [extreme(_held(a, name, rows), end) for a in checked]
+            values = [extreme(held(a, name, rows), end) for a in checked]
             data[name + suffix] = _described(_own(spec, name, f"{{}}, {words}"), values, "candidate")
     if spec.regime is not None:
         flags = [a.lanes.dataset["regime"].values for a in checked]
@@ -146,8 +145,8 @@ def requirements(spec: DesignSpec) -> str:
     return ", ".join(words) or "none"
 
 
-def _held(found: Assessment, name: str, rows: slice = slice(None)) -> np.ndarray:
-    """Return a variable's values in the lanes that count."""
+def held(found: Assessment, name: str, rows: slice = slice(None)) -> np.ndarray:
+    """Return a variable's values in the lanes of the regime, or in all lanes if none is in it."""
     values, fit = found.lanes.values[name][rows], found.lanes.in_regime[rows]
     return np.asarray(values[fit] if fit.any() else values)
 
@@ -174,12 +173,12 @@ def _front_variables(spec: DesignSpec, front: Sequence[FrontPoint]) -> dict[str,
             [p.limit for p in front], "front"),
         "front_objective": _described(objective, column(lambda p: p.checked.objective), "front"),
         "front_objective_worst": _described(
-            objective, column(lambda p: extreme(_held(p.checked, spec.maximise), "least")), "front"),
+            objective, column(lambda p: extreme(held(p.checked, spec.maximise), "least")), "front"),
         "front_feasible": _described(DESIGN_VARIABLES["front_feasible"], known, "front"),
     }  # fmt: skip
     if against != "tolerance":
         end = spec.front.end
-        values = column(lambda p: extreme(_held(p.checked, against, slice(0, 1)), end))
+        values = column(lambda p: extreme(held(p.checked, against, slice(0, 1)), end))
         data[f"front_{against}"] = _described(_own(spec, against), values, "front")
     for k, name in enumerate(spec.varied):
         unit = np.array(column(lambda p, k=k: p.candidate.point[k]))
@@ -187,39 +186,3 @@ def _front_variables(spec: DesignSpec, front: Sequence[FrontPoint]) -> dict[str,
             _parameter(spec, name), spec.low[k] + unit * (spec.high[k] - spec.low[k]), "front"
         )
     return data
-
-
-def infeasibility(
-    spec: DesignSpec, coarse: CoarseMap, candidates: Sequence[Candidate], checked: Sequence[Assessment]
-) -> InputError:
-    """Return the error that says which requirement cannot be met, and how near the search came."""
-    pairs = [(c.point, a) for c, a in zip(candidates, checked, strict=True)]
-    pairs += list(zip(coarse.unit, coarse.assessments, strict=True)) if not spec.tolerances else []
-    point, nearest = min(pairs, key=lambda pair: pair[1].badness)
-    columns = spec.columns(point[None], np.zeros((1, len(spec.tolerances))))
-    where = "at " + ", ".join(f"{name} = {x[0]:.4g}" for name, x in columns.items())
-    place, fit = spec.place.at("subject"), nearest.lanes.in_regime
-    whole = " within the tolerances" if spec.tolerances else ""
-    if spec.share is not None:
-        share = float(nearest.good.mean(axis=1).min())
-        ends = f"least {spec.share[0]:g}, most {spec.share[1]:g}"
-        return place.at("share").error(f"{ends} cannot be met{whole}; nearest: {share:.3g} {where}")
-    lanes = f"nearest: {fit.sum()} of {counted(fit.size, 'lane')} {where}"
-    violated = [(float(nearest.slack[j].min()), j) for j in range(len(nearest.slack)) if nearest.slack[j].min() < 0]
-    if not violated or not fit.any():
-        what = f"{spec.regime} from every start" if spec.regime else f"a value of {spec.maximise} from every start"
-        if any(a.feasible for a in coarse.assessments):
-            return spec.place.at("tolerance").error(f"{what} cannot be held within the tolerances; {lanes}")
-        return place.at("regime" if spec.regime else spec.maximise).error(f"{what} cannot be reached{whole}; {lanes}")
-    _, j = min(violated)
-    limit = spec.constraints[j]
-    units = spec.variables[limit.variable].units
-    unit = "" if units == "1" else f" {units}"
-    alone = [extreme(_held(a, limit.variable), limit.end) for a in coarse.assessments if a.lanes.in_regime.all()]
-    reached = extreme(np.array(alone), "most" if limit.end == "least" else "least")
-    others = ", with the other limits" if len(spec.constraints) > 1 else ""
-    value = extreme(_held(nearest, limit.variable), limit.end)
-    return place.at(limit.variable).error(
-        f"{limit.end} {limit.limit:g}{unit} cannot be met{whole}{others}; nearest: {value:.6g} {where}"
-        + (f"; the map alone reaches {reached:.6g}" if np.isfinite(reached) else "")
-    )

@@ -52,7 +52,7 @@ class Orbit:
         self._of = (*(simulator.features[name] for name in self._names), f"{MODULUS}0")
         parameters, chain = scene_parameters(simulator.spec, candidate.point[None])
         self._by = tuple(chain)
-        cycles = int(found.lanes.dataset["cycles"].values[0, start])
+        cycles = int(found.lanes.dataset["orbit_cycles"].values[0, start])
         self._guess = orbit_states(simulator.spec, found, start, cycles, parameters, 0)[None]
         self._impacts: float | None = None
         self.visited: dict[bytes, Visit] = {}

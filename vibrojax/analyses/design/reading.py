@@ -13,13 +13,10 @@ from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures.labels import REGIMES
 from vibrojax.sweep.engine.labelled import measured_besides
+from vibrojax.sweep.input.bounds import read_bounds, read_points_of
 from vibrojax.sweep.input.names import Names, read_names
-from vibrojax.sweep.input.read import read_sweep
 from vibrojax.sweep.input.source import read_source
-from vibrojax.sweep.input.values import as_table, choice, count, known_keys, number
-
-MAX_VARIED = 12
-"""Largest number of varied parameters."""
+from vibrojax.sweep.input.values import as_table, choice, count, flag, known_keys, number
 
 MAX_TOLERANCES = 6
 """Largest number of parameters with a tolerance; six have 64 corners."""
@@ -30,7 +27,10 @@ MARGIN = 2.0
 FRONT_POINTS = 20
 """Default number of points of a front."""
 
-_KEYS = ("scene", "title", "starts", "maximise", "vary", "subject", "parameters", "tolerance", "run", "front")
+_KEYS = (
+    *("scene", "title", "starts", "maximise", "vary", "subject", "parameters", "tolerance", "run", "front"),
+    "unusual",
+)
 _ENDS = ("least", "most")
 _COUNTS = {"impacts", "striker_turns"}
 """Variables that are stored as floats but are whole numbers, whose limits are not tightened."""
@@ -51,18 +51,18 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
     parameters = as_table(place.at("parameters"), tables.get("parameters", {}))
     names = read_names(place.at("scene"), tables["scene"], dict(parameters), place.at("parameters"))
     parameters = _without_presets(place.at("parameters"), names, parameters)
-    low, high = _read_bounds(place.at("vary"), tables.get("vary"), names, parameters)
+    unusual = flag(place.at("unusual"), tables.get("unusual", False))
+    bounds = read_bounds(place.at("vary"), tables.get("vary"), names, parameters, unusual)
+    low, high = ({name: ends[k] for name, ends in bounds.items()} for k in range(2))
     tolerances, fixed = _read_tolerances(
         place.at("tolerance"), tables.get("tolerance", {}), names, parameters, low, high
     )
     run = dict(as_table(place.at("run"), tables.get("run", {})))
-    if "carry" in run:
-        raise place.at("run").at("carry").error("a design has no axis along which lanes continue; leave it out")
     known = _known_variables(names)
     maximise = tables.get("maximise")
     if maximise is None:
         raise place.at("maximise").error('missing; name a variable, like maximise = "impact_energy"')
-    choice(place.at("maximise"), maximise, known)
+    choice(place.at("maximise"), maximise, [name for name in known if known[name].dtype == np.float64])
     regime, share, constraints = _read_subject(place.at("subject"), tables.get("subject", {}), known)
     if share is not None and names.has_starts is False:
         raise place.at("subject").at("share").error(f"scene {shown(names.scene)} has no starts; leave it out")
@@ -76,7 +76,7 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
     base |= {"title": tables.get("title", ""), "unusual": True, "run": run}
     base["parameters"] = {key: x for key, x in parameters.items() if key not in fixed}
     ends = {key: [low[key], high[key]] for key in low} | {key: [x] * _TEMPLATE_POINTS for key, x in fixed.items()}
-    template = read_sweep(base | {"points": ends})
+    template = read_points_of(origin.file, base | {"points": ends})
     if regime is not None and template.system.section is None:
         raise place.at("subject").at("regime").error(f"motions of scene {shown(names.scene)} have no regimes")
     error = template.run.error
@@ -102,31 +102,6 @@ def _without_presets(place: Place, names: Names, parameters: dict[str, object]) 
                 raise place.at(name).error(f"{key} is given as well; give one of the two")
             plain[key] = value
     return plain
-
-
-def _read_bounds(
-    place: Place, value: object, names: Names, parameters: Mapping[str, object]
-) -> tuple[dict[str, float], dict[str, float]]:
-    table = as_table(place, {} if value is None else value)
-    if not table:
-        raise place.error("empty, so there is nothing to design; add a parameter like beta = [0.25, 0.6]")
-    if len(table) > MAX_VARIED:
-        raise place.error(f"{len(table)} parameters vary; give at most {MAX_VARIED}")
-    low, high = {}, {}
-    for name, pair in table.items():
-        names.parameter(place.at(name), name)
-        if not isinstance(pair, list) or len(pair) != 2:
-            raise place.at(name).error(f"{shown(pair)} is not a pair of bounds; write one like [0.25, 0.6]")
-        ends = [number(place.at(name).item(k), end) for k, end in enumerate(pair)]
-        if not np.all(np.isfinite(ends)):
-            raise place.at(name).error(f"{shown(pair)} is unbounded; both bounds must be finite")
-        low[name], high[name] = (names.quantity(place.at(name).item(k), name, end) for k, end in enumerate(ends))
-        if not low[name] < high[name]:
-            why = "the lower bound comes first" if low[name] > high[name] else "move one value to [parameters]"
-            raise place.at(name).error(f"{shown(pair)} is no interval; {why}")
-        if name in parameters:
-            raise place.at(name).error("is in [parameters] as well; give it in one of the two")
-    return low, high
 
 
 def _read_tolerances(
@@ -182,7 +157,7 @@ def _read_subject(
         if name == "regime":
             continue
         if name != "share" and name not in known:
-            hint = suggestion(name, ("regime", "share", *known))
+            hint = suggestion(name, ("share", *known))
             raise place.at(name).error(f"no such variable; {hint}")
         ends = _read_ends(place.at(name), entry)
         if name == "share":

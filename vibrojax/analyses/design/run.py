@@ -7,12 +7,13 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.design.conditions import conditions
-from vibrojax.analyses.design.dataset import Result, design_dataset, infeasibility
+from vibrojax.analyses.design.dataset import Result, design_dataset
 from vibrojax.analyses.design.evaluation import Assessment, Simulator, distinct_starts
 from vibrojax.analyses.design.fronts import find_front
 from vibrojax.analyses.design.mapping import SEEDS, coarse_map, seeds
 from vibrojax.analyses.design.orbit_search import advance
 from vibrojax.analyses.design.reading import read_design
+from vibrojax.analyses.design.refusal import check_objective, infeasibility
 from vibrojax.analyses.design.robustness import box_samples, search_offsets, settle
 from vibrojax.analyses.design.search import Candidate, improve
 from vibrojax.analyses.design.slopes import slopes_at
@@ -49,8 +50,8 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
     - with a front: along `front`, `front_objective`, the varied parameters, and what the front is drawn against.
     - along `map`: the coarse map.
 
-    **Raises:** `InputError` for an invalid design, or if there is no feasible point: the message says which requirement
-    cannot be met, and how near the search came.
+    **Raises:** `InputError` for an invalid design, if there is no feasible point, or if the objective is 0 at all of
+    them: the message says which requirement cannot be met, and how near the search came.
 
     **Example:**
 
@@ -85,6 +86,7 @@ def find_design(spec: DesignSpec, progress: bool = True) -> xr.Dataset:
         feasible = [k for k, found in enumerate(checked) if found.feasible]
         if not feasible:
             raise infeasibility(spec, coarse, candidates, checked)
+        check_objective(spec, coarse, [checked[k] for k in feasible])
         feasible.sort(key=lambda k: -checked[k].objective)
         bar.add(1, f"verification: {len(feasible)} of {len(candidates)} candidates feasible")
         results = _concluded(simulator, [candidates[k] for k in feasible], [checked[k] for k in feasible])

@@ -39,7 +39,7 @@ def slopes_at(
     lanes = [(k, start) for k, a in enumerate(assessments) for start in distinct_starts(a) if is_periodic(a, start)]
     groups: dict[int, list[tuple[int, int]]] = {}
     for k, start in lanes:
-        groups.setdefault(int(assessments[k].lanes.dataset["cycles"].values[0, start]), []).append((k, start))
+        groups.setdefault(int(assessments[k].lanes.dataset["orbit_cycles"].values[0, start]), []).append((k, start))
     for cycles, group in groups.items():
         parameters, chain = scene_parameters(spec, np.array([points[k] for k, _ in group]))
         guess = np.stack(
@@ -78,14 +78,14 @@ def _at_worst(
     wanted: list[tuple[int, int, int, str, str]] = []
     for k, start in lanes:
         found = assessments[k].lanes
-        once = is_periodic(assessments[k], start) and found.dataset["cycles"].values[0, start] == 1
+        once = is_periodic(assessments[k], start) and found.dataset["orbit_cycles"].values[0, start] == 1
         for variable, end in limits if once else ():
             if variable not in simulator.features:
                 continue
             x = np.where(found.in_regime[:, start], found.values[variable][:, start], np.nan)
             sample = int(np.nanargmax(x) if end == "most" else np.nanargmin(x)) if np.isfinite(x).any() else 0
             known = found.dataset["orbit_reason"].values[sample, start] == reason("found")
-            if sample and known and found.dataset["cycles"].values[sample, start] == 1:
+            if sample and known and found.dataset["orbit_cycles"].values[sample, start] == 1:
                 wanted.append((k, start, sample, variable, end))
     if not wanted:
         return

@@ -12,6 +12,7 @@ from vibrojax.analyses.analysis import Analysis, Source
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError
 from vibrojax.io.attributes import table_of, title_of
+from vibrojax.io.kinds import kind_of
 from vibrojax.io.manifest import IDENTITY, changes, identity_text
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.own_code import is_code
@@ -141,9 +142,9 @@ def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
     try:
         tables = tomllib.loads(str(dataset.attrs["sweep"]))
     except (KeyError, ValueError, RecursionError):
-        raise InputError(
-            "orbits: not the dataset of a sweep (it has no attribute sweep); give one, or a sweep"
-        ) from None
+        kind = kind_of(dataset)
+        why = f"its kind is {kind}" if kind and kind != "sweep" else "it has no attribute sweep"
+        raise InputError(f"not the dataset of a sweep ({why}); give one, or a sweep") from None
     if "points" in tables:
         columns = {str(name): x.values.tolist() for name, x in dataset.coords.items() if x.dims == ("point",)}
         vectors = any(name.startswith(VECTOR) for name in columns)

@@ -28,12 +28,12 @@ def elasticities(ds: xr.Dataset) -> Figure:
     by = [str(name) for name in ds["parameter"].values]
     names = [str(name).removeprefix("d_") for name in ds.data_vars if str(name).startswith("d_")]
     names = [name for name in names if "multiplier" not in ds[name].dims and name != "log_multiplier"]
-    at = ds["parameter_value"].values.reshape(-1, len(by))
+    point = ds["parameter_value"].values.reshape(-1, len(by))
     rows = {}
     for name in names:
         value, slope = ds[name].values.reshape(-1), ds[f"d_{name}"].values.reshape(-1, len(by))
         with np.errstate(all="ignore"):
-            elasticity = (slope * at / value[:, None])[valid]
+            elasticity = (slope * point / value[:, None])[valid]
         columns = (x[np.isfinite(x)] for x in elasticity.T)
         row = [np.median(x) if len(x) else np.nan for x in columns]
         if np.isfinite(row).any():

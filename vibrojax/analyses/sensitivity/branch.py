@@ -83,22 +83,22 @@ class Branch:
         return self._of
 
     def evaluate(self, x: Points) -> Evaluated:
-        """Return the features at the points `x`; where there is no such orbit, those of the nearest one known."""
+        """Return the features at the points `x`; without an orbit there, of the nearest known orbit."""
         with self._lock, np.errstate(all="ignore"):
             keys = [row.tobytes() for row in x]
             new = [k for k, key in enumerate(keys) if key not in self._cached and np.isfinite(x[k]).all()]
             new = [*{keys[k]: k for k in new}.values()]
-            found = {key: self._cached[key] for key in keys if key in self._cached}
+            known = {key: self._cached[key] for key in keys if key in self._cached}
             if new:
                 fresh = self._evaluate(x[new])
                 for place, k in enumerate(new):
-                    found[keys[k]] = Evaluated(*(part[place] for part in fresh))
-                    self._cached[keys[k]] = found[keys[k]]
+                    known[keys[k]] = Evaluated(*(part[place] for part in fresh))
+                    self._cached[keys[k]] = known[keys[k]]
             while len(self._cached) > MAX_CACHED:
                 self._cached.popitem(last=False)
             count = len(self._of)
             none = Evaluated(np.full(count, np.nan), np.full((count, len(self._by)), np.nan), np.array(False))
-            return Evaluated(*(np.stack(parts) for parts in zip(*(found.get(key, none) for key in keys), strict=True)))
+            return Evaluated(*(np.stack(parts) for parts in zip(*(known.get(key, none) for key in keys), strict=True)))
 
     def _evaluate(self, x: Points) -> Evaluated:
         if self._known is None:
@@ -185,9 +185,9 @@ class Branch:
         """Return the orbits at `x` that are predicted from `begin`, and a mask of those that are on the branch."""
         guess = begin.states + np.einsum("lksj,lj->lks", begin.slopes, x - begin.x)
         orbit = self._solve(x, guess, of, SAME_BRANCH)
-        found = np.isfinite(orbit.state_derivatives).all(axis=(1, 2, 3)) & (orbit.impacts == self._impacts)
+        sound = np.isfinite(orbit.state_derivatives).all(axis=(1, 2, 3)) & (orbit.impacts == self._impacts)
         bad = [DERIVATIVE_REASONS.index(name) for name in ("no-orbit", "neutral-orbit", "failed")]
-        return orbit, found & (orbit.moved <= SAME_BRANCH) & ~np.isin(orbit.reason, bad).any(axis=1)
+        return orbit, sound & (orbit.moved <= SAME_BRANCH) & ~np.isin(orbit.reason, bad).any(axis=1)
 
     def _continue(self, x: Points, begin: _Place, least: float) -> _Place:
         """Return the places on the branch that are nearest to `x` on the straight lines from `begin`.

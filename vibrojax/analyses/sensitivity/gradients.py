@@ -54,10 +54,11 @@ def as_jax(
     - `of`: features of orbits, as in `sensitivity`; `by`: parameters, in the order of the array.
     - `outside`: "nearest" for the values and gradients of the nearest orbit where the function is not valid, or "nan".
 
-    **Returns:** a function of an array (parameters,), which returns a dict of scalars: the features `of`, `margin` (the
-    natural logarithm of the largest modulus of the multipliers, negative if stable), `grazing_margin` (the distance
-    from a change in the order of events), and the boolean `valid`. Features are NaN if no motion from `start` is
-    periodic at the first point or near it, or if the orbit does not have them (without impacts, an impact velocity).
+    **Returns:** a function of an array (parameters,), which returns a dict of scalars: the features `of`, `margin`,
+    `grazing_margin`, and the boolean `valid`. `margin` is the natural logarithm of the largest modulus of the
+    multipliers, negative if stable, and `grazing_margin` the distance from a change in the order of events. Features
+    are NaN if no motion from `start` is periodic at the first point or near it, or if the orbit does not have them
+    (without impacts, an impact velocity).
 
     **Raises:** `InputError` for an unknown name or a wrong value.
 
@@ -90,8 +91,8 @@ def as_jax(
     def f(x: Any) -> dict[str, jax.Array]:
         x = jnp.asarray(x)
         if x.shape != (len(parameters),):
-            wanted = f"({len(parameters)},), one number for each of {', '.join(parameters)}"
-            raise InputError(f"as_jax: the array has the shape {x.shape}; give {wanted}")
+            expected = f"({len(parameters)},), one number for each of {', '.join(parameters)}"
+            raise InputError(f"as_jax: the array has the shape {x.shape}; give {expected}")
         results = features(x.astype(jnp.result_type(float, x.dtype)))
         values = {name: results[index] for name, index in outputs.items()}
         return values | {VALID: jax.lax.stop_gradient(results[-1]) > 0.5}
@@ -106,12 +107,12 @@ def _features(branch: Branch, size: int, outside: str) -> Callable[[jax.Array], 
     def compute(x: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return features (..., features) and derivatives (..., features, by) at the points (..., by)."""
         x = np.asarray(x)
-        found = branch.evaluate(np.ascontiguousarray(x.reshape(-1, size), float))
-        values = np.concatenate([found.values, found.valid[:, None]], axis=1)
-        slopes = np.concatenate([found.derivatives, np.zeros((len(values), 1, size))], axis=1)
+        features = branch.evaluate(np.ascontiguousarray(x.reshape(-1, size), float))
+        values = np.concatenate([features.values, features.valid[:, None]], axis=1)
+        slopes = np.concatenate([features.derivatives, np.zeros((len(values), 1, size))], axis=1)
         if outside == "nan":
-            values[~found.valid, :-1] = np.nan
-            slopes[~found.valid, :-1] = np.nan
+            values[~features.valid, :-1] = np.nan
+            slopes[~features.valid, :-1] = np.nan
         return (
             values.reshape(*x.shape[:-1], count).astype(x.dtype),
             slopes.reshape(*x.shape[:-1], count, size).astype(x.dtype),

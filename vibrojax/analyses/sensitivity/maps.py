@@ -63,7 +63,7 @@ def at_orbits(sweep: Sweep, lanes: xr.Dataset, by: Sequence[str], progress: bool
     driving = scene.driving_part()
     known = known_orbits(driving, lanes, {name: values[name] for name in driving.parameters()})
     shape = (sweep.lanes, len(of))
-    found, slopes = np.full(shape, np.nan), np.full((*shape, len(by)), np.nan)
+    features, slopes = np.full(shape, np.nan), np.full((*shape, len(by)), np.nan)
     reason = np.full(shape, DERIVATIVE_REASONS.index("no-orbit"))
     reason[lanes["status"].values.ravel() != 0] = DERIVATIVE_REASONS.index("failed")
     cycles = np.array([len(states) for states in known.states], int)
@@ -74,10 +74,10 @@ def at_orbits(sweep: Sweep, lanes: xr.Dataset, by: Sequence[str], progress: bool
                 index = known.lanes[part]
                 p = {name: x[index] for name, x in values.items()}
                 orbit = orbit_features(scene, of, by, p, np.stack([known.states[k] for k in part]), OWN_ORBIT)
-                found[index], slopes[index], reason[index] = orbit.values, orbit.derivatives, orbit.reason
+                features[index], slopes[index], reason[index] = orbit.values, orbit.derivatives, orbit.reason
                 report.add(len(part))
-    at = np.stack([values[name] for name in by], axis=1)
-    return _described(sweep, of, by, at, found, slopes, _of_lane(reason))
+    points = np.stack([values[name] for name in by], axis=1)
+    return _described(sweep, of, by, points, features, slopes, _of_lane(reason))
 
 
 def sensitivity(
@@ -142,8 +142,8 @@ def _described(
     sweep: Sweep,
     of: Sequence[str],
     by: Sequence[str],
-    at: Float[np.ndarray, "lanes by"],
-    found: Float[np.ndarray, "lanes of"],
+    points: Float[np.ndarray, "lanes by"],
+    features: Float[np.ndarray, "lanes of"],
     slopes: Float[np.ndarray, "lanes of by"],
     why: Int[np.ndarray, " lanes"],
 ) -> xr.Dataset:
@@ -154,7 +154,7 @@ def _described(
         "reason": (sweep.dims, why.astype(np.int8).reshape(sweep.shape), _REASON.attributes()),
     }
     meaning = {"units": "", "long_name": "value of the parameter, in its own unit"}
-    data["parameter_value"] = ((*sweep.dims, "parameter"), at.reshape(*sweep.shape, len(by)), meaning)
+    data["parameter_value"] = ((*sweep.dims, "parameter"), points.reshape(*sweep.shape, len(by)), meaning)
     groups: dict[str, list[int]] = {}
     for place, name in enumerate(of):
         groups.setdefault("multiplier_abs" if name.startswith(MODULUS) else name, []).append(place)
@@ -163,7 +163,7 @@ def _described(
         several = name == "multiplier_abs"
         dims = (*sweep.dims, "multiplier") if several else sweep.dims
         size = (*sweep.shape, len(places)) if several else sweep.shape
-        data[name] = (dims, found[:, places].reshape(size), about.attributes())
+        data[name] = (dims, features[:, places].reshape(size), about.attributes())
         meaning = {"units": about.units, "long_name": f"derivative, per unit of the parameter, of: {about.long_name}"}
         data[f"d_{name}"] = ((*dims, "parameter"), slopes[:, places].reshape(*size, len(by)), meaning)
     coords = {

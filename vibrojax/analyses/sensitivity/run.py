@@ -17,12 +17,10 @@ from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.models.physics.meanings import suggest_parameter
 from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import HasFriction, Scene
+from vibrojax.periodic.orbit_derivatives import COUNTED
 from vibrojax.sweep.engine.labelled import measured_besides, unresolved
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.values import quantity
-
-COUNTED = {"impacts", "striker_turns", "settling_time", "error_estimate", "drift_estimate"}
-"""Variables that do not vary smoothly with the parameters, so they cannot be differentiated."""
 
 _POINTWISE = ("point", "variable", "parameter")
 _TABLE = {

@@ -29,6 +29,9 @@ WIDE = 0.3
 CURVED = 0.5
 """Ratio of an effect to that of a straight line with the same variance below which the summary calls it not steady."""
 
+NEGLIGIBLE = 1e-3
+"""Effect, relative to the standard deviation, below which the summary says that it hardly changes the variable."""
+
 _MAX_ROWS = 4
 _BAR = 0.38  # height of a bar; two stand at each parameter
 
@@ -44,13 +47,13 @@ def bars_and_interactions(ds: xr.Dataset) -> Figure:
     figure = new_figure(9.0, len(of) * max(1.9, 0.8 + 0.26 * size) + 0.8)
     grid = figure.subplots(len(of), 2, squeeze=False, width_ratios=[1.5, 1.0])
     greatest = float(np.nanmax(ds["second_order"].values, initial=MIN_SHARE))
-    for name, (left, right) in zip(of, grid, strict=True):
+    for name, (bars, pairs) in zip(of, grid, strict=True):
         row = ds.sel(of=name)
-        _draw_bars(left, row)
-        left.set_title(_title(row), loc="left")
-        _draw_pairs(right, row, greatest)
-        right.set_title("interactions of pairs [%]", loc="left")
-        left.set_xlabel("share of the variance" if name == of[-1] else "")
+        _draw_bars(bars, row)
+        bars.set_title(_title(row), loc="left")
+        _draw_pairs(pairs, row, greatest)
+        pairs.set_title("interactions of pairs [%]", loc="left")
+        bars.set_xlabel("share of the variance" if name == of[-1] else "")
     handles: list[Artist] = [Patch(color=BIT, label="alone"), Patch(color=FAINT, label="with all its\ninteractions")]
     legend_at_right(figure, handles)
     rest = ds.sizes["of"] - len(of)
@@ -182,6 +185,7 @@ def _parameter_sentence(row: xr.Dataset, k: int) -> str:
     if not np.isfinite(effect):
         return text
     change = f"{'raises' if effect > 0 else 'lowers'} it by {factor * abs(effect):.3g} {pretty_unit(unit)}".rstrip()
+    change = change if abs(effect) > NEGLIGIBLE * float(row["std"]) else "hardly changes it"
     text += f"; going from {_bounds(row, k)} {change} on average"
     if first > MIN_SHARE and abs(effect) < CURVED * np.sqrt(12 * first) * float(row["std"]):
         text += ", but not steadily: values in between differ more"

@@ -81,10 +81,10 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
 
     **Arguments:**
 
-    - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure: `scene`; `of`, a
-      list of variables of the scene's sweeps, or "share_single_impact"; [vary] with NAME = [low, high] for up to twelve
-      parameters; and optionally [parameters], `starts`, [run] as in a sweep, `samples` (base samples, a power of two:
-      256) and `seed` (0). D parameters take (2 D + 2) lanes per base sample and start.
+    - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. It has a `scene`;
+      `of`, a list of variables of the scene's sweeps, or "share_single_impact"; and [vary] with NAME = [low, high] for
+      up to twelve parameters. Optional are [parameters], `starts` and [run] as in a sweep, `samples` (base samples, a
+      power of two: 256) and `seed` (0). D parameters take (2 D + 2) lanes per base sample and start.
     - `progress`: whether to report progress on stderr.
 
     **Returns:** a dataset over `of`, `parameter` and `other` (the parameters again).

@@ -9,9 +9,6 @@ from jaxtyping import Bool, Float
 
 from vibrojax.errors import InputError
 
-MAX_PARAMETERS = 12
-"""Largest number of varied parameters."""
-
 CONFIDENCE = 0.95
 """Level of the confidence intervals."""
 
@@ -105,7 +102,7 @@ def salib(part: str) -> ModuleType:
     try:
         return import_module(f"SALib.{part}.sobol")
     except ImportError:
-        advice = "install it with: pip install 'vibrojax[design]'"
+        advice = "install it with: pip install SALib"
         raise InputError(f"study: the package SALib, which computes Sobol indices, is missing; {advice}") from None
 
 
@@ -149,7 +146,7 @@ def _sobol_indices(sampling: Sampling, groups: Float[np.ndarray, "groups points"
         return result | {"sobol_reason": np.asarray(REASONS.index("too-few-samples"))}
     if np.ptp(groups) <= 1e-12 * np.abs(groups).max():
         return result | {"sobol_reason": np.asarray(REASONS.index("constant"))}
-    found = salib("analyze").analyze(
+    sobol = salib("analyze").analyze(
         sampling.problem,
         groups.ravel(),
         calc_second_order=True,
@@ -159,7 +156,7 @@ def _sobol_indices(sampling: Sampling, groups: Float[np.ndarray, "groups points"
     )
     for name, short in zip(names, ("S1", "ST", "S2"), strict=True):
         for end in ("", "_conf"):
-            x = np.asarray(found[f"{short}{end}"], float)
+            x = np.asarray(sobol[f"{short}{end}"], float)
             result[f"{name}{end}"] = np.where(np.isnan(x), x.T, x) if x.ndim == 2 else x
     return result | {"sobol_reason": np.asarray(REASONS.index("known"))}
 

@@ -211,8 +211,8 @@ class Probe:
         for key, rate in self.rates(self._t, self._y).items():
             if not bool(jnp.isfinite(rate).all()):
                 lane = int(jnp.argmax(~jnp.isfinite(rate)))
-                at = ", ".join(f"{name} = {float(y[lane]):.2g}" for name, y in self._y.items())
-                raise self._refuse(f"field, {key}, is {float(rate[lane])} at {at}; it must be finite there")
+                place = ", ".join(f"{name} = {float(y[lane]):.2g}" for name, y in self._y.items())
+                raise self._refuse(f"field, {key}, is {float(rate[lane])} at {place}; it must be finite there")
         for event in self._events:
             what, function = self._surface(event)
             self._number(what, self._call(what, function, self._t, self._y, self._p))

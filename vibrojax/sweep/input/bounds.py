@@ -1,0 +1,57 @@
+"""Specifications whose parameters vary between bounds: the bounds, and the sweep over the points within them."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from vibrojax.errors import InputError, Place, shown
+from vibrojax.sweep.input.definition import Sweep
+from vibrojax.sweep.input.names import Names
+from vibrojax.sweep.input.read import read_sweep
+from vibrojax.sweep.input.values import as_table, warn_if_far
+
+MAX_VARIED = 12
+"""Largest number of varied parameters: a dozen, as many as a person chooses by hand."""
+
+_EXAMPLE = "write one like gamma = [0.6, 0.8]"
+
+
+def read_bounds(
+    place: Place, value: object, names: Names, fixed: Mapping[str, object], unusual: bool = False
+) -> dict[str, tuple[float, float]]:
+    """Return the bounds of each varied parameter; `fixed`: values of the others; `unusual`: True to warn of nothing."""
+    table = as_table(place, {} if value is None else value)
+    if not table:
+        raise place.error(f"{'missing' if value is None else 'empty'}, so nothing varies; {_EXAMPLE}")
+    if len(table) > MAX_VARIED:
+        raise place.error(f"{len(table)} parameters vary; give at most {MAX_VARIED}")
+    bounds = {}
+    for name, pair in table.items():
+        here = place.at(name)
+        parameter = names.parameter(here, name)
+        if name in fixed:
+            raise here.error("is in [parameters] as well; give it in one of the two")
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise here.error(f"{shown(pair)} is not a pair of a least and a greatest value; {_EXAMPLE}")
+        low, high = (names.quantity(here.item(k), name, end) for k, end in enumerate(pair))
+        if not low < high:
+            why = "the least value comes first" if low > high else "move one value to [parameters]"
+            raise here.error(f"{shown(pair)} is no interval; {why}")
+        bounds[name] = (low, high)
+        if not unusual:
+            warn_if_far(here, parameter, np.array(bounds[name]), meant="; unusual = true says that it is meant")
+    places = {name: Place(place.file, f"parameters.{name}") for name in fixed}
+    names.check_substitutes(places | {name: place.at(name) for name in bounds})
+    return bounds
+
+
+def read_points_of(file: str, tables: Mapping[str, object]) -> Sweep:
+    """Return the sweep over the points of another specification, whose file and table the messages name."""
+    run = tables.get("run")
+    if isinstance(run, dict) and "carry" in run:
+        raise Place(file, "run.carry").error("points have no axis along which lanes continue; leave it out")
+    try:
+        return read_sweep(tables)
+    except InputError as error:
+        words = str(error).replace("sweep:", f"{file}:", 1)
+        raise InputError(words.replace(f"{file}: points.", f"{file}: vary.", 1)) from None
