@@ -35,10 +35,9 @@ DESIGN_VARIABLES = {
 
 
 class Result(NamedTuple):
-    """A verified candidate: its assessment over all samples, and the conditions at its nominal point."""
+    """A verified candidate, assessed over all samples, and the conditions at its nominal point."""
 
     candidate: Candidate
-    checked: Assessment
     conditions: Conditions
     gradient: np.ndarray
 
@@ -73,7 +72,7 @@ def design_dataset(
     """Return the dataset of the candidates, best first, with the map and the front."""
     objective = spec.variables[spec.maximise]
     ends = {c.variable: c.end for c in spec.constraints}
-    checked = [result.checked for result in results]
+    checked = [result.candidate.result for result in results]
     data: dict[str, Any] = {
         "objective": _described(
             Variable(objective.units, f"{objective.long_name} at the nominal point, worst over the starts"),
@@ -189,11 +188,9 @@ def _front_variables(spec: DesignSpec, front: Sequence[FrontPoint]) -> dict[str,
     return data
 
 
-def infeasibility(
-    spec: DesignSpec, coarse: CoarseMap, candidates: Sequence[Candidate], checked: Sequence[Assessment]
-) -> InputError:
+def infeasibility(spec: DesignSpec, coarse: CoarseMap, candidates: Sequence[Candidate]) -> InputError:
     """Return the error that says which requirement cannot be met, and how near the search came."""
-    pairs = [(c.point, a) for c, a in zip(candidates, checked, strict=True)]
+    pairs = [(c.point, c.result) for c in candidates]
     pairs += list(zip(coarse.unit, coarse.assessments, strict=True)) if not spec.tolerances else []
     point, nearest = min(pairs, key=lambda pair: pair[1].badness)
     columns = spec.columns(point[None], np.zeros((1, len(spec.tolerances))))

@@ -1,6 +1,6 @@
 """Verification of candidates over the tolerance box at corners and random draws, and their repair."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -12,6 +12,9 @@ from vibrojax.analyses.design.spec import DRAWN_BOX, DesignSpec
 
 DRAWS = 256
 """Number of draws in the box at which a finished candidate is simulated again."""
+
+FIRST_DRAWS = 32
+"""Number of those draws that are simulated first; if one of them fails, the others are not needed."""
 
 MAX_CORNERS = 8
 """Largest number of corners that the search itself simulates; verification simulates all."""
@@ -52,32 +55,37 @@ def box_samples(spec: DesignSpec) -> Offsets:
 
 
 def verify(simulator: Simulator, candidate: Candidate, samples: Offsets) -> Assessment:
-    """Simulate a candidate at all samples, and return the assessment."""
+    """Simulate a candidate at all samples, and return the assessment; if some of the first fail, at these alone."""
+    if len(samples) == 1 and candidate.assessment is not None:
+        return assess(candidate.result.lanes.part(slice(0, 1)), simulator.spec, candidate.constraints)
     unit = np.repeat(candidate.point[None], len(samples), axis=0)
-    return assess(simulator(unit, samples), simulator.spec, candidate.constraints)
+    first = len(samples) - DRAWS + FIRST_DRAWS
+    lanes = simulator(unit[:first], samples[:first])
+    found = assess(lanes, simulator.spec, candidate.constraints)
+    if found.feasible and first < len(samples):
+        lanes = lanes.joined(simulator(unit[first:], samples[first:]))
+        found = assess(lanes, simulator.spec, candidate.constraints)
+    return found
 
 
-def settle(
-    simulator: Simulator, candidate: Candidate, samples: Offsets, report: Callable[[str], None] = lambda line: None
-) -> Assessment:
+def settle(simulator: Simulator, candidate: Candidate, samples: Offsets) -> Assessment:
     """Verify a candidate and repair it while it fails; return the last assessment over `samples`.
 
     A repair adds failing samples to those of the search, goes back along the path of the candidate to a point that
     holds there, and continues the search from it.
     """
     found = verify(simulator, candidate, samples)
-    for repair in range(MAX_REPAIRS):
+    for _ in range(MAX_REPAIRS):
         if found.feasible or len(samples) == 1:
             break
         failing = failing_samples(found, simulator.spec, candidate)
-        report(f"repair {repair + 1}: {len(failing)} of {len(samples)} samples fail")
         worst = failing[:: max(1, len(failing) // ADDED_SAMPLES)][:ADDED_SAMPLES]
         candidate.offsets = np.concatenate([candidate.offsets, samples[worst]])
         points = [*candidate.path[::-1][:8], candidate.point]
         results = evaluate(simulator, [(candidate, point) for point in points])
-        best = min(range(len(points)), key=lambda k: (results[k].badness, -np.nan_to_num(results[k].objective)))
-        candidate.point, candidate.assessment, candidate.slopes, candidate.cuts = points[best], results[best], None, []
-        candidate.radius, candidate.done, candidate.polling = REPAIR_RADIUS, False, False
+        best = min(range(len(points)), key=lambda k: results[k].rank)
+        candidate.move(points[best], results[best])
+        candidate.radius, candidate.done = REPAIR_RADIUS, False
         improve(simulator, [candidate])
         found = verify(simulator, candidate, samples)
     return found
