@@ -40,6 +40,9 @@ LEAST_GAIN = 1e-4
 SAME_REGION = 0.01
 """Distance in the unit box within which a candidate ends in favour of a better one, at least its region's size."""
 
+LEAST_RELIEF = 1e-2
+"""Relative reduction of the violations by which a trial must improve a candidate that is not feasible."""
+
 UNGUIDED = 6
 """Proposals of an iteration, besides two for each varied parameter, where no orbit ranks them."""
 
@@ -183,13 +186,13 @@ def _update(candidate: Candidate, trials: Sequence[tuple[Unit, Assessment]]) -> 
     for point, assessment in trials:
         if assessment.better(now if best is None else best[1]):
             best = point, assessment
-    if best is not None:
+    if best is not None and (now.feasible or best[1].badness <= (1 - LEAST_RELIEF) * now.badness):
         moved = float(np.abs(best[0] - candidate.point).max())
         candidate.move(*best)
         candidate.radius = min(2 * radius, LARGEST_RADIUS) if moved > radius / 2 else radius
         candidate.failures = 0
         return
     candidate.failures += 1
-    if not trials or candidate.failures > 1:
+    if not trials or not now.feasible or candidate.failures > 1:
         candidate.radius, candidate.failures = radius / 2, 0
     candidate.done = candidate.radius < LEAST_RADIUS
