@@ -81,7 +81,7 @@ def test_gradient_and_multiplier_are_slopes(designed):
     assert float(best.gradient[0]) == pytest.approx(float(-ds.impact_power.diff("point")[0]) / (2 * step), rel=1e-5)
     assert best.binds.sel(limit="peak_impact_force most") == 1 and float(best.unexplained) < 1e-6
     below, same, above = designed.front_objective.values
-    assert same == pytest.approx(float(best.objective), rel=1e-4)
+    assert same == pytest.approx(float(best.objective), rel=3e-4)  # several times the least gain of the search
     relaxation = float(best.relaxation.sel(limit="peak_impact_force most"))
     assert above - below == pytest.approx(0.02 * FORCE * relaxation, rel=0.1)
 
