@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.design import chart, mapping, orbit_search, robustness, run, search
+from vibrojax.analyses.chart import region as chart
+from vibrojax.analyses.chart.page import A4, chart_page
+from vibrojax.analyses.design import mapping, orbit_search, robustness, run, search
 from vibrojax.analyses.design.analysis import Designs
-from vibrojax.analyses.design.chart_page import A4, chart_page
+from vibrojax.analyses.design.evaluation import Simulator
+from vibrojax.analyses.design.fronts import front_limits, without_limit
+from vibrojax.analyses.design.mapping import coarse_map, ranked
 from vibrojax.analyses.design.reading import read_design
 from vibrojax.analyses.design.robustness import DRAWS, MAX_CORNERS, box_samples, search_offsets
+from vibrojax.analyses.design.search import Candidate
 from vibrojax.analyses.design.slopes import scene_parameters
 from vibrojax.cli import main
 from vibrojax.measures.labels import REGIMES
@@ -25,7 +30,7 @@ DESIGN = {
     "vary": {"gamma": [0.7, 0.9]},
     "tolerance": {"gamma": WIDTH},
     "subject": {"regime": "single-impact", "peak_impact_force": {"most": FORCE}},
-    "front": {"against": "peak_impact_force", "points": 3},
+    "front": {"against": "peak_impact_force", "points": 3, "from": 0.99 * FORCE, "to": 1.01 * FORCE},
     "run": RUN,
 }
 
@@ -75,10 +80,10 @@ def test_gradient_and_multiplier_are_slopes(designed):
     ds = lanes(float(best.gamma) + step * np.array([1.0, -1.0]))
     assert float(best.gradient[0]) == pytest.approx(float(-ds.impact_power.diff("point")[0]) / (2 * step), rel=1e-5)
     assert best.binds.sel(limit="peak_impact_force most") == 1 and float(best.unexplained) < 1e-6
-    relaxed = {**DESIGN, "subject": {"regime": "single-impact", "peak_impact_force": {"most": 1.01 * FORCE}}}
-    relaxed = {key: table for key, table in relaxed.items() if key != "front"}
-    gain = float(vj.design(relaxed, progress=False).objective[0] - best.objective)
-    assert gain == pytest.approx(0.01 * FORCE * float(best.relaxation.sel(limit="peak_impact_force most")), rel=0.1)
+    below, same, above = designed.front_objective.values
+    assert same == pytest.approx(float(best.objective), rel=3e-4)  # several times the least gain of the search
+    relaxation = float(best.relaxation.sel(limit="peak_impact_force most"))
+    assert above - below == pytest.approx(0.02 * FORCE * relaxation, rel=0.1)
 
 
 def test_points_of_the_front_are_simulated(designed):
@@ -91,6 +96,17 @@ def test_points_of_the_front_are_simulated(designed):
     assert list(part.facts["design"]["subject"]) == ["peak_impact_force"]
     for end in (-WIDTH, WIDTH):
         assert (lanes(designed.front_gamma.values + end).peak_impact_force.values <= designed.front_limit.values).all()
+
+
+def test_a_front_begins_at_the_least_limit_of_the_map_and_ends_at_the_optimum():
+    spec = read_design({**DESIGN, "front": {"against": "peak_impact_force", "points": 3}})
+    coarse = coarse_map(Simulator(spec))
+    best = ranked(spec, coarse, without_limit(spec))[0]
+    optimum = Candidate(coarse.unit[best], np.zeros((1, 1)), spec.constraints, 0.1, coarse.assessments[best])
+    forces = [a.lanes.values["peak_impact_force"].max() for a in coarse.assessments if a.lanes.in_regime.all()]
+    limits = front_limits(spec, coarse, [optimum])
+    assert limits[0] == pytest.approx(0.98 * min(forces) + 0.02 * limits[-1])
+    assert limits[-1] == forces[best] and np.ptp(np.diff(limits)) == pytest.approx(0, abs=1e-6)
 
 
 def test_the_chart_is_one_page(designed, monkeypatch):
@@ -107,8 +123,9 @@ def test_the_chart_is_one_page(designed, monkeypatch):
 def test_the_command_writes_draws_and_is_read_again(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text(
-        'scene = "vibro-impact"\nmaximise = "impact_velocity"\nstarts = ["stuck"]\nparameters = { delta = 0.005 }\n'
-        'vary = { gamma = [0.7, 0.8] }\nsubject = { regime = "single-impact" }\nrun = { settle = 20, observe = 5 }\n'
+        'scene = "vibro-impact"\nmaximise = "impact_power"\nstarts = ["stuck"]\nparameters = { delta = 0.005 }\n'
+        'vary = { gamma = [0.7, 0.75] }\nsubject = { regime = "single-impact", peak_impact_force = { most = 1e6 } }\n'
+        "run = { settle = 25, observe = 6 }\n"
     )
     assert main(["design", "mine.toml", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)

@@ -74,11 +74,11 @@ class Variations(NamedTuple):
             changes = first[:, part], second[:, part]
             return variation(driving, Located(), p, states[:, part], *changes, accuracy, most_steps)
 
-        variation = jax.tree.map(
+        derivatives = jax.tree.map(
             lambda x: np.moveaxis(np.asarray(x), -1, 0).reshape(*shape, *np.shape(x)[:-1]),
             in_calls(work, len(lane), workers()),
         )
-        (_, times, moved, margin, impacts), slopes = variation
+        (_, times, moved, margin, impacts), slopes = derivatives
         jacobian = np.swapaxes(moved[:, :, :, 0], 2, 3)
         by_image, by_time, by_margin = (slopes[k][:, :, 0] for k in (0, 1, 3))
         by_jacobian = np.moveaxis(slopes[2], 2, -1)  # (lanes, cycles, directions, images, columns)

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import nnls
 
-from vibrojax.analyses.design.search import Candidate, linear_model
+from vibrojax.analyses.design.evaluation import Assessment, Unit, distinct_starts
+from vibrojax.analyses.design.slopes import Slopes
 from vibrojax.analyses.design.spec import DesignSpec
 
 BINDING_SLACK = 3e-3
@@ -43,39 +44,35 @@ def limit_values(spec: DesignSpec) -> list[float]:
     return [c.limit for c in spec.constraints] + bounds
 
 
-def conditions(spec: DesignSpec, candidate: Candidate) -> Conditions:
-    """Return the conditions at a candidate, by non-negative least squares of the stationarity equations."""
-    found, x = candidate.assessment, candidate.point
-    assert found is not None
-    number, count = len(candidate.constraints), len(x)
+def conditions(spec: DesignSpec, point: Unit, checked: Assessment, slopes: Slopes) -> Conditions:
+    """Return the conditions at a nominal point, by non-negative least squares of the stationarity equations."""
+    number, count = len(spec.constraints), len(point)
     ranges = spec.high - spec.low
-    slack = [
-        float(found.slack[j, np.isfinite(found.slack[j])].min(initial=np.inf)) * c.scale + c.margin
-        for j, c in enumerate(candidate.constraints)
-    ]
-    slack += [float(d) for pair in zip(x * ranges, (1 - x) * ranges, strict=True) for d in pair]
-    binds = np.zeros(len(slack), bool)
-    relaxation = np.zeros(len(slack))
-    candidate.cuts = []
-    model = linear_model(candidate, spec.maximise) if candidate.slopes is not None else None
-    if model is None:
+    least = np.where(np.isfinite(checked.slack), checked.slack, np.inf).min(axis=1, initial=np.inf)
+    slack = [float(x) * c.scale + c.margin for x, c in zip(least, spec.constraints, strict=True)]
+    slack += [float(d) for pair in zip(point * ranges, (1 - point) * ranges, strict=True) for d in pair]
+    binds, relaxation = np.zeros(len(slack), bool), np.zeros(len(slack))
+    starts = distinct_starts(checked)
+    gradient = slopes[spec.maximise][starts[0]] if starts else np.full(count, np.nan)
+    if not np.isfinite(gradient).all():
         return Conditions(np.array(slack), binds, np.full(len(slack), np.nan), np.nan)
-    gradient = model.objective_slope[0] * (abs(found.objective) or 1.0)
     columns, limits, units = [], [], []
-    for row, j in enumerate(model.rows):
-        if model.slack[row] <= BINDING_SLACK:
-            columns.append(-model.slack_slope[row])
-            limits.append(j)
-            units.append(candidate.constraints[j].scale)
+    for j, c in enumerate(spec.constraints):
+        for start in starts:
+            slope = c.sign * slopes.get(f"{c.variable} {c.end}", slopes[c.variable])[start] / c.scale
+            if checked.slack[j, start] <= BINDING_SLACK and np.isfinite(slope).all():
+                columns.append(-slope)
+                limits.append(j)
+                units.append(c.scale)
     for k in range(count):
-        for end, distance, sign in ((0, x[k], -1.0), (1, 1 - x[k], 1.0)):
+        for end, distance, sign in ((0, point[k], -1.0), (1, 1 - point[k], 1.0)):
             if distance <= BINDING_BOUND:
                 columns.append(sign * np.eye(count)[k])
                 limits.append(number + 2 * k + end)
                 units.append(float(ranges[k]))
-    weights, rest = nnls(np.array(columns).T, gradient) if columns else (np.zeros(0), float(np.linalg.norm(gradient)))
+    size = float(np.linalg.norm(gradient))
+    weights, rest = nnls(np.array(columns).T, gradient) if columns else (np.zeros(0), size)
     for weight, limit, unit in zip(weights, limits, units, strict=True):
         relaxation[limit] += weight / unit
         binds[limit] |= weight > 0
-    size = float(np.linalg.norm(gradient))
     return Conditions(np.array(slack), binds, relaxation, rest / size if size else 0.0)

@@ -34,10 +34,9 @@ DESIGN_VARIABLES = {
 
 
 class Result(NamedTuple):
-    """A verified candidate: its assessment over all samples, and the conditions at its nominal point."""
+    """A verified candidate, assessed over all samples, and the conditions at its nominal point."""
 
     candidate: Candidate
-    checked: Assessment
     conditions: Conditions
     gradient: np.ndarray
 
@@ -72,7 +71,7 @@ def design_dataset(
     """Return the dataset of the candidates, best first, with the map and the front."""
     objective = spec.variables[spec.maximise]
     ends = {c.variable: c.end for c in spec.constraints}
-    checked = [result.checked for result in results]
+    checked = [result.candidate.result for result in results]
     data: dict[str, Any] = {
         "objective": _described(
             Variable(objective.units, f"{objective.long_name} at the nominal point, worst over the starts"),

@@ -33,6 +33,12 @@ class Lanes(NamedTuple):
         values = {name: x[points] for name, x in self.values.items()}
         return Lanes(values, self.in_regime[points], self.dataset.isel(point=points))
 
+    def joined(self, other: "Lanes") -> "Lanes":
+        """Return these points and others of the same sweep."""
+        values = {name: np.concatenate([x, other.values[name]]) for name, x in self.values.items()}
+        dataset = xr.concat([self.dataset, other.dataset], "point", data_vars="minimal", join="override")
+        return Lanes(values, np.concatenate([self.in_regime, other.in_regime]), dataset)
+
 
 @dataclass
 class Simulator:
@@ -42,6 +48,7 @@ class Simulator:
     lanes: int = 0
     orbits: int = 0
     names: tuple[str, ...] = field(init=False)
+    history: list[tuple[Float[np.ndarray, "points varied"], "Lanes"]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         spec = self.spec
@@ -58,7 +65,8 @@ class Simulator:
 
     def __call__(self, unit: Float[np.ndarray, "points varied"], offsets: Offsets) -> Lanes:
         """Simulate points of the unit box with offsets (in half-widths), one row each, from every start."""
-        sweep = self.spec.sweep(self.spec.columns(unit, offsets))
+        spec = self.spec
+        sweep = spec.sweep(spec.columns(unit, offsets))
         self.lanes += sweep.lanes
         ds = run_sweep(sweep, progress=False)
         rows = ds if "start" in ds.dims else ds.expand_dims("start")
@@ -72,7 +80,25 @@ class Simulator:
             in_regime &= rows["regime"].values == REGIMES.index(self.spec.regime)
         elif "status" in rows:
             in_regime &= rows["status"].values == 0
-        return Lanes(values, in_regime, rows)
+        lanes = Lanes(values, in_regime, rows)
+        if spec.share is None and set(spec.varied) == set(spec.tolerances):
+            widths = np.array([spec.tolerances[name] for name in spec.varied]) / (spec.high - spec.low)
+            places = [list(spec.tolerances).index(name) for name in spec.varied]
+            self.history.append((unit + offsets[:, places] * widths, lanes))
+        return lanes
+
+    def failures(self, constraints: Sequence[Constraint]) -> Float[np.ndarray, "points varied"]:
+        """Return the points of the unit box at which a simulated lane failed; every tolerance box excludes them.
+
+        They are known where the tolerances are those of the varied parameters, and all starts must be good.
+        """
+        failed = [np.zeros((0, len(self.spec.varied)))]
+        for unit, lanes in self.history:
+            good = lanes.in_regime.all(axis=1)
+            for c in constraints:
+                good &= (c.slack(lanes.values[c.variable]) >= 0).all(axis=1)
+            failed.append(unit[~good])
+        return np.concatenate(failed)
 
 
 class Assessment(NamedTuple):
@@ -97,6 +123,11 @@ class Assessment(NamedTuple):
     def feasible(self) -> bool:
         """True if every requirement holds in every sample."""
         return self.badness == 0
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Key of the order from best to worst."""
+        return self.badness, -float(np.nan_to_num(self.objective, nan=-np.inf))
 
     def better(self, other: "Assessment", gain: float = 1e-9) -> bool:
         """Return whether this point is better: less bad, or feasible with an objective greater by a share `gain`."""

@@ -8,13 +8,13 @@ from jaxtyping import Float
 from scipy.stats import qmc
 
 from vibrojax.analyses.design.evaluation import Assessment, Simulator, assess
-from vibrojax.analyses.design.search import Candidate, evaluate
+from vibrojax.analyses.design.search import Candidate, evaluate_new
 from vibrojax.analyses.design.spec import Constraint, DesignSpec
 
 AXIS_POINTS = {1: 33, 2: 16}
 """Points per axis of the map for one and two varied parameters, which make a grid."""
 
-FIRST_SAMPLE, LARGEST_SAMPLE = 64, 2048
+FIRST_SAMPLE, LARGEST_SAMPLE = 16, 2048
 """Sobol points of the map for more varied parameters: doubled until enough of them are feasible."""
 
 ENOUGH_FEASIBLE = 4
@@ -60,8 +60,9 @@ def _assessed(simulator: Simulator, unit: Float[np.ndarray, "points varied"]) ->
 
 def ranked(spec: DesignSpec, coarse: CoarseMap, constraints: Sequence[Constraint]) -> list[int]:
     """Return the points of the map under these constraints, best first."""
-    found = [a if constraints is spec.constraints else assess(a.lanes, spec, constraints) for a in coarse.assessments]
-    return sorted(range(len(found)), key=lambda k: (found[k].badness, -np.nan_to_num(found[k].objective, nan=-np.inf)))
+    own = constraints is spec.constraints
+    ranks = [(a if own else assess(a.lanes, spec, constraints)).rank for a in coarse.assessments]
+    return sorted(range(len(ranks)), key=ranks.__getitem__)
 
 
 def seeds(
@@ -75,20 +76,14 @@ def seeds(
     order = ranked(simulator.spec, coarse, constraints)
     if len(offsets) > 1:
         tried = [candidate(k) for k in _apart(coarse, order, min(APART, coarse.spacing), TRIED_SEEDS)]
-        for c, found in zip(tried, evaluate(simulator, [(c, c.point) for c in tried]), strict=True):
-            c.assessment = found
-        tried.sort(key=_key)
+        evaluate_new(simulator, tried)
+        tried.sort(key=lambda c: c.result.rank)
         chosen: list[Candidate] = []
         for c in tried:
             if len(chosen) < most and all(np.abs(c.point - other.point).max() >= APART for other in chosen):
                 chosen.append(c)
         return chosen
     return [candidate(k) for k in _apart(coarse, order, APART, most)]
-
-
-def _key(candidate: Candidate) -> tuple[float, float]:
-    assert candidate.assessment is not None
-    return candidate.assessment.badness, -np.nan_to_num(candidate.assessment.objective, nan=-np.inf)
 
 
 def _apart(coarse: CoarseMap, order: Sequence[int], distance: float, most: int) -> list[int]:

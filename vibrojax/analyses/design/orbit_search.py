@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from vibrojax.analyses.design.evaluation import Simulator, Unit, distinct_starts
-from vibrojax.analyses.design.search import Candidate, evaluate
+from vibrojax.analyses.design.search import Candidate, evaluate, evaluate_new
 from vibrojax.analyses.design.slopes import is_periodic, orbit_states, scene_parameters
 from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_features
 
@@ -34,8 +34,8 @@ LEAST_GAIN = 1e-6
 LEAST_RELIEF = 1e-2
 """Relative reduction of the violations from which a box is moved."""
 
-SIMULATED = 5
-"""Number of points on the way to the orbit's optimum that are simulated."""
+MAX_HALVINGS = 3
+"""Largest number of points on the way to the orbit's optimum that are simulated."""
 
 FINE_RADIUS = 0.01
 """Half-width of the trust region after an optimum of the orbit that holds from every start."""
@@ -163,24 +163,26 @@ def orbit_path(simulator: Simulator, candidate: Candidate) -> list[Unit]:
 
 
 def advance(simulator: Simulator, candidates: Sequence[Candidate]) -> None:
-    """Move candidates towards the optima of their orbits, as far as these hold when simulated; modify them in place."""
-    new = [c for c in candidates if c.assessment is None]
-    for candidate, found in zip(new, evaluate(simulator, [(c, c.point) for c in new]), strict=True):
-        candidate.assessment = found
-    trials: list[tuple[Candidate, Unit]] = []
-    for c in candidates:
-        path = orbit_path(simulator, c)
-        kept = sorted({round(k) for k in np.linspace(len(path) - 1, 0, SIMULATED)}, reverse=True) if path else []
-        trials += [(c, np.clip(path[k], 0.0, 1.0)) for k in kept]
-    results = evaluate(simulator, trials)
-    for c in candidates:
-        own = [(p, a) for (other, p), a in zip(trials, results, strict=True) if other is c]
-        if not own:
-            continue
-        begin, optimum = c.point, own[0][0]
-        for point, found in own:
-            if c.assessment is None or found.better(c.assessment):
-                c.path.append(c.point)
-                c.point, c.assessment, c.slopes, c.cuts = point, found, None, []
-        reached = c.point is optimum
-        c.radius = FINE_RADIUS if reached else max(float(np.abs(optimum - begin).max()) / 8, FINE_RADIUS)
+    """Move candidates to the optima of their orbits, or halfway where these fail when simulated; modify them in place.
+
+    Each failure halves the way, so that few points are simulated.
+    """
+    evaluate_new(simulator, candidates)
+    paths = [orbit_path(simulator, c) for c in candidates]
+    places = [len(path) - 1 for path in paths]
+    for _ in range(MAX_HALVINGS):
+        trials = [
+            (c, np.clip(path[k], 0.0, 1.0)) for c, path, k in zip(candidates, paths, places, strict=True) if k >= 0
+        ]
+        assessments = iter(evaluate(simulator, trials))
+        for i, (c, path) in enumerate(zip(candidates, paths, strict=True)):
+            if places[i] < 0:
+                continue
+            point, assessment = np.clip(path[places[i]], 0.0, 1.0), next(assessments)
+            if assessment.better(c.result):
+                whole = places[i] == len(path) - 1
+                c.radius = FINE_RADIUS if whole else max(float(np.abs(path[-1] - c.point).max()) / 8, FINE_RADIUS)
+                c.move(point, assessment)
+                places[i] = -1
+            else:
+                places[i] = places[i] // 2 if places[i] else -1

@@ -13,11 +13,9 @@ from vibrojax.errors import InputError, counted
 from vibrojax.measures.labels import REGIMES
 
 
-def infeasibility(
-    spec: DesignSpec, coarse: CoarseMap, candidates: Sequence[Candidate], checked: Sequence[Assessment]
-) -> InputError:
+def infeasibility(spec: DesignSpec, coarse: CoarseMap, candidates: Sequence[Candidate]) -> InputError:
     """Return the error for a design without a feasible point."""
-    pairs = [(c.point, a) for c, a in zip(candidates, checked, strict=True)]
+    pairs = [(c.point, c.result) for c in candidates]
     pairs += list(zip(coarse.unit, coarse.assessments, strict=True)) if not spec.tolerances else []
     point, nearest = min(pairs, key=lambda pair: pair[1].badness)
     where, place, fit = _place_text(spec, point), spec.place.at("subject"), nearest.lanes.in_regime
@@ -47,9 +45,9 @@ def infeasibility(
     )
 
 
-def check_objective(spec: DesignSpec, coarse: CoarseMap, feasible: Sequence[Assessment]) -> None:
+def check_objective(spec: DesignSpec, coarse: CoarseMap, feasible: Sequence[Candidate]) -> None:
     """Raise `InputError` if the objective is 0 at every feasible point, as where no blow breaks the rock."""
-    if any(a.objective for a in [*feasible, *(a for a in coarse.assessments if a.feasible)]):
+    if any(a.objective for a in [*(c.result for c in feasible), *(a for a in coarse.assessments if a.feasible)]):
         return
     pairs = [pair for pair in zip(coarse.unit, coarse.assessments, strict=True) if pair[1].objective > 0]
     hint = "; it is 0 on the whole map"

@@ -1,26 +1,37 @@
 """Verification of candidates over the tolerance box at corners and random draws, and their repair."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from jaxtyping import Float
 from scipy.stats import qmc
 
 from vibrojax.analyses.design.evaluation import Assessment, Offsets, Simulator, assess
-from vibrojax.analyses.design.search import Candidate, evaluate, improve
-from vibrojax.analyses.design.spec import DRAWN_BOX, DesignSpec
+from vibrojax.analyses.design.search import Candidate, evaluate, evaluate_new, improve
+from vibrojax.analyses.design.spec import DRAWN_BOX, Constraint, DesignSpec
 
 DRAWS = 256
 """Number of draws in the box at which a finished candidate is simulated again."""
 
+FIRST_DRAWS = 32
+"""Number of those draws that are simulated first; if one of them fails, the others are not needed."""
+
+ZOOM_WIDTHS, ZOOM_DRAWS = (0.25, 0.06), 16
+"""Half-widths, relative to the box, of the regions around the samples of least slack, and draws in each."""
+
 MAX_CORNERS = 8
 """Largest number of corners that the search itself simulates; verification simulates all."""
 
-MAX_REPAIRS = 4
+MAX_REPAIRS = 6
 """Largest number of times that a candidate is repaired."""
 
 ADDED_SAMPLES = 4
 """Largest number of failing samples that a repair adds to the samples of the search."""
+
+MAX_TIGHTENING = 0.001
+"""Largest amount, relative to its limit, by which a repair tightens a constraint."""
 
 REPAIR_RADIUS = 0.02
 """Half-width of the first trust region of a repair, in the unit box."""
@@ -51,40 +62,77 @@ def box_samples(spec: DesignSpec) -> Offsets:
     return np.concatenate([np.zeros((1, count)), corners(spec), draws])
 
 
-def verify(simulator: Simulator, candidate: Candidate, samples: Offsets) -> Assessment:
-    """Simulate a candidate at all samples, and return the assessment."""
-    unit = np.repeat(candidate.point[None], len(samples), axis=0)
-    return assess(simulator(unit, samples), simulator.spec, candidate.constraints)
+def verify(
+    simulator: Simulator, candidate: Candidate, samples: Offsets, constraints: Sequence[Constraint]
+) -> tuple[Assessment, Float[np.ndarray, "simulated tolerances"]]:
+    """Simulate a candidate at `samples`, then near those of least slack; return the assessment and all samples.
 
-
-def settle(
-    simulator: Simulator, candidate: Candidate, samples: Offsets, report: Callable[[str], None] = lambda line: None
-) -> Assessment:
-    """Verify a candidate and repair it while it fails; return the last assessment over `samples`.
-
-    A repair adds failing samples to those of the search, goes back along the path of the candidate to a point that
-    holds there, and continues the search from it.
+    If some of the first samples fail, the others are not simulated.
     """
-    found = verify(simulator, candidate, samples)
-    for repair in range(MAX_REPAIRS):
-        if found.feasible or len(samples) == 1:
+    if len(samples) == 1:
+        return assess(candidate.result.lanes.part(slice(0, 1)), simulator.spec, constraints), samples
+    first = len(samples) - DRAWS + FIRST_DRAWS
+    size, simulated = float(np.abs(samples).max()), samples[:first]
+    lanes = simulator(np.repeat(candidate.point[None], first, axis=0), simulated)
+    assessment = assess(lanes, simulator.spec, constraints)
+    for width in (None, *ZOOM_WIDTHS):
+        if not assessment.feasible:
             break
-        failing = failing_samples(found, simulator.spec, candidate)
-        report(f"repair {repair + 1}: {len(failing)} of {len(samples)} samples fail")
-        worst = failing[:: max(1, len(failing) // ADDED_SAMPLES)][:ADDED_SAMPLES]
-        candidate.offsets = np.concatenate([candidate.offsets, samples[worst]])
+        near = samples[first:] if width is None else _near_least_slack(assessment, constraints, simulated, width, size)
+        if len(near):
+            lanes = lanes.joined(simulator(np.repeat(candidate.point[None], len(near), axis=0), near))
+            simulated = np.concatenate([simulated, near])
+            assessment = assess(lanes, simulator.spec, constraints)
+    return assessment, simulated
+
+
+def _near_least_slack(
+    assessment: Assessment, constraints: Sequence[Constraint], simulated: Offsets, width: float, size: float
+) -> Float[np.ndarray, "draws tolerances"]:
+    """Return draws around the samples of least slack, one for each constraint, in the box of the given size.
+
+    A ridge that crosses the box has its worst sample between the corners, where random draws are too sparse.
+    """
+    cube = width * size * (2 * qmc.Sobol(simulated.shape[1], seed=3).random(ZOOM_DRAWS) - 1)
+    values = assessment.lanes.values
+    worst = [np.nan_to_num(c.slack(values[c.variable]).min(axis=1), nan=np.inf) for c in constraints]
+    draws = [np.clip(simulated[slack.argmin()] + cube, -size, size) for slack in worst]
+    return np.concatenate([simulated[:0], *draws])
+
+
+def settle(simulator: Simulator, candidate: Candidate, samples: Offsets) -> Assessment:
+    """Verify a candidate and repair it while it fails; return its last assessment.
+
+    A repair tightens the constraints by what is missing, and adds samples that fail to those of the search. Then it
+    goes back along the path of the candidate to a point that holds there, and continues the search from it.
+    """
+    evaluate_new(simulator, [candidate])
+    constraints = candidate.constraints
+    assessment, simulated = verify(simulator, candidate, samples, constraints)
+    for _ in range(MAX_REPAIRS):
+        if assessment.feasible or len(samples) == 1:
+            break
+        failing = failing_samples(assessment, simulator.spec, constraints)
+        added = failing[:: max(1, len(failing) // ADDED_SAMPLES)][:ADDED_SAMPLES]
+        candidate.offsets = np.concatenate([candidate.offsets, simulated[added]])
+        missing = np.maximum(-assessment.slack, 0.0).max(axis=1, initial=0.0)
+        candidate.constraints = tuple(
+            replace(own, margin=own.margin + x * own.scale)
+            for own, x in zip(candidate.constraints, np.minimum(missing, MAX_TIGHTENING), strict=True)
+        )
         points = [*candidate.path[::-1][:8], candidate.point]
-        results = evaluate(simulator, [(candidate, point) for point in points])
-        best = min(range(len(points)), key=lambda k: (results[k].badness, -np.nan_to_num(results[k].objective)))
-        candidate.point, candidate.assessment, candidate.slopes, candidate.cuts = points[best], results[best], None, []
-        candidate.radius, candidate.done, candidate.polling = REPAIR_RADIUS, False, False
+        assessments = evaluate(simulator, [(candidate, point) for point in points])
+        best = min(range(len(points)), key=lambda k: assessments[k].rank)
+        candidate.move(points[best], assessments[best])
+        candidate.radius, candidate.done = REPAIR_RADIUS, False
         improve(simulator, [candidate])
-        found = verify(simulator, candidate, samples)
-    return found
+        assessment, simulated = verify(simulator, candidate, samples, constraints)
+    candidate.constraints = constraints
+    return assessment
 
 
-def failing_samples(found: Assessment, spec: DesignSpec, candidate: Candidate) -> Sequence[int]:
+def failing_samples(assessment: Assessment, spec: DesignSpec, constraints: Sequence[Constraint]) -> Sequence[int]:
     """Return the samples at which a requirement fails, by index."""
-    lanes = found.lanes
+    lanes = assessment.lanes
     count = lanes.in_regime.shape[0]
-    return [k for k in range(count) if assess(lanes.part(slice(k, k + 1)), spec, candidate.constraints).badness > 0]
+    return [k for k in range(count) if assess(lanes.part(slice(k, k + 1)), spec, constraints).badness > 0]

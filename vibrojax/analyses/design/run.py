@@ -80,16 +80,17 @@ def find_design(spec: DesignSpec, progress: bool = True) -> xr.Dataset:
         candidates = distinct(candidates)
         checked: list[Assessment] = []
         for candidate in candidates:
-            if sum(found.feasible for found in checked) < SEEDS:
+            if sum(assessment.feasible for assessment in checked) < SEEDS:
                 checked.append(settle(simulator, candidate, samples))
-        candidates = candidates[: len(checked)]
-        feasible = [k for k, found in enumerate(checked) if found.feasible]
+        for c, assessment in zip(candidates, checked, strict=False):
+            c.assessment = assessment
+        verified = distinct(candidates[: len(checked)])
+        feasible = [c for c in verified if c.result.feasible]
         if not feasible:
-            raise infeasibility(spec, coarse, candidates, checked)
-        check_objective(spec, coarse, [checked[k] for k in feasible])
-        feasible.sort(key=lambda k: -checked[k].objective)
-        bar.add(1, f"verification: {len(feasible)} of {len(candidates)} candidates feasible")
-        results = _concluded(simulator, [candidates[k] for k in feasible], [checked[k] for k in feasible])
+            raise infeasibility(spec, coarse, verified)
+        check_objective(spec, coarse, feasible)
+        bar.add(1, f"verification: {len(feasible)} of {len(verified)} candidates feasible")
+        results = _concluded(simulator, feasible)
         front = find_front(simulator, coarse, [r.candidate for r in results]) if spec.front else []
         if spec.front:
             bar.add(1, f"front: {len(front)} points")
@@ -97,27 +98,20 @@ def find_design(spec: DesignSpec, progress: bool = True) -> xr.Dataset:
 
 
 def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates without those that ended at the same point as a better one."""
+    """Return the candidates, best first, without those that ended at the same point as a better one."""
     kept: list[Candidate] = []
-    for c in sorted(candidates, key=lambda c: _rank(c.assessment)):
+    for c in sorted(candidates, key=lambda c: c.result.rank):
         if all(np.abs(c.point - other.point).max() > SAME_POINT for other in kept):
             kept.append(c)
     return kept
 
 
-def _rank(found: Assessment | None) -> tuple[float, float]:
-    assert found is not None
-    return found.badness, -np.nan_to_num(found.objective, nan=-np.inf)
-
-
-def _concluded(simulator: Simulator, candidates: Sequence[Candidate], checked: Sequence[Assessment]) -> list[Result]:
+def _concluded(simulator: Simulator, candidates: Sequence[Candidate]) -> list[Result]:
     """Return the results of verified candidates, with gradients and conditions at the nominal points."""
     spec = simulator.spec
+    slopes = slopes_at(simulator, [c.point for c in candidates], [c.result for c in candidates])
     results = []
-    known = slopes_at(simulator, [c.point for c in candidates], checked, worst=True)
-    for c, found, slopes in zip(candidates, checked, known, strict=True):
-        c.assessment, c.slopes = found, slopes
-        starts = distinct_starts(found)
-        gradient = slopes[spec.maximise][starts[0]] / (spec.high - spec.low)
-        results.append(Result(c, found, conditions(spec, c), gradient))
+    for c, own in zip(candidates, slopes, strict=True):
+        gradient = own[spec.maximise][distinct_starts(c.result)[0]] / (spec.high - spec.low)
+        results.append(Result(c, conditions(spec, c.point, c.result, own), gradient))
     return results

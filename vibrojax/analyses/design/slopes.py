@@ -22,14 +22,12 @@ Slopes = dict[str, Float[np.ndarray, "starts varied"]]
 """Derivatives at the nominal point by variable (starts, varied), in the unit box; NaN where unknown."""
 
 
-def slopes_at(
-    simulator: Simulator, points: Sequence[Unit], assessments: Sequence[Assessment], worst: bool = False
-) -> list[Slopes]:
+def slopes_at(simulator: Simulator, points: Sequence[Unit], assessments: Sequence[Assessment]) -> list[Slopes]:
     """Return the derivatives at each nominal point, for each start that leads to a motion of its own.
 
     They follow from the periodic orbit (implicit function theorem). Variables that an orbit does not have are
-    differentiated by central differences of simulated lanes. `worst`: whether limited variables are differentiated at
-    the worst samples of the tolerance box as well, as the multipliers need it.
+    differentiated by central differences of simulated lanes. Limited variables are differentiated at the worst samples
+    of the tolerance box as well, as the Lagrange multipliers need it.
     """
     spec, scene = simulator.spec, simulator.spec.template.system
     count = len(spec.varied)
@@ -59,8 +57,7 @@ def slopes_at(
         if any(np.isnan(slopes[k][name][start]).any() for name in simulator.names for start in distinct_starts(found))
     ]
     _by_differences(simulator, points, missing, slopes)
-    if worst:
-        _at_worst(simulator, points, assessments, lanes, slopes)
+    _at_worst(simulator, points, assessments, lanes, slopes)
     return slopes
 
 

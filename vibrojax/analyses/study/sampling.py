@@ -21,9 +21,9 @@ MIN_GROUPS = 8
 REASONS = ("known", "constant", "too-few-samples")
 """Meanings of the flags of `sobol_reason`."""
 
-# All corners of up to eight parameters are run, 256 of them; of more parameters, a fraction. In that fraction, each further
-# parameter is the product of the signs of some of the first seven, or eight. Main effects and interactions of two
-# parameters are not confounded with each other (resolution V).
+# Up to eight parameters, all corners are run, 256 of them, and a fraction beyond. There, each further parameter is the
+# product of the signs of some of the first seven, or eight. Main effects and interactions of two parameters are not
+# confounded with each other (resolution V).
 _BASIC = {9: 7, 10: 7, 11: 7, 12: 8}
 _GENERATORS = {
     7: ((0, 1, 2, 6), (1, 2, 3, 4), (0, 2, 3, 5), (0, 1, 2, 3, 4, 5, 6)),
