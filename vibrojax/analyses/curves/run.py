@@ -38,7 +38,7 @@ def curves(
         fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
         ds = vj.curves(fam, by="beta", span=(0.1, 1.2))
 
-    Each fold, period doubling, torus, grazing, stick and Hopf point is continued both ways, until a parameter reaches a
+    Each fold, period doubling, torus, grazing and stick point is continued both ways, until a parameter reaches a
     bound. The bounds of the family's parameter are those of the family. Points of codimension two on the curves are
     located and named.
 
