@@ -7,6 +7,7 @@ which is regular at the curve itself:
   the sign of its determinant;
 - torus: that of C - 1, where C is the second compound of the monodromy matrix, whose eigenvalues are the products of
   two multipliers (Kuznetsov, *Elements of Applied Bifurcation Theory*, section 10.2);
+- Hopf: the growth rate of the equilibrium ([vibrojax.analyses.curves.hopf][]);
 - grazing and stick: the signed margin of the event ([vibrojax.analyses.curves.event_map][]).
 
 The derivative of a singular value with the vectors w and v is w dA v. Second derivatives of the return map are
@@ -21,8 +22,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from vibrojax.analyses.continuation.hopf import Field, moving_states
 from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY, Index, PerLane, Points, Problem, Unknowns
 from vibrojax.analyses.curves.event_map import conditions_of, event_mapped
+from vibrojax.analyses.curves.hopf import HopfEquations
 from vibrojax.compile.xla import workers
 from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
 from vibrojax.periodic.return_map import Segments, in_calls
@@ -74,9 +77,10 @@ class CurveProblem(Problem):
         return np.column_stack([u[:, -2] * self.other_unit[curve], u[:, -1] * self.unit[curve]])
 
     def evaluate(self, family: Index, u: Unknowns) -> Points:
-        on_event = np.isin(self.kinds[family], EVENTS)
+        on_event, at_rest = np.isin(self.kinds[family], EVENTS), self.kinds[family] == "hopf"
         parts, order = [], []
-        for mask, evaluated in ((~on_event, self._smooth), (on_event, self._on_event)):
+        ways = (~on_event & ~at_rest, self._smooth), (on_event, self._on_event), (at_rest, self._at_rest)
+        for mask, evaluated in ways:
             lanes = np.flatnonzero(mask)
             if len(lanes):
                 parts.append(evaluated(family[lanes], u[lanes]))
@@ -183,6 +187,40 @@ class CurveProblem(Problem):
             if len(lanes):
                 value[lanes], row[lanes] = condition(curve[lanes], u[lanes], jacobian[lanes])
         return self._with_condition(points, value, row)
+
+    def _at_rest(self, curve: Index, u: Unknowns) -> Points:
+        """Return the points of Hopf curves, whose equations are those of the equilibrium."""
+        return Points.join([self._equilibrium(curve[[k]], u[[k]]) for k in range(len(u))])
+
+    def _equilibrium(self, curve: Index, u: Unknowns) -> Points:
+        lanes, rows, modes = 1, self.rows, max(len(self.scene.modes), 1)
+        if int(curve[0]) not in self._fields:
+            states = dict(zip(self.scene.return_states, self.states(curve, u)[0, 0], strict=True))
+            begin = np.array([states.get(name, 0.0) for name in moving_states(self.scene)])
+            fixed = {name: x[curve[0]] for name, x in self.parameters.items()}
+            self._fields[int(curve[0])] = Field(self.scene, fixed, begin)
+        hopf = HopfEquations(self.scene, self._fields[int(curve[0])], (self.other, self.along), self.scales[curve[0]])
+        units = np.array([self.other_unit[curve[0]], self.unit[curve[0]]])
+        found, by_parameters = hopf.at(self.values(curve, u)[0], units)
+        by_states = np.vstack([np.eye(rows), np.zeros(rows)])
+        matrix = np.column_stack([by_states, np.vstack([-by_parameters[:rows], by_parameters[rows:]])])
+        off = np.append(u[0, :rows] - found.states, found.growth)
+        return Points(
+            family=curve,
+            u=u.copy(),
+            tangent=np.full_like(u, np.nan),
+            off=off[None],
+            matrix=matrix[None],
+            times=np.full((lanes, 1), found.period),
+            product=found.product[None],
+            impacts=np.zeros(lanes),
+            mode_changes=np.zeros((lanes, modes + 1, 3)),
+            margin=np.ones(lanes),
+        )
+
+    @cached_property
+    def _fields(self) -> dict[int, Field]:
+        return {}
 
     def _along(self, curve: Index, u: Unknowns, direction: Float[np.ndarray, "lanes cycles states"]) -> np.ndarray:
         """Return the derivative of the scaled Jacobian along directions of the scaled states, by forward mode twice."""

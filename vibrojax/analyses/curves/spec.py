@@ -19,8 +19,8 @@ from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.read import read_point
 from vibrojax.sweep.input.values import UnusualValue
 
-CONTINUED = ("fold", "period-doubling", "torus", "grazing", "stick")
-"""Kinds of special points that are continued; the others depend on how returns are counted, or have no orbit."""
+CONTINUED = ("fold", "period-doubling", "torus", "grazing", "stick", "hopf")
+"""Kinds of special points that are continued; the others depend on how returns are counted."""
 
 
 SAME_VALUE = 1e-7
