@@ -12,7 +12,7 @@ from test_follow import eigenvalue
 
 import vibrojax as vj
 from vibrojax.analyses.curves.codim2 import name_of
-from vibrojax.analyses.curves.extended import compound, compound_along, signed_singular
+from vibrojax.analyses.curves.singular import compound, compound_along, signed_singular
 from vibrojax.io.kinds import SPECIAL_KINDS
 
 R, W, FOLDING = 0.7, 0.9, 1.25

@@ -12,7 +12,8 @@ from vibrojax.analyses.continuation.arclength import Branches
 from vibrojax.analyses.continuation.brackets import EVENT_CHANGE, Brackets, shrink_brackets
 from vibrojax.analyses.continuation.problem import Index, PerLane, Points
 from vibrojax.analyses.continuation.special_points import classify_event_changes
-from vibrojax.analyses.curves.extended import EVENTS, CurveProblem, signed_singular
+from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
+from vibrojax.analyses.curves.singular import signed_singular
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.newton import multipliers
 

@@ -26,6 +26,7 @@ from vibrojax.analyses.continuation.hopf import Field, moving_states
 from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY, Index, PerLane, Points, Problem, Unknowns
 from vibrojax.analyses.curves.event_map import conditions_of, event_mapped
 from vibrojax.analyses.curves.hopf import HopfEquations
+from vibrojax.analyses.curves.singular import compound, compound_along, segment_product, signed_singular
 from vibrojax.compile.xla import workers
 from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
 from vibrojax.periodic.return_map import Segments, in_calls
@@ -62,7 +63,9 @@ class CurveProblem(Problem):
         scaled = (states / self.scales[curve][:, None]).reshape(len(curve), -1)
         return np.column_stack([scaled, values[:, 0] / self.other_unit[curve], values[:, 1] / self.unit[curve]])
 
-    def with_states(self, family: Index, u: Unknowns, states: Float[np.ndarray, "lanes cycles states"]) -> Unknowns:
+    def with_states(
+        self, family: Index, u: Unknowns, states: Float[np.ndarray, "lanes cycles states"]
+    ) -> Float[np.ndarray, "lanes others"]:
         return self.point(family, states, self.values(family, u))
 
     def parameters_at(self, family: Index, u: Unknowns) -> dict[str, PerLane]:
@@ -264,49 +267,13 @@ class CurveProblem(Problem):
             # All cycles change together, because block k depends on the states of cycle k only.
             change = self._along(curve, u, direction)
             for k in range(cycles):
-                before, after = _partial(jacobian[..., :rows], 0, k), _partial(jacobian[..., :rows], k + 1, cycles)
+                before, after = (
+                    segment_product(jacobian[..., :rows], 0, k),
+                    segment_product(jacobian[..., :rows], k + 1, cycles),
+                )
                 part = np.einsum("lai,lij,lb->ljab", after, change[:, k], before[:, column])
                 slopes[:, k * rows : (k + 1) * rows] += part[:, :rows]
                 slopes[:, -2:] += part[:, rows:]
         value, w, v = signed_singular(compound(product) - np.eye(rows * (rows - 1) // 2))
         moved = compound_along(product, slopes)
         return value, np.einsum("li,ljik,lk->lj", w, moved, v)
-
-
-def signed_singular(matrix: Float[np.ndarray, "lanes n n"]) -> tuple[PerLane, np.ndarray, np.ndarray]:
-    """Return the smallest singular value of each matrix with the sign of the determinant, and its vectors w and v.
-
-    The vectors satisfy w A v = value. All are NaN for a matrix that is not finite.
-    """
-    sound = np.isfinite(matrix).all(axis=(1, 2))
-    matrix = np.where(sound[:, None, None], matrix, 0.0)
-    left, values, right = np.linalg.svd(matrix)
-    sign = np.where(np.linalg.slogdet(matrix)[0] < 0, -1.0, 1.0)
-    sign[~sound] = np.nan
-    return sign * values[:, -1], sign[:, None] * left[:, :, -1], right[:, -1]
-
-
-def compound(product: Float[np.ndarray, "lanes n n"]) -> Float[np.ndarray, "lanes pairs pairs"]:
-    """Return the second compound matrix of each matrix: its minors of order two."""
-    i, j = np.triu_indices(product.shape[1], 1)
-    first, second = product[:, i][:, :, i] * product[:, j][:, :, j], product[:, i][:, :, j] * product[:, j][:, :, i]
-    return np.asarray(first - second)
-
-
-def compound_along(product: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, "lanes directions pairs pairs"]:
-    """Return the derivatives of the second compound from those of the matrix, `slopes` (lanes, directions, n, n)."""
-    i, j = np.triu_indices(product.shape[1], 1)
-
-    def part(a: np.ndarray, rows: Any, columns: Any) -> np.ndarray:
-        return np.asarray(a[..., rows, :][..., columns])
-
-    m = product[:, None]
-    total = part(slopes, i, i) * part(m, j, j) + part(m, i, i) * part(slopes, j, j)
-    return np.asarray(total - part(slopes, i, j) * part(m, j, i) - part(m, i, j) * part(slopes, j, i))
-
-
-def _partial(jacobian: np.ndarray, first: int, end: int) -> np.ndarray:
-    """Return the product of the derivatives of segments `first` (inclusive) to `end` (exclusive)."""
-    if end <= first:
-        return np.broadcast_to(np.eye(jacobian.shape[-1]), jacobian[:, 0].shape)
-    return chain(jacobian[:, first:end])
