@@ -30,7 +30,7 @@ from vibrojax.analyses.curves.singular import compound, compound_along, segment_
 from vibrojax.compile.xla import workers
 from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
 from vibrojax.periodic.return_map import Segments, in_calls
-from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, variation
+from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, second_variation
 from vibrojax.stepping import Accuracy, Located
 
 EVENTS = ("grazing", "stick")
@@ -239,7 +239,7 @@ class CurveProblem(Problem):
             own = {name: p[name][segment[part]] for name in self.scene.parameters()}
             pairs = {name: (x, changes[name][part] if name in changes else 0.0 * x) for name, x in own.items()}
             begin = states[:, segment[part]], first[:, segment[part]], second[:, part]
-            return variation(self.scene, Located(), pairs, *begin, accuracy, most_steps)[1][2]
+            return second_variation(self.scene, Located(), pairs, *begin, accuracy, most_steps)[1][2]
 
         slopes = np.asarray(in_calls(work, len(segment), workers()))
         return self._scaled(curve, np.moveaxis(slopes.reshape(rows, lanes, cycles, rows + 2), 0, 2))
