@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import xarray as xr
 from own_scenes import oscillator_doubles, oscillator_grazes, oscillator_orbits
+from scipy.optimize import brentq
 from systems import IMPACT_OSCILLATOR
+from test_follow import eigenvalue
 
 import vibrojax as vj
 from vibrojax.analyses.curves.codim2 import name_of
-from vibrojax.analyses.curves.extended import compound, compound_along, signed_singular
+from vibrojax.analyses.curves.singular import compound, compound_along, signed_singular
 from vibrojax.io.kinds import SPECIAL_KINDS
 
 R, W, FOLDING = 0.7, 0.9, 1.25
@@ -139,3 +141,20 @@ def test_conditions_are_smooth_where_the_matrix_is_singular():
 )
 def test_points_of_codimension_two_are_named(kinds, name):
     assert name_of(*kinds) == name
+
+
+def test_hopf_points_follow_the_linear_stability_of_sliding():
+    v, beta = 1.5, 0.4
+    low, high = 0.89, 1.0
+    gamma = brentq(lambda gamma: eigenvalue(gamma, beta, v).real, low, high, xtol=1e-15)
+    force = 250 * 9.81 * 0.4 * (1 - v / 3 + v**3 / 81)
+    states = {f"orbit_{name}": -force / 156250 for name in ("x1", "x2")} | {"orbit_v2": 0.0}
+    parameters = {name: float(x) for name, x in vj.list_parameters("rotary").default[:9].items()}
+    begin = family("hopf", gamma, 1.0, (0.0, 0.0), (low, high)).drop_vars(("a", "orbit_x", "orbit_v"))
+    begin = begin.assign({name: ("point", [x]) for name, x in (states | {"gamma": gamma}).items()})
+    about = {"scene": "rotary", "along": "gamma", "parameters": json.dumps(parameters | {"beta": beta, "v": v})}
+    ds = vj.curves(begin.assign_attrs(about), by="beta", span=(0.3, 0.5), at={"beta": 0.45}, progress=False)
+    rates = [eigenvalue(float(x), float(y), v).real for x, y in zip(ds.gamma, ds.beta, strict=True)]
+    assert len(rates) > 10 and np.abs(rates).max() < 1e-8
+    exact = brentq(lambda gamma: eigenvalue(gamma, 0.45, v).real, 0.8, high, xtol=1e-15)
+    assert ds.crossing_gamma.values == pytest.approx([exact], abs=1e-10)

@@ -72,7 +72,7 @@ class Variations(NamedTuple):
             p = {name: (parameters[name][lane[part]], along[name][part]) for name in driving.parameters()}
             accuracy, most_steps = Accuracy(*map(np.float64, DERIVATIVE_ACCURACY)), np.float64(MOST_STEPS)
             changes = first[:, part], second[:, part]
-            return variation(driving, Located(), p, states[:, part], *changes, accuracy, most_steps)
+            return second_variation(driving, Located(), p, states[:, part], *changes, accuracy, most_steps)
 
         derivatives = jax.tree.map(
             lambda x: np.moveaxis(np.asarray(x), -1, 0).reshape(*shape, *np.shape(x)[:-1]),
@@ -152,7 +152,7 @@ def eigenvalues(
 
 
 @lane_function(static=2, derives=True)
-def variation(
+def second_variation(
     scene: Scene[Any],
     stepper: Located,
     p: dict[str, tuple[Lanes, Lanes]],

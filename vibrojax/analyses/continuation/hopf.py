@@ -7,6 +7,7 @@ Bifurcation Theory*, section 3.4).
 """
 
 import warnings
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -19,6 +20,7 @@ from scipy.optimize import newton
 from vibrojax.analyses.continuation.brackets import LOCATED_WITHIN
 from vibrojax.analyses.continuation.problem import Points, Problem
 from vibrojax.compile.xla import precision
+from vibrojax.models.scenes import Scene
 
 EQUILIBRIUM_MAX_ITERATIONS = 20
 """Largest number of Newton iterations for an equilibrium."""
@@ -59,9 +61,11 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
     if scene.section is None or last.times.shape[1] > 1 or last.signature.any() or not np.isfinite(last.times).all():
         return None
     family = last.family
-    names = [name for name in scene.state_names if name not in scene.drifting]
+    names = moving_states(scene)
     rows = [names.index(name) for name in scene.return_states]
-    field = _Field(problem, int(family[0]), names, problem.states(family, last.u)[0, 0])
+    section = dict(zip(scene.return_states, problem.states(family, last.u)[0, 0], strict=True))
+    begin = np.array([section.get(name, 0.0) for name in names])
+    field = Field(scene, {name: x[family[0]] for name, x in problem.parameters.items()}, begin)
     value, frequency = float(problem.value(family, last.u)[0]), 2 * np.pi / float(last.times[0, 0])
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of the secant method, for a growth that is constant
@@ -70,12 +74,12 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
             return None
 
         def growth(at: float) -> float:
-            known = field.equilibrium(at)
+            known = field.equilibrium({problem.along: at})
             return np.nan if known is None else known.pair(frequency)[0].real
 
         tolerance = LOCATED_WITHIN * problem.unit[family[0]]
         located, report = newton(growth, value, x1=predicted, tol=tolerance, full_output=True, disp=False)
-        known = field.equilibrium(located) if report.converged else None
+        known = field.equilibrium({problem.along: located}) if report.converged else None
     if known is None or not problem.first[family[0]] <= located <= problem.last[family[0]]:
         return None
     eigenvalue, vector = known.pair(frequency)
@@ -83,32 +87,43 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
     if not near or abs(eigenvalue.imag / frequency - 1) > SAME_FREQUENCY:
         return None
     period = 2 * np.pi / eigenvalue.imag
-    # The derivative of the return map to zeros of the section's velocity, in the limit of zero amplitude.
-    velocity = names.index(scene.section.velocity)
-    away = (vector / vector[velocity] * 1j).real  # on the section: its velocity is zero
-    flow, whole = known.jacobian @ away, expm(known.jacobian * period)
-    product = whole - np.outer(flow / flow[velocity], whole[velocity])
-    scale = problem.scales[family[0]]
-    product = product[np.ix_(rows, rows)] * scale / scale[:, None]
+    product = section_product(scene, known, eigenvalue, vector, problem.scales[family[0]])
     u = problem.unknowns(family, known.states[rows][None, None], np.array([located]))
     zero = np.zeros_like(last.margin)
     times = np.full_like(last.times, period)
     return last._replace(u=u, off=np.zeros_like(last.off), times=times, product=product[None], margin=zero)
 
 
-class _Field:
-    """Equilibria of one family in the mode of an orbit without events, by value of the continuation parameter."""
+def section_product(
+    scene: Scene[Any], known: Equilibrium, eigenvalue: complex, vector: np.ndarray, scale: np.ndarray
+) -> Float[np.ndarray, "states states"]:
+    """Return the derivative of the return map to the section in the limit of zero amplitude, in scaled states."""
+    assert scene.section is not None
+    names = moving_states(scene)
+    rows, velocity = [names.index(name) for name in scene.return_states], names.index(scene.section.velocity)
+    away = (vector / vector[velocity] * 1j).real  # on the section: its velocity is zero
+    flow, whole = known.jacobian @ away, expm(known.jacobian * (2 * np.pi / eigenvalue.imag))
+    product = whole - np.outer(flow / flow[velocity], whole[velocity])
+    return np.asarray(product[np.ix_(rows, rows)] * scale / scale[:, None])
 
-    def __init__(self, problem: Problem, family: int, names: list[str], section: Float[np.ndarray, " rows"]) -> None:
-        scene, parameters = problem.scene, {name: x[family] for name, x in problem.parameters.items()}
-        self._begin = np.array([dict(zip(scene.return_states, section, strict=True)).get(name, 0.0) for name in names])
+
+def moving_states(scene: Scene[Any]) -> list[str]:
+    """Return the names of the states that do not drift."""
+    return [name for name in scene.state_names if name not in scene.drifting]
+
+
+class Field:
+    """Equilibria in the mode of an orbit without events; `begin`: its states without drifting ones."""
+
+    def __init__(self, scene: Scene[Any], parameters: Mapping[str, Any], begin: Float[np.ndarray, " states"]) -> None:
+        self._begin, names = begin, moving_states(scene)
 
         def whole(states: Any) -> tuple[Any, ...]:
             known = dict(zip(names, states, strict=True))
             return tuple(known.get(name, jnp.zeros_like(states[0])) for name in scene.state_names)
 
         def field(states: Any, at: Any) -> tuple[Any, Any]:
-            c, y = scene.constants(parameters | {problem.along: at}), whole(states)
+            c, y = scene.constants(dict(parameters) | at), whole(states)
             mode = scene.mode_at(c, whole(jnp.asarray(self._begin)))
             rates = dict(zip(scene.state_names, scene.field(c, mode, y), strict=True))
             inside = [jnp.ravel(value > 0).all() for value in scene.guard_values(c, mode, y)]
@@ -116,12 +131,12 @@ class _Field:
 
         self._rates = jax.jit(lambda states, at: (*field(states, at), jax.jacfwd(lambda x: field(x, at)[0])(states)))
 
-    def equilibrium(self, at: float) -> Equilibrium | None:
-        """Return the equilibrium at the parameter value `at`; None without one in the mode of the orbit."""
-        states = self._begin
+    def equilibrium(self, at: Mapping[str, float]) -> Equilibrium | None:
+        """Return the equilibrium at parameters `at`, by name; None without one in the mode of the orbit."""
+        states, values = self._begin, {name: np.float64(x) for name, x in at.items()}
         for _ in range(EQUILIBRIUM_MAX_ITERATIONS):
             with precision("float64"):
-                rates, inside, jacobian = map(np.asarray, self._rates(states, np.float64(at)))
+                rates, inside, jacobian = map(np.asarray, self._rates(states, values))
             if not np.isfinite(jacobian).all() or np.linalg.matrix_rank(jacobian) < len(states):
                 return None
             step = np.linalg.solve(jacobian, -rates)
@@ -131,12 +146,12 @@ class _Field:
         return None
 
 
-def _extrapolated(problem: Problem, points: Points, field: _Field, rows: list[int]) -> float | None:
+def _extrapolated(problem: Problem, points: Points, field: Field, rows: list[int]) -> float | None:
     """Return the parameter value at which the squares of the last amplitudes extrapolate to zero, or None."""
     squares: list[float] = []
     values = problem.value(points.family, points.u)
     for k in range(len(values) - 1, -1, -1):
-        known = field.equilibrium(float(values[k]))
+        known = field.equilibrium({problem.along: float(values[k])})
         if known is None or (points.signature[k] != points.signature[-1]).any():
             return None
         states = problem.states(points.family[[k]], points.u[[k]])[0, 0]

@@ -129,7 +129,9 @@ class Problem:
         """Return the states at the section that belong to the unknowns `u`."""
         return u[:, :-1].reshape(len(u), (u.shape[1] - 1) // self.rows, self.rows) * self.scales[family][:, None]
 
-    def with_states(self, family: Index, u: Unknowns, states: Float[np.ndarray, "lanes cycles states"]) -> Unknowns:
+    def with_states(
+        self, family: Index, u: Unknowns, states: Float[np.ndarray, "lanes cycles states"]
+    ) -> Float[np.ndarray, "lanes others"]:
         """Return unknowns with the parameters of `u` and other states."""
         return self.unknowns(family, states, self.value(family, u))
 

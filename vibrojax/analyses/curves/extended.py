@@ -7,6 +7,7 @@ which is regular at the curve itself:
   the sign of its determinant;
 - torus: that of C - 1, where C is the second compound of the monodromy matrix, whose eigenvalues are the products of
   two multipliers (Kuznetsov, *Elements of Applied Bifurcation Theory*, section 10.2);
+- Hopf: the growth rate of the equilibrium ([vibrojax.analyses.curves.hopf][]);
 - grazing and stick: the signed margin of the event ([vibrojax.analyses.curves.event_map][]).
 
 The derivative of a singular value with the vectors w and v is w dA v. Second derivatives of the return map are
@@ -21,12 +22,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from vibrojax.analyses.continuation.hopf import Field, moving_states
 from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY, Index, PerLane, Points, Problem, Unknowns
 from vibrojax.analyses.curves.event_map import conditions_of, event_mapped
+from vibrojax.analyses.curves.hopf import HopfEquations
+from vibrojax.analyses.curves.singular import compound, compound_along, segment_product, signed_singular
 from vibrojax.compile.xla import workers
 from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
 from vibrojax.periodic.return_map import Segments, in_calls
-from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, variation
+from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, second_variation
 from vibrojax.stepping import Accuracy, Located
 
 EVENTS = ("grazing", "stick")
@@ -59,7 +63,9 @@ class CurveProblem(Problem):
         scaled = (states / self.scales[curve][:, None]).reshape(len(curve), -1)
         return np.column_stack([scaled, values[:, 0] / self.other_unit[curve], values[:, 1] / self.unit[curve]])
 
-    def with_states(self, family: Index, u: Unknowns, states: Float[np.ndarray, "lanes cycles states"]) -> Unknowns:
+    def with_states(
+        self, family: Index, u: Unknowns, states: Float[np.ndarray, "lanes cycles states"]
+    ) -> Float[np.ndarray, "lanes others"]:
         return self.point(family, states, self.values(family, u))
 
     def parameters_at(self, family: Index, u: Unknowns) -> dict[str, PerLane]:
@@ -74,9 +80,10 @@ class CurveProblem(Problem):
         return np.column_stack([u[:, -2] * self.other_unit[curve], u[:, -1] * self.unit[curve]])
 
     def evaluate(self, family: Index, u: Unknowns) -> Points:
-        on_event = np.isin(self.kinds[family], EVENTS)
+        on_event, at_rest = np.isin(self.kinds[family], EVENTS), self.kinds[family] == "hopf"
         parts, order = [], []
-        for mask, evaluated in ((~on_event, self._smooth), (on_event, self._on_event)):
+        ways = (~on_event & ~at_rest, self._smooth), (on_event, self._on_event), (at_rest, self._at_rest)
+        for mask, evaluated in ways:
             lanes = np.flatnonzero(mask)
             if len(lanes):
                 parts.append(evaluated(family[lanes], u[lanes]))
@@ -184,6 +191,40 @@ class CurveProblem(Problem):
                 value[lanes], row[lanes] = condition(curve[lanes], u[lanes], jacobian[lanes])
         return self._with_condition(points, value, row)
 
+    def _at_rest(self, curve: Index, u: Unknowns) -> Points:
+        """Return the points of Hopf curves, whose equations are those of the equilibrium."""
+        return Points.join([self._equilibrium(curve[[k]], u[[k]]) for k in range(len(u))])
+
+    def _equilibrium(self, curve: Index, u: Unknowns) -> Points:
+        lanes, rows, modes = 1, self.rows, max(len(self.scene.modes), 1)
+        if int(curve[0]) not in self._fields:
+            states = dict(zip(self.scene.return_states, self.states(curve, u)[0, 0], strict=True))
+            begin = np.array([states.get(name, 0.0) for name in moving_states(self.scene)])
+            fixed = {name: x[curve[0]] for name, x in self.parameters.items()}
+            self._fields[int(curve[0])] = Field(self.scene, fixed, begin)
+        hopf = HopfEquations(self.scene, self._fields[int(curve[0])], (self.other, self.along), self.scales[curve[0]])
+        units = np.array([self.other_unit[curve[0]], self.unit[curve[0]]])
+        found, by_parameters = hopf.at(self.values(curve, u)[0], units)
+        by_states = np.vstack([np.eye(rows), np.zeros(rows)])
+        matrix = np.column_stack([by_states, np.vstack([-by_parameters[:rows], by_parameters[rows:]])])
+        off = np.append(u[0, :rows] - found.states, found.growth)
+        return Points(
+            family=curve,
+            u=u.copy(),
+            tangent=np.full_like(u, np.nan),
+            off=off[None],
+            matrix=matrix[None],
+            times=np.full((lanes, 1), found.period),
+            product=found.product[None],
+            impacts=np.zeros(lanes),
+            mode_changes=np.zeros((lanes, modes + 1, 3)),
+            margin=np.ones(lanes),
+        )
+
+    @cached_property
+    def _fields(self) -> dict[int, Field]:
+        return {}
+
     def _along(self, curve: Index, u: Unknowns, direction: Float[np.ndarray, "lanes cycles states"]) -> np.ndarray:
         """Return the derivative of the scaled Jacobian along directions of the scaled states, by forward mode twice."""
         lanes, cycles, rows = direction.shape
@@ -198,7 +239,7 @@ class CurveProblem(Problem):
             own = {name: p[name][segment[part]] for name in self.scene.parameters()}
             pairs = {name: (x, changes[name][part] if name in changes else 0.0 * x) for name, x in own.items()}
             begin = states[:, segment[part]], first[:, segment[part]], second[:, part]
-            return variation(self.scene, Located(), pairs, *begin, accuracy, most_steps)[1][2]
+            return second_variation(self.scene, Located(), pairs, *begin, accuracy, most_steps)[1][2]
 
         slopes = np.asarray(in_calls(work, len(segment), workers()))
         return self._scaled(curve, np.moveaxis(slopes.reshape(rows, lanes, cycles, rows + 2), 0, 2))
@@ -226,49 +267,13 @@ class CurveProblem(Problem):
             # All cycles change together, because block k depends on the states of cycle k only.
             change = self._along(curve, u, direction)
             for k in range(cycles):
-                before, after = _partial(jacobian[..., :rows], 0, k), _partial(jacobian[..., :rows], k + 1, cycles)
+                before, after = (
+                    segment_product(jacobian[..., :rows], 0, k),
+                    segment_product(jacobian[..., :rows], k + 1, cycles),
+                )
                 part = np.einsum("lai,lij,lb->ljab", after, change[:, k], before[:, column])
                 slopes[:, k * rows : (k + 1) * rows] += part[:, :rows]
                 slopes[:, -2:] += part[:, rows:]
         value, w, v = signed_singular(compound(product) - np.eye(rows * (rows - 1) // 2))
         moved = compound_along(product, slopes)
         return value, np.einsum("li,ljik,lk->lj", w, moved, v)
-
-
-def signed_singular(matrix: Float[np.ndarray, "lanes n n"]) -> tuple[PerLane, np.ndarray, np.ndarray]:
-    """Return the smallest singular value of each matrix with the sign of the determinant, and its vectors w and v.
-
-    The vectors satisfy w A v = value. All are NaN for a matrix that is not finite.
-    """
-    sound = np.isfinite(matrix).all(axis=(1, 2))
-    matrix = np.where(sound[:, None, None], matrix, 0.0)
-    left, values, right = np.linalg.svd(matrix)
-    sign = np.where(np.linalg.slogdet(matrix)[0] < 0, -1.0, 1.0)
-    sign[~sound] = np.nan
-    return sign * values[:, -1], sign[:, None] * left[:, :, -1], right[:, -1]
-
-
-def compound(product: Float[np.ndarray, "lanes n n"]) -> Float[np.ndarray, "lanes pairs pairs"]:
-    """Return the second compound matrix of each matrix: its minors of order two."""
-    i, j = np.triu_indices(product.shape[1], 1)
-    first, second = product[:, i][:, :, i] * product[:, j][:, :, j], product[:, i][:, :, j] * product[:, j][:, :, i]
-    return np.asarray(first - second)
-
-
-def compound_along(product: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, "lanes directions pairs pairs"]:
-    """Return the derivatives of the second compound from those of the matrix, `slopes` (lanes, directions, n, n)."""
-    i, j = np.triu_indices(product.shape[1], 1)
-
-    def part(a: np.ndarray, rows: Any, columns: Any) -> np.ndarray:
-        return np.asarray(a[..., rows, :][..., columns])
-
-    m = product[:, None]
-    total = part(slopes, i, i) * part(m, j, j) + part(m, i, i) * part(slopes, j, j)
-    return np.asarray(total - part(slopes, i, j) * part(m, j, i) - part(m, i, j) * part(slopes, j, i))
-
-
-def _partial(jacobian: np.ndarray, first: int, end: int) -> np.ndarray:
-    """Return the product of the derivatives of segments `first` (inclusive) to `end` (exclusive)."""
-    if end <= first:
-        return np.broadcast_to(np.eye(jacobian.shape[-1]), jacobian[:, 0].shape)
-    return chain(jacobian[:, first:end])

@@ -102,9 +102,9 @@ def follow_curves(problem: CurveProblem, unknowns: list[np.ndarray]) -> list[Cur
 
 
 def _distinct(marks: list[Mark]) -> list[Mark]:
-    """Return the marks of a curve without repetitions, of which the one nearest to its event remains."""
+    """Return the marks of a curve without repetitions; located marks come before those at stalled ends."""
     kept: list[Mark] = []
-    for mark in sorted(marks, key=lambda mark: float(mark.point.margin[0])):
+    for mark in marks:
         same = [x for x in kept if x.name == mark.name and x.point.u.shape == mark.point.u.shape]
         if all(np.abs(x.point.u - mark.point.u)[0, -2:].max() > SAME_MARK for x in same):
             kept.append(mark)
@@ -157,7 +157,9 @@ def _behind_corners(
         corner = corners.of([k])
         key = (segment.curve, segment.direction)
         # At a rigid stop no mode changes: only the margin shows that the curve ends at a graze.
-        if corner.changes_events[0] or points.margin[-1] < GRAZED_MARGIN:
+        marks = [mark.point.u for mark in curves[segment.curve].marks if mark.point.u.shape == points.u[-1:].shape]
+        marked = any(np.abs(u - points.u[-1:])[0, -2:].max() < SAME_MARK for u in marks)
+        if corner.changes_events[0] or (points.margin[-1] < GRAZED_MARGIN and not marked):
             names = event_names(problem, corner)
             curves[segment.curve].marks += [Mark(name, points.of([-1])) for name in names]
             notes[key] = f"ends at the point {names[0]}"
@@ -232,6 +234,8 @@ def _at_bound(problem: CurveProblem, points: Points) -> Points:
 
 def crossings(problem: CurveProblem, points: Points, which: int, value: float) -> list[Points]:
     """Return the points at which a curve passes a value of the parameter `which` (0 or 1)."""
+    if not len(points.u):
+        return []
     unit = (problem.other_unit, problem.unit)[which][points.family[0]]
     level, column = value / unit, which - 2
     ahead = points.u[:, column] - level

@@ -15,7 +15,7 @@ from vibrojax.analyses.curves.spec import CurvesSpec, read_curves
 from vibrojax.io.branches import branches, kind_names, places
 from vibrojax.io.variables import orbit_name
 from vibrojax.periodic.newton import MIN_RELATIVE_SWING
-from vibrojax.periodic.return_map import Segments
+from vibrojax.periodic.return_map import MOST_STEPS, Segments
 
 UNITS_PER_SPAN = 8
 """Number of units of a scaled parameter between its bounds."""
@@ -80,7 +80,7 @@ def problem_of(spec: CurvesSpec) -> tuple[CurveProblem, list[np.ndarray]]:
     parameters = {name: spec.parameters[name] for name in scene.parameters()}
     # The program of the curves serves here, too: another one would have to be compiled.
     go = Segments(scene, (spec.along, spec.by), FAMILY_ACCURACY)
-    states, scales, most_steps = _states(go, parameters, orbits)
+    states, scales, most_steps = _states(go, parameters, orbits, kinds != "hopf")
     count = len(spec.special)
     low, high = spec.first_span
     none = np.zeros((count, len(conditions_of(scene))))
@@ -121,23 +121,27 @@ def _orbit_at(spec: CurvesSpec, index: int) -> tuple[int, Float[np.ndarray, " st
 
 
 def _states(
-    go: Segments, parameters: Mapping[str, np.ndarray], orbits: list[tuple[int, np.ndarray]]
+    go: Segments, parameters: Mapping[str, np.ndarray], orbits: list[tuple[int, np.ndarray]], moves: np.ndarray
 ) -> tuple[list[Float[np.ndarray, "cycles states"]], Float[np.ndarray, "curves states"], float]:
-    """Return the states at all section crossings of orbits, the scales of states, and a limit of steps."""
+    """Return the states at all section crossings of orbits, the scales of states, and a limit of steps.
+
+    `moves`: mask of the orbits with an amplitude; the others do not return to the section.
+    """
     state = np.array([begin for _, begin in orbits]).T
-    cycles = np.array([count for count, _ in orbits])
+    cycles, lanes = np.array([count for count, _ in orbits]), np.flatnonzero(moves)
+    own = {name: x[lanes] for name, x in parameters.items()}
     returns, least, greatest, steps = [state], state.copy(), state.copy(), 0.0
-    for k in range(int(cycles.max())):
-        mapped = go(parameters, returns[-1])
-        active = cycles > k
-        least[:, active] = np.fmin(least, mapped.seen.least)[:, active]
-        greatest[:, active] = np.fmax(greatest, mapped.seen.greatest)[:, active]
+    for k in range(int(cycles[lanes].max(initial=0))):
+        mapped, active = go(own, returns[-1][:, lanes]), cycles[lanes] > k
+        least[:, lanes[active]] = np.fmin(least[:, lanes], mapped.seen.least)[:, active]
+        greatest[:, lanes[active]] = np.fmax(greatest[:, lanes], mapped.seen.greatest)[:, active]
         steps = max(steps, float(mapped.seen.steps[active].max()))
-        returns.append(np.asarray(mapped.state))
+        returns.append(state.copy())
+        returns[-1][:, lanes] = mapped.state
     swing = np.maximum((greatest - least) / 2, MIN_RELATIVE_SWING * np.maximum(greatest, -least))
-    scales = np.where(swing > 0, swing, 1.0).T
+    scales = np.where((swing > 0) & moves, swing, 1.0).T
     states = [np.stack([state[:, k] for state in returns[: cycles[k]]]) for k in range(len(orbits))]
-    return states, scales, 8 * steps
+    return states, scales, 8 * steps or float(MOST_STEPS)
 
 
 def _condition(problem: CurveProblem, curve: int, u: np.ndarray) -> Float[np.ndarray, " conditions"]:

@@ -20,7 +20,7 @@ from vibrojax.sweep.input.read import read_point
 from vibrojax.sweep.input.values import UnusualValue
 
 CONTINUED = ("fold", "period-doubling", "torus", "grazing", "stick", "hopf")
-"""Kinds of special points that are continued; those of kind `section` and `end` depend on how returns are counted."""
+"""Kinds of special points that are continued; the others depend on how returns are counted."""
 
 
 SAME_VALUE = 1e-7
