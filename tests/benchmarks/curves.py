@@ -40,7 +40,7 @@ def compare(case: tuple) -> tuple[dict[str, list[float]], int, float]:
     spec = read_curves(family, by, bounds, None, None)
     begun = time.perf_counter()
     problem, unknowns = problem_of(spec)
-    found = follow_curves(problem, unknowns)
+    found = follow_curves(problem, unknowns, lambda ends: None)
     seconds = time.perf_counter() - begun
     differences = defaultdict(list)
     for curve in found:

@@ -1,5 +1,6 @@
 """Continuation of special points in two parameters, both ways, with their points of codimension two."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -62,8 +63,11 @@ class _Segment(NamedTuple):
     number: int
 
 
-def follow_curves(problem: CurveProblem, unknowns: list[np.ndarray]) -> list[Curve]:
-    """Return the curves through special points, whose `unknowns` are listed in the order of the problem's curves."""
+def follow_curves(problem: CurveProblem, unknowns: list[np.ndarray], report: Callable[[int], None]) -> list[Curve]:
+    """Return the curves through special points, whose `unknowns` are listed in the order of the problem's curves.
+
+    `report` is called with the number of ends of curves that have been reached, of two for each curve.
+    """
     curves = [Curve(number) for number in range(len(unknowns))]
     pending: list[_Segment] = []
     for size in sorted({len(u) for u in unknowns}):
@@ -81,6 +85,7 @@ def follow_curves(problem: CurveProblem, unknowns: list[np.ndarray]) -> list[Cur
     ends: dict[tuple[int, int], list[Points]] = {}
     notes: dict[tuple[int, int], str] = {}
     while pending:
+        report(2 * len(curves) - len(pending))
         following: list[_Segment] = []
         for size in sorted({segment.begin.u.shape[1] for segment in pending}):
             group = [segment for segment in pending if segment.begin.u.shape[1] == size]

@@ -16,6 +16,7 @@ from vibrojax.io.branches import branches, kind_names, places
 from vibrojax.io.variables import orbit_name
 from vibrojax.periodic.newton import MIN_RELATIVE_SWING
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
+from vibrojax.progress import Progress
 
 UNITS_PER_SPAN = 8
 """Number of units of a scaled parameter between its bounds."""
@@ -34,9 +35,6 @@ def curves(
     progress: bool = True,
 ) -> xr.Dataset:
     """Continue the special points of families of orbits in a second parameter, as curves in the plane of both.
-
-        fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
-        ds = vj.curves(fam, by="beta", span=(0.1, 1.2))
 
     Each fold, period doubling, torus, grazing, stick and Hopf point is continued both ways, until a parameter reaches a
     bound. The bounds of the family's parameter are those of the family. Points of codimension two on the curves are
@@ -61,6 +59,14 @@ def curves(
     - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.
 
     **Raises:** `InputError` for an invalid name or value.
+
+    **Example:**
+
+    >>> point = dict(start="stuck", beta=0.4, delta=0.005, cycles=2)
+    >>> fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.3), **point, progress=False)
+    >>> ds = vj.curves(fam, by="beta", span=(0.38, 0.42), special=0, at={"beta": 0.41}, progress=False)
+    >>> ds.crossing_gamma.values.round(8).tolist()
+    [1.16457112]
     """
     return continue_curves(read_curves(family, by, span, special, at), progress)
 
@@ -68,7 +74,9 @@ def curves(
 def continue_curves(spec: CurvesSpec, progress: bool = True) -> xr.Dataset:
     """Return the curves of a specification, as `curves` does."""
     problem, unknowns = problem_of(spec)
-    found = follow_curves(problem, unknowns)
+    with Progress(2 * len(unknowns), "ends of curves", progress, pace=False) as bar:
+        found = follow_curves(problem, unknowns, bar.reach)
+        bar.reach(2 * len(unknowns))
     return curves_dataset(spec, problem, found)
 
 
