@@ -19,14 +19,14 @@ import vibrojax as vj
 from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.sweep.input.read import read_sweep
 
-# Six chunks of about a second each: long enough that a busy machine still looks while one is computed.
+# Six chunks of about half a second each: long enough that a busy machine still looks while one is computed.
 TEXT = """
 scene = "vibro-impact"
 [grid]
 beta = [0.3, 0.4, 0.5]
 gamma = [0.6, 0.7, 0.75, 0.8]
 [run]
-settle = 6000.0
+settle = 3000.0
 observe = 2.0
 end_early = false
 chunk = 2
@@ -148,7 +148,7 @@ def test_shares_take_over_from_one_that_was_killed(file, command):
 
 
 def test_one_who_has_the_folder_for_himself_is_left_alone(file, command):
-    file.write_text(TEXT.replace("6000.0", "60000.0"))
+    file.write_text(TEXT.replace("3000.0", "60000.0"))
     out = file.with_name("out.nc")
     began = command("sweep", file, "-o", out, "--workers", "2", "--quiet")
     wait_for(lambda: list(out.with_name("out.nc.chunks").glob("chunk-*.claim")))
