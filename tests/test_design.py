@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.chart import region as chart
-from vibrojax.analyses.chart.page import A4, chart_page
 from vibrojax.analyses.design import mapping, orbit_search, robustness, run, search
 from vibrojax.analyses.design.analysis import Designs
+from vibrojax.analyses.design.chart import region as chart
+from vibrojax.analyses.design.chart.page import A4, chart_page
 from vibrojax.analyses.design.evaluation import Simulator
 from vibrojax.analyses.design.fronts import front_limits, without_limit
 from vibrojax.analyses.design.mapping import coarse_map, ranked

@@ -32,7 +32,7 @@ def design(options: Options) -> None:
     def compute() -> "xarray.Dataset":
         dataset = find_design(spec, progress=not options.quiet)
         if options.chart:
-            from vibrojax.analyses.chart.region import charted
+            from vibrojax.analyses.design.chart.region import charted
 
             dataset = charted(dataset, spec, progress=not options.quiet)
         return dataset

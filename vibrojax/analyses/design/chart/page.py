@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
-from vibrojax.analyses.chart.region import RECTANGLE, REGIONS
+from vibrojax.analyses.design.chart.region import RECTANGLE, REGIONS
 from vibrojax.errors import InputError
 from vibrojax.plot.style import IMPACT, INK, OwnFigure, styled
 
