@@ -42,11 +42,11 @@ class Result(NamedTuple):
 
 
 class FrontPoint(NamedTuple):
-    """A point of a front: its limit, and the verified candidate, or None if no feasible point was found."""
+    """A point of a front: its limit, the candidate, and its verification."""
 
     limit: float
-    candidate: Candidate | None
-    checked: Assessment | None
+    candidate: Candidate
+    checked: Assessment
 
 
 def _described(variable: Variable, values: Any, dims: Any) -> tuple[Any, ...]:
@@ -161,7 +161,7 @@ def _front_variables(spec: DesignSpec, front: Sequence[FrontPoint]) -> dict[str,
     if spec.front is None or not front:
         return {}
     against, objective = spec.front.against, spec.variables[spec.maximise]
-    known = [point.checked is not None and point.checked.feasible for point in front]
+    known = [point.checked.feasible for point in front]
 
     def column(value: Any) -> list[float]:
         return [value(p) if ok else np.nan for p, ok in zip(front, known, strict=True)]

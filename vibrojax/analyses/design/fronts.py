@@ -1,7 +1,7 @@
 """Fronts by the epsilon-constraint method: the best objective over the limit of another variable, or over tolerances.
 
 All points of a front are searched in one batch of lanes. Each then continues from its neighbours' solutions where these
-are better, until no point changes, and is simulated again over its tolerance box.
+are better, until no point changes, and is simulated again over its tolerance box, the tightest limit first.
 """
 
 from collections.abc import Sequence
@@ -42,12 +42,27 @@ def find_front(simulator: Simulator, coarse: CoarseMap, optima: Sequence[Candida
     while passes < MAX_PASSES and _pass_on(simulator, candidates):
         passes += 1
     samples = box_samples(spec)
-    result = []
-    for limit, candidate in zip(limits, candidates, strict=True):
+    result: list[FrontPoint] = []
+    tightest_last = spec.front.against == "tolerance" or spec.front.end == "least"
+    for limit, candidate in sorted(zip(limits, candidates, strict=True), key=lambda x: x[0], reverse=tightest_last):
         factor = limit if spec.front.against == "tolerance" else 1.0
-        checked = settle(simulator, candidate, factor * samples if factor else samples[:1])
-        result.append(FrontPoint(limit, candidate, checked))
-    return result
+        box = factor * samples if factor else samples[:1]
+        point = FrontPoint(limit, candidate, settle(simulator, candidate, box))
+        tighter = result[-1] if result else point
+        if _exceeds(tighter, point):
+            # What holds under a tighter limit holds under this one.
+            same = Candidate(tighter.candidate.point, candidate.offsets, candidate.constraints, WARM_RADIUS)
+            inherited = FrontPoint(limit, same, settle(simulator, same, box))
+            point = inherited if _exceeds(inherited, point) else point
+        result.append(point)
+    return sorted(result, key=lambda point: limits.index(point.limit))
+
+
+def _exceeds(point: FrontPoint, other: FrontPoint) -> bool:
+    """Return whether a point is feasible and better than another one, which may not be feasible."""
+    return point.checked.feasible and not (
+        other.checked.feasible and other.checked.objective >= point.checked.objective
+    )
 
 
 def front_limits(spec: DesignSpec, coarse: CoarseMap, optima: Sequence[Candidate]) -> np.ndarray:
