@@ -239,15 +239,13 @@ class _ActiveBranches:
     def _faces_corner(self, now: Points, taken: PerLane) -> Flags:
         """Return a mask of points, behind a change of events, from which the branch would lead back to the change.
 
-        At a graze two parts of a branch may meet and lie on the same side of it. A step from one part to the other
-        then keeps the direction towards the graze, in which the other part is followed backwards. The margin, zero at
-        the graze, vanishes ahead within the length of the step.
+        At a graze two parts of a branch may lie on the same side; a step from one to the other then keeps the wrong
+        direction. The margin, zero at the graze, vanishes ahead within the length of the step.
         """
         if not len(taken):
             return np.zeros(0, bool)
-        ahead = FACING * taken
-        margin = self._problem.evaluate(now.family, now.u + ahead[:, None] * now.tangent).margin
-        return margin < (1 - FACING) * now.margin
+        ahead = now.u + FACING * taken[:, None] * now.tangent
+        return self._problem.evaluate(now.family, ahead).margin < (1 - FACING) * now.margin
 
     def _accept(self, lanes: Index, now: Points) -> Flags:
         """Accept converged points that continue the same branch, and choose the next steps.
