@@ -239,8 +239,7 @@ class _ActiveBranches:
     def _faces_corner(self, now: Points, taken: PerLane) -> Flags:
         """Return a mask of points, behind a change of events, from which the branch would lead back to the change.
 
-        At a graze two parts of a branch may lie on the same side; a step from one to the other then keeps the wrong
-        direction. The margin, zero at the graze, vanishes ahead within the length of the step.
+        Two parts of a branch may lie on the same side of a graze. The margin then vanishes ahead, within the step.
         """
         if not len(taken):
             return np.zeros(0, bool)
