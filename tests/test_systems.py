@@ -25,10 +25,10 @@ R = 0.7
 GRAZE = oscillator_grazes(**OSCILLATOR)
 
 
-def special(family, kind):
-    """Return the parameter values of the special points of a kind on the first branch."""
+def special(family, kind, branch=0):
+    """Return the parameter values of the special points of a kind on a branch."""
     flag = family.special_kind.attrs["flag_meanings"].split().index(kind)
-    chosen = (family.special_kind.values == flag) & (family.special_branch.values == 0)
+    chosen = (family.special_kind.values == flag) & (family.special_branch.values == branch)
     return family.special_value.values[chosen]
 
 
@@ -372,6 +372,40 @@ def test_impact_velocities_have_the_unit_of_the_velocity():
     motion = vj.simulate(pendulum, start=[0.0, 0.0], progress=False)
     assert motion.impact_velocity.units == "rad s-1" and " rad/s" in feature_lines(motion)[0]
     assert ds.impact_velocity.units == "rad s-1" and ds.regime.attrs["long_name"] == "regime of the motion"
+
+
+def test_an_impact_vanishes_at_a_graze_and_the_branch_leads_away_from_it():
+    """Downwards, orbits with one impact per period end at the closed form. The doubled branch loses its slow impact
+    where the motion after the other one, in closed form, touches the stop; from there, orbits with one impact in two
+    periods lead down, to the graze of the motion without impacts."""
+    family = vj.follow(IMPACT_OSCILLATOR, along="a", at=0.61, span=(0.2, 0.65), cycles=2, progress=False)
+    [graze] = special(family, "grazing")
+    assert abs(graze - GRAZE) < 1e-8
+    slow, last = special(family, "grazing", branch=1)
+    assert abs(slow - brentq(touches_between, 0.54, 0.58, xtol=1e-13)) < 1e-8
+    assert abs(last - GRAZE) < 1e-8
+    assert len(special(family, "fold", branch=1)) == 1  # not retraced
+
+
+def touches_between(a):
+    """Return how far the orbit with one impact in two periods stays from the stop at its other maximum."""
+    w, stop = OSCILLATOR["w"], OSCILLATOR["stop"]
+    orbit = oscillator_orbits(a, R, **OSCILLATOR, n=2)[-1]
+    forced = a / complex(OSCILLATOR["stiffness"] - w**2, OSCILLATOR["damping"] * w)
+    decay = complex(-OSCILLATOR["damping"] / 2, np.sqrt(OSCILLATOR["stiffness"] - (OSCILLATOR["damping"] / 2) ** 2))
+    u = stop - (forced * np.exp(1j * orbit.phase)).real
+    q = -R * orbit.speed - (1j * w * forced * np.exp(1j * orbit.phase)).real
+    free = complex(u, (decay.real * u - q) / decay.imag)  # Re(free) = u, Re(decay free) = q
+
+    def x(t, order=0):
+        return (
+            decay**order * free * np.exp(decay * t) + (1j * w) ** order * forced * np.exp(1j * (w * t + orbit.phase))
+        ).real
+
+    t = np.linspace(0.05, 0.95, 400) * 4 * np.pi / w
+    rising = x(t, 1) > 0
+    tops = [brentq(x, t[k], t[k + 1], (1,), xtol=1e-13) for k in np.flatnonzero(rising[:-1] & ~rising[1:])]
+    return stop - max(x(top) for top in tops)
 
 
 def test_diagrams_of_systems_show_states_where_some_motions_have_no_impacts():

@@ -53,6 +53,9 @@ CORNER_TURN, CROSSING_TURN = 1.0, 1.4
 CORNER_GROWTH, STEP_GROWTH = 5.0, 2.0
 """Largest growth factors of the step length: for steps up to `CORNER`, and for longer steps."""
 
+FACING = 0.01
+"""Distance at which the margin behind a change of events is compared, relative to the step across the change."""
+
 RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, TOO_UNSTABLE = range(7)
 """Status of a lane: running; at a bound of the parameter; no further point found; stopped by the caller; back at the
 branch's first point; too many points; a multiplier beyond `MAX_MULTIPLIER`."""
@@ -233,6 +236,16 @@ class _ActiveBranches:
         step = np.where(over & (ahead < CROSSING / 2), ahead + CROSSING / 4, before)
         return np.where(sound, np.maximum(step, 1.01 * SHORTEST_STEP), np.nan)
 
+    def _faces_corner(self, now: Points, taken: PerLane) -> Flags:
+        """Return a mask of points, behind a change of events, from which the branch would lead back to the change.
+
+        Two parts of a branch may lie on the same side of a graze. The margin then vanishes ahead, within the step.
+        """
+        if not len(taken):
+            return np.zeros(0, bool)
+        ahead = now.u + FACING * taken[:, None] * now.tangent
+        return self._problem.evaluate(now.family, ahead).margin < (1 - FACING) * now.margin
+
     def _accept(self, lanes: Index, now: Points) -> Flags:
         """Accept converged points that continue the same branch, and choose the next steps.
 
@@ -249,6 +262,7 @@ class _ActiveBranches:
         value = problem.value(now.family, now.u)
         beyond = (value > problem.last[now.family]) | (value < problem.first[now.family])
         sound &= ~(beyond & np.isnan(self._bound[lanes]))
+        sound[sound & changed] &= ~self._faces_corner(now.of(sound & changed), taken[sound & changed])
         kept = lanes[sound]
         now, last, taken, turn, changed = now.of(sound), last.of(sound), taken[sound], turn[sound], changed[sound]
         self.accepted.append(now)

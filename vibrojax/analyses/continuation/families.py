@@ -20,6 +20,7 @@ from vibrojax.analyses.continuation.segments import (
     drop_duplicates,
 )
 from vibrojax.analyses.continuation.special_points import (
+    GRAZED_MARGIN,
     branch_distance,
     classify_event_changes,
     cross_impact,
@@ -39,10 +40,6 @@ section."""
 
 MAX_BRANCHES = 32
 """Largest number of branches of a family."""
-
-GRAZED_MARGIN = 1e-4
-"""Largest grazing margin at which a stalled branch ends at a grazing point. The margin may vary as the square root of
-the distance, and branches stall within `SHORTEST_STEP` (1e-9)."""
 
 
 class FamilyContinuation:

@@ -81,9 +81,10 @@ def follow(
 
     At a *grazing* point, an impact or another event that is not a stick begins or vanishes. For other events than
     impacts, the note contains the name of the mode that changes, for example where rock begins to yield. Multipliers at
-    a special point are those on the side from which the point was reached; next to a grazing impact they are valid over
-    a very small distance only. At a *hopf* point the amplitude is zero: the branch ends at an equilibrium, whose linear
-    stability locates the point. A doubled branch that connects two period doublings is listed once.
+    a special point are those on the side from which the point was reached, or of the side without the impact where only
+    that side has orbits next to it; next to a grazing impact they are valid over a very small distance only. At a
+    *hopf* point the amplitude is zero: the branch ends at an equilibrium, whose linear stability locates the point. A
+    doubled branch that connects two period doublings is listed once.
 
     **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.analyses.continuation.arclength import SHORTEST_STEP, Branches
-from vibrojax.analyses.continuation.brackets import EVENT_CHANGE, Brackets, shrink_brackets
+from vibrojax.analyses.continuation.brackets import ACCEPTED_WITHIN, EVENT_CHANGE, Brackets, shrink_brackets
 from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points, Problem, Unknowns, towards
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.measures.ledger import MOST_CYCLES
@@ -24,6 +24,10 @@ MAX_EVENT_CHANGES = 8
 CRITICAL_DISTANCE = 1e-3
 """Largest distance of a located point's multiplier from its critical value. Where events begin or vanish, multipliers
 may jump over the critical value; such a point has another kind."""
+
+GRAZED_MARGIN = 1e-4
+"""Largest grazing margin of a grazing point. The margin may vary as the square root of the distance, and points are
+located, or branches stall, within `SHORTEST_STEP` (1e-9)."""
 
 BEFORE_CORNER = 100 * SHORTEST_STEP
 """Scaled distance before a corner at which a point certainly has the events of the side before the corner."""
@@ -82,11 +86,29 @@ def locate_special_points(problem: Problem, branches: Branches) -> Brackets:
                 located.append(side.of(smooth))
                 success[smooth] = False
             change, whole = shrunk.of(success & events), brackets.of(success & events)
-            located.append(classify_event_changes(problem, change))
+            located.append(_at_graze(classify_event_changes(problem, _touching_end_first(change))))
             before, behind = whole._replace(far=change.near), whole._replace(near=change.far)
             parts = _detect_smooth(before), _detect(behind), _detect_smooth(brackets.of(~success & events))
             brackets = Brackets.join(parts)
     return Brackets.join(located)
+
+
+def _touching_end_first(changes: Brackets) -> Brackets:
+    """Return located changes of events with `near` at the change, where only one end of the bracket has moved to it.
+
+    That end, the one with fewer events, is the far one if an event vanishes along the branch.
+    """
+    near, far = changes.near, changes.far
+    apart = np.abs(far.u - near.u).max(axis=1, initial=0.0) > ACCEPTED_WITHIN
+    swapped = changes._replace(near=far, far=near)
+    other = apart & (far.margin < near.margin)
+    return Brackets.join([changes.of(~other), swapped.of(other)])
+
+
+def _at_graze(changes: Brackets) -> Brackets:
+    """Return the changes of events without those that would be called grazing although nothing grazes."""
+    grazes = np.minimum(changes.near.margin, changes.far.margin) < GRAZED_MARGIN
+    return changes.of(grazes | (changes.kind != SPECIAL_KINDS.index("grazing")))
 
 
 def classify_event_changes(problem: Problem, brackets: Brackets) -> Brackets:

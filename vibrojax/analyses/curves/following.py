@@ -14,10 +14,9 @@ from vibrojax.analyses.continuation.arclength import (
     STOPPED,
     continue_branches,
 )
-from vibrojax.analyses.continuation.families import GRAZED_MARGIN
 from vibrojax.analyses.continuation.problem import Flags, Index, Points, Unknowns, towards
 from vibrojax.analyses.continuation.segments import ENDINGS, STEP_AFTER_CORNER
-from vibrojax.analyses.continuation.special_points import cross_impact, reindex_returns, turn_corner
+from vibrojax.analyses.continuation.special_points import GRAZED_MARGIN, cross_impact, reindex_returns, turn_corner
 from vibrojax.analyses.curves.codim2 import cosine, event_names, locate
 from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
 
