@@ -144,17 +144,17 @@ def requirements(spec: DesignSpec) -> str:
     return ", ".join(words) or "none"
 
 
-def held(found: Assessment, name: str, rows: slice = slice(None)) -> np.ndarray:
+def held(assessment: Assessment, name: str, rows: slice = slice(None)) -> np.ndarray:
     """Return a variable's values in the lanes of the regime, or in all lanes if none is in it."""
-    values, fit = found.lanes.values[name][rows], found.lanes.in_regime[rows]
+    values, fit = assessment.lanes.values[name][rows], assessment.lanes.in_regime[rows]
     return np.asarray(values[fit] if fit.any() else values)
 
 
 def _other(spec: DesignSpec, regimes: np.ndarray) -> int:
     """Return the first regime that is not the one asked for, or else that one."""
-    asked = REGIMES.index(str(spec.regime))
-    others = regimes[regimes != asked]
-    return int(others.flat[0]) if others.size else asked
+    required = REGIMES.index(str(spec.regime))
+    others = regimes[regimes != required]
+    return int(others.flat[0]) if others.size else required
 
 
 def _front_variables(spec: DesignSpec, front: Sequence[FrontPoint]) -> dict[str, Any]:

@@ -120,7 +120,7 @@ def _pass_on(simulator: Simulator, candidates: list[Candidate]) -> bool:
     improve(simulator, [rival for _, rival in rivals])
     moved = False
     for i, rival in rivals:
-        now, found = candidates[i].assessment, rival.assessment
-        if now is None or (found is not None and found.better(now, 1e-4)):
+        now, new = candidates[i].assessment, rival.assessment
+        if now is None or (new is not None and new.better(now, 1e-4)):
             candidates[i], moved = rival, True
     return moved

@@ -75,8 +75,8 @@ def predict(simulator: Simulator, requests: Sequence[tuple["Candidate", Points, 
         for (owner, *_), table in zip(rows, values, strict=True):
             if owner == k:
                 own = table.reshape(len(points), len(offsets), -1)
-                found = np.nan_to_num(own[:, 0, column[spec.maximise]], nan=-np.inf)
-                objective = np.minimum(objective, found)
+                nominal = np.nan_to_num(own[:, 0, column[spec.maximise]], nan=-np.inf)
+                objective = np.minimum(objective, nominal)
                 for j, c in enumerate(candidate.constraints):
                     slack[..., j] = np.fmin(slack[..., j], c.slack(own[..., column[c.variable]]))
         predictions.append((objective, slack))

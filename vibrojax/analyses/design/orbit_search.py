@@ -45,22 +45,22 @@ class Orbit:
     """The orbit of a candidate's worst start as a function of the point in the unit box."""
 
     def __init__(self, simulator: Simulator, candidate: Candidate, start: int) -> None:
-        found = candidate.assessment
-        assert found is not None
+        assessment = candidate.assessment
+        assert assessment is not None
         self._spec, self._constraints = simulator.spec, candidate.constraints
         self._names = list(simulator.names)
         self._of = (*(simulator.features[name] for name in self._names), f"{MODULUS}0")
         parameters, chain = scene_parameters(simulator.spec, candidate.point[None])
         self._by = tuple(chain)
-        cycles = int(found.lanes.dataset["orbit_cycles"].values[0, start])
-        self._guess = orbit_states(simulator.spec, found, start, cycles, parameters, 0)[None]
+        cycles = int(assessment.lanes.dataset["orbit_cycles"].values[0, start])
+        self._guess = orbit_states(simulator.spec, assessment, start, cycles, parameters, 0)[None]
         self._impacts: float | None = None
         self.visited: dict[bytes, Visit] = {}
-        nominal = {c.variable: found.lanes.values[c.variable][0, start] for c in candidate.constraints}
+        nominal = {c.variable: assessment.lanes.values[c.variable][0, start] for c in candidate.constraints}
         slack = [c.slack(nominal[c.variable]) for c in candidate.constraints]
         # The constraints are tightened by what they lose over the samples of the box.
-        self._loss = [float(s - found.slack[j].min()) for j, s in enumerate(slack)]
-        self.scale = abs(found.objective) or 1.0
+        self._loss = [float(s - assessment.slack[j].min()) for j, s in enumerate(slack)]
+        self.scale = abs(assessment.objective) or 1.0
         self.centre = self._visit(candidate.point)
 
     def rows(self, unit: Unit) -> "Visit":
@@ -77,8 +77,8 @@ class Orbit:
 
     def _visit(self, unit: Unit) -> "Visit":
         """Return a visit; without such an orbit, it has the centre's values extrapolated, and violates a constraint."""
-        found = self._valid(unit)
-        if found is None:
+        visit = self._valid(unit)
+        if visit is None:
             centre = getattr(self, "centre", None)
             count = 2 + len(self._constraints)
             if centre is None:
@@ -86,7 +86,7 @@ class Orbit:
             values = centre.values + centre.slopes @ (unit - centre.unit)
             values[-1] = min(values[-1], -1.0)
             return Visit(unit.copy(), values, centre.slopes, self._guess, False)
-        return found
+        return visit
 
     def _valid(self, unit: Unit) -> "Visit | None":
         parameters, chain = scene_parameters(self._spec, unit[None])
@@ -126,12 +126,12 @@ class Visit(NamedTuple):
 
 def orbit_path(simulator: Simulator, candidate: Candidate) -> list[Unit]:
     """Return points up to the optimum on the orbit of the candidate's worst start; empty if there is no such orbit."""
-    found = candidate.assessment
-    assert found is not None
-    starts = distinct_starts(found)
-    if not starts or not is_periodic(found, starts[0]) or set(simulator.features) != set(simulator.names):
+    assessment = candidate.assessment
+    assert assessment is not None
+    starts = distinct_starts(assessment)
+    if not starts or not is_periodic(assessment, starts[0]) or set(simulator.features) != set(simulator.names):
         return []
-    if not np.isfinite(found.slack).all():
+    if not np.isfinite(assessment.slack).all():
         return []
     orbit = Orbit(simulator, candidate, starts[0])
     if not orbit.centre.valid:

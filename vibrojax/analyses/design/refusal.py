@@ -59,15 +59,15 @@ def check_objective(spec: DesignSpec, coarse: CoarseMap, feasible: Sequence[Cand
     raise spec.place.at("maximise").error(f"{spec.maximise} is 0 wherever the requirements hold{hint}")
 
 
-def _violated(found: Assessment) -> list[int]:
+def _violated(assessment: Assessment) -> list[int]:
     """Return the constraints that are violated, by index, the worst first."""
-    slack = found.slack.min(axis=1)
+    slack = assessment.slack.min(axis=1)
     return [int(j) for j in np.argsort(slack) if slack[j] < 0]
 
 
-def _limit_text(spec: DesignSpec, found: Assessment, index: int) -> str:
+def _limit_text(spec: DesignSpec, assessment: Assessment, index: int) -> str:
     limit = spec.constraints[index]
-    value = extreme(held(found, limit.variable), limit.end)
+    value = extreme(held(assessment, limit.variable), limit.end)
     return f"{limit.variable} is {_amount(spec, limit, value)}, {limit.end} {_amount(spec, limit, limit.limit)}"
 
 
@@ -81,9 +81,9 @@ def _place_text(spec: DesignSpec, point: Unit) -> str:
     return "at " + ", ".join(f"{name} = {x[0]:.4g}" for name, x in columns.items())
 
 
-def _regimes_text(found: Assessment) -> str:
+def _regimes_text(assessment: Assessment) -> str:
     """Return the regimes of the lanes that are not in the regime asked for, like " (irregular)"."""
-    if "regime" not in found.lanes.dataset:
+    if "regime" not in assessment.lanes.dataset:
         return ""
-    others = np.unique(found.lanes.dataset["regime"].values[~found.lanes.in_regime])
+    others = np.unique(assessment.lanes.dataset["regime"].values[~assessment.lanes.in_regime])
     return f" ({', '.join(REGIMES[k] for k in others)})" if others.size else ""

@@ -53,8 +53,10 @@ def slopes_at(simulator: Simulator, points: Sequence[Unit], assessments: Sequenc
                 slopes[k][name][start] = derivatives[i, place]
     missing = [
         k
-        for k, found in enumerate(assessments)
-        if any(np.isnan(slopes[k][name][start]).any() for name in simulator.names for start in distinct_starts(found))
+        for k, assessment in enumerate(assessments)
+        if any(
+            np.isnan(slopes[k][name][start]).any() for name in simulator.names for start in distinct_starts(assessment)
+        )
     ]
     _by_differences(simulator, points, missing, slopes)
     _at_worst(simulator, points, assessments, lanes, slopes)
@@ -72,42 +74,42 @@ def _at_worst(
     spec, scene = simulator.spec, simulator.spec.template.system
     limits = {(c.variable, c.end) for c in spec.constraints}
     limits |= {(spec.front.against, spec.front.end)} if spec.front is not None else set()
-    wanted: list[tuple[int, int, int, str, str]] = []
+    requests: list[tuple[int, int, int, str, str]] = []
     for k, start in lanes:
-        found = assessments[k].lanes
-        once = is_periodic(assessments[k], start) and found.dataset["orbit_cycles"].values[0, start] == 1
+        simulated = assessments[k].lanes
+        once = is_periodic(assessments[k], start) and simulated.dataset["orbit_cycles"].values[0, start] == 1
         for variable, end in limits if once else ():
             if variable not in simulator.features:
                 continue
-            x = np.where(found.in_regime[:, start], found.values[variable][:, start], np.nan)
+            x = np.where(simulated.in_regime[:, start], simulated.values[variable][:, start], np.nan)
             sample = int(np.nanargmax(x) if end == "most" else np.nanargmin(x)) if np.isfinite(x).any() else 0
-            known = found.dataset["orbit_reason"].values[sample, start] == reason("found")
-            if sample and known and found.dataset["orbit_cycles"].values[sample, start] == 1:
-                wanted.append((k, start, sample, variable, end))
-    if not wanted:
+            known = simulated.dataset["orbit_reason"].values[sample, start] == reason("found")
+            if sample and known and simulated.dataset["orbit_cycles"].values[sample, start] == 1:
+                requests.append((k, start, sample, variable, end))
+    if not requests:
         return
-    rows = [assessments[k].lanes.dataset.isel(point=sample, start=start) for k, start, sample, *_ in wanted]
-    begin = [assessments[k].lanes.dataset.isel(point=0, start=start) for k, start, *_ in wanted]
+    rows = [assessments[k].lanes.dataset.isel(point=sample, start=start) for k, start, sample, *_ in requests]
+    begin = [assessments[k].lanes.dataset.isel(point=0, start=start) for k, start, *_ in requests]
     offsets = np.array([
         [float(row[name] - first[name]) / width for name, width in spec.tolerances.items()]
         for row, first in zip(rows, begin, strict=True)
     ])  # fmt: skip
-    parameters, chain = scene_parameters(spec, np.array([points[k] for k, *_ in wanted]), offsets)
+    parameters, chain = scene_parameters(spec, np.array([points[k] for k, *_ in requests]), offsets)
     states = [orbit_name(name) for name in scene.driving_part().return_states]
     guess = np.array([[[float(row[name]) for name in states]] for row in rows])
-    of = tuple(dict.fromkeys(simulator.features[variable] for *_, variable, _ in wanted))
+    of = tuple(dict.fromkeys(simulator.features[variable] for *_, variable, _ in requests))
     features = orbit_features(scene, of, tuple(chain), parameters, guess)
-    simulator.orbits += len(wanted)
+    simulator.orbits += len(requests)
     derivatives = features.derivatives @ np.stack([*chain.values()], axis=1)
-    for i, (k, start, _, variable, end) in enumerate(wanted):
+    for i, (k, start, _, variable, end) in enumerate(requests):
         table = slopes[k].setdefault(f"{variable} {end}", slopes[k][variable].copy())
         slope = derivatives[i, of.index(simulator.features[variable])]
         table[start] = slope if np.isfinite(slope).all() else table[start]
 
 
-def is_periodic(found: Assessment, start: int) -> bool:
+def is_periodic(assessment: Assessment, start: int) -> bool:
     """Return whether the orbit of the nominal point was found from this start."""
-    lanes = found.lanes.dataset
+    lanes = assessment.lanes.dataset
     return "orbit_reason" in lanes and int(lanes["orbit_reason"].values[0, start]) == reason("found")
 
 
@@ -137,11 +139,11 @@ def scene_parameters(
 
 
 def orbit_states(
-    spec: DesignSpec, found: Assessment, start: int, cycles: int, parameters: Mapping[str, np.ndarray], lane: int
+    spec: DesignSpec, assessment: Assessment, start: int, cycles: int, parameters: Mapping[str, np.ndarray], lane: int
 ) -> Float[np.ndarray, "cycles states"]:
     """Return the states of a lane's orbit at the section crossings."""
     scene = spec.template.system.driving_part()
-    row = found.lanes.dataset.isel(point=slice(0, 1), start=slice(start, start + 1))
+    row = assessment.lanes.dataset.isel(point=slice(0, 1), start=slice(start, start + 1))
     if cycles == 1:
         return np.array([[float(row[orbit_name(name)].values[0, 0]) for name in scene.return_states]])
     values = {name: parameters[name][lane : lane + 1] for name in scene.parameters()}

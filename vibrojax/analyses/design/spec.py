@@ -107,5 +107,5 @@ class DesignSpec:
         own = {f"tolerance.{name}": width for name, width in self.tolerances.items()}
         own |= {f"subject.{c.variable}.{c.end}": c.limit for c in self.constraints}
         front = None if self.front is None else [self.front.against, self.front.end, self.front.points, self.front.span]
-        asked = {"maximise": self.maximise, "regime": self.regime, "share": self.share, "front": front}
-        return self.template.identity() | {f"design.{name}": value for name, value in (own | asked).items()}
+        subject = {"maximise": self.maximise, "regime": self.regime, "share": self.share, "front": front}
+        return self.template.identity() | {f"design.{name}": value for name, value in (own | subject).items()}
