@@ -37,7 +37,7 @@ def curves(
     """Continue the special points of families of orbits in a second parameter, as curves in the plane of both.
 
     Each fold, period doubling, torus, grazing, stick and Hopf point is continued both ways, until a parameter reaches a
-    bound. The bounds of the family's parameter are those of the family. Points of codimension two on the curves are
+    bound. The family's parameter keeps the bounds that it has in the family. Points of codimension two on the curves are
     located and named.
 
     **Arguments:**
@@ -75,9 +75,9 @@ def continue_curves(spec: CurvesSpec, progress: bool = True) -> xr.Dataset:
     """Return the curves of a specification, as `curves` does."""
     problem, unknowns = problem_of(spec)
     with Progress(2 * len(unknowns), "ends of curves", progress, pace=False) as bar:
-        found = follow_curves(problem, unknowns, bar.reach)
+        continued = follow_curves(problem, unknowns, bar.reach)
         bar.reach(2 * len(unknowns))
-    return curves_dataset(spec, problem, found)
+    return curves_dataset(spec, problem, continued)
 
 
 def problem_of(spec: CurvesSpec) -> tuple[CurveProblem, list[np.ndarray]]:

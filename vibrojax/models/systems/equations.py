@@ -30,8 +30,8 @@ AT_STOP = 1e-5
 
 AT_REST = 16.0
 """Speed of a bounce up to which the motion comes to rest on the stop, in square roots of the machine epsilon times the
-typical rate of the gap in a motion from rest, or half of it in a faster motion. The height of a bounce is of second
-order in its speed: below, it is lost in rounding."""
+typical rate of the gap in a motion from rest. In a much faster motion, half of its own typical rate counts.
+The height of a bounce is of second order in its speed: below, it is lost in rounding."""
 
 BEYOND_RETURN = 1.5
 """Longest step in units of the time until a surface's parabola returns to zero: beyond it, the function is negative."""
