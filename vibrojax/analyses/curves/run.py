@@ -37,8 +37,8 @@ def curves(
     """Continue the special points of families of orbits in a second parameter, as curves in the plane of both.
 
     Each fold, period doubling, torus, grazing, stick and Hopf point is continued both ways, until a parameter reaches a
-    bound. The family's parameter keeps the bounds that it has in the family. Points of codimension two on the curves are
-    located and named.
+    bound. The family's parameter keeps the bounds that it has in the family. Points of codimension two on the curves
+    are located and named.
 
     **Arguments:**
 
