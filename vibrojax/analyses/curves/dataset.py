@@ -83,7 +83,7 @@ def _points(problem: CurveProblem, found: list[Curve]) -> tuple[dict[str, np.nda
     for curve in found:
         before: Points | None = None
         for part in curve.parts:
-            joins = before is not None and before.u.shape[1] == part.u.shape[1]
+            joins = before is not None and len(part.u) > 0 and before.u.shape[1] == part.u.shape[1]
             same = joins and np.abs(before.u[-1] - part.u[0]).max() < SAME_ACROSS if before is not None else False
             part = part.of(slice(1, None)) if same else part
             before = part if len(part.u) else before

@@ -21,6 +21,9 @@ from vibrojax.progress import Progress
 UNITS_PER_SPAN = 8
 """Number of units of a scaled parameter between its bounds."""
 
+AT_EVENT = 1e-7
+"""Signed margin at a special point up to which a condition holds within the accuracy of the point."""
+
 NEAR_EVENT = 1e-3
 """Largest signed margin at a special point of the condition that its curve satisfies."""
 
@@ -159,5 +162,6 @@ def _condition(problem: CurveProblem, curve: int, u: np.ndarray) -> Float[np.nda
     with np.errstate(all="ignore"):
         margins = problem.margins(every, np.repeat(u[None], len(choices), axis=0), choices)
     least = np.nan_to_num(np.abs(margins), nan=np.inf).min(axis=1)
-    nearest = int(least.argmin())
+    # Next to a stick that begins and ends at once, the conditions of its switch hold, too; those of minima are first.
+    nearest = int(np.argmax(least < AT_EVENT)) if (least < AT_EVENT).any() else int(least.argmin())
     return choices[nearest] if least[nearest] < NEAR_EVENT else np.zeros(len(choices))
