@@ -257,7 +257,7 @@ def _other_event(
     ends = until < jnp.inf
     place = jnp.where(ends, until, 0.0)
     names = scene.event_names
-    hits = dict.fromkeys(names, jnp.zeros_like(ends))
+    hits: dict[str, Any] = dict.fromkeys(names, jnp.zeros_like(ends))
     hits |= {name: ends & (zero == until) for name, zero in zip(scene.guard_names, others, strict=True)}
     reached = tuple(lax.stop_gradient(value(polynomial, place)) for polynomial in polynomials)
     mode, state = scene.after_event(c, lane.mode, reached, hits)
