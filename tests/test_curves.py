@@ -11,6 +11,7 @@ from systems import IMPACT_OSCILLATOR
 from test_follow import eigenvalue
 
 import vibrojax as vj
+from vibrojax.analyses.curves.branching import other_kind
 from vibrojax.analyses.curves.codim2 import name_of
 from vibrojax.analyses.curves.singular import compound, compound_along, signed_singular
 from vibrojax.io.kinds import SPECIAL_KINDS
@@ -83,10 +84,17 @@ def test_doubling_follows_the_closed_form_to_where_it_grazes():
     # An impact without speed, after which the free oscillation makes one and a half turns, or one.
     corners = ds.codim2_w.values[ds.codim2_kind.values == "grazing-doubling"]
     assert np.sort(corners) == pytest.approx([2 * NATURAL / 3, NATURAL], abs=1e-6)
+    # The grazing curve begins at either corner, and is listed once.
+    grazing = points(ds, "grazing")
+    exact = np.array([oscillator_grazes(float(w), **FIXED) for w in grazing.w])
+    assert np.abs(grazing.a.values - exact).max() < 1e-9
+    assert ds.special.values.tolist() == [0, -1] and "grazing-doubling" in str(ds.curve_note.values[1])
 
 
 def test_fold_follows_the_closed_form():
-    ds = vj.curves(family("fold", *joined(FOLDING)), by="w", span=(1.05, 1.3), at={"w": 1.15}, progress=False)
+    twice = {"special": [0, 0], "at": {"w": 1.15}, "progress": False}
+    ds = vj.curves(family("fold", *joined(FOLDING)), by="w", span=(1.05, 1.3), **twice)
+    assert ds.sizes["curve"] == 1
     own = points(ds, "fold")
     assert max(abs(fold(float(w)) - float(a)) for a, w in zip(own.a[::7], own.w[::7], strict=True)) < 1e-8
     assert ds.crossing_a.values == pytest.approx([fold(1.15)], rel=1e-8)
@@ -141,6 +149,37 @@ def test_conditions_are_smooth_where_the_matrix_is_singular():
 )
 def test_points_of_codimension_two_are_named(kinds, name):
     assert name_of(*kinds) == name
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "other"),
+    [
+        ("grazing-doubling", "period-doubling", "grazing"),
+        ("fold-flip", "fold", "period-doubling"),
+        ("1:2 resonance", "period-doubling", "torus"),
+        ("1:1 resonance", "torus", "fold"),
+        ("1:3 resonance", "torus", None),
+        ("stick and section", "stick", None),
+        ("stick and stick", "stick", "stick"),
+        ("cusp", "fold", None),
+    ],
+)
+def test_other_curves_meet_at_points_of_codimension_two(name, kind, other):
+    assert other_kind(name, kind) == other
+
+
+def test_sticks_that_begin_where_a_contact_ends():
+    """A bit that sticks under the impact force slips where the force ends; `follow` locates the point on two lines."""
+    line = {"along": "gamma", "at": 0.597, "span": (0.5945, 0.6), "start": "stuck", "cycles": 1, "progress": False}
+    begin, other = (vj.follow("vibro-impact", **line, delta=-0.005, beta=beta) for beta in (0.4, 0.405))
+    special = [int(of_special(x, "stick")[0]) for x in (begin, other)]
+    ds = vj.curves(begin, by="beta", span=(0.395, 0.41), special=special[0], at={"beta": 0.405}, progress=False)
+    assert ds.crossing_gamma.values == pytest.approx([float(other.special_value[special[1]])], abs=1e-8)
+    assert np.hypot(np.diff(ds.gamma.values), np.diff(ds.beta.values)).min() > 1e-6
+
+
+def of_special(ds, kind):
+    return np.flatnonzero(ds.special_kind.values == SPECIAL_KINDS.index(kind))
 
 
 def test_hopf_points_follow_the_linear_stability_of_sliding():

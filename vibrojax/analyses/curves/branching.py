@@ -1,15 +1,19 @@
 """Curves that begin at points of codimension two on other curves, and curves that were continued twice."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from vibrojax.analyses.continuation.problem import Points
 from vibrojax.analyses.curves.codim2 import NAMES
+from vibrojax.analyses.curves.event_map import conditions_of
 from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
 from vibrojax.analyses.curves.following import NEAR_START, Curve, Mark, between, continue_both_ways
 from vibrojax.io.kinds import SPECIAL_KINDS
+from vibrojax.models.scenes import Scene
+from vibrojax.models.systems.events import Friction
 
 MAX_CURVES = 40
 """Largest number of curves that begin at points of codimension two; each takes about half a second."""
@@ -63,6 +67,13 @@ def condition_at(
     return choices[nearest] if least[nearest] < NEAR_EVENT else np.zeros(len(choices))
 
 
+def on_friction(scene: Scene[Any], chosen: Float[np.ndarray, " conditions"]) -> bool:
+    """Return whether the chosen condition is one of friction."""
+    name = conditions_of(scene)[int(chosen.argmax())][0]
+    bodies = {event.name for event in getattr(scene, "events", ()) if isinstance(event, Friction)}
+    return name in bodies or any(guard.name == name and guard.is_switch for guard in scene.guards())
+
+
 def passes(problem: CurveProblem, curve: Curve, point: Points) -> bool:
     """Return whether a curve passes through a point of another curve, whatever crossing its orbit is listed from."""
     rows, mine, others = problem.rows, curve.number, int(point.family[0])
@@ -85,7 +96,8 @@ def passes(problem: CurveProblem, curve: Curve, point: Points) -> bool:
 
 def _alike(problem: CurveProblem, first: int, second: int) -> bool:
     """Return whether two curves have the same condition and the same fixed parameters."""
-    same = problem.kinds[first] == problem.kinds[second]
+    # The name of an event depends on what changes, its condition does not.
+    same = problem.kinds[first] == problem.kinds[second] or set(problem.kinds[[first, second]]) <= set(EVENTS)
     same &= bool((problem.chosen[first] == problem.chosen[second]).all())
     varied = (problem.along, problem.other)
     return bool(same) and all(x[first] == x[second] for name, x in problem.parameters.items() if name not in varied)
@@ -98,12 +110,10 @@ def without_duplicates(problem: CurveProblem, curves: list[Curve]) -> list[Curve
         begin = curve.begin
         same = [x for x in kept if begin is not None and _alike(problem, x.number, curve.number)]
         same = [x for x in same if begin is not None and passes(problem, x, begin)]
-        if same and curve.special < 0:
-            continue
-        if same:
-            same[0].notes.append(f"passes special point {curve.special}, too")
-        else:
+        if not same:
             kept.append(curve)
+        elif curve.special >= 0:
+            same[0].notes.append(f"passes special point {curve.special}, too")
     return kept
 
 
@@ -138,9 +148,8 @@ def with_branches(problem: CurveProblem, curves: list[Curve]) -> tuple[CurveProb
         if not begins:
             break
         continue_both_ways(problem, begins, every, lambda ends: None)
-        fresh = without_duplicates(problem, [*curves, *(every[int(begin.family[0])] for begin in begins)])[
-            len(curves) :
-        ]
+        further = [every[int(begin.family[0])] for begin in begins]
+        fresh = without_duplicates(problem, [*curves, *further])[len(curves) :]
         for curve in fresh:
             curve.notes.insert(0, curve.origin)
         curves = [*curves, *fresh]
@@ -166,6 +175,7 @@ def _extended(problem: CurveProblem, curve: Curve, mark: Mark, kind: str) -> Cur
         chosen = condition_at(problem, k, mark.point.u[0], problem.chosen[k])
         if not chosen.any():
             return None
+        kind = "stick" if on_friction(problem.scene, chosen) else "grazing"
 
     def again(x: np.ndarray) -> np.ndarray:
         return np.concatenate([x, x[[k]]])
