@@ -11,14 +11,21 @@ from systems import IMPACT_OSCILLATOR
 from test_follow import eigenvalue
 
 import vibrojax as vj
+from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY
 from vibrojax.analyses.curves.branching import other_kind
 from vibrojax.analyses.curves.codim2 import name_of
 from vibrojax.analyses.curves.singular import compound, compound_along, signed_singular
 from vibrojax.io.kinds import SPECIAL_KINDS
+from vibrojax.models.scenes import SCENES
+from vibrojax.periodic.return_map import Segments
 
 R, W, FOLDING = 0.7, 0.9, 1.25
 FIXED = {"stiffness": 1.0, "damping": 0.1, "stop": 1.0}
 W_SPAN = (0.7, 1.3)
+DRILL = json.dumps(
+    {"m1": 250, "beta": 0.4, "k1": 156250, "c2": 250, "g": 9.81, "v": 1.5, "k0": 5e7, "c0": 0.1, "delta": -0.005}
+    | {"mu": 0.4, "v_cr": 3}
+)
 NATURAL = np.sqrt(1 - 0.05**2)  # of the damped oscillator [rad/s]
 
 
@@ -79,7 +86,8 @@ def test_doubling_follows_the_closed_form_to_where_it_grazes():
         a, w = float(own.a[k]), float(own.w[k])
         if abs(a / oscillator_grazes(w, **FIXED) - 1) > 0.05:  # near the graze, the impact has no speed
             assert abs(oscillator_doubles((0.99 * a, 1.01 * a), R, w, **FIXED) - a) < 1e-8
-    for a, w in zip(ds.crossing_a.values, ds.crossing_w.values, strict=True):
+    doubles = ds.isel(crossing=np.flatnonzero(ds.crossing_curve.values == 0))
+    for a, w in zip(doubles.crossing_a.values, doubles.crossing_w.values, strict=True):
         assert a == 0.5 and abs(oscillator_doubles((0.49, 0.51), R, float(w), **FIXED) - 0.5) < 1e-8
     # An impact without speed, after which the free oscillation makes one and a half turns, or one.
     corners = ds.codim2_w.values[ds.codim2_kind.values == "grazing-doubling"]
@@ -168,18 +176,25 @@ def test_other_curves_meet_at_points_of_codimension_two(name, kind, other):
     assert other_kind(name, kind) == other
 
 
-def test_sticks_that_begin_where_a_contact_ends():
-    """A bit that sticks under the impact force slips where the force ends; `follow` locates the point on two lines."""
-    line = {"along": "gamma", "at": 0.597, "span": (0.5945, 0.6), "start": "stuck", "cycles": 1, "progress": False}
-    begin, other = (vj.follow("vibro-impact", **line, delta=-0.005, beta=beta) for beta in (0.4, 0.405))
-    special = [int(of_special(x, "stick")[0]) for x in (begin, other)]
-    ds = vj.curves(begin, by="beta", span=(0.395, 0.41), special=special[0], at={"beta": 0.405}, progress=False)
-    assert ds.crossing_gamma.values == pytest.approx([float(other.special_value[special[1]])], abs=1e-8)
-    assert np.hypot(np.diff(ds.gamma.values), np.diff(ds.beta.values)).min() > 1e-6
-
-
-def of_special(ds, kind):
-    return np.flatnonzero(ds.special_kind.values == SPECIAL_KINDS.index(kind))
+def test_a_held_bit_slips_where_the_impact_force_ends():
+    """The stick limit is reached at the end of a contact: the orbit's events differ on the two sides of the curve."""
+    states = {"orbit_x1": -0.074074041, "orbit_x2": -0.191995851, "orbit_v2": -1.502108456, "gamma": 0.598413726}
+    fixed = {name: float(x) for name, x in json.loads(DRILL).items()}
+    begin = family("stick", 0.598413726, 1.0, (0.0, 0.0), (0.5, 0.7)).drop_vars(("a", "orbit_x", "orbit_v"))
+    begin = begin.assign({name: ("point", [x]) for name, x in states.items()})
+    about = {"scene": "vibro-impact", "along": "gamma", "parameters": DRILL}
+    ds = vj.curves(begin.assign_attrs(about), by="beta", span=(0.38, 0.42), progress=False)
+    own = ds.isel(point=np.flatnonzero(ds.point_curve.values == 0)[::2])
+    assert own.sizes["point"] > 4 and own.beta.values.min() < 0.39 and own.beta.values.max() > 0.41
+    assert np.hypot(np.diff(own.gamma), np.diff(own.beta)).min() > 1e-4
+    orbits = np.stack([own[f"orbit_{name}"].values for name in ("x1", "x2", "v2")])
+    go = Segments(SCENES["vibro-impact"](), ("gamma", "beta"), FAMILY_ACCURACY)
+    counts = []
+    for step in (-1e-6, 1e-6):
+        parameters = {name: np.full(own.sizes["point"], x) for name, x in fixed.items()}
+        parameters |= {"beta": own.beta.values, "gamma": own.gamma.values + step}
+        counts.append(go(parameters, orbits).seen.mode_changes)
+    assert (counts[0] != counts[1]).any(axis=(0, 1)).all()
 
 
 def test_hopf_points_follow_the_linear_stability_of_sliding():

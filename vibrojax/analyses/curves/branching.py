@@ -18,6 +18,10 @@ from vibrojax.models.systems.events import Friction
 MAX_CURVES = 40
 """Largest number of curves that begin at points of codimension two; each takes about half a second."""
 
+FEWEST_POINTS = 4
+"""Smallest number of points of a curve that begins at a point of codimension two. Of a pair of real multipliers whose
+product is 1, as of a curve that has no orbits on either side, fewer points are found."""
+
 MAX_ROUNDS = 3
 """Largest number of points of codimension two between a special point of the family and a curve."""
 
@@ -149,6 +153,7 @@ def with_branches(problem: CurveProblem, curves: list[Curve]) -> tuple[CurveProb
             break
         continue_both_ways(problem, begins, every, lambda ends: None)
         further = [every[int(begin.family[0])] for begin in begins]
+        further = [x for x in further if sum(len(part.u) for part in x.parts) >= FEWEST_POINTS]
         fresh = without_duplicates(problem, [*curves, *further])[len(curves) :]
         for curve in fresh:
             curve.notes.insert(0, curve.origin)
