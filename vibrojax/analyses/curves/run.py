@@ -7,6 +7,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY
+from vibrojax.analyses.curves.branching import condition_at, with_branches, without_duplicates
 from vibrojax.analyses.curves.dataset import curves_dataset
 from vibrojax.analyses.curves.event_map import conditions_of
 from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
@@ -20,9 +21,6 @@ from vibrojax.progress import Progress
 
 UNITS_PER_SPAN = 8
 """Number of units of a scaled parameter between its bounds."""
-
-NEAR_EVENT = 1e-3
-"""Largest signed margin at a special point of the condition that its curve satisfies."""
 
 
 def curves(
@@ -77,6 +75,9 @@ def continue_curves(spec: CurvesSpec, progress: bool = True) -> xr.Dataset:
     with Progress(2 * len(unknowns), "ends of curves", progress, pace=False) as bar:
         continued = follow_curves(problem, unknowns, bar.reach)
         bar.reach(2 * len(unknowns))
+    for curve, special in zip(continued, spec.special, strict=True):
+        curve.special = special
+    problem, continued = with_branches(problem, without_duplicates(problem, continued))
     return curves_dataset(spec, problem, continued)
 
 
@@ -113,7 +114,7 @@ def problem_of(spec: CurvesSpec) -> tuple[CurveProblem, list[np.ndarray]]:
         values = np.array([[parameters[spec.along][k], parameters[spec.by][k]]])
         unknowns.append(problem.point(np.array([k]), states[k][None], values)[0])
         if kinds[k] in EVENTS:
-            none[k] = _condition(problem, k, unknowns[k])
+            none[k] = condition_at(problem, k, unknowns[k])
     return problem, unknowns
 
 
@@ -150,14 +151,3 @@ def _states(
     scales = np.where((swing > 0) & moves, swing, 1.0).T
     states = [np.stack([state[:, k] for state in returns[: cycles[k]]]) for k in range(len(orbits))]
     return states, scales, 8 * steps or float(MOST_STEPS)
-
-
-def _condition(problem: CurveProblem, curve: int, u: np.ndarray) -> Float[np.ndarray, " conditions"]:
-    """Return the choice of the event whose signed margin is zero at a special point; zeros if there is none."""
-    choices = np.eye(problem.chosen.shape[1])
-    every = np.full(len(choices), curve)
-    with np.errstate(all="ignore"):
-        margins = problem.margins(every, np.repeat(u[None], len(choices), axis=0), choices)
-    least = np.nan_to_num(np.abs(margins), nan=np.inf).min(axis=1)
-    nearest = int(least.argmin())
-    return choices[nearest] if least[nearest] < NEAR_EVENT else np.zeros(len(choices))
