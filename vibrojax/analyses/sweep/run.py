@@ -223,8 +223,8 @@ def _compute(
     """Compute the chunks with these indices, and store each one as soon as it is finished."""
     with timed("compile and step"):
         if executor is None:
-            for index in indices:
-                store(index, work.compute(index, bar.add))
+            for index, features in work.compute_each(indices, bar.add):
+                store(index, features)
             return
         check_executor(executor)
 
