@@ -256,7 +256,8 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
     before = elapsed.start + elapsed.compile
     # The time loop holds some 500 numbers per lane. The array regions of `join` hold features, variables, and
     # variables being written.
-    memory = MEMORY * (1 + processes) + max(1, processes) * chunks.size * 8 * 500
+    at_once = processes or min(cores, chunks.count)
+    memory = MEMORY * (1 + processes) + at_once * chunks.size * 8 * 500
     memory += 3 * min(REGION, sweep.lanes) * (in_chunk + in_file) if to_file else sweep.lanes * (in_chunk + in_file)
     return Cost(
         lanes=sweep.lanes,
