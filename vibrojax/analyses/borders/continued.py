@@ -6,7 +6,7 @@ the curve between them, up to the point where the next curve begins.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from jaxtyping import Float
 from vibrojax.analyses.borders.chains import Vertex
 from vibrojax.analyses.borders.propagation import OrbitGrid, OrbitLoss
 from vibrojax.analyses.continuation.arclength import CLOSED
+from vibrojax.analyses.continuation.problem import Flags, spectral_radius
 from vibrojax.analyses.continuation.segments import ENDINGS
 from vibrojax.analyses.curves.extended import CurveProblem
 from vibrojax.analyses.curves.following import Curve, crossings, follow_curves
@@ -32,6 +33,9 @@ which the point lies, too."""
 MOST_ROUNDS = 3
 """Largest number of times that curves begin at the vertices that lie on none of the curves before."""
 
+CRITICAL = 1e-5
+"""Largest distance beyond the unit circle of the multipliers at a border of stable orbits."""
+
 NOT_CONTINUED = "located between points of the grid: no equations of an orbit hold along this border"
 
 Plane = Float[np.ndarray, "points 2"]
@@ -44,7 +48,8 @@ class Line:
     - `seed`: the two parameters at which it begins; `note`: its ends; `closed`: whether it returns to its first point.
     - `u` (points, unknowns): scaled states at the section, and scaled parameters. States are NaN at points with other
       numbers of section crossings. `values` (points, 2): the two parameters.
-    - `corners`: indices of the ends and of the points of codimension two.
+    - `corners`: indices of the ends and of the points of codimension two; `bounds` (points,): mask of the points at
+      which no multiplier is beyond the unit circle.
     """
 
     plane: int
@@ -55,6 +60,7 @@ class Line:
     u: Float[np.ndarray, "points unknowns"]
     values: Plane
     corners: list[int]
+    bounds: Flags
     problem: CurveProblem
     curve: Curve
 
@@ -63,6 +69,19 @@ class Line:
         assert vertex.loss is not None
         number, values = np.array([self.curve.number]), np.array([[vertex.x, vertex.y]])
         return _nearest(self.u, self.problem.point(number, vertex.loss.state[None, None], values)[0])
+
+    def stop(self, place: float, way: int) -> int:
+        """Return the last index in one direction (-1 or 1) up to which the curve bounds stable orbits."""
+        k = int(np.floor(place) if way < 0 else np.ceil(place))
+        while 0 <= k + way < len(self.u) and self.bounds[k + way]:
+            k += way
+        return k
+
+    def distance(self, first: float, second: float) -> float:
+        """Return the scaled length in the plane between two places."""
+        steps = np.linalg.norm(np.diff(self.u[:, -2:], axis=0), axis=1)
+        length = np.concatenate([[0.0], np.cumsum(steps)])
+        return float(abs(np.diff(np.interp([first, second], np.arange(len(length)), length))[0]))
 
     def at(self, place: float) -> Float[np.ndarray, " 2"]:
         """Return the two parameters at a place."""
@@ -143,16 +162,25 @@ class ContinuedBorders:
                 lines.append(_line(problem, curve, plane, vertex))
         return lines
 
-    def cut(self, chain: list[Vertex]) -> list[Border]:
-        """Divide a chain into pieces of one kind, on one curve or on none."""
+    def cut(self, chain: list[Vertex], extend: bool) -> list[Border]:
+        """Divide a chain into pieces of one kind, on one curve or on none.
+
+        `extend`: whether pieces follow their curves beyond a cell, as long as these bound stable orbits.
+        """
         runs = [list(run) for _, run in groupby(chain, self._label)]
-        joints = [self._joint(before[-1], behind[0]) for before, behind in zip(runs[:-1], runs[1:], strict=True)]
-        pieces = []
-        for k, run in enumerate(runs):
-            first = joints[k - 1][1] if k else None
-            last = joints[k][0] if k < len(joints) else None
-            pieces.append(self._piece(run, first, last))
-        return pieces
+        joints = [self._joint(here, there, extend) for here, there in pairwise(runs)]
+        return [
+            self._piece(run, joints[k - 1][1] if k else None, joints[k][0] if k < len(joints) else None)
+            for k, run in enumerate(runs)
+        ]
+
+    def _end(self, run: list[Vertex]) -> "_Ending | None":
+        """Return the ending of a run that ends with its last vertex, None if it is on no curve."""
+        known = [self._places[vertex.loss] for vertex in run[-2:] if vertex.loss in self._places]
+        if not known:
+            return None
+        line, place = known[-1]
+        return _Ending(line, place, int(np.sign(place - known[0][1])))
 
     def _piece(self, run: list[Vertex], first: "_End | None", last: "_End | None") -> Border:
         known = None if run[0].loss is None else self._places.get(run[0].loss)
@@ -174,22 +202,24 @@ class ContinuedBorders:
         parts = [points[low][None], along, points[high][None]] if high != low else [points[low][None]]
         return Border(run[0].kind, np.concatenate(parts), line, (float(way[low]), float(way[high])))
 
-    def _joint(self, here: Vertex, there: Vertex) -> "tuple[_End | None, _End | None]":
+    def _joint(
+        self, here: list[Vertex], there: list[Vertex], extend: bool
+    ) -> "tuple[_End | None, _End | None]":
         """Return the ends of two neighbouring pieces, between two neighbouring vertices."""
-        middle = np.array([here.x + there.x, here.y + there.y]) / 2
-        known = [None if vertex.loss is None else self._places.get(vertex.loss) for vertex in (here, there)]
-        lines = [None if item is None else item[0] for item in known]
-        cell = [_width(x, value) for x, value in zip(self._grid.values, middle, strict=True)]
-        if lines[0] is not None and lines[1] is not None:
-            meeting = _meeting(lines[0], lines[1], middle, np.array(cell))
-            return (None, None) if meeting is None else meeting
-        ends = [None if line is None else _corner_near(line, middle, np.array(cell)) for line in lines]
-        if lines[0] is None and lines[1] is None:
+        first, second = here[-1], there[0]
+        middle = np.array([first.x + second.x, first.y + second.y]) / 2
+        cell = np.array([_width(x, value) for x, value in zip(self._grid.values, middle, strict=True)])
+        endings = self._end(here), self._end(there[::-1])
+        if endings[0] is not None and endings[1] is not None:
+            meeting = _meeting(endings[0], endings[1], None if extend else (middle, cell))
+            return meeting or (endings[0].beyond(extend), endings[1].beyond(extend))
+        if endings[0] is None and endings[1] is None:
             return _End(middle), _End(middle)
-        own = ends[0] or ends[1]
-        vertex = here if lines[0] is not None else there
+        ending, vertex = (endings[0], first) if endings[0] is not None else (endings[1], second)
+        assert ending is not None
+        own = _corner_near(ending.line, middle, cell)
         other = _End(np.array([vertex.x, vertex.y]) if own is None else own.point)
-        return (own, other) if lines[0] is not None else (other, own)
+        return (own, other) if endings[0] is not None else (other, own)
 
 
 class _End(NamedTuple):
@@ -199,25 +229,53 @@ class _End(NamedTuple):
     place: float | None = None
 
 
+class _Ending(NamedTuple):
+    """The end of a run of vertices: its curve, the place of its last vertex, and the direction (-1, 0 or 1) there."""
+
+    line: Line
+    place: float
+    way: int
+
+    def span(self) -> tuple[float, float]:
+        """Return the places to which the piece may be extended."""
+        low, high = (self.line.stop(self.place, way) if self.way != -way else self.place for way in (-1, 1))
+        return low, high
+
+    def beyond(self, extend: bool) -> _End | None:
+        """Return the end of the curve, or the point up to which it bounds stable orbits."""
+        if not extend or self.way == 0 or self.line.closed or self.line.kind == "stick":
+            return None
+        k = self.line.stop(self.place, self.way)
+        return _End(self.line.values[k], k)
+
+
 def _line(problem: CurveProblem, curve: Curve, plane: int, vertex: Vertex) -> Line:
     size = problem.rows + 2
     parts = [part for part in curve.parts if len(part.u)]
-    u = np.concatenate([part.u if part.u.shape[1] == size else _without_states(part.u, size) for part in parts])
+    u = np.concatenate([_with_width(part.u, size) for part in parts])
+    # At a stick, rounding errors decide on which side the multipliers are.
+    bounds = np.concatenate(
+        [(spectral_radius(part.product) < 1 + CRITICAL) | (vertex.kind == "stick") for part in parts]
+    )
     closed = ENDINGS[CLOSED] in curve.notes
     corners = [] if closed else [0, len(u) - 1]
-    u = np.concatenate([u, u[:1]]) if closed else u
+    if closed:
+        u, bounds = np.concatenate([u, u[:1]]), np.append(bounds, bounds[0])
     for mark in curve.marks:
-        point = mark.point.u[0] if mark.point.u.shape[1] == size else _without_states(mark.point.u, size)[0]
-        place, _ = _nearest(u[:, -2:], point[-2:])
+        point = _with_width(mark.point.u, size)
+        place, _ = _nearest(u[:, -2:], point[0, -2:])
         k = int(place) + 1
-        u = np.insert(u, k, point, axis=0)
+        u, bounds = np.insert(u, k, point, axis=0), np.insert(bounds, k, bounds[k - 1] | bounds[min(k, len(bounds) - 1)])
         corners = [corner + (corner >= k) for corner in corners] + [k]
     values = u[:, -2:] * [problem.other_unit[curve.number], problem.unit[curve.number]]
     note, seed = "; ".join(curve.notes), (vertex.x, vertex.y)
-    return Line(plane, vertex.kind, seed, note, closed, u, values, corners, problem, curve)
+    return Line(plane, vertex.kind, seed, note, closed, u, values, corners, bounds, problem, curve)
 
 
-def _without_states(u: np.ndarray, size: int) -> np.ndarray:
+def _with_width(u: np.ndarray, size: int) -> np.ndarray:
+    """Return unknowns of one section crossing; states are NaN if there are other numbers of crossings."""
+    if u.shape[1] == size:
+        return u
     short = np.full((len(u), size), np.nan)
     short[:, -2:] = u[:, -2:]
     return short
@@ -248,30 +306,38 @@ def _corner_near(line: Line, middle: np.ndarray, cell: np.ndarray) -> _End | Non
     return _End(line.values[nearest], nearest) if nearest is not None and off[nearest] <= 1 else None
 
 
-def _meeting(first: Line, second: Line, middle: np.ndarray, cell: np.ndarray) -> tuple[_End, _End] | None:
-    """Return the ends of two curves where they meet nearest to a point, and at most one cell away from it."""
+def _meeting(
+    first: _Ending, second: _Ending, near: tuple[np.ndarray, np.ndarray] | None
+) -> tuple[_End, _End] | None:
+    """Return the ends of two curves where they meet first, beyond the places of two vertices.
+
+    `near`: a point, and the largest distances from it along both axes.
+    """
     found: list[tuple[float, _End, _End]] = []
+    (low, high), (bottom, top) = first.span(), second.span()
 
     def enter(point: np.ndarray, here: float, there: float) -> None:
-        off = float((np.abs(point - middle) / cell).max())
-        if off <= 1:
+        inside = low <= here <= high and bottom <= there <= top
+        if near is not None:
+            inside = bool((np.abs(point - near[0]) <= near[1]).all())
+        if inside:
+            off = first.line.distance(here, first.place) + second.line.distance(there, second.place)
             found.append((off, _End(point, here), _End(point, there)))
 
-    for line, other in ((first, second), (second, first)):
+    for line, other in ((first.line, second.line), (second.line, first.line)):
         for k in line.corners:
             place, off = _nearest(other.u[:, -2:], line.u[k, -2:])
             if off < MEETS:
-                here, there = (k, place) if line is first else (place, k)
-                enter(line.values[k], here, there)
+                enter(line.values[k], *((k, place) if line is first.line else (place, k)))
     if not found:
-        p, q = first.values, second.values
+        p, q = first.line.values, second.line.values
         a, b = np.diff(p, axis=0)[:, None], np.diff(q, axis=0)[None]
         between = q[None, :-1] - p[:-1, None]
         with np.errstate(all="ignore"):
             area = _cross(a, b)
             s, t = _cross(between, b) / area, _cross(between, a) / area
         for i, j in np.argwhere((s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)).tolist():
-            enter(first.at(i + s[i, j]), i + float(s[i, j]), j + float(t[i, j]))
+            enter(first.line.at(i + s[i, j]), i + float(s[i, j]), j + float(t[i, j]))
     return min(found, key=lambda item: item[0])[1:] if found else None
 
 

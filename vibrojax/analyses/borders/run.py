@@ -156,7 +156,12 @@ class Regions:
                 chains += [(chain, plane, start) for chain in around]
                 areas.append((area, plane, start))
         self._continued.follow([(plane, chain) for chain, plane, _ in chains], progress)
-        curves = [(piece, plane, start) for chain, plane, start in chains for piece in self._continued.cut(chain)]
+        curves = [
+            (piece, plane, start)
+            for chain, plane, start in chains
+            # Beyond the last vertex, the start of a lane may no longer lead to the orbit.
+            for piece in self._continued.cut(chain, extend=start == ANY_START)
+        ]
         return self._described(curves, areas, at)
 
     def _vertex(self, plane: int, start: int | None, inside: tuple[int, int], outside: tuple[int, int]) -> Vertex:
