@@ -168,21 +168,30 @@ class ContinuedBorders:
         `extend`: whether pieces follow their curves beyond a cell, as long as these bound stable orbits.
         """
         runs = [list(run) for _, run in groupby(chain, self._label)]
-        joints = [self._joint(here, there, extend) for here, there in pairwise(runs)]
-        return [
-            self._piece(run, joints[k - 1][1] if k else None, joints[k][0] if k < len(joints) else None)
-            for k, run in enumerate(runs)
-        ]
+        joints: list[tuple[_End | None, _End | None]] = []
+        for here, there in pairwise(runs):
+            before = joints[-1][1] if joints else None
+            joints.append(self._joint(self._ending(here, before), self._ending(there[::-1]), here[-1], there[0], extend))
+        pieces = []
+        for k, run in enumerate(runs):
+            first, last = joints[k - 1][1] if k else None, joints[k][0] if k < len(joints) else None
+            ways = (extend and k > 0 and first is None, extend and k < len(joints) and last is None)
+            pieces.append(self._piece(run, first, last, ways))
+        return pieces
 
-    def _end(self, run: list[Vertex]) -> "_Ending | None":
-        """Return the ending of a run that ends with its last vertex, None if it is on no curve."""
+    def _ending(self, run: list[Vertex], before: "_End | None" = None) -> "_Ending | None":
+        """Return the ending of a run at its last vertex, None if it is on no curve; `before`: its end there."""
         known = [self._places[vertex.loss] for vertex in run[-2:] if vertex.loss in self._places]
         if not known:
             return None
         line, place = known[-1]
-        return _Ending(line, place, int(np.sign(place - known[0][1])))
+        other = before.place if len(run) == 1 and before is not None and before.place is not None else known[0][1]
+        return _Ending(line, place, int(np.sign(place - other)))
 
-    def _piece(self, run: list[Vertex], first: "_End | None", last: "_End | None") -> Border:
+    def _piece(
+        self, run: list[Vertex], first: "_End | None", last: "_End | None", ways: tuple[bool, bool]
+    ) -> Border:
+        """Return the border of a run between its ends; `ways`: whether to follow its curve at the missing ends."""
         known = None if run[0].loss is None else self._places.get(run[0].loss)
         points = [np.array([vertex.x, vertex.y]) for vertex in run]
         if known is None:
@@ -194,32 +203,36 @@ class ContinuedBorders:
             if end is not None and end.place is not None:
                 places.insert(position, end.place)
                 points.insert(position, end.point)
+        if any(ways) and not line.closed and line.kind != "stick":
+            way = -1 if places[-1] < places[0] else 1
+            for wanted, sign, position in zip(ways, (-way, way), (0, len(places) + 1), strict=True):
+                if wanted:
+                    stop = line.stop(places[0 if position == 0 else -1], sign)
+                    places.insert(position, stop)
+                    points.insert(position, line.values[stop])
         period = len(line.u) - 1
-        way = np.unwrap(places, period=period) if line.closed else np.array(places)
-        low, high = int(way.argmin()), int(way.argmax())
-        inside = np.arange(np.floor(way[low]) + 1, np.ceil(way[high]), dtype=int)
-        along = line.values[inside % period if line.closed else inside]
-        parts = [points[low][None], along, points[high][None]] if high != low else [points[low][None]]
-        return Border(run[0].kind, np.concatenate(parts), line, (float(way[low]), float(way[high])))
+        along = np.unwrap(places, period=period) if line.closed else np.array(places)
+        low, high = int(along.argmin()), int(along.argmax())
+        inside = np.arange(np.floor(along[low]) + 1, np.ceil(along[high]), dtype=int)
+        between = line.values[inside % period if line.closed else inside]
+        parts = [points[low][None], between, points[high][None]] if high != low else [points[low][None]]
+        return Border(run[0].kind, np.concatenate(parts), line, (float(along[low]), float(along[high])))
 
     def _joint(
-        self, here: list[Vertex], there: list[Vertex], extend: bool
+        self, here: "_Ending | None", there: "_Ending | None", first: Vertex, second: Vertex, extend: bool
     ) -> "tuple[_End | None, _End | None]":
-        """Return the ends of two neighbouring pieces, between two neighbouring vertices."""
-        first, second = here[-1], there[0]
+        """Return the ends of two neighbouring pieces, which have the neighbouring vertices `first` and `second`."""
         middle = np.array([first.x + second.x, first.y + second.y]) / 2
         cell = np.array([_width(x, value) for x, value in zip(self._grid.values, middle, strict=True)])
-        endings = self._end(here), self._end(there[::-1])
-        if endings[0] is not None and endings[1] is not None:
-            meeting = _meeting(endings[0], endings[1], None if extend else (middle, cell))
-            return meeting or (endings[0].beyond(extend), endings[1].beyond(extend))
-        if endings[0] is None and endings[1] is None:
-            return _End(middle), _End(middle)
-        ending, vertex = (endings[0], first) if endings[0] is not None else (endings[1], second)
-        assert ending is not None
-        own = _corner_near(ending.line, middle, cell)
-        other = _End(np.array([vertex.x, vertex.y]) if own is None else own.point)
-        return (own, other) if endings[0] is not None else (other, own)
+        if here is not None and there is not None:
+            return _meeting(here, there, None if extend else (middle, cell)) or (None, None)
+        if here is not None:
+            own = _corner_near(here.line, middle, cell) or _End(np.array([first.x, first.y]), here.place)
+            return own, _End(own.point)
+        if there is not None:
+            own = _corner_near(there.line, middle, cell) or _End(np.array([second.x, second.y]), there.place)
+            return _End(own.point), own
+        return _End(middle), _End(middle)
 
 
 class _End(NamedTuple):
@@ -240,13 +253,6 @@ class _Ending(NamedTuple):
         """Return the places to which the piece may be extended."""
         low, high = (self.line.stop(self.place, way) if self.way != -way else self.place for way in (-1, 1))
         return low, high
-
-    def beyond(self, extend: bool) -> _End | None:
-        """Return the end of the curve, or the point up to which it bounds stable orbits."""
-        if not extend or self.way == 0 or self.line.closed or self.line.kind == "stick":
-            return None
-        k = self.line.stop(self.place, self.way)
-        return _End(self.line.values[k], k)
 
 
 def _line(problem: CurveProblem, curve: Curve, plane: int, vertex: Vertex) -> Line:
