@@ -171,7 +171,9 @@ class ContinuedBorders:
         joints: list[tuple[_End | None, _End | None]] = []
         for here, there in pairwise(runs):
             before = joints[-1][1] if joints else None
-            joints.append(self._joint(self._ending(here, before), self._ending(there[::-1]), here[-1], there[0], extend))
+            joints.append(
+                self._joint(self._ending(here, before), self._ending(there[::-1]), here[-1], there[0], extend)
+            )
         pieces = []
         for k, run in enumerate(runs):
             first, last = joints[k - 1][1] if k else None, joints[k][0] if k < len(joints) else None
@@ -188,9 +190,7 @@ class ContinuedBorders:
         other = before.place if len(run) == 1 and before is not None and before.place is not None else known[0][1]
         return _Ending(line, place, int(np.sign(place - other)))
 
-    def _piece(
-        self, run: list[Vertex], first: "_End | None", last: "_End | None", ways: tuple[bool, bool]
-    ) -> Border:
+    def _piece(self, run: list[Vertex], first: "_End | None", last: "_End | None", ways: tuple[bool, bool]) -> Border:
         """Return the border of a run between its ends; `ways`: whether to follow its curve at the missing ends."""
         known = None if run[0].loss is None else self._places.get(run[0].loss)
         points = [np.array([vertex.x, vertex.y]) for vertex in run]
@@ -271,7 +271,10 @@ def _line(problem: CurveProblem, curve: Curve, plane: int, vertex: Vertex) -> Li
         point = _with_width(mark.point.u, size)
         place, _ = _nearest(u[:, -2:], point[0, -2:])
         k = int(place) + 1
-        u, bounds = np.insert(u, k, point, axis=0), np.insert(bounds, k, bounds[k - 1] | bounds[min(k, len(bounds) - 1)])
+        u, bounds = (
+            np.insert(u, k, point, axis=0),
+            np.insert(bounds, k, bounds[k - 1] | bounds[min(k, len(bounds) - 1)]),
+        )
         corners = [corner + (corner >= k) for corner in corners] + [k]
     values = u[:, -2:] * [problem.other_unit[curve.number], problem.unit[curve.number]]
     note, seed = "; ".join(curve.notes), (vertex.x, vertex.y)
@@ -312,9 +315,7 @@ def _corner_near(line: Line, middle: np.ndarray, cell: np.ndarray) -> _End | Non
     return _End(line.values[nearest], nearest) if nearest is not None and off[nearest] <= 1 else None
 
 
-def _meeting(
-    first: _Ending, second: _Ending, near: tuple[np.ndarray, np.ndarray] | None
-) -> tuple[_End, _End] | None:
+def _meeting(first: _Ending, second: _Ending, near: tuple[np.ndarray, np.ndarray] | None) -> tuple[_End, _End] | None:
     """Return the ends of two curves where they meet first, beyond the places of two vertices.
 
     `near`: a point, and the largest distances from it along both axes.

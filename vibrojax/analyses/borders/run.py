@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.borders.chains import Vertex, around_region
-from vibrojax.analyses.borders.continued import Border, ContinuedBorders, NOT_CONTINUED, crossings_of
+from vibrojax.analyses.borders.continued import NOT_CONTINUED, Border, ContinuedBorders, crossings_of
 from vibrojax.analyses.borders.propagation import GridOrbit, OrbitGrid, OrbitLoss
 from vibrojax.analyses.orbits.analysis import orbits as with_orbits
 from vibrojax.analyses.orbits.analysis import sweep_with_orbits
@@ -35,6 +35,7 @@ ANY_START = "any"
 def borders(
     source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep,
     axes: tuple[str, str] | None = None,
+    at: Mapping[str, float] | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
     """Compute the borders of the stable single impact in a sweep's plane, as curves with the kind of each border.
@@ -51,6 +52,8 @@ def borders(
 
     - `source`: the dataset of a sweep with a grid, or a sweep as in `run_sweep`. A sweep without orbits is run again.
     - `axes`: the two axes of the plane; by default gamma and beta, else the two axes with the most values.
+    - `at`: either parameter with a value, such as `{"beta": 0.5}`. The points at which continued borders pass this
+      value are located like special points.
     - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset.
@@ -59,7 +62,10 @@ def borders(
     - Along `curve`: `kind`, and the coordinates `start` (the initial condition, or "any" for all orbits) and the values
       of the sweep's other axes. The kinds are fold, period-doubling, torus, grazing, stick, section, hopf, end, basin
       and not-settled. At a *basin* border the orbit continues, but the initial condition no longer leads to it. A
-      *not-settled* border is like a *basin* border, but the motion beyond it had not settled.
+      *not-settled* border is like a *basin* border, but the motion beyond it had not settled. `continued` is 1 for a
+      part of a continued curve, which begins at `seed_NAME` of both parameters, else 0. `curve_note` says why the curve
+      ends, or why there is none. The attribute `begun_from` names the grid.
+    - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.
     - Along `region`: `region_area`, the fraction of the plane with a stable single impact, with the coordinates
       `region_start` and so on.
 
@@ -74,11 +80,27 @@ def borders(
     ['stuck', 'any']
     >>> bool(cur.region_area[0] < cur.region_area[1])  # not every orbit is reached from this start
     True
+    >>> cur.attrs["begun_from"].partition(";")[0].partition(" from ")[2]
+    'points located on a grid of 3 x 3'
     """
     sweep = sweep_with_orbits(source)
     names = plane_axes(sweep, axes)
+    line = line_of(sweep, names, at)
     dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
-    return Regions(sweep, dataset, names).borders()
+    return Regions(sweep, dataset, names).borders(line, progress)
+
+
+def line_of(sweep: Sweep, names: tuple[str, str], at: object) -> tuple[str, float] | None:
+    """Return the parameter and the value at which crossings are located, or None."""
+    if at is None:
+        return None
+    name, value = next(iter(at.items())) if isinstance(at, Mapping) and len(at) == 1 else ("", None)
+    if name not in names or isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise InputError(f"borders: at: {shown(at)} is not {' or '.join(names)} with a value; give one of them")
+    low, high = float(sweep.axes[name].min()), float(sweep.axes[name].max())
+    if not low <= value <= high:
+        raise InputError(f"borders: at: {name}: {value:g} is not between {low:g} and {high:g}, the ends of the axis")
+    return name, float(value)
 
 
 def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
