@@ -1,6 +1,7 @@
 """Systems written as plain functions, with public names only; their closed forms are in `own_scenes` and here."""
 
 import numpy as np
+from scipy.linalg import expm
 
 import vibrojax as vj
 
@@ -64,6 +65,39 @@ def belt_period(v: float, rise: float, w: float = 1.0) -> float:
     sticks the belt carries it back.
     """
     return 2 * (np.pi - np.arctan(rise * w / v)) / w + 2 * rise / v
+
+
+SHAKEN = vj.System(
+    "shaken-against-friction",
+    states={"x": "m", "v": "m s-1"},
+    parameters={"grip": 0.5, "w": 1.5, "zeta": 0.1},
+    field=lambda t, y, p: {"x": y["v"], "v": cos(p["w"] * t) - 2 * p["zeta"] * y["v"] - y["x"]},
+    period=lambda p: 2 * np.pi / p["w"],
+    events=[
+        vj.Friction(
+            "sliding",
+            relative=lambda t, y, p: y["v"],
+            normal=lambda t, y, p: p["grip"],
+            law=1.0,
+            acts_on="v",
+        )
+    ],
+)
+"""A mass on a spring, shaken against Coulomb friction: Den Hartog, Transactions of the ASME 53 (1931), 107; Shaw,
+Journal of Sound and Vibration 108 (1986), 305."""
+
+
+def friction_stops(w: float, zeta: float) -> float:
+    """Return the friction, per amplitude of the force, from which the mass of `SHAKEN` stops at its turning points.
+
+    In the half cycle from x0 to -x0, the distance z from the forced oscillation satisfies z(T/2) = M z(0), and the
+    friction displaces the equilibrium. The amplitude follows from the half cycle, and is also that at which the force
+    just overcomes twice the friction where the mass turns.
+    """
+    half = expm(np.array([[0.0, 1.0], [-1.0, -2 * zeta]]) * np.pi / w)
+    g, h = np.linalg.solve(np.eye(2) + half, (np.eye(2) - half)[:, 0])
+    amplitude = (1 + (1 - w**2) * g + 2 * zeta * h) / w**2  # per friction
+    return float(1 / abs(complex(1 - w**2, 2 * zeta * w)) / np.hypot(amplitude + g, h / w))
 
 
 BILINEAR = vj.System(

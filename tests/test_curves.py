@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from own_scenes import oscillator_doubles, oscillator_grazes, oscillator_orbits
 from scipy.optimize import brentq
-from systems import IMPACT_OSCILLATOR
+from systems import IMPACT_OSCILLATOR, SHAKEN, friction_stops
 from test_follow import eigenvalue
 
 import vibrojax as vj
@@ -114,6 +114,43 @@ def joined(w):
     """Amplitude, frequency and state at the section where two orbits meet."""
     a = fold(w)
     return a, w, oscillator_orbits(a * (1 + 1e-12), R, w, **FIXED)[-1].section
+
+
+def test_stops_against_friction_follow_the_published_boundary():
+    """The two-parameter diagram of Den Hartog (1931), with viscous damping of Shaw (1986)."""
+    begins = friction_stops(1.5, 0.1)
+    moving = vj.follow(SHAKEN, along="grip", at=0.9 * begins, span=(0.3, 0.85), cycles=1, progress=False)
+    kinds = moving.special_kind.values == SPECIAL_KINDS.index("stick")
+    # Both turning points begin to stop at once.
+    assert np.abs(moving.special_value.values[kinds] - begins).max() < 1e-9
+    ds = vj.curves(moving, by="w", span=(1.0, 2.5), at={"w": 2.0}, progress=False)
+    own = points(ds, "stick")
+    exact = [friction_stops(float(w), 0.1) for w in own.w]
+    assert np.abs(own.grip.values - exact).max() < 1e-9
+    assert ds.crossing_grip.values == pytest.approx([friction_stops(2.0, 0.1)], abs=1e-10)
+    # Without damping, Den Hartog's closed form.
+    assert friction_stops(1.5, 0.0) == pytest.approx(0.8 / np.hypot(np.sqrt(3) / 1.5, 1 / 2.25), rel=1e-12)
+
+
+def test_a_cascade_of_doublings_keeps_the_ratio_of_feigenbaum():
+    cascade = vj.follow(
+        IMPACT_OSCILLATOR,
+        along="w",
+        at=2.6,
+        span=(2.55, 2.85),
+        cycles=8,
+        settle=200.0,
+        observe=40.0,
+        stop=0.0,
+        progress=False,
+    )
+    doublings = np.flatnonzero(cascade.special_kind.values == SPECIAL_KINDS.index("period-doubling"))
+    ds = vj.curves(cascade, by="r", span=(0.65, 0.75), special=doublings[1:], at={"r": 0.65}, progress=False)
+    assert len(doublings) == 4 and ds.crossing_curve.values.tolist() == [0, 1, 2]
+    for ends in (cascade.special_value.values[doublings[1:]], ds.crossing_w.values):
+        first, second = np.diff(ends)
+        assert first / second == pytest.approx(4.669, rel=0.02)
+    assert ds.sizes["codim2"] == 0
 
 
 def test_wrong_arguments_are_one_line():

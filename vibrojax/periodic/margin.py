@@ -146,11 +146,12 @@ class Margin:
         """Return the non-zero guard values with which a mode begins after a switch, relative to typical values."""
         values = self.scene.guard_values(self.c, lane.mode, lane.state)
         small = self.scene.resolutions(self.c, lane.mode, lane.state, marked=False)
-        return [
-            self.considered(guard.name, "switch", jnp.where(step.hits[guard.name] & (g > zero), g / scale, jnp.inf))
-            for guard, g, zero, scale in zip(self.scene.guards(), values, small, typical_values(small), strict=True)
-            if guard.is_switch
-        ]
+        places, margins = self.scene.switch_places, []
+        for guard, g, zero, scale in zip(self.scene.guards(), values, small, typical_values(small), strict=True):
+            if guard.is_switch:
+                begins = step.hits[guard.name] & (lane.mode[places[guard.name]] == 0) & (g > zero)
+                margins.append(self.considered(guard.name, "switch", jnp.where(begins, g / scale, jnp.inf)))
+        return margins
 
 
 def typical_values(resolutions: tuple[Any, ...]) -> list[Array]:

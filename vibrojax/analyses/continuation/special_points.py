@@ -15,7 +15,6 @@ from vibrojax.analyses.continuation.brackets import ACCEPTED_WITHIN, EVENT_CHANG
 from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points, Problem, Unknowns, towards
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.models.scenes import HasFriction
 from vibrojax.periodic.newton import multipliers
 
 MAX_EVENT_CHANGES = 8
@@ -121,11 +120,9 @@ def classify_event_changes(problem: Problem, brackets: Brackets) -> Brackets:
     near, far = brackets.near, brackets.far
     section = ~(np.abs(far.period - near.period) < SAME_TIME * near.period)
     impact = (near.impacts != far.impacts) & ~section
-    stick = np.zeros(len(section), bool)
-    if isinstance(problem.scene, HasFriction):
-        # The mode of the bit's slip is -1 for reversed motion, and 0 for stick.
-        slip = problem.scene.mode_place("slip")
-        stick = (near.mode_changes[:, slip, :2] != far.mode_changes[:, slip, :2]).any(axis=1) & ~section
+    # The mode of friction is -1 for reversed motion, and 0 for stick.
+    slips = list(problem.scene.switch_places.values())
+    stick = (near.mode_changes[:, slips, :2] != far.mode_changes[:, slips, :2]).any(axis=(1, 2)) & ~section
     kinds = {"grazing": impact | (~stick & ~section), "stick": stick, "section": section}
     return Brackets.join([brackets.of(mask).as_kind(SPECIAL_KINDS.index(kind)) for kind, mask in kinds.items()])
 

@@ -20,7 +20,6 @@ from jaxtyping import Float
 
 from vibrojax.models.arrays import Array, Flags, Lanes
 from vibrojax.models.scenes import Scene
-from vibrojax.models.systems.events import Friction, Switch
 from vibrojax.periodic.margin import DEPARTED, FLAT, Margin, typical_values
 from vibrojax.periodic.return_map import Mapped, at_section, one_return
 from vibrojax.stepping import Accuracy, Lane, Located, Step
@@ -42,11 +41,7 @@ def conditions_of(scene: Scene[Any]) -> list[tuple[str, int | None]]:
 
     The mode is None for the condition that the minimum of the guard is zero.
     """
-    modes = [mode.name for mode in scene.modes]
-    events = {event.name for event in getattr(scene, "events", ()) if isinstance(event, Friction | Switch)}
-    switches = {guard.name: modes.index(guard.name if guard.name in events else "slip") for guard in scene.guards()
-                if guard.name in events or guard.is_switch}  # fmt: skip
-    return [(name, None) for name in scene.guard_names] + list(switches.items())
+    return [(name, None) for name in scene.guard_names] + list(scene.switch_places.items())
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ class CurveProblem(Problem):
         images, _ = self._past_events(curve, u, chosen)
         return np.asarray(images.seen.margin[:, :, 0])
 
-    def _inputs(self, curve: Index, u: Unknowns) -> tuple[dict[str, PerLane], np.ndarray]:
+    def _inputs(self, curve: Index, u: Unknowns) -> tuple[dict[str, np.ndarray], np.ndarray]:
         states = self.states(curve, u)
         each, values = np.repeat(curve, states.shape[1]), np.repeat(self.values(curve, u), states.shape[1], axis=0)
         p = {name: x[each] for name, x in self.parameters.items()}

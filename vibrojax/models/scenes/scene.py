@@ -235,6 +235,13 @@ class Scene(ABC, Generic[C]):
         """Return the index of the discrete state with this name."""
         return [mode.name for mode in self.modes].index(name)
 
+    @property
+    def switch_places(self) -> dict[str, int]:
+        """The index of the discrete state that a switch may hold at 0 (stick, slide), by the name of its guard."""
+        names = [mode.name for mode in self.modes]
+        switches = [guard.name for guard in self.guards() if guard.is_switch]
+        return {name: names.index(name if name in names else "slip") for name in switches}
+
     def marker_of(self, velocity: str) -> str:
         """Return the name of the marker for the zeros of a velocity."""
         return next(marker.name for marker in self.markers if marker.velocity == velocity)

@@ -92,15 +92,16 @@ class SystemEquations(Scene[SystemConstants]):
     # Guards and resets
 
     def guards(self) -> tuple[Guard, ...]:
+        zero = lambda c, mode: jnp.zeros_like(c.rates[0])  # noqa: E731
         guards = [
-            Guard(event.name, self._guard_function(index), lambda c, mode: jnp.zeros_like(c.rates[0]))
+            Guard(event.name, self._guard_function(index), zero, is_switch=not isinstance(event, Impact))
             for index, event in enumerate(self.events)
         ]
         if not self.autonomous:
             place = self.place(TIME)
             # The section is at t = 0, so the time is set back half a period later.
             remaining = lambda c, mode, state: 0.5 * c.period - state[place]  # noqa: E731
-            guards.append(Guard("turned", remaining, lambda c, mode: jnp.zeros_like(c.rates[0])))
+            guards.append(Guard("turned", remaining, zero))
         return tuple(guards)
 
     def _guard_function(self, index: int) -> Callable[[Any, Values, Values], Any]:
