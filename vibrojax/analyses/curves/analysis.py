@@ -89,7 +89,8 @@ def curves_lines(ds: xr.Dataset) -> list[str]:
     lines.append(", ".join(f"{count} {kind}" for kind, count in kinds.items()))
     for k, curve in enumerate(facts["curves"][:_MOST_NOTES]):
         size = counted(curve["points"], "point")
-        lines.append(f"curve {k}, {curve['kind']} (special point {curve['special']}): {size}; {curve['note']}")
+        special = f" (special point {curve['special']})" if curve["special"] >= 0 else ""
+        lines.append(f"curve {k}, {curve['kind']}{special}: {size}; {curve['note']}")
     if len(facts["curves"]) > _MOST_NOTES:
         lines.append(f"and {counted(len(facts['curves']) - _MOST_NOTES, 'more curve')}")
 

@@ -16,7 +16,7 @@ from vibrojax.models.scenes import Scene
 from vibrojax.models.systems.events import Friction
 
 MAX_CURVES = 40
-"""Largest number of curves that begin at points of codimension two; each takes about half a second."""
+"""Largest number of curves that begin at points of codimension two; each of the drill takes about half a second."""
 
 FEWEST_POINTS = 4
 """Smallest number of points of a curve that begins at a point of codimension two. Of a pair of real multipliers whose

@@ -70,15 +70,18 @@ class Passing(Located):
         lane: Lane,
         reach: Array,
     ) -> tuple[Event, list[list[Array]]]:
-        scales = _typical(event.scene, event.constants, lane.mode, lane.state)
-        zeros = [_first_zero(f, reach) for f in functions[: len(self.chosen)]]
+        # Where the motion passes a guard does not depend smoothly on anything, so derivatives are not propagated.
+        c, own, series = lax.stop_gradient((event.constants, functions[: len(self.chosen)], polynomials))
+        mode, state, reach = lax.stop_gradient((lane.mode, lane.state, reach))
+        scales = _typical(event.scene, c, mode, state)
+        zeros = [_first_zero(f, reach) for f in own]
         lifts = []
-        for k, (chosen, scale) in enumerate(zip(self.chosen, scales, strict=False)):
-            least = _predicted_minimum(functions[k], reach)
-            until, rises = _other_event(event, k, zeros, polynomials, lane)
-            least = jnp.where(rises, _least_value(functions[k], jnp.where(rises, until, reach)), least)
-            shallow = lax.stop_gradient(chosen * jnp.where(least > -PASSED_DEPTH * scale, 2.0, 0.0))
-            lifts.append(shallow * (PASSED_DEPTH * lax.stop_gradient(scale)))
+        for k, (f, chosen, scale) in enumerate(zip(own, self.chosen, scales, strict=False)):
+            least = _predicted_minimum(f, reach)
+            if len(own) > 1:
+                until, rises = _other_event(event.scene, c, mode, k, zeros, series)
+                least = jnp.where(rises, _least_value(f, jnp.where(rises, until, reach)), least)
+            lifts.append(chosen * jnp.where(least > -PASSED_DEPTH * scale, 2.0, 0.0) * (PASSED_DEPTH * scale))
         lifted = [[f[0] + lift, *f[1:]] for f, lift in zip(functions, lifts, strict=False)]
         passed = PassedEvent(event.scene, event.constants, event.mode, event.marked, event.smooths, tuple(lifts))
         return passed, [*lifted, *functions[len(lifted) :]]
@@ -231,7 +234,6 @@ def _predicted_minimum(f: Coefficients, reach: Array) -> Array:
 
 def _first_zero(f: Coefficients, reach: Array) -> Array:
     """Return the place in tau at which a function becomes negative; infinity if it does not."""
-    f = lax.stop_gradient(f)
     end = value(f, reach)
     falls = (f[0] > 0) & (end < 0)
     guess = first_guess(jnp.maximum(f[0], 0.0), f[1] * reach, end) * reach
@@ -239,23 +241,20 @@ def _first_zero(f: Coefficients, reach: Array) -> Array:
 
 
 def _other_event(
-    event: Event, index: int, zeros: list[Array], polynomials: tuple[list[Array], ...], lane: Lane
+    scene: Scene[Any], c: Any, mode: tuple[Array, ...], index: int, zeros: list[Array], polynomials: Any
 ) -> tuple[Array, Flags]:
-    """Return the place in tau of the first event of the other guards, and a mask of lanes in which guard rises behind.
+    """Return the place in tau of the first event of the other guards, and a mask of lanes whose guard rises behind it.
 
     `index`: index of the guard; `zeros`: see `_first_zero`.
     """
-    scene, c = event.scene, event.constants
-    mine = jnp.full_like(zeros[index], jnp.inf)
-    others = [mine if k == index else zero for k, zero in enumerate(zeros)]
+    others = [jnp.full_like(zero, jnp.inf) if k == index else zero for k, zero in enumerate(zeros)]
     until = reduce(jnp.minimum, others)
     ends = until < jnp.inf
-    place = jnp.where(ends, until, 0.0)
-    names = scene.event_names
-    hits: dict[str, Any] = dict.fromkeys(names, jnp.zeros_like(ends))
+    hits: dict[str, Any] = dict.fromkeys(scene.event_names, jnp.zeros_like(ends))
     hits |= {name: ends & (zero == until) for name, zero in zip(scene.guard_names, others, strict=True)}
-    reached = tuple(lax.stop_gradient(value(polynomial, place)) for polynomial in polynomials)
-    mode, state = scene.after_event(c, lane.mode, reached, hits)
+    reached = tuple(value(polynomial, jnp.where(ends, until, 0.0)) for polynomial in polynomials)
+    mode, state = scene.after_event(c, mode, reached, hits)
     guard = scene.guards()[index].function
-    _, rate = jax.jvp(lambda state: guard(c, mode, state), (state,), (tuple(scene.field(c, mode, state)),))
-    return until, ends & (lax.stop_gradient(rate) > 0)
+    rates = tuple(jnp.broadcast_to(rate, x.shape) for rate, x in zip(scene.field(c, mode, state), state, strict=True))
+    _, slope_behind = jax.jvp(lambda state: guard(c, mode, state), (state,), (rates,))
+    return until, ends & (slope_behind > 0)

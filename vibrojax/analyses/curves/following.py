@@ -26,6 +26,10 @@ FIRST_STEP, LONGEST_STEP = 0.02, 0.1
 MAX_SEGMENTS = 6
 """Largest number of segments of a curve in one direction; they meet at corners, where another event begins."""
 
+MOST_CLOSE, CLOSE = 100, 5e-3
+"""Number of successive points within the scaled distance `CLOSE` of one another, in both parameters, at which a segment
+ends: it does not advance."""
+
 NEAR_START = 1e-3
 """Largest scaled distance between a special point of the family and the beginning of its curve."""
 
@@ -146,8 +150,15 @@ def _continue(
     home = np.stack([begin.u, begin.tangent], axis=1)
     home[[segment.number > 0 for segment in segments]] = np.nan
 
+    place, close = begin.u[:, -2:].copy(), np.zeros(len(segments), int)
+
     def stop(lanes: Index, now: Points) -> Flags:
-        return beyond_bounds(problem, now) != "" if len(now.u) else np.zeros(0, bool)
+        if not len(now.u):
+            return np.zeros(0, bool)
+        close[lanes] += 1
+        away = np.abs(now.u[:, -2:] - place[lanes]).max(axis=1) > CLOSE
+        place[lanes[away]], close[lanes[away]] = now.u[away, -2:], 0
+        return (beyond_bounds(problem, now) != "") | (close[lanes] >= MOST_CLOSE)
 
     branches = continue_branches(problem, begin, step, stop, home=home, longest=LONGEST_STEP)
     located = locate(problem, branches)
@@ -225,6 +236,8 @@ def _cut(
             note = f"no further point is found; grazing margin {points.margin[-1]:.1e}"
     if status == STOPPED:
         note = str(beyond_bounds(problem, points.of([-1]))[0])
+        if not note:
+            return points, marks, f"{MOST_CLOSE} points within a scaled distance of {CLOSE:g}: it does not advance"
         if "value of" in note:
             last = _at_bound(problem, points)
             points = Points.join([points.of(slice(0, len(points.u) - 1)), last])

@@ -38,7 +38,7 @@ def curves(
 
     Each fold, period doubling, torus, grazing, stick and Hopf point is continued both ways, until a parameter reaches a
     bound. The family's parameter keeps the bounds that it has in the family. Points of codimension two on the curves
-    are located and named.
+    are located and named. The other curves that begin there are followed, too, up to a limit that notes mention.
 
     **Arguments:**
 
@@ -53,7 +53,8 @@ def curves(
 
     - Along `point`, in order along each curve: `point_curve`, the two parameters, `period` [s] (the mean time between
       section crossings), `cycles`, the state at the section (`orbit_x1` and so on), and the multipliers.
-    - Along `curve`: `kind`, `special` (the index in the family), and `curve_note` on the ends of the curve.
+    - Along `curve`: `kind`, `special` (the index in the family, -1 if the curve begins at a point of codimension two),
+      and `curve_note` on that point, on the ends of the curve, and on other special points that it passes.
     - Along `codim2`: `codim2_kind`, such as cusp or grazing-fold, `codim2_curve`, and `codim2_NAME` for both
       parameters.
     - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.
