@@ -181,8 +181,8 @@ class Regions:
         curves = [
             (piece, plane, start)
             for chain, plane, start in chains
-            # Beyond the last vertex, the start of a lane may no longer lead to the orbit.
-            for piece in self._continued.cut(chain, extend=start == ANY_START)
+            # Farther than a cell beyond the last vertex, another orbit may cover the curve.
+            for piece in self._continued.cut(chain, extend=False)
         ]
         return self._described(curves, areas, at)
 
