@@ -112,7 +112,8 @@ def test_the_default_map():
     with_gap = (borders["delta"].values > 0)[borders["curve"].values]
     assert not (best & ~with_gap).any()
     assert set(kind[best & with_gap]) == {"torus", "stick"}
-    assert 0.39 < beta[best & with_gap].min() < 0.41
+    # The curves of the torus and of the stick meet between points of the grid.
+    assert 0.37 < beta[best & with_gap].min() < 0.39
 
 
 def test_continued_borders_do_not_depend_on_the_grid():

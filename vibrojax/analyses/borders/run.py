@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.borders.chains import Vertex, around_region
-from vibrojax.analyses.borders.continued import NOT_CONTINUED, Border, ContinuedBorders, crossings_of
+from vibrojax.analyses.borders.continued import Border, ContinuedBorders, crossings_of
 from vibrojax.analyses.borders.propagation import GridOrbit, OrbitGrid, OrbitLoss
 from vibrojax.analyses.orbits.analysis import orbits as with_orbits
 from vibrojax.analyses.orbits.analysis import sweep_with_orbits
@@ -181,8 +181,8 @@ class Regions:
         curves = [
             (piece, plane, start)
             for chain, plane, start in chains
-            # Beyond the last vertex, the start of a lane may no longer lead to the orbit.
-            for piece in self._continued.cut(chain, extend=start == ANY_START)
+            # Farther than a cell beyond the last vertex, another orbit may cover the curve.
+            for piece in self._continued.cut(chain, extend=False)
         ]
         return self._described(curves, areas, at)
 
@@ -230,7 +230,7 @@ class Regions:
         lines = [piece.line for piece, _, _ in curves]
         continued = np.array([line is not None for line in lines], np.int8)
         variables["continued"] = ("curve", continued, OF_BORDERS["continued"].attributes())
-        notes = [NOT_CONTINUED if line is None else line.note for line in lines]
+        notes = [piece.note for piece, _, _ in curves]
         variables["curve_note"] = ("curve", np.array(notes, str), {"long_name": OF_BORDERS["curve_note"].long_name})
         seeds = np.array([(np.nan, np.nan) if line is None else line.seed for line in lines]).reshape(-1, 2)
         crossed = [(k, x) for k, (piece, _, _) in enumerate(curves) for x in self._crossings(piece, at)]
