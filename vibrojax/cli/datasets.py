@@ -46,7 +46,7 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
     argument(
         "--over",
         "FAMILY.nc",
-        "over the returns of a sweep: what vibrojax follow has found along its axis",
+        "over returns: families along the axis; over a map of regimes: borders, or one or more files of curves",
         files(".nc"),
         **_SEVERAL,
     ),
