@@ -40,7 +40,7 @@ def no_kernel(*given: Any, **options: Any) -> Any:
 
 def by_xla_with(options: dict[str, Any], block: int = compiler.XLA_BLOCK) -> list[Any]:
     return [
-        patch.object(compiler, "run_kernel", no_kernel),
+        patch.object(compiler, "trusted_kernel", no_kernel),
         patch.object(xla, "compiler_options", lambda platform: options),
         patch.object(compiler, "compiler_options", lambda platform: options),
         patch.object(compiler, "XLA_BLOCK", block),

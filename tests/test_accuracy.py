@@ -5,12 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from vibrojax.analyses.accuracy import pareto, run_accuracy, table
 from vibrojax.analyses.accuracy.cases import SCENES, lanes_of, settings_of
 from vibrojax.analyses.accuracy.measurement import STATUSES, errors_of, measure, statuses_of, usable
 from vibrojax.analyses.accuracy.programs import Program
 from vibrojax.analyses.accuracy.sampled import _cycles, _peak, _share
-from vibrojax.analyses.accuracy.study import dataset_of
+from vibrojax.analyses.accuracy.study import dataset_of, pareto, run_accuracy, table
 from vibrojax.analyses.pictures import work_precision
 from vibrojax.cli import main
 from vibrojax.errors import InputError
@@ -73,7 +72,7 @@ def test_times_and_the_front_of_each_scene_are_told(study):
 
 
 def test_the_files_are_written(study, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("vibrojax.analyses.accuracy.run_accuracy", lambda quick, progress: study)
+    monkeypatch.setattr("vibrojax.analyses.accuracy.study.run_accuracy", lambda quick, progress: study)
     out = tmp_path / "new" / "folder"
     assert main(["accuracy", "--quick", "-o", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == {"accuracy.nc", "accuracy.md", "accuracy.png"}
@@ -102,7 +101,7 @@ def test_interrupted(tmp_path, monkeypatch, capsys):
     def interrupted(**_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vibrojax.analyses.accuracy.run_accuracy", interrupted)
+    monkeypatch.setattr("vibrojax.analyses.accuracy.study.run_accuracy", interrupted)
     assert main(["accuracy", "-o", str(tmp_path)]) == 130
     line = f"vibrojax: interrupted; nothing is kept; to start again: vibrojax accuracy -o {tmp_path}\n"
     assert capsys.readouterr().err == line

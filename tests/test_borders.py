@@ -5,7 +5,9 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.analyses.borders.analysis import Borders
-from vibrojax.analyses.borders.curves import Vertex, around_region
+from vibrojax.analyses.borders.chains import Vertex, around_region
+from vibrojax.analyses.borders.continued import ContinuedBorders
+from vibrojax.analyses.borders.propagation import OrbitGrid
 from vibrojax.analyses.borders.run import BORDER_KINDS
 from vibrojax.cli import main
 from vibrojax.errors import InputError
@@ -113,6 +115,25 @@ def test_the_default_map():
     assert 0.39 < beta[best & with_gap].min() < 0.41
 
 
+def test_continued_borders_do_not_depend_on_the_grid():
+    """Borders from two grids that share no inner line pass lines of the plane at the same points, and join there."""
+    crossed, begun = [], []
+    for count in (4, 5):
+        grid = {"gamma": {"start": 0.38, "stop": 0.52, "num": count}, "beta": {"start": 0.4, "stop": 0.8, "num": count}}
+        ds = vj.borders(SWEEP | {"parameters": {"delta": 0.005}, "grid": grid}, at={"beta": 0.57}, progress=False)
+        mask = ds.start.values[ds.crossing_curve.values] == "any"
+        assert (ds.continued.values[ds.crossing_curve.values] == 1).all() and set(ds.crossing_beta.values) == {0.57}
+        points = zip(kinds(ds)[ds.crossing_curve.values], ds.crossing_gamma.values, strict=True)
+        crossed.append(sorted(point for point, own in zip(points, mask, strict=True) if own))
+        begun.append(ds.attrs["begun_from"])
+        assert (np.isnan(ds.seed_gamma.values) == (ds.continued.values == 0)).all()
+        basins = np.isin(kinds(ds), ("basin", "not-settled"))
+        assert not ds.continued.values[basins].any()
+    assert [kind for kind, _ in crossed[0]] == [kind for kind, _ in crossed[1]] and crossed[0]
+    np.testing.assert_allclose([x for _, x in crossed[0]], [x for _, x in crossed[1]], rtol=1e-8)
+    assert "grid of 4 x 4" in begun[0] and "grid of 5 x 5" in begun[1]
+
+
 def test_areas(borders):
     for delta in (-0.005, 0.005):
         here = borders.isel(region=borders["region_delta"].values == delta)
@@ -130,7 +151,9 @@ def test_a_circle():
         kind = "rim" if y[here[1]] > 0 else "keel"
         return Vertex(x[here[0]], np.sign(y[there[1]]) * np.sqrt(0.64 - x[here[0]] ** 2), kind)
 
-    pieces, area = around_region(inside, x, y, ends)
+    chains, area = around_region(inside, x, y, ends)
+    joined = ContinuedBorders(OrbitGrid(vj.SCENES["vibro-impact"](), ("x", "y"), (x, y), {}, 0.0))
+    pieces = [piece for chain in chains for piece in joined.cut(chain, extend=False)]
     # Chords of length h leave out h^2/12 of a circle.
     assert abs(area * 6 / (np.pi * 0.64) - 1) < 2e-3
     assert {piece.kind for piece in pieces} == {"rim", "keel"}
@@ -149,8 +172,8 @@ def test_regions_that_touch_at_a_corner_stay_apart():
     def middle(here, there):
         return Vertex((here[0] + there[0]) / 2, (here[1] + there[1]) / 2, "any")
 
-    pieces, area = around_region(inside, x, y, middle)
-    assert len(pieces) == 2 and area == 0.25
+    chains, area = around_region(inside, x, y, middle)
+    assert len(chains) == 2 and area == 0.25
 
 
 def test_a_lone_line_of_the_grid_in_or_out():
@@ -160,6 +183,15 @@ def test_a_lone_line_of_the_grid_in_or_out():
     x = np.arange(3.0)
     assert around_region(np.ones((3, 3), bool), x, x, never) == ([], 1.0)
     assert around_region(np.zeros((3, 3), bool), x, x, never) == ([], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("at", "says"),
+    [({"delta": 0.0}, "is not gamma or beta with a value"), ({"beta": 0.6}, "is not between 0.3 and 0.5")],
+)
+def test_lines_outside_the_plane_are_refused(sweep, at, says):
+    with pytest.raises(InputError, match=says):
+        vj.borders(sweep, at=at, progress=False)
 
 
 @pytest.mark.parametrize(

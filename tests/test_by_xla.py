@@ -23,7 +23,7 @@ def no_kernels(monkeypatch):
     def run(*given, **options):
         raise Untranslatable("anything")
 
-    monkeypatch.setattr(compiler, "run_kernel", run)
+    monkeypatch.setattr(compiler, "trusted_kernel", run)
 
 
 @pytest.mark.parametrize("scene", SWEEPS)

@@ -7,9 +7,9 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax.analyses.sweep.returns import jumps
 from vibrojax.analyses.sweep.run import run_to_file
-from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
+from vibrojax.io.shards import Shards
 from vibrojax.measures.labels import FAILED, IRREGULAR, SINGLE_IMPACT
 from vibrojax.plot.overlays import special_points
 from vibrojax.sweep.input.read import read_sweep
@@ -71,18 +71,19 @@ def test_other_axes_change_nothing(carried):
 
 
 def test_chunks_are_whole_ways_and_are_gone_on_with(tmp_path, carried, monkeypatch):
-    def interrupted(work, index, report):
-        if index == 2:
+    def interrupted(shards, index, features):
+        if len(stored) == 2:
             raise KeyboardInterrupt
-        return was(work, index, report)
+        stored.append(index)
+        was(shards, index, features)
 
-    was = Work.compute
-    monkeypatch.setattr(Work, "compute", interrupted)
+    was, stored = Shards.write, []
+    monkeypatch.setattr(Shards, "write", interrupted)
     out, chunked = tmp_path / "out.nc", read_sweep(sweep(chunk=13))  # two ways of five lanes
     with pytest.raises(KeyboardInterrupt):
         run_to_file(chunked, out, progress=False)
     assert len(list((tmp_path / "out.nc.chunks").glob("chunk-*"))) == 2
-    monkeypatch.setattr(Work, "compute", was)
+    monkeypatch.setattr(Shards, "write", was)
     run_to_file(chunked, out, progress=False)
     xr.testing.assert_equal(open_dataset(out), carried)
 

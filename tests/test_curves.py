@@ -11,13 +11,21 @@ from systems import IMPACT_OSCILLATOR, SHAKEN, friction_stops
 from test_follow import eigenvalue
 
 import vibrojax as vj
+from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY
+from vibrojax.analyses.curves.branching import other_kind
 from vibrojax.analyses.curves.codim2 import name_of
 from vibrojax.analyses.curves.singular import compound, compound_along, signed_singular
 from vibrojax.io.kinds import SPECIAL_KINDS
+from vibrojax.models.scenes import SCENES
+from vibrojax.periodic.return_map import Segments
 
 R, W, FOLDING = 0.7, 0.9, 1.25
 FIXED = {"stiffness": 1.0, "damping": 0.1, "stop": 1.0}
 W_SPAN = (0.7, 1.3)
+DRILL = json.dumps(
+    {"m1": 250, "beta": 0.4, "k1": 156250, "c2": 250, "g": 9.81, "v": 1.5, "k0": 5e7, "c0": 0.1, "delta": -0.005}
+    | {"mu": 0.4, "v_cr": 3}
+)
 NATURAL = np.sqrt(1 - 0.05**2)  # of the damped oscillator [rad/s]
 
 
@@ -78,15 +86,23 @@ def test_doubling_follows_the_closed_form_to_where_it_grazes():
         a, w = float(own.a[k]), float(own.w[k])
         if abs(a / oscillator_grazes(w, **FIXED) - 1) > 0.05:  # near the graze, the impact has no speed
             assert abs(oscillator_doubles((0.99 * a, 1.01 * a), R, w, **FIXED) - a) < 1e-8
-    for a, w in zip(ds.crossing_a.values, ds.crossing_w.values, strict=True):
+    doubles = ds.isel(crossing=np.flatnonzero(ds.crossing_curve.values == 0))
+    for a, w in zip(doubles.crossing_a.values, doubles.crossing_w.values, strict=True):
         assert a == 0.5 and abs(oscillator_doubles((0.49, 0.51), R, float(w), **FIXED) - 0.5) < 1e-8
     # An impact without speed, after which the free oscillation makes one and a half turns, or one.
     corners = ds.codim2_w.values[ds.codim2_kind.values == "grazing-doubling"]
     assert np.sort(corners) == pytest.approx([2 * NATURAL / 3, NATURAL], abs=1e-6)
+    # The grazing curve begins at either corner, and is listed once.
+    grazing = points(ds, "grazing")
+    exact = np.array([oscillator_grazes(float(w), **FIXED) for w in grazing.w])
+    assert np.abs(grazing.a.values - exact).max() < 1e-9
+    assert ds.special.values.tolist() == [0, -1] and "grazing-doubling" in str(ds.curve_note.values[1])
 
 
 def test_fold_follows_the_closed_form():
-    ds = vj.curves(family("fold", *joined(FOLDING)), by="w", span=(1.05, 1.3), at={"w": 1.15}, progress=False)
+    twice = {"special": [0, 0], "at": {"w": 1.15}, "progress": False}
+    ds = vj.curves(family("fold", *joined(FOLDING)), by="w", span=(1.05, 1.3), **twice)
+    assert ds.sizes["curve"] == 1
     own = points(ds, "fold")
     assert max(abs(fold(float(w)) - float(a)) for a, w in zip(own.a[::7], own.w[::7], strict=True)) < 1e-8
     assert ds.crossing_a.values == pytest.approx([fold(1.15)], rel=1e-8)
@@ -178,6 +194,44 @@ def test_conditions_are_smooth_where_the_matrix_is_singular():
 )
 def test_points_of_codimension_two_are_named(kinds, name):
     assert name_of(*kinds) == name
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "other"),
+    [
+        ("grazing-doubling", "period-doubling", "grazing"),
+        ("fold-flip", "fold", "period-doubling"),
+        ("1:2 resonance", "period-doubling", "torus"),
+        ("1:1 resonance", "torus", "fold"),
+        ("1:3 resonance", "torus", None),
+        ("stick and section", "stick", None),
+        ("stick and stick", "stick", "stick"),
+        ("cusp", "fold", None),
+    ],
+)
+def test_other_curves_meet_at_points_of_codimension_two(name, kind, other):
+    assert other_kind(name, kind) == other
+
+
+def test_a_held_bit_slips_where_the_impact_force_ends():
+    """The stick limit is reached at the end of a contact: the orbit's events differ on the two sides of the curve."""
+    states = {"orbit_x1": -0.074074041, "orbit_x2": -0.191995851, "orbit_v2": -1.502108456, "gamma": 0.598413726}
+    fixed = {name: float(x) for name, x in json.loads(DRILL).items()}
+    begin = family("stick", 0.598413726, 1.0, (0.0, 0.0), (0.5, 0.7)).drop_vars(("a", "orbit_x", "orbit_v"))
+    begin = begin.assign({name: ("point", [x]) for name, x in states.items()})
+    about = {"scene": "vibro-impact", "along": "gamma", "parameters": DRILL}
+    ds = vj.curves(begin.assign_attrs(about), by="beta", span=(0.38, 0.42), progress=False)
+    own = ds.isel(point=np.flatnonzero(ds.point_curve.values == 0)[::2])
+    assert own.sizes["point"] > 4 and own.beta.values.min() < 0.39 and own.beta.values.max() > 0.41
+    assert np.hypot(np.diff(own.gamma), np.diff(own.beta)).min() > 1e-4
+    orbits = np.stack([own[f"orbit_{name}"].values for name in ("x1", "x2", "v2")])
+    go = Segments(SCENES["vibro-impact"](), ("gamma", "beta"), FAMILY_ACCURACY)
+    counts = []
+    for step in (-1e-6, 1e-6):
+        parameters = {name: np.full(own.sizes["point"], x) for name, x in fixed.items()}
+        parameters |= {"beta": own.beta.values, "gamma": own.gamma.values + step}
+        counts.append(go(parameters, orbits).seen.mode_changes)
+    assert (counts[0] != counts[1]).any(axis=(0, 1)).all()
 
 
 def test_hopf_points_follow_the_linear_stability_of_sliding():

@@ -20,6 +20,7 @@ import vibrojax as vj
 from vibrojax.explorer import document_of, page_text
 from vibrojax.explorer.document import run_document
 from vibrojax.io.content_policy import content_policy
+from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.models.scenes.vibro_impact import VibroImpact
 
 NAMES = (
@@ -242,3 +243,54 @@ def test_the_policy_allows_what_is_in_the_page_alone() -> None:
     policy = content_policy(["a()"], [])
     assert "script-src 'sha256-" in policy and "style-src 'none'" in policy and "connect-src 'none'" in policy
     assert "connect-src 'self'" in content_policy([], [], asks=True) and "unsafe" not in policy
+
+
+def curves_over(change: dict[str, Any]) -> xr.Dataset:
+    """Two curves over the small map, with variables or attributes changed."""
+    kinds = {"flag_meanings": " ".join(SPECIAL_KINDS), "flag_values": range(len(SPECIAL_KINDS))}
+    about = {"kind": "curves", "source": "vibrojax 0", "scene": "vibro-impact", "axes": ["gamma", "beta"]}
+    about |= {name: small_map().attrs[name] for name in ("friction",) if name in small_map().attrs}
+    variables: dict[str, Any] = {
+        "point_curve": ("point", [0, 0, 1, 1]),
+        "gamma": ("point", [0.66, 0.7, 0.7, 0.79]),
+        "beta": ("point", [0.3, 0.35, 0.35, 0.3]),
+        "period": ("point", [1.0] * 4),
+        "cycles": ("point", [1] * 4),
+        "multiplier_abs": (("point", "multiplier"), [[1.0]] * 4),
+        "kind": ("curve", [0, 3], kinds),
+        "special": ("curve", [0, 1]),
+        "curve_note": ("curve", [MARKUP, MARKUP]),
+        "codim2_kind": ("codim2", [MARKUP]),
+        "codim2_curve": ("codim2", [0]),
+        "codim2_gamma": ("codim2", [0.7]),
+        "codim2_beta": ("codim2", [0.35]),
+    }
+    return xr.Dataset(variables | change, attrs=about)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"gamma": ("point", [0.66, float("nan"), 0.7, 0.79])}, "variable gamma is not finite"),
+        ({"beta": ("curve", [0.3, 0.4])}, 'variable "beta" is not a number along point'),
+        ({"codim2_gamma": ("codim2", ["x"])}, '"codim2_gamma" is not a number along codim2'),
+    ],
+)
+def test_hostile_curves_are_refused(change: dict[str, Any], says: str) -> None:
+    with pytest.raises(vj.InputError, match=says):
+        document_of(small_map(), curves_over(change))
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_curves_lie_over_the_map_with_their_names(browser: Any, tmp_path: Path, scheme: str) -> None:
+    document = document_of(small_map(), curves_over({}))
+    page, heard, asked = opened(browser, page_text(document), tmp_path, f"#scheme={scheme}&at.beta=0.35&at.gamma=0.7")
+    legend = page.locator(".vx-legend").inner_text()
+    assert "fold" in legend and "grazing" in legend and MARKUP[:20] in legend
+    assert MARKUP[:20] in page.locator(".vx-live").inner_text()  # the chosen cell holds the point
+    x, y = page.evaluate("(() => { const { frame } = vibrojax.view; return [frame.x(0.7), frame.y(0.35)]; })()")
+    page.locator(".vx-over").hover(position={"x": x, "y": y})
+    assert MARKUP[:20] in page.locator(".vx-tip").inner_text()
+    page.locator('[data-control="borders"]').uncheck()
+    assert "grazing" not in page.locator(".vx-legend").inner_text()
+    assert not heard and len(asked) == 1

@@ -16,6 +16,7 @@ from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.cli import main
 from vibrojax.io.manifest import IDENTITY, changes, check_replaceable, identity_text
 from vibrojax.io.provenance import source
+from vibrojax.io.shards import Shards
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep
 
@@ -151,17 +152,24 @@ CHUNKED = {
 def test_goes_on_where_it_was(tmp_path, monkeypatch):
     sweep, whole, out = read_sweep(CHUNKED), tmp_path / "whole.nc", tmp_path / "parts.nc"
     run_to_file(sweep, whole, progress=False)
-    compute, computed = Chunks.compute, []
+    compute, computed, write, stored = Chunks.compute, [], Shards.write, []
 
-    def interrupted(self, index, *told):
-        if index == 2:
+    def interrupted(self, index, features):
+        if len(stored) == 2:
             raise KeyboardInterrupt
-        time.sleep(0.3)
+        stored.append(index)
+        write(self, index, features)
+
+    def slow(self, index, *told):
+        time.sleep(0.7)
         return compute(self, index, *told)
 
-    monkeypatch.setattr(Chunks, "compute", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        run_to_file(sweep, out, progress=False)
+    monkeypatch.setenv("VIBROJAX_THREADS", "2")
+    with monkeypatch.context() as during:
+        during.setattr(Chunks, "compute", slow)
+        during.setattr(Shards, "write", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run_to_file(sweep, out, progress=False)
     assert not out.exists()
 
     def counted(self, index, *told):
@@ -170,7 +178,7 @@ def test_goes_on_where_it_was(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Chunks, "compute", counted)
     run_to_file(sweep, out, progress=False)
-    assert computed == [2, 3]
+    assert sorted(stored + computed) == [0, 1, 2, 3] and len(computed) == 2
     assert not out.with_name("parts.nc.chunks").exists()
     with xr.open_dataset(whole) as expected, xr.open_dataset(out) as found:
         xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from vibrojax.analyses.sweep import joining
 from vibrojax.analyses.sweep.run import run_sweep, run_to_file
-from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.io import dataset as on_disk
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.targets import Regions
+from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep
 
 SWEEP = {
@@ -45,8 +45,8 @@ def test_regions_are_whole_chunks_one_after_the_other(shape, most):
 
 @pytest.fixture(scope="module", params=[0, 3])
 def swept(request):
-    """A sweep with so many last returns, its dataset, and `Work.compute` with what was computed once."""
-    sweep, chunks, compute = read_sweep(SWEEP, [f"run.keep_returns={request.param}"]), {}, Work.compute
+    """A sweep with so many last returns, its dataset, and `Chunks.compute` with what was computed once."""
+    sweep, chunks, compute = read_sweep(SWEEP, [f"run.keep_returns={request.param}"]), {}, Chunks.compute
 
     def once(self, index, *report):
         if index not in chunks:
@@ -60,7 +60,7 @@ def swept(request):
 def test_regions_do_not_show(region, swept, tmp_path, monkeypatch):
     """Points are cut by chunks and by regions: `hidden_motion` compares all of their starts nevertheless."""
     sweep, expected, once = swept
-    monkeypatch.setattr(Work, "compute", once)
+    monkeypatch.setattr(Chunks, "compute", once)
     assert expected.hidden_motion.values.any()
     monkeypatch.setattr(joining, "REGION", region)
     monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)

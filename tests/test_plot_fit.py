@@ -9,7 +9,7 @@ from test_plot_rock import FORMS, law
 
 import vibrojax as vj
 from vibrojax.analyses.pictures import picture
-from vibrojax.analyses.rop_law import FORMS as LAWS
+from vibrojax.analyses.rop_law.rop import FORMS as LAWS
 from vibrojax.plot.colours import FORM_COLOURS
 
 SIZES = {"literal": 1, "percent": 1, "onset": 2, "line": 2, "power": 2}

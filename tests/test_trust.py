@@ -31,7 +31,9 @@ RUN = {"settle": 6.0, "observe": 6.0}
 POINT = {"beta": 0.4, "gamma": 0.7, "delta": 0.005}
 STRIBECK = FRICTION_LAWS["stribeck"]
 
-run_kernel = partial(trust.run_kernel, policy=scene_subject)
+
+def run_kernel(function, static, *arguments, **options):
+    return trust.trusted_kernel(function, static, *arguments, policy=scene_subject, **options)(*arguments)
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """The public names, as editors and type checkers read them; `__init__.py` imports each when it is first used."""
 
-from vibrojax.analyses.accuracy import run_accuracy as run_accuracy
+from vibrojax.analyses.accuracy.study import run_accuracy as run_accuracy
 from vibrojax.analyses.analysis import Analysis as Analysis
 from vibrojax.analyses.analysis import PictureRule as PictureRule
 from vibrojax.analyses.analysis import SummaryPart as SummaryPart
@@ -20,10 +20,10 @@ from vibrojax.analyses.orbits.analysis import orbits as orbits
 from vibrojax.analyses.pictures import picture as picture
 from vibrojax.analyses.pictures import save_picture as save_picture
 from vibrojax.analyses.push.run import smallest_push as smallest_push
-from vibrojax.analyses.rop_law import fit_friction as fit_friction
-from vibrojax.analyses.rop_law import fit_joint as fit_joint
-from vibrojax.analyses.rop_law import fit_rop as fit_rop
-from vibrojax.analyses.rop_law import refit_frequency as refit_frequency
+from vibrojax.analyses.rop_law.frequency import refit_frequency as refit_frequency
+from vibrojax.analyses.rop_law.friction import fit_friction as fit_friction
+from vibrojax.analyses.rop_law.joint import fit_joint as fit_joint
+from vibrojax.analyses.rop_law.rop import fit_rop as fit_rop
 from vibrojax.analyses.sensitivity.gradients import as_jax as as_jax
 from vibrojax.analyses.sensitivity.maps import sensitivity as sensitivity
 from vibrojax.analyses.sensitivity.run import derivatives as derivatives

@@ -144,14 +144,17 @@ class Portions:
     def __init__(self, count: int, report: Callable[[int], None]) -> None:
         self._count, self._report = count, report
         self._work, self._reported = 0.0, 0
+        self._lock = RLock()  # several threads may report work
 
     def add(self, work: Amount) -> None:
         """Add an amount of work; 1 is the work on one item."""
-        self._work += work
-        self._reach(min(int(self._work), self._count - 1))
+        with self._lock:
+            self._work += work
+            self._reach(min(int(self._work), self._count - 1))
 
     def finish(self) -> None:
-        self._reach(self._count)
+        with self._lock:
+            self._reach(self._count)
 
     def _reach(self, done: int) -> None:
         if done > self._reported:

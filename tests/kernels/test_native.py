@@ -45,7 +45,53 @@ def test_no_lanes():
     x = np.linspace(0.1, 2.0, 9)
     kernel = Kernel(lambda x: x + 1.0, x)
     assert kernel(np.empty(0)).shape == (0,)
-    given, result, workspace = np.ones(64), np.zeros(64), np.zeros(4096, np.uint8)
+    given, result, index, workspace = np.ones(64), np.zeros(64), np.zeros(64, np.int64), np.zeros(8192, np.uint8)
     pointers = np.array([given.ctypes.data, result.ctypes.data], np.uintp)
-    kernel._lanes(pointers.ctypes.data, -(-workspace.ctypes.data // 1024) * 1024, 0)
+    kernel.code(pointers.ctypes.data, -(-workspace.ctypes.data // 1024) * 1024, index.ctypes.data, 0, 64)
     assert not result.any()
+
+
+DTYPES = {"float64": 1.5, "float32": 1.5, "int8": 3, "int16": 3, "bool": True}
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 40])
+def test_some_lanes_in_place(length):
+    """Lanes anywhere, of numbers of every size: read and written at their own places, and nothing else is."""
+    random = np.random.default_rng(length)
+    rows = {name: random.permutation(40 * 3).reshape(3, 40).astype(name) for name in DTYPES}
+
+    def function(rows, factor):
+        return {name: x ^ True if name == "bool" else x * factor.astype(name) for name, x in rows.items()}
+
+    bound = Kernel(function, rows, np.float64(2)).bind(rows, np.float64(2))
+    for result in bound.results.values():
+        result[...] = 1
+    lanes = random.permutation(40)[:length]
+    bound(lanes)
+    for name, result in bound.results.items():
+        expected = np.ones_like(rows[name])
+        expected[:, lanes] = ~rows[name][:, lanes] if name == "bool" else rows[name][:, lanes] * np.array(2, name)
+        np.testing.assert_array_equal(result, expected)
+
+
+WRONG = [[0, 40], [-1], [2**62], np.array([2**63], np.uint64), [0.0], [[0]], [True]]
+
+
+@pytest.mark.parametrize("lanes", WRONG, ids=str)
+def test_a_wrong_index_writes_nothing(lanes, monkeypatch):
+    """It is refused before the machine code runs, whose memory it would overwrite."""
+    x = np.linspace(0.1, 2.0, 40)
+    bound = Kernel(lambda x: x + 1.0, x).bind(x)
+    bound.results[...] = 7.0
+    monkeypatch.setattr(bound._kernel, "code", lambda *_: pytest.fail("the machine code runs"))
+    with pytest.raises(IndexError, match="lanes"):
+        bound(np.array(lanes))
+    assert (bound.results == 7.0).all()
+
+
+def test_arrays_of_other_lengths_are_refused():
+    x = np.ones((2, 9))
+    kernel = Kernel(lambda x, y: x + y, x, x)
+    for y in (np.ones((2, 8)), np.ones((1, 9)), np.ones(9)):
+        with pytest.raises(ValueError, match="shapes"):
+            kernel(x, y)

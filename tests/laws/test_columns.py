@@ -9,9 +9,10 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law import fit_joint, fit_rop
 from vibrojax.analyses.rop_law.columns import read_columns, split_unit
+from vibrojax.analyses.rop_law.joint import fit_joint
 from vibrojax.analyses.rop_law.results import recommended, verdict
+from vibrojax.analyses.rop_law.rop import fit_rop
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.models.physics.units import factor, is_unit

@@ -10,7 +10,10 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law import REASONS, fit_joint, fit_rop, law_facts, law_table
+from vibrojax.analyses.rop_law.joint import fit_joint
+from vibrojax.analyses.rop_law.least_squares import REASONS
+from vibrojax.analyses.rop_law.results import law_facts, law_table
+from vibrojax.analyses.rop_law.rop import fit_rop
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset, write_dataset

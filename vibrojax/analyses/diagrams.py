@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from vibrojax.analyses.frequencies import frequencies
-from vibrojax.analyses.rop_law.rop import FORMS, fit_rop
 from vibrojax.errors import InputError
 from vibrojax.plot.axes import scale, with_unit
 from vibrojax.plot.contents import FORM, POINT, RATE, RELIEF, lane_dims, rates_in, without_single
@@ -108,6 +107,9 @@ def rate_over_force(ds: xr.Dataset) -> Figure:
     if not {_FORCE, RELIEF} <= set(ds.data_vars):
         raise InputError(f"rate-over-force: the dataset holds no {_FORCE}; give a sweep of a scene with rock")
     x = _force_axis(ds)
+    # Only this diagram needs the fits, which import SciPy's optimizers.
+    from vibrojax.analyses.rop_law.rop import FORMS, fit_rop
+
     fit = fit_rop(ds, along=x.name, progress=False).sel({FORM: "onset"})
     law = next(form.rate for form in FORMS if form.name == "onset")
     by = axis_of_lines(ds, x.name)

@@ -100,15 +100,13 @@ def command() -> None:
     status = main(do=in_own_thread)
     for number in (signal.SIGINT, signal.SIGTERM):  # the work is done; Python's clean-up must not be interrupted
         signal.signal(number, signal.SIG_IGN)
-    if status:
-        # Do not wait for threads that still compute lanes, or that never finish reading a file. Python would abort the
-        # process where such a thread returns from compiled code while the interpreter is being finalised.
-        leave()
-        for stream in (sys.stdout, sys.stderr):
-            with suppress(OSError, ValueError):
-                stream.flush()
-        os._exit(status)
-    sys.exit(status)
+    # Do not wait for threads that still compute lanes, or that never finish reading a file. Python would abort the
+    # process where such a thread returns from compiled code while the interpreter is being finalised (0.3 s).
+    leave()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(status)
 
 
 def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], object] = lambda work: work()) -> int:

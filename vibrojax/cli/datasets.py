@@ -46,7 +46,7 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
     argument(
         "--over",
         "FAMILY.nc",
-        "over returns: families along the axis; over a map of regimes: borders, or one or more files of curves",
+        "over the returns of a sweep: what vibrojax follow has found along its axis; over a map: borders or curves",
         files(".nc"),
         **_SEVERAL,
     ),
@@ -183,7 +183,10 @@ def _standing_parts(state: "Standing") -> "list[SummaryPart]":
         "-o", "PAGE.html", "where to write (OUT.html beside OUT.nc; with --over OUT-over-BORDERS.html)", dest="out"
     ),
     argument(
-        "--over", "BORDERS.nc", "lay over the map what vibrojax borders has found in the same plane", files(".nc")
+        "--over",
+        "CURVES.nc",
+        "lay over the map what vibrojax borders or curves has found in the same plane",
+        files(".nc"),
     ),
     flag(
         "--live", "open the page from a server on this machine alone, with sliders for every parameter; Ctrl-C ends it"
@@ -207,7 +210,7 @@ def explore(options: Options) -> None:
     if options.values and not scene:
         raise InputError(f"explore: {shown(options.values[0])}: values are for a scene, with --live; leave them out")
     if scene and options.over:
-        raise InputError("explore: --over: a motion has no map to lay borders over; leave it out")
+        raise InputError("explore: --over: a motion has no map to lay curves over; leave it out")
     parts = ["over", Path(options.over).stem] if options.over else []
     if not options.live:
         out = view_path(options, path, (".html",), parts)

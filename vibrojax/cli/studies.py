@@ -56,8 +56,8 @@ def fit(options: Options) -> None:
         options.file = words.pop()  # FILE may follow the columns
     if options.file is None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
-    from vibrojax.analyses.rop_law import law_facts, law_table
     from vibrojax.analyses.rop_law.columns import columns_lines, read_columns
+    from vibrojax.analyses.rop_law.results import law_facts, law_table
     from vibrojax.analyses.rop_law.rop import fit_groups, read_groups
 
     file, columns, by = Path(options.file), read_columns(words), options.by or []
@@ -144,7 +144,7 @@ def accuracy(options: Options) -> None:
     """
     dataset_path, table_path, picture_path = output_folder(options.out, ("accuracy.nc", "accuracy.md", "accuracy.png"))
     options.advise("nothing is kept; to start again", "accuracy", "-o", options.out, *["--quick"] * options.quick)
-    from vibrojax.analyses.accuracy import run_accuracy, table
+    from vibrojax.analyses.accuracy.study import run_accuracy, table
     from vibrojax.analyses.pictures import save_picture
     from vibrojax.io.dataset import write_dataset
 

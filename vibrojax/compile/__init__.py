@@ -7,9 +7,9 @@ CPUs, or through XLA where no kernel can be made:
     @lane_function(static=1, policy=policy)
     def settle(scene, state, until): ...
 
-[vibrojax.compile.run_kernel][] does the same without the fallback to XLA. This folder does not depend on scenes. The
-caller's `policy` decides which calls depend on foreign code (code from outside this package). Kernels of foreign code
-are compared with XLA before the first of them runs.
+[vibrojax.compile.trusted_kernel][] returns the kernel itself, without the fallback to XLA. This folder does not depend
+on scenes. The caller's `policy` decides which calls depend on foreign code (code from outside this package). Kernels of
+foreign code are compared with XLA before the first of them runs.
 
 - `kernels/`: translation of jax's trace to LLVM's intermediate representation (IR), compilation, and the disk cache.
 - `xla.py`: XLA's options, functions that run block by block, devices, threads, precision.
@@ -50,7 +50,7 @@ depend neither on the other lanes of the batch nor on the width of the processor
 """
 
 from vibrojax.compile.kernels import Untranslatable
-from vibrojax.compile.trust import KernelRefused, Policy, Subject, lane_function, run_kernel
+from vibrojax.compile.trust import KernelRefused, Policy, Subject, lane_function, trusted_kernel
 from vibrojax.compile.xla import jitted
 
 __all__ = [
@@ -60,5 +60,5 @@ __all__ = [
     "Untranslatable",
     "jitted",
     "lane_function",
-    "run_kernel",
+    "trusted_kernel",
 ]

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import llvmlite
 from jaxlib import version as jaxlib
 
-from vibrojax.compile.kernels import Untranslatable, kernel_for
+from vibrojax.compile.kernels import Kernel, Untranslatable, kernel_for
 from vibrojax.compile.kernels import cache as store
 from vibrojax.compile.xla import jitted
 
@@ -75,15 +75,15 @@ _locks: defaultdict[Hashable, threading.Lock] = defaultdict(threading.Lock)
 _lock = threading.Lock()
 
 
-def run_kernel(
+def trusted_kernel(
     function: Callable[..., Any],
     static: tuple[Hashable, ...],
     *arguments: Any,
     policy: Policy,
     registers: int = 1,
     derives: bool = False,
-) -> Any:
-    """Return `function(*static, *arguments)`, computed by a trusted kernel.
+) -> Kernel:
+    """Return the kernel of `function(*static, *arguments)`, after a comparison with XLA if it runs foreign code.
 
     **Arguments:**
 
@@ -95,7 +95,7 @@ def run_kernel(
     """
     subject = policy(static, arguments, derives)
     if subject is None or not (is_foreign(subject.code) or newer_than_tested()):
-        return kernel_for(function, static, *arguments, registers=registers)(*arguments)
+        return kernel_for(function, static, *arguments, registers=registers)
     if subject.owner in _refused:
         raise Untranslatable(_refused[subject.owner])
     kernel = kernel_for(function, static, *arguments, registers=registers)
@@ -104,7 +104,7 @@ def run_kernel(
             lock = _locks[subject.owner]
         with lock:
             _verify(kernel.key, subject)
-    return kernel(*arguments)
+    return kernel
 
 
 def _verify(key: str, subject: Subject) -> None:
@@ -226,7 +226,9 @@ def lane_function(
         @wraps(function)
         def call(*args: Any) -> R:
             try:
-                return run_kernel(function, args[:static], *args[static:], derives=derives, policy=policy)
+                return trusted_kernel(function, args[:static], *args[static:], derives=derives, policy=policy)(
+                    *args[static:]
+                )
             except Untranslatable:
                 return by_xla(*args)
 

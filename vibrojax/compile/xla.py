@@ -1,10 +1,11 @@
 """Devices and precision, and functions of lanes compiled by XLA, for accelerators and where no kernel can be made."""
 
 import os
+import threading
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from typing import Any, ParamSpec, TypeVar
 
 import jax
@@ -60,19 +61,46 @@ def evaluation(options: Options) -> Callable[..., Any]:
     return lambda function, *arrays: jax.jit(function, compiler_options=dict(options))(*arrays)
 
 
-def run_in_blocks(
-    function: Callable[..., Any], static: tuple[Hashable, ...], block: int, blocks: int, *arguments: Any
-) -> Any:
-    """Return `function(*static, *arguments)` as numpy arrays, computed for one block of `block` lanes after another.
+class BoundProgram:
+    """`function(*static, *arguments)` compiled by XLA, which computes some of its `lanes` at a time, block by block.
 
-    Arguments and results are pytrees of scalars and of arrays whose last axis is the lane axis. The arrays are padded
-    to `blocks` blocks, which must hold all lanes. One compiled program thus runs any number of lanes.
+    Arguments and results are pytrees of scalars and of arrays whose last axis is the lane axis. The lanes of a call are
+    padded to `blocks` blocks of `block` lanes, so that one compiled program runs any number of lanes.
+
+    `results`: pytree of numpy arrays, which hold the lanes computed so far.
     """
-    lanes = max(np.shape(x)[-1] for x in jax.tree.leaves(arguments) if np.ndim(x))
-    repeated = np.resize(np.arange(lanes), block * blocks)  # padding repeats the lanes from the first on
-    padded = jax.tree.map(lambda x: np.take(x, repeated, axis=-1) if np.ndim(x) else x, arguments)
-    results = _run_blocks(function, static, block, np.int32(-(-lanes // block)), *padded)
-    return jax.tree.map(lambda x: np.asarray(x)[..., :lanes], results)
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        static: tuple[Hashable, ...],
+        block: int,
+        blocks: int,
+        *arguments: Any,
+    ) -> None:
+        self._run = partial(_run_blocks, function, static, block)
+        self._block, self._blocks, self._arguments = block, blocks, arguments
+        self.lanes = max(np.shape(x)[-1] for x in jax.tree.leaves(arguments) if np.ndim(x))
+        self.results: Any = None
+        self._storing = threading.Lock()
+
+    def whole(self) -> Any:
+        """Compute all lanes and return the results."""
+        most = self._block * self._blocks
+        for first in range(0, self.lanes, most):
+            self(np.arange(first, min(first + most, self.lanes)))
+        return self.results
+
+    def __call__(self, lanes: Int[np.ndarray, " _"]) -> None:
+        """Compute the lanes with these indices, at most `blocks` blocks."""
+        repeated = np.resize(lanes, self._block * self._blocks)  # padding repeats the lanes from the first on
+        padded = jax.tree.map(lambda x: np.take(x, repeated, axis=-1) if np.ndim(x) else x, self._arguments)
+        part = jax.tree.map(np.asarray, self._run(np.int32(-(-len(lanes) // self._block)), *padded))
+        with self._storing:
+            if self.results is None:
+                self.results = jax.tree.map(lambda x: np.empty((*x.shape[:-1], self.lanes), x.dtype), part)
+            for whole, x in zip(jax.tree.leaves(self.results), jax.tree.leaves(part), strict=True):
+                whole[..., lanes] = x[..., : len(lanes)]
 
 
 @jitted(static=("function", "static", "block"))

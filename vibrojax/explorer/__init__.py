@@ -24,7 +24,9 @@ that the page shows for one map cell. An HTML file reads them from itself (`embe
      "run": the parts of the command that simulates a lane, see `document.run_document`: {"own_scene": true}, or
             {"own_scene": false, "scene", "parameters": {name: value}, "options", "start": word, vector or null,
              "duration", and the allowed words: "names" of parameters, "starts", "states" of a vector, "rocks"} | null,
-     "curves": {"colours": {kind: colour}, "list": [{"kind", "at": {axis: value}, "points": {axis: values}}]} | null,
+     "curves": {"of": "borders" | "curves", "colours": {kind: colour},
+                "list": [{"kind", "at": {axis: value}, "points": {axis: values}}],
+                "corners": [{"kind", "at": {axis: value}, "point": {axis: value}}] of codimension two} | null,
      "family": {"runs", "special", ...} only of families,
      "cells": {"size", "blocks"} of the motions stored in the page | null,
      "without": the reason why there are no motions}

@@ -5,7 +5,7 @@ which gives the state of each lane at the section. From that state the lane's st
 periodic lane, or some section crossings of any other lane.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,24 +14,28 @@ import xarray as xr
 from vibrojax.analyses.orbits.analysis import has_lanes_of
 from vibrojax.analyses.sweep.maps import REGION
 from vibrojax.analyses.sweep.workers.work import quiet
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, shown
 from vibrojax.explorer.document import (
+    SYMBOL_MAX_CHARACTERS,
     Document,
     axis_document,
     document_with,
     json_value,
+    one_line,
     run_document,
     variable_document,
 )
 from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SECONDS, Excerpt, record_cells
+from vibrojax.io.attributes import parameters_of
+from vibrojax.io.kinds import kind_of
 from vibrojax.io.variables import orbit_name
 from vibrojax.measures.repeats import state_name
 from vibrojax.periodic import Orbits, early_stopping_of
 from vibrojax.periodic.margin import DRIVEN_RETURNS
 from vibrojax.plot.colours import flag_names
 from vibrojax.plot.contents import FORM, START, axes_of_map, long_axes, named_groups
-from vibrojax.plot.overlays import LINES, axes_of, beyond, check_borders
+from vibrojax.plot.overlays import LINES, axes_of, beyond, check_borders, curves_on_map
 from vibrojax.plot.starts import described, on_axes
 from vibrojax.progress import Progress
 from vibrojax.sweep.engine.batch import Features
@@ -45,6 +49,9 @@ LEADING_VARIABLES = (
     *("lane_attractor", "regime", "rate_of_penetration"),
     *("share", "impact_velocity", "period", "bit_amplitude"),
 )
+
+OVERLAY_MAX_POINTS = 200_000
+"""Number of points of curves above which a page does not draw them; its file would take tens of megabytes."""
 
 REPEAT_MARGIN = 1e-3
 """Additional recorded time, as a fraction of the return interval, so that the last crossing is recorded."""
@@ -106,20 +113,52 @@ def _first_axes(ds: xr.Dataset) -> list[str]:
 
 
 def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
-    """Return the part of the JSON document with the borders `over` that are drawn on the map of `ds`.
+    """Return the part of the JSON document with the borders or curves `over` that are drawn on the map of `ds`.
 
-    **Raises:** `InputError` if the borders do not belong to this map.
+    **Raises:** `InputError` if they do not belong to this map, or are malformed.
     """
-    check_borders(ds, over, *axes_of(over))
-    kinds, curve_of = flag_names(over["kind"]), over["curve"].values
-    curves: list[Document] = []
-    for curve in range(over.sizes["curve"]):
+    axes, of_curves = axes_of(over), kind_of(over) == "curves"
+    check_borders(ds, over, *axes)
+    point, number = ("point", over["point_curve"].values) if of_curves else ("vertex", over["curve"].values)
+    _check_points(over, axes, point)
+    shown_curves = curves_on_map(over, ds, *axes) if of_curves else np.ones(over.sizes["curve"], bool)
+    if of_curves and not shown_curves.any():
+        raise InputError("over: no curve is of the map's parameters; continue those of the same values")
+    kinds, fixed = flag_names(over["kind"]), parameters_of(over) if of_curves else {}
+    curves: dict[int, Document] = {}
+    for curve in np.flatnonzero(shown_curves).tolist():
         plane: Document = {name: json_value(over[name].values[curve].item()) for name in beyond(over)}
         if START in over.coords:
             plane[START] = str(over[START].values[curve])
-        points = {n: [json_value(x) for x in over[n].values[curve_of == curve].tolist()] for n in axes_of(over)}
-        curves.append({"kind": kinds[int(over["kind"][curve])], "at": plane, "points": points})
-    return {"colours": {kind: str(line["color"]) for kind, line in LINES.items()}, "list": curves}
+        plane |= {name: value for name, value in fixed.items() if name in ds.dims and name not in axes}
+        points = {n: [json_value(x) for x in over[n].values[number == curve].tolist()] for n in axes}
+        curves[curve] = {"kind": kinds[int(over["kind"][curve])], "at": plane, "points": points}
+    corners: list[Document] = []
+    if of_curves:
+        _check_points(over, tuple(f"codim2_{name}" for name in axes), "codim2")
+        for k, curve in enumerate(over["codim2_curve"].values.tolist()):
+            if curve not in curves:
+                continue
+            place = {name: json_value(over[f"codim2_{name}"].values[k].item()) for name in axes}
+            name = one_line(over["codim2_kind"].values[k], SYMBOL_MAX_CHARACTERS)
+            corners.append({"kind": name, "at": curves[curve]["at"], "point": place})
+    colours = {kind: str(line["color"]) for kind, line in LINES.items()}
+    of = "curves" if of_curves else "borders"
+    return {"of": of, "colours": colours, "list": list(curves.values()), "corners": corners}
+
+
+def _check_points(over: xr.Dataset, names: Sequence[str], dimension: str) -> None:
+    """Raise `InputError` unless the named variables are finite numbers along a dimension."""
+    if over.sizes.get(dimension, 0) > OVERLAY_MAX_POINTS:
+        raise InputError(
+            f"over: {over.sizes[dimension]} along {dimension}, more than the {OVERLAY_MAX_POINTS} of a page"
+        )
+    for name in names:
+        data = over.get(name)
+        if data is None or data.dims != (dimension,) or data.dtype.kind not in "fiu":
+            raise InputError(f"over: variable {shown(name)} is not a number along {dimension}")
+        if not np.isfinite(data.values).all():
+            raise InputError(f"over: variable {name} is not finite")
 
 
 def lane_cells(sweep: Sweep, progress: bool = True) -> Iterator[Cell]:

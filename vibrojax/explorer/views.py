@@ -32,10 +32,12 @@ from vibrojax.explorer.trajectory_view import cell_of, motion_document
 from vibrojax.io.attributes import parameters_of, text_of
 from vibrojax.io.branches import FAMILY, along_name, kind_names, numbers_of, places, runs, stability
 from vibrojax.io.dataset import check_dataset
+from vibrojax.io.kinds import kind_of
 from vibrojax.io.variables import orbit_name
 from vibrojax.periodic.margin import DRIVEN_RETURNS
 from vibrojax.plot.branches import MARKS, curves_of
 from vibrojax.plot.contents import FORM
+from vibrojax.plot.overlays import ON_MAPS
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import Point, read_point
 
@@ -67,7 +69,8 @@ def with_map(
 def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | None = None) -> Document:
     """Return the JSON document of a dataset, in the format described in [vibrojax.explorer][].
 
-    **Arguments:** `over`: borders to draw on the map; `own`: the dataset's sweep, if it contains unnamed objects.
+    **Arguments:** `over`: borders or curves to draw on the map; `own`: the dataset's sweep, if it contains unnamed
+    objects.
 
     **Raises:** `InputError` if there is nothing to show, or `over` does not belong to the dataset.
     """
@@ -78,15 +81,16 @@ def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | Non
         raise InputError(f"explore: {analysis.no_view}")
     if analysis.view in ("families", "motion"):
         if over is not None:
-            raise InputError("over: borders need the map of a sweep, which the dataset does not hold")
+            raise InputError("over: borders and curves need the map of a sweep, which the dataset does not hold")
         return family_document(ds) if analysis.view == "families" else motion_document(ds)
     sweep, problem = sweep_of(ds, own)
     document = map_document(ds, sweep)
     if not document:
         raise InputError("explore: holds nothing over axes that a page could show")
     if over is not None:
-        if analysis_of(over).view != "curves":
-            raise InputError("over: holds no borders; give the dataset of vibrojax borders")
+        if kind_of(over) not in ON_MAPS:
+            raise InputError("over: holds no borders or curves; give the dataset of vibrojax borders or curves")
+        check_dataset(over)
         document["curves"] = curves_document(ds, over)
     return document | {"without": problem if sweep is None else _motions_problem(ds, sweep)}
 

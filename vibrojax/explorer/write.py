@@ -59,7 +59,7 @@ def write_page(
 
     - `ds`: the dataset of a sweep, of its orbits or attractors, of families, borders, a trajectory, or a fit.
     - `path`: the file to write; an existing file is replaced.
-    - `over`: borders, as `borders` returns them, to draw on a map of the same parameters.
+    - `over`: result of `borders` or `curves`, to draw on a map of the same parameters.
     - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
     - `progress`: whether to report progress on stderr. A sweep is run again, with its orbits, to record motions.
 
@@ -96,7 +96,7 @@ def explore(
     **Arguments:**
 
     - `ds`: the dataset of a sweep, of its orbits or attractors, of families, borders, a trajectory, or a fit.
-    - `over`: borders, as `borders` returns them, to draw on a map of the same parameters.
+    - `over`: result of `borders` or `curves`, to draw on a map of the same parameters.
     - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
     - `live`: whether the notebook's kernel simulates the motion of the selected map cell, with a slider for every
       parameter. If False, the sweep is run again, and the widget contains the motions of all lanes; it then works

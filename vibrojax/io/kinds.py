@@ -97,6 +97,9 @@ OF_BORDERS: dict[str, Variable] = {
     "curve": Variable("1", "number of the curve", np.int32),
     "kind": Variable("1", "what ends the region there", np.int8, BORDER_KINDS),
     "region_area": Variable("1", "share of the plane with a stable single impact"),
+    "continued": Variable("1", "1: part of a curve that was continued; 0: joins points between grid points", np.int8),
+    "curve_note": Variable("", "where and why the curve ends, or why the border was not continued", np.str_),
+    "crossing_curve": Variable("1", "number of the curve that crosses the line", np.int32),
 }
 
 OF_CURVES: dict[str, Variable] = {

@@ -22,7 +22,8 @@ from vibrojax.models.scenes import Driven, HasImpacts, Scene
 from vibrojax.models.scenes.declared import Section, Values
 from vibrojax.periodic.margin import Margin
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
-from vibrojax.sweep.engine.compiler import in_parallel, lane_function
+from vibrojax.sweep.engine.compiler import lane_function
+from vibrojax.sweep.engine.parallel import in_parallel
 
 MOST_STEPS = 4000
 """Default limit of steps between two section crossings; the usual drill takes about fifty."""

@@ -229,16 +229,21 @@ def draw_over_panel(axes: Axes, over: xr.Dataset, facet: xr.Dataset, x: str, y: 
     plane = {name: float(facet[name]) for name in beyond(over) if name in facet.coords and facet[name].ndim == 0}
     if kind_of(over) != "curves":
         return draw_borders(axes, over, plane, ANY, x, y)
+    limits = axes.get_xlim(), axes.get_ylim()
+    kinds = draw_curves(axes, over, curves_on_map(over, facet, x, y), x, y)
+    axes.set(xlim=limits[0], ylim=limits[1])
+    return kinds
+
+
+def curves_on_map(over: xr.Dataset, lanes: xr.Dataset, x: str, y: str) -> np.ndarray:
+    """Return a mask of the curves `over` with the parameters of some `lanes`, except for the axes x and y."""
     mask = np.ones(over.sizes["curve"], bool)
-    for name, values in _parameter_values(facet).items():
+    for name, values in _parameter_values(lanes).items():
         if name in beyond(over):
             mask &= np.array([_is_near(values, value).any() for value in over[name].values])
         elif name in parameters_of(over) and name not in (x, y):
             mask &= bool(_is_near(values, parameters_of(over)[name]).any())
-    limits = axes.get_xlim(), axes.get_ylim()
-    kinds = draw_curves(axes, over, mask, x, y)
-    axes.set(xlim=limits[0], ylim=limits[1])
-    return kinds
+    return mask
 
 
 def draw_corners(axes: Axes, layers: Sequence[xr.Dataset], x: str, y: str) -> list[Artist]:

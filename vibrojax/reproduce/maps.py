@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from vibrojax.analyses.rop_law import fit_rop
+from vibrojax.analyses.rop_law.rop import fit_rop
 from vibrojax.errors import counted
 from vibrojax.reproduce.rules import Here, verdict
 

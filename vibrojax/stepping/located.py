@@ -79,7 +79,12 @@ class Located(Stepper):
         return accuracy._replace(tolerance=accuracy.tolerance * self.coarser_by)
 
     def passing(
-        self, event: Event, functions: list[list[Array]], lane: Lane, reach: Array
+        self,
+        event: Event,
+        functions: list[list[Array]],
+        polynomials: tuple[list[Array], ...],
+        lane: Lane,
+        reach: Array,
     ) -> tuple[Event, list[list[Array]]]:
         """Return the event functions of a trial step; a subclass may let the motion pass some of their zeros."""
         return event, functions
@@ -103,7 +108,7 @@ class Located(Stepper):
         last = reduce(jnp.maximum, [jnp.abs(c) for series in terms for c in series[-2:]])
         converged = jnp.minimum(rough_root(accuracy.tolerance * scale / last, self.order - 1), 1.0)
         reach = jnp.where(rest, 1.0, converged)
-        event, functions = self.passing(event, functions, lane, reach)
+        event, functions = self.passing(event, functions, polynomials, lane, reach)
         validity = scene.validity(constants, lane.mode, polynomials, functions)
         reach = keep(lax.stop_gradient(reach if validity is None else jnp.minimum(reach, validity)))
         trial = Trial(polynomials, functions, h, reach, goal.moving & ~rest)

@@ -13,7 +13,7 @@ from peers._machine import C0, C2, K0, K1, M1, MU, STICK_LIMIT, V_CR, striker
 from peers._peer import CORES, Peer, Points, Ran
 from vibrojax.analyses.accuracy.sampled import features_of
 from vibrojax.compile.xla import precision
-from vibrojax.sweep.engine.compiler import in_parallel
+from vibrojax.sweep.engine.parallel import in_parallel
 from vibrojax.sweep.input.read import read_sweep
 
 SAMPLING = 2e-4  # s: of a second run, untimed, whose samples the features are read off

@@ -17,7 +17,7 @@ from vibrojax.models.scenes import Scene
 from vibrojax.stepping import Accuracy
 from vibrojax.stepping.adaptive import smoothed_solution, solver_named
 from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.compiler import in_parallel
+from vibrojax.sweep.engine.parallel import in_parallel
 from vibrojax.sweep.input.read import read_sweep
 
 STUDY_MAX_STEPS = 1e5

@@ -1,6 +1,7 @@
 """The analysis `borders`: curves around the stable single impact in a plane of two parameters."""
 
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import product
 from textwrap import fill
@@ -11,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from vibrojax.analyses.analysis import PictureRule, Source, SummaryPart
-from vibrojax.analyses.borders.run import Regions, plane_axes
+from vibrojax.analyses.borders.run import Regions, line_of, plane_axes
 from vibrojax.analyses.orbits.analysis import SweepAnalysis, sweep_with_orbits
-from vibrojax.errors import counted
+from vibrojax.errors import counted, printable
 from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import OF_BORDERS
 from vibrojax.plot.axes import label, share_text, value_text
@@ -82,6 +83,13 @@ class Borders(SweepAnalysis):
             "help": "the two axes of the plane (gamma and beta, else the two with most values)",
         },
     )
+    at: str | None = field(
+        default=None,
+        metadata={
+            "metavar": "NAME=VALUE",
+            "help": "locate where continued borders pass this value of one of the two parameters",
+        },
+    )
 
     kind = "borders"
     counted = "curve"
@@ -92,16 +100,26 @@ class Borders(SweepAnalysis):
     def sweep(self, source: Source) -> Sweep:
         """Return the checked sweep; raise `InputError` if it has no suitable plane."""
         sweep = sweep_with_orbits(source)
-        plane_axes(sweep, self.axes)
+        self._line(sweep)
         return sweep
+
+    def _line(self, sweep: Sweep) -> tuple[str, float] | None:
+        at: dict[str, object] | None = None
+        if self.at is not None:
+            name, _, text = self.at.partition("=")
+            at = {name.strip(): text}
+            with suppress(ValueError):  # `line_of` reports the text
+                at[name.strip()] = float(text)
+        return line_of(sweep, plane_axes(sweep, self.axes), at)
 
     def identity(self, sweep: Sweep) -> dict[str, object]:
         """Return the axes of the plane, on which the result depends."""
-        return {self.kind: list(plane_axes(sweep, self.axes))}
+        line = self._line(sweep)
+        return {self.kind: [*plane_axes(sweep, self.axes), *(line or ())]}
 
     def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
         """Return the borders; `lanes`: dataset of the sweep with orbits."""
-        return Regions(sweep, lanes, plane_axes(sweep, self.axes)).borders()
+        return Regions(sweep, lanes, plane_axes(sweep, self.axes)).borders(self._line(sweep), progress)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the area fraction and the kinds of the borders of each region (plane and initial condition)."""
@@ -126,4 +144,13 @@ class Borders(SweepAnalysis):
             ends = ", ".join(f"{kind} ({size})" for kind, size in sizes.items()) or "nothing"
             lines.append(f"{', '.join(plane)}: {100 * area:.1f} % of the plane; ends by {ends}")
             facts.append({**values, "start": start or "any", "area": area, "vertices": sizes})
-        return [SummaryPart("borders", lines, {"borders": facts})]
+        names = axes_of(ds)
+        crossings: list[dict[str, object]] = []
+        for k in range(ds.sizes.get("crossing", 0)):
+            kind = meanings[int(ds["kind"][int(ds["crossing_curve"][k])])]
+            place = {name: float(ds[f"crossing_{name}"][k]) for name in names}
+            crossings.append({"kind": kind, **place})
+            lines.append(f"crossing of a {kind} at {', '.join(f'{name} = {x:.9g}' for name, x in place.items())}")
+        about = {"begun_from": printable(ds.attrs["begun_from"], 300)} if "begun_from" in ds.attrs else {}
+        lines += about.values()
+        return [SummaryPart("borders", lines, {"borders": facts, "crossings": crossings, **about})]

@@ -7,7 +7,7 @@ this loss and the parameter value are determined.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -42,11 +42,16 @@ Step = tuple[int, int]
 """A step to a neighbouring grid point: axis of the plane (0 or 1), and direction (-1 or 1)."""
 
 
-class OrbitLoss(NamedTuple):
-    """Loss of a stable single impact on an edge: `kind` as a flag, and parameter `value` along the edge's axis."""
+@dataclass(frozen=True, eq=False)
+class OrbitLoss:
+    """Loss of a stable single impact on an edge: `kind` as a flag, and parameter `value` along the edge's axis.
+
+    `state`: state of the orbit at the section.
+    """
 
     kind: int
     value: float
+    state: np.ndarray
 
 
 @dataclass(eq=False)
@@ -144,12 +149,14 @@ def _continue_edges(
     Return the state at the end of each edge if the orbit is still a stable single impact there, else its loss.
     """
     lanes, no_orbit = np.arange(len(begin)), SPECIAL_KINDS.index("end")
-    ends: list[np.ndarray | OrbitLoss] = [OrbitLoss(no_orbit, value) for value in begin.tolist()]
+    ends: list[np.ndarray | OrbitLoss] = [
+        OrbitLoss(no_orbit, value, state) for value, state in zip(begin.tolist(), states, strict=True)
+    ]
 
     def enter(points: Points, kinds: Index) -> None:
-        values = problem.value(points.family, points.u)
-        for edge, kind, value in zip(points.family.tolist(), kinds.tolist(), values.tolist(), strict=True):
-            ends[edge] = OrbitLoss(kind, value)
+        values, orbits = problem.value(points.family, points.u), problem.states(points.family, points.u)[:, 0]
+        for k, edge in enumerate(points.family.tolist()):
+            ends[edge] = OrbitLoss(int(kinds[k]), float(values[k]), orbits[k])
 
     def test(_: Index, points: Points) -> PerLane:
         return np.where(is_stable_single_impact(points), 1.0, -1.0)

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.analyses.borders.curves import Border, Vertex, around_region
+from vibrojax.analyses.borders.chains import Vertex, around_region
+from vibrojax.analyses.borders.continued import NOT_CONTINUED, Border, ContinuedBorders, crossings_of
 from vibrojax.analyses.borders.propagation import GridOrbit, OrbitGrid, OrbitLoss
 from vibrojax.analyses.orbits.analysis import orbits as with_orbits
 from vibrojax.analyses.orbits.analysis import sweep_with_orbits
-from vibrojax.errors import InputError, shown
+from vibrojax.errors import InputError, counted, shown
 from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
 from vibrojax.models.physics.parameters import REPLACED, substitutes
@@ -21,6 +22,12 @@ from vibrojax.periodic.lane_orbits import known_orbits
 from vibrojax.sweep.engine.labelled import parameter_attributes, shared_attributes
 from vibrojax.sweep.input.definition import Sweep
 
+WHERE = {
+    "seed_": " from which the curve was continued; not defined for a border located between points of the grid",
+    "crossing_": " where the border crosses the line",
+}
+"""Ends of the meanings of parameters, by prefix of their names."""
+
 ANY_START = "any"
 """Name of the region of all orbits, whatever initial condition leads to them; used in place of an initial condition."""
 
@@ -28,6 +35,7 @@ ANY_START = "any"
 def borders(
     source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep,
     axes: tuple[str, str] | None = None,
+    at: Mapping[str, float] | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
     """Compute the borders of the stable single impact in a sweep's plane, as curves with the kind of each border.
@@ -44,6 +52,8 @@ def borders(
 
     - `source`: the dataset of a sweep with a grid, or a sweep as in `run_sweep`. A sweep without orbits is run again.
     - `axes`: the two axes of the plane; by default gamma and beta, else the two axes with the most values.
+    - `at`: either parameter with a value, such as `{"beta": 0.5}`. The points at which continued borders pass this
+      value are located like special points.
     - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset.
@@ -52,7 +62,10 @@ def borders(
     - Along `curve`: `kind`, and the coordinates `start` (the initial condition, or "any" for all orbits) and the values
       of the sweep's other axes. The kinds are fold, period-doubling, torus, grazing, stick, section, hopf, end, basin
       and not-settled. At a *basin* border the orbit continues, but the initial condition no longer leads to it. A
-      *not-settled* border is like a *basin* border, but the motion beyond it had not settled.
+      *not-settled* border is like a *basin* border, but the motion beyond it had not settled. `continued` is 1 for a
+      part of a continued curve, which begins at `seed_NAME` of both parameters, else 0. `curve_note` says why the curve
+      ends, or why there is none. The attribute `begun_from` names the grid.
+    - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.
     - Along `region`: `region_area`, the fraction of the plane with a stable single impact, with the coordinates
       `region_start` and so on.
 
@@ -67,11 +80,27 @@ def borders(
     ['stuck', 'any']
     >>> bool(cur.region_area[0] < cur.region_area[1])  # not every orbit is reached from this start
     True
+    >>> cur.attrs["begun_from"].partition(";")[0].partition(" from ")[2]
+    'points located on a grid of 3 x 3'
     """
     sweep = sweep_with_orbits(source)
     names = plane_axes(sweep, axes)
+    line = line_of(sweep, names, at)
     dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
-    return Regions(sweep, dataset, names).borders()
+    return Regions(sweep, dataset, names).borders(line, progress)
+
+
+def line_of(sweep: Sweep, names: tuple[str, str], at: object) -> tuple[str, float] | None:
+    """Return the parameter and the value at which crossings are located, or None."""
+    if at is None:
+        return None
+    name, value = next(iter(at.items())) if isinstance(at, Mapping) and len(at) == 1 else ("", None)
+    if name not in names or isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise InputError(f"borders: at: {shown(at)} is not {' or '.join(names)} with a value; give one of them")
+    low, high = float(sweep.axes[name].min()), float(sweep.axes[name].max())
+    if not low <= value <= high:
+        raise InputError(f"borders: at: {name}: {value:g} is not between {low:g} and {high:g}, the ends of the axis")
+    return name, float(value)
 
 
 def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
@@ -123,6 +152,7 @@ class Regions:
         self._regime = dataset["regime"].values.reshape(shape)
         self._single = self._regime == SINGLE_IMPACT
         settled = self._single & (dataset["stable"].values.reshape(shape) == 1)
+        self._continued = ContinuedBorders(self._grid)
         self._own: dict[tuple[int, int, int, int], GridOrbit] = {}
         for lane, states, scale in zip(known.lanes.tolist(), known.states, known.scales, strict=True):
             plane, i, j, start = (int(k) for k in np.unravel_index(lane, shape))
@@ -132,8 +162,9 @@ class Regions:
             self._own[plane, i, j, start] = self._grid.find(cell, state) or self._grid.add(cell, state, scale)
         self._grid.propagate()
 
-    def borders(self) -> xr.Dataset:
-        curves: list[tuple[Border, int, str]] = []
+    def borders(self, at: tuple[str, float] | None = None, progress: bool = True) -> xr.Dataset:
+        """Return the dataset of the borders; `at`: parameter and value of the crossings."""
+        chains: list[tuple[list[Vertex], int, str]] = []
         areas: list[tuple[float, int, str]] = []
         x, y = self._grid.values
         reached = np.zeros(self._grid.shape, bool)
@@ -143,10 +174,17 @@ class Regions:
             for number, start in enumerate([*self._starts, ANY_START]):
                 inside = reached[plane] if start == ANY_START else self._single[plane, :, :, number]
                 ends = partial(self._vertex, plane, None if start == ANY_START else number)
-                pieces, area = around_region(inside, x, y, ends)
-                curves += [(piece, plane, start) for piece in pieces]
+                around, area = around_region(inside, x, y, ends)
+                chains += [(chain, plane, start) for chain in around]
                 areas.append((area, plane, start))
-        return self._described(curves, areas)
+        self._continued.follow([(plane, chain) for chain, plane, _ in chains], progress)
+        curves = [
+            (piece, plane, start)
+            for chain, plane, start in chains
+            # Beyond the last vertex, the start of a lane may no longer lead to the orbit.
+            for piece in self._continued.cut(chain, extend=start == ANY_START)
+        ]
+        return self._described(curves, areas, at)
 
     def _vertex(self, plane: int, start: int | None, inside: tuple[int, int], outside: tuple[int, int]) -> Vertex:
         """Return the border of a region between two neighbouring grid points.
@@ -163,7 +201,7 @@ class Regions:
             orbits = [self._own[(*cell, start)]] if (*cell, start) in self._own else []
         leads = [orbit.leads.get(step) for orbit in orbits]
         losses = [lead for lead in leads if isinstance(lead, OrbitLoss)]
-        value = (begin + end) / 2
+        value, furthest = (begin + end) / 2, None
         if losses and len(losses) == len(leads):
             furthest = max(losses, key=lambda loss: abs(loss.value - begin))
             value, kind = furthest.value, BORDER_KINDS[furthest.kind]
@@ -174,9 +212,11 @@ class Regions:
             kind = "basin" if settled else "not-settled"
         place = [float(axes[0][inside[0]]), float(axes[1][inside[1]])]
         place[axis] = value
-        return Vertex(place[0], place[1], kind)
+        return Vertex(place[0], place[1], kind, furthest)
 
-    def _described(self, curves: list[tuple[Border, int, str]], areas: list[tuple[float, int, str]]) -> xr.Dataset:
+    def _described(
+        self, curves: list[tuple[Border, int, str]], areas: list[tuple[float, int, str]], at: tuple[str, float] | None
+    ) -> xr.Dataset:
         """Return the dataset of curves and areas, each given with its plane and initial condition."""
         sweep = self._sweep
         vertices = np.concatenate([piece.points for piece, _, _ in curves]) if curves else np.zeros((0, 2))
@@ -187,8 +227,23 @@ class Regions:
             "kind": ("curve", kinds, OF_BORDERS["kind"].attributes()),
             "region_area": ("region", np.array([area for area, _, _ in areas]), OF_BORDERS["region_area"].attributes()),
         }
-        for name, values in zip(self._names, vertices.T, strict=True):
-            variables[name] = ("vertex", values, parameter_attributes(sweep, name))
+        lines = [piece.line for piece, _, _ in curves]
+        continued = np.array([line is not None for line in lines], np.int8)
+        variables["continued"] = ("curve", continued, OF_BORDERS["continued"].attributes())
+        notes = [NOT_CONTINUED if line is None else line.note for line in lines]
+        variables["curve_note"] = ("curve", np.array(notes, str), {"long_name": OF_BORDERS["curve_note"].long_name})
+        seeds = np.array([(np.nan, np.nan) if line is None else line.seed for line in lines]).reshape(-1, 2)
+        crossed = [(k, x) for k, (piece, _, _) in enumerate(curves) for x in self._crossings(piece, at)]
+        located = {"": ("vertex", vertices), "seed_": ("curve", seeds)}
+        if at is not None:
+            number = np.array([k for k, _ in crossed], np.int32)
+            variables["crossing_curve"] = ("crossing", number, OF_BORDERS["crossing_curve"].attributes())
+            located["crossing_"] = ("crossing", np.array([x for _, x in crossed]).reshape(-1, 2))
+        for prefix, (dimension, points) in located.items():
+            for name, values in zip(self._names, points.T, strict=True):
+                about = parameter_attributes(sweep, name)
+                about["long_name"] += WHERE.get(prefix, "")
+                variables[prefix + name] = (dimension, values, about)
         coordinates: dict[str, Any] = {}
         start_attributes = {"units": "1", "long_name": "start of the motions whose region it is; any: of all orbits"}
         for dimension, prefix, rows in (("curve", "", curves), ("region", "region_", areas)):
@@ -203,5 +258,15 @@ class Regions:
             **shared_attributes(sweep, "borders", title, "borders"),
             "sweep": sweep.text,
             "axes": list(self._names),
+            "begun_from": self._begun_from(),
         }
         return xr.Dataset(variables, coordinates, attributes)
+
+    def _crossings(self, piece: Border, at: tuple[str, float] | None) -> list[np.ndarray]:
+        return [] if at is None else crossings_of(piece, self._names.index(at[0]), at[1])
+
+    def _begun_from(self) -> str:
+        """Return a sentence on the grid and the points from which curves were continued."""
+        count = counted(len(self._continued.lines), "curve")
+        size = " x ".join(str(len(x)) for x in self._grid.values)
+        return f"{count} continued from points located on a grid of {size}; regions between its points are missed"

@@ -21,7 +21,8 @@ from vibrojax.models.scenes import Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.periodic.return_map import MOST_STEPS, at_section, passed
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
-from vibrojax.sweep.engine.compiler import in_parallel, lane_function
+from vibrojax.sweep.engine.compiler import lane_function
+from vibrojax.sweep.engine.parallel import in_parallel
 
 LATE_SHARE = 0.75
 """Fraction of the returns, at the end of the series, that an exponent uses. Before, the tangent aligns and transients

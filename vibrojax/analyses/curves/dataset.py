@@ -11,7 +11,6 @@ from vibrojax.analyses.curves.extended import CurveProblem
 from vibrojax.analyses.curves.following import Curve, crossings
 from vibrojax.analyses.curves.spec import CurvesSpec
 from vibrojax.io.attributes import parameters_of
-from vibrojax.io.branches import kind_names
 from vibrojax.io.kinds import OF_CURVES, SPECIAL_KINDS, dataset_attributes
 from vibrojax.io.variables import VARIABLES, orbit_name
 from vibrojax.models.physics.parameters import differing
@@ -26,21 +25,20 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, found: list[Curve]) 
     """Return the dataset of curves."""
     names = (spec.along, spec.by)
     table, number = _points(problem, found)
-    kinds = kind_names(spec.family)
     schema = VARIABLES | OF_CURVES | of_orbits(problem.scene)
     variables: dict[str, Any] = {
         "point_curve": ("point", number),
         **{name: (("point", "multiplier")[: x.ndim], x) for name, x in table.items()},
-        "kind": ("curve", np.array([SPECIAL_KINDS.index(kinds[k]) for k in spec.special])),
-        "special": ("curve", np.array(spec.special)),
+        "kind": ("curve", np.array([SPECIAL_KINDS.index(problem.kinds[curve.number]) for curve in found], int)),
+        "special": ("curve", np.array([curve.special for curve in found], int)),
         "curve_note": ("curve", np.array(["; ".join(curve.notes) for curve in found], str)),
         "codim2_kind": ("codim2", np.array([mark.name for curve in found for mark in curve.marks], str)),
-        "codim2_curve": ("codim2", np.array([curve.number for curve in found for _ in curve.marks])),
+        "codim2_curve": ("codim2", np.array([k for k, curve in enumerate(found) for _ in curve.marks], int)),
     }
     located = {"codim2": [mark.point for curve in found for mark in curve.marks]}
     if spec.at is not None:
-        passed = [(curve.number, point) for curve in found for point in _crossings(problem, curve, spec.at, names)]
-        variables["crossing_curve"] = ("crossing", np.array([k for k, _ in passed]))
+        passed = [(k, point) for k, curve in enumerate(found) for point in _crossings(problem, curve, spec.at, names)]
+        variables["crossing_curve"] = ("crossing", np.array([k for k, _ in passed], int))
         located["crossing"] = [point for _, point in passed]
     described = {
         name: (dims, np.asarray(x, schema[name].dtype), schema[name].attributes()) if name in schema else (dims, x)
@@ -59,14 +57,15 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, found: list[Curve]) 
             described[f"{dimension}_{name}"] = (dimension, values[:, k], about[name] | meaning)
     for name in ("curve_note", "codim2_kind"):
         described[name][-1].pop("units")
-    return xr.Dataset(described, _coordinates(spec, problem), _attributes(spec, problem))
+    return xr.Dataset(described, _coordinates(spec, problem, found), _attributes(spec, problem))
 
 
-def _coordinates(spec: CurvesSpec, problem: CurveProblem) -> dict[str, Any]:
+def _coordinates(spec: CurvesSpec, problem: CurveProblem, found: list[Curve]) -> dict[str, Any]:
     """Return the parameters in which the families of the curves differ."""
+    number = [curve.number for curve in found]
     several = [str(name) for name, data in spec.family.coords.items() if data.dims == ("family",) and name != "family"]
     return {
-        name: ("curve", spec.parameters[name], _parameter(problem, name))
+        name: ("curve", problem.parameters[name][number], _parameter(problem, name))
         for name in several
         if name in spec.parameters and name != spec.by
     }
@@ -80,14 +79,14 @@ def _points(problem: CurveProblem, found: list[Curve]) -> tuple[dict[str, np.nda
     """Return the columns of the points of all curves, and the curve of each point."""
     columns: dict[str, list[np.ndarray]] = {}
     number = []
-    for curve in found:
+    for index, curve in enumerate(found):
         before: Points | None = None
         for part in curve.parts:
-            joins = before is not None and before.u.shape[1] == part.u.shape[1]
+            joins = before is not None and len(part.u) > 0 and before.u.shape[1] == part.u.shape[1]
             same = joins and np.abs(before.u[-1] - part.u[0]).max() < SAME_ACROSS if before is not None else False
             part = part.of(slice(1, None)) if same else part
             before = part if len(part.u) else before
-            number += [curve.number] * len(part.u)
+            number += [index] * len(part.u)
             for name, x in _columns(problem, part).items():
                 columns.setdefault(name, []).append(x)
     if not columns:

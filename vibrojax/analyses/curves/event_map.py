@@ -9,6 +9,7 @@ where a stick phase appears or vanishes.
 """
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import jax
@@ -19,11 +20,11 @@ from jaxtyping import Float
 
 from vibrojax.models.arrays import Array, Flags, Lanes
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.margin import FLAT, Margin, typical_values
+from vibrojax.periodic.margin import DEPARTED, FLAT, Margin, typical_values
 from vibrojax.periodic.return_map import Mapped, at_section, one_return
 from vibrojax.stepping import Accuracy, Lane, Located, Step
 from vibrojax.stepping.event import Event
-from vibrojax.stepping.polynomial import Coefficients, slope, value
+from vibrojax.stepping.polynomial import Coefficients, first_guess, root, slope, value
 from vibrojax.stepping.series import known
 from vibrojax.sweep.engine.compiler import lane_function
 
@@ -62,16 +63,24 @@ class Passing(Located):
     chosen: tuple[Array, ...] = ()
 
     def passing(
-        self, event: Event, functions: list[list[Array]], lane: Lane, reach: Array
+        self,
+        event: Event,
+        functions: list[list[Array]],
+        polynomials: tuple[list[Array], ...],
+        lane: Lane,
+        reach: Array,
     ) -> tuple[Event, list[list[Array]]]:
         scales = _typical(event.scene, event.constants, lane.mode, lane.state)
-        lifts = tuple(
-            lax.stop_gradient(chosen * jnp.where(_predicted_minimum(f, reach) > -PASSED_DEPTH * scale, 2.0, 0.0))
-            * (PASSED_DEPTH * lax.stop_gradient(scale))
-            for f, chosen, scale in zip(functions, self.chosen, scales, strict=False)
-        )
+        zeros = [_first_zero(f, reach) for f in functions[: len(self.chosen)]]
+        lifts = []
+        for k, (chosen, scale) in enumerate(zip(self.chosen, scales, strict=False)):
+            least = _predicted_minimum(functions[k], reach)
+            until, rises = _other_event(event, k, zeros, polynomials, lane)
+            least = jnp.where(rises, _least_value(functions[k], jnp.where(rises, until, reach)), least)
+            shallow = lax.stop_gradient(chosen * jnp.where(least > -PASSED_DEPTH * scale, 2.0, 0.0))
+            lifts.append(shallow * (PASSED_DEPTH * lax.stop_gradient(scale)))
         lifted = [[f[0] + lift, *f[1:]] for f, lift in zip(functions, lifts, strict=False)]
-        passed = PassedEvent(event.scene, event.constants, event.mode, event.marked, event.smooths, lifts)
+        passed = PassedEvent(event.scene, event.constants, event.mode, event.marked, event.smooths, tuple(lifts))
         return passed, [*lifted, *functions[len(lifted) :]]
 
 
@@ -79,35 +88,53 @@ class Passing(Located):
 class EventMargin(Margin):
     """Signed margin of the `chosen` condition of each lane, and the grazing margin of all other events.
 
-    Its rows are the signed value that is closest to zero, the margin of the other events, and the second-closest value.
+    Its rows are the signed value that is closest to zero, the margin of the other events, the second-closest value, two
+    rows for bounces, and for each guard its value at the end of the last step if it fell there until another event. If
+    the guard rises behind the event, this value is its minimum.
     """
 
     chosen: tuple[Array, ...] = ()
 
+    def begin(self, zero: Lanes) -> Array:
+        rows = super().begin(zero)
+        return jnp.concatenate([rows, jnp.full((len(self.scene.guard_names), *zero.shape), jnp.inf, rows.dtype)])
+
     def after(self, least: Array, armed: Flags, lane: Lane, step: Step) -> Array:
         scene = self.scene
         states = tuple(known(polynomial) for polynomial in step.polynomials)
-        functions = scene.guard_values(self.c, step.mode, states)
+        order = len(step.polynomials[0]) - 1
+        functions = [f.arrays(order, step.dt) for f in scene.guard_values(self.c, step.mode, states)]
         scales = _typical(scene, self.c, step.mode, step.before)
-        first, second = least[0], least[2]
+        first, second, others, fallen = least[0], least[2], least[3:5], least[5:]
         for (name, place), chosen in zip(conditions_of(scene), self.chosen, strict=True):
             index = scene.guard_names.index(name)
             if place is None:
-                f = functions[index].arrays(len(step.polynomials[0]) - 1, step.dt)
-                margin = _signed_minimum(f, step) / lax.stop_gradient(scales[index])
+                f = functions[index]
+                corner = jnp.where(f[1] > 0, fallen[index], jnp.inf)
+                scale = lax.stop_gradient(scales[index])
+                margins = [_signed_minimum(f, step, scale) / scale, corner / scale]
             else:
                 held = tuple(jnp.zeros_like(m) if k == place else m for k, m in enumerate(step.mode))
                 scale = _typical(scene, self.c, held, step.after)[index]
                 now = scene.guards()[index].function(self.c, held, step.after) / lax.stop_gradient(scale)
-                margin = jnp.where(step.hits[name] & (step.mode[place] != 0), now, jnp.inf)
-            margin = jnp.where(chosen > 0, margin, jnp.inf)
-            closer, between = jnp.abs(margin) < jnp.abs(first), jnp.abs(margin) < jnp.abs(second)
-            second = jnp.where(closer, first, jnp.where(between, margin, second))
-            first = jnp.where(closer, margin, first)
-        others = lax.stop_gradient(
-            super().after(jnp.concatenate([jnp.full_like(least[:3], jnp.inf), least[3:]]), armed, lane, step)
-        )
-        return jnp.stack([first, jnp.minimum(least[1], others[:2].min(axis=0)), second, *others[3:]])
+                margins = [jnp.where(step.hits[name] & (step.mode[place] != 0), now, jnp.inf)]
+            for margin in margins:
+                margin = jnp.where(chosen > 0, margin, jnp.inf)
+                closer, between = jnp.abs(margin) < jnp.abs(first), jnp.abs(margin) < jnp.abs(second)
+                second = jnp.where(closer, first, jnp.where(between, margin, second))
+                first = jnp.where(closer, margin, first)
+        fallen = jnp.stack([self._fallen(index, f, step) for index, f in enumerate(functions)])
+        far = jnp.full_like(least[:3], jnp.inf)
+        plain = lax.stop_gradient(super().after(jnp.concatenate([far, others]), armed, lane, step))
+        nearest = jnp.minimum(least[1], plain[:2].min(axis=0))
+        return jnp.concatenate([jnp.stack([first, nearest, second]), plain[3:5], fallen])
+
+    def _fallen(self, index: int, f: Coefficients, step: Step) -> Array:
+        """Return the value of a guard that has fallen until another event at the end of the step, else infinity."""
+        names = self.scene.guard_names
+        others = [step.hits[name] for k, name in enumerate(names) if k != index]
+        at_other = reduce(jnp.logical_or, others, jnp.zeros_like(step.hits[names[index]]))
+        return jnp.where(at_other & (slope(f, step.tau) < 0), value(f, step.tau), jnp.inf)
 
     def total(self, rows: Array) -> Array:
         return jnp.stack([rows[0], jnp.minimum(rows[1], rows[4]), rows[2]])
@@ -179,10 +206,19 @@ def _turn(f: Coefficients, end: Array) -> tuple[Flags, Array]:
     return turns, place
 
 
-def _signed_minimum(f: Coefficients, step: Step) -> Array:
-    """Return the minimum of a function within the step, which may be negative; infinity without a minimum."""
+def _signed_minimum(f: Coefficients, step: Step, scale: Array) -> Array:
+    """Return the minimum of a function within the step, which may be negative; infinity without a minimum.
+
+    A motion that has just reached or left the surface begins next to it, with a rate that is a rounding error.
+    """
     turns, place = _turn(f, step.tau)
-    return jnp.where(turns, value(f, lax.stop_gradient(place)), jnp.inf)
+    return jnp.where(turns & (jnp.abs(f[0]) > DEPARTED * scale), value(f, lax.stop_gradient(place)), jnp.inf)
+
+
+def _least_value(f: Coefficients, end: Array) -> Array:
+    """Return the least value of a function between the start of the step and `end`."""
+    turns, place = _turn(f, end)
+    return jnp.minimum(jnp.minimum(f[0], value(f, end)), jnp.where(turns, value(f, place), jnp.inf))
 
 
 def _predicted_minimum(f: Coefficients, reach: Array) -> Array:
@@ -190,6 +226,36 @@ def _predicted_minimum(f: Coefficients, reach: Array) -> Array:
     end, rate = value(f, reach), slope(f, reach)
     curvature = slope([k * coefficient for k, coefficient in enumerate(f)][1:], reach)
     ahead = jnp.where(curvature > 0, end - rate * rate / jnp.where(curvature > 0, 2 * curvature, 1.0), -jnp.inf)
-    turns, place = _turn(f, reach)
-    inside = jnp.where(turns, value(f, place), jnp.inf)
-    return jnp.minimum(jnp.minimum(jnp.minimum(f[0], end), inside), jnp.where(rate < 0, ahead, jnp.inf))
+    return jnp.minimum(_least_value(f, reach), jnp.where(rate < 0, ahead, jnp.inf))
+
+
+def _first_zero(f: Coefficients, reach: Array) -> Array:
+    """Return the place in tau at which a function becomes negative; infinity if it does not."""
+    f = lax.stop_gradient(f)
+    end = value(f, reach)
+    falls = (f[0] > 0) & (end < 0)
+    guess = first_guess(jnp.maximum(f[0], 0.0), f[1] * reach, end) * reach
+    return jnp.where(falls, root(f, jnp.zeros_like(reach), jnp.where(falls, guess, 0.5 * reach), reach), jnp.inf)
+
+
+def _other_event(
+    event: Event, index: int, zeros: list[Array], polynomials: tuple[list[Array], ...], lane: Lane
+) -> tuple[Array, Flags]:
+    """Return the place in tau of the first event of the other guards, and a mask of lanes in which guard rises behind.
+
+    `index`: index of the guard; `zeros`: see `_first_zero`.
+    """
+    scene, c = event.scene, event.constants
+    mine = jnp.full_like(zeros[index], jnp.inf)
+    others = [mine if k == index else zero for k, zero in enumerate(zeros)]
+    until = reduce(jnp.minimum, others)
+    ends = until < jnp.inf
+    place = jnp.where(ends, until, 0.0)
+    names = scene.event_names
+    hits: dict[str, Any] = dict.fromkeys(names, jnp.zeros_like(ends))
+    hits |= {name: ends & (zero == until) for name, zero in zip(scene.guard_names, others, strict=True)}
+    reached = tuple(lax.stop_gradient(value(polynomial, place)) for polynomial in polynomials)
+    mode, state = scene.after_event(c, lane.mode, reached, hits)
+    guard = scene.guards()[index].function
+    _, rate = jax.jvp(lambda state: guard(c, mode, state), (state,), (tuple(scene.field(c, mode, state)),))
+    return until, ends & (lax.stop_gradient(rate) > 0)

@@ -44,12 +44,18 @@ class Mark(NamedTuple):
 
 @dataclass
 class Curve:
-    """The curve of one special point: `parts` of its points in order, marks, and notes on its two ends."""
+    """A curve: `parts` of its points in order, marks, notes on its two ends, and the `special` point of the family.
+
+    `special` is -1 if the curve begins at a point of codimension two, of which `origin` tells; `begin`: first point.
+    """
 
     number: int
     parts: list[Points] = field(default_factory=list)
     marks: list[Mark] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    special: int = -1
+    origin: str = ""
+    begin: Points | None = None
 
 
 class _Segment(NamedTuple):
@@ -68,19 +74,32 @@ def follow_curves(problem: CurveProblem, unknowns: list[np.ndarray], report: Cal
     `report` is called with the number of ends of curves that have been reached, of two for each curve.
     """
     curves = [Curve(number) for number in range(len(unknowns))]
-    pending: list[_Segment] = []
+    begins: list[Points] = []
     for size in sorted({len(u) for u in unknowns}):
         number = np.array([k for k, u in enumerate(unknowns) if len(u) == size])
         u = np.array([unknowns[k] for k in number])
         begin, converged = problem.correct(number, u, towards(u, 1.0), u[:, -1])
         near = np.abs(begin.u - u).max(axis=1) < NEAR_START
         for k, curve in enumerate(number.tolist()):
-            if not (converged[k] and near[k]):
+            if converged[k] and near[k]:
+                begins.append(begin.of([k]))
+            else:
                 curves[curve].notes.append("the special point satisfies no equations that can be continued")
-                continue
-            for direction, sign in ((0, -1.0), (1, 1.0)):
-                first = begin.of([k]).along(towards(begin.u[[k]], sign))
-                pending.append(_Segment(curve, direction, first, FIRST_STEP, 0))
+    continue_both_ways(problem, begins, curves, report)
+    return curves
+
+
+def continue_both_ways(
+    problem: CurveProblem, begins: list[Points], curves: list[Curve], report: Callable[[int], None]
+) -> None:
+    """Continue curves from one point of each, with a tangent; `curves`: the curves of the problem, in order."""
+    pending = [
+        _Segment(int(begin.family[0]), direction, begin.along(sign * begin.tangent), FIRST_STEP, 0)
+        for begin in begins
+        for direction, sign in ((0, -1.0), (1, 1.0))
+    ]
+    for begin in begins:
+        curves[int(begin.family[0])].begin = begin
     ends: dict[tuple[int, int], list[Points]] = {}
     notes: dict[tuple[int, int], str] = {}
     while pending:
@@ -90,7 +109,7 @@ def follow_curves(problem: CurveProblem, unknowns: list[np.ndarray], report: Cal
             group = [segment for segment in pending if segment.begin.u.shape[1] == size]
             following += _continue(problem, group, curves, ends, notes)
         pending = following
-    for curve in curves:
+    for curve in (curves[number] for number in sorted({int(begin.family[0]) for begin in begins})):
         backwards, forwards = (ends.get((curve.number, way), []) for way in (0, 1))
         if not backwards and not forwards:
             continue
@@ -102,7 +121,6 @@ def follow_curves(problem: CurveProblem, unknowns: list[np.ndarray], report: Cal
         ways = (1,) if closed else (0, 1)
         curve.notes = list(dict.fromkeys(notes[curve.number, way] for way in ways))
         curve.marks = _distinct(curve.marks)
-    return curves
 
 
 def _distinct(marks: list[Mark]) -> list[Mark]:
@@ -216,6 +234,8 @@ def _cut(
                 place, point = min(meeting, key=lambda item: item[0])
                 points = Points.join([points.of(slice(0, place + 1)), point])
                 marks = [mark for mark in marks if mark[0] <= place]
+            else:  # the curve begins where the pair meets
+                points = points.of(slice(0, max(len(points.u) - 1, 1)))
     # Beyond a second graze of its own event, the curve is not one of the motion's.
     again = [mark for mark in marks if mark[1] in ("double grazing", "stick and stick")]
     passes = points.mode_changes[:, -1, 0] > 0
@@ -250,13 +270,13 @@ def crossings(problem: CurveProblem, points: Points, which: int, value: float) -
     share = (level - near[:, column]) / (far - near)[:, column]
     row = np.zeros_like(near)
     row[:, column] = np.sign(far - near)[:, column]
-    guess = _between(points, places, share)
+    guess = between(points, places, share)
     guess[:, column] = level
     located, converged = problem.correct(points.family[places], guess, row, row[:, column] * level)
     return [located.of([k]) for k in np.flatnonzero(converged).tolist()]
 
 
-def _between(points: Points, places: Index, share: Float[np.ndarray, " lanes"]) -> Unknowns:
+def between(points: Points, places: Index, share: Float[np.ndarray, " lanes"]) -> Unknowns:
     """Return the unknowns between neighbouring points of a curve, by cubic interpolation."""
     near, far = points.u[places], points.u[places + 1]
     length, s = np.linalg.norm(far - near, axis=1)[:, None], share[:, None]

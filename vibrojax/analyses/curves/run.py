@@ -1,12 +1,14 @@
 """Two-parameter continuation of special points: `curves`."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY
+from vibrojax.analyses.curves.branching import condition_at, with_branches, without_duplicates
 from vibrojax.analyses.curves.dataset import curves_dataset
 from vibrojax.analyses.curves.event_map import conditions_of
 from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
@@ -14,15 +16,13 @@ from vibrojax.analyses.curves.following import follow_curves
 from vibrojax.analyses.curves.spec import CurvesSpec, read_curves
 from vibrojax.io.branches import branches, kind_names, places
 from vibrojax.io.variables import orbit_name
+from vibrojax.models.scenes import Scene
 from vibrojax.periodic.newton import MIN_RELATIVE_SWING
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
 from vibrojax.progress import Progress
 
 UNITS_PER_SPAN = 8
 """Number of units of a scaled parameter between its bounds."""
-
-NEAR_EVENT = 1e-3
-"""Largest signed margin at a special point of the condition that its curve satisfies."""
 
 
 def curves(
@@ -77,31 +77,49 @@ def continue_curves(spec: CurvesSpec, progress: bool = True) -> xr.Dataset:
     with Progress(2 * len(unknowns), "ends of curves", progress, pace=False) as bar:
         continued = follow_curves(problem, unknowns, bar.reach)
         bar.reach(2 * len(unknowns))
+    for curve, special in zip(continued, spec.special, strict=True):
+        curve.special = special
+    problem, continued = with_branches(problem, without_duplicates(problem, continued))
     return curves_dataset(spec, problem, continued)
 
 
 def problem_of(spec: CurvesSpec) -> tuple[CurveProblem, list[np.ndarray]]:
     """Return the equations of the curves, and the unknowns at the special points."""
-    scene = spec.scene.driving_part()
+    bounds = {spec.along: spec.first_span, spec.by: spec.span}
     kinds = np.array(kind_names(spec.family))[spec.special]
-    orbits = [_orbit_at(spec, index) for index in spec.special]
-    parameters = {name: spec.parameters[name] for name in scene.parameters()}
+    return problem_through(spec.scene, bounds, spec.parameters, kinds, [_orbit_at(spec, k) for k in spec.special])
+
+
+def problem_through(
+    scene: Scene[Any],
+    bounds: Mapping[str, tuple[float, float]],
+    parameters: Mapping[str, np.ndarray],
+    kinds: np.ndarray,
+    orbits: list[tuple[int, Float[np.ndarray, " states"]]],
+) -> tuple[CurveProblem, list[np.ndarray]]:
+    """Return the equations of curves through orbits, and the unknowns at these orbits.
+
+    **Arguments:** `bounds`: lower and upper bounds of the first and of the second parameter, by name; `parameters`: all
+    parameters of each orbit, by name; `kinds`: kind of each curve; `orbits`: for each curve the number of section
+    crossings and the state at the section.
+    """
+    scene, count = scene.driving_part(), len(orbits)
+    (first, (low, high)), (second, (bottom, top)) = bounds.items()
+    parameters = {name: parameters[name] for name in scene.parameters()}
     # The program of the curves serves here, too: another one would have to be compiled.
-    go = Segments(scene, (spec.along, spec.by), FAMILY_ACCURACY)
+    go = Segments(scene, (first, second), FAMILY_ACCURACY)
     states, scales, most_steps = _states(go, parameters, orbits, kinds != "hopf")
-    count = len(spec.special)
-    low, high = spec.first_span
     none = np.zeros((count, len(conditions_of(scene))))
     problem = CurveProblem(
         scene=scene,
-        along=spec.by,
+        along=second,
         parameters=parameters,
         scales=scales,
-        unit=np.full(count, (spec.span[1] - spec.span[0]) / UNITS_PER_SPAN),
-        first=np.full(count, spec.span[0]),
-        last=np.full(count, spec.span[1]),
+        unit=np.full(count, (top - bottom) / UNITS_PER_SPAN),
+        first=np.full(count, bottom),
+        last=np.full(count, top),
         most_steps=most_steps,
-        other=spec.along,
+        other=first,
         other_unit=np.full(count, (high - low) / UNITS_PER_SPAN),
         other_first=np.full(count, low),
         other_last=np.full(count, high),
@@ -110,10 +128,10 @@ def problem_of(spec: CurvesSpec) -> tuple[CurveProblem, list[np.ndarray]]:
     )
     unknowns = []
     for k in range(count):
-        values = np.array([[parameters[spec.along][k], parameters[spec.by][k]]])
+        values = np.array([[parameters[first][k], parameters[second][k]]])
         unknowns.append(problem.point(np.array([k]), states[k][None], values)[0])
         if kinds[k] in EVENTS:
-            none[k] = _condition(problem, k, unknowns[k])
+            none[k] = condition_at(problem, k, unknowns[k])
     return problem, unknowns
 
 
@@ -150,14 +168,3 @@ def _states(
     scales = np.where((swing > 0) & moves, swing, 1.0).T
     states = [np.stack([state[:, k] for state in returns[: cycles[k]]]) for k in range(len(orbits))]
     return states, scales, 8 * steps or float(MOST_STEPS)
-
-
-def _condition(problem: CurveProblem, curve: int, u: np.ndarray) -> Float[np.ndarray, " conditions"]:
-    """Return the choice of the event whose signed margin is zero at a special point; zeros if there is none."""
-    choices = np.eye(problem.chosen.shape[1])
-    every = np.full(len(choices), curve)
-    with np.errstate(all="ignore"):
-        margins = problem.margins(every, np.repeat(u[None], len(choices), axis=0), choices)
-    least = np.nan_to_num(np.abs(margins), nan=np.inf).min(axis=1)
-    nearest = int(least.argmin())
-    return choices[nearest] if least[nearest] < NEAR_EVENT else np.zeros(len(choices))

@@ -223,8 +223,8 @@ def _compute(
     """Compute the chunks with these indices, and store each one as soon as it is finished."""
     with timed("compile and step"):
         if executor is None:
-            for index in indices:
-                store(index, work.compute(index, bar.add))
+            for index, features in work.compute_each(indices, bar.add):
+                store(index, features)
             return
         check_executor(executor)
 
@@ -256,7 +256,8 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
     before = elapsed.start + elapsed.compile
     # The time loop holds some 500 numbers per lane. The array regions of `join` hold features, variables, and
     # variables being written.
-    memory = MEMORY * (1 + processes) + max(1, processes) * chunks.size * 8 * 500
+    at_once = processes or min(cores, chunks.count)
+    memory = MEMORY * (1 + processes) + at_once * chunks.size * 8 * 500
     memory += 3 * min(REGION, sweep.lanes) * (in_chunk + in_file) if to_file else sweep.lanes * (in_chunk + in_file)
     return Cost(
         lanes=sweep.lanes,

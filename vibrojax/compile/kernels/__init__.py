@@ -16,6 +16,6 @@ branches. Fused multiply-add does change bits: a processor without it rounds eac
 """
 
 from vibrojax.compile.kernels.assembly import LANES, Untranslatable
-from vibrojax.compile.kernels.native import Kernel, kernel_for, kernels, trace
+from vibrojax.compile.kernels.native import BoundKernel, Kernel, kernel_for, kernels, trace
 
-__all__ = ["LANES", "Kernel", "Untranslatable", "kernel_for", "kernels", "trace"]
+__all__ = ["LANES", "BoundKernel", "Kernel", "Untranslatable", "kernel_for", "kernels", "trace"]

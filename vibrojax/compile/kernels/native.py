@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import llvmlite
 import llvmlite.binding as llvm
 import numpy as np
+from jaxtyping import Int
 
 from vibrojax.compile.kernels import cache as store
 from vibrojax.compile.kernels.assembly import LANES, Untranslatable, dtype_of, refuse_if, varies
@@ -96,7 +97,8 @@ class Kernel:
       last axis of arrays is the lane axis, which may have any length.
     - `registers`: number of vector registers that hold one value of a group.
 
-    The attribute `key` is the hash of the kernel's IR text, the processor and the version of llvmlite.
+    Attributes: `key`, the hash of the kernel's IR text, the processor and the version of llvmlite; `text`, this text
+    and the size of the workspace; `code`, the native function.
 
     **Raises:** `Untranslatable` if the function has a construct that no kernel can express.
     """
@@ -105,42 +107,90 @@ class Kernel:
         traced = trace(function, *examples)
         inner = traced.jaxpr.jaxpr
         self._arguments = [(dtype_of(var.aval), varies(var.aval)) for var in inner.invars]
+        self._shapes = [(len(var.aval.shape), var.aval.shape[:-1]) for var in inner.invars]
         self._results = [(dtype_of(var.aval), var.aval.shape, varies(var.aval)) for var in inner.outvars]
         refuse_if(not any(varying for _, varying in self._arguments), "no argument has lanes")
         self._tree = jax.tree.structure(traced.out_info)
         widest = max((dtype.itemsize for dtype, _ in self._arguments if dtype.kind == "f"), default=8)
         self.width = registers * vector_bytes() // widest
-        text, self._workspace, self._alignment = kernel_text(traced.jaxpr, self.width)
-        parts = (llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values(), text)
+        self.text = kernel_text(traced.jaxpr, self.width)
+        parts = (llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values(), self.text.text)
         self.key = sha256("\n".join(parts).encode()).hexdigest()
         code = store.read(self.key)
         if code is None:
-            code = _object_code(text)
+            code = _object_code(self.text.text)
             store.write(self.key, code)
         builder = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("lanes").add_current_process()
         self._library = builder.link(_jit(), f"kernel {next(_number)}")  # keeps the code in memory
-        kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)  # releases the interpreter lock
-        self._lanes = kind(self._library["lanes"])
+        kinds = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
+        self.code = ctypes.CFUNCTYPE(None, *kinds)(self._library["lanes"])  # a call releases the interpreter lock
 
     def __call__(self, *arguments: Any) -> Any:
         """Return the function's results as numpy arrays. The interpreter lock is released during the computation."""
+        return self.bind(*arguments).whole()
+
+    def bind(self, *arguments: Any) -> "BoundKernel":
+        """Return the kernel bound to arguments, to compute some lanes at a time."""
         leaves = jax.tree.leaves(arguments)
-        lanes = next(np.shape(x)[-1] for x, (_, varying) in zip(leaves, self._arguments, strict=True) if varying)
-        padded = -(-lanes // self.width) * self.width
-        arrays = []
-        for leaf, (dtype, varying) in zip(leaves, self._arguments, strict=True):
-            x = np.asarray(leaf, dtype)
-            if varying and lanes != padded:
-                x = np.concatenate([x, np.repeat(x[..., -1:], padded - lanes, axis=-1)], axis=-1)  # repeats a lane
-            arrays.append(np.ascontiguousarray(x))
-        shapes = [(*shape[:-1], padded) if varying else shape for _, shape, varying in self._results]
-        results = [np.empty(shape, dtype) for shape, (dtype, *_) in zip(shapes, self._results, strict=True)]
-        workspace = np.empty(self._workspace + self._alignment, np.uint8)
-        pointers = np.array([x.ctypes.data for x in (*arrays, *results)], np.uintp)
-        aligned = -(-workspace.ctypes.data // self._alignment) * self._alignment
-        self._lanes(pointers.ctypes.data, aligned, padded)
-        cut = [x[..., :lanes] if varying else x for x, (*_, varying) in zip(results, self._results, strict=True)]
-        return jax.tree.unflatten(self._tree, cut)
+        arrays = [
+            np.ascontiguousarray(leaf, dtype) if varying else np.asarray(leaf, dtype)
+            for leaf, (dtype, varying) in zip(leaves, self._arguments, strict=True)
+        ]
+        lengths = {x.shape[-1] for x, (_, varying) in zip(arrays, self._arguments, strict=True) if varying}
+        shapes = [(x.ndim, x.shape[:-1]) for x in arrays]
+        if len(lengths) != 1 or shapes != self._shapes:
+            raise ValueError(f"arrays of {sorted(lengths)} lanes and shapes {shapes}, not {self._shapes}")
+        [lanes] = lengths
+        results = [
+            np.empty((*shape[:-1], lanes) if varying else shape, dtype) for dtype, shape, varying in self._results
+        ]
+        return BoundKernel(self, lanes, [*arrays, *results], jax.tree.unflatten(self._tree, results))
+
+
+class BoundKernel:
+    """A kernel bound to arguments with `lanes` lanes. A call computes some lanes; threads may compute different lanes.
+
+    `results`: pytree of the results, which hold the lanes computed so far.
+    """
+
+    def __init__(self, kernel: Kernel, lanes: int, arrays: list[np.ndarray], results: Any) -> None:
+        self._kernel, self._arrays = kernel, arrays  # kept because code and memory are used by address
+        self._pointers = np.array([x.ctypes.data for x in arrays], np.uintp)
+        self.lanes, self.results = lanes, results
+
+    def whole(self) -> Any:
+        """Compute all lanes and return the results."""
+        self(np.arange(self.lanes))
+        return self.results
+
+    def __call__(self, lanes: Int[np.ndarray, " _"]) -> None:
+        """Compute the lanes with these indices. The interpreter lock is released meanwhile.
+
+        **Raises:** `IndexError`, before anything is computed, if an index is not that of a lane.
+        """
+        lanes = np.asarray(lanes)
+        if lanes.ndim != 1 or lanes.dtype.kind not in "iu":
+            raise IndexError(f"lanes: an array of {lanes.dtype} with {lanes.ndim} axes, not of integers with one")
+        if not len(lanes):
+            return
+        if lanes.min() < 0 or lanes.max() >= self.lanes:
+            raise IndexError(f"lanes {lanes.min()} to {lanes.max()} of arrays with {self.lanes} lanes")
+        # The last group is filled with copies of a lane, whose results are equal.
+        kernel, text = self._kernel, self._kernel.text
+        index = np.concatenate([lanes, np.full(-len(lanes) % kernel.width, lanes[-1])]).astype(np.int64, copy=False)
+        start = _workspace(text.fixed + text.per_lane * len(index), text.alignment)
+        kernel.code(self._pointers.ctypes.data, start, index.ctypes.data, len(index), self.lanes)
+
+
+_thread = threading.local()
+
+
+def _workspace(size: int, alignment: int) -> int:
+    """Return the address of this thread's workspace, which grows as required and is kept for the next call."""
+    memory = getattr(_thread, "workspace", None)
+    if memory is None or len(memory) < size + alignment:
+        memory = _thread.workspace = np.empty(size + alignment, np.uint8)
+    return -(-int(memory.ctypes.data) // alignment) * alignment
 
 
 def trace(function: Callable[..., Any], *examples: Any) -> Any:

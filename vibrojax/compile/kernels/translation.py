@@ -3,7 +3,8 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache, partial
-from typing import Any
+from math import prod
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -28,29 +29,79 @@ define internal void @group(ptr noalias %arrays, ptr noalias %workspace, i64 %co
   ret void
 }}
 
-define void @lanes(ptr noalias %arrays, ptr noalias %workspace, i64 %count) #0 {{
+{copies}
+
+define void @lanes(ptr %arrays, ptr %workspace, ptr %index, i64 %count, i64 %length) #0 {{
   %any = icmp sgt i64 %count, 0
-  br i1 %any, label %next, label %done
+  br i1 %any, label %begin, label %done
+begin:
+{taken}
+  br label %next
 next:
-  %lane = phi i64 [ 0, %0 ], [ %after, %next ]
-  call void @group(ptr %arrays, ptr %workspace, i64 %count, i64 %lane)
+  %lane = phi i64 [ 0, %begin ], [ %after, %next ]
+  call void @group(ptr %packed, ptr %workspace, i64 %count, i64 %lane)
   %after = add i64 %lane, {width}
   %more = icmp slt i64 %after, %count
-  br i1 %more, label %next, label %done
+  br i1 %more, label %next, label %end
+end:
+{put}
+  br label %done
 done:
   ret void
 }}
 
 attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"="512" }}
 """
-"""IR text of a kernel. `lanes(arrays, workspace, count)` computes `count` lanes, a multiple of `width`. `arrays` is an
-array of pointers to the arguments and results, whose last axis is the lane axis."""
+"""IR text of a kernel. `lanes(arrays, workspace, index, count, length)` computes the lanes `index[0]` to
+`index[count - 1]` of arrays with `length` lanes. `count` is a multiple of `width`. `arrays` is an array of pointers to
+the arguments and results, whose last axis is the lane axis.
+
+The lanes are copied to packed arrays of `count` lanes at the end of the workspace, and the results back. Copying row by
+row keeps a row in the cache, which reading all rows of one group after another would not."""
+
+COPY = """define internal void @{name}{bits}(
+  ptr %packed, ptr %whole, ptr %index, i64 %count, i64 %length, i64 %rows
+) #0 {{
+  br label %row
+row:
+  %number = phi i64 [ 0, %0 ], [ %number1, %end ]
+  %packed_start = mul i64 %number, %count
+  %whole_start = mul i64 %number, %length
+  %packed_row = getelementptr i{bits}, ptr %packed, i64 %packed_start
+  %whole_row = getelementptr i{bits}, ptr %whole, i64 %whole_start
+  br label %next
+next:
+  %k = phi i64 [ 0, %row ], [ %k1, %next ]
+  %place = getelementptr i64, ptr %index, i64 %k
+  %lane = load i64, ptr %place, align 8
+  %in_packed = getelementptr i{bits}, ptr %packed_row, i64 %k
+  %in_whole = getelementptr i{bits}, ptr %whole_row, i64 %lane
+  %x = load i{bits}, ptr %{source}, align 1
+  store i{bits} %x, ptr %{target}, align 1
+  %k1 = add i64 %k, 1
+  %more = icmp slt i64 %k1, %count
+  br i1 %more, label %next, label %end
+end:
+  %number1 = add i64 %number, 1
+  %again = icmp slt i64 %number1, %rows
+  br i1 %again, label %row, label %done
+done:
+  ret void
+}}"""
+"""IR text of a function that copies the lanes in `index` from a whole to a packed array (`take`) or back (`put`)."""
 
 
-def kernel_text(jaxpr: Any, width: int) -> tuple[str, int, int]:
+class KernelText(NamedTuple):
+    """A kernel's IR text, and the memory of its workspace [bytes]: `fixed` plus `per_lane`, at this `alignment`."""
+
+    text: str
+    fixed: int
+    per_lane: int
+    alignment: int
+
+
+def kernel_text(jaxpr: Any, width: int) -> KernelText:
     """Translate a closed jaxpr to a kernel for groups of `width` lanes.
-
-    **Returns:** the kernel's IR text, and the size and alignment of its workspace [bytes].
 
     **Raises:** `Untranslatable` if the function has a construct that no kernel can express.
     """
@@ -68,8 +119,51 @@ def kernel_text(jaxpr: Any, width: int) -> tuple[str, int, int]:
         if place not in asm.filled:
             asm.store_array(value, control.array_slots(asm, place, var.aval))
     body = "\n".join(asm.places + asm.lines)
-    text = TEMPLATE.format(declarations="\n".join(sorted(asm.declared)), body=body, width=width)
-    return text, asm.workspace, asm.alignment
+    avals = [var.aval for var in (*inner.invars, *inner.outvars)]
+    taken, put, fixed, per_lane = _copies(avals, len(inner.invars), asm.workspace, asm.alignment)
+    used = {bits for bits in (8, 16, 32, 64) if f"{bits}(" in taken + put}
+    ways = (("take", "in_whole", "in_packed"), ("put", "in_packed", "in_whole"))
+    copies = [COPY.format(name=name, source=x, target=y, bits=bits) for bits in sorted(used) for name, x, y in ways]
+    text = TEMPLATE.format(
+        declarations="\n".join(sorted(asm.declared)),
+        body=body,
+        copies="\n\n".join(copies),
+        taken=taken,
+        put=put,
+        width=width,
+    )
+    return KernelText(text, fixed, per_lane, asm.alignment)
+
+
+def _copies(avals: Sequence[Any], arguments: int, workspace: int, alignment: int) -> tuple[str, str, int, int]:
+    """Return the instructions that copy lanes to packed arrays and back, and the workspace's `fixed` and `per_lane`.
+
+    The workspace holds the slots of a group, the table of pointers to the packed arrays, and these arrays. `avals`: of
+    all arrays, the first `arguments` of which are arguments.
+    """
+    table = -(-workspace // alignment) * alignment
+    fixed = -(-(table + 8 * len(avals)) // alignment) * alignment
+    taken = [f"  %packed = getelementptr i8, ptr %workspace, i64 {table}"]
+    put: list[str] = []
+    per_lane = 0
+    # The widest numbers first, so that the rows of each array are aligned.
+    for place, aval in sorted(enumerate(avals), key=lambda item: -dtype_of(item[1]).itemsize):
+        size, rows = dtype_of(aval).itemsize, prod(without_lanes(aval.shape))
+        taken += [
+            f"  %entry{place} = getelementptr ptr, ptr %arrays, i64 {place}",
+            f"  %whole{place} = load ptr, ptr %entry{place}, align 8",
+            f"  %offset{place} = mul i64 %count, {per_lane}",
+            f"  %start{place} = add i64 %offset{place}, {fixed}",
+            f"  %lanes{place} = getelementptr i8, ptr %workspace, i64 %start{place}",
+            f"  %place{place} = getelementptr ptr, ptr %packed, i64 {place}",
+            f"  store ptr %{'lanes' if varies(aval) else 'whole'}{place}, ptr %place{place}, align 8",
+        ]
+        if varies(aval) and rows:
+            call = f"ptr %lanes{place}, ptr %whole{place}, ptr %index, i64 %count, i64 %length, i64 {rows}"
+            name, calls = ("take", taken) if place < arguments else ("put", put)
+            calls.append(f"  call void @{name}{8 * size}({call})")
+            per_lane += size * rows
+    return "\n".join(taken), "\n".join(put), fixed, per_lane
 
 
 def _write(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collection[int] = ()) -> list[Value]:

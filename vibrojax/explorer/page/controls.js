@@ -66,6 +66,11 @@ function overControls(page, make) {
     found.push(make.check("region", "source's region", "The region that the source recommends: beta 0.25 to 0.6, gamma 0.6 to 0.8", shown.region,
       (value) => page.show({ region: value })));
   if (data.curves?.list.length && over.every((one) => one in data.curves.list[0].points)) {
+    if (data.curves.of === "curves") {
+      found.push(make.check("borders", "curves", "Special points of orbits, stable or not, continued in both parameters", shown.borders !== "off",
+        (value) => page.show({ borders: value ? "any" : "off" })));
+      return found;
+    }
     const own = grid.axes.has("start") ? [["own", "from this start"]] : [];
     found.push(make.select("borders", "Borders of the single impact", [...own, ["any", "from any start"], ["off", "none"]], shown.borders,
       (value) => page.show({ borders: value })));

@@ -44,9 +44,12 @@ function flagItems(page) {
 /** What lies over the map: borders, branches, cells of a hidden motion. */
 function overItems(page) {
   const found = [], { curves, family } = page.data;
-  if (curves && page.shown.borders !== "off" && page.view.view.y)
+  if (curves && page.shown.borders !== "off" && page.view.view.y) {
     for (const kind of new Set(curves.list.filter((one) => page.view.onPlane(one)).map((one) => one.kind)))
-      found.push(dash(curves.colours[kind], kind));
+      found.push(dash(curves.colours[kind] ?? "#222222", kind));
+    const corners = [...new Set(page.view.corners().map((one) => one.kind))];
+    if (corners.length) found.push(el("li", {}, el("span", { class: "vx-corner" }), `where curves meet: ${corners.join(", ")}`));
+  }
   if (family) {
     const ink = inkOf(page.element), colour = legible(family.runs[0]?.colour ?? ink.ink, ink), stable = family.runs.map((run) => run.stable === 1);
     if (stable.includes(true)) found.push(dash(colour, "stable"));

@@ -80,8 +80,34 @@ export class MapView {
       if (!(x.axis.name in curve.points) || !(y.axis.name in curve.points) || !this.onPlane(curve)) continue;
       const xs = curve.points[x.axis.name].map((v) => v * x.column.factor), ys = curve.points[y.axis.name].map((v) => v * y.column.factor);
       line(c, xs, ys, sx, sy, "#FFFFFF", 3.6);
-      line(c, xs, ys, sx, sy, curves.colours[curve.kind], 1.8, DASHES[curve.kind] ?? []);
+      line(c, xs, ys, sx, sy, curves.colours[curve.kind] ?? "#222222", 1.8, DASHES[curve.kind] ?? []);
     }
+    for (const corner of this.corners()) {
+      const place = [x, y].map((way) => corner.point[way.axis.name] * way.column.factor);
+      mark(c, "square", sx(place[0]), sy(place[1]), 3.2, "#FFFFFF", "#222222");
+    }
+  }
+
+  /** The points of codimension two on the plane that is shown. */
+  corners() {
+    const { curves } = this.grid.data, { x, y, borders } = this.view;
+    if (!borders || !curves || !y) return [];
+    return curves.corners.filter((one) => x.axis.name in one.point && y.axis.name in one.point && this.onPlane(one));
+  }
+
+  /** The names of the points of codimension two within some pixels of a place, or within a cell. */
+  namesAt(place, cell) {
+    const { frame, view } = this, { x, y } = view;
+    if (!frame || !y || x.column !== x.axis) return [];
+    const near = this.corners().filter(({ point }) => {
+      const [u, v] = [x, y].map((way) => point[way.axis.name] * way.column.factor);
+      if (place) return Math.hypot(frame.x(u) - place[0], frame.y(v) - place[1]) < 9;
+      return [[x, u], [y, v]].every(([way, value]) => {
+        const { edges } = edgesOf(way.column), k = cell[way.axis.name];
+        return (value - edges[k]) * (value - edges[k + 1]) <= 0;
+      });
+    });
+    return [...new Set(near.map((one) => one.kind))];
   }
 
   /** Whether a curve is of the plane and the start that are shown. */

@@ -215,7 +215,8 @@ class Page {
   say() {
     if (!this.shown.x) return;
     const { variable, grid } = this, value = grid.valueText(variable, grid.value(variable.name, this.cell));
-    this.live.textContent = `${grid.cellText(this.cell, variable.axes)}: ${variable.name.replaceAll("_", " ")} ${value}`;
+    const names = this.view.namesAt(null, this.cell), here = names.length ? `; here curves meet: ${names.join(", ")}` : "";
+    this.live.textContent = `${grid.cellText(this.cell, variable.axes)}: ${variable.name.replaceAll("_", " ")} ${value}${here}`;
   }
 
   showMotion(motion) {

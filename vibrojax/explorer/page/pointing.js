@@ -13,7 +13,8 @@ function hover(page, cell, place) {
   page.tip.hidden = !cell;
   if (!cell) return;
   const value = page.grid.valueText(page.variable, page.grid.value(page.variable.name, cell));
-  page.tip.replaceChildren(el("b", { text: value }), el("span", { text: page.grid.cellText(cell, page.variable.axes) }));
+  const names = page.view.namesAt(place, cell).map((name) => el("b", { text: name }));
+  page.tip.replaceChildren(...names, el("b", { text: value }), el("span", { text: page.grid.cellText(cell, page.variable.axes) }));
   const box = page.over.getBoundingClientRect(), wide = page.tip.offsetWidth;
   page.tip.style.left = `${Math.max(0, Math.min(place[0] + 14, box.width - wide - 4))}px`;
   page.tip.style.top = `${place[1] > box.height / 2 ? place[1] - page.tip.offsetHeight - 12 : place[1] + 16}px`;

@@ -16,12 +16,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.compile import Untranslatable
-from vibrojax.compile.xla import precision
+from vibrojax.compile.kernels import BoundKernel
+from vibrojax.compile.xla import BoundProgram, precision
 from vibrojax.measures.recorder import Effort, Records, Underway
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes.declared import Values
 from vibrojax.stepping import Accuracy, Stepper
-from vibrojax.sweep.engine.compiler import Programs, in_parallel
+from vibrojax.sweep.engine.compiler import Programs
+from vibrojax.sweep.engine.parallel import free_threads, in_parallel
 from vibrojax.sweep.engine.programs import (
     CARRIED,
     Given,
@@ -97,6 +99,10 @@ def steps_at_most(seconds: float, accuracy: Accuracy, fixed: float = LANE_MAX_ST
     return fixed + seconds * (LANE_MAX_RATE + 2 / accuracy.step)
 
 
+Bound = BoundKernel | BoundProgram
+"""A program bound to the lanes of a batch."""
+
+
 class Engine:
     """Compiled programs of a sweep, run by all `workers` (one device per thread)."""
 
@@ -135,13 +141,14 @@ class Engine:
 
     def begun(self, batch: Batch) -> Batch:
         """Return the lanes at t = 0, in their initial states."""
-        lane, carry = self._run([batch], lambda block: self.programs.run(start_lanes, block.given))[0]
+        lane, carry = self._run([batch], lambda batch: self.programs.bind(start_lanes, batch.given))[0]
         return replace(batch, underway=Underway(lane, carry, np.zeros_like(batch.recent)))
 
     def on_orbit(self, batch: Batch, state: Values, states: Array, times: Array, period: PerLane) -> Batch:
         """Return the lanes at t = 0 at the intersection of a periodic orbit with the section, see `lanes_on_orbit`."""
         lane, carry = self._call(
-            self.workers[0], lambda: self.programs.run(lanes_on_orbit, batch.given, state, states, times, period)
+            self.workers[0],
+            lambda: self.programs.bind(lanes_on_orbit, batch.given, state, states, times, period).whole(),
         )
         return replace(batch, underway=Underway(lane, carry, np.zeros(len(batch.begin), np.int32)))
 
@@ -151,10 +158,10 @@ class Engine:
         `report` is called with the number of lanes that have just reached this time, in any batch.
         """
 
-        def program(block: Batch) -> Underway:
-            assert block.underway is not None
-            goal = np.minimum(block.begin, until).astype(self._dtype)
-            return self.programs.run(settle_lanes, block.given, block.underway, goal, self._effort(block.accuracy))
+        def program(batch: Batch) -> Bound:
+            assert batch.underway is not None
+            goal = np.minimum(batch.begin, until).astype(self._dtype)
+            return self.programs.bind(settle_lanes, batch.given, batch.underway, goal, self._effort(batch.accuracy))
 
         settled = []
         for batch, underway in zip(batches, self._run(batches, program, report), strict=True):
@@ -168,10 +175,10 @@ class Engine:
         `report` is called with the number of lanes that have just been finished, in any batch.
         """
 
-        def program(block: Batch) -> Any:
-            assert block.underway is not None
-            effort = self._effort(block.accuracy)
-            return self.programs.run(observe_lanes, block.given, block.underway, block.begin, block.duration, effort)
+        def program(batch: Batch) -> Bound:
+            assert batch.underway is not None
+            effort = self._effort(batch.accuracy)
+            return self.programs.bind(observe_lanes, batch.given, batch.underway, batch.begin, batch.duration, effort)
 
         return [
             {name: np.moveaxis(x, -1, 0) for name, x in features.items()}
@@ -208,24 +215,19 @@ class Engine:
         most = steps_at_most(run.settle + run.observe, accuracy, self.most_steps)
         return Effort(traced, np.int32(min(most, 2**31 - 1)))
 
-    def _run(self, batches: list[Batch], program: Callable[[Batch], Any], report: Report = unreported) -> list[Any]:
-        """Return the result of `program` for the lanes of each batch. Each call takes a few blocks of lanes."""
-        items = [(number, lanes) for number, batch in enumerate(batches) for lanes in self._calls(batch.recent)]
+    def _run(self, batches: list[Batch], program: Callable[[Batch], Bound], report: Report = unreported) -> list[Any]:
+        """Return the results of the program that `program` binds to each batch. A call takes a few blocks of lanes."""
+        bound = [self._call(self.workers[0], partial(program, batch)) for batch in batches]
+        items = [item for pair in zip(bound, batches, strict=True) for item in self._calls(*pair)]
 
-        def work(worker: jax.Device, item: tuple[int, Index]) -> Any:
-            number, lanes = item
-            return self._call(worker, lambda: program(batches[number].of(lanes)))
-
-        results: list[Any] = [None] * len(batches)
-        for index, part in in_parallel(work, items, self.workers):
-            number, lanes = items[index]
-            if results[number] is None:
-                count = len(batches[number].begin)
-                results[number] = jax.tree.map(lambda x, n=count: np.empty((*x.shape[:-1], n), x.dtype), part)
-            for whole, mine in zip(jax.tree.leaves(results[number]), jax.tree.leaves(part), strict=True):
-                whole[..., lanes] = mine
+        def work(worker: jax.Device, item: tuple[Bound, Index]) -> None:
+            call, lanes = item
+            self._call(worker, lambda: call(lanes))
             report(len(lanes))
-        return results
+
+        for _ in in_parallel(work, items, self.workers):
+            pass
+        return [call.results for call in bound]
 
     def _call(self, worker: jax.Device, call: Callable[[], Any]) -> Any:
         """Return the result of `call` on a worker's device. If no kernel can be used, switch to XLA and call again."""
@@ -237,16 +239,16 @@ class Engine:
                 self.programs.check_arithmetic()
                 return call()
 
-    def _calls(self, recent: Int[np.ndarray, " lanes"]) -> list[Index]:
-        """Split the lanes into blocks, and return the lanes of each program call: some blocks.
+    def _calls(self, bound: Bound, batch: Batch) -> list[tuple[Bound, Index]]:
+        """Split the lanes of a batch into blocks, and return the lanes of each call: some blocks.
 
         The lanes of a block wait for the slowest of them. So a block holds lanes of similar pace, which is estimated
         from their steps in the last call (`recent`). Every call has slow and fast blocks, so that all calls take about
         the same time.
         """
-        by_pace = np.argsort(-recent, kind="stable")
-        block = self.programs.block
-        blocks = np.split(by_pace, range(block, len(by_pace), block))
-        calls = max(-(-len(by_pace) // self.programs.lanes_per_call), min(len(self.workers), len(blocks)))
+        by_pace, block = np.argsort(-batch.recent, kind="stable"), self.programs.block
+        count = -(-len(by_pace) // block)
+        calls = max(-(-len(by_pace) // self.programs.lanes_per_call), min(free_threads(len(self.workers)), count))
         # Only the last block may be incomplete, and it is the last block of its call.
-        return [np.concatenate(blocks[call::calls]) for call in range(calls)]
+        number = np.arange(len(by_pace)) // block % calls
+        return [(bound, by_pace[number == call]) for call in range(calls)]

@@ -1,8 +1,6 @@
 """Compiled programs of lanes. Kernels of scenes from outside the package are first compared with XLA."""
 
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from queue import SimpleQueue
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax.numpy as jnp
@@ -11,10 +9,10 @@ import numpy as np
 from jaxlib import version as jaxlib
 
 from vibrojax import compile as compilation
-from vibrojax.compile import run_kernel
+from vibrojax.compile import trusted_kernel
 from vibrojax.compile.agreement import check
-from vibrojax.compile.kernels import Kernel, native
-from vibrojax.compile.xla import compiler_options, evaluation, run_in_blocks
+from vibrojax.compile.kernels import BoundKernel, Kernel, native
+from vibrojax.compile.xla import BoundProgram, compiler_options, evaluation
 from vibrojax.models.physics import elementary
 from vibrojax.sweep.engine.agreement import scene_subject
 from vibrojax.sweep.engine.programs import Kind, settle_lanes
@@ -76,57 +74,17 @@ class Programs:
             evaluate, compiler = evaluation(options), f"jaxlib {jaxlib.__version__}"
         check(evaluate, EQUATION_FUNCTIONS, compiler, self._dtype, self.block)
 
-    def run(self, program: Callable[..., Any], *arguments: Any) -> Any:
-        """Run a program of lanes on the current device and in the current precision, and return its results."""
+    def bind(self, program: Callable[..., Any], *arguments: Any) -> BoundKernel | BoundProgram:
+        """Return a program of lanes bound to arguments, to compute some lanes at a time.
+
+        Uses the current device and precision, in which its calls must be made as well.
+        """
         if self._platform is None:
             registers = KERNEL_REGISTERS.get(program, 1)
-            return run_kernel(program, (self.kind,), *arguments, registers=registers, policy=scene_subject)
-        return run_in_blocks(program, (self.kind,), self.block, self.lanes_per_call // self.block, *arguments)
+            kernel = trusted_kernel(program, (self.kind,), *arguments, registers=registers, policy=scene_subject)
+            return kernel.bind(*arguments)
+        return BoundProgram(program, (self.kind,), self.block, self.lanes_per_call // self.block, *arguments)
 
 
 def _evaluate_by_kernel(function: Callable[..., Any], *x: Any) -> Any:
     return Kernel(function, *x)(*x)
-
-
-Worker = TypeVar("Worker")
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
-
-def in_parallel(
-    work: Callable[[Worker, Item], Result], items: Sequence[Item], workers: Sequence[Worker]
-) -> Iterator[tuple[int, Result]]:
-    """Call `work(worker, item)` for every item, in one thread per worker. A free thread takes the next item.
-
-    **Returns:** an iterator over (index of the item, result), in the order of completion.
-
-    **Raises:** the exception of a call of `work`. After an exception, and if the iterator is closed early (by an
-    interrupt), the threads stop after their current item. The caller does not wait for them.
-    """
-    done: SimpleQueue[tuple[int, Result] | BaseException] = SimpleQueue()
-    waiting = iter(range(len(items)))
-    taking = threading.Lock()
-    stopped = threading.Event()
-
-    def run(worker: Worker) -> None:
-        while not stopped.is_set():
-            with taking:
-                index = next(waiting, None)
-            if index is None:
-                return
-            try:
-                done.put((index, work(worker, items[index])))
-            except BaseException as error:
-                done.put(error)
-                return
-
-    for worker in workers[: len(items)]:
-        threading.Thread(target=run, args=(worker,), daemon=True).start()
-    try:
-        for _ in items:
-            result = done.get()
-            if isinstance(result, BaseException):
-                raise result
-            yield result
-    finally:
-        stopped.set()

@@ -20,6 +20,7 @@ from vibrojax.sweep.engine.batch import Features, Report, unreported
 from vibrojax.sweep.engine.chunks import Carried, Chunks, PostProcessor
 from vibrojax.sweep.engine.costs import lane_steps
 from vibrojax.sweep.engine.labelled import labelled
+from vibrojax.sweep.engine.parallel import in_parallel
 from vibrojax.sweep.input.definition import Sweep
 
 SECONDS = "seconds"
@@ -63,10 +64,25 @@ class Work:
 
     def compute(self, index: int, report: Report = unreported) -> Features:
         """Return a chunk's features, see [vibrojax.sweep.engine.chunks.Chunks.compute][], and its computing time."""
-        began = time.monotonic()
+        return next(self.compute_each([index], report))[1]
+
+    def compute_each(self, indices: Sequence[int], report: Report = unreported) -> Iterator[tuple[int, Features]]:
+        """Yield (index of the chunk, its features) for each chunk as soon as it is finished, in any order.
+
+        Each thread computes a chunk of its own. Threads for which none is left help the others.
+        """
         with quiet():
-            features = self.chunks.compute(index, report)
-        return features | {SECONDS: np.array(time.monotonic() - began)}
+            self.chunks.compile()
+            workers = self.chunks.engine.workers
+            at_once = max(min(len(workers), len(indices)), 1)
+
+            def work(_: object, index: int) -> Features:
+                began = time.monotonic()
+                features = self.chunks.compute(index, report)
+                return features | {SECONDS: np.array((time.monotonic() - began) / at_once)}
+
+            for place, features in in_parallel(work, indices, workers):
+                yield indices[place], features
 
 
 def by_cost(chunks: Chunks, indices: Collection[int]) -> list[int]:

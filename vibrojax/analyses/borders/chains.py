@@ -1,18 +1,24 @@
-"""Curves around a region of grid points, by marching squares with located vertices."""
+"""Chains of located vertices around a region of grid points, by marching squares."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
+
+from vibrojax.analyses.borders.propagation import OrbitLoss
 
 
 class Vertex(NamedTuple):
-    """Point at which a border crosses a grid edge: coordinates `x` and `y`, and the `kind` of border."""
+    """Point at which a border crosses a grid edge: coordinates `x` and `y`, and the `kind` of border.
+
+    `loss`: the loss of the orbit there, None at the border of a basin.
+    """
 
     x: float
     y: float
     kind: str
+    loss: OrbitLoss | None = None
 
 
 Crossing = tuple[int, int, int]
@@ -25,17 +31,10 @@ _Ring = list[tuple[bool, tuple[float, float], Crossing | None]]
 """Corners and crossings in order around a grid square: (is in the region, position, crossing or None)."""
 
 
-class Border(NamedTuple):
-    """A piece of a border with a single kind: its vertices (vertices, 2), in order."""
-
-    kind: str
-    points: Float[np.ndarray, "vertices 2"]
-
-
 def around_region(
     inside: Bool[np.ndarray, "xs ys"], x: np.ndarray, y: np.ndarray, ends: EndFinder
-) -> tuple[list[Border], float]:
-    """Return the borders of a region, and the region's fraction of the area of the grid."""
+) -> tuple[list[list[Vertex]], float]:
+    """Return the chains of vertices around a region, and the region's fraction of the area of the grid."""
     vertices: dict[Crossing, Vertex] = {}
     for axis in (0, 1):
         lower, upper = (inside[:-1], inside[1:]) if axis == 0 else (inside[:, :-1], inside[:, 1:])
@@ -60,8 +59,8 @@ def around_region(
                     links[first].append(second)
                     links[second].append(first)
     whole = (x[-1] - x[0]) * (y[-1] - y[0])
-    borders = [piece for chain in _chains(links) for piece in _pieces([vertices[crossing] for crossing in chain])]
-    return borders, area / whole if whole else 0.0
+    chains = [[vertices[crossing] for crossing in chain] for chain in _chains(links)]
+    return chains, area / whole if whole else 0.0
 
 
 def _polygons(ring: _Ring) -> list[tuple[list[tuple[float, float]], tuple[Crossing | None, Crossing | None]]]:
@@ -105,18 +104,3 @@ def _chains(links: dict[Crossing, list[Crossing]]) -> list[list[Crossing]]:
         if not links[begin]:
             chains.append([begin])
     return chains
-
-
-def _pieces(chain: list[Vertex]) -> list[Border]:
-    """Divide a chain into pieces of one kind; cut half-way between vertices of different kinds."""
-    pieces: list[Border] = []
-    points: list[tuple[float, float]] = []
-    for here, following in zip(chain, [*chain[1:], None], strict=True):
-        points.append((here.x, here.y))
-        if following is None:
-            pieces.append(Border(here.kind, np.array(points)))
-        elif following.kind != here.kind:
-            middle = ((here.x + following.x) / 2, (here.y + following.y) / 2)
-            pieces.append(Border(here.kind, np.array([*points, middle])))
-            points = [middle]
-    return pieces
