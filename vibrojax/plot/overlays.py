@@ -246,6 +246,15 @@ def curves_on_map(over: xr.Dataset, lanes: xr.Dataset, x: str, y: str) -> np.nda
     return mask
 
 
+def draw_corners(axes: Axes, layers: Sequence[xr.Dataset], x: str, y: str) -> list[Artist]:
+    """Mark the points of codimension two within a map panel; return the legend entries of those in view."""
+    curves = [layer for layer in layers if kind_of(layer) == "curves"]
+    limits = axes.get_xlim(), axes.get_ylim()
+    handles = draw_codim2(axes, curves, x, y) if curves else []
+    axes.set(xlim=limits[0], ylim=limits[1])
+    return handles
+
+
 def draw_curves(axes: Axes, ds: xr.Dataset, mask: np.ndarray, x: str, y: str) -> list[str]:
     """Draw the curves of special points in the mask over two parameters; return their kinds."""
     names, number = flag_names(ds["kind"]), ds["point_curve"].values
@@ -264,15 +273,13 @@ def draw_curves(axes: Axes, ds: xr.Dataset, mask: np.ndarray, x: str, y: str) ->
 _CODIM2 = "osD^v<>phP*X"  # one marker per name of points of codimension two, in the order of their first occurrence
 
 
-def draw_codim2(axes: Axes, ds: xr.Dataset, x: str, y: str) -> list[Artist]:
+def draw_codim2(axes: Axes, layers: Sequence[xr.Dataset], x: str, y: str) -> list[Artist]:
     """Mark the points of codimension two of curves; return the legend entries."""
-    kinds = ds["codim2_kind"].values.astype(str)
-    factors = [scale(ds[name])[0] for name in (x, y)]
+    kinds = np.concatenate([ds["codim2_kind"].values.astype(str) for ds in layers])
+    values = [np.concatenate([scale(ds[name])[0] * ds[f"codim2_{name}"].values for ds in layers]) for name in (x, y)]
     handles: list[Artist] = []
     for k, kind in enumerate(dict.fromkeys(kinds.tolist())):
-        places = [
-            factor * ds[f"codim2_{name}"].values[kinds == kind] for name, factor in zip((x, y), factors, strict=True)
-        ]
+        places = [value[kinds == kind] for value in values]
         mark = Mark(marker=_CODIM2[k % len(_CODIM2)], markersize=5.0, markerfacecolor="white", linestyle="none")
         handles += axes.plot(places[0], places[1], color=INK, label=short(kind), zorder=4, **mark)
     return handles

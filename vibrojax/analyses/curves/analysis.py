@@ -27,7 +27,7 @@ def curves_picture(ds: xr.Dataset) -> Figure:
     figure = new_figure(8.4, 5.2)
     axes = figure.subplots()
     kinds = draw_curves(axes, ds, np.ones(ds.sizes["curve"], bool), x, y)
-    handles = border_handles(kinds) + draw_codim2(axes, ds, x, y)
+    handles = border_handles(kinds) + draw_codim2(axes, [ds], x, y)
     axes.set(xlabel=label(ds[x]), ylabel=label(ds[y]))
     for name, bounds in bounds_of(ds).items():
         (axes.set_xlim if name == x else axes.set_ylim)(*(scale(ds[name])[0] * bound for bound in bounds))

@@ -15,7 +15,7 @@ from vibrojax.analyses.sweep.rates import rates
 from vibrojax.analyses.sweep.returns import bifurcation, hysteresis
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.analyses.sweep.strips import regime_lines
-from vibrojax.errors import InputError, counted
+from vibrojax.errors import counted
 from vibrojax.io.attributes import flag_counts, flags, parameters_of, run_of, table_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.models.physics.rock import ROCKS
@@ -51,11 +51,9 @@ class Sweeps(Analysis):
             return super().picture(ds)
         held = Contents(ds)
         if any(isinstance(layer, xr.Dataset) and kind_of(layer) in ON_MAPS for layer in over):
-            if len(over) > 1:
-                raise InputError("over: borders or curves are laid over a map one dataset at a time; give one")
             if not held.regimes or held.points or len(held.axes) < 2:
                 refuse_overlays(over, "the dataset holds none")
-            return regime_grid(ds, over=over[0])
+            return regime_grid(ds, over)
         if held.carried:
             return hysteresis(ds, tuple(over))
         return bifurcation(ds, tuple(over)) if held.returns else super().picture(ds, over)

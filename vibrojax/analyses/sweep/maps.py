@@ -17,6 +17,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from vibrojax.errors import InputError
+from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import certified_text, edges, label, point_text, shape_axis, short, value_text, values_along
 from vibrojax.plot.colours import (
     SINGLE,
@@ -45,7 +46,7 @@ from vibrojax.plot.contents import (
     regimes_in,
     varied,
 )
-from vibrojax.plot.overlays import border_handles, check_borders, draw_over_panel, over_map_text
+from vibrojax.plot.overlays import border_handles, check_borders, draw_corners, draw_over_panel, over_map_text
 from vibrojax.plot.sheet import MOST_PANELS, Facets, Panel, facets, sheet, write_margins
 from vibrojax.plot.style import INK, NO_VALUE, NOTHING, styled
 
@@ -64,7 +65,7 @@ _REGION_NAME = "source's best region"
 
 
 @styled
-def regime_grid(ds: xr.Dataset, over: xr.Dataset | None = None) -> Figure:
+def regime_grid(ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Figure:
     """Draw the regimes over two axes, with further quantities next to them, and the borders `over` on top.
 
     Each value of further axes and each initial condition gets a panel, twelve at most; the figure notes which values
@@ -74,13 +75,15 @@ def regime_grid(ds: xr.Dataset, over: xr.Dataset | None = None) -> Figure:
     x, y = varied(ds) if POINT in lane_dims(ds) else axes_of_map(ds)
     if POINT in lane_dims(ds) and (x, y) == ("beta", "gamma"):
         x, y = y, x
-    return draw_map(ds, x, y, (None, *values_beside(ds)), over=over)
+    # Curves and their points need the width of the page.
+    beside = () if any(kind_of(layer) == "curves" for layer in over) else values_beside(ds)
+    return draw_map(ds, x, y, (None, *beside), over=over)
 
 
-def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: xr.Dataset | None = None) -> Figure:
+def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: Sequence[xr.Dataset] = ()) -> Figure:
     """Draw `values` over the parameters `x` and `y`, with `notes`, and with the borders `over` on the regime map."""
-    if over is not None:
-        check_borders(ds, over, x, y)
+    for layer in over:
+        check_borders(ds, layer, x, y)
     points = POINT in lane_dims(ds)
     ds = ds if points else ds.sortby([x, y])
     most = MOST_PANELS if len(values) < _MANY_VALUES else MOST_PANELS // 2
@@ -89,6 +92,7 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
     handles = cell_handles(panels.data, values)
     marks: dict[str, Artist] = {}
     kinds: list[str] = []
+    corners: list[Artist] = []
     for panel in drawn.panels:
         if points:
             draw_points(panel.axes, panel.facet, panel.value, x, y)
@@ -96,16 +100,18 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
             draw_cells(panel, x, y)
         if panel.value is None and not points:
             marks |= _mark_cells(panel, x, y)
-            kinds += draw_over_panel(panel.axes, over, panel.facet, x, y) if over is not None else []
+            kinds += [kind for layer in over for kind in draw_over_panel(panel.axes, layer, panel.facet, x, y)]
+            if kinds:
+                corners = draw_corners(panel.axes, over, x, y)
     for panel in drawn.panels:  # when all axis limits are known
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])
     handles += [marks[name] for name in (HIDDEN, SENSITIVE) if name in marks]
     if any(isinstance(artist, LineCollection) for panel in drawn.panels for artist in panel.axes.collections):
         handles.append(Line2D([], [], color=INK, linewidth=1.0, label="border of single impact"))
-    lines = "" if over is None else over_map_text(over, bool(kinds))
-    drawn.finish([*handles, *border_handles(kinds), *region_handle(drawn.panels[0].axes)])
-    write_margins(drawn.figure, ds, certified_text(ds), panels.note, *notes, lines)
+    lines = dict.fromkeys(over_map_text(layer, bool(kinds)) for layer in over)
+    drawn.finish([*handles, *border_handles(kinds), *corners, *region_handle(drawn.panels[0].axes)])
+    write_margins(drawn.figure, ds, certified_text(ds), panels.note, *notes, *lines)
     return drawn.figure
 
 
