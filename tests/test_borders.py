@@ -112,8 +112,9 @@ def test_the_default_map():
     with_gap = (borders["delta"].values > 0)[borders["curve"].values]
     assert not (best & ~with_gap).any()
     assert set(kind[best & with_gap]) == {"torus", "stick"}
-    # The curves of the torus and of the stick meet between points of the grid.
-    assert 0.37 < beta[best & with_gap].min() < 0.39
+    # Their curves meet between lines of the grid. Lanes from "stuck" that settle for 120 s keep a single impact over
+    # gamma at beta 0.378, and are irregular around gamma 0.61 at 0.384.
+    assert 0.378 < beta[best & with_gap].min() < 0.384
 
 
 def test_continued_borders_do_not_depend_on_the_grid():
@@ -154,7 +155,7 @@ def test_a_circle():
 
     chains, area = around_region(inside, x, y, ends)
     joined = ContinuedBorders(OrbitGrid(vj.SCENES["vibro-impact"](), ("x", "y"), (x, y), {}, 0.0))
-    pieces = [piece for chain in chains for piece in joined.cut(chain, extend=False)]
+    pieces = [piece for chain in chains for piece in joined.cut(chain)]
     # Chords of length h leave out h^2/12 of a circle.
     assert abs(area * 6 / (np.pi * 0.64) - 1) < 2e-3
     assert {piece.kind for piece in pieces} == {"rim", "keel"}

@@ -115,36 +115,27 @@ class ContinuedBorders:
                 lines.append(line_through(problem, curve, plane, vertex))
         return lines
 
-    def cut(self, chain: list[Vertex], extend: bool) -> list[Border]:
+    def cut(self, chain: list[Vertex]) -> list[Border]:
         """Divide a chain into pieces of one kind, on one curve or on none.
 
-        `extend`: whether pieces follow their curves beyond a cell, as long as these bound stable orbits.
+        Farther than a cell beyond its last vertex, another orbit may cover a curve.
         """
         runs = [list(run) for _, run in groupby(chain, self._label)]
         joints: list[tuple[End | None, End | None]] = []
         for here, there in pairwise(runs):
-            before = joints[-1][1] if joints else None
-            joints.append(
-                self._joint(self._ending(here, before), self._ending(there[::-1]), here[-1], there[0], extend)
-            )
+            joints.append(self._joint(here[-1], there[0]))
         pieces = []
         for k, run in enumerate(runs):
             first, last = joints[k - 1][1] if k else None, joints[k][0] if k < len(joints) else None
-            ways = (extend and k > 0 and first is None, extend and k < len(joints) and last is None)
-            pieces.append(self._piece(run, first, last, ways))
+            pieces.append(self._piece(run, first, last))
         return pieces
 
-    def _ending(self, run: list[Vertex], before: End | None = None) -> Ending | None:
-        """Return the ending of a run at its last vertex, None if it is on no curve; `before`: its end there."""
-        known = [self._places[vertex.loss] for vertex in run[-2:] if vertex.loss in self._places]
-        if not known:
-            return None
-        line, place = known[-1]
-        other = before.place if len(run) == 1 and before is not None and before.place is not None else known[0][1]
-        return Ending(line, place, int(np.sign(place - other)))
+    def _ending(self, vertex: Vertex) -> Ending | None:
+        """Return the curve of a vertex and its place there, None if it is on no curve."""
+        return None if vertex.loss is None or vertex.loss not in self._places else Ending(*self._places[vertex.loss])
 
-    def _piece(self, run: list[Vertex], first: End | None, last: End | None, ways: tuple[bool, bool]) -> Border:
-        """Return the border of a run between its ends; `ways`: whether to follow its curve at the missing ends."""
+    def _piece(self, run: list[Vertex], first: End | None, last: End | None) -> Border:
+        """Return the border of a run between its ends."""
         known = None if run[0].loss is None else self._places.get(run[0].loss)
         points = [np.array([vertex.x, vertex.y]) for vertex in run]
         if known is None:
@@ -156,13 +147,6 @@ class ContinuedBorders:
             if end is not None and end.place is not None:
                 places.insert(position, end.place)
                 points.insert(position, end.point)
-        if any(ways) and not line.closed and line.kind != "stick":
-            way = -1 if places[-1] < places[0] else 1
-            for wanted, sign, position in zip(ways, (-way, way), (0, len(places) + 1), strict=True):
-                if wanted:
-                    stop = line.stop(places[0 if position == 0 else -1], sign)
-                    places.insert(position, stop)
-                    points.insert(position, line.values[stop])
         period = len(line.u) - 1
         along = np.unwrap(places, period=period) if line.closed else np.array(places)
         low, high = int(along.argmin()), int(along.argmax())
@@ -171,14 +155,13 @@ class ContinuedBorders:
         parts = [points[low][None], between, points[high][None]] if high != low else [points[low][None]]
         return Border(run[0].kind, np.concatenate(parts), line, (float(along[low]), float(along[high])))
 
-    def _joint(
-        self, here: Ending | None, there: Ending | None, first: Vertex, second: Vertex, extend: bool
-    ) -> tuple[End | None, End | None]:
+    def _joint(self, first: Vertex, second: Vertex) -> tuple[End | None, End | None]:
         """Return the ends of two neighbouring pieces, which have the neighbouring vertices `first` and `second`."""
+        here, there = self._ending(first), self._ending(second)
         middle = np.array([first.x + second.x, first.y + second.y]) / 2
         cell = np.array([cell_width(x, value) for x, value in zip(self._grid.values, middle, strict=True)])
         if here is not None and there is not None:
-            return meeting(here, there, None if extend else (middle, cell)) or (None, None)
+            return meeting(here, there, middle, cell) or (None, None)
         if here is not None:
             own = end_near(here.line, middle, cell) or End(np.array([first.x, first.y]), here.place)
             return own, End(own.point)

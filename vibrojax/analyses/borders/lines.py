@@ -1,4 +1,4 @@
-"""Curves of special points as lines in a plane: places on them, how far they bound stable orbits, and meetings."""
+"""Curves of special points as lines in a plane: places on them, and meetings."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -8,7 +8,6 @@ from jaxtyping import Float
 
 from vibrojax.analyses.borders.chains import Vertex
 from vibrojax.analyses.continuation.arclength import CLOSED
-from vibrojax.analyses.continuation.problem import Flags, spectral_radius
 from vibrojax.analyses.continuation.segments import ENDINGS
 from vibrojax.analyses.curves.extended import CurveProblem
 from vibrojax.analyses.curves.following import Curve
@@ -16,9 +15,6 @@ from vibrojax.analyses.curves.following import Curve
 MEETS = 2e-3
 """Largest scaled distance in the plane between the end of a curve, or a point of codimension two, and another curve on
 which the point lies, too."""
-
-CRITICAL = 1e-5
-"""Largest distance beyond the unit circle of the multipliers at a border of stable orbits."""
 
 Plane = Float[np.ndarray, "points 2"]
 
@@ -30,8 +26,7 @@ class Line:
     - `seed`: the two parameters at which it begins; `note`: its ends; `closed`: whether it returns to its first point.
     - `u` (points, unknowns): scaled states at the section, and scaled parameters. States are NaN at points with other
       numbers of section crossings. `values` (points, 2): the two parameters.
-    - `corners`: indices of the ends and of the points of codimension two; `bounds` (points,): mask of the points at
-      which no multiplier is beyond the unit circle.
+    - `corners`: indices of the ends and of the points of codimension two.
     """
 
     plane: int
@@ -42,7 +37,6 @@ class Line:
     u: Float[np.ndarray, "points unknowns"]
     values: Plane
     corners: list[int]
-    bounds: Flags
     problem: CurveProblem
     curve: Curve
 
@@ -51,13 +45,6 @@ class Line:
         assert vertex.loss is not None
         number, values = np.array([self.curve.number]), np.array([[vertex.x, vertex.y]])
         return nearest_place(self.u, self.problem.point(number, vertex.loss.state[None, None], values)[0])
-
-    def stop(self, place: float, way: int) -> int:
-        """Return the last index in one direction (-1 or 1) up to which the curve bounds stable orbits."""
-        k = int(np.floor(place) if way < 0 else np.ceil(place))
-        while 0 <= k + way < len(self.u) and self.bounds[k + way]:
-            k += way
-        return k
 
     def distance(self, first: float, second: float) -> float:
         """Return the scaled length in the plane between two places."""
@@ -81,16 +68,10 @@ class End(NamedTuple):
 
 
 class Ending(NamedTuple):
-    """The end of a run of vertices: its curve, the place of its last vertex, and the direction (-1, 0 or 1) there."""
+    """The end of a run of vertices: its curve, and the place of its last vertex there."""
 
     line: Line
     place: float
-    way: int
-
-    def span(self) -> tuple[float, float]:
-        """Return the places to which the piece may be extended."""
-        low, high = (self.line.stop(self.place, way) if self.way != -way else self.place for way in (-1, 1))
-        return float(low), float(high)
 
 
 def line_through(problem: CurveProblem, curve: Curve, plane: int, vertex: Vertex) -> Line:
@@ -98,26 +79,19 @@ def line_through(problem: CurveProblem, curve: Curve, plane: int, vertex: Vertex
     size = problem.rows + 2
     parts = [part for part in curve.parts if len(part.u)]
     u = np.concatenate([_with_width(part.u, size) for part in parts])
-    # At a stick, rounding errors decide on which side the multipliers are.
-    bounds = np.concatenate(
-        [(spectral_radius(part.product) < 1 + CRITICAL) | (vertex.kind == "stick") for part in parts]
-    )
     closed = ENDINGS[CLOSED] in curve.notes
     corners = [] if closed else [0, len(u) - 1]
     if closed:
-        u, bounds = np.concatenate([u, u[:1]]), np.append(bounds, bounds[0])
+        u = np.concatenate([u, u[:1]])
     for mark in curve.marks:
         point = _with_width(mark.point.u, size)
         place, _ = nearest_place(u[:, -2:], point[0, -2:])
         k = int(place) + 1
-        u, bounds = (
-            np.insert(u, k, point, axis=0),
-            np.insert(bounds, k, bounds[k - 1] | bounds[min(k, len(bounds) - 1)]),
-        )
+        u = np.insert(u, k, point, axis=0)
         corners = [corner + (corner >= k) for corner in corners] + [k]
     values = u[:, -2:] * [problem.other_unit[curve.number], problem.unit[curve.number]]
     note, seed = "; ".join(curve.notes), (vertex.x, vertex.y)
-    return Line(plane, vertex.kind, seed, note, closed, u, values, corners, bounds, problem, curve)
+    return Line(plane, vertex.kind, seed, note, closed, u, values, corners, problem, curve)
 
 
 def _with_width(u: np.ndarray, size: int) -> np.ndarray:
@@ -154,19 +128,12 @@ def end_near(line: Line, middle: np.ndarray, cell: np.ndarray) -> End | None:
     return End(line.values[nearest], nearest) if nearest is not None and off[nearest] <= 1 else None
 
 
-def meeting(first: Ending, second: Ending, near: tuple[np.ndarray, np.ndarray] | None) -> tuple[End, End] | None:
-    """Return the ends of two curves where they meet first, beyond the places of two vertices.
-
-    `near`: a point, and the largest distances from it along both axes.
-    """
+def meeting(first: Ending, second: Ending, middle: np.ndarray, cell: np.ndarray) -> tuple[End, End] | None:
+    """Return the ends of two curves where they meet nearest to two vertices, at most a cell away from their middle."""
     found: list[tuple[float, End, End]] = []
-    (low, high), (bottom, top) = first.span(), second.span()
 
     def enter(point: np.ndarray, here: float, there: float) -> None:
-        inside = low <= here <= high and bottom <= there <= top
-        if near is not None:
-            inside = bool((np.abs(point - near[0]) <= near[1]).all())
-        if inside:
+        if (np.abs(point - middle) <= cell).all():
             off = first.line.distance(here, first.place) + second.line.distance(there, second.place)
             found.append((off, End(point, here), End(point, there)))
 

@@ -178,12 +178,7 @@ class Regions:
                 chains += [(chain, plane, start) for chain in around]
                 areas.append((area, plane, start))
         self._continued.follow([(plane, chain) for chain, plane, _ in chains], progress)
-        curves = [
-            (piece, plane, start)
-            for chain, plane, start in chains
-            # Farther than a cell beyond the last vertex, another orbit may cover the curve.
-            for piece in self._continued.cut(chain, extend=False)
-        ]
+        curves = [(piece, plane, start) for chain, plane, start in chains for piece in self._continued.cut(chain)]
         return self._described(curves, areas, at)
 
     def _vertex(self, plane: int, start: int | None, inside: tuple[int, int], outside: tuple[int, int]) -> Vertex:
