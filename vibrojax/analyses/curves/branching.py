@@ -13,7 +13,6 @@ from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
 from vibrojax.analyses.curves.following import NEAR_START, Curve, Mark, between, continue_both_ways
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.models.scenes import Scene
-from vibrojax.models.systems.events import Friction
 
 MAX_CURVES = 40
 """Largest number of curves that begin at points of codimension two; each of the drill takes about half a second."""
@@ -71,11 +70,9 @@ def condition_at(
     return choices[nearest] if least[nearest] < NEAR_EVENT else np.zeros(len(choices))
 
 
-def on_friction(scene: Scene[Any], chosen: Float[np.ndarray, " conditions"]) -> bool:
-    """Return whether the chosen condition is one of friction."""
-    name = conditions_of(scene)[int(chosen.argmax())][0]
-    bodies = {event.name for event in getattr(scene, "events", ()) if isinstance(event, Friction)}
-    return name in bodies or any(guard.name == name and guard.is_switch for guard in scene.guards())
+def on_switch(scene: Scene[Any], chosen: Float[np.ndarray, " conditions"]) -> bool:
+    """Return whether the chosen condition is one of a switch that may hold the motion, as friction does."""
+    return conditions_of(scene)[int(chosen.argmax())][0] in scene.switch_places
 
 
 def passes(problem: CurveProblem, curve: Curve, point: Points) -> bool:
@@ -180,7 +177,7 @@ def _extended(problem: CurveProblem, curve: Curve, mark: Mark, kind: str) -> Cur
         chosen = condition_at(problem, k, mark.point.u[0], problem.chosen[k])
         if not chosen.any():
             return None
-        kind = "stick" if on_friction(problem.scene, chosen) else "grazing"
+        kind = "stick" if on_switch(problem.scene, chosen) else "grazing"
 
     def again(x: np.ndarray) -> np.ndarray:
         return np.concatenate([x, x[[k]]])
