@@ -94,9 +94,20 @@ def test_doubling_follows_the_closed_form_to_where_it_grazes():
     assert np.sort(corners) == pytest.approx([2 * NATURAL / 3, NATURAL], abs=1e-6)
     # The grazing curve begins at either corner, and is listed once.
     grazing = points(ds, "grazing")
+    grazing = grazing.isel(point=grazing.cycles.values == 1)
     exact = np.array([oscillator_grazes(float(w), **FIXED) for w in grazing.w])
     assert np.abs(grazing.a.values - exact).max() < 1e-9
-    assert ds.special.values.tolist() == [0, -1] and "grazing-doubling" in str(ds.curve_note.values[1])
+    first, *others = ds.special.values
+    assert first == 0 and set(others) == {-1} and len(set(grazing.point_curve.values)) == 1
+    assert "begins at the point grazing-doubling" in str(ds.curve_note.values[grazing.point_curve.values[0]])
+    # The folds of the doubled orbit end at the generalised flip; orbits of small amplitude are left out.
+    folds = points(ds, "fold")
+    assert set(folds.cycles.values) == {2}
+    gentle = folds.isel(point=folds.multiplier_abs.values.max(axis=1) < 10)  # the other multiplier diverges at a graze
+    assert gentle.sizes["point"] > 40 and np.abs(gentle.multiplier_abs - 1).min("multiplier").max() < 1e-6
+    flips = np.array([ds.codim2_w.values, ds.codim2_a.values])[:, ds.codim2_kind.values == "generalised flip"]
+    off = np.abs(flips[:, :, None] - np.array([folds.w.values, folds.a.values])[:, None]).max(axis=0)
+    assert off.min() < 1e-3
 
 
 def test_fold_follows_the_closed_form():

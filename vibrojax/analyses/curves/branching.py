@@ -9,8 +9,9 @@ from jaxtyping import Float
 from vibrojax.analyses.continuation.problem import Points
 from vibrojax.analyses.curves.codim2 import NAMES
 from vibrojax.analyses.curves.event_map import conditions_of
-from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
+from vibrojax.analyses.curves.extended import EVENTS, CurveProblem, antiperiodic
 from vibrojax.analyses.curves.following import NEAR_START, Curve, Mark, between, continue_both_ways
+from vibrojax.analyses.curves.singular import signed_singular
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.models.scenes import Scene
 
@@ -31,6 +32,10 @@ OFFSETS = (0.0, 1e-5, -1e-5, 1e-4, -1e-4)
 """Scaled distances from a point of codimension two at which its other curve is sought. Where an event begins at the
 point, the other curve may have orbits on one side only."""
 
+AMPLITUDE = 0.05
+"""Scaled amplitude of the doubled orbit at which the curve of its folds begins, next to a generalised flip. The folds'
+equations are singular at the flip itself."""
+
 AT_EVENT = 1e-7
 """Signed margin at a special point up to which a condition holds within the accuracy of the point."""
 
@@ -43,6 +48,8 @@ def other_kind(name: str, kind: str) -> str | None:
     if name in ("1:1 resonance", "1:2 resonance"):
         torus = {"1:1 resonance": "fold", "1:2 resonance": "period-doubling"}[name]
         return torus if kind == "torus" else "torus"
+    if name == "generalised flip":
+        return "fold"
     names = {name: kinds for kinds, name in NAMES.items()} | {"fold-flip": ("fold", "period-doubling")}
     kinds = list(names.get(name, tuple(name.split(" and "))))
     if len(kinds) != 2 or kind not in kinds:
@@ -131,10 +138,13 @@ def with_branches(problem: CurveProblem, curves: list[Curve]) -> tuple[CurveProb
                 continue
             extended = _extended(problem, curve, mark, kind)
             number = len(problem.kinds)
-            alike = [x for x in curves if extended is not None and _alike(extended, x.number, number)]
-            if extended is None or any(passes(extended, x, mark.point) for x in alike):
+            if extended is None:
                 continue
-            begin = _begin(extended, mark, number)
+            doubled = mark.name == "generalised flip"
+            begin = _begin_doubled(extended, mark, number) if doubled else _begin(extended, mark, number)
+            point = begin if doubled and begin is not None else mark.point
+            if any(_alike(extended, x.number, number) and passes(extended, x, point) for x in curves):
+                continue
             known = [x for x in begins if _alike(extended, int(x.family[0]), number) and _near(x, begin)]
             if begin is None or known:
                 continue
@@ -143,7 +153,7 @@ def with_branches(problem: CurveProblem, curves: list[Curve]) -> tuple[CurveProb
                 continue
             problem, begun = extended, begun + 1
             begins.append(begin)
-            values = problem.values(begin.family, begin.u)[0]
+            values = problem.values(mark.point.family, mark.point.u)[0]
             place = f"{problem.other} = {values[0]:.6g}, {problem.along} = {values[1]:.6g}"
             every.append(Curve(number, notes=[], origin=f"begins at the point {mark.name} at {place}"))
         if not begins:
@@ -212,3 +222,17 @@ def _begin(problem: CurveProblem, mark: Mark, number: int) -> Points | None:
             if converged[0] and np.abs(begin.u - mark.point.u).max() < NEAR_START and np.isfinite(begin.tangent).all():
                 return begin
     return None
+
+
+def _begin_doubled(problem: CurveProblem, mark: Mark, number: int) -> Points | None:
+    """Return a fold of the doubled orbit next to a generalised flip, with its tangent; None if there is none."""
+    point, curve = mark.point, np.array([number])
+    states, parameters = point.u[:, :-2], point.u[:, -2:]
+    shooting = point.matrix[:, : states.shape[1], : states.shape[1]]
+    _, _, v = signed_singular(antiperiodic(shooting, problem.rows))
+    row = np.concatenate([v, -v, np.zeros_like(parameters)], axis=1)
+    u = np.concatenate([states, states, parameters], axis=1) + AMPLITUDE * row
+    with np.errstate(all="ignore"):
+        begin, converged = problem.correct(curve, u, row, np.einsum("ij,ij->i", row, u))
+    near = np.abs(begin.u - u).max() < AMPLITUDE
+    return begin if converged[0] and near and np.isfinite(begin.tangent).all() else None

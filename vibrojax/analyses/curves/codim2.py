@@ -104,12 +104,12 @@ def _cosine_test(value: float) -> Test:
     return lambda points, _: cosine(points) - value
 
 
-def tests_of(kind: str) -> dict[str, Test]:
+def tests_of(kind: str, flip_coefficient: Callable[[Points], PerLane]) -> dict[str, Test]:
     """Return the test functions of curves of one kind, by the name of the point at which they vanish."""
     if kind == "fold":
         return {"cusp": _cusp, **_of_singular(1.0)}
     if kind == "period-doubling":
-        return _of_singular(-1.0)
+        return {"generalised flip": lambda points, _: flip_coefficient(points), **_of_singular(-1.0)}
     if kind == "torus":
         strong = {"1:1": 1.0, "1:2": -1.0, "1:3": -0.5, "1:4": 0.0}
         tests = {f"{name} resonance": _cosine_test(value) for name, value in strong.items()}
@@ -126,7 +126,7 @@ def tests_of(kind: str) -> dict[str, Test]:
     }
 
 
-ALL_NAMES = tuple(dict.fromkeys(name for kind in (*SPECIAL_KINDS[:3], *EVENTS) for name in tests_of(kind)))
+ALL_NAMES = tuple(dict.fromkeys(name for kind in (*SPECIAL_KINDS[:3], *EVENTS) for name in tests_of(kind, cosine)))
 """Names of the points that test functions locate; points with another event are named by `name_of`."""
 
 
@@ -181,7 +181,7 @@ def _smooth(problem: CurveProblem, brackets: Brackets) -> Brackets:
     kinds = problem.kinds[brackets.near.family]
     for kind in np.unique(kinds):
         own = brackets.of(kinds == kind)
-        for name, test in tests_of(str(kind)).items():
+        for name, test in tests_of(str(kind), problem.flip_coefficient).items():
             changed = test(own.near, own.near) * test(own.far, own.near) < 0
             parts.append(own.of(changed).as_kind(ALL_NAMES.index(name)))
     return Brackets.join(parts)
@@ -199,7 +199,7 @@ def _test_function(problem: CurveProblem, brackets: Brackets) -> Callable[[Index
         for flag in np.unique(brackets.kind[lanes]):
             for kind in np.unique(kinds[lanes]) if flag != EVENT_CHANGE else ():
                 mask = (brackets.kind[lanes] == flag) & (kinds[lanes] == kind)
-                test = tests_of(str(kind)).get(ALL_NAMES[flag])
+                test = tests_of(str(kind), problem.flip_coefficient).get(ALL_NAMES[flag])
                 if mask.any() and test is not None:
                     values[mask] = test(points.of(mask), near.of(lanes[mask]))
         return values

@@ -33,8 +33,18 @@ from vibrojax.periodic.return_map import Segments, in_calls
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, second_variation
 from vibrojax.stepping import Accuracy, Located
 
+FLIP_STEP = 1e-3
+"""Scaled difference of states from which third derivatives are taken. Second derivatives are exact."""
+
 EVENTS = ("grazing", "stick")
 """Kinds of special points that are conditions on events, not on multipliers."""
+
+
+def antiperiodic(shooting: Float[np.ndarray, "lanes n n"], rows: int) -> Float[np.ndarray, "lanes n n"]:
+    """Return shooting matrices, with + instead of - the first state, which has `rows` numbers, at the end."""
+    matrix = shooting.copy()
+    matrix[:, -rows:, :rows] += 2 * np.eye(rows)
+    return matrix
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,12 +259,33 @@ class CurveProblem(Problem):
         lanes, cycles, rows, _ = jacobian.shape
         matrix = shooting_matrix(jacobian[..., :rows])
         doubles = self.kinds[curve] == "period-doubling"
-        matrix[doubles, -rows:, :rows] += 2 * np.eye(rows)  # antiperiodic: + instead of - the first state
+        matrix[doubles] = antiperiodic(matrix[doubles], rows)
         value, w, v = signed_singular(matrix)
         change = self._along(curve, u, v.reshape(lanes, cycles, rows))
         by_block = np.einsum("lki,lkij->lkj", w.reshape(lanes, cycles, rows), change)
         row = np.concatenate([by_block[..., :rows].reshape(lanes, -1), by_block[..., rows:].sum(axis=1)], axis=1)
         return value, row
+
+    def flip_coefficient(self, points: Points) -> PerLane:
+        """Return the cubic coefficient c of the normal form xi -> -xi + c xi^3 at period doublings.
+
+        Doubled orbits are stable where c is positive, if the other multipliers are inside the unit circle. On the
+        centre manifold x + xi v + xi^2/2 h, h satisfies h' = A h + B(v, v) between section crossings; c follows from
+        the third order, which must be orthogonal to the left null vector w (Kuznetsov, *Elements of Applied
+        Bifurcation Theory*, section 5.4.2). B is exact, and C(v, v, v) is a difference of B(v, v) along v.
+        """
+        curve, u, rows = points.family, points.u, self.rows
+        shooting = points.matrix[:, : u.shape[1] - 2, : u.shape[1] - 2]
+        _, *vectors = signed_singular(antiperiodic(shooting, rows))
+        w, v = (x.reshape(len(u), -1, rows) for x in vectors)
+        step = np.zeros_like(u)
+        step[:, :-2] = FLIP_STEP * vectors[1]
+        before, here, behind = (self._along(curve, x, v)[..., :rows] for x in (u - step, u, u + step))
+        bent = np.einsum("lkij,lkj->lki", here, v)
+        h = np.linalg.solve(shooting, -bent.reshape(len(u), -1, 1)).reshape(v.shape)
+        third = np.einsum("lkij,lkj->lki", (behind - before) / (2 * FLIP_STEP), v)
+        third += 3 * np.einsum("lkij,lkj->lki", here, h)
+        return np.asarray(np.einsum("lki,lki->l", w, third) / (6 * np.einsum("li,li->l", w[:, -1], v[:, 0])))
 
     def _torus(self, curve: Index, u: Unknowns, jacobian: np.ndarray) -> tuple[PerLane, Unknowns]:
         """Return the signed smallest singular value of the compounds, and its derivatives."""

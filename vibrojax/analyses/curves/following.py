@@ -39,6 +39,10 @@ SAME_MARK = 1e-4
 event ends within such a distance."""
 
 
+HALVED = 0.03
+"""Scaled amplitude up to which a doubled orbit counts as the one from which it branches; its folds end there."""
+
+
 class Mark(NamedTuple):
     """A point of codimension two on a curve: its name and the point."""
 
@@ -214,6 +218,11 @@ def beyond_bounds(problem: CurveProblem, now: Points) -> np.ndarray:
     curve, value = now.family, problem.values(now.family, now.u)[:, 0]
     reason = np.where(value > problem.other_last[curve], f"the last value of {problem.other} is reached", "")
     reason = np.where(value < problem.other_first[curve], f"the first value of {problem.other} is reached", reason)
+    states = now.u[:, :-2]
+    if states.shape[1] % (2 * problem.rows) == 0 and len(states):
+        first, second = np.split(states, 2, axis=1)
+        halved = np.abs(first - second).max(axis=1) < HALVED
+        reason = np.where(halved & (reason == ""), "the orbit becomes one of half its cycles", reason)
     torus = problem.kinds[curve] == "torus"
     if torus.any():
         meets = np.zeros(len(torus), bool)
