@@ -103,8 +103,8 @@ def test_doubling_follows_the_closed_form_to_where_it_grazes():
     # The folds of the doubled orbit end at the generalised flip; orbits of small amplitude are left out.
     folds = points(ds, "fold")
     assert set(folds.cycles.values) == {2}
-    gentle = folds.isel(point=folds.multiplier_abs.values.max(axis=1) < 10)  # the other multiplier diverges at a graze
-    assert gentle.sizes["point"] > 40 and np.abs(gentle.multiplier_abs - 1).min("multiplier").max() < 1e-6
+    # At the curve's end both multipliers come close to 1, where the errors of a double multiplier are of order 1/2.
+    assert np.quantile(np.abs(folds.multiplier_abs - 1).min("multiplier"), 0.8) < 1e-9
     flips = np.array([ds.codim2_w.values, ds.codim2_a.values])[:, ds.codim2_kind.values == "generalised flip"]
     off = np.abs(flips[:, :, None] - np.array([folds.w.values, folds.a.values])[:, None]).max(axis=0)
     assert off.min() < 1e-3
