@@ -287,7 +287,9 @@ def _choices(fit: xr.Dataset) -> list[str]:
         if rivals:
             lines.append(f"{name}: these data cannot tell {chosen} from {rivals}")
         else:
-            lines.append(f"{name}: the data support {chosen}, {formulas_of(fit)[str(chosen)]}, against the other forms")
+            contains = (standing[group] == Standing.CONTAINS_CHOSEN).any()
+            others = "every form that does not contain it" if contains else "the other forms"
+            lines.append(f"{name}: the data support {chosen}, {formulas_of(fit)[str(chosen)]}, against {others}")
         best = str(names[np.nanargmin(aic[group])])
         if best != chosen and best not in CONTAINED.get(str(chosen), ()):
             lines.append(f"  AIC is lowest for {best}, but takes neighbouring rows for independent")

@@ -2,7 +2,7 @@
 
 The source's law, rate = C ln(P/D) (eq. 6.4), gives a negative rate if the relief P/D is below 1. It is therefore read
 in three ways ("forms"): as printed, with P/D in percent, and as C ln((P/D)/eta0) with a fitted onset eta0, the relief
-at which penetration begins. A straight line and a power law serve as comparison.
+at which penetration begins. A straight line, a power law and a constant serve as comparison.
 """
 
 import sys
@@ -140,7 +140,7 @@ FORMS = (
     Form("constant", "C", "proportional", np.ones_like, lambda eta, C, eta0, exponent: C * np.ones_like(eta)),
 )
 
-_SAME_AS_ONSET = ("literal", "percent")
+SAME_AS_ONSET = ("literal", "percent")
 """Forms that have the same curve as the onset form if the threshold is unknown."""
 
 
@@ -278,7 +278,7 @@ def _fit_group(
     fits: list[dict[str, float | int]] = []
     minima: dict[int, tuple[Model, Minimum]] = {}
     for index, form in enumerate(FORMS):
-        if unknown and form.name in _SAME_AS_ONSET:
+        if unknown and form.name in SAME_AS_ONSET:
             fits.append(_no_fit(rate) | {"reason": Reason.UNKNOWN_THRESHOLD})
             continue
         fit, model, minimum = _fit_form(form, relief, rate, robust, ordered)
