@@ -333,7 +333,7 @@ def _recommendation(fit: xr.Dataset) -> list[str]:
             lines.append(f"{name}: C = {' = '.join(texts)}, {choice['form']}")
     more = [f"  and {len(lines) - _GROUPS_TABULATED} more"] if len(lines) > _GROUPS_TABULATED else []
     by_blocks = (_standing(fit) == Standing.CHOSEN).any()
-    how = "of the form that the data support" if by_blocks else "of the reading of the log law with the lowest AIC"
+    how = "of the chosen form" if by_blocks else "of the reading of the log law with the lowest AIC"
     title = f"recommended C (95 % interval{', by a bootstrap of blocks' * bool(by_blocks)}), {how}:"
     return [title, *(f"  {line}" for line in lines[:_GROUPS_TABULATED]), *more]
 
