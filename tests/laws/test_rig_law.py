@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 import warnings
 from functools import partial
 from pathlib import Path
@@ -123,6 +124,14 @@ def test_the_same_rows_give_the_same_fit_in_every_dialect(logs):
         assert (fit.standing == first.standing).all()
 
 
+def test_a_log_of_7310_rows_takes_less_than_three_seconds(tmp_path):
+    path = rig_logs.write(tmp_path / "long.csv", "pason-processed", rig_logs.with_traps(rig_logs.drilling(7304))[0])
+    begin = time.process_time()
+    fit = fit_quietly(path)
+    assert time.process_time() - begin < 3 and fit.rows_read == 7310
+    assert float(fit.standing.sel(form="onset")) == Standing.CHOSEN
+
+
 def test_the_recommended_constant_is_in_the_unit_of_the_log(logs):
     fit = fit_quietly(logs["pason"], columns={"rock": "granite"})
     [choice] = recommended(fit)
@@ -225,5 +234,7 @@ def test_the_command_says_what_it_read_dropped_and_chose(logs, tmp_path, monkeyp
     facts = json.loads(capsys.readouterr().out)
     assert facts["dialect"] == "generic" and facts["detected"] == "as the user says" and facts["rows_read"] == 406
     assert facts["dropped"]["missing weight"]["rows"] == 2 and facts["groups"][0]["coordinates"]["segment"] == 0
+    assert main(["fit", str(logs["pason"]), "--fastest", "3000 ft/h", "-o", "p.nc"]) == 0
+    assert "dropped 5 of 406 rows" in capsys.readouterr().out
     assert main(["fit", str(logs["pason"]), "--dialect", "pasn"]) == 2
     assert 'dialect: "pasn" is unknown; did you mean "pason"?' in capsys.readouterr().err

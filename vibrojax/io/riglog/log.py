@@ -60,7 +60,7 @@ def read_log(
     dialect: str | None = None,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
-    fastest: str = FASTEST,
+    fastest: str | None = None,
     table: pd.DataFrame | None = None,
 ) -> xr.Dataset:
     """Read a rig log (CSV or LAS 2.0) as it is into a dataset in SI units along `row`.
@@ -74,7 +74,7 @@ def read_log(
     - `dialect`: a name of [vibrojax.io.riglog.dialects][]; by default it is detected by the names of the columns.
     - `columns`: by quantity, the column and its unit, or a value for all rows, such as {"bit_diameter": "8.5 in"}.
     - `units`: by quantity, the unit of a column that is recognised, in place of that of its name or its dialect.
-    - `fastest`: the rate with its unit above which a row is dropped.
+    - `fastest`: the rate with its unit above which a row is dropped, by default 500 ft/h.
     - `table`: the table that `path` names, if it is not in a file.
 
     **Returns:** a dataset with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N],
@@ -103,7 +103,7 @@ def open_log(
     dialect: str | None = None,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
-    fastest: str = FASTEST,
+    fastest: str | None = None,
     table: pd.DataFrame | None = None,
 ) -> Log:
     """Read a rig log as `read_log` does; return it with the names of all columns."""
@@ -141,7 +141,9 @@ def open_log(
         else:
             values[name], missing[name] = _quantity(place, column, rows, nulls)
     for name, column in beside:
-        _check_same(place, chosen[name], column, values[name], _quantity(place, column, rows, nulls)[0], name)
+        _check_same(
+            place.at(f"line {line}"), chosen[name], column, values[name], _quantity(place, column, rows, nulls)[0], name
+        )
     cleaned = spoken.name != "plain"
     dropped = no_drilling(values, limit) if cleaned else {}
     kept = ~np.any([np.zeros(len(rows), bool), *dropped.values()], axis=0)
@@ -194,7 +196,8 @@ def log_lines(data: xr.Dataset) -> list[str]:
     return lines + [part for part in text_of(data, "notes").split("; ") if part]
 
 
-def _limit(fastest: str) -> float:
+def _limit(fastest: str | None) -> float:
+    fastest = FASTEST if fastest is None else fastest
     number, _, unit = str(fastest).strip().partition(" ")
     scale = factor(unit, "m s-1") if unit else None
     if not is_number(number) or scale is None or not 0 < float(number) * scale < np.inf:
@@ -258,4 +261,4 @@ def _check_same(
         return
     ratio = float(np.median(others[both] / values[both]))
     fault = f"is {ratio:.4g} times column {shown(first.header)}, which should be the same {name}"
-    raise place.at(f"line 1, column {second.header}").error(f"{fault}; choose one: --columns {name}=COLUMN")
+    raise place.at(f"column {second.header}").error(f"{fault}; choose one: --columns {name}=COLUMN")
