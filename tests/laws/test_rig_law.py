@@ -7,6 +7,7 @@ import warnings
 from functools import partial
 from pathlib import Path
 
+import jaxtyping
 import numpy as np
 import pytest
 import xarray as xr
@@ -44,7 +45,13 @@ def trial_data(law, noise, low=60e3, high=180e3, count=TRIALS, seed=20261124):
 
 
 def trials(*planted, **more):
-    return fit_quietly(trial_data(*planted, **more))
+    """The fits of `trial_data`. Types are not checked here: that takes most of the time of thousands of fits."""
+    data = trial_data(*planted, **more)
+    jaxtyping.config.update("jaxtyping_disable", True)
+    try:
+        return fit_quietly(data)
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.mark.parametrize("law", NAMES)
@@ -67,7 +74,7 @@ def test_planted_laws_are_recovered_and_chosen(law):
 @pytest.mark.parametrize("law", ["onset", "line", "power"])
 def test_forms_that_differ_by_less_than_the_noise_cannot_be_told_apart(law):
     """Over weights of 110 to 130 kN the three are the same within 0.5 %; the noise is 5 %."""
-    fit = trials(law, 0.05, 110e3, 130e3, count=100)
+    fit = trials(law, 0.05, 110e3, 130e3, count=60)
     eta = np.linspace(110e3, 130e3, 50) / D
     line = np.polyval(np.polyfit(eta, rig_logs.LAWS[law](eta, C, ETA0, EXPONENT), 1), eta)
     assert abs(line / rig_logs.LAWS[law](eta, C, ETA0, EXPONENT) - 1).max() < 0.005
@@ -80,8 +87,8 @@ def test_forms_that_differ_by_less_than_the_noise_cannot_be_told_apart(law):
 
 def test_independent_rows_would_give_errors_that_are_too_small():
     """The reason for the blocks: errors that take rows for independent hold the truth far too rarely."""
-    fit = trials("onset", 0.03, count=60)
-    plain = fit_quietly(trial_data("onset", 0.03, count=60).drop_attrs())
+    fit = trials("onset", 0.03, count=40)
+    plain = fit_quietly(trial_data("onset", 0.03, count=40).drop_attrs())
     form = plain.sel(form="onset")
     assert (abs(form.C - C) <= 2 * form.C_stderr).mean() < 0.8
     np.testing.assert_allclose(form.C, fit.sel(form="onset").C, rtol=1e-12)
@@ -194,14 +201,14 @@ def test_formations_have_laws_of_their_own_by_column_or_by_the_data(tmp_path):
 def test_segments_are_found_where_the_law_changes_and_nowhere_else():
     rng = np.random.default_rng(3)
     alone, hits = 0, 0
-    for _ in range(60):
+    for _ in range(40):
         eta = rig_logs.weights((600,), rng) / D
         law = rig_logs.LAWS["onset"](eta, C, ETA0, 0)
         noise = 0.05 * law.mean() * rig_logs.correlated((600,), CORRELATION, rng)
         alone += segments(eta, np.maximum(law + noise, 0)).max() == 0
         changes = np.flatnonzero(np.diff(segments(eta, np.maximum(law * np.repeat([1, 0.6, 1.2], 200) + noise, 0)))) + 1
         hits += changes.size == 2 and bool((abs(changes - [200, 400]) <= 10).all())
-    assert alone >= 57 and hits >= 57
+    assert alone >= 38 and hits >= 38
     assert segments(np.ones(20), np.ones(20)).max() == 0 and segments(np.ones(200), np.zeros(200)).max() == 0
 
 
