@@ -35,6 +35,7 @@ from vibrojax.explorer import write_page as write_page
 from vibrojax.explorer.write import explore as explore
 from vibrojax.io.dataset import open_dataset as open_dataset
 from vibrojax.io.dataset import write_dataset as write_dataset
+from vibrojax.io.riglog.log import read_log as read_log
 from vibrojax.io.variables import Variable as Variable
 from vibrojax.measures import Gauge as Gauge
 from vibrojax.models.physics import contact as contact
