@@ -17,10 +17,10 @@ from matplotlib.patches import Patch
 from matplotlib.typing import MarkerType
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.analyses.rop_law.columns import columns_lines
 from vibrojax.analyses.rop_law.results import formulas_of, verdict
 from vibrojax.analyses.rop_law.rop import FORMS
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
+from vibrojax.io.riglog import log_lines
 from vibrojax.plot.axes import scale, shape_zero, share_text, with_unit
 from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
 from vibrojax.plot.contents import FORM, POINT, law_in, long_axes
@@ -29,7 +29,14 @@ from vibrojax.plot.sheet import LEGEND_WIDTH, Facets, facets, legend_at_right, s
 from vibrojax.plot.style import FAINT, INK, Mark, new_figure, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
-_MARKS: dict[str, MarkerType] = {"onset": "o", "literal": "s", "percent": "^", "line": "D", "power": "v"}
+_MARKS: dict[str, MarkerType] = {
+    "onset": "o",
+    "literal": "s",
+    "percent": "^",
+    "line": "D",
+    "power": "v",
+    "constant": "P",
+}
 _EQUAL_AIC = 2.0  # difference of AIC up to which a form counts as equal to the best form
 # If a difference of AIC exceeds the first value, the scale is logarithmic above the second.
 _LOG_AIC_FROM, _LINEAR_AIC = 30.0, 10.0
@@ -337,7 +344,7 @@ class Fits(Analysis):
     )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        return [SummaryPart("columns", columns_lines(ds))]
+        return [SummaryPart("columns", log_lines(ds))]
 
     def page_figures(self, ds: xr.Dataset) -> list[Figure]:
         return [self.picture(ds), residuals(ds)]

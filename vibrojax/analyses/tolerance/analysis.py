@@ -87,8 +87,7 @@ class Tolerances(Analysis):
         for k in range(lanes.sizes["start"]):
             lane = lanes.isel(start=k)
             start = str(lane["start"].values) if "start" in lane.coords else ""
-            found, text = _start_summary(ds, lane)
-            facts[start] = found
+            facts[start], text = _start_summary(ds, lane)
             lines += [f"from {start}:"] * bool(start) + [f"  {line}" if start else line for line in text]
         return [SummaryPart("tolerance", lines, {"tolerance": facts})]
 
