@@ -165,7 +165,8 @@ def test_a_data_frame_gives_what_its_csv_gives(tmp_path):
         for data in (tmp_path / "rig.csv", pd.DataFrame(table))
     )
     xr.testing.assert_equal(read, given)
-    assert refused(pd.DataFrame(table)).startswith("fit_rop: line 1: column rate_of_penetration [m/s] is missing")
+    unknown = pd.DataFrame(table).rename(columns={"ROP (m/h)": "Rate (m/h)"})
+    assert refused(unknown).startswith("fit_rop: line 1: column rate_of_penetration [m/s] is missing")
     assert refused([pd.DataFrame(table)]).startswith("fit_rop: [")
     assert refused(np.zeros((2, 2))) == "fit_rop: a ndarray is not data; give a dataset or a path"
 

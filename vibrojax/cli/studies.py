@@ -56,9 +56,9 @@ def fit(options: Options) -> None:
         options.file = words.pop()  # FILE may follow the columns
     if options.file is None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
-    from vibrojax.analyses.rop_law.columns import columns_lines, read_columns
     from vibrojax.analyses.rop_law.results import law_facts, law_table
     from vibrojax.analyses.rop_law.rop import fit_groups, read_groups
+    from vibrojax.io.riglog.columns import columns_lines, read_columns
 
     file, columns, by = Path(options.file), read_columns(words), options.by or []
     output(options.out or f"{file.stem}-fit.nc")

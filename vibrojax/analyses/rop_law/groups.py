@@ -7,9 +7,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.analyses.rop_law.columns import FORCE, RATE, RELIEF
 from vibrojax.analyses.rop_law.results import to_variables
 from vibrojax.errors import Place, shown, suggestion
+from vibrojax.io.riglog.columns import FORCE, LINE, RATE, RELIEF, RIG
 from vibrojax.io.variables import Variable
 from vibrojax.measures.labels import FAILED, IRREGULAR
 from vibrojax.models.physics.meanings import suggest_coordinate
@@ -131,7 +131,7 @@ def _group_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence
             own = [column for column in columns if not lanes[column].attrs] or columns  # of a CSV: not the quantities
             fault = f"; {suggestion(str(name), own)}" if own else ": the data are not a table with columns"
             raise place.at("by" if name in by else "along").error(f"{shown(name)} is not a column of the data{fault}")
-    keys = list(by) or [name for name in columns if name not in (along, FORCE)]
+    keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *RIG)]
     codes = [np.unique(lanes[name].values, return_inverse=True)[1].ravel() for name in keys]
     table = np.stack(codes or [np.zeros(lanes["rate"].size, int)], axis=1)
     _, first, group = np.unique(table, axis=0, return_index=True, return_inverse=True)

@@ -10,11 +10,11 @@ import xarray as xr
 from jaxtyping import Bool, Float, Shaped
 from scipy.special import stdtrit
 
-from vibrojax.analyses.rop_law.columns import RATE
 from vibrojax.analyses.rop_law.least_squares import REASONS
 from vibrojax.errors import Place, counted
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.riglog.columns import RATE
 from vibrojax.io.variables import Variable
 from vibrojax.models.physics.units import factor
 

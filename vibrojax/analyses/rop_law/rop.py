@@ -14,7 +14,6 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from vibrojax.analyses.rop_law.columns import columns_lines
 from vibrojax.analyses.rop_law.data import Columns, Data, open_data
 from vibrojax.analyses.rop_law.groups import Groups, group_lanes, usable_lanes
 from vibrojax.analyses.rop_law.least_squares import (
@@ -36,6 +35,7 @@ from vibrojax.analyses.rop_law.least_squares import (
 )
 from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, LAW_TITLE, fit_dataset
 from vibrojax.errors import Place, counted, shown, suggestion
+from vibrojax.io.riglog.columns import columns_lines
 from vibrojax.io.variables import Variable
 from vibrojax.progress import LOG
 
