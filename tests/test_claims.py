@@ -20,7 +20,7 @@ from vibrojax.models.scenes import SCENES
 from vibrojax.plot.contents import MOST_LANES
 from vibrojax.reproduce import GROUPS
 from vibrojax.stepping import Located
-from vibrojax.sweep.engine.chunks import CHUNK
+from vibrojax.sweep.engine.chunks import CHUNK, CHUNK_SHARING_ORBITS
 from vibrojax.sweep.input.source import bundled_names
 
 ROOT = Path(__file__).parents[1]
@@ -231,7 +231,7 @@ def test_limits_of_systems():
 
 def test_limits_of_large_sweeps():
     page = PAGES["notebooks/large_sweeps.md"]
-    assert f"chunks of {CHUNK:,} lanes" in page
+    assert f"chunks of {CHUNK:,} lanes, or {CHUNK_SHARING_ORBITS:,} if they share orbits" in page
     assert f"touches it every {BEAT:g} s" in page
     assert STALE == 150 and "after two and a half minutes on another" in page
     assert f"over {LAZY_FROM / 1e6:g} MB is opened without being read" in page

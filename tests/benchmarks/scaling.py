@@ -1,12 +1,19 @@
 """Where the processor time of a sweep goes, and what it leaves for more threads.
 
-    python tests/benchmarks/scaling.py [THREADS ...]
+    python tests/benchmarks/scaling.py [SCALE [THREADS ...]]
 
-A printout, not a test: nothing is asserted. It takes half a minute. Native code runs without the interpreter lock. All
-other processor time is an upper bound of the time with the lock, because numpy releases it in large operations.
+SCALE multiplies the number of lanes.
+
+A printout, not a test: nothing is asserted. It takes a minute. Native code runs without the interpreter lock. All
+other processor time is an upper bound of the time with the lock, because numpy releases it in large operations. The
+time with the lock itself is sampled: a thread without the lock reads the interpreter's flag 20,000 times a second. This
+needs a C compiler, and works with the versions of Python that keep the flag where it is expected.
 """
 
+import ctypes
+import subprocess
 import sys
+import tempfile
 import threading
 import time
 from statistics import median
@@ -27,6 +34,52 @@ def sweep(lanes: int, run: dict):
     return read_sweep({"scene": "vibro-impact", "grid": grid, "starts": ["drive", "stuck"], "run": run})
 
 
+SAMPLER = """
+#include <time.h>
+#include <stdint.h>
+void sample(volatile int *locked, volatile int *stop, int64_t *counts) {
+  struct timespec pause = {0, 50000};
+  while (!*stop) { counts[0] += *locked != 0; counts[1]++; nanosleep(&pause, 0); }
+}
+"""
+INTERVAL, SEARCHED = 4321, 20000  # microseconds; words
+
+
+class HeldLock:
+    """A context that samples how much of the time some thread has the interpreter lock; `share` is NaN if unknown."""
+
+    def __init__(self) -> None:
+        """Find the flag beside the switch interval, to which an unusual number is written for the search."""
+        usual, self.share, self._address = sys.getswitchinterval(), float("nan"), 0
+        sys.setswitchinterval(INTERVAL * 1e-6)
+        runtime = ctypes.addressof(ctypes.c_char.in_dll(ctypes.pythonapi, "_PyRuntime"))
+        words = (ctypes.c_uint64 * SEARCHED).from_address(runtime)
+        places = [k for k in range(SEARCHED - 2) if words[k] == INTERVAL and words[k + 2] & 0xFFFFFFFF in (0, 1)]
+        sys.setswitchinterval(usual)
+        with tempfile.TemporaryDirectory() as folder:
+            command = ["cc", "-x", "c", "-O2", "-shared", "-fPIC", "-o", f"{folder}/sampler.so", "-"]
+            try:
+                subprocess.run(command, input=SAMPLER.encode(), check=True)
+            except (OSError, subprocess.CalledProcessError):
+                return
+            self._sample = ctypes.CDLL(f"{folder}/sampler.so").sample
+        if len(places) == 1:
+            self._address = runtime + 8 * (places[0] + 2)
+
+    def __enter__(self) -> "HeldLock":
+        self._counts, self._stop = (ctypes.c_int64 * 2)(), ctypes.c_int(0)
+        arguments = (ctypes.c_void_p(self._address), ctypes.byref(self._stop), self._counts)
+        self._thread = threading.Thread(target=lambda: self._address and self._sample(*arguments))
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.value = 1
+        self._thread.join()
+        if self._counts[1]:
+            self.share = self._counts[0] / self._counts[1]
+
+
 class TimedKernel(native.Kernel):
     """A kernel that adds the processor time of its native code to `spent`."""
 
@@ -43,31 +96,43 @@ class TimedKernel(native.Kernel):
         self.code = timed
 
 
-def once(definition, threads: int) -> tuple[float, float, float]:
-    """Processor time, of it in native code, and time by the clock [s]."""
+def once(definition, threads: int, lock: HeldLock) -> tuple[float, float, float, float]:
+    """Processor time, of it in native code, time by the clock, and in another run the time with the lock [s]."""
     spent.clear()
     with with_threads(threads):
         processor, clock = time.process_time(), time.perf_counter()
         vj.run_sweep(definition, progress=False)
-        return time.process_time() - processor, sum(spent.values()), time.perf_counter() - clock
+        processor, clock = time.process_time() - processor, time.perf_counter() - clock
+        code = sum(spent.values())
+        # While other processes use the cores, the lock is held longer by the clock, like everything else.
+        began = time.perf_counter()
+        with lock:
+            vj.run_sweep(definition, progress=False)
+        held = lock.share * (time.perf_counter() - began)
+    return processor, code, clock, held * min(processor / clock, 1.0) if threads == 1 else float("nan")
 
 
 def main() -> None:
     native.Kernel = TimedKernel
-    asked = [int(text) for text in sys.argv[1:]] or [1, 2]
-    print(
-        "lanes   threads  processor s  native s  other us/lane  share  clock s  gain with 16 and 64 threads, at least"
-    )
+    scale, *asked = [int(text) for text in sys.argv[1:]] or [1]
+    lock = HeldLock()
+    print("lanes   threads  processor s  native s  other us/lane  share  lock us/lane  share  clock s  gain, 16 and 64")
     for name, (lanes, run) in CASES.items():
+        lanes = lanes * scale
         definition = sweep(lanes, run)
         vj.run_sweep(sweep(240, run), progress=False)  # compiles
         time.sleep(1.0)  # the last program compiles in the background
-        for threads in asked:
-            runs = [once(definition, threads) for _ in range(REPEATS)]
-            processor, code, clock = (median(run[k] for run in runs) for k in range(3))
+        for threads in asked or [1, 2]:  # with several threads, a thread that waits for a core may hold the lock
+            runs = [once(definition, threads, lock) for _ in range(REPEATS)]
+            processor, code, clock, held = (median(run[k] for run in runs) for k in range(4))
             other, share = 1e6 * (processor - code) / lanes, 1 - code / processor
-            gains = " and ".join(f"{1 / (share + (1 - share) / n):.1f}" for n in (16, 64))
-            print(f"{name:8}{threads:7}{processor:13.2f}{code:10.2f}{other:15.1f}{share:7.1%}{clock:9.2f}  {gains}")
+            serial = held / processor
+            gains = " and ".join(f"{1 / (serial + (1 - serial) / n):.1f}" for n in (16, 64))
+            print(
+                f"{name:8}{threads:7}{processor:13.2f}{code:10.2f}{other:15.1f}{share:7.1%}"
+                f"{1e6 * serial * processor / lanes:14.1f}{serial:7.1%}{clock:9.2f}  {gains}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

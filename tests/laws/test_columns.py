@@ -56,7 +56,8 @@ def test_a_fit_says_what_it_took_and_in_which_unit(tmp_path, capsys, monkeypatch
     words = ["rate_of_penetration=ROP (m/h)", "mean_force=WOB", "threshold=D"]
     for argv in (["fit", "rig.csv", "--columns", *words], ["fit", "--columns", *words, "rig.csv"]):
         assert main([*argv, "--fresh"]) == 0
-        assert capsys.readouterr().out.splitlines()[:3] == [
+        assert capsys.readouterr().out.splitlines()[:4] == [
+            'dialect generic: "ROP [m/h]" is a known name with a unit',
             'rate_of_penetration: column "ROP [m/h]", in m/h',
             'mean_force: column "WOB_kN", in kN',
             'threshold: column "D", taken as N, since it names no unit',
@@ -111,12 +112,12 @@ def test_parameters_are_converted_too_and_stay_coordinates(tmp_path):
         (
             "ROP (m/h),Load_kN",
             {"rate_of_penetration": "ROP"},
-            'relief is missing, or mean_force and threshold; if "Load_kN" is it, rename it, or name it: --columns m',
+            'mean_force [N] is missing, or relief; if "Load_kN" is it, rename it, or name it: --columns m',
         ),
         (
-            "ROP (m/h),WOB_kN",
-            {"rate_of_penetration": "ROP", "mean_force": "WOB"},
-            'or for all rows: --columns threshold="150 kN"',
+            "Rate (m/h),Load_kN",
+            {"rate_of_penetration": "Rate", "mean_force": "Load"},
+            'or for all rows: --columns threshold="150 kN", rock=granite or threshold=unknown',
         ),
     ],
 )

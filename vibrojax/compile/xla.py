@@ -146,11 +146,11 @@ def workers() -> list[jax.Device]:
 
 @contextmanager
 def with_threads(count: int | None) -> Iterator[None]:
-    """Set the number of threads that compute lanes within the context; None keeps the default.
+    """Set the number of threads that compute lanes within the context; None keeps the current number.
 
     Processes that share one computer use this context to divide its cores.
     """
-    before = _THREADS.set(count)
+    before = _THREADS.set(_THREADS.get() if count is None else count)
     try:
         yield
     finally:

@@ -202,7 +202,7 @@ _READERS: dict[str, Callable[[Place, object], Any]] = {
     **dict.fromkeys(("sweep", "along", "formulas", "reference", "settings"), _text),
     **dict.fromkeys(("dialect", "detected", "notes"), _text),
     **dict.fromkeys(("solver", "identity", "machine", "attractors"), _json),
-    **dict.fromkeys(("lanes", "wall_time_s", "rows_read"), _number),
+    **dict.fromkeys(("lanes", "wall_time_s", "rows_read", "reference_force"), _number),
     "run": _run,
     "parameters": _numbers,
     "differing": _differing,

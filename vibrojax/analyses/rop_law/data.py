@@ -35,14 +35,16 @@ else:
     Data = Columns = object  # at run time `open_data` checks the user's argument, with a one-line error message
 
 
-def open_data(data: Data, fit: str, rates: bool = False, columns: Columns = None) -> tuple[Place, xr.Dataset]:
+def open_data(
+    data: Data, fit: str, rates: bool = False, columns: Columns = None, dialect: str | None = None
+) -> tuple[Place, xr.Dataset]:
     """Return the dataset, opened if `data` is a path, and the `Place` that error messages mention.
 
     `fit` is the name of the calling function. With `rates`, the data must contain a rate of penetration and a relief,
-    and may be a CSV or a table with `columns`, as in `read_rig`.
+    and may be a CSV, a LAS file or a table with `columns` and a `dialect`, as in `read_rig`.
     """
     if rates and isinstance(data, pd.DataFrame):
-        return Place(fit), _with_rates(Place(fit), read_rig(Path(fit), columns, table=data))
+        return Place(fit), _with_rates(Place(fit), read_rig(Path(fit), columns, data, dialect))
     if not isinstance(data, (xr.Dataset, str, PathLike)):
         raise InputError(f"{fit}: {shown(data)} is not data; give a dataset or a path")
     path = Path("dataset.nc") if isinstance(data, xr.Dataset) else Path(data)
@@ -51,15 +53,15 @@ def open_data(data: Data, fit: str, rates: bool = False, columns: Columns = None
         raise place.error("has its names and units already; `columns` is for a CSV")
     if isinstance(data, xr.Dataset):
         dataset = data
-    elif rates and path.suffix.lower() == ".csv":
-        dataset = read_rig(path, columns)
+    elif rates and path.suffix.lower() in (".csv", ".las"):
+        dataset = read_rig(path, columns, dialect=dialect)
     elif path.suffix.lower() == ".nc":
         from vibrojax.io.dataset import open_dataset
 
         dataset = open_dataset(path)
     else:
-        wrong = "ends in neither .nc nor .csv" if rates else "does not end in .nc"
-        raise place.error(f"{wrong}; give a sweep's dataset{' or a CSV file' if rates else ''}")
+        wrong = "ends in neither .nc nor .csv nor .las" if rates else "does not end in .nc"
+        raise place.error(f"{wrong}; give a sweep's dataset{' or a CSV or LAS file' if rates else ''}")
     return place, _with_rates(place, dataset) if rates else dataset
 
 
@@ -79,8 +81,10 @@ def read_rig(
 ) -> xr.Dataset:
     """Read a rig log into a dataset with rate_of_penetration [m/s] and relief [1] along `point`, the rows.
 
-    Without a relief, the relief is computed as mean_force/threshold; a weight on bit is a mean force. The other
-    attributes and coordinates are those of [vibrojax.io.riglog.read_log][].
+    Without a relief, the relief is computed as mean_force/threshold; a weight on bit is a mean force. If the threshold
+    is "unknown", or not given with a log whose dialect has none, the relief is mean_force over its median, which the
+    attribute `reference_force` [N] holds. The other attributes and coordinates are those of
+    [vibrojax.io.riglog.read_log][].
 
     **Raises:** `InputError` if the file cannot be read, a column is missing, or a cell is not a number.
     """
@@ -94,17 +98,29 @@ def read_rig(
                 f"{shown(text)} is not a column; write one with its unit, like {example}"
             )
     columns = with_rock(columns)
+    is_unknown = columns.get(THRESHOLD, "").strip() == "unknown"
+    columns = {name: text for name, text in columns.items() if not (is_unknown and name == THRESHOLD)}
     log = open_log(path, columns=columns, table=table, dialect=dialect)
     chosen, data = dict(log.chosen), log.data.rename_dims(row="point")
     if WEIGHT in chosen and FORCE not in chosen:
         chosen[FORCE] = chosen.pop(WEIGHT)
         data = data.rename({WEIGHT: FORCE})
-    names = required_names(log.place.at(f"line {log.line}"), log.header, chosen, columns)
+    is_unknown |= log.data.dialect != "plain" and not {THRESHOLD, RELIEF} & set(chosen)
+    if is_unknown and {THRESHOLD, RELIEF} & set(chosen):
+        raise Place("columns", THRESHOLD).error(f"is unknown, but {log.place.file} has a threshold or relief; give one")
+    standin = {THRESHOLD: Column("unknown", None, "N", 1.0)} if is_unknown else {}
+    names = required_names(log.place.at(f"line {log.line}"), log.header, chosen | standin, columns)
     for name in names:
-        _check_unit(log.place, name, chosen[name], data[name].values)
-    if RELIEF not in names:
+        if name in chosen:
+            _check_unit(log.place, name, chosen[name], data[name].values)
+    if is_unknown:
+        reference = float(np.nanmedian(data[FORCE])) or 1.0
+        data[RELIEF] = data[FORCE] / reference
+        data.attrs["reference_force"] = reference
+    elif RELIEF not in names:
         with np.errstate(divide="ignore", invalid="ignore"):
             data[RELIEF] = data[FORCE] / data[THRESHOLD]
+    if RELIEF not in names:
         data[RELIEF].attrs = {"units": KNOWN[RELIEF].unit, "long_name": KNOWN[RELIEF].long_name}
     number = ("point", np.arange(data.sizes["point"]), {"units": "1", "long_name": "number of the row"})
     data = data.assign_coords(point=number).set_coords([str(name) for name in data if name not in (RATE, RELIEF)])

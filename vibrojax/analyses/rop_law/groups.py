@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.analyses.rop_law.results import to_variables
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.io.riglog.columns import FORCE, LINE, RATE, RELIEF, RIG
+from vibrojax.io.riglog.columns import DEPTH, FORCE, LINE, RATE, RELIEF, RIG
 from vibrojax.io.variables import Variable
 from vibrojax.measures.labels import FAILED, IRREGULAR
 from vibrojax.models.physics.meanings import suggest_coordinate
@@ -147,5 +147,10 @@ def _group_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence
         return rows
 
     coordinates = {name: xr.Variable("group", lanes[name].values[first], lanes[name].attrs) for name in keys}
+    if DEPTH in columns and DEPTH not in (*keys, along) and lanes[DEPTH].dtype.kind == "f":
+        about = {"units": "m", "long_name": "depth of the group"}
+        for name, depth in (("depth_from", np.fmin), ("depth_to", np.fmax)):
+            ends = depth.reduceat(lanes[DEPTH].values[order], np.cumsum(count) - count)
+            coordinates[name] = xr.Variable("group", ends, about)
     relief, rate, valid = (padded(name) for name in ("relief", "rate", "valid"))
     return Groups(relief, rate, valid, count, {"group": count.size}, coordinates, str(along or row))

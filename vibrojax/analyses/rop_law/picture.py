@@ -17,19 +17,26 @@ from matplotlib.patches import Patch
 from matplotlib.typing import MarkerType
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.analyses.rop_law.results import formulas_of
+from vibrojax.analyses.rop_law.results import formulas_of, verdict
 from vibrojax.analyses.rop_law.rop import FORMS
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
-from vibrojax.io.riglog.columns import columns_lines
+from vibrojax.io.riglog import log_lines
 from vibrojax.plot.axes import scale, shape_zero, share_text, with_unit
 from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
 from vibrojax.plot.contents import FORM, POINT, law_in, long_axes
 from vibrojax.plot.curves import MOST_ROWS, Across, Row, longest_axis, new_rows
 from vibrojax.plot.sheet import LEGEND_WIDTH, Facets, facets, legend_at_right, sheet, write_margins
-from vibrojax.plot.style import FAINT, INK, Mark, styled
+from vibrojax.plot.style import FAINT, INK, Mark, new_figure, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
-_MARKS: dict[str, MarkerType] = {"onset": "o", "literal": "s", "percent": "^", "line": "D", "power": "v"}
+_MARKS: dict[str, MarkerType] = {
+    "onset": "o",
+    "literal": "s",
+    "percent": "^",
+    "line": "D",
+    "power": "v",
+    "constant": "P",
+}
 _EQUAL_AIC = 2.0  # difference of AIC up to which a form counts as equal to the best form
 # If a difference of AIC exceeds the first value, the scale is logarithmic above the second.
 _LOG_AIC_FROM, _LINEAR_AIC = 30.0, 10.0
@@ -104,7 +111,7 @@ def law_lines(fit: xr.Dataset) -> Figure:
     has_any = bool(np.isfinite(values).any())
     legend_at_right(figure, _line_handles(fit), equal if has_aic and has_any else [], uses)
     over = "over the rows of the table" if fit.attrs.get("along") == POINT else f"along {fit.attrs.get('along')}"
-    along = f"Fitted {over}; bars of one standard error" if "along" in fit.attrs else ""
+    along = f"Fitted {over}; bars of one standard error, bands of that of C" if "along" in fit.attrs else ""
     # Groups without a C: their number per reading if the numbers differ.
     lacking = {name: int(np.isnan(fit["C"].sel({FORM: name}).values).sum()) for name in _readings(fit)}
     counts = [f"{name}: {count}" for name, count in lacking.items() if count]
@@ -281,7 +288,12 @@ def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
         if name in rates and np.isfinite(coefficients[0]):
             line = Mark(color=form_colour(name), linewidth=1.4, linestyle=_DASHES.get(name, "-"))
             line |= Mark(zorder=2.5 if name in _DASHES else 2.0)
-            axes.plot(eta, factor * rates[name](eta, *coefficients), label=name, **line)
+            curve = factor * rates[name](eta, *coefficients)
+            axes.plot(eta, curve, label=name, **line)
+            error = float(form["C_stderr"]) / coefficients[0] if "C_stderr" in form and coefficients[0] else np.nan
+            if np.isfinite(error):  # every form is proportional to its C
+                band = curve * (1 - error), curve * (1 + error)
+                axes.fill_between(eta, *band, color=form_colour(name), alpha=0.15, linewidth=0)
     size = 4.2 if seen.sum() < _MANY_LANES else 2.2
     for use, mask in _masks(group).items():
         look = Mark(linestyle="none", markersize=size, zorder=3) | _USES[use][1]
@@ -301,6 +313,27 @@ def _masks(group: xr.Dataset) -> dict[str, np.ndarray]:
     return {name: mask for name, mask in masks.items() if mask.any()}
 
 
+@styled
+def residuals(fit: xr.Dataset) -> Figure:
+    """Draw the residuals of every form over the relief, with a panel for each group; no panels without the data."""
+    figure, rates, groups = new_figure(8.0, 2.6), {form.name: form.rate for form in FORMS}, groups_to_show(law_in(fit))
+    if not len(groups):
+        return figure
+    for axes, title, group in zip(
+        figure.subplots(1, len(groups), squeeze=False)[0], groups.titles, groups.data, strict=True
+    ):
+        factor, unit = scale(group[_RATE])
+        relief, rate = (group[name].values[_masks(group).get("fitted", slice(0))] for name in (_RELIEF, _RATE))
+        axes.axhline(0.0, color=FAINT, linewidth=0.8)
+        for name in (name for name in _forms(group) if name in rates):
+            form = group.sel({FORM: name})
+            law = rates[name](relief, *(float(form[x]) if x in form else np.nan for x in ("C", "eta0", "exponent")))
+            axes.plot(relief, factor * (rate - law), **_mark(name) | Mark(linestyle="none", markersize=3.5))
+        axes.set_title(f"residuals{f', {title}' if title else ''}", loc="left")
+        axes.set(xlabel="relief P/D", ylabel=with_unit("measured less the form", unit))
+    return figure
+
+
 class Fits(Analysis):
     """The fit of the rate-of-penetration law to a sweep's dataset or to rig data."""
 
@@ -311,4 +344,10 @@ class Fits(Analysis):
     )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        return [SummaryPart("columns", columns_lines(ds))]
+        return [SummaryPart("columns", log_lines(ds))]
+
+    def page_figures(self, ds: xr.Dataset) -> list[Figure]:
+        return [self.picture(ds), residuals(ds)]
+
+    def page_text(self, ds: xr.Dataset) -> list[SummaryPart]:
+        return [SummaryPart("forms of the law", verdict(ds)), *self.summary(ds)]

@@ -78,8 +78,7 @@ class Tolerances(Analysis):
     kind = "tolerance"
     variables = SAMPLE_VARIABLES
     pictures = (PictureRule("extremes over a tolerance box", lambda held: True, extremes_picture),)
-    view = "none"
-    no_view = "it holds samples of a box, not a map; draw it with vibrojax plot"
+    view = "plots"
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the nominal behaviour, the regimes and the extremes, for each start."""

@@ -216,7 +216,7 @@ def required_names(
         meant = _candidate(RELIEF if nearest(RELIEF, free) else FORCE, header, free)
         raise place.error(f"column {RELIEF} is missing, or {FORCE} and {THRESHOLD}; {meant}")
     if missing:
-        constant = f', or for all rows: --columns {THRESHOLD}="150 kN" or rock=granite'
+        constant = f', or for all rows: --columns {THRESHOLD}="150 kN", rock=granite or {THRESHOLD}=unknown'
         constant = constant if missing[0] == THRESHOLD else ""
         meant = _candidate(missing[0], header, free)
         raise place.error(f"column {missing[0]} [N] is missing, or {RELIEF}; {meant}{constant}")

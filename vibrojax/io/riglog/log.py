@@ -187,7 +187,7 @@ def open_log(
 
 def log_lines(data: xr.Dataset) -> list[str]:
     """Return lines of text: the dialect, the source and unit of each quantity, and what was dropped and why."""
-    if "dialect" not in data.attrs:
+    if text_of(data, "dialect", "plain") == "plain":
         return columns_lines(data)
     lines = [f"dialect {text_of(data, 'dialect')}: {text_of(data, 'detected')}", *columns_lines(data)]
     if dropped := table_of(data, "dropped"):

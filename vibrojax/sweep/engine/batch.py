@@ -180,10 +180,7 @@ class Engine:
             effort = self._effort(batch.accuracy)
             return self.programs.bind(observe_lanes, batch.given, batch.underway, batch.begin, batch.duration, effort)
 
-        return [
-            {name: np.moveaxis(x, -1, 0) for name, x in features.items()}
-            for features in self._run(batches, program, report)
-        ]
+        return [{name: x.T for name, x in features.items()} for features in self._run(batches, program, report)]
 
     def compile(self, accuracy: Accuracy) -> None:
         """Compile the programs once, instead of in every thread, without stepping lanes.
@@ -222,7 +219,10 @@ class Engine:
 
         def work(worker: jax.Device, item: tuple[Bound, Index]) -> None:
             call, lanes = item
-            self._call(worker, lambda: call(lanes))
+            if isinstance(call, BoundKernel):
+                call(lanes)
+            else:
+                self._call(worker, lambda: call(lanes))
             report(len(lanes))
 
         for _ in in_parallel(work, items, self.workers):

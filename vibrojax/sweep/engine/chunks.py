@@ -27,8 +27,9 @@ from vibrojax.sweep.engine.underway import (
 )
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
 
-CHUNK = 2048
-"""Default number of lanes per chunk."""
+CHUNK, CHUNK_SHARING_ORBITS = 4096, 2048
+"""Default number of lanes per chunk. In a sweep whose lanes stop on orbits of other lanes of the same chunk, results
+depend on this number; the second one applies."""
 
 ERROR_FLOOR = 0.03
 """Smallest error estimate, as a fraction of the tolerance. If most steps end at events, the check run takes almost the
@@ -36,6 +37,9 @@ same steps, and the difference between the runs underestimates the error."""
 
 DRIFT_MARGIN = 1.25
 """Safety factor on the drift, which assumes a linear return map. One estimate in ten is off by 10 %."""
+
+COMPARED = {*LABELLED_BY, "period", "impact_velocity", "rate_of_penetration"}
+"""Features of the check run that are compared with those of the main run."""
 
 PostProcessor = Callable[[int, int, Features], Features]
 """`beyond(first, end, features)` returns features to add or replace, for the lanes from `first` (inclusive) to `end`
@@ -55,7 +59,8 @@ class Chunks:
         self.accuracy = sweep.run.accuracy(sweep.system)
         recorder = recorder_for(sweep.system, sweep.run.keep_returns)
         self.engine = Engine(sweep, self.stepper, recorder, workers())
-        self.size = sweep.run.chunk or max(CHUNK, self.engine.programs.block)
+        usual = CHUNK if ends is None or not ends.shared else CHUNK_SHARING_ORBITS
+        self.size = sweep.run.chunk or max(usual, self.engine.programs.block)
         self.count = -(-sweep.lanes // self.size)
         self._compiled = False
 
@@ -89,7 +94,10 @@ class Chunks:
         observed = self._observed([part.fine for part in parts] + [part.check for part in parts], portions)
         features = [item.features for item in ended]
         if parts:
-            features.insert(0, self._certified(joined(observed[: len(parts)]), joined(observed[len(parts) :])))
+            check = [{name: x for name, x in one.items() if name in COMPARED} for one in observed[len(parts) :]]
+            features.insert(0, self._certified(joined(observed[: len(parts)]), joined(check)))
+        if not run.keep_returns and self._beyond is None:  # the crossings are needed only for the estimate
+            features = [{name: x for name, x in one.items() if x.ndim == 1 or name == END} for one in features]
         order = np.argsort(np.concatenate([part.fine.lanes for part in parts] + [item.lanes for item in ended]))
         whole = {name: x[order] for name, x in joined(features).items()}
         if "cycles" in whole:
@@ -183,7 +191,7 @@ def error_estimate(fine: Features, coarse: Features, share: float, least: float)
 
 def joined(parts: list[Features]) -> Features:
     """Return the concatenated features of all parts."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return parts[0] if len(parts) == 1 else {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}
 
 
 CARRIED_MIN_ROWS = 64

@@ -1,8 +1,9 @@
 """Compiled programs of lanes. Kernels of scenes from outside the package are first compared with XLA."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
+import jax
 import jax.numpy as jnp
 import llvmlite
 import numpy as np
@@ -59,12 +60,13 @@ class Programs:
 
     def __init__(self, kind: Kind, dtype: np.dtype, platform: str | None = None) -> None:
         self.kind, self._dtype, self._platform = kind, dtype, platform
+        self._kernels: dict[Hashable, Kernel] = {}
         self.compiler = "llvm" if platform is None else "xla"
         self.block = XLA_BLOCK if platform == "cpu" else XLA_BLOCK_ON_ACCELERATOR
         self.lanes_per_call = XLA_BLOCKS_PER_CALL * XLA_BLOCK if platform == "cpu" else XLA_BLOCK_ON_ACCELERATOR
         if platform is None:
             self.block = max(KERNEL_REGISTERS.values()) * native.vector_bytes() // dtype.itemsize
-            self.lanes_per_call = 512  # few enough for all threads to have work
+            self.lanes_per_call = 1024  # few enough for all threads to have work
 
     def check_arithmetic(self) -> None:
         """Compile `EQUATION_FUNCTIONS` like the programs; raise `InputError` if one of them differs from numpy."""
@@ -77,12 +79,17 @@ class Programs:
     def bind(self, program: Callable[..., Any], *arguments: Any) -> BoundKernel | BoundProgram:
         """Return a program of lanes bound to arguments, to compute some lanes at a time.
 
-        Uses the current device and precision, in which its calls must be made as well.
+        Uses the current device and precision, in which calls of a `BoundProgram` must be made as well.
         """
         if self._platform is None:
-            registers = KERNEL_REGISTERS.get(program, 1)
-            kernel = trusted_kernel(program, (self.kind,), *arguments, registers=registers, policy=scene_subject)
-            return kernel.bind(*arguments)
+            leaves, tree = jax.tree.flatten(arguments)
+            key = (program, tree, *native.types_of(leaves))
+            kernel = self._kernels.get(key)
+            if kernel is None:
+                registers = KERNEL_REGISTERS.get(program, 1)
+                kernel = trusted_kernel(program, (self.kind,), *arguments, registers=registers, policy=scene_subject)
+                self._kernels[key] = kernel
+            return kernel.bind_leaves(leaves)
         return BoundProgram(program, (self.kind,), self.block, self.lanes_per_call // self.block, *arguments)
 
 

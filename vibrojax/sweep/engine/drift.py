@@ -1,31 +1,35 @@
 """Distance of a periodic lane from its limit, and lanes whose attractor is determined by rounding error.
 
 Near a periodic orbit, the distance of a section crossing from the orbit is a linear map of that of the previous
-crossing. If the motion is periodic with p crossings per period, let d_k be the differences between crossings that are
-p apart. They obey a linear recurrence d_k = sum_j c_j d_{k-jp}. Its order is 1 for one dominant multiplier, 2 for a
-pair, and 3 for all three multipliers of a section with three states. The coefficients are fitted to the differences by
-least squares. They determine the sum of all future differences of the states and of any function of the states (reduced
-rank extrapolation: Sidi, *Vector Extrapolation Methods*, 2017, chapter 2).
+crossing. A recurrence that is fitted to the last crossings gives the limit, see [vibrojax.sweep.engine.recurrence][].
 """
 
 from dataclasses import replace
 from functools import reduce
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from vibrojax.measures.repeats import INTERVAL, TIME, state_name
 from vibrojax.measures.section import Settling
 from vibrojax.models.scenes import Section
 from vibrojax.sweep.engine.batch import Batch, Engine
+from vibrojax.sweep.engine.recurrence import (
+    RECURRENCE_MAX_ORDER,
+    Crossings,
+    Index,
+    Numbers,
+    PerLane,
+    PerLaneBool,
+    PerLaneInt,
+    Recurrence,
+    Series,
+    SumsAndMean,
+    fit_recurrence,
+    future_sum,
+    pick,
+)
 from vibrojax.sweep.engine.underway import repeats_lately
-
-RECURRENCE_MAX_ORDER = 3
-"""A section with three states has three multipliers."""
-
-RECURRENCE_MAX_EQUATIONS = 12
-"""Maximum number of differences in the fit, the newest. Earlier, the lane may be too far away for a linear map."""
 
 DRIFT_RESOLVED = 1e4
 """Differences determine multipliers if they exceed the rounding noise by this factor, and ten times the error tolerance
@@ -38,24 +42,10 @@ close that the recurrence is taken as the true one."""
 GROWS, DECAYS = 1.0005, 0.999
 """Modulus of the dominant multiplier above which a lane moves away from an orbit, and below which it approaches."""
 
-PerLane = Float[np.ndarray, " lanes"]
-Series = Float[np.ndarray, "lanes _"]
-States = Float[np.ndarray, "lanes _ states"]
+LANES_AT_ONCE = 1024
+"""Number of lanes whose recurrences are fitted together. Their arrays fit into the cache."""
+
 Features = dict[str, np.ndarray]
-SumsAndMean = tuple[Series, Series | None, PerLane]
-"""Sums of which period or impact velocity is the mean: the sum since the previous crossing (of time [s] or of
-velocities [m/s]), the number of its terms (None for one term), and the lane's mean."""
-
-
-class Recurrence(NamedTuple):
-    """Fitted recurrence of differences with coefficients c_j, and its relative `residual`.
-
-    `radius`: largest modulus of the roots of its characteristic polynomial, which estimate multipliers.
-    """
-
-    coefficients: Float[np.ndarray, "lanes order"]
-    residual: PerLane
-    radius: PerLane
 
 
 def drift(features: Features, section: Section, precision: str, tolerance: float) -> PerLane:
@@ -68,113 +58,114 @@ def drift(features: Features, section: Section, precision: str, tolerance: float
     `precision`: that of the features, "float64" or "float32"; `tolerance`: relative error tolerance of the steps.
     """
     cycles = np.nan_to_num(features["cycles"]).astype(int)
-    count = np.sum(np.isfinite(features[TIME]), axis=1)
-    distance = np.full(cycles.shape, np.nan)
+    distance = np.where(cycles > 0, np.inf, np.nan)
     noise = 64 * float(np.finfo(precision).eps)
     resolved = max(DRIFT_RESOLVED * noise, 10 * tolerance)
-    for repeat, returns in sorted({(int(p), int(n)) for p, n in zip(cycles, count, strict=True) if p > 0}):
-        lanes = np.flatnonzero((cycles == repeat) & (count == returns))
-        with np.errstate(all="ignore"):
-            states, measured = _last_returns({name: x[lanes] for name, x in features.items()}, section, returns)
-            distance[lanes] = _drift(states, measured, repeat, noise, resolved)
+    periodic = np.flatnonzero(cycles > 0)
+    with np.errstate(all="ignore"):
+        for first in range(0, len(periodic), LANES_AT_ONCE):
+            lanes = periodic[first : first + LANES_AT_ONCE]
+            crossings = _crossings(features, lanes, cycles[lanes], section)
+            distance[lanes] = _drift(crossings, noise, resolved)
     return distance
 
 
-def _last_returns(features: Features, section: Section, count: int) -> tuple[States, list[SumsAndMean]]:
-    """Return the scaled states at consecutive section crossings, newest first, and the sums between them."""
+def _crossings(features: Features, lanes: PerLaneInt, cycles: PerLaneInt, section: Section) -> Crossings:
+    """Return the section crossings of periodic lanes, with a lag of one period."""
 
     def newest_first(name: str) -> Series:
-        return features[name][:, ::-1][:, :count].astype(float)
+        return np.take(features[name].T, lanes, axis=1)[::-1].astype(float)
 
-    swings = tuple(features[swing.amplitude] for swing in section.swings)
-    scale = np.stack([np.asarray(x, float) for x in section.scales(swings, features["period"])], axis=-1)
-    states = np.stack([newest_first(state_name(name)) for name in section.compared], axis=-1)
-    measured: list[SumsAndMean] = [(newest_first(INTERVAL), None, features["period"])]
+    swings = tuple(features[swing.amplitude][lanes] for swing in section.swings)
+    period = features["period"][lanes]
+    scales = [np.asarray(x, float) for x in section.scales(swings, period)]
+    names = map(state_name, section.compared)
+    states = np.stack([newest_first(name) / scale for name, scale in zip(names, scales, strict=True)])
+    sums: list[SumsAndMean] = [(newest_first(INTERVAL), None, period)]
     if "return_impacts" in features:
         impacts = newest_first("return_impacts")
         velocity = np.where(impacts > 0, impacts * newest_first("return_impact_velocity"), 0.0)
-        measured.append((velocity, impacts, features["impact_velocity"]))
-    return states / scale[:, None], measured
+        sums.append((velocity, impacts, features["impact_velocity"][lanes]))
+    count = np.sum(np.isfinite(features[TIME][lanes]), axis=1)
+    return Crossings(states, count, cycles, tuple(sums))
 
 
-def _drift(states: States, measured: list[SumsAndMean], repeat: int, noise: float, resolved: float) -> PerLane:
-    """Return the distance of lanes with the same number `repeat` of section crossings per period.
+def _drift(crossings: Crossings, noise: float, resolved: float) -> PerLane:
+    """Return the distance of periodic lanes.
 
     `noise`: relative rounding error of a crossing. `resolved`: smallest difference that determines multipliers.
     """
-    differences = states[:, :-repeat] - states[:, repeat:]
-    fits = _fits(differences, repeat, noise)
-    if not fits:
-        return np.full(len(differences), np.inf)
-    # If the limits of two orders differ, neither is reliable: the distance between them is added.
-    distances = []
-    for total, count, mean in measured:
-        values = _means(total, count, repeat)
-        limits = [values[:, 0] + _future_sum(values, repeat, fit) for fit in fits]
-        distances.append((np.abs(limits[-1] - mean) + np.abs(limits[-1] - limits[0])) / np.abs(mean))
-    for state in np.moveaxis(states, -1, 0):
-        changes = [_future_sum(state, repeat, fit) for fit in fits]
-        distances.append(np.abs(changes[-1]) + np.abs(changes[-1] - changes[0]))
-    third = max(differences.shape[1] // 3, 1)
-    recent, before = np.abs(differences[:, :third]), np.abs(differences[:, third : 2 * third])
-    grown = np.max(recent, axis=(1, 2)) > np.max(before, axis=(1, 2))
-    leaves = grown & np.all([fit.radius > GROWS for fit in fits], axis=0)
-    unknown = _is_resolved(differences, resolved) & (leaves | (fits[-1].residual > FITS))
+    distance = np.full(len(crossings.lag), np.inf)
+    for order, lanes in _by_order(crossings.highest):
+        part = crossings.of(lanes)
+        # If the limits of two orders differ, neither is reliable: the distance between them is added.
+        differences = part.differences(order)
+        fits = [fit_recurrence(part, differences, k, noise) for k in range(max(order - 1, 1), order + 1)]
+        distance[lanes] = np.where(_is_unknown(part, fits, resolved), np.inf, _distance(part, fits))
     # A slow spiral towards an orbit with a shorter period seems periodic after each revolution.
-    for shorter in (p for p in range(1, repeat) if repeat % p == 0):
-        differences = states[:, :-shorter] - states[:, shorter:]
-        fit = _fits(differences, shorter, noise)[-1]
-        unknown |= _is_resolved(differences, resolved) & (fit.residual < FITS_CLOSELY) & (fit.radius < DECAYS)
-    return np.where(unknown, np.inf, reduce(np.fmax, distances))
+    for shorter in range(1, crossings.lag.max(initial=0)):
+        divided = np.flatnonzero((crossings.lag > shorter) & (crossings.lag % shorter == 0))
+        part = crossings.of(divided)._replace(lag=np.full(len(divided), shorter))
+        for order, lanes in _by_order(np.where(part.are_resolved(resolved), part.highest, 0)):
+            subset = part.of(lanes)
+            fit = fit_recurrence(subset, subset.differences(order), order, noise)
+            close = np.flatnonzero(fit.residual() < FITS_CLOSELY)
+            if len(close):
+                distance[divided[lanes[close[fit.of(close).radius() < DECAYS]]]] = np.inf
+    return distance
 
 
-def _is_resolved(differences: States, resolved: float) -> Bool[np.ndarray, " lanes"]:
-    return np.max(np.abs(differences[:, 0]), axis=-1) > resolved
+def _by_order(highest: PerLaneInt) -> list[tuple[int, Index]]:
+    """Return each order above 0 with the lanes of which it is the highest."""
+    lanes = [(order, np.flatnonzero(highest == order)) for order in range(1, RECURRENCE_MAX_ORDER + 1)]
+    return [pair for pair in lanes if len(pair[1])]
 
 
-def _fits(differences: States, lag: int, noise: float) -> list[Recurrence]:
-    """Return two fitted recurrences: of the highest order that has enough differences, and of the order below."""
-    highest = min(RECURRENCE_MAX_ORDER, (differences.shape[1] - 1) // lag)
-    return [_recurrence(differences, lag, order, noise) for order in range(max(highest - 1, 1), highest + 1)]
+def _distance(crossings: Crossings, fits: list[Recurrence]) -> PerLane:
+    """Return the distance of lanes from the limit of their recurrence, given the fits of one or two orders."""
+    numbers = crossings.lag * np.arange(len(fits[-1].coefficients) + 1)[:, None]
+    distances = []
+    for total, count, mean in crossings.sums:
+        values = _means(total, count, crossings.lag, numbers)
+        limits = [values[0] + future_sum(values, fit) for fit in fits]
+        distances.append((np.abs(limits[-1] - mean) + np.abs(limits[-1] - limits[0])) / np.abs(mean))
+    for state in crossings.at(numbers):
+        changes = [future_sum(state, fit) for fit in fits]
+        distances.append(np.abs(changes[-1]) + np.abs(changes[-1] - changes[0]))
+    return reduce(np.fmax, distances)
 
 
-def _means(total: Series, count: Series | None, repeat: int) -> Series:
-    """Return moving averages of the sums `total` over `repeat` consecutive section crossings.
+def _is_unknown(crossings: Crossings, fits: list[Recurrence], resolved: float) -> PerLaneBool:
+    """Return a mask of the lanes that move away from the orbit, or whose differences obey no recurrence."""
+    unknown = crossings.are_resolved(resolved)
+    lanes = np.flatnonzero(unknown)  # few: most lanes are as near as rounding permits
+    if len(lanes):
+        part, fits = crossings.of(lanes), [fit.of(lanes) for fit in fits]
+        number = np.arange(crossings.states.shape[1])[:, None]
+        differences = np.abs(part.at(number) - part.at(number + part.lag))
+        third = np.maximum((part.known - part.lag) // 3, 1)
+        recent, before = (
+            np.max(np.where(mask, differences, 0.0), axis=(0, 1))
+            for mask in (number < third, (number >= third) & (number < 2 * third))
+        )
+        leaves = (recent > before) & np.all([fit.radius() > GROWS for fit in fits], axis=0)
+        unknown[lanes] = leaves | (fits[-1].residual() > FITS)
+    return unknown
+
+
+def _means(total: Series, count: Series | None, window: PerLaneInt, first: Numbers) -> Series:
+    """Return averages of the sums `total` over windows of section crossings, which begin at the numbers `first`.
 
     A window is divided by its number of crossings or, if `count` is not None, by its number of terms, such as impacts.
     """
-    windows = total.shape[1] - repeat
-    over = np.sum([total[:, k : k + windows] for k in range(repeat)], axis=0)
-    if count is None:
-        return over / repeat
-    return over / np.sum([count[:, k : k + windows] for k in range(repeat)], axis=0)
-
-
-def _recurrence(differences: States, lag: int, order: int, noise: float) -> Recurrence:
-    """Fit a recurrence of this `order` to the differences by least squares with equally weighted equations."""
-    lanes, number, _ = differences.shape
-    equations = min(number - order * lag, RECURRENCE_MAX_EQUATIONS)
-    before = np.stack([differences[:, lag * j : lag * j + equations] for j in range(1, order + 1)], axis=-1)
-    weight = 1 / np.sqrt(np.sum(before**2, axis=(2, 3)) + noise**2)
-    now = (differences[:, :equations] * weight[:, :, None]).reshape(lanes, -1)
-    before = (before * weight[:, :, None, None]).reshape(lanes, -1, order)
-    # Regularization by the rounding noise in the columns: without it, large coefficients would fit noise.
-    blurred = 1e-12 + noise**2 * np.sum(weight**2, axis=1)
-    gram = np.einsum("lij,lik->ljk", before, before) + blurred[:, None, None] * np.eye(order)
-    coefficients = np.linalg.solve(gram, np.einsum("lij,li->lj", before, now)[..., None])[..., 0]
-    off = np.einsum("lij,lj->li", before, coefficients) - now
-    residual = np.sqrt(np.sum(off**2, axis=1) / np.sum(now**2, axis=1))
-    companion = np.zeros((lanes, order, order))
-    companion[:, 0] = coefficients
-    companion[:, np.arange(1, order), np.arange(order - 1)] = 1.0
-    return Recurrence(coefficients, residual, np.max(np.abs(np.linalg.eigvals(companion)), axis=1))
-
-
-def _future_sum(values: Series, lag: int, fit: Recurrence) -> PerLane:
-    """Return the sum of all future differences of `values`: sum_j c_j (d_0 + ... + d_{j-1})/(1 - sum_j c_j)."""
-    order = fit.coefficients.shape[1]
-    passed = np.cumsum([values[:, lag * j] - values[:, lag * (j + 1)] for j in range(order)], axis=0)
-    return np.sum(fit.coefficients * passed.T, axis=1) / (1 - np.sum(fit.coefficients, axis=1))
+    sums = []
+    for series in (total,) if count is None else (total, count):
+        over = pick(series, first)
+        for k in range(1, window.max(initial=0)):
+            lanes = np.flatnonzero(window > k)
+            over[:, lanes] += pick(series[:, lanes], first[:, lanes] + k)
+        sums.append(over)
+    return sums[0] / (window if count is None else sums[1])
 
 
 GROWTH_RETURNS = 40

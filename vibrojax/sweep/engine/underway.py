@@ -78,23 +78,34 @@ def settled(
     done, duration = np.zeros(lanes, bool), np.zeros(lanes)
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = np.stack(passed.scales)
-        states = states[:, : len(scale)]
-        lately = _returned_lately(times, now)
+        remaining = np.flatnonzero(_returned_lately(times, now))
         for repeat in range(1, LONGEST_EARLY_REPEAT + 1):
-            seconds = times[:-repeat] - times[repeat:]
-            moved = np.max(np.abs(states[:-repeat] - states[repeat:]) / scale, axis=1)
-            change = np.maximum(moved[:-1], np.abs(seconds[:-1] - seconds[1:]) / seconds[0])
             # The maximum of half of the changes: a single one may be small by chance if the distance vector rotates.
-            half = len(change) // 2
-            newer, older = change[:half].max(axis=0), change[-half:].max(axis=0)
-            ratio = (newer / older) ** (repeat / (len(change) - half))
-            repeats_left = (end - now) / seconds[0]
-            remaining = newer * np.where(ratio < 1, np.minimum(ratio / (1 - ratio), repeats_left), repeats_left)
-            needed = (max(FEWEST_RETURNS, 3 * repeat + 1) + 1.5) * seconds[0] / repeat
-            new = ~done & (newer < REPEATS_WITHIN) & lately & (needed <= observe) & (remaining <= tolerance)
-            duration = np.where(new, needed, duration)
+            half, changes = (len(times) - repeat - 1) // 2, len(times) - repeat - 1
+
+            def change(first: int, end: int, lanes: Index, repeat: int = repeat) -> LanesFloat:
+                """Return the greatest change from one period to the next, of those numbered `first` to `end`."""
+                x, t = (np.take(array[first : end + repeat + 1], lanes, axis=-1) for array in (states, times))
+                x = x[:, : len(scale)]
+                moved = np.max(np.abs(x[: end - first] - x[repeat : end - first + repeat]) / scale[:, lanes], axis=1)
+                seconds = t[:-repeat] - t[repeat:]
+                newest = times[0, lanes] - times[repeat, lanes]
+                return np.max(np.maximum(moved, np.abs(seconds[:-1] - seconds[1:]) / newest), axis=0)
+
+            newer = change(0, half, remaining)
+            similar = newer < REPEATS_WITHIN
+            newer, near = newer[similar], remaining[similar]
+            older = change(changes - half, changes, near)
+            seconds = times[0, near] - times[repeat, near]
+            ratio = (newer / older) ** (repeat / (changes - half))
+            repeats_left = (end - now) / seconds
+            changing = newer * np.where(ratio < 1, np.minimum(ratio / (1 - ratio), repeats_left), repeats_left)
+            needed = (max(FEWEST_RETURNS, 3 * repeat + 1) + 1.5) * seconds / repeat
+            new = (needed <= observe) & (changing <= tolerance)
+            duration[near[new]] = needed[new]
             # A motion with a period of one crossing also has a period of two: the shortest applies.
-            done |= new
+            done[near[new]] = True
+            remaining = remaining[~done[remaining]]
     return done, duration
 
 
@@ -115,7 +126,7 @@ class Ended(NamedTuple):
 EarlyStopping = Any
 """Search for lanes that need no more steps, which may stop at different times. `of_chunk()` returns the search for the
 lanes of one chunk, `near(batch)` a mask of the lanes that deserve a closer examination, from a test of negligible cost,
-and a call with a batch a list of `Ended`."""
+and a call with a batch a list of `Ended`. `shared` tells whether lanes of a chunk share orbits."""
 
 
 def checkpoints(run: RunSettings, on_orbits: bool = False) -> list[list[float]]:
