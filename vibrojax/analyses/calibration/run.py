@@ -38,6 +38,9 @@ MAX_STEPS = 60
 TOLERANCE = 1e-8
 """Relative and absolute tolerance of a search, far below every standard error."""
 
+SCREENED = 64
+"""Number of points of the box at which the residuals are computed, to begin the searches at the best ones."""
+
 MAX_ROUNDS = 3
 """Number of fits, each without the observations for which the fit before found no orbit."""
 
@@ -99,7 +102,7 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
       then `rate_of_penetration` is C ln(relief).
     - `[unknown]` NAME = [low, high]; `[error]` NAME = standard error of a variable (without errors, all variables have
       the same relative error, which the residuals give); `[prior]` NAME = [mean, standard deviation].
-    - `searches` (4), `draws` (1000), `seed` (0), `title`.
+    - `searches` (3), `draws` (1000), `seed` (0), `title`.
 
     **Returns:** a dataset with `estimate`, `estimate_stderr` and `reason` along `parameter`, `correlation`, `direction`
     and `direction_error` along `combination`, `posterior` along `draw`; `observed`, `predicted`, `residual` and `used`
@@ -158,7 +161,8 @@ def _model(spec: CalibrationSpec) -> Model:
     needed += [RELIEF] if CONSTANT in spec.names and RELIEF not in needed else []
     f = as_jax(spec.scene, of=needed, by=[*own, *spec.conditions], start=spec.start, **spec.fixed)
     rows = len(spec.labels)
-    conditions = jnp.asarray(np.stack([*spec.conditions.values()], axis=1) if spec.conditions else np.zeros((rows, 0)))
+    columns = np.stack([*spec.conditions.values()], axis=1) if spec.conditions else np.zeros((rows, 0))
+    conditions = jnp.asarray(columns)
     places = [k for k, name in enumerate(spec.names) if name != CONSTANT]
 
     def model(theta: Any) -> tuple[Any, Any]:
@@ -183,39 +187,43 @@ def _residuals(spec: CalibrationSpec, model: Model, used: Bool[np.ndarray, " row
     """Return the function from the unknowns to the residuals in standard errors; values that are left out give 0."""
     observed, errors = _observations(spec)
     known = np.isfinite(observed) & used[:, None]
-    observed = jnp.asarray(np.where(known, observed, 0.0))
+    target = jnp.asarray(np.where(known, observed, 0.0))
     weight = jnp.asarray(np.where(known, 1 / np.where(known, errors, 1.0), 0.0))
     mean, width = jnp.asarray(spec.prior_mean), jnp.asarray(spec.prior_error)
 
     def residuals(theta: Any) -> Any:
         # An orbit without the variable has NaN, which a weight of 0 does not remove.
         predicted = jnp.where(weight > 0, model(theta)[0], 0.0)
-        return jnp.concatenate([(weight * (predicted - observed)).ravel(), (theta - mean) / width])
+        return jnp.concatenate([(weight * (predicted - target)).ravel(), (theta - mean) / width])
 
     return residuals
 
 
 def _search(spec: CalibrationSpec, model: Model, used: Bool[np.ndarray, " rows"], bar: Progress | None) -> list[Search]:
-    """Return the results of searches from points of the box; the unknowns are logistic functions of free numbers."""
+    """Return the results of searches from the best points of a sample of the box.
+
+    The unknowns are logistic functions of free numbers, so that they stay inside the bounds.
+    """
     residuals = _residuals(spec, model, used)
     low, width = jnp.asarray(spec.low), jnp.asarray(spec.high - spec.low)
-    solver = optimistix.LevenbergMarquardt(TOLERANCE, TOLERANCE)
+    solver: Any = optimistix.LevenbergMarquardt(TOLERANCE, TOLERANCE)
 
     def inside(free: Any) -> Any:
         return low + width * jax.nn.sigmoid(free)
 
     @jax.jit
     def solve(free: Any) -> Any:
-        solution = optimistix.least_squares(
+        solution: Any = optimistix.least_squares(
             lambda free, _: residuals(inside(free)), solver, free, max_steps=MAX_STEPS, throw=False
         )
         theta = inside(solution.value)
         return theta, jnp.sum(residuals(theta) ** 2), solution.result == optimistix.RESULTS.successful
 
-    points = qmc.Sobol(len(spec.names), seed=spec.seed).random(spec.searches)
-    points[0] = 0.5
+    points = qmc.Sobol(len(spec.names), seed=spec.seed).random(SCREENED)
+    points = np.clip(np.concatenate([np.full((1, len(spec.names)), 0.5), points[1:]]), 0.02, 0.98)
+    costs = np.asarray(jax.vmap(lambda point: jnp.sum(residuals(low + width * point) ** 2))(jnp.asarray(points)))
     searches = []
-    for point in np.clip(points, 0.02, 0.98):
+    for point in points[np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")][: spec.searches]:
         theta, cost, converged = map(np.asarray, solve(jnp.asarray(np.log(point / (1 - point)))))
         searches.append(Search(theta, float(cost) if np.isfinite(cost) else np.inf, bool(converged)))
         if bar is not None:

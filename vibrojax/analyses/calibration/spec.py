@@ -31,7 +31,7 @@ MAX_OBSERVATIONS = 10_000
 """Largest number of rows. Each is an orbit that is solved at every step of the search."""
 
 DEFAULT_DRAWS, MAX_DRAWS = 1000, 1_000_000
-DEFAULT_SEARCHES, MAX_SEARCHES = 4, 64
+DEFAULT_SEARCHES, MAX_SEARCHES = 3, 64
 
 _KEYS = ("scene", "title", "data", "start", "unknown", "error", "prior", "parameters", "searches", "draws", "seed")
 _EXAMPLE = "mu = [0.2, 0.6]"

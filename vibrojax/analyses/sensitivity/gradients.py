@@ -106,7 +106,7 @@ def _features(branch: Branch, size: int, outside: str) -> Callable[[jax.Array], 
     """Return the function from parameters to features (and, as the last number, 1 if valid), with its derivatives."""
     count = len(branch.of) + 1
 
-    def compute(dtype: np.dtype, words: Any) -> tuple[np.ndarray, np.ndarray]:
+    def compute(dtype: np.dtype, words: Any) -> tuple[np.ndarray, ...]:
         """Return features (..., features) and derivatives (..., features, by) at the points (..., by)."""
         x = np.ascontiguousarray(words).view(dtype)
         features = branch.evaluate(np.ascontiguousarray(x.reshape(-1, size), float))
@@ -120,8 +120,8 @@ def _features(branch: Branch, size: int, outside: str) -> Callable[[jax.Array], 
 
     @jax.custom_jvp
     def both(x: jax.Array) -> Any:
-        # A loop calls back from another thread. If x64 is enabled in this thread only, jax rounds doubles there, but not
-        # words of 32 bits.
+        # A loop calls back from another thread. If x64 is enabled in this thread only, jax rounds doubles there; it
+        # leaves words of 32 bits unchanged.
         dtype = np.dtype(x.dtype)
         words = dtype.itemsize // 4
         shapes = tuple(jax.ShapeDtypeStruct((number * words,), np.uint32) for number in (count, count * size))
