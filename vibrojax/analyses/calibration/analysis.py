@@ -50,7 +50,8 @@ def _draw_posterior(axes: Axes, ds: xr.Dataset) -> None:
     names = [str(name) for name in ds["parameter"].values]
     draws, estimate = ds["posterior"].values, ds["estimate"].values
     scales = [scale(_value(ds, k)) for k in range(len(names))]
-    labels = [f"{name} [{pretty_unit(unit) or '1'}]" for name, (_, unit) in zip(names, scales, strict=True)]
+    units = [pretty_unit(unit) for _, unit in scales]
+    labels = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
     if len(names) == 1:
         axes.hist(draws[:, 0] * scales[0][0], bins=30, color=FAINT)
         axes.axvline(estimate[0] * scales[0][0], color=IMPACT)
@@ -67,7 +68,8 @@ def _draw_combinations(axes: Axes, ds: xr.Dataset) -> None:
     errors = np.clip(100 * ds["direction_error"].values, 1e-6, 1e4)
     rows = list(range(len(errors)))
     axes.barh(rows, errors, 0.5, color=[BIT if e < 100 * VAGUE else FAINT for e in errors])
-    axes.set_xscale("log")
+    if errors.max() > 10 * errors.min():
+        axes.set_xscale("log")
     axes.set_yticks(rows, [_combination(ds, k) for k in rows], fontsize="small")
     axes.invert_yaxis()
     axes.set_xlabel("relative standard error [%]")

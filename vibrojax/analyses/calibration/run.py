@@ -1,5 +1,6 @@
 """Calibration of a drill's parameters: least squares through periodic orbits, identifiability, and a posterior."""
 
+import json
 from collections.abc import Callable, Mapping
 from os import PathLike
 from typing import Any, NamedTuple
@@ -35,6 +36,10 @@ AT_BOUND = 1e-3
 MAX_STEPS = 60
 """Limit of the steps of one search; a search from a point of the box takes 5 to 20."""
 
+LARGEST_OFFSET = 0.05
+"""Length of the residuals along the tangent plane, in standard errors, up to which a search has reached a minimum
+(Bates and Watts 1981)."""
+
 TOLERANCE = 1e-8
 """Relative and absolute tolerance of a search, far below every standard error."""
 
@@ -43,6 +48,9 @@ SCREENED = 64
 
 MAX_ROUNDS = 3
 """Number of fits, each without the observations for which the fit before found no orbit."""
+
+MAX_MODELS = 4
+"""Number of drills with operating conditions whose compiled functions are kept."""
 
 CHECKED_DRAWS = 32
 """Draws of the posterior at which the motion is computed again, to check the linear approximation."""
@@ -73,7 +81,6 @@ SCHEMA: dict[str, tuple[tuple[str, ...], Variable]] = {
 }
 
 Theta = Float[np.ndarray, " unknown"]
-Model = Callable[[Any], tuple[Any, Any]]
 
 
 def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
@@ -122,11 +129,10 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
 
 
 class Search(NamedTuple):
-    """The result of a search: unknowns, sum of squares, and whether the search converged."""
+    """The result of a search: unknowns and sum of squares."""
 
     theta: Theta
     cost: float
-    converged: bool
 
 
 def find_calibration(spec: CalibrationSpec, progress: bool = True) -> xr.Dataset:
@@ -134,7 +140,7 @@ def find_calibration(spec: CalibrationSpec, progress: bool = True) -> xr.Dataset
     with precision("float64"), Progress(spec.searches, "searches", progress) as bar:
         model = _model(spec)
         theta = (spec.low + spec.high) / 2
-        predicted, valid = map(np.asarray, model(jnp.asarray(theta)))
+        predicted, valid = map(np.asarray, model.predict(jnp.asarray(theta)))
         if not valid.any():
             where = ", ".join(f"{name} = {x:g}" for name, x in zip(spec.names, theta, strict=True))
             raise InputError(
@@ -145,19 +151,49 @@ def find_calibration(spec: CalibrationSpec, progress: bool = True) -> xr.Dataset
         for number in range(MAX_ROUNDS):
             searches = _search(spec, model, used, bar if number == 0 else None)
             best = min(searches, key=lambda search: search.cost)
-            predicted, valid = map(np.asarray, model(jnp.asarray(best.theta)))
+            predicted, valid = map(np.asarray, model.predict(jnp.asarray(best.theta)))
             if (valid | ~used).all() or not (valid & used).any():
                 break
             used &= valid
-        used &= valid
-        return _dataset(spec, model, best, np.asarray(predicted), used)
+        return _dataset(spec, model, best, predicted, used & valid)
+
+
+class Model(NamedTuple):
+    """Compiled functions of the unknowns theta.
+
+    - `predict`: predictions (observations, variables), and a mask of the observations that have a stable orbit.
+    - `slopes`: derivatives of the predictions (observations, variables, unknowns).
+    - `costs`: sums of squares at points of the unit box; `solve`: theta and sum of squares of a search from a point.
+      Their other arguments are the bounds and those of `_data`.
+    """
+
+    predict: Callable[..., Any]
+    slopes: Callable[..., Any]
+    costs: Callable[..., Any]
+    solve: Callable[..., Any]
 
 
 def _model(spec: CalibrationSpec) -> Model:
-    """Return the function from the unknowns to the predictions (observations, variables), and to which are valid."""
+    """Return the functions of a calibration; they are kept for others of the same drill and operating conditions."""
+    conditions = {name: x.tolist() for name, x in spec.conditions.items()}
+    try:
+        key = json.dumps([spec.scene, spec.start, spec.fixed, conditions, spec.names, [*spec.observed]])
+    except TypeError:  # a scene or a law is an object
+        return _compiled(spec)
+    if key not in _MODELS:
+        while len(_MODELS) >= MAX_MODELS:
+            del _MODELS[next(iter(_MODELS))]
+        _MODELS[key] = _compiled(spec)
+    return _MODELS[key]
+
+
+_MODELS: dict[str, Model] = {}
+
+
+def _compiled(spec: CalibrationSpec) -> Model:
     own = [name for name in spec.names if name != CONSTANT]
-    of = dict.fromkeys(spec.observed)
-    needed = [*(name for name in of if name != RATE or CONSTANT not in spec.names)]
+    of = [*spec.observed]
+    needed = [name for name in of if name != RATE or CONSTANT not in spec.names]
     needed += [RELIEF] if CONSTANT in spec.names and RELIEF not in needed else []
     f = as_jax(spec.scene, of=needed, by=[*own, *spec.conditions], start=spec.start, **spec.fixed)
     rows = len(spec.labels)
@@ -165,14 +201,35 @@ def _model(spec: CalibrationSpec) -> Model:
     conditions = jnp.asarray(columns)
     places = [k for k, name in enumerate(spec.names) if name != CONSTANT]
 
-    def model(theta: Any) -> tuple[Any, Any]:
+    def predict(theta: Any) -> tuple[Any, Any]:
         free = jnp.broadcast_to(theta[jnp.array(places, int)], (rows, len(places)))
         values = dict(jax.vmap(f)(jnp.concatenate([free, conditions], axis=1)))
         if CONSTANT in spec.names:
             values[RATE] = theta[spec.names.index(CONSTANT)] * jnp.log(values[RELIEF])
         return jnp.stack([values[name] for name in of], axis=1), values[VALID]
 
-    return jax.jit(model)
+    def residuals(theta: Any, target: Any, weight: Any, mean: Any, width: Any) -> Any:
+        # An orbit without the variable has NaN, which a weight of 0 does not remove.
+        predicted = jnp.where(weight > 0, predict(theta)[0], 0.0)
+        return jnp.concatenate([(weight * (predicted - target)).ravel(), (theta - mean) / width])
+
+    def solve(point: Any, low: Any, high: Any, *data: Any) -> Any:
+        def inside(free: Any) -> Any:  # stays inside the bounds
+            return low + (high - low) * jax.nn.sigmoid(free)
+
+        solver: Any = optimistix.LevenbergMarquardt(TOLERANCE, TOLERANCE)
+        solution: Any = optimistix.least_squares(
+            lambda free, _: residuals(inside(free), *data), solver, jnp.log(point / (1 - point)),
+            max_steps=MAX_STEPS, throw=False,
+        )  # fmt: skip
+        theta = inside(solution.value)
+        return theta, jnp.sum(residuals(theta, *data) ** 2)
+
+    def costs(points: Any, low: Any, high: Any, *data: Any) -> Any:
+        return jax.vmap(lambda point: jnp.sum(residuals(low + (high - low) * point, *data) ** 2))(points)
+
+    slopes = jax.jit(jax.jacfwd(lambda theta: predict(theta)[0]))
+    return Model(jax.jit(predict), slopes, jax.jit(costs), jax.jit(solve))
 
 
 def _observations(spec: CalibrationSpec) -> tuple[np.ndarray, np.ndarray]:
@@ -183,49 +240,24 @@ def _observations(spec: CalibrationSpec) -> tuple[np.ndarray, np.ndarray]:
     return observed, np.broadcast_to(np.nanmean(np.abs(observed), axis=0), observed.shape)
 
 
-def _residuals(spec: CalibrationSpec, model: Model, used: Bool[np.ndarray, " rows"]) -> Callable[[Any], Any]:
-    """Return the function from the unknowns to the residuals in standard errors; values that are left out give 0."""
+def _data(spec: CalibrationSpec, used: Bool[np.ndarray, " rows"]) -> tuple[np.ndarray, ...]:
+    """Return targets and weights (0 for values that are left out), and mean and standard deviation of the prior."""
     observed, errors = _observations(spec)
     known = np.isfinite(observed) & used[:, None]
-    target = jnp.asarray(np.where(known, observed, 0.0))
-    weight = jnp.asarray(np.where(known, 1 / np.where(known, errors, 1.0), 0.0))
-    mean, width = jnp.asarray(spec.prior_mean), jnp.asarray(spec.prior_error)
-
-    def residuals(theta: Any) -> Any:
-        # An orbit without the variable has NaN, which a weight of 0 does not remove.
-        predicted = jnp.where(weight > 0, model(theta)[0], 0.0)
-        return jnp.concatenate([(weight * (predicted - target)).ravel(), (theta - mean) / width])
-
-    return residuals
+    weight = np.where(known, 1 / np.where(known, errors, 1.0), 0.0)
+    return np.where(known, observed, 0.0), weight, spec.prior_mean, spec.prior_error
 
 
 def _search(spec: CalibrationSpec, model: Model, used: Bool[np.ndarray, " rows"], bar: Progress | None) -> list[Search]:
-    """Return the results of searches from the best points of a sample of the box.
-
-    The unknowns are logistic functions of free numbers, so that they stay inside the bounds.
-    """
-    residuals = _residuals(spec, model, used)
-    low, width = jnp.asarray(spec.low), jnp.asarray(spec.high - spec.low)
-    solver: Any = optimistix.LevenbergMarquardt(TOLERANCE, TOLERANCE)
-
-    def inside(free: Any) -> Any:
-        return low + width * jax.nn.sigmoid(free)
-
-    @jax.jit
-    def solve(free: Any) -> Any:
-        solution: Any = optimistix.least_squares(
-            lambda free, _: residuals(inside(free)), solver, free, max_steps=MAX_STEPS, throw=False
-        )
-        theta = inside(solution.value)
-        return theta, jnp.sum(residuals(theta) ** 2), solution.result == optimistix.RESULTS.successful
-
+    """Return the results of searches from the best points of a sample of the box."""
+    arguments = [jnp.asarray(x) for x in (spec.low, spec.high, *_data(spec, used))]
     points = qmc.Sobol(len(spec.names), seed=spec.seed).random(SCREENED)
     points = np.clip(np.concatenate([np.full((1, len(spec.names)), 0.5), points[1:]]), 0.02, 0.98)
-    costs = np.asarray(jax.vmap(lambda point: jnp.sum(residuals(low + width * point) ** 2))(jnp.asarray(points)))
+    costs = np.asarray(model.costs(jnp.asarray(points), *arguments))
     searches = []
     for point in points[np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")][: spec.searches]:
-        theta, cost, converged = map(np.asarray, solve(jnp.asarray(np.log(point / (1 - point)))))
-        searches.append(Search(theta, float(cost) if np.isfinite(cost) else np.inf, bool(converged)))
+        theta, cost = map(np.asarray, model.solve(jnp.asarray(point), *arguments))
+        searches.append(Search(theta, float(cost) if np.isfinite(cost) else np.inf))
         if bar is not None:
             bar.add(1)
     return searches
@@ -265,8 +297,9 @@ def _dataset(
     observed, errors = _observations(spec)
     values = np.isfinite(observed) & used[:, None]
     freedom = int(values.sum()) + int(np.isfinite(spec.prior_error).sum()) - len(spec.names)
-    residuals = _residuals(spec, model, used)
-    jacobian = np.asarray(jax.jacfwd(residuals)(jnp.asarray(best.theta)))
+    slopes, weight = np.asarray(model.slopes(jnp.asarray(best.theta))), _data(spec, used)[1]
+    weighted = np.where(weight[..., None] > 0, weight[..., None] * slopes, 0.0).reshape(-1, len(spec.names))
+    jacobian = np.concatenate([weighted, np.diag(1 / spec.prior_error)])
     variance = 1.0 if spec.errors is not None else best.cost / freedom if freedom > 0 else np.nan
     noise = np.nan if spec.errors is not None else float(np.sqrt(variance))
     known = _uncertainty(spec, best.theta, jacobian, variance if np.isfinite(variance) else 1.0)
@@ -274,8 +307,15 @@ def _dataset(
     place = (best.theta - spec.low) / (spec.high - spec.low)
     reason = np.where(stderr < VAGUE * known.scale, REASONS.index("identified"), REASONS.index("confounded"))
     reason = np.where(np.minimum(place, 1 - place) < AT_BOUND, REASONS.index("at-bound"), reason)
-    if not best.converged:
-        reason[:] = REASONS.index("not-converged")
+    left = np.concatenate(
+        [
+            (weight * (np.where(weight > 0, predicted, 0.0) - _data(spec, used)[0])).ravel(),
+            (best.theta - spec.prior_mean) / spec.prior_error,
+        ]
+    )
+    along = jacobian @ np.linalg.lstsq(jacobian, left)[0]
+    if not np.linalg.norm(along) <= LARGEST_OFFSET * np.sqrt(variance * len(spec.names)) + TOLERANCE:
+        reason[reason == REASONS.index("identified")] = REASONS.index("not-converged")
     if freedom < 0 or (freedom == 0 and spec.errors is None):
         reason[:], stderr = REASONS.index("too-few-observations"), np.full_like(stderr, np.nan)
     draws = _draws(spec, best.theta, known)
@@ -298,7 +338,7 @@ def _dataset(
         "chi_squared": best.cost / variance if freedom > 0 else best.cost,
         "freedom": freedom,
         "noise": noise,
-        "nonlinearity": _nonlinearity(model, best.theta, draws, values, error) if reason.max() == 0 else np.nan,
+        "nonlinearity": _nonlinearity(model, best.theta, slopes, draws, values, error) if reason.max() == 0 else np.nan,
     }
     parameters = spec.point.system.parameters()
     about = {name: (parameters[name].unit, parameters[name].long_name) for name in spec.names if name != CONSTANT}
@@ -336,14 +376,18 @@ def _draws(spec: CalibrationSpec, theta: Theta, known: Uncertainty) -> Float[np.
 
 
 def _nonlinearity(
-    model: Model, theta: Theta, draws: np.ndarray, values: Bool[np.ndarray, "rows of"], error: np.ndarray
+    model: Model,
+    theta: Theta,
+    slopes: np.ndarray,
+    draws: np.ndarray,
+    values: Bool[np.ndarray, "rows of"],
+    error: np.ndarray,
 ) -> float:
     """Return the error of the linear prediction at draws of the posterior, relative to the spread of the prediction."""
-    slopes = np.asarray(jax.jacfwd(lambda x: model(x)[0])(jnp.asarray(theta)))
-    centre = np.asarray(model(jnp.asarray(theta))[0])
+    centre = np.asarray(model.predict(jnp.asarray(theta))[0])
     off, spread = [], []
     for draw in draws[:CHECKED_DRAWS]:
-        exact, valid = map(np.asarray, model(jnp.asarray(draw)))
+        exact, valid = map(np.asarray, model.predict(jnp.asarray(draw)))
         linear = slopes @ (draw - theta)
         mask = values & valid[:, None]
         off.append(((exact - centre - linear) / error)[mask])

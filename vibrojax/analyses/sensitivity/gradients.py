@@ -95,7 +95,8 @@ def as_jax(
         if x.shape != (len(parameters),):
             expected = f"({len(parameters)},), one number for each of {', '.join(parameters)}"
             raise InputError(f"as_jax: the array has the shape {x.shape}; give {expected}")
-        results = features(x.astype(jnp.promote_types(jnp.result_type(float, x.dtype), jnp.float32)))
+        dtype = jnp.result_type(float, x.dtype)
+        results = features(x.astype(dtype if dtype.itemsize >= jnp.dtype(jnp.float32).itemsize else jnp.float32))
         values = {name: results[index] for name, index in outputs.items()}
         return values | {VALID: jax.lax.stop_gradient(results[-1]) > 0.5}
 
