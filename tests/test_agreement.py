@@ -59,6 +59,7 @@ def test_smoothed_and_located(located, width):
 
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=str)
+@pytest.mark.long
 def test_any_diffrax_solver(located, solver):
     """An adaptive run at width 1e-4 m/s keeps to the located one within the width's share, 6e-4 of the swing."""
     adaptive = motion(STUCK, solver=solver, smoothing=1e-4)

@@ -191,6 +191,7 @@ def test_many_at_once_are_as_each_alone():
         np.testing.assert_allclose(mine.special_value, alone.special_value, atol=1e-9)
 
 
+@pytest.mark.long
 def test_other_scenes_are_followed_too():
     rotary = vj.follow("rotary", along="v", at=1.0, span=(0.6, 1.4), beta=0.3, gamma=0.5, progress=False)
     assert "impacts" not in rotary and (rotary.stable == 1).all()

@@ -37,6 +37,7 @@ def of_each(found, kind, branch=0):
     return [specials(found.isel(special=found.special_family.values == n), kind, branch) for n in range(len(STIFF))]
 
 
+@pytest.mark.long
 def test_the_bouncing_ball_appears_and_doubles():
     gravity, low, high = BALL["gravity"], ball_appears(R), ball_doubles(R)
     middle = (low + high) / 2

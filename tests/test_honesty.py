@@ -34,6 +34,7 @@ def settled(request):
 
 
 @pytest.mark.parametrize("error, end_early", [(1e-3, True), (1e-4, True), (1e-4, False), (1e-6, True)])
+@pytest.mark.long
 def test_error_estimate(settled, error, end_early):
     """Of the lanes that repeat at 40 s, those on their way at 400 s included, at least 95 % are within their estimate
     of the value there; the median estimate is at most ten times the true error."""

@@ -242,7 +242,7 @@ def test_a_folder_that_cannot_be_made(tmp_path, capsys):
     assert "cannot be made a folder" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("term", WRONG)
+@pytest.mark.parametrize("term", ["friction", pytest.param("contact", marks=pytest.mark.long)])
 def test_a_wrong_sign_is_seen(quick, monkeypatch, term):
     """At least a third of the results with impact turn red; `tests/reproduce_signs.py` says how many of all do.
 

@@ -27,6 +27,7 @@ def settled(settle: float):
 
 
 @pytest.mark.parametrize("settle", [39.0, 40.0, 45.0, 80.0])
+@pytest.mark.long
 def test_a_chaotic_transient_before_either_of_two_attractors(settle):
     lane = settled(settle)
     assert lane.regime.item() in (MULTI_IMPACT, IRREGULAR)

@@ -372,7 +372,11 @@ def named(scene):
     return "-".join([scene.name, *(str(getattr(x, "name", x)) for x in vars(scene).values())])
 
 
-@pytest.mark.parametrize("scene", OWN, ids=named)
+@pytest.mark.parametrize(
+    "scene",
+    [pytest.param(x, marks=[pytest.mark.long] * (getattr(x, "friction", STRIBECK) is not STRIBECK)) for x in OWN],
+    ids=named,
+)
 def test_every_scene_and_law(scene):
     """The package's own, which users' processes do not compare, and those of the tests."""
     assert compared(scene) is None

@@ -95,6 +95,7 @@ def test_dask(file, expected):
 
 
 @pytest.mark.parametrize("library", ["submitit", "loky"])
+@pytest.mark.long
 def test_executors_of_others(file, expected, tmp_path, library):
     module = pytest.importorskip(library)
     if library == "loky":

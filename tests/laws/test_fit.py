@@ -96,6 +96,7 @@ THIRTY_TWO = np.linspace(0.25, 1.5, 32)
         ("onset", RELIEF, False, "soft-l1", 0.88),
     ],
 )
+@pytest.mark.long
 def test_intervals_hold_the_truth_under_two_per_cent_noise(name, relief, proportional, robust, least, noise):
     """The noise is 2 % of the greatest rate, or of each rate. 200 sets, 95 % intervals: 90 to 98 % hold the truth."""
     rate = TRUTH[name](relief)

@@ -71,6 +71,7 @@ def test_width_where_the_bit_slides(scene):
 
 
 @pytest.mark.parametrize("scene", [ROTARY, DRILL], ids=["rotary", "vibro-impact"])
+@pytest.mark.long
 def test_width_where_the_bit_sticks_and_breaks_away(scene):
     """The distance falls about as the width: with its power 4/5, which the breakaway gives.
 
