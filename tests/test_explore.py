@@ -281,7 +281,7 @@ def test_what_cannot_be_shown_is_refused_in_one_line(
     assert "no such file" in _said(capsys, str(tmp_path / "none.nc"))
     assert "does not end in .html" in _said(capsys, sweep, "-o", str(tmp_path / "page.txt"))
     assert "holds no borders or curves" in _said(capsys, sweep, "--over", sweep)
-    assert f"{study}: explore: nothing to draw" in _said(capsys, study)
+    assert f"{study}: its content does not fit together" in _said(capsys, study)
     assert f"{nothing}: explore: nothing to draw" in _said(capsys, nothing)
     assert not list(tmp_path.glob("*.html"))
 

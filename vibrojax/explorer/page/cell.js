@@ -111,6 +111,15 @@ export function drawHistory(canvas, cell, columns, isLast) {
     }, { left: 62 });
 }
 
+/** A state of several motions {motion, colour} over their returns, as shares of each; null is the colour of the shown one. */
+export function drawPhase(canvas, all, { name, units }) {
+  const ink = inkOf(canvas), [f, unit] = shownIn(units, all.flatMap(({ motion }) => limitsOf([motion.states[name]], 0)));
+  const rows = all.map(({ motion }) => scaled(motion.states[name], f)), span = Math.max(1, ...all.map(({ motion }) => motion.returns || 1));
+  framed(canvas, ink, { limits: [0, span], label: "returns" }, { limits: limitsOf(rows, 0.09), label: withUnit(symbolOf(name), unit) }, (c, sx, sy) => {
+    all.forEach(({ motion, colour }, k) => line(c, scaled(motion.time, (motion.returns || 1) / motion.duration), rows[k], sx, sy, colour ?? colourOf(ink, name, 0), colour ? 1.5 : 2.2));
+  }, { left: 62 });
+}
+
 /** The whole course of a trajectory: states of one unit, from the beginning; a line where the observation begins. */
 export function drawCourse(canvas, course, columns, isLast) {
   const ink = inkOf(canvas), [fy, uy] = shownIn(columns[0].units, columns.flatMap((one) => limitsOf([course[one.name]], 0)));

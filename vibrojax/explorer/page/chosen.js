@@ -1,5 +1,5 @@
 // The chosen cell beside the map: its head, panels and keys, its numbers, and the calls that simulate it.
-import { described, drawHistory, drawMultipliers, drawPlane, drawReturns, drawSpectrum, groupsOf, planesOf, shownIn, symbolOf } from "./cell.js";
+import { described, drawHistory, drawMultipliers, drawPhase, drawPlane, drawReturns, drawSpectrum, groupsOf, planesOf, shownIn, symbolOf } from "./cell.js";
 import { el, explained } from "./dom.js";
 import { interactive } from "./interact.js";
 import { stateAt } from "./machine.js";
@@ -23,8 +23,8 @@ function badge(page, motion) {
 function head(page, motion) {
   let text = page.data.without ?? "no motion is kept of this dataset";
   if (motion) text = described(motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "");
-  return el("div", { class: "vx-cellhead" }, el("h2", { text: page.point?.title || page.grid.cellText(page.cell, page.named) || "The motion" }),
-    ...badge(page, motion), el("p", { class: "vx-motion", text }));
+  return el("div", { class: "vx-cellhead" }, el("h2", { text: page.titleOf() }),
+    ...badge(page, motion), ...(motion && motion.kind !== "none" ? [page.pins.button()] : []), el("p", { class: "vx-motion", text }));
 }
 
 /**
@@ -93,6 +93,18 @@ function historyPanels(page, motion) {
   });
 }
 
+/** A state of the shown and of the pinned motions over the share of a return, where one is pinned. */
+function phasePanel(page, motion) {
+  const others = page.pinned(motion), { shown } = page, names = motion.columns.map((one) => one.name);
+  if (!others.length) return [];
+  if (!names.includes(shown.phase)) shown.phase = names.includes("v2") ? "v2" : names.at(-1);
+  const choice = el("select", { "aria-label": "State over the phase", onchange: (event) => { shown.phase = event.target.value; page.current.draw(); } },
+    ...names.map((name) => el("option", { value: name, text: symbolOf(name), selected: name === shown.phase })));
+  const all = () => [...others, { motion, colour: null }].filter((one) => shown.phase in one.motion.states);
+  return [panel("Over the phase", (canvas) => drawPhase(canvas, all(), motion.columns.find((one) => one.name === shown.phase)),
+    `${shown.phase} of the shown and the pinned motions over the share of a return`, { extra: "vx-wide", more: [choice] })];
+}
+
 /** The states at the returns, of which one is chosen. */
 function returnsPanel(page, motion) {
   const names = Object.keys(motion.section), { shown } = page;
@@ -108,7 +120,7 @@ function returnsPanel(page, motion) {
 
 function panelsOf(page, motion) {
   const planes = planesOf(motion.columns), positions = planes.map(([position]) => position);
-  const found = [...planePanels(page, motion, planes), ...historyPanels(page, motion)];
+  const found = [...planePanels(page, motion, planes), ...historyPanels(page, motion), ...phasePanel(page, motion)];
   if (positions.length)
     found.push(panel("Spectrum", (canvas) => drawSpectrum(canvas, motion, positions),
       `amplitudes of ${positions.map((one) => one.long_name).join(", ")} over frequency`));
@@ -125,6 +137,15 @@ function keys(motion) {
   const masses = MASS_KEYS.filter(([name]) => name in motion.states);
   return el("ul", { class: "vx-keys" }, ...masses.map(([, text, style]) => el("li", {}, el("span", { class: `vx-line ${style}` }), text)),
     ...events.map(([, [text, style]]) => el("li", {}, el("span", { class: `vx-mark ${style}` }), text)));
+}
+
+/** A number of a pinned motion, and how far that of the shown one is from it. */
+function pinnedNumber(grid, variable, value, pin) {
+  const other = pin.values[variable.name];
+  if (other === undefined) return el("td", { class: "vx-other", text: "—" });
+  const change = (value - other) * variable.factor, cell = el("td", { class: "vx-other", text: grid.valueText(variable, other, 4) });
+  if (!variable.flags && Number.isFinite(change) && change !== 0) cell.append(el("small", { text: ` ${change > 0 ? "+" : ""}${numberText(change, 3)}` }));
+  return cell;
 }
 
 /** Whether the motion that is shown, or the chosen lane, does not repeat: its measures are means then. */
@@ -147,7 +168,7 @@ function spreadText(page, motion, variable, value) {
 }
 
 /** The numbers of the chosen cell, or of a motion at a point beside it. */
-export function numbersOf(page, motion) {
+export function numbersOf(page, motion, pins = []) {
   const { grid, named } = page, irregular = doesNotRepeat(page, motion), rows = [], apart = [...grid.startAxes, "attractor"].filter((axis) => !named.includes(axis));
   for (const variable of grid.variables.values()) {
     if (variable.inner) continue;
@@ -161,8 +182,11 @@ export function numbersOf(page, motion) {
     if (value === undefined) continue;
     const text = irregular ? spreadText(page, motion, variable, value) : grid.valueText(variable, value, 5);
     const at = page.point ? "" : grid.cellText(page.cell, variable.axes.filter((axis) => !named.includes(axis)));
-    rows.push(el("tr", {}, el("th", { scope: "row", text: `${variable.long_name}${at && ` (${at})`} ` }, el("code", { text: name })), el("td", { "data-name": name, "data-value": value, text })));
+    rows.push(el("tr", {}, el("th", { scope: "row", text: `${variable.long_name}${at && ` (${at})`} ` }, el("code", { text: name })), el("td", { "data-name": name, "data-value": value, text }), ...pins.map((pin) => pinnedNumber(grid, variable, value, pin))));
   }
+  if (pins.length)
+    rows.unshift(el("tr", {}, el("td"), el("th", { scope: "col", text: "this" }), ...pins.map((pin) =>
+      el("th", { scope: "col" }, el("span", { class: "vx-swatch", style: `background:${pin.colour}` }), ` ${pin.title}`))));
   const wasClosed = page.table.querySelector("details")?.open === false;
   return el("details", { class: "vx-numbers", open: !wasClosed }, el("summary", { text: "Numbers" }), el("table", {}, el("tbody", {}, ...rows)));
 }
@@ -214,6 +238,6 @@ export function fillChosen(page, motion) {
     el("div", { class: "vx-panels" }, ...panels.map((one) => one.figure)), commands(page));
   page.player.set(motion, panels);
   const still = !page.data.lanes, summary = summaryOf(page, still);
-  page.table.replaceChildren(...(still ? summary : []), numbersOf(page, motion), ...(still ? [] : summary));
+  page.table.replaceChildren(...(still ? summary : []), page.numbers(motion), ...(still ? [] : summary));
   return () => { panels.forEach((one) => one.draw()); page.player.draw(); };
 }

@@ -1,5 +1,6 @@
 // The layout of the page.
 import { el } from "./dom.js";
+import { Pins } from "./compare.js";
 import { Figure } from "./figure.js";
 import { interactive } from "./interact.js";
 import { MapView } from "./map.js";
@@ -26,6 +27,7 @@ export function layOut(page) {
   page.table = el("section", { class: "vx-table", "aria-label": "Numbers of the chosen cell" });
   page.view = new MapView(page.map, page.over, page.grid);
   page.player = new Player(page);
+  page.pins = new Pins(page);
   page.figure = data.figure ? new Figure(page, data.figure) : null;
   const tools = interactive(page.map, (paper) => page.view.paint(paper), {
     over: page.over, title: () => page.mapTitle(), keys: () => page.legendKeys ?? [], files: [["CSV", "csv", () => page.mapTable()]],
@@ -44,7 +46,7 @@ export function layOut(page) {
     el("header", { class: "vx-head" }, el("div", {}, el("h1", { text: data.title || data.scene }), ...notes), page.theme),
     el("div", { class: "vx-main" },
       el("section", { class: "vx-left", "aria-label": "Map" }, ...(first ? [...figure, ...mapParts] : [...mapParts, ...figure])),
-      el("section", { class: "vx-side", "aria-label": "The chosen cell" }, ...computing, page.side),
+      el("section", { class: "vx-side", "aria-label": "The chosen cell" }, ...computing, page.pins.element, page.side),
       page.table),
     el("footer", { class: "vx-foot" }, el("p", { text: [data.scene, data.source].filter(Boolean).join(", ") }),
       el("p", { text: HELP })));

@@ -58,6 +58,7 @@ class Page {
     this.scheme.addEventListener("change", this.onScheme);
     await this.grid.loadAll();
     await this.pick(this.cell);
+    await this.pins.restore(readFragment(this.data, state).pins);
   }
 
   destroy() {
@@ -160,7 +161,7 @@ class Page {
       if (one) one.value = `${this.cell[facet]}`;
     }
     this.draw(anew);
-    this.tell();
+    this.tell(Boolean(this.current));
     this.say();
     this.onPick?.({ cell: this.cell, lane, values: this.coordinates() });
     this.computing?.stand(this.coordinates());
@@ -223,20 +224,21 @@ class Page {
   }
 
   showMotion(motion) {
-    this.current = { motion, draw: fillChosen(this, motion) };
+    this.current = { motion, draw: () => {} };
+    this.current.draw = fillChosen(this, motion);
     this.current.draw();
     this.element.dataset.ready = String(this.asked);
   }
 
   // The numbers of what is shown, and its command line and Python call.
-  numbers(motion) { return numbersOf(this, motion); }
+  numbers(motion, pins = this.pinned(motion)) { return numbersOf(this, motion, pins); }
   calls() { return this.apart === "attractor" && !this.point ? null : callsOf(this.data, this.coordinates(), this.point); }
 
   // The fragment, and the scheme.
 
   get state() {
     const { shown, cell } = this;
-    return fragmentOf(this.data, { shown, cell, scheme: this.element.dataset.scheme });
+    return fragmentOf(this.data, { shown, cell, scheme: this.element.dataset.scheme, pins: this.pins.state });
   }
 
   restore(state) {
@@ -266,7 +268,10 @@ class Page {
   }
 
   /** The pinned motions that are drawn with another. */
-  pinned(motion) { return (this.pins ?? []).filter((pin) => pin.motion !== motion); }
+  pinned(motion) { return this.pins.list.filter((pin) => pin.motion !== motion); }
+
+  /** The chosen cell, or the point beside it, in words. */
+  titleOf() { return this.point?.title || this.grid.cellText(this.cell, this.named) || "The motion"; }
 
   /** What the map shows, in words. */
   mapTitle() {
@@ -287,7 +292,8 @@ class Page {
     return csvOf(columns);
   }
 
-  tell() { this.onState?.(this.state); }
+  /** Say what is chosen to who keeps it; `picked`: whether the user chose another cell. */
+  tell(picked = false) { this.onState?.(this.state, picked); }
 
   get dark() {
     return this.element.dataset.scheme ? this.element.dataset.scheme === "dark" : window.matchMedia("(prefers-color-scheme: dark)").matches;
