@@ -19,7 +19,8 @@ from matplotlib.typing import MarkerType
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.rop_law.blocks import Standing
 from vibrojax.analyses.rop_law.forms import FORMS, SAME_AS_ONSET
-from vibrojax.analyses.rop_law.results import formulas_of, verdict
+from vibrojax.analyses.rop_law.reading import formulas_of
+from vibrojax.analyses.rop_law.results import verdict
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
 from vibrojax.io.riglog import log_lines
 from vibrojax.plot.axes import scale, shape_zero, share_text, with_unit
