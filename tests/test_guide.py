@@ -24,7 +24,7 @@ PAGES = (
     "your_own",
 )
 PAGES += ("gradients", "design", "studies", "limits", "comparison", "gallery", "how_it_works", "interactive_page")
-PAGES += ("reliability", "structure")
+PAGES += ("reliability", "structure", "calibration")
 FENCE = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 START = {match["info"]: match["text"] for match in FENCE.finditer((NOTEBOOKS / "start.md").read_text())}
 

@@ -7,6 +7,7 @@ from vibrojax.analyses.analysis import SummaryPart as SummaryPart
 from vibrojax.analyses.analysis import analyse as analyse
 from vibrojax.analyses.attractors.run import attractors as attractors
 from vibrojax.analyses.borders.run import borders as borders
+from vibrojax.analyses.calibration.run import calibrate as calibrate
 from vibrojax.analyses.catalogue import list_parameters as list_parameters
 from vibrojax.analyses.catalogue import list_scenes as list_scenes
 from vibrojax.analyses.catalogue import list_settings as list_settings

@@ -190,6 +190,7 @@ _HOMES = {
     "tolerance": "tolerance.analysis:Tolerances",
     "design": "design.analysis:Designs",
     "study": "study.analysis:Studies",
+    "calibration": "calibration.analysis:Calibrations",
     "fit": "rop_law.picture:Fits",
     "accuracy": "accuracy.picture:AccuracyStudy",
     "derivatives": "sensitivity.run:Derivatives",

@@ -1,4 +1,4 @@
-"""The commands `study`, `fit`, `accuracy` and `reproduce`."""
+"""The commands `study`, `calibrate`, `fit`, `accuracy` and `reproduce`."""
 
 import hashlib
 from pathlib import Path
@@ -144,6 +144,36 @@ def study(options: Options) -> None:
         return dict(Studies().summary(dataset)[0].facts)
 
     answer(options, name, spec.identity(), compute, facts)
+
+
+@command(
+    argument(
+        "file",
+        "FILE",
+        "a calibration: the path of a TOML file with scene, data (a CSV of operating conditions and observations), "
+        "[unknown] NAME = [low, high] and, as needed, start, [parameters], [error], [prior]",
+        files(".toml"),
+    ),
+    output_options("NAME-calibration.nc"),
+    JSON,
+)
+def calibrate(options: Options) -> None:
+    """Estimate parameters of a drill from observations of its periodic motion, and say which the data determine."""
+    from vibrojax.analyses.calibration.spec import read_calibration
+
+    spec = read_calibration(options.file)
+
+    def compute() -> "xarray.Dataset":
+        from vibrojax.analyses.calibration.run import find_calibration
+
+        return find_calibration(spec, progress=not options.quiet)
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.calibration.analysis import Calibrations
+
+        return dict(Calibrations().summary(dataset)[0].facts)
+
+    answer(options, f"{Path(options.file).stem}-calibration.nc", spec.identity(), compute, facts)
 
 
 @command(
