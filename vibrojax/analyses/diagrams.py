@@ -108,7 +108,8 @@ def rate_over_force(ds: xr.Dataset) -> Figure:
         raise InputError(f"rate-over-force: the dataset holds no {_FORCE}; give a sweep of a scene with rock")
     x = _force_axis(ds)
     # Only this diagram needs the fits, which import SciPy's optimizers.
-    from vibrojax.analyses.rop_law.rop import FORMS, fit_rop
+    from vibrojax.analyses.rop_law.forms import FORMS
+    from vibrojax.analyses.rop_law.rop import fit_rop
 
     fit = fit_rop(ds, along=x.name, progress=False).sel({FORM: "onset"})
     law = next(form.rate for form in FORMS if form.name == "onset")

@@ -1,8 +1,8 @@
 """Statistics of laws fitted to the rows of a log, whose noise is correlated from row to row, by blocks of rows.
 
 The rows are in order of depth. Neighbours are correlated, so that rows are neither drawn nor left out one by one, but
-in blocks that are longer than the correlation. Refits are one Gauss-Newton step from the fit to all rows: with the
-block sums of J^T J and of J^T r they cost no pass over the rows, and they are exact for forms that are linear.
+in blocks that are longer than the correlation. A refit is one Gauss-Newton step from the fit to all rows, which is
+exact for linear forms. It needs only the sums of J^T J and of J^T r over each block.
 """
 
 from collections.abc import Mapping, Sequence

@@ -18,8 +18,9 @@ from matplotlib.typing import MarkerType
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.rop_law.blocks import Standing
-from vibrojax.analyses.rop_law.results import formulas_of, verdict
-from vibrojax.analyses.rop_law.rop import FORMS, SAME_AS_ONSET
+from vibrojax.analyses.rop_law.forms import FORMS, SAME_AS_ONSET
+from vibrojax.analyses.rop_law.reading import formulas_of
+from vibrojax.analyses.rop_law.results import verdict
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
 from vibrojax.io.riglog import log_lines
 from vibrojax.plot.axes import scale, shape_zero, share_text, with_unit
@@ -165,7 +166,7 @@ def _draw_coefficients(row: Row, x: Across, factor: float) -> None:
 
 
 def _draw_errors(row: Row, x: Across, factor: float) -> None:
-    """Draw the error of rates predicted from other blocks of rows; forms that cannot be told apart are hollow."""
+    """Draw the error of rates predicted from other blocks of rows; undecided forms are hollow."""
     for k, name in enumerate(_forms(row.facet)):
         form = row.facet.sel({FORM: name})
         errors, standing = (np.atleast_1d(form[variable].values) for variable in ("cv_error", "standing"))

@@ -2,16 +2,25 @@
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float
 from scipy.special import stdtrit
 
-from vibrojax.analyses.rop_law.blocks import CONTAINED, Standing
+from vibrojax.analyses.rop_law.blocks import Standing
 from vibrojax.analyses.rop_law.least_squares import REASONS
+from vibrojax.analyses.rop_law.reading import (
+    GROUPS_TABULATED,
+    formulas_of,
+    group_names,
+    range_text,
+    region_text,
+    standings,
+    table,
+)
+from vibrojax.analyses.rop_law.support import determined_combinations, supported_forms
 from vibrojax.errors import Place, counted
 from vibrojax.io.attributes import attribute_of, table_of, title_of
 from vibrojax.io.kinds import dataset_attributes
@@ -36,7 +45,6 @@ _KEPT = (
 """Attributes of the data that a fit keeps."""
 
 _GROUPS_BEATEN_SHOWN = 5
-_GROUPS_TABULATED = 12
 
 
 def reason_variable(long_name: str) -> Variable:
@@ -106,7 +114,7 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
     for name in ("reason", "r_squared_reason", "standing"):
         values[name] = np.array(str(fit[name].attrs["flag_meanings"]).split())[values[name]]
     groups: list[dict[str, Any]] = []
-    choices, names = recommended(fit), _group_names(fit)
+    choices, names = recommended(fit), group_names(fit)
     for index, position in enumerate(np.ndindex(*(fit.sizes[dim] for dim in dims))):
         lanes = fit.isel(dict(zip(dims, position, strict=True)))
         coordinates = {str(name): lanes[name].item() for name in lanes.coords if lanes[name].ndim == 0}
@@ -125,7 +133,7 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
 def law_table(facts: Mapping[str, Any]) -> list[str]:
     """Return lines of text: a table of the forms for each of the first groups, then the number of other groups."""
     lines: list[str] = []
-    for group in facts["groups"][:_GROUPS_TABULATED]:
+    for group in facts["groups"][:GROUPS_TABULATED]:
         first = next(iter(group["forms"].values()))
         left_out = f", {first['left_out']} left out" if first["left_out"] else ""
         head = f"{group['name']}: {counted(first['used'], 'lane')} along {facts['along']}{left_out}"
@@ -138,7 +146,7 @@ def law_table(facts: Mapping[str, Any]) -> list[str]:
         by_blocks = f"{'CV [m/s]':>11}" * is_compared
         lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}{by_blocks}")
         lines += [f"  {form:<9}{_table_row(values)}".rstrip() for form, values in group["forms"].items()]
-    further = len(facts["groups"]) - _GROUPS_TABULATED
+    further = len(facts["groups"]) - GROUPS_TABULATED
     return lines + ([f"and {counted(further, 'group')} more"] if further > 0 else [])
 
 
@@ -155,12 +163,6 @@ def _table_row(values: Mapping[str, float | int | str]) -> str:
     reasons = [str(values[name]) for name in ("reason", "r_squared_reason") if values[name] != "identified"]
     reasons += [str(values["standing"])] * (values["standing"] in ("chosen", "undecided"))
     return f"{row}  {', '.join(reasons)}" if reasons else row
-
-
-def table(fit: xr.Dataset, name: str) -> Shaped[np.ndarray, "groups forms"]:
-    """Return a variable of a dataset that `fit_rop` returned as an array with one row per group."""
-    dims = [dim for dim in fit[name].dims if dim != "form"]
-    return np.asarray(fit[name].transpose(*dims, "form").values.reshape(-1, fit.sizes["form"]))
 
 
 def recommended(fit: xr.Dataset) -> list[dict[str, Any] | None]:
@@ -182,7 +184,7 @@ def recommended(fit: xr.Dataset) -> list[dict[str, Any] | None]:
         form = min((names.index(name) for name in LOGARITHMIC), key=lambda column: row[column])
         if row[form] <= CLEAR_AIC_DIFFERENCE:
             forms[group] = form
-    forms |= {group: form for group, form in np.argwhere(_standing(fit) == Standing.CHOSEN).tolist()}
+    forms |= {group: form for group, form in np.argwhere(standings(fit) == Standing.CHOSEN).tolist()}
     unit = str(table_of(fit, "columns").get(RATE, {}).get("unit", "m/s"))
     scale = factor(unit, "m s-1") or 1.0
     choices: list[dict[str, Any] | None] = [None] * len(judged)
@@ -194,11 +196,6 @@ def recommended(fit: xr.Dataset) -> list[dict[str, Any] | None]:
         in_unit = {name: value / scale for name, value in values.items()}
         choices[group] = {"form": names[form], **values} | ({"unit": unit, "in_unit": in_unit} if scale != 1 else {})
     return choices
-
-
-def _standing(fit: xr.Dataset) -> Shaped[np.ndarray, "groups forms"]:
-    """Return the `Standing` of each form; all 0 in a fit that is older than it."""
-    return table(fit, "standing") if "standing" in fit else np.zeros_like(table(fit, "reason"))
 
 
 def _judged(fit: xr.Dataset) -> tuple[Bool[np.ndarray, " groups"], Float[np.ndarray, "judged forms"]]:
@@ -233,26 +230,31 @@ def verdict(fit: xr.Dataset) -> list[str]:
     if is_short.any():
         needed = f"at least {LEAST_DEGREES_OF_FREEDOM + 2} with a rate are needed"
         lines.append(f"too few lanes to compare the forms in {is_short.sum()} of {judged.size}; {needed}")
-    if (_standing(fit) == Standing.CHOSEN).any():
-        return [*(lines if is_short.any() else []), *_choices(fit), *_determined(fit), *_recommendation(fit)]
+    if (standings(fit) == Standing.CHOSEN).any():
+        return [
+            *(lines if is_short.any() else []),
+            *supported_forms(fit),
+            *determined_combinations(fit),
+            *_recommendation(fit),
+        ]
     if not judged.any():
-        return [*lines, "no form can be told from the lanes that are there", *_determined(fit)]
+        return [*lines, "no form can be told from the lanes that are there", *determined_combinations(fit)]
     best = np.argmin(above_best, axis=1)
     lines.append(f"along {fit.attrs['along']}, over {judged.sum()} of {judged.size}:")
     holds = above_best <= CLEAR_AIC_DIFFERENCE
     rows = [(int((best == form).sum()), int(holds[:, form].sum()), form) for form in range(len(names))]
     for lowest, close, form in sorted(rows, reverse=True):
-        share = _range(r_squared[judged, form])
+        share = range_text(r_squared[judged, form])
         counts_of_form = f"lowest AIC in {lowest}, within {CLEAR_AIC_DIFFERENCE:g} of it in {close}"
         lines.append(f"  {names[form]:<8} {counts_of_form}; R2 {share}")
     readings = {name: holds[:, names.index(name)] for name in LOGARITHMIC}
     log_law = above_best[:, [names.index(name) for name in LOGARITHMIC]].min(axis=1)
     beaten = log_law > CLEAR_AIC_DIFFERENCE
-    region = _region(fit, np.flatnonzero(judged)[~beaten]) if beaten.any() else ""
+    region = region_text(fit, np.flatnonzero(judged)[~beaten]) if beaten.any() else ""
     colon = "" if beaten.all() else ":"
     lines.append(f"the log law holds in {(~beaten).sum()} of {judged.sum()}{region}{colon}")
     for name, mask in sorted(readings.items(), key=lambda reading: not reading[1].any()):
-        share = f"R2 {_range(r_squared[judged, names.index(name)][mask if mask.any() else slice(None)])}"
+        share = f"R2 {range_text(r_squared[judged, names.index(name)][mask if mask.any() else slice(None)])}"
         if mask.any():
             lines.append(f"  as {name}, {formulas_of(fit)[name]}, in {mask.sum()}: {share}")
         elif name == "literal" and not beaten.all():
@@ -262,62 +264,17 @@ def verdict(fit: xr.Dataset) -> list[str]:
     if (early := readings["onset"] & (eta0 + ONSET_STANDARD_ERRORS * error < 1)).any():
         where = "" if early.all() else f" in {early.sum()} of {early.size}"
         lines.append(
-            f"the onset eta0 {_range(eta0[early])} is below 1{where}: penetration begins at a mean force P below D, "
-            "as the peaks of the force exceed its mean; the literal form has no rate there"
+            f"the onset eta0 {range_text(eta0[early])} is below 1{where}: penetration begins at a mean force P below "
+            "D, as the peaks of the force exceed its mean; the literal form has no rate there"
         )
     if beaten.any():
-        lines.append(f"it is beaten in {beaten.sum()}, by an AIC of {_range(log_law[beaten])}:")
+        lines.append(f"it is beaten in {beaten.sum()}, by an AIC of {range_text(log_law[beaten])}:")
         worst = np.argsort(-log_law, kind="stable")[: min(_GROUPS_BEATEN_SHOWN, beaten.sum())]
-        groups = _group_names(fit)
+        groups = group_names(fit)
         for row in worst:
             lines.append(f"  {groups[np.flatnonzero(judged)[row]]}: {names[best[row]]} by {log_law[row]:.3g}")
         lines += [f"  and {beaten.sum() - len(worst)} more"] if beaten.sum() > len(worst) else []
     return [*lines, *_recommendation(fit)]
-
-
-def _choices(fit: xr.Dataset) -> list[str]:
-    """Return lines of text: the form that each of the first groups supports, and forms that may be the truth too."""
-    standing, aic = _standing(fit), table(fit, "aic")
-    names, lines = np.array([str(name) for name in fit["form"].values]), []
-    groups = np.flatnonzero((standing == Standing.CHOSEN).any(axis=1))
-    for group in groups[:_GROUPS_TABULATED].tolist():
-        [chosen] = names[standing[group] == Standing.CHOSEN]
-        rivals = ", ".join(names[standing[group] == Standing.UNDECIDED])
-        name = _group_names(fit)[group]
-        if rivals:
-            lines.append(f"{name}: these data cannot tell {chosen} from {rivals}")
-        else:
-            contains = (standing[group] == Standing.CONTAINS_CHOSEN).any()
-            others = "every form that does not contain it" if contains else "the other forms"
-            lines.append(f"{name}: the data support {chosen}, {formulas_of(fit)[str(chosen)]}, against {others}")
-        best = str(names[np.nanargmin(aic[group])])
-        if best != chosen and best not in CONTAINED.get(str(chosen), ()):
-            lines.append(f"  AIC is lowest for {best}, but takes neighbouring rows for independent")
-    more = groups.size - _GROUPS_TABULATED
-    lines += [f"and {counted(more, 'group')} more"] if more > 0 else []
-    return ["by the rates of each block of rows, predicted from the other blocks (CV):", *(f"  {x}" for x in lines)]
-
-
-def _determined(fit: xr.Dataset) -> list[str]:
-    """Return lines of text: what the data determine if the threshold is unknown."""
-    force = attribute_of(fit, "reference_force")
-    if force is None:
-        return []
-    onset, error = (fit[f"onset_force{name}"].sel(form="onset").values.ravel() for name in ("", "_stderr"))
-    slope = fit["C"].sel(form="line").values.ravel() / force
-    known = np.isfinite(onset)
-    lines = [
-        f"the threshold D is unknown, so that eta = P/{force / 1e3:.4g} kN, by the median of the mean force P. "
-        "The data determine C and eta0 D of onset, C/D and eta0 D of line, the exponent and C/D^exponent of power:"
-    ]
-    for group in np.flatnonzero(known)[:_GROUPS_TABULATED].tolist():
-        lines.append(
-            f"  {_group_names(fit)[group]}: onset eta0 D = {onset[group] / 1e3:.4g} ± {error[group] / 1e3:.2g} kN; "
-            f"line C/D = {1e3 * slope[group]:.4g} m/s per kN"
-        )
-    if known.any():
-        lines.append("  literal and percent have the curve of onset: D would be eta0 D, or 100 times as much")
-    return lines
 
 
 def _recommendation(fit: xr.Dataset) -> list[str]:
@@ -326,57 +283,17 @@ def _recommendation(fit: xr.Dataset) -> list[str]:
     if not any(choices):
         return []
     lines = []
-    for name, choice in zip(_group_names(fit), choices, strict=True):
+    for name, choice in zip(group_names(fit), choices, strict=True):
         if choice:
             texts = [_interval(choice, "m/s")]
             texts += [_interval(choice["in_unit"], choice["unit"])] if "unit" in choice else []
             lines.append(f"{name}: C = {' = '.join(texts)}, {choice['form']}")
-    more = [f"  and {len(lines) - _GROUPS_TABULATED} more"] if len(lines) > _GROUPS_TABULATED else []
-    by_blocks = (_standing(fit) == Standing.CHOSEN).any()
+    more = [f"  and {len(lines) - GROUPS_TABULATED} more"] if len(lines) > GROUPS_TABULATED else []
+    by_blocks = (standings(fit) == Standing.CHOSEN).any()
     how = "of the chosen form" if by_blocks else "of the reading of the log law with the lowest AIC"
     title = f"recommended C (95 % interval{', by a bootstrap of blocks' * bool(by_blocks)}), {how}:"
-    return [title, *(f"  {line}" for line in lines[:_GROUPS_TABULATED]), *more]
+    return [title, *(f"  {line}" for line in lines[:GROUPS_TABULATED]), *more]
 
 
 def _interval(values: Mapping[str, Any], unit: str) -> str:
     return f"{values['C']:.4g} {unit} ({values['low']:.4g} to {values['high']:.4g})"
-
-
-def formulas_of(fit: xr.Dataset) -> dict[str, str]:
-    """Return the formula of each form, by name; empty if the dataset contains none."""
-    return dict(part.split(": ", 1) for part in str(fit.attrs.get("formulas", "")).split("; ") if ": " in part)
-
-
-def _group_names(fit: xr.Dataset) -> list[str]:
-    """Return the coordinates of each group as text, such as "force=200000 N, rock=granite"."""
-    along = []
-    for dim in (dim for dim in fit["aic"].dims if dim != "form"):
-        names = [name for name in fit.coords if fit[name].dims == (dim,)]
-        texts = ([f"{name}={_value(fit[name], k)}" for name in names] or [f"{dim}={k}"] for k in range(fit.sizes[dim]))
-        along.append([", ".join(parts) for parts in texts])
-    return [", ".join(parts) or "all lanes" for parts in product(*along)]
-
-
-def _value(coordinate: xr.DataArray, index: int) -> str:
-    value, unit = coordinate.values[index].item(), coordinate.attrs.get("units", "1")
-    return (f"{value:.6g}" if isinstance(value, float) else str(value)) + ("" if unit == "1" else f" {unit}")
-
-
-def _range(values: Float[np.ndarray, " groups"]) -> str:
-    values = values[np.isfinite(values)]
-    if not len(values):
-        return "is not defined, since no rate varies"
-    low, middle, high = np.min(values), np.median(values), np.max(values)
-    return f"{low:.4g}" if len(values) == 1 else f"{low:.4g} to {high:.4g} (median {middle:.4g})"
-
-
-def _region(fit: xr.Dataset, groups: Shaped[np.ndarray, " groups"]) -> str:
-    """Return text that describes the smallest box over the groups' axes that contains `groups`, flat indices."""
-    dims = [dim for dim in fit["aic"].dims if dim != "form"]
-    positions = np.unravel_index(groups, [fit.sizes[dim] for dim in dims]) if dims else ()
-    ranges = []
-    for dim, indices in zip(dims, positions, strict=True):
-        if dim in fit.coords and len(indices):
-            low, high = (_value(fit[dim], int(index)) for index in (indices.min(), indices.max()))
-            ranges.append(f"{dim} {low}" + (f" to {high}" if high != low else ""))
-    return f", all of them within {', '.join(ranges)}" if ranges else ""

@@ -1,4 +1,4 @@
-"""Rig logs: exports of rig data, whose column names, units and nulls are those of the exporting software."""
+"""Rig logs: exports of rig data, with the column names, units and nulls of the exporting software."""
 
 from vibrojax.io.riglog.log import Log, log_lines, open_log, read_log
 

@@ -42,7 +42,7 @@ RIG = table(
     not_negative("bit_diameter", 0.2, "m", "diameter of the bit", "d", (0.03, 1.5)),
     not_negative(STICK_SLIP, 0.0, "1", "stick-slip index as given", "SSI"),
 )
-"""The quantities of a rig log beside those of the law."""
+"""Further quantities of a rig log."""
 
 KNOWN: Mapping[str, Parameter] = BIT_AND_STRIKER | CONTACT | ROTATION | PULSES | ROCK | LAW | RIG
 
@@ -170,7 +170,9 @@ def choose_columns(
         taken[index] = name
     beside: list[tuple[str, Column]] = []
     notes: list[str] = []
-    guesses = {index: found for index, cell in enumerate(header) if index not in taken and (found := guess(cell))}
+    guesses = {
+        index: recognised for index, cell in enumerate(header) if index not in taken and (recognised := guess(cell))
+    }
     for index, (name, unit, assumed) in guesses.items():
         cell = header[index]
         if name in columns or name not in KNOWN:

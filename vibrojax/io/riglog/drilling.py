@@ -62,8 +62,8 @@ def not_monotonic(
         ends[length : length + 1] = [value]
         last[length : length + 1] = [position]
     if 2 * len(ends) < rows.size:
-        at = place.at(f"line {lines[rows[int(np.argmax(np.diff(depth[rows]) < 0)) + 1]]}, column {column.header}")
-        raise at.error(f"the depth falls in most rows (only {len(ends)} of {rows.size} in order); sort them by depth")
+        here = place.at(f"line {lines[rows[int(np.argmax(np.diff(depth[rows]) < 0)) + 1]]}, column {column.header}")
+        raise here.error(f"the depth falls in most rows (only {len(ends)} of {rows.size} in order); sort them by depth")
     dropped, position = kept.copy(), last[-1] if last else -1
     while position >= 0:
         dropped[rows[position]] = False

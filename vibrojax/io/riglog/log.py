@@ -153,8 +153,10 @@ def open_log(
     counts = {reason: int(mask.sum()) for reason, mask in dropped.items() if mask.any()}
     if not kept.any():
         texts = ", ".join(f"{reason} {count}" for reason, count in counts.items())
-        at = place.at(f"line {lines[0]} to {lines[-1]}, column {chosen[RATE].header if RATE in chosen else header[0]}")
-        raise at.error(f"no row is left of {len(rows)}: {texts}")
+        here = place.at(
+            f"line {lines[0]} to {lines[-1]}, column {chosen[RATE].header if RATE in chosen else header[0]}"
+        )
+        raise here.error(f"no row is left of {len(rows)}: {texts}")
     keep = np.flatnonzero(kept)
     variables: dict[str, Any] = {LINE: ("row", lines[keep], {"units": "1", "long_name": "line in the file"})}
     for name, numbers in values.items():
@@ -210,8 +212,8 @@ def _quantity(place: Place, column: Column, rows: Rows, nulls: list[float]) -> t
     values, count = column_numbers(place, column.header, column.index or 0, rows, nulls)
     if (infinite := np.isinf(values)).any():
         line, row = rows[int(np.argmax(infinite))]
-        at = place.at(f"line {line}, column {column.header}")
-        raise at.error(f"{shown(row[column.index or 0].strip())} is not finite; leave the cell empty")
+        here = place.at(f"line {line}, column {column.header}")
+        raise here.error(f"{shown(row[column.index or 0].strip())} is not finite; leave the cell empty")
     return column.factor * values, count
 
 
@@ -236,8 +238,8 @@ def _times(place: Place, header: list[str], column: Column, rows: Rows) -> Float
         return None
     if wrong.any():
         position = int(np.argmax(wrong))
-        at = place.at(f"line {rows[position][0]}, column {column.header}")
-        raise at.error(f"{shown(cells[position])} is not a time; write one, like 2020-11-04 12:30:00")
+        here = place.at(f"line {rows[position][0]}, column {column.header}")
+        raise here.error(f"{shown(cells[position])} is not a time; write one, like 2020-11-04 12:30:00")
     return (stamps - stamps.iloc[0]).dt.total_seconds().to_numpy(float)
 
 
