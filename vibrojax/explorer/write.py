@@ -29,7 +29,17 @@ BLOCK_CELLS = 256
 
 MODULES = (
     *("dom.js", "decode.js", "plots.js", "paper.js", "interact.js", "grid.js", "figure.js", "map.js", "cell.js"),
-    *("machine.js", "player.js", "compare.js", "calls.js", "fragment.js", "layout.js", "pointing.js", "controls.js", "legend.js"),
+    *(
+        "machine.js",
+        "player.js",
+        "compare.js",
+        "calls.js",
+        "fragment.js",
+        "layout.js",
+        "pointing.js",
+        "controls.js",
+        "legend.js",
+    ),
     *("slices.js", "chosen.js", "mount.js"),
 )
 """The modules behind `mount`, each after those that it imports."""
