@@ -204,10 +204,10 @@ def test_everything_by_keyboard(browser: Any, files: dict[str, Path]) -> None:
         page.keyboard.press("Enter")
         assert page.locator("#vibrojax").get_attribute("data-scheme") == "dark"
         page.evaluate(
-            "() => { const button = document.querySelector('.vx-copy'); window.labels = [];"
+            "() => { const button = document.querySelector('.vx-call .vx-copy'); window.labels = [];"
             " new MutationObserver(() => labels.push(button.textContent)).observe(button, {childList: true}); }"
         )
-        page.locator(".vx-copy").first.focus()
+        page.locator(".vx-call .vx-copy").first.focus()
         page.keyboard.press("Enter")
         wait_for(page, "labels.includes('copied')")  # it says so for a moment only
         page.locator(".vx-numbers summary").focus()

@@ -12,7 +12,7 @@ import xarray as xr
 from vibrojax.compile.xla import precision
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.explorer.box import box_of
-from vibrojax.explorer.document import options_of, run_seconds, start_of
+from vibrojax.explorer.document import one_line, options_of, run_seconds, start_of
 from vibrojax.explorer.encoding import Cell, encode
 from vibrojax.explorer.recording import (
     SECTION_RETURNS,
@@ -203,7 +203,7 @@ class LiveMotions:
         factor, unit = scale(xr.DataArray([low, high], name=parameter.name, attrs=about))
         return {
             "name": parameter.name,
-            "label": parameter.long_name,
+            "label": one_line(parameter.long_name),
             "symbol": parameter.symbol,
             "units": pretty_unit(unit),
             "factor": factor,

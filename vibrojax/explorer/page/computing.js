@@ -40,6 +40,13 @@ export class Computing {
     }
   }
 
+  /** The motion at other values of some parameters than the chosen cell's. */
+  beside(values) {
+    const parameters = { ...this.at, ...values };
+    this.sliders.set(parameters, this.from);
+    return this.compute(parameters, this.from);
+  }
+
   /** Compute the part of the map that is zoomed into, at the chosen cell's other coordinates. */
   async box(zoom) {
     const { page } = this, { x, y } = page.view.view, lane = page.grid.lane(page.cell);

@@ -32,7 +32,11 @@ export function layOut(page) {
   page.figure = data.figure ? new Figure(page, data.figure) : null;
   const tools = interactive(page.map, (paper) => page.view.paint(paper), {
     over: page.over, title: () => page.mapTitle(), keys: () => legendKeys(page), files: [["CSV", "csv", () => page.mapTable()]],
-    click: (place) => { const cell = page.view.at(...place); if (cell) page.pick(cell); }, zoomed: (zoom) => { page.view.drawOver(); page.zoomed(zoom); },
+    click: (place) => {
+      const cell = page.view.at(...place), inside = page.view.patchAt(place);
+      if (inside) page.computing.beside(inside.at);
+      else if (cell) page.pick(cell);
+    }, zoomed: (zoom) => { page.view.drawOver(); page.zoomed(zoom); },
   });
   page.mapTools = tools;
   const figure = page.figure ? [el("section", { "aria-label": "Plots of the analysis" }, page.figure.element)] : [];

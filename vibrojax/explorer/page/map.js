@@ -83,6 +83,21 @@ export class MapView {
     }));
   }
 
+  /** Where a place is in the part that was computed anew: its coordinates by axis, and the variable's value. */
+  patchAt([px, py]) {
+    const { frame, view } = this, { patch, x, y, variable } = view, values = patch?.variables.get(variable.name);
+    if (!frame || !values) return null;
+    const at = {}, index = {};
+    for (const [way, value] of [[x, frame.x.inverse(px) / x.column.factor], [y, frame.y.inverse(py) / y.column.factor]]) {
+      const all = patch.axes[way.axis.name], step = (all.at(-1) - all[0]) / (all.length - 1), k = Math.round((value - all[0]) / step);
+      if (!(k >= 0 && k < all.length)) return null;
+      index[way.axis.name] = k;
+      at[way.axis.name] = all[k];
+    }
+    const [first, second] = Object.keys(patch.axes);
+    return { at, value: values[index[first] * patch.axes[second].length + index[second]] };
+  }
+
   drawRegion(c, sx, sy, x, y, ink) {
     const ends = this.grid.data.region;
     if (!this.view.region || !ends || !(x.axis.name in ends) || !(y.axis.name in ends)) return;
