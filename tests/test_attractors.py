@@ -125,6 +125,7 @@ def test_a_doubled_orbit_keeps_the_number(found):
     assert ((family.special_value.values[doubled] > 0.35) & (family.special_value.values[doubled] < 0.3625)).any()
 
 
+@pytest.mark.long
 def test_shares_of_an_oscillator_on_a_belt():
     """Steady sliding and stick-slip of bSTAB's oscillator (Stender and Hoffmann 2021), whose shares are published."""
     speeds = {1.5: 0.3165, 1.55: 0.3636}

@@ -123,6 +123,7 @@ def test_intervals_hold_with_censored_lanes(noise):
 
 @pytest.mark.parametrize("proportional", [False, True], ids=["one-size", "in-proportion"])
 @pytest.mark.parametrize("name", ["onset", "line", "power"])
+@pytest.mark.long
 def test_standard_errors_agree_with_the_bootstrap(name, proportional, noise):
     """Lanes drawn again 600 times: the spread of the coefficients is their standard error."""
     relief = THIRTY_TWO

@@ -2,10 +2,12 @@
 
 import json
 import sys
+import time
 import warnings
 from functools import partial
 from pathlib import Path
 
+import jaxtyping
 import numpy as np
 import pytest
 import xarray as xr
@@ -43,7 +45,13 @@ def trial_data(law, noise, low=60e3, high=180e3, count=TRIALS, seed=20261124):
 
 
 def trials(*planted, **more):
-    return fit_quietly(trial_data(*planted, **more))
+    """The fits of `trial_data`. Types are not checked here: that takes most of the time of thousands of fits."""
+    data = trial_data(*planted, **more)
+    jaxtyping.config.update("jaxtyping_disable", True)
+    try:
+        return fit_quietly(data)
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.mark.parametrize("law", NAMES)
@@ -66,7 +74,7 @@ def test_planted_laws_are_recovered_and_chosen(law):
 @pytest.mark.parametrize("law", ["onset", "line", "power"])
 def test_forms_that_differ_by_less_than_the_noise_cannot_be_told_apart(law):
     """Over weights of 110 to 130 kN the three are the same within 0.5 %; the noise is 5 %."""
-    fit = trials(law, 0.05, 110e3, 130e3, count=100)
+    fit = trials(law, 0.05, 110e3, 130e3, count=60)
     eta = np.linspace(110e3, 130e3, 50) / D
     line = np.polyval(np.polyfit(eta, rig_logs.LAWS[law](eta, C, ETA0, EXPONENT), 1), eta)
     assert abs(line / rig_logs.LAWS[law](eta, C, ETA0, EXPONENT) - 1).max() < 0.005
@@ -79,8 +87,8 @@ def test_forms_that_differ_by_less_than_the_noise_cannot_be_told_apart(law):
 
 def test_independent_rows_would_give_errors_that_are_too_small():
     """The reason for the blocks: errors that take rows for independent hold the truth far too rarely."""
-    fit = trials("onset", 0.03, count=60)
-    plain = fit_quietly(trial_data("onset", 0.03, count=60).drop_attrs())
+    fit = trials("onset", 0.03, count=40)
+    plain = fit_quietly(trial_data("onset", 0.03, count=40).drop_attrs())
     form = plain.sel(form="onset")
     assert (abs(form.C - C) <= 2 * form.C_stderr).mean() < 0.8
     np.testing.assert_allclose(form.C, fit.sel(form="onset").C, rtol=1e-12)
@@ -121,6 +129,14 @@ def test_the_same_rows_give_the_same_fit_in_every_dialect(logs):
         for name in ("C", "C_stderr", "eta0", "eta0_stderr", "exponent", "r_squared", "aic", "cv_error"):
             np.testing.assert_allclose(fit[name], first[name], rtol=1e-9, atol=1e-14, err_msg=name)
         assert (fit.standing == first.standing).all()
+
+
+def test_a_log_of_7310_rows_takes_less_than_three_seconds(tmp_path):
+    path = rig_logs.write(tmp_path / "long.csv", "pason-processed", rig_logs.with_traps(rig_logs.drilling(7304))[0])
+    begin = time.process_time()
+    fit = fit_quietly(path)
+    assert time.process_time() - begin < 3 and fit.rows_read == 7310
+    assert float(fit.standing.sel(form="onset")) == Standing.CHOSEN
 
 
 def test_the_recommended_constant_is_in_the_unit_of_the_log(logs):
@@ -185,14 +201,14 @@ def test_formations_have_laws_of_their_own_by_column_or_by_the_data(tmp_path):
 def test_segments_are_found_where_the_law_changes_and_nowhere_else():
     rng = np.random.default_rng(3)
     alone, hits = 0, 0
-    for _ in range(60):
+    for _ in range(40):
         eta = rig_logs.weights((600,), rng) / D
         law = rig_logs.LAWS["onset"](eta, C, ETA0, 0)
         noise = 0.05 * law.mean() * rig_logs.correlated((600,), CORRELATION, rng)
         alone += segments(eta, np.maximum(law + noise, 0)).max() == 0
         changes = np.flatnonzero(np.diff(segments(eta, np.maximum(law * np.repeat([1, 0.6, 1.2], 200) + noise, 0)))) + 1
         hits += changes.size == 2 and bool((abs(changes - [200, 400]) <= 10).all())
-    assert alone >= 57 and hits >= 57
+    assert alone >= 38 and hits >= 38
     assert segments(np.ones(20), np.ones(20)).max() == 0 and segments(np.ones(200), np.zeros(200)).max() == 0
 
 
@@ -225,5 +241,7 @@ def test_the_command_says_what_it_read_dropped_and_chose(logs, tmp_path, monkeyp
     facts = json.loads(capsys.readouterr().out)
     assert facts["dialect"] == "generic" and facts["detected"] == "as the user says" and facts["rows_read"] == 406
     assert facts["dropped"]["missing weight"]["rows"] == 2 and facts["groups"][0]["coordinates"]["segment"] == 0
+    assert main(["fit", str(logs["pason"]), "--fastest", "3000 ft/h", "-o", "p.nc"]) == 0
+    assert "dropped 5 of 406 rows" in capsys.readouterr().out
     assert main(["fit", str(logs["pason"]), "--dialect", "pasn"]) == 2
     assert 'dialect: "pasn" is unknown; did you mean "pason"?' in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The commands `study`, `fit`, `accuracy` and `reproduce`."""
+"""The commands `study`, `calibrate`, `fit`, `accuracy` and `reproduce`."""
 
 import hashlib
 from pathlib import Path
@@ -51,6 +51,7 @@ _DIGEST_LENGTH = 12
         "NAME",
         "of a rig log: pason, rigcloud, usrop, witsml, las, semicolon, generic or plain (detected by its columns)",
     ),
+    argument("--fastest", "RATE", 'of a rig log: rate above which a row is dropped ("500 ft/h")'),
     flag("--segments", "of a rig log: fit intervals of depth, as many as the data suggest"),
     JSON,
     output_options("FILE-fit.nc"),
@@ -69,15 +70,16 @@ def fit(options: Options) -> None:
 
     file, columns, by = Path(options.file), read_columns(words), options.by or []
     output(options.out or f"{file.stem}-fit.nc")
-    data = read_groups(options.file, options.along, by, columns, options.dialect, options.segments)
+    reading = {"dialect": options.dialect, "fastest": options.fastest}
+    data = read_groups(options.file, options.along, by, columns, options.segments, **reading)
     groups = data[-1]
     if groups.valid.any() and not (groups.rate[groups.valid] > 0).any():
         lanes = counted(groups.count.sum(), "lane")
         more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
         raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
     identity = {"data": f"{file.name}, sha256 {_digest(file)}", "along": options.along, "by": ", ".join(by)}
-    identity |= (
-        {"dialect": options.dialect, "segments": options.segments} if options.dialect or options.segments else {}
+    identity |= {name: text for name, text in reading.items() if text} | (
+        {"segments": True} if options.segments else {}
     )
     identity |= {"fit": True} | {f"columns.{name}": text for name, text in columns.items()}
     out = result_at(options, f"{file.stem}-fit.nc", identity)
@@ -142,6 +144,36 @@ def study(options: Options) -> None:
         return dict(Studies().summary(dataset)[0].facts)
 
     answer(options, name, spec.identity(), compute, facts)
+
+
+@command(
+    argument(
+        "file",
+        "FILE",
+        "a calibration: the path of a TOML file with scene, data (a CSV of operating conditions and observations), "
+        "[unknown] NAME = [low, high] and, as needed, start, [parameters], [error], [prior]",
+        files(".toml"),
+    ),
+    output_options("NAME-calibration.nc"),
+    JSON,
+)
+def calibrate(options: Options) -> None:
+    """Estimate parameters of a drill from observations of its periodic motion, and say which the data determine."""
+    from vibrojax.analyses.calibration.spec import read_calibration
+
+    spec = read_calibration(options.file)
+
+    def compute() -> "xarray.Dataset":
+        from vibrojax.analyses.calibration.run import find_calibration
+
+        return find_calibration(spec, progress=not options.quiet)
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.calibration.analysis import Calibrations
+
+        return dict(Calibrations().summary(dataset)[0].facts)
+
+    answer(options, f"{Path(options.file).stem}-calibration.nc", spec.identity(), compute, facts)
 
 
 @command(

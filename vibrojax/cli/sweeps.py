@@ -2,8 +2,7 @@
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
-from importlib import import_module
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,8 +89,8 @@ def sweep(options: Options) -> None:
     words = [word for change in options.changes for word in ("--set", change)]
     by = [word for name in ("workers", "only") if (value := getattr(options, name)) for word in (f"--{name}", value)]
     options.advise("finished chunks are kept; to go on", "sweep", options.sweep, *words, "-o", str(out), *by)
-    # Import the drawing modules while the lanes are stepped: stepping releases the interpreter lock.
-    threading.Thread(target=import_module, args=("vibrojax.analyses.pictures",), daemon=True).start()
+    # Stepping releases the interpreter lock.
+    threading.Thread(target=_prepare_output, daemon=True).start()
     progress = not options.quiet
     if share:
         from vibrojax.analyses.sweep.run import run_share
@@ -109,6 +108,23 @@ def sweep(options: Options) -> None:
     if progress:
         each = "a point from one start each" if plan.starts is not None or plan.point_vectors else "a point each"
         print(f"{out}: {counted(plan.lanes, 'lane')} ({each}){drawn}")
+
+
+def _prepare_output() -> None:
+    """Import what writing and drawing need, including what xarray and matplotlib import or read at their first use."""
+    from io import BytesIO
+
+    import xarray as xr
+
+    from vibrojax.analyses import pictures  # noqa: F401
+    from vibrojax.plot.style import new_figure
+
+    with suppress(Exception):  # an error would be reported when it matters
+        xr.backends.list_engines()
+        xr.Dataset({"x": ("a", [0.0])}, {"a": [0.0]}).load()
+        figure = new_figure(1.0, 1.0)
+        figure.add_subplot().set_title("x")
+        figure.savefig(BytesIO(), format="png")
 
 
 def _read_workers(text: str | None) -> dict[str, Any]:

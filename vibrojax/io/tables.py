@@ -1,4 +1,4 @@
-"""Tables as text: CSV files with commas or semicolons between the columns, and decimal points or commas."""
+"""Tables as text: CSV files with commas or semicolons between the columns, and LAS files of well logs."""
 
 import csv
 import io
@@ -167,3 +167,42 @@ def read_numbers(
                 raise place.at(f"line {line}").error(f"column {name} is there twice; give it once")
             columns[name], _ = column_numbers(place, name, index, rows)
     return columns
+
+
+def read_las(place: Place, text: str) -> tuple[int, list[str], Rows, float | None]:
+    """Return the line of the section ~Curve, its names with units, the rows, and the number of a missing value.
+
+    **Raises:** `InputError` if the text is not LAS 2.0 with one row on a line.
+    """
+    try:
+        import lasio
+    except ImportError:
+        raise place.error('LAS files need lasio, which is not installed; pip install "vibrojax[las]"') from None
+    plain = text.splitlines()
+    sections = {line[1:2].upper(): number for number, line in enumerate(plain, 1) if line.startswith("~")}
+    for letter, name in (("V", "~Version"), ("C", "~Curve"), ("A", "~ASCII")):
+        if letter not in sections:
+            raise place.error(f"not LAS 2.0: it has no section {name}")
+    try:
+        las = lasio.read(io.StringIO("\n".join(plain)), ignore_data=True)
+        version, wrap = float(las.version.VERS.value), str(las.version.WRAP.value).strip().upper()
+    except Exception:  # lasio has no error of its own for a malformed header
+        fault = "not LAS 2.0: its header cannot be read; it needs VERS and WRAP in ~Version, and a curve on each line"
+        raise place.at(f"line {sections['V']}").error(f"{fault} of ~Curve") from None
+    if version > 2 or wrap == "YES":
+        fault = "its lines are wrapped (WRAP YES)" if wrap == "YES" else f"it is LAS {version:g}"
+        raise place.at(f"line {sections['V']}").error(f"{fault}; write LAS 2.0 with one row on a line")
+    header = [f"{c.original_mnemonic} ({c.unit})" if c.unit else str(c.original_mnemonic) for c in las.curves]
+    rows = []
+    for number in range(sections["A"] + 1, len(plain) + 1):
+        cells = plain[number - 1].split()
+        if not cells or cells[0].startswith("#"):
+            continue
+        if len(cells) != len(header):
+            fault = f"has {len(cells)} cells; {len(header)} are needed, one a curve"
+            raise place.at(f"line {number}, from {cells[0]}").error(fault)
+        rows.append((number, cells))
+    if not rows:
+        raise place.at(f"line {sections['A']}").error("no rows below ~ASCII; add a line for each measurement")
+    null = las.well["NULL"].value if "NULL" in las.well else None
+    return sections["C"], header, rows, float(str(null)) if is_number(str(null)) else None

@@ -37,8 +37,10 @@ _RIDGE = 1e-13
 # the blocks follows from the noise itself, and an interval that is too short is the worse fault.
 _TWO_ERRORS = 2.0, 0.9825
 
-DECIDED = 0.975
-"""Probability, by Student's distribution over the blocks, from which on a form predicts better than another one."""
+DECIDED, SIMPLER = 0.975, 0.9
+"""Probabilities, by Student's distribution over the blocks, that a form predicts better than another one.
+
+From the first on, the other form is rejected. Up to the second, the form with fewer coefficients is chosen."""
 
 
 class Standing(IntEnum):
@@ -130,20 +132,23 @@ def compare(
 ) -> Int[np.ndarray, " forms"]:
     """Return the `Standing` of each form by its prediction errors in the same blocks; `sizes`: numbers of coefficients.
 
-    A form is rejected if its mean error exceeds the least one, with the probability `DECIDED` by the differences in the
-    blocks. Of the other forms, the one with the fewest coefficients and then the least error is chosen. The
-    remaining ones are undecided, unless they contain the chosen form.
+    A form is rejected if the form with the least error predicts better, with the probability `DECIDED` by the relative
+    differences (a - b)/(a + b) in the blocks, which no single block dominates. Of the forms within the probability
+    `SIMPLER`, the one with the fewest coefficients and then the least error is chosen. The remaining ones are
+    undecided, unless they contain the chosen form.
     """
     mean = errors.mean(axis=1)
     if not np.isfinite(mean).any():
         return np.full(len(names), Standing.NOT_COMPARED)
     best = int(np.nanargmin(mean))
-    excess = errors - errors[best]
+    total = errors + errors[best]
+    excess = np.divide(errors - errors[best], total, out=np.zeros_like(errors), where=total > 0)
     noise = excess.std(axis=1, ddof=1) / np.sqrt(errors.shape[1])
-    quantile = float(stdtrit(errors.shape[1] - 1, DECIDED))
-    kept: Bool[np.ndarray, " forms"] = excess.mean(axis=1) <= quantile * noise
-    kept[best] = True
-    chosen = min(np.flatnonzero(kept).tolist(), key=lambda form: (sizes[form], mean[form]))
+    limits = stdtrit(errors.shape[1] - 1, np.array([DECIDED, SIMPLER]))[:, None] * noise
+    kept: Bool[np.ndarray, " forms"] = np.isfinite(mean) & (excess.mean(axis=1) <= limits[0])
+    near = kept & (excess.mean(axis=1) <= limits[1])
+    kept[best] = near[best] = True
+    chosen = min(np.flatnonzero(near).tolist(), key=lambda form: (sizes[form], mean[form]))
     standing = np.where(kept, Standing.UNDECIDED, np.where(np.isfinite(mean), Standing.REJECTED, 0))
     for form in np.flatnonzero(kept).tolist():
         if names[form] in CONTAINED.get(names[chosen], ()):

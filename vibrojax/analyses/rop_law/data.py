@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -36,15 +36,15 @@ else:
 
 
 def open_data(
-    data: Data, fit: str, rates: bool = False, columns: Columns = None, dialect: str | None = None
+    data: Data, fit: str, rates: bool = False, columns: Columns = None, **reading: str | None
 ) -> tuple[Place, xr.Dataset]:
     """Return the dataset, opened if `data` is a path, and the `Place` that error messages mention.
 
     `fit` is the name of the calling function. With `rates`, the data must contain a rate of penetration and a relief,
-    and may be a CSV, a LAS file or a table with `columns` and a `dialect`, as in `read_rig`.
+    and may be a CSV, a LAS file or a table with `columns`; `reading` are further arguments of `read_log`.
     """
     if rates and isinstance(data, pd.DataFrame):
-        return Place(fit), _with_rates(Place(fit), read_rig(Path(fit), columns, data, dialect))
+        return Place(fit), _with_rates(Place(fit), read_rig(Path(fit), columns, data, **reading))
     if not isinstance(data, (xr.Dataset, str, PathLike)):
         raise InputError(f"{fit}: {shown(data)} is not data; give a dataset or a path")
     path = Path("dataset.nc") if isinstance(data, xr.Dataset) else Path(data)
@@ -54,7 +54,7 @@ def open_data(
     if isinstance(data, xr.Dataset):
         dataset = data
     elif rates and path.suffix.lower() in (".csv", ".las"):
-        dataset = read_rig(path, columns, dialect=dialect)
+        dataset = read_rig(path, columns, **reading)
     elif path.suffix.lower() == ".nc":
         from vibrojax.io.dataset import open_dataset
 
@@ -76,9 +76,7 @@ def _with_rates(place: Place, dataset: xr.Dataset) -> xr.Dataset:
     return dataset
 
 
-def read_rig(
-    path: Path, columns: Columns = None, table: pd.DataFrame | None = None, dialect: str | None = None
-) -> xr.Dataset:
+def read_rig(path: Path, columns: Columns = None, table: pd.DataFrame | None = None, **reading: Any) -> xr.Dataset:
     """Read a rig log into a dataset with rate_of_penetration [m/s] and relief [1] along `point`, the rows.
 
     Without a relief, the relief is computed as mean_force/threshold; a weight on bit is a mean force. If the threshold
@@ -100,7 +98,7 @@ def read_rig(
     columns = with_rock(columns)
     is_unknown = columns.get(THRESHOLD, "").strip() == "unknown"
     columns = {name: text for name, text in columns.items() if not (is_unknown and name == THRESHOLD)}
-    log = open_log(path, columns=columns, table=table, dialect=dialect)
+    log = open_log(path, columns=columns, table=table, **reading)
     chosen, data = dict(log.chosen), log.data.rename_dims(row="point")
     if WEIGHT in chosen and FORCE not in chosen:
         chosen[FORCE] = chosen.pop(WEIGHT)

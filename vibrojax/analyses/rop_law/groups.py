@@ -136,6 +136,8 @@ def _group_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence
     table = np.stack(codes or [np.zeros(lanes["rate"].size, int)], axis=1)
     _, first, group = np.unique(table, axis=0, return_index=True, return_inverse=True)
     group = group.ravel()
+    if DEPTH in columns:  # a log: groups from top to bottom, rather than by name
+        group, first = np.argsort(np.argsort(first))[group], np.sort(first)
     count = np.bincount(group)
     order = np.argsort(group, kind="stable")
     lane = np.arange(group.size) - np.repeat(np.cumsum(count) - count, count)

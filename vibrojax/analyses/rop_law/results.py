@@ -287,7 +287,9 @@ def _choices(fit: xr.Dataset) -> list[str]:
         if rivals:
             lines.append(f"{name}: these data cannot tell {chosen} from {rivals}")
         else:
-            lines.append(f"{name}: the data support {chosen}, {formulas_of(fit)[str(chosen)]}, against the other forms")
+            contains = (standing[group] == Standing.CONTAINS_CHOSEN).any()
+            others = "every form that does not contain it" if contains else "the other forms"
+            lines.append(f"{name}: the data support {chosen}, {formulas_of(fit)[str(chosen)]}, against {others}")
         best = str(names[np.nanargmin(aic[group])])
         if best != chosen and best not in CONTAINED.get(str(chosen), ()):
             lines.append(f"  AIC is lowest for {best}, but takes neighbouring rows for independent")
@@ -331,7 +333,7 @@ def _recommendation(fit: xr.Dataset) -> list[str]:
             lines.append(f"{name}: C = {' = '.join(texts)}, {choice['form']}")
     more = [f"  and {len(lines) - _GROUPS_TABULATED} more"] if len(lines) > _GROUPS_TABULATED else []
     by_blocks = (_standing(fit) == Standing.CHOSEN).any()
-    how = "of the form that the data support" if by_blocks else "of the reading of the log law with the lowest AIC"
+    how = "of the chosen form" if by_blocks else "of the reading of the log law with the lowest AIC"
     title = f"recommended C (95 % interval{', by a bootstrap of blocks' * bool(by_blocks)}), {how}:"
     return [title, *(f"  {line}" for line in lines[:_GROUPS_TABULATED]), *more]
 

@@ -2,7 +2,7 @@
 
 The source's law, rate = C ln(P/D) (eq. 6.4), gives a negative rate if the relief P/D is below 1. It is therefore read
 in three ways ("forms"): as printed, with P/D in percent, and as C ln((P/D)/eta0) with a fitted onset eta0, the relief
-at which penetration begins. A straight line and a power law serve as comparison.
+at which penetration begins. A straight line, a power law and a constant serve as comparison.
 """
 
 import sys
@@ -140,7 +140,7 @@ FORMS = (
     Form("constant", "C", "proportional", np.ones_like, lambda eta, C, eta0, exponent: C * np.ones_like(eta)),
 )
 
-_SAME_AS_ONSET = ("literal", "percent")
+SAME_AS_ONSET = ("literal", "percent")
 """Forms that have the same curve as the onset form if the threshold is unknown."""
 
 
@@ -152,6 +152,7 @@ def fit_rop(
     progress: bool = True,
     columns: Columns = None,
     dialect: str | None = None,
+    fastest: str | None = None,
     segments: bool = False,
 ) -> xr.Dataset:
     """Fit the rate-of-penetration law (source, eq. 6.4) in three readings, and three rivals, to each group of lanes.
@@ -180,7 +181,7 @@ def fit_rop(
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
       {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: eta is then
       the force over its median (attribute `reference_force` [N]), and `onset_force` [N] is the force at the onset.
-    - `dialect`: dialect of a rig log; by default it is detected.
+    - `dialect`, `fastest`: of a rig log, as in `read_log`.
     - `segments`: whether to split a log into intervals of depth with laws of their own, as many as the data suggest.
 
     **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
@@ -199,7 +200,7 @@ def fit_rop(
     >>> fit.exponent.sel(form="power").round(3).values.tolist()  # along frequency the rate is in proportion to P/D
     [1.0, 1.0]
     """
-    place, data, groups = read_groups(data, along, by, columns, dialect, segments)
+    place, data, groups = read_groups(data, along, by, columns, segments, dialect=dialect, fastest=fastest)
     if robust is not None and robust not in LOSSES:
         raise place.at("robust").error(f"{shown(robust)} is unknown; {suggestion(str(robust), LOSSES)}")
     return fit_groups(place, data, groups, robust, progress)
@@ -210,14 +211,14 @@ def read_groups(
     along: str | None,
     by: str | Sequence[str],
     columns: Columns,
-    dialect: str | None = None,
     segments: bool = False,
+    **reading: str | None,
 ) -> tuple[Place, xr.Dataset, Groups]:
     """Return the data of a fit and their groups, and the `Place` for messages; the arguments are those of `fit_rop`.
 
     **Raises:** `InputError`.
     """
-    place, data = open_data(data, "fit_rop", rates=True, columns=columns, dialect=dialect)
+    place, data = open_data(data, "fit_rop", rates=True, columns=columns, **reading)
     lanes, by = usable_lanes(data), (by,) if isinstance(by, str) else tuple(by)
     if segments:
         if by or along or "dialect" not in data.attrs:
@@ -278,7 +279,7 @@ def _fit_group(
     fits: list[dict[str, float | int]] = []
     minima: dict[int, tuple[Model, Minimum]] = {}
     for index, form in enumerate(FORMS):
-        if unknown and form.name in _SAME_AS_ONSET:
+        if unknown and form.name in SAME_AS_ONSET:
             fits.append(_no_fit(rate) | {"reason": Reason.UNKNOWN_THRESHOLD})
             continue
         fit, model, minimum = _fit_form(form, relief, rate, robust, ordered)

@@ -295,12 +295,19 @@ def _apply(asm: Assembly, equation: Any, values: list[Value], owned: Collection[
     return results
 
 
+@cache
+def _known_parameters(primitive: str) -> tuple[list[str], list[str]]:
+    """Return the parameters of a primitive that must exist, and those without a meaning for kernels."""
+    needed, irrelevant = PARAMETERS.get(primitive, ("", ""))
+    return needed.split(), irrelevant.split()
+
+
 def check_parameters(primitive: str, params: Mapping[str, Any]) -> None:
     """Raise `Untranslatable` if a parameter is unknown or missing, or if its value is not accepted.
 
     A later version of jax may add a parameter, or a value of a parameter, that changes the meaning of a primitive.
     """
-    needed, irrelevant = (names.split() for names in PARAMETERS.get(primitive, ("", "")))
+    needed, irrelevant = _known_parameters(primitive)
     for name, value in params.items():
         known = name in needed or name in irrelevant
         refuse_if(not known, f"{primitive} with the unknown parameter {name}")

@@ -1,8 +1,6 @@
 """Reading of rig logs into datasets in SI units, with the rows that are no drilling dropped and counted."""
 
-import io
 import json
-from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -13,25 +11,23 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from vibrojax.errors import InputError, Place, counted, shown
 from vibrojax.io.attributes import attribute_of, table_of, text_of
 from vibrojax.io.riglog.columns import (
-    BIT_DEPTH,
     DEPTH,
     KNOWN,
     LINE,
     RATE,
-    ROTATION_SPEED,
     TIME,
-    WEIGHT,
     Column,
     choose_columns,
     columns_lines,
 )
 from vibrojax.io.riglog.dialects import DATE, detect_dialect, dialect_named, recognise
-from vibrojax.io.tables import Rows, column_numbers, is_number, read_table, read_text, rows_without_units
+from vibrojax.io.riglog.drilling import line_ranges, no_drilling, not_monotonic
+from vibrojax.io.tables import Rows, column_numbers, is_number, read_las, read_table, read_text, rows_without_units
 from vibrojax.models.physics.units import factor
 
 NULLS = (-999.25, -999.0, -9999.0, -9999.25)
@@ -40,16 +36,9 @@ NULLS = (-999.25, -999.0, -9999.0, -9999.25)
 FASTEST = "500 ft/h"
 """Rate of penetration above which a row is no drilling; connections and slips leave rates of thousands of ft/h."""
 
-SLOWEST_ROTATION = 2 * np.pi / 60
-"""Rotary speed [rad/s] below which the string does not rotate: 1 rpm."""
-
-OFF_BOTTOM = 0.5
-"""Distance [m] of the bit from the hole's end above which it does not drill; depths are rounded to 0.3 m or less."""
-
 _SAME = 0.05
 """Relative difference of the medians of two columns of one quantity above which one of their units is wrong."""
 
-_MOST_LINES_LISTED = 12
 _LONGEST_CLOCK = len("23:59:59.999")
 _MEASUREMENTS = ("measurement", "no rows; add a line for each measurement", f"relief,{RATE}")
 
@@ -71,7 +60,7 @@ def read_log(
     dialect: str | None = None,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
-    fastest: str = FASTEST,
+    fastest: str | None = None,
     table: pd.DataFrame | None = None,
 ) -> xr.Dataset:
     """Read a rig log (CSV or LAS 2.0) as it is into a dataset in SI units along `row`.
@@ -85,7 +74,7 @@ def read_log(
     - `dialect`: a name of [vibrojax.io.riglog.dialects][]; by default it is detected by the names of the columns.
     - `columns`: by quantity, the column and its unit, or a value for all rows, such as {"bit_diameter": "8.5 in"}.
     - `units`: by quantity, the unit of a column that is recognised, in place of that of its name or its dialect.
-    - `fastest`: the rate with its unit above which a row is dropped.
+    - `fastest`: the rate with its unit above which a row is dropped, by default 500 ft/h.
     - `table`: the table that `path` names, if it is not in a file.
 
     **Returns:** a dataset with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N],
@@ -96,6 +85,14 @@ def read_log(
     missing values by quantity) and `notes`.
 
     **Raises:** `InputError` that names column and line.
+
+    **Example:**
+
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"Depth (ft)": [5000, 5001, 5002], "WOB (klbs)": [20, -999.25, 25], "ROP (ft/h)": 60})
+    >>> log = vj.read_log("export", table=table)
+    >>> log.rate_of_penetration.values.round(5).tolist(), log.dropped
+    ([0.00508, 0.00508], '{"missing weight": {"rows": 1, "lines": "3"}}')
     """
     return open_log(path, dialect=dialect, columns=columns, units=units, fastest=fastest, table=table).data
 
@@ -106,7 +103,7 @@ def open_log(
     dialect: str | None = None,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
-    fastest: str = FASTEST,
+    fastest: str | None = None,
     table: pd.DataFrame | None = None,
 ) -> Log:
     """Read a rig log as `read_log` does; return it with the names of all columns."""
@@ -119,7 +116,7 @@ def open_log(
     else:
         text = read_text(path)
     if text.lstrip().startswith("~") or path.suffix.lower() == ".las":
-        line, header, rows, null = _read_las(place, text)
+        line, header, rows, null = read_las(place, text)
         nulls += [null] if null is not None else []
         spoken, why = dialect_named("las"), "it begins with a section of LAS"
     else:
@@ -144,12 +141,14 @@ def open_log(
         else:
             values[name], missing[name] = _quantity(place, column, rows, nulls)
     for name, column in beside:
-        _check_same(place, chosen[name], column, values[name], _quantity(place, column, rows, nulls)[0], name)
+        _check_same(
+            place.at(f"line {line}"), chosen[name], column, values[name], _quantity(place, column, rows, nulls)[0], name
+        )
     cleaned = spoken.name != "plain"
-    dropped = _dropped(values, limit) if cleaned else {}
+    dropped = no_drilling(values, limit) if cleaned else {}
     kept = ~np.any([np.zeros(len(rows), bool), *dropped.values()], axis=0)
     if cleaned and DEPTH in values:
-        dropped["depth not monotonic"] = _not_monotonic(place, chosen[DEPTH], values[DEPTH], kept, lines)
+        dropped["depth not monotonic"] = not_monotonic(place, chosen[DEPTH], values[DEPTH], kept, lines)
         kept &= ~dropped["depth not monotonic"]
     counts = {reason: int(mask.sum()) for reason, mask in dropped.items() if mask.any()}
     if not kept.any():
@@ -176,7 +175,7 @@ def open_log(
         "columns": json.dumps({name: column.described() for name, column in chosen.items() if name in values}),
         "rows_read": len(rows),
         "dropped": json.dumps(
-            {reason: {"rows": count, "lines": _ranges(lines[dropped[reason]])} for reason, count in counts.items()}
+            {reason: {"rows": count, "lines": line_ranges(lines[dropped[reason]])} for reason, count in counts.items()}
         ),
         "nulls": json.dumps({name: count for name, count in missing.items() if count}),
         "notes": "; ".join(notes),
@@ -197,47 +196,13 @@ def log_lines(data: xr.Dataset) -> list[str]:
     return lines + [part for part in text_of(data, "notes").split("; ") if part]
 
 
-def _limit(fastest: str) -> float:
+def _limit(fastest: str | None) -> float:
+    fastest = FASTEST if fastest is None else fastest
     number, _, unit = str(fastest).strip().partition(" ")
     scale = factor(unit, "m s-1") if unit else None
     if not is_number(number) or scale is None or not 0 < float(number) * scale < np.inf:
         raise InputError(f"fastest: {shown(fastest)} is not a rate above 0 with its unit; write one, like {FASTEST}")
     return float(number) * scale
-
-
-def _read_las(place: Place, text: str) -> tuple[int, list[str], Rows, float | None]:
-    """Return the line of the section ~Curve, its names with units, the rows, and the number of a missing value."""
-    try:
-        import lasio
-    except ImportError:
-        raise place.error('LAS files need lasio, which is not installed; pip install "vibrojax[las]"') from None
-    plain = text.splitlines()
-    sections = {line[1:2].upper(): number for number, line in enumerate(plain, 1) if line.startswith("~")}
-    for letter, name in (("V", "~Version"), ("C", "~Curve"), ("A", "~ASCII")):
-        if letter not in sections:
-            raise place.error(f"not LAS 2.0: it has no section {name}")
-    try:
-        las = lasio.read(io.StringIO("\n".join(plain)), ignore_data=True)
-        version, wrap = float(las.version.VERS.value), str(las.version.WRAP.value).strip().upper()
-    except Exception as error:  # lasio has no error of its own for a malformed header
-        raise place.at(f"line {sections['V']}").error(f"not LAS 2.0: {error}") from None
-    if version > 2 or wrap == "YES":
-        fault = "its lines are wrapped (WRAP YES)" if wrap == "YES" else f"it is LAS {version:g}"
-        raise place.at(f"line {sections['V']}").error(f"{fault}; write LAS 2.0 with one row on a line")
-    header = [f"{c.original_mnemonic} ({c.unit})" if c.unit else str(c.original_mnemonic) for c in las.curves]
-    rows = []
-    for number in range(sections["A"] + 1, len(plain) + 1):
-        cells = plain[number - 1].split()
-        if not cells or cells[0].startswith("#"):
-            continue
-        if len(cells) != len(header):
-            fault = f"has {len(cells)} cells; {len(header)} are needed, one a curve"
-            raise place.at(f"line {number}, from {cells[0]}").error(fault)
-        rows.append((number, cells))
-    if not rows:
-        raise place.at(f"line {sections['A']}").error("no rows below ~ASCII; add a line for each measurement")
-    null = las.well["NULL"].value if "NULL" in las.well else None
-    return sections["C"], header, rows, float(str(null)) if is_number(str(null)) else None
 
 
 def _quantity(place: Place, column: Column, rows: Rows, nulls: list[float]) -> tuple[Float[np.ndarray, " rows"], int]:
@@ -296,65 +261,4 @@ def _check_same(
         return
     ratio = float(np.median(others[both] / values[both]))
     fault = f"is {ratio:.4g} times column {shown(first.header)}, which should be the same {name}"
-    raise place.at(f"line 1, column {second.header}").error(f"{fault}; choose one: --columns {name}=COLUMN")
-
-
-def _dropped(values: Mapping[str, Float[np.ndarray, " rows"]], limit: float) -> dict[str, Bool[np.ndarray, " rows"]]:
-    """Return a mask of the rows that are dropped by reason; a row counts for the first reason that applies to it."""
-    nothing = np.zeros(len(next(iter(values.values()), np.zeros(0))), bool)
-    tests: dict[str, Bool[np.ndarray, " rows"]] = {}
-    if RATE in values:
-        tests["missing rate"] = np.isnan(values[RATE])
-    if WEIGHT in values:
-        tests["missing weight"] = ~(values[WEIGHT] > 0)
-    if ROTATION_SPEED in values:
-        tests["no rotation"] = ~(values[ROTATION_SPEED] >= SLOWEST_ROTATION)
-    if RATE in values:
-        tests["rate beyond reason"] = (values[RATE] < 0) | (values[RATE] > limit)
-    if DEPTH in values:
-        tests["missing depth"] = np.isnan(values[DEPTH])
-        if BIT_DEPTH in values:
-            tests["off bottom"] = values[BIT_DEPTH] < values[DEPTH] - OFF_BOTTOM
-    masks, before = {}, nothing
-    for reason, mask in tests.items():
-        masks[reason] = mask & ~before
-        before = before | mask
-    return masks
-
-
-def _not_monotonic(
-    place: Place,
-    column: Column,
-    depth: Float[np.ndarray, " rows"],
-    kept: Bool[np.ndarray, " rows"],
-    lines: Int[np.ndarray, " rows"],
-) -> Bool[np.ndarray, " rows"]:
-    """Return a mask of the `kept` rows outside the longest sequence whose depth does not fall.
-
-    **Raises:** `InputError` if that sequence holds less than half of the rows.
-    """
-    rows = np.flatnonzero(kept)
-    ends: list[float] = []  # least end of a sequence of each length (patience sorting)
-    last: list[int] = []
-    previous = np.full(rows.size, -1)
-    for position, value in enumerate(depth[rows].tolist()):
-        length = bisect_right(ends, value)
-        previous[position] = last[length - 1] if length else -1
-        ends[length : length + 1] = [value]
-        last[length : length + 1] = [position]
-    if 2 * len(ends) < rows.size:
-        at = place.at(f"line {lines[rows[int(np.argmax(np.diff(depth[rows]) < 0)) + 1]]}, column {column.header}")
-        raise at.error(f"the depth falls in most rows (only {len(ends)} of {rows.size} in order); sort them by depth")
-    dropped, position = kept.copy(), last[-1] if last else -1
-    while position >= 0:
-        dropped[rows[position]] = False
-        position = int(previous[position])
-    return dropped
-
-
-def _ranges(lines: Int[np.ndarray, " lines"]) -> str:
-    """Return line numbers as text such as "3, 7-9", at most a dozen ranges."""
-    parts = np.split(lines, np.flatnonzero(np.diff(lines) > 1) + 1)
-    texts = [f"{part[0]}" if part.size == 1 else f"{part[0]}-{part[-1]}" for part in parts]
-    more = f" and {len(texts) - _MOST_LINES_LISTED} ranges more" if len(texts) > _MOST_LINES_LISTED else ""
-    return ", ".join(texts[:_MOST_LINES_LISTED]) + more
+    raise place.at(f"column {second.header}").error(f"{fault}; choose one: --columns {name}=COLUMN")

@@ -58,8 +58,8 @@ class Source:
 def read_source(source: str | PathLike[str] | Mapping[str, object], noun: str = "sweep") -> Source:
     """Read a sweep from the path of a TOML file, the name of a bundled sweep, or a dict with the same structure.
 
-    `noun`: "sweep", or "study" or "design", which are read in the same way. In a dict, a scene, a friction law or a
-    stepper may be an object instead of a name.
+    `noun`: "sweep", or "study", "design" or "calibration", which are read in the same way. In a dict, a scene, a
+    friction law or a stepper may be an object instead of a name.
     """
     if isinstance(source, Mapping):
         tables = plain_table(Place(noun), source)
@@ -70,7 +70,9 @@ def read_source(source: str | PathLike[str] | Mapping[str, object], noun: str = 
     bundled = {path.stem.replace("_", "-"): path for path in reversed(_bundled(noun))} if is_name else {}
     path = bundled.get(str(source).replace("_", "-"), Path(source))
     if is_name and path == Path(source) and not path.exists():
-        raise InputError(f"{source}: no such bundled {noun} or file; {suggestion(str(source), bundled_names(noun))}")
+        if not (names := bundled_names(noun)):
+            raise InputError(f"{source}: no such file; give the path of a {noun}, which ends in .toml")
+        raise InputError(f"{source}: no such bundled {noun} or file; {suggestion(str(source), names)}")
     if path.suffix in (".nc", ".zarr") and path.exists():
         raise InputError(f"{path}: is a dataset, not a {noun}; vibrojax info {path} and vibrojax plot {path} take it")
     text = read_text(path)
@@ -135,8 +137,8 @@ def bundled_names(noun: str = "sweep") -> list[str]:
 
 
 def _bundled(noun: str) -> list[Path]:
-    folders = {"sweep": BUNDLED_FOLDERS, "study": STUDY_FOLDERS, "design": DESIGN_FOLDERS}[noun]
-    return [path for folder in folders for path in sorted(folder.glob("*.toml"))]
+    folders = {"sweep": BUNDLED_FOLDERS, "study": STUDY_FOLDERS, "design": DESIGN_FOLDERS}
+    return [path for folder in folders.get(noun, ()) for path in sorted(folder.glob("*.toml"))]
 
 
 def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
