@@ -248,6 +248,7 @@ export function fillChosen(page, motion) {
     el("div", { class: "vx-panels" }, ...panels.map((one) => one.figure)), commands(page));
   page.player.set(motion, panels);
   const still = !page.data.lanes, summary = summaryOf(page, still);
-  page.table.replaceChildren(...(still ? summary : []), page.numbers(motion), ...(still ? [] : summary));
+  const numbers = page.data.variables.length ? [page.numbers(motion)] : [];
+  page.table.replaceChildren(...(still ? summary : []), ...numbers, ...(still ? [] : summary));
   return () => { panels.forEach((one) => one.draw()); page.player.draw(); };
 }

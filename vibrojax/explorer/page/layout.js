@@ -8,7 +8,10 @@ import { MapView } from "./map.js";
 import { Player } from "./player.js";
 
 const HELP = "Click a cell, or give the map the focus and use the arrow keys (with Shift ten cells, Home and End the first and last). " +
+  "Drag a box to zoom; the menu ⋯ of each plot has its files. " +
   "The URL stores your selection: a link restores it.";
+
+const PLOTS_HELP = "Drag a box in a plot to zoom, with Shift to move; a double click resets. The menu ⋯ of each plot has its files.";
 
 /** Lay a page out in its element; the parts that are drawn into are attributes of the page. */
 export function layOut(page) {
@@ -64,5 +67,5 @@ export function layOut(page) {
       sheet,
       page.table),
     el("footer", { class: "vx-foot" }, el("p", { text: [data.scene, data.source].filter(Boolean).join(", ") }),
-      el("p", { text: HELP })));
+      el("p", { text: data.kind === "plots" ? PLOTS_HELP : HELP })));
 }
