@@ -13,11 +13,13 @@ import xarray as xr
 from cell_blocks import decode
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.explorer import Cell, cell_of, cells_of, document_of, encode, module_text, page_text, write_page
 from vibrojax.explorer.encoding import EVENTS, MANTISSA_BITS, STATE_LEVELS, STUCK, StateColumn, pack
+from vibrojax.explorer.figure_view import figure_document
 from vibrojax.explorer.write import blocks_of
 from vibrojax.sweep.input.read import read_sweep
 
@@ -317,3 +319,56 @@ def test_a_dataset_whose_sweep_is_not_known_opens_without_motions(plane: xr.Data
     document = document_of(alone)
     assert document["lanes"] is None and "no motions" in document["without"]
     assert list(cells_of(alone)) == []
+
+
+# Plots of the analyses.
+
+
+def test_a_figure_is_described_in_its_data_coordinates() -> None:
+    """Lines, points, areas, cells and texts keep their numbers; an axis named as the dataset's is linked to it."""
+    x, ds = np.array([1.0, 10.0, 100.0]), xr.Dataset(coords={"force": ("force", [1e3, 1e4], {"units": "N"})})
+    figure = Figure()
+    axes, strip = figure.subplots(2)
+    axes.plot(x, 2 * x, color="#112233", linestyle="--", marker="s", label="law")
+    axes.scatter(x, x, s=16.0, color=["#ff0000", "#00ff00", "#0000ff"])
+    axes.fill_between(x, x, 3 * x, color="#abcdef", alpha=0.5)
+    axes.axhline(7.0)
+    axes.set(xscale="log", xlabel="force [kN]", ylabel="rate", title="start: a")
+    axes.legend()
+    strip.pcolormesh([0.0, 1.0, 2.0], [0.0, 1.0], [[0.0, np.nan]])
+    strip.set(xticks=[0.5, 1.5], xticklabels=["left", "right"])
+    axis = {"name": "force", "columns": [], "values": [1e3, 1e4]}
+    found = figure_document([figure], ds, [axis])
+    first, second = found["plots"]
+    items = {item["kind"]: item for item in reversed(first["items"]) if item.get("colour") != "#1f77b4"}
+    assert items["line"]["x"] == x.tolist() and items["line"]["y"] == (2 * x).tolist()
+    assert items["line"]["dash"] and items["line"]["colour"] == "#112233"
+    assert any(
+        one["kind"] == "points" and one["colours"] == ["#ff0000", "#00ff00", "#0000ff"] for one in first["items"]
+    )
+    assert items["area"]["alpha"] == 0.5 and set(items["area"]["y"]) == {*x, *(3 * x)}
+    [level] = [one for one in first["items"] if one.get("colour") == "#1f77b4"]
+    assert level["y"] == pytest.approx([7.0, 7.0])
+    assert first["x"]["log"] and first["x"]["direction"] == "force" and first["y"]["direction"] is None
+    assert second["items"][0]["data"]["shape"] == [2] and second["x"]["ticks"] == [[0.5, "left"], [1.5, "right"]]
+    level, missing = unpacked(second["items"][0]["data"]).tolist()
+    assert level >= 0 and missing == -1
+    assert found["keys"] == [{"text": "law", "shape": "line", "colour": "#112233", "dash": items["line"]["dash"]}]
+    json.dumps(found, allow_nan=False)
+
+
+def test_returns_are_a_diagram_and_the_first_cell_is_a_single_impact() -> None:
+    grid = {"gamma": [0.35, 0.6, 0.7, 0.75, 0.8]}
+    ds = vj.run_sweep({**PLANE, "grid": grid, "run": {"keep_returns": 4}}, progress=False)
+    document = document_of(ds)
+    diagram = document["variables"][0]
+    assert diagram["inner"] == "return_index" and diagram["count"] == 4
+    assert diagram["label"] == "impact velocity at each return [m/s]"
+    np.testing.assert_allclose(
+        unpacked(diagram["data"]), ds["return_impact_velocity"].transpose(*diagram["axes"]), rtol=1e-5
+    )
+    assert "return_index" not in [axis["name"] for axis in document["axes"]]
+    first, regimes = document["first"], ds["regime"]
+    single = np.flatnonzero(regimes.isel(start=first["start"]).values == 3)
+    assert first["gamma"] in single and abs(first["gamma"] - 2) == np.abs(single - 2).min()
+    assert re.match(r"\d+ of 10 motions repeat; all ", document["notes"][0])

@@ -189,3 +189,17 @@ def test_sliders_reach_all_values_of_the_sweep():
     assert sliders["delta"]["low"] == -0.2 and sliders["delta"]["high"] == 0.1 and not sliders["delta"]["log"]
     assert sliders["gamma"]["low"] == 0.01 and sliders["gamma"]["log"]
     assert sliders["delta"]["units"] == "mm" and sliders["delta"]["factor"] == 1e3
+
+
+def test_a_box_is_the_sweep_of_its_cells(motions):
+    """The part that a user zooms into has the labels and numbers of a sweep over the same values."""
+    box = {"beta": [0.31, 0.39], "gamma": [0.66, 0.78]}
+    answer = json.loads(motions.answer({"box": box, "lane": 1}, never))
+    grid = {"beta": [0.31, 0.39], "gamma": np.linspace(0.66, 0.78, 3).tolist()}
+    alone = vj.run_sweep({**SWEEP, "grid": grid, "starts": [[0.0, 0.0, 0.01, 0.0]]}, progress=False)
+    assert answer["axes"] == grid
+    for name in ("regime", "period", "impact_velocity"):
+        assert answer["variables"][name] == encoding.pack(alone[name].isel(start=0).values), name
+    for wrong in ([1], {"beta": [0.3, 0.4]}, {**box, "gamma": [0.78, 0.66]}, {**box, "beta": ["a", 1]}):
+        with pytest.raises(InputError, match="explore: box"):
+            motions.answer({"box": wrong, "lane": 1}, never)

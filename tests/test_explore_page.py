@@ -1,11 +1,13 @@
 """The page in a browser: what it says against the dataset, by pointer, by keyboard and by link, without any request."""
 
 import base64
+import json
 import re
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import fromstring
 
 import numpy as np
 import pytest
@@ -202,10 +204,10 @@ def test_everything_by_keyboard(browser: Any, files: dict[str, Path]) -> None:
         page.keyboard.press("Enter")
         assert page.locator("#vibrojax").get_attribute("data-scheme") == "dark"
         page.evaluate(
-            "() => { const button = document.querySelector('.vx-copy'); window.labels = [];"
+            "() => { const button = document.querySelector('.vx-call .vx-copy'); window.labels = [];"
             " new MutationObserver(() => labels.push(button.textContent)).observe(button, {childList: true}); }"
         )
-        page.locator(".vx-copy").first.focus()
+        page.locator(".vx-call .vx-copy").first.focus()
         page.keyboard.press("Enter")
         wait_for(page, "labels.includes('copied')")  # it says so for a moment only
         page.locator(".vx-numbers summary").focus()
@@ -280,6 +282,100 @@ def test_cells_that_a_page_shows_are_those_that_were_written(browser: Any, files
             np.testing.assert_array_equal(shown["flags"], cell.flags)
             for name, values in cell.states.items():
                 np.testing.assert_allclose(shown["states"][name], values, rtol=1e-9, atol=1e-15)
+
+
+def test_a_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[str, Path]) -> None:
+    """The cursor goes through the plots, pins compare numbers, files hold what is shown, and Back leads back."""
+    with Opened(browser, files["few"]) as opened:
+        page = opened.page
+        regime = "vibrojax.grid.valueText(vibrojax.variable, vibrojax.grid.value('regime', vibrojax.cell))"
+        assert opened.evaluate(regime) == "single\u2011impact"
+        opened.evaluate("vibrojax.player.to(0.05)")
+        duration = opened.evaluate("vibrojax.player.motion.duration")
+        assert page.get_by_label("Time of the cursor").input_value() == str(round(1000 * 0.05 / duration))
+        page.get_by_role("button", name="Play").click()
+        wait_for(page, "vibrojax.player.time > 0.052")
+        page.get_by_role("button", name="Pause").click()
+        assert not opened.evaluate("vibrojax.player.playing")
+        before = opened.evaluate("vibrojax.player.time")
+        box = page.locator(".vx-wide canvas").first.bounding_box()
+        page.mouse.move(box["x"] + box["width"] * 0.3, box["y"] + 60)
+        page.mouse.down()
+        page.mouse.move(box["x"] + box["width"] * 0.4, box["y"] + 60, steps=4)
+        page.mouse.up()
+        assert opened.evaluate("vibrojax.player.time") != before  # scrubbed
+        # Pins: the numbers of another cell, with their differences.
+        opened.evaluate("vibrojax.pick({beta: 1, gamma: 1, start: 1})")
+        opened.settled()
+        page.locator(".vx-pinbutton").click()
+        opened.evaluate("vibrojax.pick({beta: 1, gamma: 2, start: 1})")
+        opened.settled()
+        row = page.locator(".vx-numbers tr", has=page.locator("[data-name='impact_velocity']")).inner_text()
+        values = [
+            opened.evaluate("c => vibrojax.grid.value('impact_velocity', c)", {"beta": 1, "gamma": g, "start": 1})
+            for g in (1, 2)
+        ]
+        numbers = [float(x.replace("\u2212", "-")) for x in re.findall(r"[+\u2212-]?\d+\.\d+", row)]
+        assert numbers == pytest.approx([values[1], values[0], values[1] - values[0]], rel=5e-3)
+        assert "pins=1.1.1" in opened.evaluate("location.hash") and page.get_by_text("Over the phase").is_visible()
+        # Files.
+        with page.expect_download() as saved:
+            page.locator(".vx-map .vx-menu summary").click()
+            page.locator(".vx-map .vx-menu button", has_text="CSV").click()
+        lines = Path(saved.value.path()).read_text().splitlines()
+        assert lines[0] == "gamma,beta,regime" and len(lines) == 10
+        for kind, begins in (("SVG", b"<svg"), ("PNG", b"\x89PNG")):
+            with page.expect_download() as saved:
+                page.locator(".vx-map .vx-menu button", has_text=kind).click()
+            content = Path(saved.value.path()).read_bytes()
+            assert content.startswith(begins)
+            if kind == "SVG":
+                texts = [one.text for one in fromstring(content).iter("{http://www.w3.org/2000/svg}text")]
+                assert any("ω₂/ω₁" in str(text) for text in texts) and "single-impact" in " ".join(map(str, texts))
+        with page.expect_download() as saved:
+            page.get_by_role("button", name="JSON").click()
+        cell = json.loads(Path(saved.value.path()).read_text())
+        assert cell["coordinates"]["gamma"] == 0.8 and cell["numbers"]["impact_velocity"] == pytest.approx(values[1])
+        # A box to zoom into, and back.
+        over = page.locator(".vx-over").bounding_box()
+        page.mouse.move(over["x"] + 0.3 * over["width"], over["y"] + 0.3 * over["height"])
+        page.mouse.down()
+        page.mouse.move(over["x"] + 0.6 * over["width"], over["y"] + 0.6 * over["height"], steps=5)
+        page.mouse.up()
+        [low, high], _ = opened.evaluate("vibrojax.map.zoom")
+        assert 0.6 < low < high < 0.8
+        page.locator(".vx-map .vx-reset").click()
+        assert opened.evaluate("vibrojax.map.zoom") is None
+        assert opened.evaluate("vibrojax.cell") == {"beta": 1, "gamma": 2, "start": 1}
+        # A regime is explained where it has the focus.
+        page.locator(".vx-badge.vx-why").focus()
+        assert page.locator(".vx-badge .vx-sentence").is_visible()
+        page.wait_for_timeout(800)
+        page.locator(".vx-over").press("ArrowLeft")
+        opened.settled()
+        page.go_back()
+        wait_for(page, "vibrojax.cell.gamma === 2")
+        assert opened.heard == []
+
+
+def test_calm_steps_and_axe_finds_nothing_serious(browser: Any, files: dict[str, Path]) -> None:
+    """Where motion is unwanted the machine steps, and an independent checker finds no barrier in any view."""
+    axe = pytest.importorskip("axe_playwright_python", reason='axe is missing: pip install ".[browser]"')
+    script = (Path(axe.__file__).parent / "axe.min.js").read_text(encoding="utf-8")
+    for width, scheme in ((1280, "light"), (390, "dark")):
+        with Opened(browser, files["few"], width=width, scheme=scheme) as opened:
+            opened.page.emulate_media(reduced_motion="reduce")
+            wait_for(opened.page, "document.querySelector('.vx-play').textContent === 'Step'")
+            opened.page.locator(".vx-play").click()
+            assert opened.evaluate("vibrojax.player.time > 0 && !vibrojax.player.playing")
+            opened.evaluate("vibrojax.pins.toggle()")
+            opened.evaluate(script)
+            found = opened.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+            assert [
+                (one["id"], one["nodes"][0]["html"]) for one in found if one["impact"] in ("serious", "critical")
+            ] == []
+            if width == 390:  # the sheet shows the motion without scrolling
+                assert opened.page.locator(".vx-panel canvas").first.bounding_box()["y"] < 900
 
 
 def _numbers(opened: Opened) -> dict[str, str]:

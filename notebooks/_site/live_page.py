@@ -48,6 +48,6 @@ class InteractivePage(SphinxDirective):
         self.env.note_reread()
         if self.config.nb_execution_mode == "off":
             return [nodes.paragraph("", "Left out of this build: nothing was computed for it.")]
-        frame = f'<iframe class="interactive" src="{PAGE}" title="Interactive regime map" loading="lazy"></iframe>'
+        frame = f'<iframe class="interactive" src="{PAGE}" title="Interactive regime map" loading="eager"></iframe>'
         link = nodes.reference("", "Open this page on its own", refuri=PAGE)
         return [nodes.raw("", frame, format="html"), nodes.paragraph("", "", link, nodes.Text("."))]

@@ -191,7 +191,7 @@ _HOMES = {
     "design": "design.analysis:Designs",
     "study": "study.analysis:Studies",
     "calibration": "calibration.analysis:Calibrations",
-    "fit": "rop_law.picture:Fits",
+    "fit": "rop_law.analysis:Fits",
     "accuracy": "accuracy.picture:AccuracyStudy",
     "derivatives": "sensitivity.run:Derivatives",
     "sensitivity": "sensitivity.analysis:Sensitivity",

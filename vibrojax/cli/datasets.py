@@ -194,10 +194,11 @@ def _standing_parts(state: "Standing") -> "list[SummaryPart]":
     flag("--no-browser", "with --live: print the address, and open no browser"),
 )
 def explore(options: Options) -> None:
-    """Write an interactive HTML page: a map and, for every cell, its orbit, history, spectrum and numbers.
+    """Write an interactive HTML page: plots of the dataset and, for every cell, its machine in motion and numbers.
 
-    With --live, nothing is written: a server on this machine serves the page, and computes what the user clicks or
-    drags.
+    It shows a map, a bifurcation diagram, families, attractors, a fit, or the plots of another analysis. Each plot
+    can be zoomed and saved, and motions compared. With --live, nothing is written: a server on this machine serves the
+    page, and computes what the user clicks or drags, and the part of a map that is zoomed into.
     """
     from vibrojax.io.dataset import open_dataset
 

@@ -10,13 +10,14 @@ that the page shows for one map cell. An HTML file reads them from itself (`embe
 
 **The JSON document:**
 
-    {"format": 1, "kind": "grid" | "family" | "motion",
+    {"format": 1, "kind": "grid" | "family" | "motion" | "plots",
      "title", "scene", "source", "notes": [text, ...],
      "axes": [{"name", "label", "symbol", "units" and "factor" (shown = value * factor), "numeric", "log",
                "values": [...], "columns": [the same, along a list of points or initial conditions]}],
      "variables": [{"name", "label", "long_name", "units", "factor", "axes": [names], "flags": {flag: meaning} | null,
                     "colours": {flag: colour} | null, "map": a name in `maps` | null, "low", "high" (shown), "log",
-                    "extend", "nothing_at_zero", "whole", "data": a packed array, see `encoding.pack`}],
+                    "extend", "nothing_at_zero", "whole", "data": a packed array, see `encoding.pack`,
+                    "inner", "count": axis and number of several values of a cell, such as its returns}],
      "maps": {name: 256 colours},
      "lanes": a packed array with its "axes": the number of the lane of each map cell | null,
      "fixed": {coordinates without an axis},
@@ -28,6 +29,10 @@ that the page shows for one map cell. An HTML file reads them from itself (`embe
                 "list": [{"kind", "at": {axis: value}, "points": {axis: values}}],
                 "corners": [{"kind", "at": {axis: value}, "point": {axis: value}}] of codimension two} | null,
      "family": {"runs", "special", ...} only of families,
+     "figure": plots of the analysis, see `figure_view` | null,
+     "overlay": {"variable", "along", "items"}: what lies over a diagram of returns | null,
+     "summary": [{"name", "lines"}], "meanings": {regime: sentence}, "machine": {parameter: value},
+     "view": directions of the first view, "first": {axis: index} of the cell shown first,
      "cells": {"size", "blocks"} of the motions stored in the page | null,
      "without": the reason why there are no motions}
 

@@ -1,5 +1,6 @@
 """Motions on demand: what a user selects in the explorer page is simulated and measured as by `vj.simulate`."""
 
+import json
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -10,7 +11,8 @@ import xarray as xr
 
 from vibrojax.compile.xla import precision
 from vibrojax.errors import InputError, Place, shown
-from vibrojax.explorer.document import options_of, run_seconds, start_of
+from vibrojax.explorer.box import box_of
+from vibrojax.explorer.document import one_line, options_of, run_seconds, start_of
 from vibrojax.explorer.encoding import Cell, encode
 from vibrojax.explorer.recording import (
     SECTION_RETURNS,
@@ -86,14 +88,17 @@ class LiveMotions:
     def answer(self, request: Mapping[str, Any], check: Callable[..., None]) -> bytes:
         """Return the requested motion, encoded for the explorer page.
 
-        `request` is `lane`, the number of a lane; or `parameters`, numbers by name that replace those of the point, and
-        `start`, the name or the vector of an initial condition. `check` is called often; an exception that it raises
-        ends the simulation.
+        `request` is `lane`, the number of a lane; `lane` and `box`, see [vibrojax.explorer.box][], with an answer in
+        JSON; or `parameters`, numbers by name that replace those of the point, and `start`, the name or the vector of
+        an initial condition. `check` is called often; an exception that it raises ends the simulation.
 
         **Raises:** `InputError` if the request is invalid, or the motion takes too long.
         """
         if set(request) == {"lane"}:
             return encode([self.lane(request["lane"], check)])
+        if set(request) == {"box", "lane"}:
+            box = box_of(self.sweep, self._number(request["lane"]), request["box"], check) if self.sweep else {}
+            return json.dumps(box, allow_nan=False).encode()
         unknown = set(request) - {"parameters", "start"}
         if unknown:
             raise PLACE.at(min(unknown)).error("there is no such thing to ask for; give lane, or parameters and start")
@@ -137,9 +142,8 @@ class LiveMotions:
 
         `numbers` is None, because the dataset contains the features of the lane.
         """
-        lanes = self.sweep.lanes if self.sweep is not None else 0
-        if type(number) is not int or not 0 <= number < lanes or self.sweep is None:
-            raise PLACE.at("lane").error(f"{shown(number)} is not a lane; there are {lanes}, from 0")
+        number = self._number(number)
+        assert self.sweep is not None
         values, _ = self.sweep.lane_values(number, number + 1)
         start: object = None
         if self.names.has_starts:
@@ -149,6 +153,12 @@ class LiveMotions:
         cell = self.cell({name: float(x[0]) for name, x in values.items()}, start, check)
         carried = "" if self.sweep.run.carry is None else "from the start, not carried on from the point before"
         return replace(cell, lane=number, numbers=None, note="; ".join(text for text in (cell.note, carried) if text))
+
+    def _number(self, number: object) -> int:
+        lanes = self.sweep.lanes if self.sweep is not None else 0
+        if type(number) is not int or not 0 <= number < lanes:
+            raise PLACE.at("lane").error(f"{shown(number)} is not a lane; there are {lanes}, from 0")
+        return number
 
     def warm(self) -> None:
         """Compile the programs, which all motions share, by simulating one motion."""
@@ -193,7 +203,7 @@ class LiveMotions:
         factor, unit = scale(xr.DataArray([low, high], name=parameter.name, attrs=about))
         return {
             "name": parameter.name,
-            "label": parameter.long_name,
+            "label": one_line(parameter.long_name),
             "symbol": parameter.symbol,
             "units": pretty_unit(unit),
             "factor": factor,

@@ -35,7 +35,8 @@ SHOWN_SECONDS = 2.0
 """Displayed time of a lane that never crosses the section."""
 
 RETURN_SAMPLES, CELL_MAX_SAMPLES = 56, 180
-"""Number of evenly spaced samples per return interval, and maximum for a motion; samples at events are added."""
+"""Number of evenly spaced samples per return interval, and maximum for a motion, of up to four states; more states have
+more. Samples at events are added."""
 
 STEP_PLACES = 6
 """Number of points in each step at which the path of the states is measured."""
@@ -182,7 +183,8 @@ def sample_times(times: np.ndarray, states: np.ndarray, events: np.ndarray, retu
     changes = np.abs(np.diff(states[moving], axis=1)) / swing[moving][:, None]
     lengths = len(states) * np.diff(times) / (times[-1] - times[0]) + changes.sum(axis=0)
     path = np.concatenate([[0.0], np.cumsum(lengths)])
-    count = min(RETURN_SAMPLES * max(returns, 1), CELL_MAX_SAMPLES)
+    # The bit's fast oscillation on the rock has a share of the path of its own.
+    count = round(min(RETURN_SAMPLES * max(returns, 1), CELL_MAX_SAMPLES) * max(1.0, len(states) / 4))
     even = np.interp(np.linspace(0.0, path[-1], count + 1), path, times)
     samples = np.unique(np.concatenate([even, events[(events > times[0]) & (events < times[-1])]]))
     is_new = np.diff(samples) > TIME_TOLERANCE * (times[-1] - times[0])

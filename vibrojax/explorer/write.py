@@ -63,14 +63,16 @@ def write_page(
         vj.write_page(vj.run_sweep("regime-map"), "regime-map.html")
 
     Select a map cell (a lane) by a click on the map or by arrow keys. The page shows the lane's motion in phase planes,
-    over time and as a spectrum. It also shows section crossings, multipliers, features, and the command that simulates
-    the motion. The page's address stores the selection, so that a link restores it.
+    over time and as a spectrum, and the machine that moves. It also shows section crossings, multipliers, features, and
+    the command that simulates the motion. Plots can be zoomed and saved, and motions pinned
+    to compare them. The page's address stores the selection, so that a link restores it.
 
     **Arguments:**
 
-    - `ds`: the dataset of a sweep, of its orbits or attractors, of families, borders, a trajectory, or a fit.
+    - `ds`: any dataset of the package, or of an analysis with a picture.
     - `path`: the file to write; an existing file is replaced.
-    - `over`: result of `borders` or `curves`, to draw on a map of the same parameters.
+    - `over`: result of `borders` or `curves`, to draw on a map of the same parameters, or of `follow`, to draw over the
+      returns of a sweep.
     - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
     - `progress`: whether to report progress on stderr. A sweep is run again, with its orbits, to record motions.
 
@@ -106,8 +108,9 @@ def explore(
 
     **Arguments:**
 
-    - `ds`: the dataset of a sweep, of its orbits or attractors, of families, borders, a trajectory, or a fit.
-    - `over`: result of `borders` or `curves`, to draw on a map of the same parameters.
+    - `ds`: any dataset of the package, or of an analysis with a picture.
+    - `over`: result of `borders` or `curves`, to draw on a map of the same parameters, or of `follow`, to draw over the
+      returns of a sweep.
     - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
     - `live`: whether the notebook's kernel simulates the motion of the selected map cell, with a slider for every
       parameter. If False, the sweep is run again, and the widget contains the motions of all lanes; it then works

@@ -16,19 +16,16 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import MarkerType
 
-from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.rop_law.blocks import Standing
 from vibrojax.analyses.rop_law.forms import FORMS, SAME_AS_ONSET
 from vibrojax.analyses.rop_law.reading import formulas_of
-from vibrojax.analyses.rop_law.results import verdict
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
-from vibrojax.io.riglog import log_lines
 from vibrojax.plot.axes import scale, shape_zero, share_text, with_unit
 from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
 from vibrojax.plot.contents import FORM, POINT, law_in, long_axes
 from vibrojax.plot.curves import MOST_ROWS, Across, Row, longest_axis, new_rows
 from vibrojax.plot.sheet import LEGEND_WIDTH, Facets, facets, legend_at_right, sheet, write_margins
-from vibrojax.plot.style import FAINT, INK, Mark, new_figure, styled
+from vibrojax.plot.style import FAINT, INK, Mark, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
 _MARKS: dict[str, MarkerType] = {
@@ -98,7 +95,7 @@ def law_lines(fit: xr.Dataset) -> Figure:
             for k, name in enumerate(_forms(fit)):
                 excess = np.atleast_1d(_above_best(row.facet).sel({FORM: name}).values)
                 places = x.of(row.facet) if x.name else [float(k)]
-                row.axes[1].plot(places, excess, label=name, **_mark(name, x))
+                row.axes[1].plot(places, excess, label=name, **form_mark(name, x))
             row.label(1, x.label, "AIC above the best form")
     if by_blocks:
         rows[0].axes[1].set_ylim(bottom=0.0)
@@ -162,7 +159,7 @@ def _draw_coefficients(row: Row, x: Across, factor: float) -> None:
         places = x.of(form) if x.name else np.array([float(k)])
         if x.name:
             places = places + _DODGE * (float(np.ptp(places)) if x.is_number else 4.0) * k
-        axes.errorbar(places, values, bars, label=name, capsize=2.5, elinewidth=0.9, **_mark(name, x))
+        axes.errorbar(places, values, bars, label=name, capsize=2.5, elinewidth=0.9, **form_mark(name, x))
 
 
 def _draw_errors(row: Row, x: Across, factor: float) -> None:
@@ -171,9 +168,9 @@ def _draw_errors(row: Row, x: Across, factor: float) -> None:
         form = row.facet.sel({FORM: name})
         errors, standing = (np.atleast_1d(form[variable].values) for variable in ("cv_error", "standing"))
         places = x.of(form) if x.name else np.array([float(k)])
-        row.axes[1].plot(places, factor * errors, label=name, **_mark(name, x))
+        row.axes[1].plot(places, factor * errors, label=name, **form_mark(name, x))
         rings = np.isin(standing, (Standing.UNDECIDED, Standing.CONTAINS_CHOSEN))
-        hollow = _mark(name, x) | Mark(linestyle="none", markerfacecolor="white")
+        hollow = form_mark(name, x) | Mark(linestyle="none", markerfacecolor="white")
         row.axes[1].plot(np.asarray(places)[rings], factor * errors[rings], label=f"_{name}", **hollow)
 
 
@@ -258,7 +255,7 @@ def _readings(fit: xr.Dataset) -> list[str]:
     return [name for name in _READINGS if name in _forms(fit)] or _forms(fit)
 
 
-def _mark(name: str, x: Across | None = None) -> Mark:
+def form_mark(name: str, x: Across | None = None) -> Mark:
     """Return the marker and line style of a form; if `x` has string labels, points are not joined by lines."""
     mark = Mark(color=form_colour(name), marker=_MARKS.get(name, "P"), markersize=4.0, linewidth=1.2)
     return mark if x is None else mark | Mark(linestyle="-" if x.is_number else "none")
@@ -272,7 +269,7 @@ def _line_handles(fit: xr.Dataset) -> list[Artist]:
         formula = formulas.get(name, "")
         for text, sign in signs.items():
             formula = formula.replace(text, sign)
-        mark = _mark(name) | Mark(linestyle=_DASHES.get(name, "-"))
+        mark = form_mark(name) | Mark(linestyle=_DASHES.get(name, "-"))
         handles.append(Line2D([], [], label=f"{name}\n{formula}" if formula else name, **mark))
     return handles
 
@@ -305,7 +302,7 @@ def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> list
         relief = "force over its median" if "reference_force" in group.attrs else "relief P/D"
         axes.set_xlabel(relief if k + wide >= len(groups) else "")
         axes.set_ylabel(with_unit("rate of penetration", unit) if k % wide == 0 else "")
-    shown = {use for group in groups.data for use in _masks(group)}
+    shown = {use for group in groups.data for use in use_masks(group)}
     look = Mark(linestyle="none", markersize=4.5)
     return [Line2D([], [], label=text, **look | mark) for use, (text, mark) in _USES.items() if use in shown]
 
@@ -338,7 +335,7 @@ def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
                 axes.fill_between(eta, *band, color=form_colour(name), alpha=0.15, linewidth=0)
     is_cloud = seen.sum() >= _CLOUD
     size = 4.2 if seen.sum() < _MANY_LANES else 1.6 if is_cloud else 2.2
-    for use, mask in _masks(group).items():
+    for use, mask in use_masks(group).items():
         look = Mark(linestyle="none", markersize=size, zorder=1.5 if is_cloud else 3) | _USES[use][1]
         look |= Mark(color=FAINT) if is_cloud and use == "fitted" else Mark()
         axes.plot(relief[mask], rate[mask], label=f"_{use}", **look)
@@ -349,49 +346,9 @@ def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
         shape_zero([axes], "no penetration")
 
 
-def _masks(group: xr.Dataset) -> dict[str, np.ndarray]:
+def use_masks(group: xr.Dataset) -> dict[str, np.ndarray]:
     """Return a mask of the drawable lanes (finite relief and rate) for each use that occurs."""
     meanings = str(group[_USE].attrs["flag_meanings"]).split()
     known = np.isfinite(group[_RELIEF].values) & np.isfinite(group[_RATE].values)
     masks = {name: known & (group[_USE].values == meanings.index(name)) for name in _USES}
     return {name: mask for name, mask in masks.items() if mask.any()}
-
-
-@styled
-def residuals(fit: xr.Dataset) -> Figure:
-    """Draw the residuals of every form over the relief, with a panel for each group; no panels without the data."""
-    figure, rates, groups = new_figure(8.0, 2.6), {form.name: form.rate for form in FORMS}, groups_to_show(law_in(fit))
-    if not len(groups):
-        return figure
-    for axes, title, group in zip(
-        figure.subplots(1, len(groups), squeeze=False)[0], groups.titles, groups.data, strict=True
-    ):
-        factor, unit = scale(group[_RATE])
-        relief, rate = (group[name].values[_masks(group).get("fitted", slice(0))] for name in (_RELIEF, _RATE))
-        axes.axhline(0.0, color=FAINT, linewidth=0.8)
-        for name in (name for name in _forms(group) if name in rates):
-            form = group.sel({FORM: name})
-            law = rates[name](relief, *(float(form[x]) if x in form else np.nan for x in ("C", "eta0", "exponent")))
-            axes.plot(relief, factor * (rate - law), **_mark(name) | Mark(linestyle="none", markersize=3.5))
-        axes.set_title(f"residuals{f', {title}' if title else ''}", loc="left")
-        axes.set(xlabel="relief P/D", ylabel=with_unit("measured less the form", unit))
-    return figure
-
-
-class Fits(Analysis):
-    """The fit of the rate-of-penetration law to a sweep's dataset or to rig data."""
-
-    kind = "fit"
-    pictures = (
-        PictureRule("law", lambda held: held.law and len(held.long) > 1, law_map),
-        PictureRule("law", lambda held: held.law, law_lines),
-    )
-
-    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        return [SummaryPart("columns", log_lines(ds))]
-
-    def page_figures(self, ds: xr.Dataset) -> list[Figure]:
-        return [self.picture(ds), residuals(ds)]
-
-    def page_text(self, ds: xr.Dataset) -> list[SummaryPart]:
-        return [SummaryPart("forms of the law", verdict(ds)), *self.summary(ds)]

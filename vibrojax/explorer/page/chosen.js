@@ -3,7 +3,7 @@ import { described, drawHistory, drawMultipliers, drawPhase, drawPlane, drawRetu
 import { el, explained } from "./dom.js";
 import { interactive } from "./interact.js";
 import { stateAt } from "./machine.js";
-import { csvOf } from "./paper.js";
+import { csvOf, download, fileName } from "./paper.js";
 import { inkOf, line, mark, numberText, prepared } from "./plots.js";
 
 const EVENT_KEYS = { 1: ["stick", "vx-k-stick"], 2: ["slip", "vx-k-slip"], 3: ["impact", "vx-k-impact"] };
@@ -24,7 +24,17 @@ function head(page, motion) {
   let text = page.data.without ?? "no motion is kept of this dataset";
   if (motion) text = described(motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "");
   return el("div", { class: "vx-cellhead" }, el("h2", { text: page.titleOf() }),
-    ...badge(page, motion), ...(motion && motion.kind !== "none" ? [page.pins.button()] : []), el("p", { class: "vx-motion", text }));
+    ...badge(page, motion), ...(motion && motion.kind !== "none" ? [page.pins.button(), fileButton(page, motion)] : []), el("p", { class: "vx-motion", text }));
+}
+
+/** The chosen cell as a JSON file: its coordinates, numbers, command and motion. */
+function fileButton(page, motion) {
+  const content = () => JSON.stringify({
+    title: page.titleOf(), scene: page.data.scene, coordinates: page.point ? page.point.parameters : page.coordinates(), numbers: page.pins.valuesOf(motion), ...page.calls(),
+    motion: { kind: motion.kind, duration: motion.duration, returns: motion.returns, multipliers: motion.multipliers, time: Array.from(motion.time),
+      states: Object.fromEntries(motion.columns.map(({ name, units, long_name }) => [name, { units, long_name, values: Array.from(motion.states[name]) }])) },
+  }, null, 1);
+  return el("button", { type: "button", class: "vx-copy", text: "JSON", title: "Save this cell as a JSON file", onclick: () => download(content(), fileName(page.titleOf(), "json")) });
 }
 
 /**
@@ -195,7 +205,7 @@ export function numbersOf(page, motion, pins = []) {
 function summaryOf(page, open) {
   const { summary } = page.data;
   if (!summary?.length) return [];
-  const parts = summary.map(({ name, lines }) => el("div", {}, el("h3", { text: name }), el("pre", { text: lines.join("\n") })));
+  const parts = summary.map(({ name, lines }) => el("div", {}, el(page.data.kind === "plots" ? "h2" : "h3", { class: "vx-part", text: name }), el("pre", { text: lines.join("\n") })));
   return [el("details", { class: "vx-summary", open }, el("summary", { text: "Summary" }), ...parts)];
 }
 
@@ -238,6 +248,7 @@ export function fillChosen(page, motion) {
     el("div", { class: "vx-panels" }, ...panels.map((one) => one.figure)), commands(page));
   page.player.set(motion, panels);
   const still = !page.data.lanes, summary = summaryOf(page, still);
-  page.table.replaceChildren(...(still ? summary : []), page.numbers(motion), ...(still ? [] : summary));
+  const numbers = page.data.variables.length ? [page.numbers(motion)] : [];
+  page.table.replaceChildren(...(still ? summary : []), ...numbers, ...(still ? [] : summary));
   return () => { panels.forEach((one) => one.draw()); page.player.draw(); };
 }

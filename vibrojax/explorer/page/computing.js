@@ -1,4 +1,6 @@
 // What a page does that can compute: sliders beside the chosen cell, and the motion at what they say.
+import { unpack } from "./decode.js";
+import { edgesOf } from "./grid.js";
 import { numberText } from "./plots.js";
 import { Sliders } from "./sliders.js";
 
@@ -35,6 +37,36 @@ export class Computing {
       this.sliders.say(`simulated in ${Math.round(performance.now() - began)} ms`);
     } catch (error) {
       if (number === page.asked) this.sliders.say(error.message, true);
+    }
+  }
+
+  /** The motion at other values of some parameters than the chosen cell's. */
+  beside(values) {
+    const parameters = { ...this.at, ...values };
+    this.sliders.set(parameters, this.from);
+    return this.compute(parameters, this.from);
+  }
+
+  /** Compute the part of the map that is zoomed into, at the chosen cell's other coordinates. */
+  async box(zoom) {
+    const { page } = this, { x, y } = page.view.view, lane = page.grid.lane(page.cell);
+    page.patch = null;
+    if (!zoom || !page.source.box || !y || lane < 0 || x.column !== x.axis || !x.axis.numeric || !y.axis.numeric) { page.draw(); return; }
+    const at = page.facetKey(), limits = (way, [low, high]) => {
+      const { edges } = edgesOf(way.column), ends = [Math.min(edges[0], edges.at(-1)), Math.max(edges[0], edges.at(-1))];
+      return [Math.max(low, ends[0]) / way.column.factor, Math.min(high, ends[1]) / way.column.factor].sort((a, b) => a - b);
+    };
+    this.sliders.say("computing the box …");
+    const began = performance.now();
+    try {
+      const answer = await page.source.box({ [x.axis.name]: limits(x, zoom[0]), [y.axis.name]: limits(y, zoom[1]) }, lane);
+      const variables = new Map();
+      for (const [name, packed] of Object.entries(answer.variables)) variables.set(name, await unpack(packed));
+      page.patch = { axes: answer.axes, variables, at };
+      this.sliders.say(`the box was computed in ${numberText((performance.now() - began) / 1000, 2)} s`);
+      page.draw();
+    } catch (error) {
+      this.sliders.say(error.message, true);
     }
   }
 

@@ -14,9 +14,9 @@ export function drawItems(c, items, sx, sy, ink) {
       const { colours, sizes } = item;
       x.forEach((value, k) => {
         if (value === null || y[k] === null) return;
-        const shade = colour(colours[k % colours.length] ?? "#222222"), size = Math.max(1.4, sizes[k % sizes.length] ?? 2.5);
+        const own = colours[k % colours.length] ?? "#222222", shade = item.hollow ? colour(own) : own, size = Math.max(1.4, sizes[k % sizes.length] ?? 2.5);
         if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, ink.plate, shade);
-        else mark(c, item.shape, sx(value), sy(y[k]), size, shade, size > 2.6 ? ink.plate : null);
+        else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(own) !== own ? ink.faint : size > 2.6 ? ink.plate : null);
       });
     } else if (item.kind === "area") {
       c.globalAlpha = item.alpha;

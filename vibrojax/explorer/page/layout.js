@@ -3,11 +3,15 @@ import { el } from "./dom.js";
 import { Pins } from "./compare.js";
 import { Figure } from "./figure.js";
 import { interactive } from "./interact.js";
+import { legendKeys } from "./legend.js";
 import { MapView } from "./map.js";
 import { Player } from "./player.js";
 
 const HELP = "Click a cell, or give the map the focus and use the arrow keys (with Shift ten cells, Home and End the first and last). " +
+  "Drag a box to zoom; the menu ⋯ of each plot has its files. " +
   "The URL stores your selection: a link restores it.";
+
+const PLOTS_HELP = "Drag a box in a plot to zoom, with Shift to move; a double click resets. The menu ⋯ of each plot has its files.";
 
 /** Lay a page out in its element; the parts that are drawn into are attributes of the page. */
 export function layOut(page) {
@@ -30,8 +34,12 @@ export function layOut(page) {
   page.pins = new Pins(page);
   page.figure = data.figure ? new Figure(page, data.figure) : null;
   const tools = interactive(page.map, (paper) => page.view.paint(paper), {
-    over: page.over, title: () => page.mapTitle(), keys: () => page.legendKeys ?? [], files: [["CSV", "csv", () => page.mapTable()]],
-    click: (place) => { const cell = page.view.at(...place); if (cell) page.pick(cell); }, zoomed: () => page.view.drawOver(),
+    over: page.over, title: () => page.mapTitle(), keys: () => legendKeys(page), files: [["CSV", "csv", () => page.mapTable()]],
+    click: (place) => {
+      const cell = page.view.at(...place), inside = page.view.patchAt(place);
+      if (inside) page.computing.beside(inside.at);
+      else if (cell) page.pick(cell);
+    }, zoomed: (zoom) => { page.view.drawOver(); page.zoomed(zoom); },
   });
   page.mapTools = tools;
   const figure = page.figure ? [el("section", { "aria-label": "Plots of the analysis" }, page.figure.element)] : [];
@@ -40,14 +48,24 @@ export function layOut(page) {
   page.theme = el("button", { type: "button", class: "vx-theme", onclick: () => page.switchScheme() });
   const computing = page.computing ? [page.computing.element] : [];
   const notes = data.notes.length ? [el("p", { class: "vx-notes", text: data.notes.join(". ") })] : [];
+  const sheet = el("section", { class: "vx-side vx-sheet", "aria-label": "The chosen cell" });
+  const turn = (name, texts) => el("button", { type: "button", text: texts[0], "aria-pressed": "false", onclick: (event) => {
+    const on = sheet.classList.toggle(name);
+    event.target.setAttribute("aria-pressed", `${on}`);
+    event.target.textContent = texts[Number(on)];
+    if (on) sheet.classList.remove(name === "vx-tall" ? "vx-closed" : "vx-tall");
+    page.redraw();
+  } });
+  sheet.append(el("div", { class: "vx-sheetbar" }, turn("vx-tall", ["Taller", "Lower"]), turn("vx-closed", ["Hide", "Show"])), ...computing, page.pins.element, page.side);
+  page.element.classList.toggle("vx-has-cell", Boolean(data.lanes) && !data.history);
   page.element.classList.add("vibrojax");
   page.element.classList.toggle("vx-still", !data.lanes && !data.history);
   page.element.replaceChildren(
     el("header", { class: "vx-head" }, el("div", {}, el("h1", { text: data.title || data.scene }), ...notes), page.theme),
     el("div", { class: "vx-main" },
       el("section", { class: "vx-left", "aria-label": "Map" }, ...(first ? [...figure, ...mapParts] : [...mapParts, ...figure])),
-      el("section", { class: "vx-side", "aria-label": "The chosen cell" }, ...computing, page.pins.element, page.side),
+      sheet,
       page.table),
     el("footer", { class: "vx-foot" }, el("p", { text: [data.scene, data.source].filter(Boolean).join(", ") }),
-      el("p", { text: HELP })));
+      el("p", { text: data.kind === "plots" ? PLOTS_HELP : HELP })));
 }

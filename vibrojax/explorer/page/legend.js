@@ -1,7 +1,7 @@
 // What the colours and lines of the map mean.
 import { el, explained } from "./dom.js";
 import { DASHES, drawBar } from "./map.js";
-import { inkOf, legible, numberText } from "./plots.js";
+import { inkOf, legible, numberText, ticks } from "./plots.js";
 
 /** Characters that look like the marks of special points. */
 const GLYPHS = { square: "■", circle: "●", diamond: "◆", triangle: "▲", bar: "|", cross: "×" };
@@ -70,6 +70,22 @@ function overItems(page) {
   const hides = page.variable.name === "regime" && page.grid.variables.has("hidden_motion");
   if (hides && [...plane(page)].some((cell) => page.grid.value("hidden_motion", cell) === 1))
     found.push(el("li", {}, el("span", { class: "vx-dot" }), "another start: same label, other motion"));
+  return found;
+}
+
+/** The entries of the legend of an exported map: its labels, or some values of its bar, and the lines over it. */
+export function legendKeys(page) {
+  const { grid } = page, variable = page.variable.inner ? grid.variables.get("regime") ?? page.variable : page.variable, found = [];
+  if (variable.flags) {
+    const there = new Set([...plane(page)].map((cell) => String(grid.value(variable.name, cell))));
+    for (const [flag, text] of Object.entries(variable.flags)) if (there.has(flag)) found.push({ text, colour: variable.colours[flag], shape: "patch" });
+  } else if (page.shown.y)
+    for (const value of ticks(variable.low, variable.high, 5, variable.log))
+      found.push({ text: `${numberText(value, 3)} ${variable.units}`.trim(), colour: grid.colour(variable, value / variable.factor, "#888888"), shape: "patch" });
+  const { curves } = page.data;
+  if (curves && page.shown.borders !== "off" && page.view.view.y)
+    for (const kind of new Set(curves.list.filter((one) => page.view.onPlane(one)).map((one) => one.kind)))
+      found.push({ text: kind, colour: curves.colours[kind] ?? "#222222", shape: "line", dash: DASHES[kind] });
   return found;
 }
 

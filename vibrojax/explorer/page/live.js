@@ -39,13 +39,15 @@ export function newest(ask, patience = 400) {
 
 /** The source of what `offered` says, by `ask(question, number)`, a promise of a block of one cell. */
 export function askingSource(offered, ask, patience) {
-  const asked = newest(async (question, number) => decodeCells(await ask(question, number))[0], patience);
+  const read = (question, answer) => (question.box ? JSON.parse(new TextDecoder().decode(answer)) : decodeCells(answer)[0]);
+  const asked = newest(async (question, number) => read(question, await ask(question, number)), patience);
   const source = {
     cell: (lane) => asked({ lane }),
     motion: (parameters, start) => asked({ parameters, start }),
     attach: (page) => new Computing(page, offered, source.motion),
   };
-  if (!offered.lanes) delete source.cell;
+  if (offered.lanes) source.box = (box, lane) => asked({ box, lane });
+  else delete source.cell;
   return source;
 }
 

@@ -62,9 +62,40 @@ export class MapView {
             mark(c, "circle", (x0 + x1) / 2, (y0 + y1) / 2, Math.min(1.8, Math.abs(x1 - x0) / 5), "#222222", "#FFFFFF");
         }
       }
+      this.drawPatch(c, sx, sy, x, y, variable, ink);
       this.drawRegion(c, sx, sy, x, y, ink);
       this.drawCurves(c, sx, sy, x, y);
     }, { grid: false });
+  }
+
+  /** The part of the map that was computed anew, over the cells of the dataset. */
+  drawPatch(c, sx, sy, x, y, variable, ink) {
+    const { patch } = this.view, values = patch?.variables.get(variable.name);
+    if (!values) return;
+    const [first, second] = Object.keys(patch.axes), count = patch.axes[second].length;
+    const ends = (way) => edgesOf({ ...way.column, values: patch.axes[way.axis.name], log: false }).edges;
+    const [across, up] = [ends(x), ends(y)];
+    patch.axes[x.axis.name].forEach((_, i) => patch.axes[y.axis.name].forEach((_, j) => {
+      const [p, q] = x.axis.name === first ? [i, j] : [j, i];
+      const [x0, x1, y0, y1] = [sx(across[i]), sx(across[i + 1]), sy(up[j]), sy(up[j + 1])].map(Math.floor);
+      c.fillStyle = this.grid.colour(variable, values[p * count + q], ink.undefined);
+      c.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
+    }));
+  }
+
+  /** Where a place is in the part that was computed anew: its coordinates by axis, and the variable's value. */
+  patchAt([px, py]) {
+    const { frame, view } = this, { patch, x, y, variable } = view, values = patch?.variables.get(variable.name);
+    if (!frame || !values) return null;
+    const at = {}, index = {};
+    for (const [way, value] of [[x, frame.x.inverse(px) / x.column.factor], [y, frame.y.inverse(py) / y.column.factor]]) {
+      const all = patch.axes[way.axis.name], step = (all.at(-1) - all[0]) / (all.length - 1), k = Math.round((value - all[0]) / step);
+      if (!(k >= 0 && k < all.length)) return null;
+      index[way.axis.name] = k;
+      at[way.axis.name] = all[k];
+    }
+    const [first, second] = Object.keys(patch.axes);
+    return { at, value: values[index[first] * patch.axes[second].length + index[second]] };
   }
 
   drawRegion(c, sx, sy, x, y, ink) {

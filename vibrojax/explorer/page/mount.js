@@ -129,7 +129,8 @@ class Page {
     if (!this.shown.x) { this.drawWhole(); return; }
     const x = this.direction(this.shown.x), y = this.direction(this.shown.y), { region, borders } = this.shown;
     this.element.querySelector(".vx-map").classList.toggle("vx-low", !y || (!y.column.numeric && y.axis.values.length < 4));
-    this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, borders: borders !== "off" && borders }, anew);
+    const patch = this.patch?.at === this.facetKey() ? this.patch : null;
+    this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, patch, borders: borders !== "off" && borders }, anew);
     if (anew) drawLegend(this);
     this.figure?.draw();
     drawSlices(this);
@@ -272,6 +273,15 @@ class Page {
 
   /** The chosen cell, or the point beside it, in words. */
   titleOf() { return this.point?.title || this.grid.cellText(this.cell, this.named) || "The motion"; }
+
+  /** The place of a map along the axes that it does not run along. */
+  facetKey() { return JSON.stringify([this.shown.x, this.shown.y, ...Object.keys(this.cell).sort().filter((name) => ![this.shown.x, this.shown.y].includes(name)).map((name) => this.cell[name])]); }
+
+  /** A source that computes gives the part of the map that is zoomed into, once the zoom has rested. */
+  zoomed(zoom) {
+    clearTimeout(this.resting);
+    if (this.computing) this.resting = setTimeout(() => this.computing.box(zoom), 400);
+  }
 
   /** What the map shows, in words. */
   mapTitle() {

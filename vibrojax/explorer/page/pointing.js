@@ -7,14 +7,16 @@ const WAYS = {
   Home: [-1e9, 0], End: [1e9, 0], PageUp: [0, 1e9], PageDown: [0, -1e9],
 };
 
+const placeText = (page, at) => Object.entries(at).map(([name, value]) => page.grid.coordinateText({ ...page.grid.axes.get(name), values: [value] }, 0)).join(", ");
+
 /** Say in a tip what stands at a cell, at a place of the map; null: the tip goes. */
 function hover(page, cell, place) {
   page.view.drawOver(cell);
   page.tip.hidden = !cell;
   if (!cell) return;
-  const value = page.grid.valueText(page.variable, page.grid.value(page.variable.name, cell));
+  const inside = place && page.view.patchAt(place), value = page.grid.valueText(page.variable, inside ? inside.value : page.grid.value(page.variable.name, cell));
   const names = page.view.namesAt(place, cell).map((name) => el("b", { text: name }));
-  page.tip.replaceChildren(...names, el("b", { text: value }), el("span", { text: page.grid.cellText(cell, page.variable.axes) }));
+  page.tip.replaceChildren(...names, el("b", { text: value }), el("span", { text: inside ? placeText(page, inside.at) : page.grid.cellText(cell, page.variable.axes) }));
   const box = page.over.getBoundingClientRect(), wide = page.tip.offsetWidth;
   page.tip.style.left = `${Math.max(0, Math.min(place[0] + 14, box.width - wide - 4))}px`;
   page.tip.style.top = `${place[1] > box.height / 2 ? place[1] - page.tip.offsetHeight - 12 : place[1] + 16}px`;

@@ -10,15 +10,24 @@ export function drawSlices(page) {
   const x = page.direction(page.shown.x), y = page.direction(page.shown.y), { slices } = page;
   const wanted = y && x.column === x.axis ? [x, y] : [];
   if (slices.childElementCount !== wanted.length)
-    slices.replaceChildren(...wanted.map((_, k) => el("figure", {}, el("figcaption"),
-      el("canvas", { class: "vx-slice", role: "img", "data-slice": k }))));
+    slices.replaceChildren(...wanted.map((_, k) => sliceFigure(k)));
   wanted.forEach((direction, k) => drawSlice(page, slices.children[k], direction, wanted[1 - k]));
 }
 
+/** A figure whose `slice` {title, draw, click, table} is what it shows now. */
+function sliceFigure(k) {
+  const canvas = el("canvas", { class: "vx-slice", role: "img", "data-slice": k }), title = el("span"), figure = el("figure", { class: "vx-panel" });
+  const tools = interactive(canvas, (paper) => figure.slice.draw(paper), {
+    title: () => figure.slice?.title ?? `slice ${k + 1}`, files: [["CSV", "csv", () => csvOf(figure.slice.table)]], click: (place) => figure.slice.click(place),
+  });
+  figure.append(el("figcaption", {}, title, tools.menu), el("div", { class: "vx-stack" }, canvas, tools.band));
+  return figure;
+}
+
 function drawSlice(page, figure, direction, other) {
-  const { variable, grid } = page, { column } = direction, canvas = figure.querySelector("canvas"), ink = inkOf(canvas);
-  const at = grid.coordinateText(other.column, page.cell[other.axis.name]);
-  figure.querySelector("figcaption").textContent = `${variable.name.replaceAll("_", " ")} at ${at}`;
+  const { variable, grid } = page, { column } = direction, canvas = figure.querySelector("canvas");
+  const at = grid.coordinateText(other.column, page.cell[other.axis.name]), title = `${variable.name.replaceAll("_", " ")} at ${at}`;
+  figure.querySelector("figcaption span").textContent = title;
   canvas.setAttribute("aria-label", `${variable.label} along ${column.label} at ${at}`);
   const xs = column.numeric ? column.values.map((v) => v * column.factor) : column.values.map((_, i) => i);
   const cells = xs.map((_, i) => ({ ...page.cell, [direction.axis.name]: i })), values = cells.map((cell) => grid.value(variable.name, cell));
@@ -29,7 +38,7 @@ function drawSlice(page, figure, direction, other) {
     : { ...limitsAndTicks(ys), label: variable.units };
   const named = column.numeric ? undefined : column.values.map((text, i) => [i, text]);
   const right = { limits: limitsOf([xs], 0.02), label: column.symbol, log: column.log, ticks: named };
-  const frame = framed(canvas, ink, right, up, (c, sx, sy, box) => {
+  const draw = (paper, ink = inkOf(paper)) => framed(paper, ink, right, up, (c, sx, sy, box) => {
     const size = Math.max(1.6, Math.min(2.6, (box.right - box.left) / xs.length / 2));  // a rim would hide the colour of many
     if (!variable.flags) line(c, xs, ys, sx, sy, ink.faint, 1.2);
     xs.forEach((value, i) => {
@@ -44,13 +53,16 @@ function drawSlice(page, figure, direction, other) {
     c.stroke();
     c.setLineDash([]);
   }, { empty: !ys.some(Number.isFinite) });
-  canvas.onclick = (event) => {
+  const click = ([px]) => {
+    const { frame } = canvas;
     if (!frame) return;
-    const px = event.clientX - canvas.getBoundingClientRect().left;
     let best = 0;
     xs.forEach((value, i) => { if (Math.abs(frame.x(value) - px) < Math.abs(frame.x(xs[best]) - px)) best = i; });
     page.pick(cells[best]);
   };
+  const table = { [column.name]: column.values, [variable.name]: values.map((value) => (variable.flags ? variable.flags[value] ?? value : value)) };
+  figure.slice = { title, draw, click, table };
+  draw(canvas);
 }
 
 /** Draw a trajectory from its beginning, a plot for each unit and one for the hole, into a page's element. */
