@@ -16,6 +16,8 @@ from fingerprint import fingerprint  # noqa: E402
 import vibrojax  # noqa: E402
 
 os.environ.setdefault("MPLBACKEND", "agg")
+# Two notebooks at once leave no core for threads of linear algebra, which wait for one another in a busy loop.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 project = "vibrojax"
 author = "The vibrojax authors"

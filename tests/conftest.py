@@ -12,7 +12,12 @@ CACHES = ("JAX_COMPILATION_CACHE_DIR", "VIBROJAX_CACHE")
 
 FOR_CACHES = {name: tempfile.mkdtemp(prefix="vibrojax-tests-") for name in CACHES if name not in os.environ}
 os.environ |= FOR_CACHES
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 atexit.register(lambda: [shutil.rmtree(folder, ignore_errors=True) for folder in FOR_CACHES.values()])
+
+# Threads of linear algebra wait for one another in a busy loop, which where cores are shared takes forty times as long
+# as the work. (Workers of pytest-xdist and commands begin with this; numpy is here already where there is one process.)
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 if tuple(int(part) for part in version("jax").split(".")[:3]) < (0, 11, 2):
     # As `vibrojax.compile.xla` does for the package's own programs: those that tests compile for themselves

@@ -22,6 +22,7 @@ from peers.simd import Simd, Steps
 from peers.table import table
 
 SETTLE, OBSERVE = 1.2, 1.0  # s
+pytestmark = pytest.mark.long
 POINTS = Points(*np.array([(0.4, 0.7, 1.2, -0.004), (0.25, 0.6, 0.7, 0.0015)]).T)
 """Both strike, stick and slip; the first one starts inside the contact, the second one lets go within contact."""
 

@@ -93,6 +93,7 @@ def test_every_cell_at_a_border_is_beside_a_curve(sweep, borders, delta):
     assert cells_away_from_curves(sweep, borders, delta, "stuck") == []
 
 
+@pytest.mark.long
 def test_the_default_map():
     """What the README says of it; and where the source's best region ends."""
     sweep = vj.run_sweep(vj.read_sweep("regime-map", ["run.orbits=true"]), progress=False)

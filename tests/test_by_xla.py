@@ -26,7 +26,7 @@ def no_kernels(monkeypatch):
     monkeypatch.setattr(compiler, "trusted_kernel", run)
 
 
-@pytest.mark.parametrize("scene", SWEEPS)
+@pytest.mark.parametrize("scene", [pytest.param("vibro-impact", marks=pytest.mark.long), "penetration"])
 def test_as_by_kernels(scene, request):
     """Every label, and what repeats to the roundings' growth."""
     sweep = {"scene": scene, "grid": SWEEPS[scene], "run": RUN if scene == "vibro-impact" else {}}

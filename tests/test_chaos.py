@@ -40,6 +40,7 @@ def irregular(grid):
     return sweep, values, states[:, 0].T, scale.T
 
 
+@pytest.mark.long
 def test_lorenz():
     """0.9056 (Sprott, Chaos and Time-Series Analysis, 2003), here the mean of 64 lanes; through the same code."""
     starts = {"sample": "random", "count": 64, "seed": 0, "box": {"x": [1, 10], "y": [1, 10], "w": [-10, 10]}}

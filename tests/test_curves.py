@@ -127,6 +127,7 @@ def joined(w):
     return a, w, oscillator_orbits(a * (1 + 1e-12), R, w, **FIXED)[-1].section
 
 
+@pytest.mark.long
 def test_stops_against_friction_follow_the_published_boundary():
     """The two-parameter diagram of Den Hartog (1931), with viscous damping of Shaw (1986)."""
     begins = friction_stops(1.5, 0.1)
@@ -143,6 +144,7 @@ def test_stops_against_friction_follow_the_published_boundary():
     assert friction_stops(1.5, 0.0) == pytest.approx(0.8 / np.hypot(np.sqrt(3) / 1.5, 1 / 2.25), rel=1e-12)
 
 
+@pytest.mark.long
 def test_a_cascade_of_doublings_keeps_the_ratio_of_feigenbaum():
     cascade = vj.follow(
         IMPACT_OSCILLATOR,

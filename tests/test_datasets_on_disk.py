@@ -59,7 +59,7 @@ def test_datasets_of_earlier_versions_stay_readable(path, capsys, tmp_path):
         with jax.numpy_dtype_promotion("standard"):
             assert "rock=granite" in told(capsys, "fit", path, "-o", tmp_path / "law.nc")
         with xr.open_dataset(tmp_path / "law.nc") as fit, xr.open_dataset(path.with_name("law.nc")) as kept:
-            np.testing.assert_allclose(fit.C.values, kept.C.values, rtol=1e-6)
+            np.testing.assert_allclose(fit.C.sel(form=kept.form).values, kept.C.values, rtol=1e-6)
 
 
 @pytest.mark.parametrize("path", KEPT, ids=lambda path: f"{path.parent.name}-{path.stem}")

@@ -85,6 +85,7 @@ def test_at_random_points_they_are_the_exact_slopes():
         np.testing.assert_allclose(found.derivative.values[index][known], slopes[known], rtol=2e-6)
 
 
+@pytest.mark.long
 def test_a_jacobian_of_ones_own_goes_through_the_pure_function():
     """Of the scene with the fewest events, whose program XLA compiles soonest."""
     scene = SCENES["rotary"]()

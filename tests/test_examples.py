@@ -53,6 +53,7 @@ def complaints(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", vj.__all__)
+@pytest.mark.long
 def test_the_example_runs(name, complaints):
     assert not complaints[name], complaints[name]
 

@@ -53,6 +53,7 @@ def test_a_script_is_short(script):
 
 
 @pytest.mark.parametrize("script", RUN, ids=lambda script: script.stem)
+@pytest.mark.long
 def test_a_script_leaves_one_picture(script, made):
     (picture,) = (made / script.stem).iterdir()
     assert picture.name == f"{script.stem}.png"

@@ -12,9 +12,19 @@ import vibrojax as vj
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = ROOT / "notebooks"
-PAGES = ("start", "machine", "regimes", "accuracy", "orbits_and_borders", "attractors", "rock_and_law", "your_own")
+PAGES = (
+    "start",
+    "machine",
+    "regimes",
+    "accuracy",
+    "orbits_and_borders",
+    "attractors",
+    "rock_and_law",
+    "rig_log",
+    "your_own",
+)
 PAGES += ("gradients", "design", "studies", "limits", "comparison", "gallery", "how_it_works", "interactive_page")
-PAGES += ("reliability", "structure")
+PAGES += ("reliability", "structure", "calibration")
 FENCE = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 START = {match["info"]: match["text"] for match in FENCE.finditer((NOTEBOOKS / "start.md").read_text())}
 

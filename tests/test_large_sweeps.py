@@ -11,6 +11,8 @@ import pytest
 
 import vibrojax as vj
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(\w+) (file|run)=(\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 BLOCKS = {name: text for _, _, name, text in BLOCK.findall((ROOT / "notebooks/large_sweeps.md").read_text())}

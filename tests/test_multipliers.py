@@ -8,7 +8,7 @@ from random_orbits import drawn, in_upper_half, off_by_differences, off_by_volum
 import vibrojax as vj
 
 
-@pytest.mark.parametrize(("law", "seed"), [("stribeck", 2), ("hyperbolic", 3)])
+@pytest.mark.parametrize(("law", "seed"), [("stribeck", 2), pytest.param("hyperbolic", 3, marks=pytest.mark.long)])
 def test_at_random_points(law, seed):
     """Central differences are themselves off by some 1e-8. Volumes: most saltations that change them are of a bit that
     turns without sticking, because there friction changes its sign; a missing one would show as a part like 0.01."""

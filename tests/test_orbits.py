@@ -94,6 +94,7 @@ def test_what_the_rock_adds():
     assert (np.abs(coupled.multiplier_abs.values[..., :3] - drill.multiplier_abs.values) > 1e-3).any()
 
 
+@pytest.mark.long
 def test_rock_that_acts_back_against_the_exact_motion():
     """Five states, by central differences; rock so light-damped that its motion has not died out by the next blow. It
     yields in the second, which makes a multiplier zero."""

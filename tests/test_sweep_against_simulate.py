@@ -49,8 +49,15 @@ def section_times(motion) -> np.ndarray:
     return times[times > SETTLE]
 
 
-@pytest.mark.parametrize("law", list(FRICTION_LAWS))
-@pytest.mark.parametrize("scene", DRILLS)
+def combinations():
+    """Every drill and every law; those of a drill and a law that others here have are long."""
+    for scene in DRILLS:
+        for law in FRICTION_LAWS:
+            met = scene != "vibro-impact" and law != "stribeck"
+            yield pytest.param(scene, law, marks=[pytest.mark.long] * met)
+
+
+@pytest.mark.parametrize(("scene", "law"), list(combinations()))
 def test_drill(scene, law):
     """Every return to the section comes at its time, and the hole has grown as much in between."""
     dataset = swept(scene, columns(scene), {"keep_returns": 25}, friction=law)

@@ -69,6 +69,7 @@ def test_the_impact_oscillator_doubles_and_grazes_at_its_closed_forms():
     assert special(free, "grazing") == pytest.approx([GRAZE], rel=1e-8)
 
 
+@pytest.mark.long
 def test_the_ball_on_a_shaken_table_appears_and_doubles():
     w, g = 2 * np.pi, 9.81
     low, high = ball_appears(0.5), ball_doubles(0.5)

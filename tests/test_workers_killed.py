@@ -32,7 +32,10 @@ end_early = false
 chunk = 2
 """
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for processes where Linux has them")
+pytestmark = [
+    pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for processes where Linux has them"),
+    pytest.mark.long,
+]
 
 
 @pytest.fixture

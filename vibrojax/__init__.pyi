@@ -7,6 +7,7 @@ from vibrojax.analyses.analysis import SummaryPart as SummaryPart
 from vibrojax.analyses.analysis import analyse as analyse
 from vibrojax.analyses.attractors.run import attractors as attractors
 from vibrojax.analyses.borders.run import borders as borders
+from vibrojax.analyses.calibration.run import calibrate as calibrate
 from vibrojax.analyses.catalogue import list_parameters as list_parameters
 from vibrojax.analyses.catalogue import list_scenes as list_scenes
 from vibrojax.analyses.catalogue import list_settings as list_settings
@@ -35,6 +36,7 @@ from vibrojax.explorer import write_page as write_page
 from vibrojax.explorer.write import explore as explore
 from vibrojax.io.dataset import open_dataset as open_dataset
 from vibrojax.io.dataset import write_dataset as write_dataset
+from vibrojax.io.riglog.log import read_log as read_log
 from vibrojax.io.variables import Variable as Variable
 from vibrojax.measures import Gauge as Gauge
 from vibrojax.models.physics import contact as contact

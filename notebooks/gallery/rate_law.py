@@ -1,4 +1,4 @@
-"""Five forms of the rate-of-penetration law, fitted to the same lanes along the force."""
+"""Six forms of the rate-of-penetration law, fitted to the same lanes along the force."""
 
 import vibrojax as vj
 

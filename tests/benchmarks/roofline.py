@@ -1,155 +1,169 @@
-"""Where the time of a step goes: operations and bytes of a step, what the processor could do, and lanes that wait.
+"""What limits a time step: operations and accesses of the compiled loops, waiting lanes, and the bound they give.
 
     python tests/benchmarks/roofline.py
 
-A printout, not a test: nothing is asserted. It takes half a minute. Instructions and bytes are counted in the
-assembly of the time loop, which has no branches except its loops. The rates of the processor are measured with
-kernels of one kind of operation each. Times are processor times of one thread.
+A printout, not a test: nothing is asserted. It needs objdump. With numba, it also runs the loop that is compiled for
+this one scene, on the same lanes in turns. All times are processor times of one thread.
 """
 
+import os
+
+os.environ["VIBROJAX_THREADS"] = "1"
+
 import re
+import statistics
+import subprocess
+import tempfile
 import time
 from collections import Counter
-from statistics import median
+from pathlib import Path
 
-import jax
-import jax.numpy as jnp
-import llvmlite.binding as llvm
+import lane_steps
 import numpy as np
-from lane_steps import sweep
+from peers.lanes import box, columns
+from peers.numba_loop import NumbaTaylor, Series, numba
 
 from vibrojax.compile.kernels import native
-from vibrojax.compile.xla import precision
-from vibrojax.measures.recorder import STEPS_PER_PASS
+from vibrojax.measures.recorder import STEPS_PER_PASS, STEPS_PER_TURN
 from vibrojax.stepping.polynomial import ROOT_ITERATIONS
-from vibrojax.sweep.engine.batch import Engine
 from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.engine.compiler import KERNEL_REGISTERS
+from vibrojax.sweep.engine.programs import observe_lanes, settle_lanes
+from vibrojax.sweep.input.read import read_sweep
+
+REPEATS, LANES = 5, 2048
+SETTLE, OBSERVE = 12.0, 4.0  # s
+STRIDES = (1.6, 1.2, 0.7)
+VECTOR_PORTS, DIVISION = 2, {64: 16, 32: 8, 16: 4}
+"""Vector operations that start per cycle, and cycles of a division of doubles by the bytes of the vector, on Intel's
+processors since Ice Lake (uops.info)."""
 
 KINDS = {
-    "divide": r"vdivp",
-    "square root": r"vsqrtp",
-    "move": r"vmov|vbroadcast|kmov|vgather|vscatter",
-    "other": r"v|k",
+    "products and sums": r"vf(n)?m(add|sub)|v(add|sub|mul)[ps]",
+    "divisions and roots": r"v(div|sqrt)p",
+    "comparisons, choices, masks": r"v(cmp|min|max|blend|range|pcmp|ptest)|k(and|or|not|xor|unpck|shift|mov)",
+    "other vector operations": r"v(?!mov|broadcast)",
 }
-"""Instructions by the beginning of their names; the first kind that fits counts."""
-
-LANES, REPEATS, CHAINS, TURNS = 4096, 5, 16, 2000
 
 
-def assembly(kernel: native.Kernel) -> list[str]:
-    """The assembly of a kernel, line by line."""
-    machine, module = native._machine(), llvm.parse_assembly(kernel.text.text)
-    passes = llvm.create_new_module_pass_manager()
-    for name in native.PASSES:
-        getattr(passes, f"add_{name}_pass")()
-    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2)))
-    return machine.emit_assembly(module).splitlines()
+def loops(code: bytes) -> list[tuple[int, list[tuple[str, str]]]]:
+    """Return the loops of a kernel in the order of their code: address and instructions with their operands."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "kernel.o"
+        path.write_bytes(code)
+        text = subprocess.run(["objdump", "-d", "--no-show-raw-insn", path], capture_output=True, text=True, check=True)
+    body = text.stdout.split("<lanes>:")[0]
+    lines = [(int(a, 16), op, rest) for a, op, rest in re.findall(r"^\s*([0-9a-f]+):\s+(\S+)\s*(.*)$", body, re.M)]
+    jumps = [(a, int(rest.split()[0], 16)) for a, op, rest in lines if op.startswith("j") and "<group" in rest]
+    backwards = [(target, a) for a, target in jumps if target < a]
+    return [(first, [(op, rest) for a, op, rest in lines if first <= a <= last]) for first, last in sorted(backwards)]
 
 
-def step_of(kernel: native.Kernel) -> Counter:
-    """Instructions on vectors of a step of a group of lanes by kind, and its bytes read and written.
-
-    The time loop is a loop of passes of `STEPS_PER_PASS` steps, each of which has a loop that searches for roots.
-    """
-    lines, labels, loops = assembly(kernel), {}, {}
-    counts = [Counter()]
-    for number, line in enumerate(lines):
-        if label := re.match(r"(\.LBB\w+):", line):
-            labels[label[1]] = number
-        jump = re.search(r"\sj\w+\s+(\.LBB\w+)", line)
-        if jump and jump[1] in labels:
-            loops[labels[jump[1]]] = number
-        register, word = re.search(r"%(zmm|ymm|xmm)\d", line), line.strip().split("\t")[0]
-        more: Counter = Counter()
-        if register:
-            more[next((kind for kind, names in KINDS.items() if re.match(names, word)), "other")] = 1
-            if "(" in line:
-                more["bytes"] = 8 if "1to" in line else {"zmm": 64, "ymm": 32, "xmm": 16}[register[1]]
-        counts.append(counts[-1] + more)
-    whole, step, turn = (
-        Counter({kind: counts[end][kind] - counts[begin][kind] for kind in counts[end]})
-        for begin, end in sorted(loops.items())[:3]
-    )
-    return Counter(
-        {
-            kind: (whole[kind] - step[kind]) / STEPS_PER_PASS + step[kind] + (ROOT_ITERATIONS - 1) * turn[kind]
-            for kind in whole
-        }
-    )
+def operations(instructions: list[tuple[str, str]]) -> Counter:
+    counts: Counter = Counter()
+    for op, rest in instructions:
+        kind = next((kind for kind, pattern in KINDS.items() if re.match(pattern, op)), None)
+        counts[kind or "other"] += 1
+        counts["accesses"] += "(" in rest and not op.startswith("lea")
+    return counts
 
 
-def rate(operation) -> float:
-    """Operations of one kind on a lane's numbers per second of a core."""
+def per_step(kernel: native.Kernel, steps: int) -> Counter:
+    """Return the operations of a group's step, with its share of the outer loop and all of Newton's iterations."""
+    (_, outer), (_, step), (_, newton), *_ = loops(native._object_code(kernel.text.text))
+    counts = [operations(part) for part in (outer, step, newton)]
 
-    def repeated(x: jax.Array) -> jax.Array:
-        chains = tuple(x + k for k in range(CHAINS))
-        return sum(jax.lax.fori_loop(0, TURNS, lambda _, each: tuple(operation(y) for y in each), chains))
+    def total(name: str) -> float:
+        outside, inside, iteration = (count[name] for count in counts)
+        return (outside - inside) / steps + inside + (ROOT_ITERATIONS - 1) * iteration
 
-    x = np.linspace(1.0, 2.0, 1024)
-    with precision("float64"):
-        kernel = native.Kernel(repeated, x)
-    seconds = []
-    for _ in range(REPEATS):
-        began = time.thread_time()
-        kernel(x)
-        seconds.append(time.thread_time() - began)
-    return len(x) * CHAINS * TURNS / min(seconds)
+    return Counter({name: total(name) for name in set().union(*counts)})  # type: ignore[arg-type]
 
 
-def main() -> None:
-    rates = {
-        "other": rate(lambda y: y * 0.999 + 0.001),  # one instruction
-        "divide": rate(lambda y: 1.5 / y),
-        "square root": rate(jnp.sqrt),
-    }
-    rates = {kind: x / 1e9 for kind, x in rates.items()}
-    print("instructions per ns of a core, times lanes: " + ", ".join(f"{kind} {x:.2f}" for kind, x in rates.items()))
-    chunks = Chunks(sweep(LANES, {"error": 1e-4}))
-    chunks.engine.workers = chunks.engine.workers[:1]
+def timed(work):
+    began = time.process_time()
+    result = work()
+    return time.process_time() - began, result
+
+
+def waiting(recent: np.ndarray, order: np.ndarray, width: int) -> float:
+    """Return the share of a kernel's lane-steps in which a lane only waits for the slowest of its group."""
+    groups = recent[order][: len(order) // width * width].reshape(-1, width)
+    return 1 - groups.sum() / (groups.max(axis=1) * width).sum()
+
+
+def kernels() -> None:
+    """Print both loops' operations, their bound, and the measured cost."""
+    chunks = Chunks(lane_steps.sweep(LANES, {"method": "located", "error": 1e-2}))
+    engine = chunks.engine
     chunks.compile()
-    time.sleep(1.0)
-    spent, used, done = Counter(), Counter(), Counter()
-    code = {}
-    original = Engine._run
-
-    def run(self, batches, program, report=lambda _: None):
-        before = [None if b.underway is None else b.underway.steps for b in batches]
-        began = time.process_time()
-        results = original(self, batches, program, report)
-        for batch, first, result in zip(batches, before, results, strict=True):
-            if first is None:
-                continue
-            kind = "observe" if isinstance(result, dict) else "settle"
-            steps = (result["steps"] if kind == "observe" else result.steps) - first
-            bound = program(batch)
-            code[kind], width = bound._kernel, bound._kernel.width
-            for _, lanes in self._calls(bound, batch):
-                groups = [steps[lanes[k : k + width]] for k in range(0, len(lanes), width)]
-                done[kind] += sum(width * STEPS_PER_PASS * -(-int(x.max()) // STEPS_PER_PASS) for x in groups)
-                used[kind] += int(sum(x.sum() for x in groups))
-            spent[kind] += time.process_time() - began
-        return results
-
-    shares: dict[str, list[float]] = {}
+    engine.observe([engine.settle([engine.start(0, LANES, chunks.accuracy)])[0]])
+    rows: dict[str, list[tuple[float, float, float]]] = {"settle": [], "observe": []}
+    group = max(KERNEL_REGISTERS.values()) * native.vector_bytes() // 8
     for _ in range(REPEATS):
-        began = time.process_time()
-        chunks.at(chunks.accuracy)
-        shares.setdefault("all", []).append(time.process_time() - began)
-    Engine._run = run
+        batch = engine.settle([engine.start(0, LANES, chunks.accuracy)], SETTLE / 4)[0]  # lanes are then sorted by pace
+        order, before = np.argsort(-batch.recent, kind="stable"), batch.underway.steps.sum()
+        seconds, [batch] = timed(lambda batch=batch: engine.settle([batch]))
+        rows["settle"].append((seconds, batch.underway.steps.sum() - before, waiting(batch.recent, order, group)))
+        order, before = np.argsort(-batch.recent, kind="stable"), batch.underway.steps
+        seconds, [features] = timed(lambda batch=batch: engine.observe([batch]))
+        steps = features["steps"] - before
+        rows["observe"].append((seconds, steps.sum(), waiting(steps, order, native.vector_bytes() // 8)))
+    by_function = {key[0]: kernel for key, kernel in native.kernels.items()}
+    for name, function, turn in (
+        ("settle", settle_lanes, STEPS_PER_PASS),
+        ("observe", observe_lanes, STEPS_PER_TURN),
+    ):
+        kernel = by_function[function]
+        counts, width = per_step(kernel, turn), kernel.width
+        vectors = sum(counts[kind] for kind in KINDS)
+        divisions = counts["divisions and roots"] * DIVISION[native.vector_bytes()]
+        seconds, steps, idle = (statistics.median(x) for x in zip(*rows[name], strict=True))
+        print(f"{name}: groups of {width} lanes")
+        for kind in KINDS:
+            print(f"  {kind:<30}{counts[kind] / width:>8.1f} instructions per lane-step")
+        print(f"  {'memory accesses':<30}{counts['accesses'] / width:>8.1f}")
+        ports = vectors / VECTOR_PORTS
+        print(f"  bound by vector ports {ports / width:.0f} cycles, by divisions {divisions / width:.0f}")
+        print(f"  workspace {kernel.text.fixed / 1024:.0f} KiB and {kernel.text.per_lane} bytes per lane of a call")
+        print(f"  measured {1e9 * seconds / steps:.1f} ns per lane-step, {idle:.0%} of it waiting for the group\n")
+
+
+def loop() -> None:
+    """Print the time of the loop compiled for this scene and ours, without certificate, on the same lanes."""
+    points = box()[np.arange(LANES)]
+    run = {"error": 1e-1, "settle": SETTLE, "observe": OBSERVE, "chunk": LANES}
+    chunks = Chunks(read_sweep({"scene": "vibro-impact", "points": columns(points), "run": run}))
+    chunks.compile()
+    numba.set_num_threads(1)
+    peer, programs = NumbaTaylor(), {}
+    for stride in STRIDES:
+        programs[stride] = peer.program_of(Series(8, stride))
+        programs[stride][0](*points[np.arange(2)].columns, 0.01, 0.01, stride)
     chunks.at(chunks.accuracy)
-    Engine._run = original
-    for kind, kernel in code.items():
-        each = 1e9 * spent[kind] / done[kind]
-        print(f"\n{kind}: {kernel.width} lanes a group, {used[kind]:,} steps")
-        print(f"  ns per step {1e9 * spent[kind] / used[kind]:.0f}, with those of waiting lanes {each:.0f}")
-        print(f"  steps of lanes that do not wait: {used[kind] / done[kind]:.0%}")
-        numbers = step_of(kernel)
-        for name in (*KINDS, "bytes"):
-            number = numbers[name] * (native.vector_bytes() / 8 if name != "bytes" else 1) / kernel.width
-            text = f", at least {number / rates[name]:.0f} ns" if name in rates else f", {number / each:.0f} a ns"
-            print(f"  {name}: {number:.0f} a step{text}")
-    print(f"\nall: {1e9 * median(shares['all']) / sum(used.values()):.0f} ns per step")
+    times: dict[str, list[float]] = {}
+    steps: dict[str, float] = {}
+    for _ in range(REPEATS):
+        seconds, features = timed(lambda: chunks.at(chunks.accuracy))
+        times.setdefault("here", []).append(seconds)
+        steps["here"] = features["steps"].sum()
+        for stride, (program, value) in programs.items():
+            name = f"loop, stride {stride}"
+            arguments = (*points.columns, SETTLE, OBSERVE, value)
+            seconds, table = timed(lambda program=program, arguments=arguments: program(*arguments))
+            times.setdefault(name, []).append(seconds)
+            steps[name] = table[:, 2].sum()
+    lane_seconds = LANES * (SETTLE + OBSERVE)
+    for name, seconds in times.items():
+        median = statistics.median(seconds)
+        ratio, rate = statistics.median(times["here"]) / median, steps[name] / lane_seconds
+        cost = f"{1e6 * median / lane_seconds:.2f} µs per lane-second, {1e9 * median / steps[name]:.0f} ns per step"
+        print(f"{name:<18}{cost}, {rate:.1f} steps per second, ratio {ratio:.2f}")
 
 
 if __name__ == "__main__":
-    main()
+    kernels()
+    if numba is None:
+        print("the compiled loop: numba is not installed")
+    else:
+        loop()

@@ -9,12 +9,12 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law.columns import read_columns, split_unit
 from vibrojax.analyses.rop_law.joint import fit_joint
 from vibrojax.analyses.rop_law.results import recommended, verdict
 from vibrojax.analyses.rop_law.rop import fit_rop
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.io.riglog.columns import read_columns, split_unit
 from vibrojax.models.physics.units import factor, is_unit
 
 C, ETA0, D = 1.2e-3, 0.08, 150e3
@@ -56,7 +56,8 @@ def test_a_fit_says_what_it_took_and_in_which_unit(tmp_path, capsys, monkeypatch
     words = ["rate_of_penetration=ROP (m/h)", "mean_force=WOB", "threshold=D"]
     for argv in (["fit", "rig.csv", "--columns", *words], ["fit", "--columns", *words, "rig.csv"]):
         assert main([*argv, "--fresh"]) == 0
-        assert capsys.readouterr().out.splitlines()[:3] == [
+        assert capsys.readouterr().out.splitlines()[:4] == [
+            'dialect generic: "ROP [m/h]" is a known name with a unit',
             'rate_of_penetration: column "ROP [m/h]", in m/h',
             'mean_force: column "WOB_kN", in kN',
             'threshold: column "D", taken as N, since it names no unit',
@@ -104,19 +105,19 @@ def test_parameters_are_converted_too_and_stay_coordinates(tmp_path):
         ("ROP,WOB", {"relief": 3}, "columns: relief: 3 is not a column; write one with its unit"),
         ("ROP,rate_of_penetration", {"rate_of_penetration": "ROP"}, 'the file has a column "rate_of_penetration" too'),
         (
-            "ROP (m/h),WOB_kN",
+            "Rate (m/h),WOB_kN",
             {},
-            'missing; if "ROP (m/h)" is it, rename it, or name it: --columns rate_of_penetration=',
+            'missing; if "Rate (m/h)" is it, rename it, or name it: --columns rate_of_penetration=',
         ),
         (
-            "ROP (m/h),WOB_kN",
+            "ROP (m/h),Load_kN",
             {"rate_of_penetration": "ROP"},
-            'relief is missing, or mean_force and threshold; if "WOB_kN" is it, rename it, or name it: --columns m',
+            'mean_force [N] is missing, or relief; if "Load_kN" is it, rename it, or name it: --columns m',
         ),
         (
-            "ROP (m/h),WOB_kN",
-            {"rate_of_penetration": "ROP", "mean_force": "WOB"},
-            'or for all rows: --columns threshold="150 kN"',
+            "Rate (m/h),Load_kN",
+            {"rate_of_penetration": "Rate", "mean_force": "Load"},
+            'or for all rows: --columns threshold="150 kN", rock=granite or threshold=unknown',
         ),
     ],
 )

@@ -55,7 +55,7 @@ def refused(data, *arguments, fit=fit_rop, **named) -> str:
 
 def test_a_fit_has_variables_with_units_and_attributes():
     fit = vj.fit_rop(sweep(), progress=False)
-    assert list(fit.form.values) == ["literal", "percent", "onset", "line", "power"]
+    assert list(fit.form.values) == ["literal", "percent", "onset", "line", "power", "constant"]
     names = ["C", "C_stderr", "eta0", "eta0_stderr", "exponent", "r_squared", "aic", "used", "left_out"]
     assert set(names) < set(fit.data_vars)
     for name, variable in fit.variables.items():
@@ -75,7 +75,7 @@ def test_the_axis_is_frequency_or_v_or_what_is_asked():
     assert fit_rop(drill, progress=False).attrs["along"] == "v"
     assert fit_rop(sweep().rename(frequency="beta").isel(force=0), progress=False).attrs["along"] == "beta"
     across = fit_rop(sweep(), "force", progress=False)
-    assert across.C.sizes == {"frequency": 8, "form": 5} and (across.used == 2).all()
+    assert across.C.sizes == {"frequency": 8, "form": 6} and (across.used == 2).all()
     assert "fit_rop: along: missing; choose the axis to fit along from force, beta" in refused(
         sweep().rename(frequency="beta")
     )
@@ -114,7 +114,7 @@ def test_progress_is_one_line_on_stderr(capsys):
         (sweep().isel(frequency=[]), {}, "fit_rop: frequency: has no values, so there are no lanes"),
         (sweep(relief=("force", ["a", "b"])), {}, "fit_rop: relief: does not hold numbers"),
         (3, {}, "fit_rop: 3 is not data; give a dataset or a path"),
-        ("sweep.txt", {}, "sweep.txt: ends in neither .nc nor .csv"),
+        ("sweep.txt", {}, "sweep.txt: ends in neither .nc nor .csv nor .las"),
         ("no.nc", {}, "no.nc: there is no such file"),
         ("no.csv", {}, "no.csv: no such file"),
     ],
@@ -151,7 +151,7 @@ def test_rig_data_give_what_a_dataset_gives(tmp_path):
         rows("depth", "relief", "rate_of_penetration", depth="3 m", relief=RELIEF, rate_of_penetration=RATE)
     )
     fit = fit_rop(path, progress=False)
-    assert fit.C.sizes == {"form": 5} and fit.attrs["along"] == "point"
+    assert fit.C.sizes == {"form": 6} and fit.attrs["along"] == "point"
     expected = fit_rop(sweep().isel(force=0), progress=False)
     np.testing.assert_allclose(fit.C, expected.C, rtol=1e-12)
 
@@ -165,7 +165,8 @@ def test_a_data_frame_gives_what_its_csv_gives(tmp_path):
         for data in (tmp_path / "rig.csv", pd.DataFrame(table))
     )
     xr.testing.assert_equal(read, given)
-    assert refused(pd.DataFrame(table)).startswith("fit_rop: line 1: column rate_of_penetration [m/s] is missing")
+    unknown = pd.DataFrame(table).rename(columns={"ROP (m/h)": "Rate (m/h)"})
+    assert refused(unknown).startswith("fit_rop: line 1: column rate_of_penetration [m/s] is missing")
     assert refused([pd.DataFrame(table)]).startswith("fit_rop: [")
     assert refused(np.zeros((2, 2))) == "fit_rop: a ndarray is not data; give a dataset or a path"
 
@@ -261,7 +262,7 @@ def test_the_command_prints_tables_and_writes_the_fit(tmp_path, monkeypatch, cap
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "force=200000 N: 8 lanes along frequency"
     assert printed[1].split() == ["form", "C", "[m/s]", "eta0", "exponent", "R2", "AIC"]
-    assert printed[4].startswith("  onset    0.0013 ± ") and printed[8] == "force=300000 N: 8 lanes along frequency"
+    assert printed[4].startswith("  onset    0.0013 ± ") and printed[9] == "force=300000 N: 8 lanes along frequency"
     assert printed[printed.index("the log law holds in 2 of 2:") + 1].startswith(
         "  as onset, C ln(eta/eta0), in 2: R2 1"
     )
@@ -269,7 +270,7 @@ def test_the_command_prints_tables_and_writes_the_fit(tmp_path, monkeypatch, cap
     assert printed[-1] == "map-fit.nc; picture map-fit.png"
     stored = open_dataset("map-fit.nc")
     xr.testing.assert_allclose(stored, fit_rop("map.nc", progress=False))
-    assert list(stored.form.values) == ["literal", "percent", "onset", "line", "power"]
+    assert list(stored.form.values) == ["literal", "percent", "onset", "line", "power", "constant"]
     assert stored.reason.dtype == np.int8 and stored.attrs["Conventions"] == "CF-1.11"
     assert main(["info", "map-fit.nc"]) == 0
     assert "a sweep" in capsys.readouterr().out

@@ -101,6 +101,7 @@ def stiff():
     return run(Measured(), Located(), **VALUES)
 
 
+@pytest.mark.long
 def test_a_stiff_string_is_none(stiff):
     """With k4 >> k1 the motion is that of the vibro-impact scene: k1 and k4 in series are 1.6e-3 softer than k1."""
     scene = VibroImpact()

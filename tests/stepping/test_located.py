@@ -92,6 +92,7 @@ def test_order_through_stick_slip_and_impacts(order, strides):
 
 
 @pytest.mark.parametrize("law", ["popp-exponential", "popp-arctan", "hyperbolic-quadratic"])
+@pytest.mark.long
 def test_order_with_laws_that_are_no_polynomials(law):
     """The series' quotient, exponential and arc tangent, in a stretch of sliding without events, 0.1 s from u = v."""
     scene, strides = Rotary(FRICTION_LAWS[law]), np.array([0.5, 0.25, 0.125])

@@ -103,10 +103,10 @@ class Analysis:
     """Dimension of the analysis's datasets whose size the command prints."""
 
     view: ClassVar[str] = "map"
-    """View in the explorer: "map", "curves" (drawn over the map of a sweep), "families", "motion" or "none"."""
+    """View in the explorer: "map", "curves" (drawn over the map of a sweep), "families", "motion" or "plots".
 
-    no_view: ClassVar[str] = ""
-    """Reason why the explorer cannot show the analysis's datasets, if `view` is "none"."""
+    "plots" stands for the analysis's own picture and summary, which most other views show, too.
+    """
 
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
         """Analyse `source` and return the resulting dataset.
@@ -143,6 +143,18 @@ class Analysis:
         """Return the parts of a dataset's summary that are specific to this kind; `info` prints them."""
         return []
 
+    def page_figures(self, ds: xr.Dataset) -> Sequence["Figure"]:
+        """Return the figures that the explorer page shows of a dataset; by default its picture.
+
+        Lines, points, areas, bars and maps become plots with zoom, files and a cursor. A plot whose axis has the label
+        of an axis of the dataset selects its lanes.
+        """
+        return [self.picture(ds)]
+
+    def page_text(self, ds: xr.Dataset) -> Sequence[SummaryPart]:
+        """Return the texts that the explorer page shows of a dataset; by default its summary."""
+        return self.summary(ds)
+
     def dataset(self, variables: Mapping[Any, Any], coords: Mapping[Any, Any], **attributes: object) -> xr.Dataset:
         """Return a dataset of this kind with title, provenance and history; known variables get units and meanings.
 
@@ -178,6 +190,7 @@ _HOMES = {
     "tolerance": "tolerance.analysis:Tolerances",
     "design": "design.analysis:Designs",
     "study": "study.analysis:Studies",
+    "calibration": "calibration.analysis:Calibrations",
     "fit": "rop_law.picture:Fits",
     "accuracy": "accuracy.picture:AccuracyStudy",
     "derivatives": "sensitivity.run:Derivatives",

@@ -4,6 +4,7 @@ All tables are derived from the definitions that the simulation uses.
 """
 
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Any
 
 import jax
@@ -215,7 +216,8 @@ def _parameters_of_choices(names: Names) -> dict[str, dict[str, Parameter]]:
     }
 
 
-def _measured(scene: Scene[Any]) -> list[str]:
+@cache
+def _measured(scene: Scene[Any]) -> tuple[str, ...]:
     """Return the names of a scene's measured variables by tracing, without a simulation."""
 
     def run() -> Any:
@@ -227,7 +229,7 @@ def _measured(scene: Scene[Any]) -> list[str]:
         return run_block(scene, stepper, recorder_for(scene), constants, state, effort, 1.0, 1.0)
 
     with precision("float64"):
-        return [*jax.eval_shape(run), *derived_names(scene)]
+        return (*jax.eval_shape(run), *derived_names(scene))
 
 
 def _summary(kind: type) -> str:

@@ -25,7 +25,7 @@ from vibrojax.cli.command import Command, Options, either, flag
 from vibrojax.cli.datasets import explore, info, plot
 from vibrojax.cli.designs import design
 from vibrojax.cli.points import follow, push, scenes, simulate, tolerance
-from vibrojax.cli.studies import accuracy, fit, reproduce, study
+from vibrojax.cli.studies import accuracy, calibrate, fit, reproduce, study
 from vibrojax.cli.sweeps import sweep
 from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.provenance import package_version
@@ -66,6 +66,7 @@ _COMMANDS: dict[str, Command] = {
     "tolerance": tolerance,
     "design": design,
     "study": study,
+    "calibrate": calibrate,
     "plot": plot,
     "explore": explore,
     "info": info,

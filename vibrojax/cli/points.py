@@ -142,9 +142,9 @@ def follow(options: Options) -> None:
     from vibrojax.measures.ledger import MOST_CYCLES
 
     defaults = {"start": None, "settle": None, "observe": None, "cycles": MOST_CYCLES}
-    asked: dict[str, Any] = defaults | settings
-    asked |= {"span": (asked.pop("from"), asked.pop("to")), "cycles": whole(asked["cycles"])}
-    request = family_spec(options.scene, parameters=parameters, **asked)
+    arguments: dict[str, Any] = defaults | settings
+    arguments |= {"span": (arguments.pop("from"), arguments.pop("to")), "cycles": whole(arguments["cycles"])}
+    request = family_spec(options.scene, parameters=parameters, **arguments)
 
     def compute() -> "xarray.Dataset":
         from vibrojax.analyses.continuation.run import continue_families
@@ -178,10 +178,10 @@ def push(options: Options) -> None:
     from vibrojax.analyses.push.spec import PRECISION, SCAN, push_spec
 
     defaults = {"start": None, "scan": SCAN, "precision": PRECISION, "settle": None, "observe": None}
-    asked: dict[str, Any] = defaults | settings
-    most = {name.removeprefix(_MOST): asked.pop(name) for name in settings if name.startswith(_MOST)}
-    asked |= {"scan": whole(asked["scan"]), "most": most or None}
-    request = push_spec(options.scene, parameters=parameters, **asked)
+    arguments: dict[str, Any] = defaults | settings
+    most = {name.removeprefix(_MOST): arguments.pop(name) for name in settings if name.startswith(_MOST)}
+    arguments |= {"scan": whole(arguments["scan"]), "most": most or None}
+    request = push_spec(options.scene, parameters=parameters, **arguments)
 
     def compute() -> "xarray.Dataset":
         from vibrojax.analyses.push.run import find_pushes

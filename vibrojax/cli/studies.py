@@ -1,4 +1,4 @@
-"""The commands `study`, `fit`, `accuracy` and `reproduce`."""
+"""The commands `study`, `calibrate`, `fit`, `accuracy` and `reproduce`."""
 
 import hashlib
 from pathlib import Path
@@ -30,9 +30,9 @@ _DIGEST_LENGTH = 12
     argument(
         "file",
         "FILE",
-        "a sweep's .nc, or a CSV with columns relief (P/D, mean force over the force at which the rock yields) "
-        "and rate_of_penetration, or others that --columns names",
-        files(".nc", ".csv"),
+        "a sweep's .nc, or a rig log as it is exported (CSV, LAS), or a CSV with columns relief (P/D, mean force over "
+        "the force at which the rock yields) and rate_of_penetration, or others that --columns names",
+        files(".nc", ".csv", ".las"),
         nargs="?",
     ),
     argument("--along", "AXIS", "the axis to fit along (frequency, else v; of a CSV: its rows)"),
@@ -41,11 +41,18 @@ _DIGEST_LENGTH = 12
         "NAME=COLUMN",
         "of a CSV: which column is what, in which unit, like "
         'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN" or '
-        "rock=granite, whose threshold it takes",
+        "rock=granite, whose threshold it takes; threshold=unknown is the default of rig logs",
         nargs="+",
         action="extend",
     ),
-    argument("--by", "COLUMN", "of a CSV: fit the rows of each of its values", action="append"),
+    argument("--by", "COLUMN", "of a CSV: fit the rows of each of its values, such as formations", action="append"),
+    argument(
+        "--dialect",
+        "NAME",
+        "of a rig log: pason, rigcloud, usrop, witsml, las, semicolon, generic or plain (detected by its columns)",
+    ),
+    argument("--fastest", "RATE", 'of a rig log: rate above which a row is dropped ("500 ft/h")'),
+    flag("--segments", "of a rig log: fit intervals of depth, as many as the data suggest"),
     JSON,
     output_options("FILE-fit.nc"),
 )
@@ -56,19 +63,24 @@ def fit(options: Options) -> None:
         options.file = words.pop()  # FILE may follow the columns
     if options.file is None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
-    from vibrojax.analyses.rop_law.columns import columns_lines, read_columns
     from vibrojax.analyses.rop_law.results import law_facts, law_table
     from vibrojax.analyses.rop_law.rop import fit_groups, read_groups
+    from vibrojax.io.riglog import log_lines
+    from vibrojax.io.riglog.columns import read_columns
 
     file, columns, by = Path(options.file), read_columns(words), options.by or []
     output(options.out or f"{file.stem}-fit.nc")
-    data = read_groups(options.file, options.along, by, columns)
+    reading = {"dialect": options.dialect, "fastest": options.fastest}
+    data = read_groups(options.file, options.along, by, columns, options.segments, **reading)
     groups = data[-1]
     if groups.valid.any() and not (groups.rate[groups.valid] > 0).any():
         lanes = counted(groups.count.sum(), "lane")
         more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
         raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
     identity = {"data": f"{file.name}, sha256 {_digest(file)}", "along": options.along, "by": ", ".join(by)}
+    identity |= {name: text for name, text in reading.items() if text} | (
+        {"segments": True} if options.segments else {}
+    )
     identity |= {"fit": True} | {f"columns.{name}": text for name, text in columns.items()}
     out = result_at(options, f"{file.stem}-fit.nc", identity)
     with timed("fit"):
@@ -78,7 +90,7 @@ def fit(options: Options) -> None:
     if options.json:
         print_json({"file": options.file, **facts, **file_facts(out, drawn)})
         return
-    sources = columns_lines(law)
+    sources = log_lines(law)
     lane = "a row of the CSV" if "columns" in law.attrs else WORDS["lane"]
     lines = [
         *([*sources, ""] if sources and not options.quiet else []),
@@ -86,7 +98,8 @@ def fit(options: Options) -> None:
         "",
         f"forms of the rate of penetration: {law.attrs['formulas']}",
         f"eta: the relief P/D, {WORDS['relief P/D']}; eta0: where it begins; a lane: {lane}",
-        "AIC: by how much a form describes the data better (lower is better, by 2 or more clearly so)",
+        "AIC: by how much a form describes the data better (lower is better, by 2 or more clearly so)"
+        + "; CV: error of rates predicted from other rows" * bool(law["cv_error"].notnull().any()),
         "",
         *facts["verdict"],
         *([] if options.quiet else [f"{out}{drawn}"]),
@@ -131,6 +144,36 @@ def study(options: Options) -> None:
         return dict(Studies().summary(dataset)[0].facts)
 
     answer(options, name, spec.identity(), compute, facts)
+
+
+@command(
+    argument(
+        "file",
+        "FILE",
+        "a calibration: the path of a TOML file with scene, data (a CSV of operating conditions and observations), "
+        "[unknown] NAME = [low, high] and, as needed, start, [parameters], [error], [prior]",
+        files(".toml"),
+    ),
+    output_options("NAME-calibration.nc"),
+    JSON,
+)
+def calibrate(options: Options) -> None:
+    """Estimate parameters of a drill from observations of its periodic motion, and say which the data determine."""
+    from vibrojax.analyses.calibration.spec import read_calibration
+
+    spec = read_calibration(options.file)
+
+    def compute() -> "xarray.Dataset":
+        from vibrojax.analyses.calibration.run import find_calibration
+
+        return find_calibration(spec, progress=not options.quiet)
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.calibration.analysis import Calibrations
+
+        return dict(Calibrations().summary(dataset)[0].facts)
+
+    answer(options, f"{Path(options.file).stem}-calibration.nc", spec.identity(), compute, facts)
 
 
 @command(

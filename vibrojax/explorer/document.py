@@ -16,11 +16,12 @@ from vibrojax.analyses.attractors.analysis import BEYOND
 from vibrojax.analyses.attractors.analysis import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.explorer.encoding import pack
-from vibrojax.io.attributes import LONGEST_TEXT, differing_of, run_of, text_of, title_of
+from vibrojax.explorer.reading import REGIME_MEANINGS, reading_text
+from vibrojax.io.attributes import LONGEST_TEXT, differing_of, parameters_of, run_of, text_of, title_of
 from vibrojax.models.scenes import SCENES
-from vibrojax.plot.axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
+from vibrojax.plot.axes import is_geometric, point_text, pretty_unit, scale, symbol
 from vibrojax.plot.colours import REGIME_COLOURS, flag_names, value_of
-from vibrojax.plot.contents import POINT, START
+from vibrojax.plot.contents import POINT, RETURN, START
 from vibrojax.plot.style import OTHER_COLOURS
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.names import known_options, read_names
@@ -47,8 +48,9 @@ def check_names(ds: xr.Dataset) -> None:
 
 
 def one_line(text: object, longest: int = 200) -> str:
-    """Return a string of a dataset on one line, shortened, and without matplotlib's escapes of dollar signs."""
-    return printable(str(text).replace(r"\$", "$"), longest)
+    """Return a string of a dataset on one line, shortened, without matplotlib's escapes, with subscripts of ratios."""
+    written = str(text).replace(r"\$", "$").replace("w2/w1", "ω₂/ω₁").replace("m2/m1", "m₂/m₁")
+    return printable(written, longest)
 
 
 def json_value(value: object) -> object:
@@ -64,7 +66,7 @@ def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts:
     **Arguments:** `kind`: "grid", "family" or "motion"; `variables`: descriptions of the variables; `parts`: further
     keys of the document, which by default are empty or null.
     """
-    notes = [point_text(ds), certified_text(ds)]
+    notes = [reading_text(ds), point_text(ds)]
     if run_seconds(ds) > COMMAND_MAX_SECONDS:
         notes.append(f"Each lane ran for {run_seconds(ds):g} s; the commands simulate {COMMAND_MAX_SECONDS:g} s")
     map_names = dict.fromkeys(variable["map"] for variable in variables if variable["map"])
@@ -76,15 +78,24 @@ def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts:
         "run": None,
         "curves": None,
         "cells": None,
+        "figure": None,
+        "overlay": None,
+        "summary": [],
+        "view": [],
+        "first": {},
     }
     document = {
         "format": 1,
         "kind": kind,
         "title": title_of(ds),
         "scene": text_of(ds, "scene"),
+        "machine": {
+            name: parameters_of(ds)[name] for name in ("v", "delta", "bit_radius") if name in parameters_of(ds)
+        },
         "source": text_of(ds, "source"),
         "notes": [one_line(note, LONGEST_TEXT) for note in notes if note],
         "variables": variables,
+        "meanings": REGIME_MEANINGS,
         "maps": {name: [to_hex(colormaps[name](level)) for level in range(256)] for name in map_names},
     }
     return document | empty | parts
@@ -156,7 +167,7 @@ def variable_document(data: xr.DataArray) -> Document:
         "nothing_at_zero": value.of_rate,
         "whole": data.dtype.kind in "iu" and flags is None,
         "data": pack(np.asarray(data.values)),
-    }
+    } | ({"inner": RETURN, "count": data.sizes[RETURN]} if RETURN in data.dims else {})
 
 
 def _other_colour(flag: str) -> str:

@@ -10,9 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
 
 from vibrojax.analyses.orbits.analysis import has_lanes_of
 from vibrojax.analyses.sweep.maps import REGION
+from vibrojax.analyses.sweep.returns import returns_label
 from vibrojax.analyses.sweep.workers.work import quiet
 from vibrojax.errors import InputError, shown
 from vibrojax.explorer.document import (
@@ -26,6 +28,8 @@ from vibrojax.explorer.document import (
     variable_document,
 )
 from vibrojax.explorer.encoding import Cell, pack
+from vibrojax.explorer.figure_view import items_of
+from vibrojax.explorer.reading import first_cell
 from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SECONDS, Excerpt, record_cells
 from vibrojax.io.attributes import parameters_of
 from vibrojax.io.kinds import kind_of
@@ -33,9 +37,31 @@ from vibrojax.io.variables import orbit_name
 from vibrojax.measures.repeats import state_name
 from vibrojax.periodic import Orbits, early_stopping_of
 from vibrojax.periodic.margin import DRIVEN_RETURNS
+from vibrojax.plot.axes import scale, with_unit
 from vibrojax.plot.colours import flag_names
-from vibrojax.plot.contents import FORM, START, axes_of_map, long_axes, named_groups
-from vibrojax.plot.overlays import LINES, axes_of, beyond, check_borders, curves_on_map
+from vibrojax.plot.contents import (
+    FORM,
+    IMPACTS_OF_RETURNS,
+    REGIME,
+    RETURN,
+    START,
+    axes_of_map,
+    long_axes,
+    named_groups,
+    returns_in,
+    swept,
+)
+from vibrojax.plot.overlays import (
+    LINES,
+    OF_RETURNS,
+    ON_MAPS,
+    axes_of,
+    beyond,
+    check_borders,
+    check_families,
+    curves_on_map,
+    draw_over,
+)
 from vibrojax.plot.starts import described, on_axes
 from vibrojax.progress import Progress
 from vibrojax.sweep.engine.batch import Features
@@ -69,10 +95,13 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
     if FORM in ds.dims:
         ds = named_groups(ds)
     variables = [variable_document(ds[name]) for name in _shown_variables(ds)]
+    for variable in variables:
+        if "inner" in variable:
+            variable["label"] = with_unit(returns_label(ds[variable["name"]]), variable["units"])
     if not variables:
         return {}
     lane_axes = [str(dim) for dim in ds[LANE].dims] if LANE in ds else []
-    dims = dict.fromkeys(dim for variable in variables for dim in variable["axes"])
+    dims = dict.fromkeys(dim for variable in variables for dim in variable["axes"] if dim != RETURN)
     axes = sorted(dims, key=lambda name: lane_axes.index(name) if name in lane_axes else len(lane_axes))
     return document_with(
         ds,
@@ -84,21 +113,24 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         region={name: list(ends) for name, ends in REGION.items()},
         # A fit lacks an axis of its sweep, so none of its map cells is a parameter point.
         run=None if FORM in ds.dims else run_document(ds, sweep),
-        view=_first_axes(ds),
+        view=(along := _first_axes(ds)),
+        first=first_cell(ds, variables, along),
     )
 
 
 def _shown_variables(ds: xr.Dataset) -> list[str]:
     """Return the names of the displayed variables, the most informative first."""
     names = [str(name) for name, data in ds.data_vars.items() if data.dtype.kind in "fiu" and data.ndim > 0]
-    # Individual section crossings and results of the check run are not drawn as maps.
-    names = [n for n in names if n != LANE and not n.startswith(("return_", "check_"))]
-    names = [name for name in names if "return_index" not in ds[name].dims]
+    # Individual section crossings are drawn over one axis only, and results of the check run are not drawn.
+    diagram = returns_in(ds) if REGIME in ds and swept(ds) and len(long_axes(ds)) < 2 else None
+    names = [n for n in names if n == diagram or (n != LANE and not n.startswith(("return_", "check_")))]
+    names = [name for name in names if name == diagram or RETURN not in ds[name].dims]
     leading = [name for name in LEADING_VARIABLES if name in names]
     if "share" in leading and START in ds.dims:  # fractions are more informative than single regimes
         leading.remove("share")
         leading.insert(0, "share")
-    return list(dict.fromkeys([*(name for name in names if name.startswith("push_")), *leading, *names]))
+    first = [name for name in names if name == diagram or name.startswith("push_")]
+    return list(dict.fromkeys([*first, *leading, *names]))
 
 
 def _first_axes(ds: xr.Dataset) -> list[str]:
@@ -110,6 +142,26 @@ def _first_axes(ds: xr.Dataset) -> list[str]:
         return list(axes_of_map(ds))
     except InputError:
         return [str(name) for name in ds.dims if str(name).startswith("start_")][:2]
+
+
+def overlay_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
+    """Return the part of the JSON document with what is drawn over the page of `ds`: borders or curves, or families.
+
+    **Raises:** `InputError` if `over` does not belong to the dataset.
+    """
+    if kind_of(over) in ON_MAPS:
+        return {"curves": curves_document(ds, over)}
+    shown_returns = returns_in(ds)
+    if kind_of(over) != "family" or shown_returns is None or not swept(ds):
+        raise InputError(
+            "over: holds no borders or curves; give the dataset of vibrojax borders or curves, or families over returns"
+        )
+    along = max(swept(ds), key=lambda name: ds.sizes[name])
+    check_families(ds, [over], along)
+    axes = Figure().subplots()
+    name = OF_RETURNS if shown_returns == IMPACTS_OF_RETURNS else shown_returns.replace("return_", "orbit_", 1)
+    draw_over(axes, [over], ds, along, name, scale(ds[shown_returns])[0])
+    return {"overlay": {"variable": shown_returns, "along": along, "items": items_of(axes)}}
 
 
 def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:

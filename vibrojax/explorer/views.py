@@ -26,7 +26,8 @@ from vibrojax.explorer.document import (
     variable_document,
 )
 from vibrojax.explorer.encoding import Cell, pack
-from vibrojax.explorer.map_view import REPEAT_MARGIN, curves_document, lane_cells, map_document
+from vibrojax.explorer.figure_view import figure_document
+from vibrojax.explorer.map_view import REPEAT_MARGIN, lane_cells, map_document, overlay_document
 from vibrojax.explorer.recording import Excerpt, record_cells
 from vibrojax.explorer.trajectory_view import cell_of, motion_document
 from vibrojax.io.attributes import parameters_of, text_of
@@ -36,8 +37,8 @@ from vibrojax.io.kinds import kind_of
 from vibrojax.io.variables import orbit_name
 from vibrojax.periodic.margin import DRIVEN_RETURNS
 from vibrojax.plot.branches import MARKS, curves_of
-from vibrojax.plot.contents import FORM
-from vibrojax.plot.overlays import ON_MAPS
+from vibrojax.plot.contents import FORM, long_axes
+from vibrojax.progress import LOG
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import Point, read_point
 
@@ -77,22 +78,65 @@ def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | Non
     check_dataset(ds)
     check_names(ds)
     analysis = analysis_of(ds)
-    if analysis.view == "none":
-        raise InputError(f"explore: {analysis.no_view}")
-    if analysis.view in ("families", "motion"):
-        if over is not None:
-            raise InputError("over: borders and curves need the map of a sweep, which the dataset does not hold")
-        return family_document(ds) if analysis.view == "families" else motion_document(ds)
-    sweep, problem = sweep_of(ds, own)
-    document = map_document(ds, sweep)
+    if analysis.view in ("families", "motion", "plots") and over is not None:
+        raise InputError("over: borders and curves need the map of a sweep, which the dataset does not hold")
+    parts = summary_parts(ds)
+    if analysis.view == "motion":
+        return motion_document(ds) | {"summary": parts}
+    if analysis.view == "families":
+        document = family_document(ds)
+        return document | {"summary": parts, "figure": picture_document(ds, document)}
+    sweep, problem = (None, "") if analysis.view == "plots" else sweep_of(ds, own)
+    document = {} if analysis.view == "plots" else map_document(ds, sweep)
     if not document:
-        raise InputError("explore: holds nothing over axes that a page could show")
+        return plots_document(ds) | {"summary": parts}
     if over is not None:
-        if kind_of(over) not in ON_MAPS:
-            raise InputError("over: holds no borders or curves; give the dataset of vibrojax borders or curves")
         check_dataset(over)
-        document["curves"] = curves_document(ds, over)
-    return document | {"without": problem if sweep is None else _motions_problem(ds, sweep)}
+        document |= overlay_document(ds, over)
+    # A map over two parameters is drawn by the page; what else the picture shows is added.
+    is_map = len(long_axes(ds)) >= 2 and kind_of(ds) == "sweep"
+    figure = None if is_map else picture_document(ds, document)
+    no_motions = problem if sweep is None else _motions_problem(ds, sweep)
+    return document | {"without": no_motions, "summary": parts, "figure": figure}
+
+
+def picture_document(ds: xr.Dataset, document: Document) -> Document | None:
+    """Return the description of the dataset's picture without what the page draws itself; None without a picture.
+
+    The page of a dataset that its picture does not fit is complete without it.
+    """
+    first = document["variables"][0]
+    drawn = [" ".join(str(first["label"]).split())]
+    try:
+        figure = figure_document(analysis_of(ds).page_figures(ds), ds, document["axes"], drawn)
+    except Exception as error:
+        LOG.info("explore: no picture: %s", error)
+        return None
+    return figure if figure["plots"] else None
+
+
+def plots_document(ds: xr.Dataset) -> Document:
+    """Return the JSON document of a dataset that its analysis shows as plots and a summary.
+
+    **Raises:** `InputError` if there is no picture.
+    """
+    try:
+        figure = figure_document(analysis_of(ds).page_figures(ds), ds, [])
+    except InputError as error:
+        raise InputError(f"explore: {error}") from None
+    names = [str(name) for name, data in ds.data_vars.items() if data.ndim == 0 and data.dtype.kind in "fiu"]
+    variables = [variable_document(ds[name]) | {"map": None} for name in names]
+    return document_with(ds, "plots", variables, figure=figure, view=[], without="")
+
+
+def summary_parts(ds: xr.Dataset) -> list[Document]:
+    """Return the parts of the analysis's summary with their lines of text; empty if it does not fit the dataset."""
+    try:
+        parts = analysis_of(ds).page_text(ds)
+    except Exception as error:
+        LOG.info("explore: no summary: %s", error)
+        return []
+    return [{"name": part.name, "lines": [one_line(line) for line in part.lines][:200]} for part in parts if part.lines]
 
 
 def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) -> Iterator[Cell]:

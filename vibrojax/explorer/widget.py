@@ -45,7 +45,8 @@ class Explorer(anywidget.AnyWidget):
         offered = None if self.motions is None else self.motions.offered()
         super().__init__(document=document, blocks=blocks, offered=offered)
         longest = sorted(self._axes, key=lambda name: -len(self._axes[name]["values"]))[:2]
-        self.cell = {name: len(axis["values"]) // 2 * (name in longest) for name, axis in self._axes.items()}
+        middle = {name: len(axis["values"]) // 2 * (name in longest) for name, axis in self._axes.items()}
+        self.cell = middle | document["first"]
         self.on_msg(self._answer)
 
     @property

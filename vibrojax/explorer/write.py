@@ -28,8 +28,19 @@ BLOCK_CELLS = 256
 """Number of motions per block; the page decodes a complete block when one of its motions is selected."""
 
 MODULES = (
-    *("dom.js", "decode.js", "plots.js", "grid.js", "map.js", "cell.js", "calls.js", "fragment.js"),
-    *("layout.js", "pointing.js", "controls.js", "legend.js", "slices.js", "chosen.js", "mount.js"),
+    *("dom.js", "decode.js", "plots.js", "paper.js", "interact.js", "grid.js", "figure.js", "map.js", "cell.js"),
+    *(
+        "machine.js",
+        "player.js",
+        "compare.js",
+        "calls.js",
+        "fragment.js",
+        "layout.js",
+        "pointing.js",
+        "controls.js",
+        "legend.js",
+    ),
+    *("slices.js", "chosen.js", "mount.js"),
 )
 """The modules behind `mount`, each after those that it imports."""
 

@@ -172,6 +172,17 @@ def _columns(place: Place, value: object) -> dict[str, Any]:
     return columns
 
 
+def _dropped(place: Place, value: object) -> dict[str, Any]:
+    dropped = _json(place, value)
+    for reason, about in dropped.items():
+        here = place.at(shown(reason))
+        if not isinstance(about, dict):
+            raise here.error(f"{shown(about)} does not say which rows were dropped")
+        _number(here.at("rows"), about.get("rows"))
+        _text(here.at("lines"), about.get("lines", ""))
+    return dropped
+
+
 def _orbits(place: Place, value: object) -> dict[str, Any]:
     orbits = _json(place, value)
     if "grazing_limit" in orbits:
@@ -189,13 +200,16 @@ def _pair(place: Place, value: object, kind: type, what: str) -> list[Any]:
 _READERS: dict[str, Callable[[Place, object], Any]] = {
     **dict.fromkeys(("title", "scene", "friction", "pulse_shape", "start", "source", "jax", "history"), _text),
     **dict.fromkeys(("sweep", "along", "formulas", "reference", "settings"), _text),
+    **dict.fromkeys(("dialect", "detected", "notes"), _text),
     **dict.fromkeys(("solver", "identity", "machine", "attractors"), _json),
-    **dict.fromkeys(("lanes", "wall_time_s"), _number),
+    **dict.fromkeys(("lanes", "wall_time_s", "rows_read", "reference_force"), _number),
     "run": _run,
     "parameters": _numbers,
     "differing": _differing,
     "certified": _numbers,
     "columns": _columns,
+    "dropped": _dropped,
+    "nulls": _numbers,
     "orbits": _orbits,
     "span": partial(_pair, kind=float, what="numbers"),
     "axes": partial(_pair, kind=str, what="names"),

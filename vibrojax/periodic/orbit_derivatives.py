@@ -6,6 +6,7 @@ section ([vibrojax.periodic.variations][]). Nothing is differentiated through th
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -253,14 +254,15 @@ def _features(scene: Scene[Any], on: _OnOrbit, past: Array, settle: Lanes, obser
     return {name: jnp.asarray(x).astype(zero.dtype) for name, x in features.items()}
 
 
-def _measured_names(scene: Scene[Any]) -> list[str]:
+@cache
+def _measured_names(scene: Scene[Any]) -> tuple[str, ...]:
     """Return the names of the features of a scene, without computing the features."""
     with precision("float64"):
         lane = jnp.ones(1)
         rows = len(scene.driving_part().return_states)
         on = _OnOrbit(dict.fromkeys(scene.parameters(), lane), jnp.ones((rows, 1)), jnp.ones((8, 1)), lane)
         effort = Effort(DERIVATIVE_ACCURACY, 1.0)
-        return list(jax.eval_shape(lambda on: _features(scene, on, jnp.ones((8, rows, 1)), lane, lane, effort), on))
+        return tuple(jax.eval_shape(lambda on: _features(scene, on, jnp.ones((8, rows, 1)), lane, lane, effort), on))
 
 
 def _measured(

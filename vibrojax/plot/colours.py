@@ -40,7 +40,14 @@ REGIME_MAP = ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_
 REGIME_NORM = BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
 SINGLE = REGIMES.index("single-impact")
 
-FORM_COLOURS = {"onset": "#004488", "literal": "#222222", "percent": "#DDAA33", "line": "#56B4E9", "power": "#BB5566"}
+FORM_COLOURS = {
+    "onset": "#004488",
+    "literal": "#222222",
+    "percent": "#DDAA33",
+    "line": "#56B4E9",
+    "power": "#BB5566",
+    "constant": "#228833",
+}
 _OTHER_FORM = "#8C8C8C"
 
 # Name on the picture, and perceptually uniform colour map.

@@ -168,6 +168,5 @@ class AccuracyStudy(Analysis):
     """Study of speed against error on this machine: a dataset, a table and a picture."""
 
     kind = "accuracy"
-    view = "none"
-    no_view = "holds speed against error, over no axes; vibrojax plot draws it"
+    view = "plots"
     pictures = (PictureRule("accuracy", lambda held: True, work_precision),)

@@ -100,20 +100,26 @@ def _draw_along(ds: xr.Dataset, x: str) -> Figure:
 
 
 def _draw_curves(axes: Axes, facet: xr.Dataset, x: str, name: str) -> None:
-    """Draw a quantity of every attractor where its basin fraction is above zero, the greatest fractions in front."""
+    """Draw basin fractions stacked, or a quantity of every attractor where its fraction is above zero."""
     is_share = name == "share"
     values = facet[name].transpose(x, ATTRACTOR).values * (100.0 if is_share else scale(facet[name])[0])
     occurs = facet["share"].transpose(x, ATTRACTOR).values > 0
     along = values_along(facet[x])
+    if is_share:  # one on top of another
+        tops = np.cumsum(np.nan_to_num(values), axis=1)
+        for k in range(values.shape[1]):
+            axes.fill_between(
+                along, tops[:, k] - np.nan_to_num(values[:, k]), tops[:, k], color=_colour(k), alpha=0.9, linewidth=0
+            )
+            error = 100.0 * facet["share_stderr"].transpose(x, ATTRACTOR).values[:, k]
+            seen = occurs[:, k]
+            low, high = np.clip([tops[:, k] - error, tops[:, k] + error], 0.0, 100.0)
+            axes.vlines(along[seen], low[seen], high[seen], color="0.2", linewidth=0.7, zorder=2)
+        axes.set_ylim(0.0, 100.0)
+        return
     for k in range(values.shape[1] - 1, -1, -1):
         y = np.where(occurs[:, k], values[:, k], np.nan)
         axes.plot(along, y, color=_colour(k), linewidth=1.3, marker="o", markersize=2.6, zorder=2.5 - 0.001 * k)
-        if is_share:
-            error = 100.0 * facet["share_stderr"].transpose(x, ATTRACTOR).values[:, k]
-            low, high = np.clip([y - error, y + error], 0.0, 100.0)
-            axes.vlines(along, low, high, color=_colour(k), linewidth=0.7, zorder=2)
-    if is_share:
-        axes.set_ylim(-3.0, 103.0)
 
 
 def _draw_point(ds: xr.Dataset) -> tuple[Figure, str]:

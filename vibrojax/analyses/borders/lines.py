@@ -130,19 +130,19 @@ def end_near(line: Line, middle: np.ndarray, cell: np.ndarray) -> End | None:
 
 def meeting(first: Ending, second: Ending, middle: np.ndarray, cell: np.ndarray) -> tuple[End, End] | None:
     """Return the ends of two curves where they meet nearest to two vertices, at most a cell away from their middle."""
-    found: list[tuple[float, End, End]] = []
+    meetings: list[tuple[float, End, End]] = []
 
     def enter(point: np.ndarray, here: float, there: float) -> None:
         if (np.abs(point - middle) <= cell).all():
             off = first.line.distance(here, first.place) + second.line.distance(there, second.place)
-            found.append((off, End(point, here), End(point, there)))
+            meetings.append((off, End(point, here), End(point, there)))
 
     for line, other in ((first.line, second.line), (second.line, first.line)):
         for k in line.corners:
             place, off = nearest_place(other.u[:, -2:], line.u[k, -2:])
             if off < MEETS:
                 enter(line.values[k], *((float(k), place) if line is first.line else (place, float(k))))
-    if not found:
+    if not meetings:
         p, q = first.line.values, second.line.values
         a, b = np.diff(p, axis=0)[:, None], np.diff(q, axis=0)[None]
         between = q[None, :-1] - p[:-1, None]
@@ -151,7 +151,7 @@ def meeting(first: Ending, second: Ending, middle: np.ndarray, cell: np.ndarray)
             s, t = _cross(between, b) / area, _cross(between, a) / area
         for i, j in np.argwhere((s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)).tolist():
             enter(first.line.at(i + s[i, j]), i + float(s[i, j]), j + float(t[i, j]))
-    return min(found, key=lambda item: item[0])[1:] if found else None
+    return min(meetings, key=lambda item: item[0])[1:] if meetings else None
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -73,7 +73,7 @@ def borders(
 
     **Example:**
 
-    >>> axes = {"beta": [0.3, 0.5, 0.7], "gamma": [0.6, 0.8, 1.0]}
+    >>> axes = {"beta": [0.5, 0.6], "gamma": [0.6, 0.8]}
     >>> plane = {"scene": "vibro-impact", "parameters": {"delta": 0.005}, "grid": axes, "starts": ["stuck"]}
     >>> cur = vj.borders(plane, progress=False)
     >>> cur.region_start.values.tolist()
@@ -81,7 +81,7 @@ def borders(
     >>> bool(cur.region_area[0] < cur.region_area[1])  # not every orbit is reached from this start
     True
     >>> cur.attrs["begun_from"].partition(";")[0].partition(" from ")[2]
-    'points located on a grid of 3 x 3'
+    'points located on a grid of 2 x 2'
     """
     sweep = sweep_with_orbits(source)
     names = plane_axes(sweep, axes)

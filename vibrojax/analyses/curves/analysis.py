@@ -108,8 +108,7 @@ class Curves(Analysis):
     kind = "curves"
     variables = OF_CURVES
     counted = "curve"
-    view = "none"
-    no_view = "it holds curves; draw them over a map with vibrojax plot MAP.nc --over CURVES.nc"
+    view = "plots"
     pictures = (PictureRule("curves of special points", lambda held: True, curves_picture),)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:

@@ -21,23 +21,23 @@ SAME_ACROSS = 1e-9
 """Scaled distance between two parts of a curve within which their end points are one point."""
 
 
-def curves_dataset(spec: CurvesSpec, problem: CurveProblem, found: list[Curve]) -> xr.Dataset:
+def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve]) -> xr.Dataset:
     """Return the dataset of curves."""
     names = (spec.along, spec.by)
-    table, number = _points(problem, found)
+    table, number = _points(problem, curves)
     schema = VARIABLES | OF_CURVES | of_orbits(problem.scene)
     variables: dict[str, Any] = {
         "point_curve": ("point", number),
         **{name: (("point", "multiplier")[: x.ndim], x) for name, x in table.items()},
-        "kind": ("curve", np.array([SPECIAL_KINDS.index(problem.kinds[curve.number]) for curve in found], int)),
-        "special": ("curve", np.array([curve.special for curve in found], int)),
-        "curve_note": ("curve", np.array(["; ".join(curve.notes) for curve in found], str)),
-        "codim2_kind": ("codim2", np.array([mark.name for curve in found for mark in curve.marks], str)),
-        "codim2_curve": ("codim2", np.array([k for k, curve in enumerate(found) for _ in curve.marks], int)),
+        "kind": ("curve", np.array([SPECIAL_KINDS.index(problem.kinds[curve.number]) for curve in curves], int)),
+        "special": ("curve", np.array([curve.special for curve in curves], int)),
+        "curve_note": ("curve", np.array(["; ".join(curve.notes) for curve in curves], str)),
+        "codim2_kind": ("codim2", np.array([mark.name for curve in curves for mark in curve.marks], str)),
+        "codim2_curve": ("codim2", np.array([k for k, curve in enumerate(curves) for _ in curve.marks], int)),
     }
-    located = {"codim2": [mark.point for curve in found for mark in curve.marks]}
+    located = {"codim2": [mark.point for curve in curves for mark in curve.marks]}
     if spec.at is not None:
-        passed = [(k, point) for k, curve in enumerate(found) for point in _crossings(problem, curve, spec.at, names)]
+        passed = [(k, point) for k, curve in enumerate(curves) for point in _crossings(problem, curve, spec.at, names)]
         variables["crossing_curve"] = ("crossing", np.array([k for k, _ in passed], int))
         located["crossing"] = [point for _, point in passed]
     described = {
@@ -57,12 +57,12 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, found: list[Curve]) 
             described[f"{dimension}_{name}"] = (dimension, values[:, k], about[name] | meaning)
     for name in ("curve_note", "codim2_kind"):
         described[name][-1].pop("units")
-    return xr.Dataset(described, _coordinates(spec, problem, found), _attributes(spec, problem))
+    return xr.Dataset(described, _coordinates(spec, problem, curves), _attributes(spec, problem))
 
 
-def _coordinates(spec: CurvesSpec, problem: CurveProblem, found: list[Curve]) -> dict[str, Any]:
+def _coordinates(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve]) -> dict[str, Any]:
     """Return the parameters in which the families of the curves differ."""
-    number = [curve.number for curve in found]
+    number = [curve.number for curve in curves]
     several = [str(name) for name, data in spec.family.coords.items() if data.dims == ("family",) and name != "family"]
     return {
         name: ("curve", problem.parameters[name][number], _parameter(problem, name))
@@ -75,11 +75,11 @@ def _values(problem: CurveProblem, points: list[Points]) -> np.ndarray:
     return np.concatenate([problem.values(x.family, x.u) for x in points] or [np.zeros((0, 2))])
 
 
-def _points(problem: CurveProblem, found: list[Curve]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def _points(problem: CurveProblem, curves: list[Curve]) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the columns of the points of all curves, and the curve of each point."""
     columns: dict[str, list[np.ndarray]] = {}
     number = []
-    for index, curve in enumerate(found):
+    for index, curve in enumerate(curves):
         before: Points | None = None
         for part in curve.parts:
             joins = before is not None and len(part.u) > 0 and before.u.shape[1] == part.u.shape[1]

@@ -214,18 +214,18 @@ class CurveProblem(Problem):
             self._fields[int(curve[0])] = Field(self.scene, fixed, begin)
         hopf = HopfEquations(self.scene, self._fields[int(curve[0])], (self.other, self.along), self.scales[curve[0]])
         units = np.array([self.other_unit[curve[0]], self.unit[curve[0]]])
-        found, by_parameters = hopf.at(self.values(curve, u)[0], units)
+        equilibrium, by_parameters = hopf.at(self.values(curve, u)[0], units)
         by_states = np.vstack([np.eye(rows), np.zeros(rows)])
         matrix = np.column_stack([by_states, np.vstack([-by_parameters[:rows], by_parameters[rows:]])])
-        off = np.append(u[0, :rows] - found.states, found.growth)
+        off = np.append(u[0, :rows] - equilibrium.states, equilibrium.growth)
         return Points(
             family=curve,
             u=u.copy(),
             tangent=np.full_like(u, np.nan),
             off=off[None],
             matrix=matrix[None],
-            times=np.full((lanes, 1), found.period),
-            product=found.product[None],
+            times=np.full((lanes, 1), equilibrium.period),
+            product=equilibrium.product[None],
             impacts=np.zeros(lanes),
             mode_changes=np.zeros((lanes, modes + 1, 3)),
             margin=np.ones(lanes),
@@ -270,9 +270,9 @@ class CurveProblem(Problem):
         """Return the cubic coefficient c of the normal form xi -> -xi + c xi^3 at period doublings.
 
         Doubled orbits are stable where c is positive, if the other multipliers are inside the unit circle. On the
-        centre manifold x + xi v + xi^2/2 h, h satisfies h' = A h + B(v, v) between section crossings; c follows from
-        the third order, which must be orthogonal to the left null vector w (Kuznetsov, *Elements of Applied
-        Bifurcation Theory*, section 5.4.2). B is exact, and C(v, v, v) is a difference of B(v, v) along v.
+        centre manifold x + xi v + xi^2/2 h, h satisfies h' = A h + B(v, v) between section crossings. The coefficient c
+        follows from the third order, which must be orthogonal to the left null vector w (Kuznetsov, *Elements of
+        Applied Bifurcation Theory*, section 5.4.2). B is exact, and C(v, v, v) is a difference of B(v, v) along v.
         """
         curve, u, rows = points.family, points.u, self.rows
         shooting = points.matrix[:, : u.shape[1] - 2, : u.shape[1] - 2]

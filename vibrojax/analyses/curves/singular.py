@@ -15,10 +15,10 @@ def signed_singular(matrix: Float[np.ndarray, "lanes n n"]) -> tuple[PerLane, np
     """
     sound = np.isfinite(matrix).all(axis=(1, 2))
     matrix = np.where(sound[:, None, None], matrix, 0.0)
-    left, values, right = np.linalg.svd(matrix)
+    w, values, v = np.linalg.svd(matrix)
     sign = np.where(np.linalg.slogdet(matrix)[0] < 0, -1.0, 1.0)
     sign[~sound] = np.nan
-    return sign * values[:, -1], sign[:, None] * left[:, :, -1], right[:, -1]
+    return sign * values[:, -1], sign[:, None] * w[:, :, -1], v[:, -1]
 
 
 def compound(product: Float[np.ndarray, "lanes n n"]) -> Float[np.ndarray, "lanes pairs pairs"]:

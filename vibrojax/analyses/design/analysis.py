@@ -134,8 +134,7 @@ class Designs(Analysis):
         PictureRule("designer's chart", lambda held: "chart_region" in held.variables, chart_page),
         PictureRule("candidates over the map of a design", lambda held: True, design_picture),
     )
-    view = "none"
-    no_view = "it holds candidates, not a map; draw it with vibrojax plot"
+    view = "plots"
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the best candidate, the limits that bind, what relaxing them brings, and the other candidates."""

@@ -1,7 +1,7 @@
 """Data of a fit: a dataset, the path of a dataset, or rig data (a CSV file with one measurement per line)."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -11,21 +11,21 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Float
 
-from vibrojax.analyses.rop_law.columns import (
+from vibrojax.errors import InputError, Place, shell_assignment, shown
+from vibrojax.io.riglog import open_log
+from vibrojax.io.riglog.columns import (
     FORCE,
     KNOWN,
     RATE,
     RELIEF,
     THRESHOLD,
+    WEIGHT,
     Column,
-    choose_columns,
     required_names,
     split_unit,
     with_rock,
 )
-from vibrojax.errors import InputError, Place, shell_assignment, shown
-from vibrojax.models.physics.units import is_unit, likely_units
-from vibrojax.sweep.input.source import is_number, read_table
+from vibrojax.models.physics.units import likely_units
 from vibrojax.sweep.input.values import warn_if_far
 
 if TYPE_CHECKING:
@@ -34,21 +34,17 @@ if TYPE_CHECKING:
 else:
     Data = Columns = object  # at run time `open_data` checks the user's argument, with a one-line error message
 
-_MEASUREMENTS = ("measurement", "no rows; add a line for each measurement", f"{RELIEF},{RATE}")
-"""Words of `read_table` for rig data."""
 
-Rows = list[tuple[int, list[str]]]
-"""The non-empty lines of a CSV: (line number, cells)."""
-
-
-def open_data(data: Data, fit: str, rates: bool = False, columns: Columns = None) -> tuple[Place, xr.Dataset]:
+def open_data(
+    data: Data, fit: str, rates: bool = False, columns: Columns = None, **reading: str | None
+) -> tuple[Place, xr.Dataset]:
     """Return the dataset, opened if `data` is a path, and the `Place` that error messages mention.
 
     `fit` is the name of the calling function. With `rates`, the data must contain a rate of penetration and a relief,
-    and may be a CSV or a table with `columns`, as in `read_rig`.
+    and may be a CSV, a LAS file or a table with `columns`; `reading` are further arguments of `read_log`.
     """
     if rates and isinstance(data, pd.DataFrame):
-        return Place(fit), _with_rates(Place(fit), read_rig(Path(fit), columns, table=data))
+        return Place(fit), _with_rates(Place(fit), read_rig(Path(fit), columns, data, **reading))
     if not isinstance(data, (xr.Dataset, str, PathLike)):
         raise InputError(f"{fit}: {shown(data)} is not data; give a dataset or a path")
     path = Path("dataset.nc") if isinstance(data, xr.Dataset) else Path(data)
@@ -57,15 +53,15 @@ def open_data(data: Data, fit: str, rates: bool = False, columns: Columns = None
         raise place.error("has its names and units already; `columns` is for a CSV")
     if isinstance(data, xr.Dataset):
         dataset = data
-    elif rates and path.suffix.lower() == ".csv":
-        dataset = read_rig(path, columns)
+    elif rates and path.suffix.lower() in (".csv", ".las"):
+        dataset = read_rig(path, columns, **reading)
     elif path.suffix.lower() == ".nc":
         from vibrojax.io.dataset import open_dataset
 
         dataset = open_dataset(path)
     else:
-        wrong = "ends in neither .nc nor .csv" if rates else "does not end in .nc"
-        raise place.error(f"{wrong}; give a sweep's dataset{' or a CSV file' if rates else ''}")
+        wrong = "ends in neither .nc nor .csv nor .las" if rates else "does not end in .nc"
+        raise place.error(f"{wrong}; give a sweep's dataset{' or a CSV or LAS file' if rates else ''}")
     return place, _with_rates(place, dataset) if rates else dataset
 
 
@@ -80,15 +76,13 @@ def _with_rates(place: Place, dataset: xr.Dataset) -> xr.Dataset:
     return dataset
 
 
-def read_rig(path: Path, columns: Columns = None, table: pd.DataFrame | None = None) -> xr.Dataset:
-    """Read a CSV into a dataset with rate_of_penetration [m/s] and relief [1] along `point`, the rows.
+def read_rig(path: Path, columns: Columns = None, table: pd.DataFrame | None = None, **reading: Any) -> xr.Dataset:
+    """Read a rig log into a dataset with rate_of_penetration [m/s] and relief [1] along `point`, the rows.
 
-    Without a relief, the relief is computed as mean_force/threshold. Further columns become coordinates, numeric if all
-    their cells are numbers. An empty cell and "nan" mean a missing value. The attribute `columns` records the source
-    and unit of each quantity.
-
-    **Arguments:** `columns`: by quantity, the column of the file and its unit, see
-    [vibrojax.analyses.rop_law.columns][]; `table`: the table that `path` names, if it is not in a file.
+    Without a relief, the relief is computed as mean_force/threshold; a weight on bit is a mean force. If the threshold
+    is "unknown", or not given with a log whose dialect has none, the relief is mean_force over its median, which the
+    attribute `reference_force` [N] holds. The other attributes and coordinates are those of
+    [vibrojax.io.riglog.read_log][].
 
     **Raises:** `InputError` if the file cannot be read, a column is missing, or a cell is not a number.
     """
@@ -102,66 +96,33 @@ def read_rig(path: Path, columns: Columns = None, table: pd.DataFrame | None = N
                 f"{shown(text)} is not a column; write one with its unit, like {example}"
             )
     columns = with_rock(columns)
-    place = Place(str(path))
-    content = None
-    if table is not None:
-        content = (table.reset_index() if any(table.index.names) else table).to_csv(index=False)
-    line, header, others = read_table(path, *_MEASUREMENTS, text=content)
-    chosen = choose_columns(place.at(f"line {line}"), header, columns)
-    names = required_names(place.at(f"line {line}"), header, chosen, columns)
-    rows = _rows(place, header, others)
-    values = {}
-    for name, column in chosen.items():
-        if column.index is None:
-            values[name] = np.full(len(rows), np.nan if column.value is None else column.value)
-        else:
-            values[name] = column.factor * _numbers(place, column.header, column.index, rows)
+    is_unknown = columns.get(THRESHOLD, "").strip() == "unknown"
+    columns = {name: text for name, text in columns.items() if not (is_unknown and name == THRESHOLD)}
+    log = open_log(path, columns=columns, table=table, **reading)
+    chosen, data = dict(log.chosen), log.data.rename_dims(row="point")
+    if WEIGHT in chosen and FORCE not in chosen:
+        chosen[FORCE] = chosen.pop(WEIGHT)
+        data = data.rename({WEIGHT: FORCE})
+    is_unknown |= log.data.dialect != "plain" and not {THRESHOLD, RELIEF} & set(chosen)
+    if is_unknown and {THRESHOLD, RELIEF} & set(chosen):
+        raise Place("columns", THRESHOLD).error(f"is unknown, but {log.place.file} has a threshold or relief; give one")
+    standin = {THRESHOLD: Column("unknown", None, "N", 1.0)} if is_unknown else {}
+    names = required_names(log.place.at(f"line {log.line}"), log.header, chosen | standin, columns)
     for name in names:
-        _check_unit(place, name, chosen[name], values[name])
-    if RELIEF not in names:
+        if name in chosen:
+            _check_unit(log.place, name, chosen[name], data[name].values)
+    if is_unknown:
+        reference = float(np.nanmedian(data[FORCE])) or 1.0
+        data[RELIEF] = data[FORCE] / reference
+        data.attrs["reference_force"] = reference
+    elif RELIEF not in names:
         with np.errstate(divide="ignore", invalid="ignore"):
-            values[RELIEF] = values[FORCE] / values[THRESHOLD]
-    number = ("point", np.arange(len(rows)), {"units": "1", "long_name": "number of the row"})
-    variables: dict[str, Any] = {"point": number}
-    for name, numbers in values.items():
-        variables[name] = ("point", numbers, {"units": KNOWN[name].unit, "long_name": KNOWN[name].long_name})
-    taken = {column.index for column in chosen.values()}
-    for index, name in enumerate(header):
-        if index not in taken and name not in ("", *variables):
-            try:
-                variables[name] = ("point", _numbers(place, name, index, rows))
-            except InputError:
-                variables[name] = ("point", np.array([row[index].strip() for _, row in rows]))
-    sources = json.dumps({name: column.described() for name, column in chosen.items()})
-    dataset = xr.Dataset(variables, attrs={"title": path.name, "columns": sources})
-    return dataset.set_coords([name for name in variables if name not in (RATE, RELIEF)])
-
-
-def read_numbers(place: Place, path: Path, wanted: Callable[[str], object]) -> dict[str, Float[np.ndarray, " rows"]]:
-    """Return the numbers of the `wanted` columns of a CSV by header; NaN for empty cells.
-
-    **Raises:** `InputError` if the file cannot be read or a cell is not a number.
-    """
-    line, header, others = read_table(path, *_MEASUREMENTS)
-    rows = _rows(place, header, others)
-    columns: dict[str, Float[np.ndarray, " rows"]] = {}
-    for index, name in enumerate(header):
-        if wanted(name):
-            if name in columns:
-                raise place.at(f"line {line}").error(f"column {name} is there twice; give it once")
-            columns[name] = _numbers(place, name, index, rows)
-    return columns
-
-
-def _rows(place: Place, header: list[str], others: Iterator[tuple[int, list[str]]]) -> Rows:
-    """Return the rows of a CSV; raise `InputError` if the first of them holds units."""
-    rows = list(others)
-    line, units = rows[0][0], [cell.strip(" []()") for cell in rows[0][1] if cell.strip()]
-    if not any(map(is_number, units)) and any(map(is_unit, units)):
-        like = f"{header[0]} ({units[0]})"
-        fault = f"holds units; write them behind the names, like {like}, and leave it out"
-        raise place.at(f"line {line}").error(fault)
-    return rows
+            data[RELIEF] = data[FORCE] / data[THRESHOLD]
+    if RELIEF not in names:
+        data[RELIEF].attrs = {"units": KNOWN[RELIEF].unit, "long_name": KNOWN[RELIEF].long_name}
+    number = ("point", np.arange(data.sizes["point"]), {"units": "1", "long_name": "number of the row"})
+    data = data.assign_coords(point=number).set_coords([str(name) for name in data if name not in (RATE, RELIEF)])
+    return data.assign_attrs(columns=json.dumps({name: column.described() for name, column in chosen.items()}))
 
 
 def _check_unit(place: Place, name: str, column: Column, values: Float[np.ndarray, " rows"]) -> None:
@@ -184,16 +145,3 @@ def _check_unit(place: Place, name: str, column: Column, values: Float[np.ndarra
     low, high = quantity.usual or (0.0, 0.0)
     fault = f"no unit is given, and {median:.6g} {column.unit} is far outside what the source and rigs have"
     raise here.error(f"{fault} ({low:g} to {high:g} {column.unit}); {likely}")
-
-
-def _numbers(place: Place, name: str, index: int, rows: Rows) -> Float[np.ndarray, " rows"]:
-    """Return the numbers in a column, NaN for empty cells; raise `InputError` for other text."""
-    values = np.full(len(rows), np.nan)
-    for position, (line, row) in enumerate(rows):
-        if cell := row[index].strip():
-            try:
-                values[position] = float(cell)
-            except ValueError:
-                fault = f"{shown(cell)} is not a number; write one, like 0.4, or leave it empty"
-                raise place.at(f"line {line}, column {name}").error(fault) from None
-    return values

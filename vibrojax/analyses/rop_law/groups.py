@@ -7,9 +7,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.analyses.rop_law.columns import FORCE, RATE, RELIEF
 from vibrojax.analyses.rop_law.results import to_variables
 from vibrojax.errors import Place, shown, suggestion
+from vibrojax.io.riglog.columns import DEPTH, FORCE, LINE, RATE, RELIEF, RIG
 from vibrojax.io.variables import Variable
 from vibrojax.measures.labels import FAILED, IRREGULAR
 from vibrojax.models.physics.meanings import suggest_coordinate
@@ -131,11 +131,13 @@ def _group_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence
             own = [column for column in columns if not lanes[column].attrs] or columns  # of a CSV: not the quantities
             fault = f"; {suggestion(str(name), own)}" if own else ": the data are not a table with columns"
             raise place.at("by" if name in by else "along").error(f"{shown(name)} is not a column of the data{fault}")
-    keys = list(by) or [name for name in columns if name not in (along, FORCE)]
+    keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *RIG)]
     codes = [np.unique(lanes[name].values, return_inverse=True)[1].ravel() for name in keys]
     table = np.stack(codes or [np.zeros(lanes["rate"].size, int)], axis=1)
     _, first, group = np.unique(table, axis=0, return_index=True, return_inverse=True)
     group = group.ravel()
+    if DEPTH in columns:  # a log: groups from top to bottom, rather than by name
+        group, first = np.argsort(np.argsort(first))[group], np.sort(first)
     count = np.bincount(group)
     order = np.argsort(group, kind="stable")
     lane = np.arange(group.size) - np.repeat(np.cumsum(count) - count, count)
@@ -147,5 +149,10 @@ def _group_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence
         return rows
 
     coordinates = {name: xr.Variable("group", lanes[name].values[first], lanes[name].attrs) for name in keys}
+    if DEPTH in columns and DEPTH not in (*keys, along) and lanes[DEPTH].dtype.kind == "f":
+        about = {"units": "m", "long_name": "depth of the group"}
+        for name, depth in (("depth_from", np.fmin), ("depth_to", np.fmax)):
+            ends = depth.reduceat(lanes[DEPTH].values[order], np.cumsum(count) - count)
+            coordinates[name] = xr.Variable("group", ends, about)
     relief, rate, valid = (padded(name) for name in ("relief", "rate", "valid"))
     return Groups(relief, rate, valid, count, {"group": count.size}, coordinates, str(along or row))

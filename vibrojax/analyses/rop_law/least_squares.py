@@ -25,7 +25,8 @@ Square = Float[np.ndarray, "coefficients coefficients"]
 class Reason(IntEnum):
     """Reasons why a fitted value is NaN.
 
-    CONFOUNDED occurs only in the fits of the joint law and of friction, CONSTANT_RATES only for R².
+    CONFOUNDED occurs only in the fits of the joint law and of friction, CONSTANT_RATES only for R². UNKNOWN_THRESHOLD
+    occurs in fits of logs without a threshold, for the forms that then are the same curve as another one.
     """
 
     IDENTIFIED = 0
@@ -36,6 +37,7 @@ class Reason(IntEnum):
     NO_SLOPE = 5
     CONFOUNDED = 6
     CONSTANT_RATES = 7
+    UNKNOWN_THRESHOLD = 8
 
 
 REASONS = tuple(reason.name.lower().replace("_", "-") for reason in Reason)

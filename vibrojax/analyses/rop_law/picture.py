@@ -17,19 +17,27 @@ from matplotlib.patches import Patch
 from matplotlib.typing import MarkerType
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.analyses.rop_law.columns import columns_lines
-from vibrojax.analyses.rop_law.results import formulas_of
-from vibrojax.analyses.rop_law.rop import FORMS
+from vibrojax.analyses.rop_law.blocks import Standing
+from vibrojax.analyses.rop_law.results import formulas_of, verdict
+from vibrojax.analyses.rop_law.rop import FORMS, SAME_AS_ONSET
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
+from vibrojax.io.riglog import log_lines
 from vibrojax.plot.axes import scale, shape_zero, share_text, with_unit
 from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
 from vibrojax.plot.contents import FORM, POINT, law_in, long_axes
 from vibrojax.plot.curves import MOST_ROWS, Across, Row, longest_axis, new_rows
 from vibrojax.plot.sheet import LEGEND_WIDTH, Facets, facets, legend_at_right, sheet, write_margins
-from vibrojax.plot.style import FAINT, INK, Mark, styled
+from vibrojax.plot.style import FAINT, INK, Mark, new_figure, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
-_MARKS: dict[str, MarkerType] = {"onset": "o", "literal": "s", "percent": "^", "line": "D", "power": "v"}
+_MARKS: dict[str, MarkerType] = {
+    "onset": "o",
+    "literal": "s",
+    "percent": "^",
+    "line": "D",
+    "power": "v",
+    "constant": "P",
+}
 _EQUAL_AIC = 2.0  # difference of AIC up to which a form counts as equal to the best form
 # If a difference of AIC exceeds the first value, the scale is logarithmic above the second.
 _LOG_AIC_FROM, _LINEAR_AIC = 30.0, 10.0
@@ -41,6 +49,7 @@ _BEST, _ERROR = "best_form", "C_relative_error"
 _MOST_GROUPS, _MOST_COLUMNS = 6, 3
 _ROW_HEIGHT = 2.4  # height of a row of panels [inch]
 _MANY_LANES = 60  # number of drawn lanes in a group from which on the markers are small
+_CLOUD = 300  # number of drawn lanes in a group from which on they are a faint cloud below the curves
 _CURVE_POINTS = 200
 # The power law often coincides with the straight line, the literal form with the onset form: dashed and on top, they
 # leave the colour of the other form visible.
@@ -61,27 +70,38 @@ _USES = {
 def law_lines(fit: xr.Dataset) -> Figure:
     """Draw C in each reading of the law, and the AIC of every form, over the longest axis of the groups.
 
-    At the top are the data of each group with the curve of every form, for six groups at most.
+    At the top are the data of each group with the curve of every form, for six groups at most. For a log whose forms
+    were compared over blocks of rows, the error of predicted rates takes the place of AIC.
     """
-    fit = law_in(fit)
+    fit = _with_short_titles(law_in(fit))
+    if "reference_force" in fit.attrs:  # the threshold is unknown: some forms are the same curve as another one
+        fit = fit.sel({FORM: [name for name in _forms(fit) if name not in SAME_AS_ONSET]})
     x = longest_axis(fit)
     fit = fit.sortby(x.name) if x.is_number else fit
-    panels, groups = facets(fit, (POINT, x.name), MOST_ROWS), groups_to_show(fit)
-    has_aic = "aic" in fit
+    has_aic, by_blocks = "aic" in fit, "cv_error" in fit and bool(fit["cv_error"].notnull().any())
+    groups = groups_to_show(fit)
+    if by_blocks:  # the C of a form that the data reject means nothing
+        fit = fit.assign(C=fit["C"].where(fit["standing"] != Standing.REJECTED))
+    panels = facets(fit, (POINT, x.name), MOST_ROWS)
     figure, rows, above = new_rows(panels, 1 + has_aic, _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS))
     uses = draw_fits(figure, above, groups)
     factor, unit = scale(fit["C"])
     for row in rows:
         _draw_coefficients(row, x, factor)
         row.label(0, x.label, with_unit("C", unit))
-        if has_aic:
+        if by_blocks:
+            _draw_errors(row, x, factor)
+            row.label(1, x.label, with_unit("error of predicted rates", unit))
+        elif has_aic:
             row.axes[1].axhspan(0.0, _EQUAL_AIC, color=FAINT, alpha=0.25, linewidth=0)
             for k, name in enumerate(_forms(fit)):
                 excess = np.atleast_1d(_above_best(row.facet).sel({FORM: name}).values)
                 places = x.of(row.facet) if x.name else [float(k)]
                 row.axes[1].plot(places, excess, label=name, **_mark(name, x))
             row.label(1, x.label, "AIC above the best form")
-    if has_aic:
+    if by_blocks:
+        rows[0].axes[1].set_ylim(bottom=0.0)
+    elif has_aic:
         _scale_excess(rows)
     for axes, names in zip(rows[0].axes, (_readings(fit), _forms(fit)), strict=False):
         if x.name:
@@ -101,17 +121,32 @@ def law_lines(fit: xr.Dataset) -> Figure:
             axes.set(xticks=[], yticks=[])
             axes.text(0.5, 0.6, "no group has a C", transform=axes.transAxes, ha="center", color="0.3")
     equal: list[Artist] = [Patch(facecolor=FAINT, alpha=0.25, label="as good as the best")]
+    if by_blocks:
+        ring = Mark(linestyle="none", marker="o", color=INK, markersize=4.0, markerfacecolor="white")
+        equal = [Line2D([], [], label="may be the truth too", **ring)]
     has_any = bool(np.isfinite(values).any())
     legend_at_right(figure, _line_handles(fit), equal if has_aic and has_any else [], uses)
     over = "over the rows of the table" if fit.attrs.get("along") == POINT else f"along {fit.attrs.get('along')}"
-    along = f"Fitted {over}; bars of one standard error" if "along" in fit.attrs else ""
+    along = f"Fitted {over}; bars of one standard error, bands of that of C" if "along" in fit.attrs else ""
     # Groups without a C: their number per reading if the numbers differ.
     lacking = {name: int(np.isnan(fit["C"].sel({FORM: name}).values).sum()) for name in _readings(fit)}
     counts = [f"{name}: {count}" for name, count in lacking.items() if count]
     counts = counts if len(set(lacking.values())) > 1 else [str(count) for count in lacking.values() if count][:1]
+    counts = [] if by_blocks else counts
     note = f"Groups without a C, of {fit['C'].size // fit.sizes[FORM]}: {', '.join(counts)}" if counts else ""
     write_margins(figure, fit, panels.note, data_text(groups, fit), along, note)
     return figure
+
+
+def _with_short_titles(fit: xr.Dataset) -> xr.Dataset:
+    """Return the fit with the depths of segments as their names, and without those of other groups."""
+    if "depth_from" not in fit.coords:
+        return fit
+    fit, ends = fit.drop_vars(["depth_from", "depth_to"]), (fit["depth_from"].values, fit["depth_to"].values)
+    if "segment" in fit.coords:
+        names = [f"{low:.0f} to {high:.0f} m" for low, high in zip(*ends, strict=True)]
+        fit = fit.drop_vars("segment").assign_coords(depth=("group", names))
+    return fit
 
 
 def _draw_coefficients(row: Row, x: Across, factor: float) -> None:
@@ -127,6 +162,18 @@ def _draw_coefficients(row: Row, x: Across, factor: float) -> None:
         if x.name:
             places = places + _DODGE * (float(np.ptp(places)) if x.is_number else 4.0) * k
         axes.errorbar(places, values, bars, label=name, capsize=2.5, elinewidth=0.9, **_mark(name, x))
+
+
+def _draw_errors(row: Row, x: Across, factor: float) -> None:
+    """Draw the error of rates predicted from other blocks of rows; forms that cannot be told apart are hollow."""
+    for k, name in enumerate(_forms(row.facet)):
+        form = row.facet.sel({FORM: name})
+        errors, standing = (np.atleast_1d(form[variable].values) for variable in ("cv_error", "standing"))
+        places = x.of(form) if x.name else np.array([float(k)])
+        row.axes[1].plot(places, factor * errors, label=name, **_mark(name, x))
+        rings = np.isin(standing, (Standing.UNDECIDED, Standing.CONTAINS_CHOSEN))
+        hollow = _mark(name, x) | Mark(linestyle="none", markerfacecolor="white")
+        row.axes[1].plot(np.asarray(places)[rings], factor * errors[rings], label=f"_{name}", **hollow)
 
 
 def _scale_excess(rows: Sequence[Row]) -> None:
@@ -254,7 +301,8 @@ def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> list
         factor, unit = scale(group[_RATE])
         _draw_group(axes, group, factor)
         axes.set_title(title, loc="left")
-        axes.set_xlabel("relief P/D" if k + wide >= len(groups) else "")
+        relief = "force over its median" if "reference_force" in group.attrs else "relief P/D"
+        axes.set_xlabel(relief if k + wide >= len(groups) else "")
         axes.set_ylabel(with_unit("rate of penetration", unit) if k % wide == 0 else "")
     shown = {use for group in groups.data for use in _masks(group)}
     look = Mark(linestyle="none", markersize=4.5)
@@ -281,10 +329,17 @@ def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
         if name in rates and np.isfinite(coefficients[0]):
             line = Mark(color=form_colour(name), linewidth=1.4, linestyle=_DASHES.get(name, "-"))
             line |= Mark(zorder=2.5 if name in _DASHES else 2.0)
-            axes.plot(eta, factor * rates[name](eta, *coefficients), label=name, **line)
-    size = 4.2 if seen.sum() < _MANY_LANES else 2.2
+            curve = factor * rates[name](eta, *coefficients)
+            axes.plot(eta, curve, label=name, **line)
+            error = float(form["C_stderr"]) / coefficients[0] if "C_stderr" in form and coefficients[0] else np.nan
+            if np.isfinite(error):  # every form is proportional to its C
+                band = curve * (1 - error), curve * (1 + error)
+                axes.fill_between(eta, *band, color=form_colour(name), alpha=0.15, linewidth=0)
+    is_cloud = seen.sum() >= _CLOUD
+    size = 4.2 if seen.sum() < _MANY_LANES else 1.6 if is_cloud else 2.2
     for use, mask in _masks(group).items():
-        look = Mark(linestyle="none", markersize=size, zorder=3) | _USES[use][1]
+        look = Mark(linestyle="none", markersize=size, zorder=1.5 if is_cloud else 3) | _USES[use][1]
+        look |= Mark(color=FAINT) if is_cloud and use == "fitted" else Mark()
         axes.plot(relief[mask], rate[mask], label=f"_{use}", **look)
     top = float(np.max(rate[seen]))
     if top > 0:
@@ -301,6 +356,27 @@ def _masks(group: xr.Dataset) -> dict[str, np.ndarray]:
     return {name: mask for name, mask in masks.items() if mask.any()}
 
 
+@styled
+def residuals(fit: xr.Dataset) -> Figure:
+    """Draw the residuals of every form over the relief, with a panel for each group; no panels without the data."""
+    figure, rates, groups = new_figure(8.0, 2.6), {form.name: form.rate for form in FORMS}, groups_to_show(law_in(fit))
+    if not len(groups):
+        return figure
+    for axes, title, group in zip(
+        figure.subplots(1, len(groups), squeeze=False)[0], groups.titles, groups.data, strict=True
+    ):
+        factor, unit = scale(group[_RATE])
+        relief, rate = (group[name].values[_masks(group).get("fitted", slice(0))] for name in (_RELIEF, _RATE))
+        axes.axhline(0.0, color=FAINT, linewidth=0.8)
+        for name in (name for name in _forms(group) if name in rates):
+            form = group.sel({FORM: name})
+            law = rates[name](relief, *(float(form[x]) if x in form else np.nan for x in ("C", "eta0", "exponent")))
+            axes.plot(relief, factor * (rate - law), **_mark(name) | Mark(linestyle="none", markersize=3.5))
+        axes.set_title(f"residuals{f', {title}' if title else ''}", loc="left")
+        axes.set(xlabel="relief P/D", ylabel=with_unit("measured less the form", unit))
+    return figure
+
+
 class Fits(Analysis):
     """The fit of the rate-of-penetration law to a sweep's dataset or to rig data."""
 
@@ -311,4 +387,10 @@ class Fits(Analysis):
     )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        return [SummaryPart("columns", columns_lines(ds))]
+        return [SummaryPart("columns", log_lines(ds))]
+
+    def page_figures(self, ds: xr.Dataset) -> list[Figure]:
+        return [self.picture(ds), residuals(ds)]
+
+    def page_text(self, ds: xr.Dataset) -> list[SummaryPart]:
+        return [SummaryPart("forms of the law", verdict(ds)), *self.summary(ds)]

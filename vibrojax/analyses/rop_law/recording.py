@@ -10,10 +10,11 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Bool
 
-from vibrojax.analyses.rop_law.columns import split_unit
-from vibrojax.analyses.rop_law.data import open_data, read_numbers
+from vibrojax.analyses.rop_law.data import open_data
 from vibrojax.errors import InputError, Place, shown, suggestion
 from vibrojax.io.attributes import flags
+from vibrojax.io.riglog.columns import split_unit
+from vibrojax.io.tables import read_numbers
 from vibrojax.models.physics.units import UNITS, factor
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def open_recording(data: Recording, fit: str) -> tuple[Place, xr.Dataset]:
         path = Path(data)
         if path.suffix.lower() == ".csv":
             place = Place(str(path))
-            return place, _recording(place, read_numbers(place, path, _quantity))
+            return place, _recording(place, read_numbers(place, path, _quantity, "time,v1"))
         if path.suffix.lower() != ".nc":
             raise Place(str(path)).error("ends in neither .nc nor .csv; give a recording as a dataset or a CSV file")
         return open_data(data, fit)

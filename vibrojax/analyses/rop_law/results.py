@@ -10,11 +10,12 @@ import xarray as xr
 from jaxtyping import Bool, Float, Shaped
 from scipy.special import stdtrit
 
-from vibrojax.analyses.rop_law.columns import RATE
+from vibrojax.analyses.rop_law.blocks import CONTAINED, Standing
 from vibrojax.analyses.rop_law.least_squares import REASONS
 from vibrojax.errors import Place, counted
-from vibrojax.io.attributes import table_of, title_of
+from vibrojax.io.attributes import attribute_of, table_of, title_of
 from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.riglog.columns import RATE
 from vibrojax.io.variables import Variable
 from vibrojax.models.physics.units import factor
 
@@ -27,6 +28,12 @@ for k = 2 coefficients, is finite from n = 4 lanes on."""
 
 ONSET_STANDARD_ERRORS = 2.0
 """Number of standard errors by which an onset is below 1 before the verdict says so."""
+
+_KEPT = (
+    *("scene", "sweep", "parameters", "columns"),
+    *("dialect", "detected", "dropped", "rows_read", "nulls", "notes", "reference_force"),
+)
+"""Attributes of the data that a fit keeps."""
 
 _GROUPS_BEATEN_SHOWN = 5
 _GROUPS_TABULATED = 12
@@ -83,7 +90,7 @@ def fit_dataset(
     own = dataset_attributes("fit", f"{title}: {title_of(data, place.file)}", f"{step} {place.file}")
     if "history" in data.attrs:
         own["history"] = f"{own['history']}\n{data.attrs['history']}"
-    kept = {name: data.attrs[name] for name in ("scene", "sweep", "parameters", "columns") if name in data.attrs}
+    kept = {name: data.attrs[name] for name in _KEPT if name in data.attrs}
     return xr.Dataset(to_variables(schema, values, dims), coordinates, {**own, **kept, **more})
 
 
@@ -96,7 +103,7 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
     """
     dims = [dim for dim in fit["aic"].dims if dim != "form"]
     values = {str(name): table(fit, str(name)) for name, v in fit.items() if set(v.dims) == {*dims, "form"}}
-    for name in ("reason", "r_squared_reason"):
+    for name in ("reason", "r_squared_reason", "standing"):
         values[name] = np.array(str(fit[name].attrs["flag_meanings"]).split())[values[name]]
     groups: list[dict[str, Any]] = []
     choices, names = recommended(fit), _group_names(fit)
@@ -109,8 +116,10 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
         }
         group = {"name": names[index], "coordinates": coordinates, "forms": forms}
         groups.append({**group, "recommended": choices[index]})
-    columns = table_of(fit, "columns") or None
-    return {"along": str(fit.attrs["along"]), "columns": columns, "groups": groups, "verdict": verdict(fit)}
+    facts: dict[str, Any] = {"along": str(fit.attrs["along"]), "columns": table_of(fit, "columns") or None}
+    if "dialect" in fit.attrs:
+        facts |= {name: attribute_of(fit, name) for name in ("dialect", "detected", "rows_read", "dropped", "notes")}
+    return {**facts, "groups": groups, "verdict": verdict(fit)}
 
 
 def law_table(facts: Mapping[str, Any]) -> list[str]:
@@ -125,7 +134,9 @@ def law_table(facts: Mapping[str, Any]) -> list[str]:
             lines.append(f"{head}: {reasons.pop()}")
             continue
         lines += [""] * bool(lines) + [head]
-        lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}")
+        is_compared = any(values["standing"] == "chosen" for values in group["forms"].values())
+        by_blocks = f"{'CV [m/s]':>11}" * is_compared
+        lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}{by_blocks}")
         lines += [f"  {form:<9}{_table_row(values)}".rstrip() for form, values in group["forms"].items()]
     further = len(facts["groups"]) - _GROUPS_TABULATED
     return lines + ([f"and {counted(further, 'group')} more"] if further > 0 else [])
@@ -140,7 +151,9 @@ def _table_row(values: Mapping[str, float | int | str]) -> str:
         for name in ("C", "eta0", "exponent")
     ]
     row = f"{cells[0]:<24}{cells[1]:<22}{cells[2]:<20}{values['r_squared']:>8.4f}{values['aic']:>10.2f}"
+    row += f"{values['cv_error']:>11.4g}" if math.isfinite(float(values["cv_error"])) else ""
     reasons = [str(values[name]) for name in ("reason", "r_squared_reason") if values[name] != "identified"]
+    reasons += [str(values["standing"])] * (values["standing"] in ("chosen", "undecided"))
     return f"{row}  {', '.join(reasons)}" if reasons else row
 
 
@@ -151,7 +164,10 @@ def table(fit: xr.Dataset, name: str) -> Shaped[np.ndarray, "groups forms"]:
 
 
 def recommended(fit: xr.Dataset) -> list[dict[str, Any] | None]:
-    """Return the recommended C of each group: of the reading of the log law with the lowest AIC, if the log law holds.
+    """Return the recommended C of each group.
+
+    For a log whose forms were compared over blocks of rows, it is that of the chosen form. Otherwise it is that of the
+    reading of the log law with the lowest AIC, if the log law holds.
 
     A dictionary holds `form`, `C` [m/s] and the ends `low` and `high` of its 95 % confidence interval [m/s], by
     Student's distribution. With rig data it also holds these three in the unit of the data's rate, as `in_unit`, and
@@ -161,18 +177,28 @@ def recommended(fit: xr.Dataset) -> list[dict[str, Any] | None]:
     names = [str(name) for name in fit["form"].values]
     judged, above_best = _judged(fit)
     c, error, freedom, reason = (table(fit, name) for name in ("C", "C_stderr", "degrees_of_freedom", "reason"))
+    forms: dict[int, int] = {}
+    for row, group in zip(above_best, np.flatnonzero(judged).tolist(), strict=True):
+        form = min((names.index(name) for name in LOGARITHMIC), key=lambda column: row[column])
+        if row[form] <= CLEAR_AIC_DIFFERENCE:
+            forms[group] = form
+    forms |= {group: form for group, form in np.argwhere(_standing(fit) == Standing.CHOSEN).tolist()}
     unit = str(table_of(fit, "columns").get(RATE, {}).get("unit", "m/s"))
     scale = factor(unit, "m s-1") or 1.0
     choices: list[dict[str, Any] | None] = [None] * len(judged)
-    for row, group in zip(above_best, np.flatnonzero(judged).tolist(), strict=True):
-        form = min((names.index(name) for name in LOGARITHMIC), key=lambda column: row[column])
-        if row[form] > CLEAR_AIC_DIFFERENCE or reason[group, form] or c[group, form] <= 0:
+    for group, form in forms.items():
+        if reason[group, form] or c[group, form] <= 0:
             continue
         half = float(stdtrit(freedom[group, form], 0.975) * error[group, form])
         values = {"C": float(c[group, form]), "low": float(c[group, form]) - half, "high": float(c[group, form]) + half}
         in_unit = {name: value / scale for name, value in values.items()}
         choices[group] = {"form": names[form], **values} | ({"unit": unit, "in_unit": in_unit} if scale != 1 else {})
     return choices
+
+
+def _standing(fit: xr.Dataset) -> Shaped[np.ndarray, "groups forms"]:
+    """Return the `Standing` of each form; all 0 in a fit that is older than it."""
+    return table(fit, "standing") if "standing" in fit else np.zeros_like(table(fit, "reason"))
 
 
 def _judged(fit: xr.Dataset) -> tuple[Bool[np.ndarray, " groups"], Float[np.ndarray, "judged forms"]]:
@@ -185,9 +211,10 @@ def _judged(fit: xr.Dataset) -> tuple[Bool[np.ndarray, " groups"], Float[np.ndar
 def verdict(fit: xr.Dataset) -> list[str]:
     """Return lines of text: which form describes the data best by AIC, and for which groups the log law holds.
 
-    A form holds in a group if its AIC exceeds the lowest by at most `CLEAR_AIC_DIFFERENCE`. The log law holds if one of
-    its three readings holds. Groups with fewer than four lanes with a rate cannot decide it. The last lines state the
-    recommended C.
+    For a log whose forms were compared over blocks of rows, they say which form the data support, and from which others
+    they cannot tell it. Otherwise, a form holds in a group if its AIC exceeds the lowest by at most
+    `CLEAR_AIC_DIFFERENCE`. The log law holds if one of its three readings holds. Groups with fewer than four lanes with
+    a rate cannot decide it. The last lines state the recommended C.
 
     **Arguments:** `fit`: a dataset that `fit_rop` returned.
     """
@@ -206,8 +233,10 @@ def verdict(fit: xr.Dataset) -> list[str]:
     if is_short.any():
         needed = f"at least {LEAST_DEGREES_OF_FREEDOM + 2} with a rate are needed"
         lines.append(f"too few lanes to compare the forms in {is_short.sum()} of {judged.size}; {needed}")
+    if (_standing(fit) == Standing.CHOSEN).any():
+        return [*(lines if is_short.any() else []), *_choices(fit), *_determined(fit), *_recommendation(fit)]
     if not judged.any():
-        return [*lines, "no form can be told from the lanes that are there"]
+        return [*lines, "no form can be told from the lanes that are there", *_determined(fit)]
     best = np.argmin(above_best, axis=1)
     lines.append(f"along {fit.attrs['along']}, over {judged.sum()} of {judged.size}:")
     holds = above_best <= CLEAR_AIC_DIFFERENCE
@@ -246,6 +275,51 @@ def verdict(fit: xr.Dataset) -> list[str]:
     return [*lines, *_recommendation(fit)]
 
 
+def _choices(fit: xr.Dataset) -> list[str]:
+    """Return lines of text: the form that each of the first groups supports, and forms that may be the truth too."""
+    standing, aic = _standing(fit), table(fit, "aic")
+    names, lines = np.array([str(name) for name in fit["form"].values]), []
+    groups = np.flatnonzero((standing == Standing.CHOSEN).any(axis=1))
+    for group in groups[:_GROUPS_TABULATED].tolist():
+        [chosen] = names[standing[group] == Standing.CHOSEN]
+        rivals = ", ".join(names[standing[group] == Standing.UNDECIDED])
+        name = _group_names(fit)[group]
+        if rivals:
+            lines.append(f"{name}: these data cannot tell {chosen} from {rivals}")
+        else:
+            contains = (standing[group] == Standing.CONTAINS_CHOSEN).any()
+            others = "every form that does not contain it" if contains else "the other forms"
+            lines.append(f"{name}: the data support {chosen}, {formulas_of(fit)[str(chosen)]}, against {others}")
+        best = str(names[np.nanargmin(aic[group])])
+        if best != chosen and best not in CONTAINED.get(str(chosen), ()):
+            lines.append(f"  AIC is lowest for {best}, but takes neighbouring rows for independent")
+    more = groups.size - _GROUPS_TABULATED
+    lines += [f"and {counted(more, 'group')} more"] if more > 0 else []
+    return ["by the rates of each block of rows, predicted from the other blocks (CV):", *(f"  {x}" for x in lines)]
+
+
+def _determined(fit: xr.Dataset) -> list[str]:
+    """Return lines of text: what the data determine if the threshold is unknown."""
+    force = attribute_of(fit, "reference_force")
+    if force is None:
+        return []
+    onset, error = (fit[f"onset_force{name}"].sel(form="onset").values.ravel() for name in ("", "_stderr"))
+    slope = fit["C"].sel(form="line").values.ravel() / force
+    known = np.isfinite(onset)
+    lines = [
+        f"the threshold D is unknown, so that eta = P/{force / 1e3:.4g} kN, by the median of the mean force P. "
+        "The data determine C and eta0 D of onset, C/D and eta0 D of line, the exponent and C/D^exponent of power:"
+    ]
+    for group in np.flatnonzero(known)[:_GROUPS_TABULATED].tolist():
+        lines.append(
+            f"  {_group_names(fit)[group]}: onset eta0 D = {onset[group] / 1e3:.4g} ± {error[group] / 1e3:.2g} kN; "
+            f"line C/D = {1e3 * slope[group]:.4g} m/s per kN"
+        )
+    if known.any():
+        lines.append("  literal and percent have the curve of onset: D would be eta0 D, or 100 times as much")
+    return lines
+
+
 def _recommendation(fit: xr.Dataset) -> list[str]:
     """Return lines of text with the recommended C of the first groups, in m/s and in the unit of the data's rate."""
     choices = recommended(fit)
@@ -258,7 +332,9 @@ def _recommendation(fit: xr.Dataset) -> list[str]:
             texts += [_interval(choice["in_unit"], choice["unit"])] if "unit" in choice else []
             lines.append(f"{name}: C = {' = '.join(texts)}, {choice['form']}")
     more = [f"  and {len(lines) - _GROUPS_TABULATED} more"] if len(lines) > _GROUPS_TABULATED else []
-    title = "recommended C (95 % interval), of the reading of the log law with the lowest AIC:"
+    by_blocks = (_standing(fit) == Standing.CHOSEN).any()
+    how = "of the chosen form" if by_blocks else "of the reading of the log law with the lowest AIC"
+    title = f"recommended C (95 % interval{', by a bootstrap of blocks' * bool(by_blocks)}), {how}:"
     return [title, *(f"  {line}" for line in lines[:_GROUPS_TABULATED]), *more]
 
 

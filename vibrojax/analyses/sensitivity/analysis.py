@@ -59,8 +59,7 @@ class Sensitivity(SweepAnalysis):
 
     kind = KIND
     pictures = (PictureRule("elasticities of the orbits", lambda held: "parameter" in held.dimensions, elasticities),)
-    view = "none"
-    no_view = "it holds derivatives with respect to several parameters; draw it with vibrojax plot"
+    view = "plots"
 
     def identity(self, sweep: Sweep) -> dict[str, object]:
         return {KIND: ",".join(self.by) or "all"}

@@ -1,6 +1,7 @@
 """Features of orbits as functions of JAX arrays, with gradients by the implicit function theorem: `as_jax`."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -46,7 +47,8 @@ def as_jax(
     orbit on the straight line from the first one. An orbit that has become unstable is continued, with a
     positive `margin`, so that stability can be a smooth constraint; it is not valid either.
 
-    Orbits are computed in float64, whatever the type of the argument is. Results have the type of the argument.
+    Orbits are computed in float64, whatever the type of the argument is. Results have the type of the argument, at
+    least float32.
 
     **Arguments:**
 
@@ -93,7 +95,8 @@ def as_jax(
         if x.shape != (len(parameters),):
             expected = f"({len(parameters)},), one number for each of {', '.join(parameters)}"
             raise InputError(f"as_jax: the array has the shape {x.shape}; give {expected}")
-        results = features(x.astype(jnp.result_type(float, x.dtype)))
+        dtype = jnp.result_type(float, x.dtype)
+        results = features(x.astype(dtype if dtype.itemsize >= jnp.dtype(jnp.float32).itemsize else jnp.float32))
         values = {name: results[index] for name, index in outputs.items()}
         return values | {VALID: jax.lax.stop_gradient(results[-1]) > 0.5}
 
@@ -104,24 +107,37 @@ def _features(branch: Branch, size: int, outside: str) -> Callable[[jax.Array], 
     """Return the function from parameters to features (and, as the last number, 1 if valid), with its derivatives."""
     count = len(branch.of) + 1
 
-    def compute(x: Any) -> tuple[np.ndarray, np.ndarray]:
+    def compute(dtype: np.dtype, words: Any) -> tuple[np.ndarray, ...]:
         """Return features (..., features) and derivatives (..., features, by) at the points (..., by)."""
-        x = np.asarray(x)
+        x = np.ascontiguousarray(words).view(dtype)
         features = branch.evaluate(np.ascontiguousarray(x.reshape(-1, size), float))
         values = np.concatenate([features.values, features.valid[:, None]], axis=1)
         slopes = np.concatenate([features.derivatives, np.zeros((len(values), 1, size))], axis=1)
         if outside == "nan":
             values[~features.valid, :-1] = np.nan
             slopes[~features.valid, :-1] = np.nan
-        return (
-            values.reshape(*x.shape[:-1], count).astype(x.dtype),
-            slopes.reshape(*x.shape[:-1], count, size).astype(x.dtype),
-        )
+        both = values[..., None], slopes
+        return tuple(part.astype(dtype).view(np.uint32).reshape(*x.shape[:-1], -1) for part in both)
 
     @jax.custom_jvp
     def both(x: jax.Array) -> Any:
-        shapes = (jax.ShapeDtypeStruct((count,), x.dtype), jax.ShapeDtypeStruct((count, size), x.dtype))
-        return jax.pure_callback(compute, shapes, x, vmap_method="broadcast_all")
+        # A loop calls back from another thread. If x64 is enabled in this thread only, jax rounds doubles there; it
+        # leaves words of 32 bits unchanged.
+        dtype = np.dtype(x.dtype)
+        words = dtype.itemsize // 4
+        shapes = tuple(jax.ShapeDtypeStruct((number * words,), np.uint32) for number in (count, count * size))
+        parts = jax.pure_callback(
+            partial(compute, dtype),
+            shapes,
+            jax.lax.bitcast_convert_type(x, jnp.uint32).reshape(-1),
+            vmap_method="broadcast_all",
+        )
+        shape = (words,) * (words > 1)
+        values, slopes = (
+            jax.lax.bitcast_convert_type(part.reshape(*outer, *shape), dtype)
+            for part, outer in zip(parts, ((count,), (count, size)), strict=True)
+        )
+        return values, slopes
 
     @both.defjvp
     def _(primals: Any, tangents: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import jax
@@ -121,13 +122,14 @@ def run_and_derive(
     return jax.tree.map(lambda *x: np.concatenate(x)[: settling.size].reshape(shape), *parts)
 
 
-def measured_of(scene: Scene[Any]) -> set[str]:
+@cache
+def measured_of(scene: Scene[Any]) -> frozenset[str]:
     """Return the names of the scene's features, without computing the features."""
     start = scene.starts[0] if scene.starts else None
     with precision("float64"):
         ones = jnp.ones(1)
         parameters = dict.fromkeys(scene.parameters(), ones)
-        return set(jax.eval_shape(lambda p: _features(scene, start, p, (ones, ones)), parameters))
+        return frozenset(jax.eval_shape(lambda p: _features(scene, start, p, (ones, ones)), parameters))
 
 
 @lane_function(static=2, derives=True)

@@ -123,8 +123,7 @@ class Studies(Analysis):
     kind = "study"
     variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
     pictures = (PictureRule("effects", lambda held: "first_order" in held.variables, bars_and_interactions),)
-    view = "none"
-    no_view = "it holds indices, not a map; draw it with vibrojax plot"
+    view = "plots"
 
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
         """Run a study, as [vibrojax.analyses.study.run.study][] does."""

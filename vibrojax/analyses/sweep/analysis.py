@@ -268,9 +268,9 @@ def _accuracy_lines(ds: xr.Dataset, errors: np.ndarray, accepted: float) -> list
         lines.append("the distance of lanes from where they settle is not included: made before version 0.1.1")
     elif "cycles" in ds:
         still = int((ds["drift_estimate"] > accepted).sum())
-        one = "of them is farther than that from where it settles; a longer settle brings it there"
-        many = "of them are farther than that from where they settle; a longer settle brings them there"
-        lines.append(counted(still, one, many))
+        singular = "of them is farther than that from where it settles; a longer settle brings it there"
+        plural = "of them are farther than that from where they settle; a longer settle brings them there"
+        lines.append(counted(still, singular, plural))
     return [
         *lines,
         counted(

@@ -96,7 +96,7 @@ def _dots(lanes: xr.DataArray, factor: float, x: str, *dims: str) -> tuple[Lanes
     return along, factor * returns.values.ravel()
 
 
-def _label(returns: xr.DataArray) -> str:
+def returns_label(returns: xr.DataArray) -> str:
     """Return what a diagram of section crossings shows: "impact velocity at each return"."""
     if returns.name == IMPACTS_OF_RETURNS:
         return "impact velocity at each return"
@@ -133,7 +133,7 @@ def _draw_returns(stack: Stack, shown: str, x: str, layers: Sequence[xr.Dataset]
         draw_over(axes, layers, facet, x, _of_families(shown), factor)
     if stack.first:  # a single label, centred on all diagrams of the stack
         middle = curves[len(curves) // 2]
-        middle.set_ylabel(with_unit(_label(facet[shown]), unit), y=0.5 if len(curves) % 2 else 1.1)
+        middle.set_ylabel(with_unit(returns_label(facet[shown]), unit), y=0.5 if len(curves) % 2 else 1.1)
 
 
 # Lanes carried up and down.
@@ -244,7 +244,7 @@ def _draw_ways(stack: Stack, values: tuple[Value, ...], shown: str, x: str, laye
             dots = _dots(way.lanes[shown], factor, x)
             stack.curves[0].scatter(*dots, s=size, linewidths=0, color=way.colour, rasterized=True)
         if stack.first:
-            stack.curves[0].set_ylabel(with_unit(_label(facet[shown]), unit))
+            stack.curves[0].set_ylabel(with_unit(returns_label(facet[shown]), unit))
     along = values_along(facet[x])
     between = (along[1:] + along[:-1]) / 2
     for axes, (variable, factor) in zip(stack.curves, factors.items(), strict=True):

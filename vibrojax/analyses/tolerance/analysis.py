@@ -78,8 +78,7 @@ class Tolerances(Analysis):
     kind = "tolerance"
     variables = SAMPLE_VARIABLES
     pictures = (PictureRule("extremes over a tolerance box", lambda held: True, extremes_picture),)
-    view = "none"
-    no_view = "it holds samples of a box, not a map; draw it with vibrojax plot"
+    view = "plots"
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the nominal behaviour, the regimes and the extremes, for each start."""
@@ -88,8 +87,7 @@ class Tolerances(Analysis):
         for k in range(lanes.sizes["start"]):
             lane = lanes.isel(start=k)
             start = str(lane["start"].values) if "start" in lane.coords else ""
-            found, text = _start_summary(ds, lane)
-            facts[start] = found
+            facts[start], text = _start_summary(ds, lane)
             lines += [f"from {start}:"] * bool(start) + [f"  {line}" if start else line for line in text]
         return [SummaryPart("tolerance", lines, {"tolerance": facts})]
 

@@ -269,10 +269,20 @@ def _convert(op: Application) -> str:
 
 def _saturate(op: Application) -> str:
     """Emit a conversion of a float to an integer type that clips to the range of the type. NaN becomes 0."""
-    asm, lanes = op.asm, f"v{op.asm.width}" if op.varying else ""
-    name = f"llvm.fpto{'s' if op.gives.kind == 'i' else 'u'}i.sat"
-    name += f".{lanes}{asm.suffix(op.gives)}.{lanes}{asm.suffix(op.dtype)}"
-    return asm.call(name, op.x, asm.type(op.gives, op.varying), takes=op.type)
+    asm, kind = op.asm, op.asm.type(op.gives, op.varying)  # raises `Untranslatable` for a type that LLVM lacks
+    if op.gives.kind == "u":
+        lanes = f"v{asm.width}" if op.varying else ""
+        name = f"llvm.fptoui.sat.{lanes}{asm.suffix(op.gives)}.{lanes}{asm.suffix(op.dtype)}"
+        return asm.call(name, op.x, kind, takes=op.type)
+    # LLVM's saturating conversion would convert each lane separately. A power of two, the bound is exact as a float.
+    limits, flags = np.iinfo(op.gives), asm.type(BOOL, op.varying)
+    beyond = op.constant(-float(limits.min))
+    inside = op.compare("olt", op.intrinsic("fabs"), beyond)
+    result = asm.let(f"fptosi {op.type} {op.select(inside, op.x[0], op.constant(0))} to {kind}")
+    for how, bound, limit in (("oge", beyond, limits.max), ("ole", op.constant(float(limits.min)), limits.min)):
+        extreme = asm.text(literal(limit, op.gives), op.varying)
+        result = asm.let(f"select {flags} {op.compare(how, op.x[0], bound)}, {kind} {extreme}, {kind} {result}")
+    return result
 
 
 COMPOSED: dict[str, Callable[[Assembly, Sequence[Entry]], Operand]] = {"clamp": _clamp, "select_n": _select}

@@ -14,20 +14,30 @@ export function heldSource() {
 
 export async function begin(source) {
   const element = document.getElementById("vibrojax");
-  let told = location.hash;
+  let told = location.hash, began = false, last = 0;
   try {
     const page = await mount(element, {
       data: held,
       source,
       state: location.hash,
-      onState: (state) => { told = `#${state}`; history.replaceState(null, "", told); },
+      // Back leads to the cell that was chosen before; of a quick run of keys to that before the run.
+      onState: (state, picked) => {
+        const now = performance.now(), adds = picked && began && now - last > 700;
+        if (picked) last = now;
+        if (told === `#${state}`) return;
+        told = `#${state}`;
+        history[adds ? "pushState" : "replaceState"](null, "", told);
+      },
     });
+    began = true;
     window.vibrojax = page;  // for who wants to go on from here in the browser's console
     window.addEventListener("hashchange", async () => {
       if (location.hash === told) return;
       page.restore(location.hash);
       await page.show({});
+      told = location.hash;
       await page.pick(page.cell);
+      await page.pins.restore(new URLSearchParams(location.hash.slice(1)).get("pins"));
     });
   } catch (error) {
     element.textContent = `The page cannot be shown: ${error.message}`;

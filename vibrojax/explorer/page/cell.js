@@ -40,6 +40,12 @@ export function planesOf(columns) {
   return found;
 }
 
+/** The states that share a plot over time: of one unit, and the hole apart from the machine. */
+export const groupsOf = (columns) => {
+  const key = ({ name, units }) => `${/^[xv][34]$/.test(name) ? "hole" : /force/.test(name) ? "force" : ""} ${units}`;
+  return [...new Set(columns.map(key))].map((one) => columns.filter((column) => key(column) === one));
+};
+
 const colourOf = (ink, name, k) => ink[COLOURED[name] ?? ["bit", "striker", "rock", "accent"][k % 4]];
 
 /** Which events belong to a state's plane: impacts to both masses, stick and slip to what slides. */
@@ -65,14 +71,17 @@ function growth(values) {
 
 const scaled = (values, factor) => Array.from(values, (x) => x * factor);
 
-export function drawPlane(canvas, cell, [position, velocity], k) {
+export function drawPlane(canvas, cell, [position, velocity], k, others = []) {
   const ink = inkOf(canvas), x = cell.states[position.name], y = cell.states[velocity.name];
   const [fx, ux] = shownIn(position.units, x), [fy, uy] = shownIn(velocity.units, y), xs = scaled(x, fx), ys = scaled(y, fy);
   const bit = position.name === "x1" || !/^x\d/.test(position.name);
+  const all = (own, name, factor) => limitsOf([own, ...others.filter(({ motion }) => name in motion.states).map(({ motion }) => scaled(motion.states[name], factor))], 0.09);
   framed(canvas, ink,
-    { limits: limitsOf([xs], 0.09), label: withUnit(symbolOf(position.name), ux) },
-    { limits: limitsOf([ys], 0.09), label: withUnit(symbolOf(velocity.name), uy) },
+    { limits: all(xs, position.name, fx), label: withUnit(symbolOf(position.name), ux) },
+    { limits: all(ys, velocity.name, fy), label: withUnit(symbolOf(velocity.name), uy) },
     (c, sx, sy) => {
+      for (const { motion, colour } of others)
+        if (position.name in motion.states) line(c, scaled(motion.states[position.name], fx), scaled(motion.states[velocity.name], fy), sx, sy, colour, 1.6);
       line(c, xs, ys, sx, sy, colourOf(ink, position.name, k), cell.kind === "orbit" ? 2 : 1.2);
       if (bit) line(c, stuckParts(cell, xs), ys, sx, sy, ink.stick, 4);
       markEvents(c, cell, xs, ys, sx, sy, ink, bit ? ["impact", "stick", "slip"] : ["impact"]);
@@ -100,6 +109,15 @@ export function drawHistory(canvas, cell, columns, isLast) {
         if (one.name === "x2" || one.name === "v2") markEvents(c, first, xs, rows[k], sx, sy, ink, ["impact"]);
       });
     }, { left: 62 });
+}
+
+/** A state of several motions {motion, colour} over their returns, as shares of each; null is the colour of the shown one. */
+export function drawPhase(canvas, all, { name, units }) {
+  const ink = inkOf(canvas), [f, unit] = shownIn(units, all.flatMap(({ motion }) => limitsOf([motion.states[name]], 0)));
+  const rows = all.map(({ motion }) => scaled(motion.states[name], f)), span = Math.max(1, ...all.map(({ motion }) => motion.returns || 1));
+  framed(canvas, ink, { limits: [0, span], label: "returns" }, { limits: limitsOf(rows, 0.09), label: withUnit(symbolOf(name), unit) }, (c, sx, sy) => {
+    all.forEach(({ motion, colour }, k) => line(c, scaled(motion.time, (motion.returns || 1) / motion.duration), rows[k], sx, sy, colour ?? colourOf(ink, name, 0), colour ? 1.5 : 2.2));
+  }, { left: 62 });
 }
 
 /** The whole course of a trajectory: states of one unit, from the beginning; a line where the observation begins. */

@@ -1,7 +1,10 @@
 // The chosen cell beside the map: its head, panels and keys, its numbers, and the calls that simulate it.
-import { described, drawHistory, drawMultipliers, drawPlane, drawReturns, drawSpectrum, planesOf, symbolOf } from "./cell.js";
-import { el } from "./dom.js";
-import { numberText } from "./plots.js";
+import { described, drawHistory, drawMultipliers, drawPhase, drawPlane, drawReturns, drawSpectrum, groupsOf, planesOf, shownIn, symbolOf } from "./cell.js";
+import { el, explained } from "./dom.js";
+import { interactive } from "./interact.js";
+import { stateAt } from "./machine.js";
+import { csvOf } from "./paper.js";
+import { inkOf, line, mark, numberText, prepared } from "./plots.js";
 
 const EVENT_KEYS = { 1: ["stick", "vx-k-stick"], 2: ["slip", "vx-k-slip"], 3: ["impact", "vx-k-impact"] };
 const MASS_KEYS = [["x1", "bit", "vx-k-bit"], ["x2", "striker", "vx-k-striker"], ["x3", "bit on rock", "vx-k-rock"], ["x4", "hole", "vx-k-hole"]];
@@ -13,38 +16,93 @@ function badge(page, motion) {
   const ofLane = point ? Boolean(regime) : page.apart !== "attractor" && regime?.axes.every((axis) => named.includes(axis));
   if (!ofLane || value === undefined) return [];
   const swatch = el("span", { class: "vx-swatch", style: `background:${grid.colour(regime, value)}` });
-  return [el("span", { class: "vx-badge" }, swatch, grid.valueText(regime, value))];
+  const text = grid.valueText(regime, value), meaning = page.data.meanings?.[regime.flags?.[String(value)]];
+  return [explained(el("span", { class: "vx-badge" }, swatch, text), meaning)];
 }
 
 function head(page, motion) {
   let text = page.data.without ?? "no motion is kept of this dataset";
   if (motion) text = described(motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "");
-  return el("div", { class: "vx-cellhead" }, el("h2", { text: page.point?.title || page.grid.cellText(page.cell, page.named) || "The motion" }),
-    ...badge(page, motion), el("p", { class: "vx-motion", text }));
+  return el("div", { class: "vx-cellhead" }, el("h2", { text: page.titleOf() }),
+    ...badge(page, motion), ...(motion && motion.kind !== "none" ? [page.pins.button()] : []), el("p", { class: "vx-motion", text }));
 }
 
-/** A figure, and what draws it. */
-function panel(title, draw, about, extra = "", ...more) {
-  const canvas = el("canvas", { role: "img", "aria-label": `${title}: ${about}` });
-  const figure = el("figure", { class: `vx-panel ${extra}` }, el("figcaption", {}, el("span", { text: title }), ...more), canvas);
-  return { figure, draw: () => draw(canvas) };
+/**
+ * A figure, what draws it, and what marks a moment in it. `at(time)`: the places of the moment, as [x, y, colour] with
+ * null for a line across; `table()`: its columns for a file; `options` of `interactive`.
+ */
+function panel(title, draw, about, { extra = "", more = [], at, table, ...options } = {}) {
+  const canvas = el("canvas", { role: "img", "aria-label": `${title}: ${about}` }), over = at ? [el("canvas", { class: "vx-moment", "aria-hidden": "true" })] : [];
+  const files = table ? [["CSV", "csv", () => csvOf(table())]] : [];
+  let last = null;
+  const cursor = (time) => {
+    last = time;
+    const { frame } = canvas;
+    if (!at || !frame || time === null) return;
+    const { context: c } = prepared(over[0]), { box } = frame, ink = inkOf(canvas);
+    for (const [x, y, colour] of at(time)) {
+      if (y === null) line(c, [x, x], [frame.y.inverse(box.bottom), frame.y.inverse(box.top)], frame.x, frame.y, ink.ink, 1.2);
+      else mark(c, "circle", frame.x(x), frame.y(y), 5, ink[colour] ?? colour, ink.plate);
+    }
+  };
+  const tools = interactive(canvas, draw, { title: () => title, files, ...options, zoomed: () => cursor(last) });
+  const figure = el("figure", { class: `vx-panel ${extra}` }, el("figcaption", {}, el("span", { text: title }), ...more, tools.menu),
+    el("div", { class: "vx-stack" }, canvas, ...over, tools.band));
+  return { figure, canvas, cursor, draw: () => { draw(canvas); cursor(last); } };
 }
 
-function planePanels(motion, planes) {
+/** A motion as columns for a file. */
+function motionTable(motion) {
+  const table = { "time [s]": Array.from(motion.time) };
+  for (const { name, units } of motion.columns) table[units && units !== "1" ? `${name} [${units}]` : name] = Array.from(motion.states[name]);
+  return table;
+}
+
+function planePanels(page, motion, planes) {
   const mass = (one) => one.long_name.replace(/^.*(position|displacement) of (the )?/, "").replace(/ (relative|\().*/, "");
   const size = { 1: "vx-wide vx-tall", 2: "vx-half" }[planes.length] ?? "";
   const names = planes.map(([position]) => mass(position));
   const title = (k) => names[k] + (names.filter((name) => name === names[k]).length > 1 ? `: ${symbolOf(planes[k][0].name)}` : "");
-  return planes.map((plane, k) => panel(`Phase plane, ${title(k)}`, (canvas) => drawPlane(canvas, motion, plane, k), described(motion), size));
+  return planes.map((plane, k) => {
+    const [x, y] = plane, factors = () => plane.map((one) => shownIn(one.units, motion.states[one.name])[0]);
+    const at = (time) => { const [fx, fy] = factors(); return [[stateAt(motion, x.name, time) * fx, stateAt(motion, y.name, time) * fy, "accent"]]; };
+    const click = (place) => {  // the cursor goes to the nearest sample
+      const [fx, fy] = factors(), { frame } = page.player.panels[k].canvas ?? {};
+      if (!frame) return;
+      let best = 0, least = Infinity;
+      motion.time.forEach((_, i) => {
+        const away = Math.hypot(frame.x(motion.states[x.name][i] * fx) - place[0], frame.y(motion.states[y.name][i] * fy) - place[1]);
+        if (away < least) { least = away; best = i; }
+      });
+      page.player.to(motion.time[best]);
+    };
+    return panel(`Phase plane, ${title(k)}`, (canvas) => drawPlane(canvas, motion, plane, k, page.pinned(motion)), described(motion),
+      { extra: size, at, click, table: () => motionTable(motion) });
+  });
 }
 
-function historyPanels(motion) {
-  const units = [...new Set(motion.columns.map((one) => one.units))];
-  return units.map((unit, k) => {
-    const some = motion.columns.filter((one) => one.units === unit), title = motion.kind === "orbit" ? "Two cycles" : "Time history";
-    return panel(k ? "" : title, (canvas) => drawHistory(canvas, motion, some, k === units.length - 1),
-      `${some.map((one) => one.long_name).join(", ")} over time; ${described(motion)}`, "vx-wide");
+function historyPanels(page, motion) {
+  const groups = groupsOf(motion.columns), twice = motion.kind === "orbit" ? 2 : 1, length = motion.duration * twice;
+  return groups.map((some, k) => {
+    const title = twice === 2 ? "Two cycles" : "Time history", [ft] = shownIn("s", [length]);
+    const at = (time) => Array.from({ length: twice }, (_, i) => [(time + i * motion.duration) * ft, null]);
+    const one = panel(k ? "" : title, (canvas) => drawHistory(canvas, motion, some, k === groups.length - 1),
+      `${some.map((column) => column.long_name).join(", ")} over time; ${described(motion)}`,
+      { extra: "vx-wide", at, table: () => motionTable(motion), scrub: ([px]) => { const { frame } = one.canvas; if (frame) page.player.to(frame.x.inverse(px) / ft); } });
+    return one;
   });
+}
+
+/** A state of the shown and of the pinned motions over the share of a return, where one is pinned. */
+function phasePanel(page, motion) {
+  const others = page.pinned(motion), { shown } = page, names = motion.columns.map((one) => one.name);
+  if (!others.length) return [];
+  if (!names.includes(shown.phase)) shown.phase = names.includes("v2") ? "v2" : names.at(-1);
+  const choice = el("select", { "aria-label": "State over the phase", onchange: (event) => { shown.phase = event.target.value; page.current.draw(); } },
+    ...names.map((name) => el("option", { value: name, text: symbolOf(name), selected: name === shown.phase })));
+  const all = () => [...others, { motion, colour: null }].filter((one) => shown.phase in one.motion.states);
+  return [panel("Over the phase", (canvas) => drawPhase(canvas, all(), motion.columns.find((one) => one.name === shown.phase)),
+    `${shown.phase} of the shown and the pinned motions over the share of a return`, { extra: "vx-wide", more: [choice] })];
 }
 
 /** The states at the returns, of which one is chosen. */
@@ -57,12 +115,12 @@ function returnsPanel(page, motion) {
     ...names.map((name) => el("option", { value: name, text: symbolOf(name), selected: name === shown.returns })));
   const unitsOf = (name) => motion.columns.find((one) => one.name === name)?.units ?? "m";
   return [panel("Returns", (canvas) => drawReturns(canvas, motion, shown.returns, unitsOf(shown.returns)),
-    `${motion.section[names[0]].length} returns to the section`, "", choice)];
+    `${motion.section[names[0]].length} returns to the section`, { more: [choice], table: () => Object.fromEntries(names.map((name) => [name, Array.from(motion.section[name])])) })];
 }
 
 function panelsOf(page, motion) {
   const planes = planesOf(motion.columns), positions = planes.map(([position]) => position);
-  const found = [...planePanels(motion, planes), ...historyPanels(motion)];
+  const found = [...planePanels(page, motion, planes), ...historyPanels(page, motion), ...phasePanel(page, motion)];
   if (positions.length)
     found.push(panel("Spectrum", (canvas) => drawSpectrum(canvas, motion, positions),
       `amplitudes of ${positions.map((one) => one.long_name).join(", ")} over frequency`));
@@ -81,10 +139,39 @@ function keys(motion) {
     ...events.map(([, [text, style]]) => el("li", {}, el("span", { class: `vx-mark ${style}` }), text)));
 }
 
+/** A number of a pinned motion, and how far that of the shown one is from it. */
+function pinnedNumber(grid, variable, value, pin) {
+  const other = pin.values[variable.name];
+  if (other === undefined) return el("td", { class: "vx-other", text: "—" });
+  const change = (value - other) * variable.factor, cell = el("td", { class: "vx-other", text: grid.valueText(variable, other, 4) });
+  if (!variable.flags && Number.isFinite(change) && change !== 0) cell.append(el("small", { text: ` ${change > 0 ? "+" : ""}${numberText(change, 3)}` }));
+  return cell;
+}
+
+/** Whether the motion that is shown, or the chosen lane, does not repeat: its measures are means then. */
+function doesNotRepeat(page, motion) {
+  const cycles = page.point ? motion?.numbers?.cycles : page.grid.value("cycles", page.cell);
+  return cycles === 0;
+}
+
+/** A mean of a motion that does not repeat: as many digits as it has, with the least and greatest where they are known. */
+function spreadText(page, motion, variable, value) {
+  const { grid } = page;
+  const [low, high] = ["min", "max"].map((end) => {
+    const name = `${variable.name}_${end}`;
+    return page.point ? motion?.numbers?.[name] : grid.variables.has(name) ? grid.value(name, page.cell) : undefined;
+  });
+  if (variable.flags || variable.whole || !Number.isFinite(value)) return grid.valueText(variable, value, 5);
+  const text = grid.valueText(variable, value, 2);
+  if (!Number.isFinite(low) || !Number.isFinite(high)) return `≈ ${text}`;
+  return `≈ ${text}, from ${numberText(low * variable.factor, 2)} to ${grid.valueText(variable, high, 2)}`;
+}
+
 /** The numbers of the chosen cell, or of a motion at a point beside it. */
-export function numbersOf(page, motion) {
-  const { grid, named } = page, rows = [], apart = [...grid.startAxes, "attractor"].filter((axis) => !named.includes(axis));
+export function numbersOf(page, motion, pins = []) {
+  const { grid, named } = page, irregular = doesNotRepeat(page, motion), rows = [], apart = [...grid.startAxes, "attractor"].filter((axis) => !named.includes(axis));
   for (const variable of grid.variables.values()) {
+    if (variable.inner) continue;
     const { name } = variable, ofMotion = motion?.numbers && name in motion.numbers;
     if (!page.point && variable.axes.some((axis) => apart.includes(axis))) continue;
     // An attractor without a start has a share of zero, and no motion.
@@ -93,12 +180,23 @@ export function numbersOf(page, motion) {
     const push = name.startsWith("regime_") ? grid.value(name.replace("regime", "push"), page.cell) : 0;
     const value = Number.isNaN(push) ? NaN : ofMotion ? motion.numbers[name] ?? NaN : page.point ? undefined : grid.value(name, page.cell);
     if (value === undefined) continue;
-    const text = grid.valueText(variable, value, 5);
+    const text = irregular ? spreadText(page, motion, variable, value) : grid.valueText(variable, value, 5);
     const at = page.point ? "" : grid.cellText(page.cell, variable.axes.filter((axis) => !named.includes(axis)));
-    rows.push(el("tr", {}, el("th", { scope: "row", text: variable.long_name + (at && ` (${at})`) }), el("td", { "data-name": name, "data-value": value, text })));
+    rows.push(el("tr", {}, el("th", { scope: "row", text: `${variable.long_name}${at && ` (${at})`} ` }, el("code", { text: name })), el("td", { "data-name": name, "data-value": value, text }), ...pins.map((pin) => pinnedNumber(grid, variable, value, pin))));
   }
+  if (pins.length)
+    rows.unshift(el("tr", {}, el("td"), el("th", { scope: "col", text: "this" }), ...pins.map((pin) =>
+      el("th", { scope: "col" }, el("span", { class: "vx-swatch", style: `background:${pin.colour}` }), ` ${pin.title}`))));
   const wasClosed = page.table.querySelector("details")?.open === false;
   return el("details", { class: "vx-numbers", open: !wasClosed }, el("summary", { text: "Numbers" }), el("table", {}, el("tbody", {}, ...rows)));
+}
+
+/** What the analysis says of the dataset. */
+function summaryOf(page, open) {
+  const { summary } = page.data;
+  if (!summary?.length) return [];
+  const parts = summary.map(({ name, lines }) => el("div", {}, el("h3", { text: name }), el("pre", { text: lines.join("\n") })));
+  return [el("details", { class: "vx-summary", open }, el("summary", { text: "Summary" }), ...parts)];
 }
 
 async function copy(text, beside, button) {
@@ -135,8 +233,11 @@ function commands(page) {
 /** Fill a page's side and table with a motion, null where there is none; gives what draws its panels. */
 export function fillChosen(page, motion) {
   const moves = motion && motion.kind !== "none", panels = moves ? panelsOf(page, motion) : [];
-  page.side.replaceChildren(head(page, motion), ...(moves ? [keys(motion)] : []),
+  if (page.data.kind === "plots") page.side.replaceChildren();
+  else page.side.replaceChildren(head(page, motion), ...(moves ? [page.player.element, keys(motion)] : []),
     el("div", { class: "vx-panels" }, ...panels.map((one) => one.figure)), commands(page));
-  page.table.replaceChildren(numbersOf(page, motion));
-  return () => panels.forEach((one) => one.draw());
+  page.player.set(motion, panels);
+  const still = !page.data.lanes, summary = summaryOf(page, still);
+  page.table.replaceChildren(...(still ? summary : []), page.numbers(motion), ...(still ? [] : summary));
+  return () => { panels.forEach((one) => one.draw()); page.player.draw(); };
 }

@@ -40,7 +40,7 @@ function directionControls(page, make) {
   const listed = (some) => some.map((one) => [one.id, name(one)]);
   const found = [make.select("x", "To the right", listed(along), shown.x, (value) => page.show({ x: value }))];
   const ups = along.filter((one) => Grid.together(x, one));
-  if (ups.length && !page.data.family) {
+  if (ups.length && !page.data.family && !page.variable.inner) {
     const curve = x.axis === x.column ? [["", "— (a curve)"]] : [];
     found.push(make.select("y", "Up", [...listed(ups), ...curve], shown.y ?? "", (value) => page.show({ y: value })));
   }

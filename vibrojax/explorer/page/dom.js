@@ -13,3 +13,16 @@ export const el = (tag, attributes = {}, ...children) => {
   one.append(...children);
   return one;
 };
+
+let tips = 0;
+
+/** An element with a sentence that is shown where it is pointed at or has the focus; unchanged without a sentence. */
+export function explained(one, sentence) {
+  if (!sentence) return one;
+  const id = `vx-why${++tips}`;
+  one.classList.add("vx-why");
+  one.tabIndex = 0;
+  one.setAttribute("aria-describedby", id);
+  one.append(el("span", { class: "vx-sentence", role: "tooltip", id, text: sentence }));
+  return one;
+}

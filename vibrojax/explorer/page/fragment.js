@@ -9,7 +9,7 @@ function nearest(values, wanted) {
 }
 
 /** The fragment, without its #, of {shown, cell, scheme} of a page; a scheme only where one was chosen. */
-export function fragmentOf(data, { shown, cell, scheme }) {
+export function fragmentOf(data, { shown, cell, scheme, pins }) {
   const parts = [["variable", shown.variable]];
   if (shown.x) parts.push(["x", shown.x], ["y", shown.y ?? ""]);
   for (const axis of data.axes) {
@@ -18,6 +18,7 @@ export function fragmentOf(data, { shown, cell, scheme }) {
   }
   if (!shown.region) parts.push(["region", "off"]);
   if (data.curves) parts.push(["borders", shown.borders]);
+  if (pins) parts.push(["pins", pins]);
   if (scheme) parts.push(["scheme", scheme]);
   return parts.map(([name, value]) => `${name}=${encodeURIComponent(value)}`).join("&");
 }
@@ -36,5 +37,6 @@ export function readFragment(data, text) {
     region: given.get("region") !== "off",
     borders: oneOf("borders", ["own", "any", "off"]),
     scheme: oneOf("scheme", ["dark", "light"]),
+    pins: given.get("pins") ?? "",
   };
 }

@@ -8,6 +8,8 @@ export class Grid {
     this.data = data;
     this.axes = new Map(data.axes.map((axis) => [axis.name, axis]));
     this.variables = new Map(data.variables.map((one) => [one.name, one]));
+    // A variable may hold several values of each cell, such as its returns: they run along an axis of their own.
+    for (const { inner, count } of data.variables) if (inner) this.axes.set(inner, { name: inner, values: Array.from({ length: count }, (_, k) => k), columns: [], inner: true });
     this.values = new Map();
     this.lanes = null;
   }
@@ -76,7 +78,7 @@ export class Grid {
   /** The axes of a variable that a view over `x` and `y` does not run along. */
   facets(name, x, y) {
     const along = new Set([x?.axis.name, y?.axis.name]);
-    return this.variables.get(name).axes.filter((axis) => !along.has(axis) && this.axes.get(axis).values.length > 1)
+    return this.variables.get(name).axes.filter((axis) => !along.has(axis) && !this.axes.get(axis).inner && this.axes.get(axis).values.length > 1)
       .concat((this.data.lanes?.axes ?? []).filter((axis) =>
         !along.has(axis) && !this.variables.get(name).axes.includes(axis) && this.axes.get(axis).values.length > 1));
   }

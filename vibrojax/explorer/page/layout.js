@@ -1,6 +1,10 @@
 // The layout of the page.
 import { el } from "./dom.js";
+import { Pins } from "./compare.js";
+import { Figure } from "./figure.js";
+import { interactive } from "./interact.js";
 import { MapView } from "./map.js";
+import { Player } from "./player.js";
 
 const HELP = "Click a cell, or give the map the focus and use the arrow keys (with Shift ten cells, Home and End the first and last). " +
   "The URL stores your selection: a link restores it.";
@@ -22,16 +26,27 @@ export function layOut(page) {
   page.computing = page.source.attach?.(page) ?? null;
   page.table = el("section", { class: "vx-table", "aria-label": "Numbers of the chosen cell" });
   page.view = new MapView(page.map, page.over, page.grid);
+  page.player = new Player(page);
+  page.pins = new Pins(page);
+  page.figure = data.figure ? new Figure(page, data.figure) : null;
+  const tools = interactive(page.map, (paper) => page.view.paint(paper), {
+    over: page.over, title: () => page.mapTitle(), keys: () => page.legendKeys ?? [], files: [["CSV", "csv", () => page.mapTable()]],
+    click: (place) => { const cell = page.view.at(...place); if (cell) page.pick(cell); }, zoomed: () => page.view.drawOver(),
+  });
+  page.mapTools = tools;
+  const figure = page.figure ? [el("section", { "aria-label": "Plots of the analysis" }, page.figure.element)] : [];
+  const first = figure.length && !data.family && !data.variables[0]?.inner && (data.view ?? []).length < 2, mapParts = [page.controls,
+    el("div", { class: "vx-map" }, page.map, page.over, page.tip, tools.band, tools.menu), page.legend, page.live, page.slices];
   page.theme = el("button", { type: "button", class: "vx-theme", onclick: () => page.switchScheme() });
   const computing = page.computing ? [page.computing.element] : [];
   const notes = data.notes.length ? [el("p", { class: "vx-notes", text: data.notes.join(". ") })] : [];
   page.element.classList.add("vibrojax");
+  page.element.classList.toggle("vx-still", !data.lanes && !data.history);
   page.element.replaceChildren(
     el("header", { class: "vx-head" }, el("div", {}, el("h1", { text: data.title || data.scene }), ...notes), page.theme),
     el("div", { class: "vx-main" },
-      el("section", { class: "vx-left", "aria-label": "Map" }, page.controls,
-        el("div", { class: "vx-map" }, page.map, page.over, page.tip), page.legend, page.live, page.slices),
-      el("section", { class: "vx-side", "aria-label": "The chosen cell" }, ...computing, page.side),
+      el("section", { class: "vx-left", "aria-label": "Map" }, ...(first ? [...figure, ...mapParts] : [...mapParts, ...figure])),
+      el("section", { class: "vx-side", "aria-label": "The chosen cell" }, ...computing, page.pins.element, page.side),
       page.table),
     el("footer", { class: "vx-foot" }, el("p", { text: [data.scene, data.source].filter(Boolean).join(", ") }),
       el("p", { text: HELP })));

@@ -1,12 +1,22 @@
 // What the colours and lines of the map mean.
-import { el } from "./dom.js";
-import { drawBar } from "./map.js";
+import { el, explained } from "./dom.js";
+import { DASHES, drawBar } from "./map.js";
 import { inkOf, legible, numberText } from "./plots.js";
 
 /** Characters that look like the marks of special points. */
 const GLYPHS = { square: "■", circle: "●", diamond: "◆", triangle: "▲", bar: "|", cross: "×" };
 
-const dash = (colour, text, style = "") => el("li", {}, el("span", { class: `vx-dash${style}`, style: `border-color:${colour}` }), text);
+/** A line as it lies over the map: its colour and dashes, with the white edge it has there. */
+function dash(colour, text, dashes = []) {
+  const svg = (tag, attributes) => {
+    const one = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [name, value] of Object.entries(attributes)) one.setAttribute(name, value);
+    return one;
+  };
+  const picture = svg("svg", { class: "vx-stroke", width: 30, height: 8, "aria-hidden": "true" }), way = { x1: 1, x2: 29, y1: 4, y2: 4 };
+  picture.append(svg("line", { ...way, stroke: "#FFFFFF", "stroke-width": 5 }), svg("line", { ...way, stroke: colour, "stroke-width": 2.4, "stroke-dasharray": dashes.join(" ") }));
+  return el("li", {}, picture, text);
+}
 
 /** The cells of the plane that is shown. */
 function* plane(page, cell = page.cell, left = axesOfPlane(page)) {
@@ -25,7 +35,7 @@ function axesOfPlane(page) {
 
 /** Each label that occurs on the plane, with its share. */
 function flagItems(page) {
-  const { variable, grid } = page, counts = new Map();
+  const { grid } = page, variable = page.variable.inner ? grid.variables.get("regime") : page.variable, counts = new Map();
   let total = 0;
   for (const cell of plane(page)) {
     const value = String(grid.value(variable.name, cell));
@@ -37,8 +47,8 @@ function flagItems(page) {
     return n / total < 0.01 ? "<1 %" : n / total > 0.99 ? ">99 %" : `${Math.round((100 * n) / total)} %`;
   };
   return Object.keys(variable.flags).filter((flag) => counts.has(flag)).sort((a, b) => a - b).map((flag) =>
-    el("li", {}, el("span", { class: "vx-swatch", style: `background:${variable.colours[flag]}` }), `${variable.flags[flag]} `,
-      el("small", { text: percent(counts.get(flag)) })));
+    el("li", {}, explained(el("span", {}, el("span", { class: "vx-swatch", style: `background:${variable.colours[flag]}` }), ` ${variable.flags[flag]} `,
+      el("small", { text: percent(counts.get(flag)) })), variable.name === "regime" && page.data.meanings?.[variable.flags[flag]])));
 }
 
 /** What lies over the map: borders, branches, cells of a hidden motion. */
@@ -46,14 +56,14 @@ function overItems(page) {
   const found = [], { curves, family } = page.data;
   if (curves && page.shown.borders !== "off" && page.view.view.y) {
     for (const kind of new Set(curves.list.filter((one) => page.view.onPlane(one)).map((one) => one.kind)))
-      found.push(dash(curves.colours[kind] ?? "#222222", kind));
+      found.push(dash(curves.colours[kind] ?? "#222222", kind, DASHES[kind]));
     const corners = [...new Set(page.view.corners().map((one) => one.kind))];
     if (corners.length) found.push(el("li", {}, el("span", { class: "vx-corner" }), `where curves meet: ${corners.join(", ")}`));
   }
   if (family) {
     const ink = inkOf(page.element), colour = legible(family.runs[0]?.colour ?? ink.ink, ink), stable = family.runs.map((run) => run.stable === 1);
     if (stable.includes(true)) found.push(dash(colour, "stable"));
-    if (stable.includes(false)) found.push(dash(colour, "not stable", " vx-dashed"));
+    if (stable.includes(false)) found.push(dash(colour, "not stable", [5, 4]));
     for (const [kind, shape] of new Map(family.special.map((one) => [one.kind, one.shape])))
       found.push(el("li", {}, el("span", { class: "vx-glyph", style: `color:${legible(family.kinds[kind], ink)}`, text: GLYPHS[shape] }), kind));
   }
@@ -65,7 +75,7 @@ function overItems(page) {
 
 /** Draw the legend of what a page's map shows into its element. */
 export function drawLegend(page) {
-  const { variable, grid, legend } = page;
+  const { grid, legend } = page, variable = page.variable.inner ? grid.variables.get("regime") ?? page.variable : page.variable;
   if (variable.flags || !page.shown.y) {
     legend.replaceChildren(el("ul", {}, ...(variable.flags ? flagItems(page) : []), ...overItems(page)));
     return;

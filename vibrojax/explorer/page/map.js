@@ -1,6 +1,7 @@
 // The map: cells over two axes, dots over two columns of a list, or a curve along one axis; and what lies over it.
+import { drawItems } from "./figure.js";
 import { edgesOf, labelOf } from "./grid.js";
-import { framed, inkOf, legible, limitsAndTicks, limitsOf, line, mark, numberText, prepared } from "./plots.js";
+import { framed, inkOf, legible, limitsAndTicks, limitsOf, line, mark, numberText, prepared, ticks } from "./plots.js";
 
 export const DASHES = {
   fold: [], "period-doubling": [], torus: [8, 2], grazing: [6, 2, 2, 2], stick: [], section: [2, 2], hopf: [9, 2, 2, 2], end: [1, 2],
@@ -19,14 +20,19 @@ export class MapView {
   /** Draw a view; where only the chosen cell differs from what is there, no more than what lies over the map. */
   draw(view, anew = true) {
     this.view = view;
-    const { x, y, variable } = view, ink = inkOf(this.canvas);
-    if (!anew) { this.drawOver(); return; }
-    this.ink = ink;
-    if (!x) { this.frame = null; prepared(this.canvas); return; }
-    if (!y) this.frame = this.drawCurve(x, variable, ink);
-    else if (x.column === x.axis) this.frame = this.drawCells(x, y, variable, ink);
-    else this.frame = this.drawDots(x, y, variable, ink);
+    if (anew) this.paint(this.canvas);
     this.drawOver();
+  }
+
+  /** Draw the map on its canvas, or on the paper of an export. */
+  paint(canvas) {
+    const { x, y, variable } = this.view, ink = inkOf(canvas);
+    let frame = null;
+    if (!x) prepared(canvas);
+    else if (!y) frame = this.drawCurve(canvas, x, variable, ink);
+    else if (x.column === x.axis) frame = this.drawCells(canvas, x, y, variable, ink);
+    else frame = this.drawDots(canvas, x, y, variable, ink);
+    if (canvas === this.canvas) Object.assign(this, { frame, ink });
   }
 
   /** The cell with other indices along some axes. */
@@ -41,10 +47,10 @@ export class MapView {
     return { limits: [low, high], label: labelOf(direction.column), log: direction.column.log, edges, values, ticks: named };
   }
 
-  drawCells(x, y, variable, ink) {
+  drawCells(canvas, x, y, variable, ink) {
     const across = this.axisOf(x), up = this.axisOf(y), grid = this.grid;
     const hidden = variable.name === "regime" && grid.variables.get("hidden_motion");
-    return framed(this.canvas, ink, across, up, (c, sx, sy) => {
+    return framed(canvas, ink, across, up, (c, sx, sy) => {
       for (let i = 0; i < across.values.length; i++) {
         const x0 = Math.floor(sx(across.edges[i])), x1 = Math.floor(sx(across.edges[i + 1]));
         for (let j = 0; j < up.values.length; j++) {
@@ -122,13 +128,13 @@ export class MapView {
     });
   }
 
-  drawDots(x, y, variable, ink) {
+  drawDots(canvas, x, y, variable, ink) {
     const place = (direction) => direction.column.values.map((v) => (v === null ? NaN : v * direction.column.factor));
     const xs = place(x), ys = place(y);
     this.dots = { xs, ys, axis: x.axis.name };
     const size = Math.max(2.2, Math.min(6, 260 / Math.sqrt(xs.length + 1)));
     const of = (direction, values) => ({ limits: limitsOf([values], 0.04), label: labelOf(direction.column) });
-    return framed(this.canvas, ink, of(x, xs), of(y, ys), (c, sx, sy) => {
+    return framed(canvas, ink, of(x, xs), of(y, ys), (c, sx, sy) => {
       xs.forEach((value, k) => {
         const cell = this.cellAt({ [x.axis.name]: k });
         mark(c, "circle", sx(value), sy(ys[k]), size, this.grid.colour(variable, this.grid.value(variable.name, cell), ink.undefined), ink.faint);
@@ -137,8 +143,9 @@ export class MapView {
   }
 
   /** A variable along one axis; over a family its branches, solid where stable. */
-  drawCurve(x, variable, ink) {
+  drawCurve(canvas, x, variable, ink) {
     const column = x.column, grid = this.grid, family = grid.data.family, flags = variable.flags;
+    if (variable.inner) return this.drawReturns(canvas, x, variable, ink);
     const xs = column.numeric ? column.values.map((v) => v * column.factor) : column.values.map((_, k) => k);
     const ys = xs.map((_, k) => grid.value(variable.name, this.cellAt({ [x.axis.name]: k })) * (flags ? 1 : variable.factor));
     const known = flags ? Object.keys(flags).map(Number).filter((flag) => ys.includes(flag)).sort((a, b) => a - b) : [];
@@ -149,7 +156,7 @@ export class MapView {
     this.dots = { xs, ys: rows, axis: x.axis.name };
     const named = column.numeric ? undefined : column.values.map((text, k) => [k, text]);
     const across = { limits: limitsOf([xs], 0.03), label: labelOf(column), log: column.log, ticks: named };
-    return framed(this.canvas, ink, across, up, (c, sx, sy) => {
+    return framed(canvas, ink, across, up, (c, sx, sy) => {
       if (family) for (const run of family.runs) {
         const part = run.points, colour = legible(run.colour, ink);
         line(c, part.map((k) => xs[k]), part.map((k) => rows[k]), sx, sy, colour, run.stable === 1 ? 2.4 : 1.4, run.stable === 1 ? [] : [5, 4]);
@@ -161,6 +168,30 @@ export class MapView {
       });
       for (const one of family?.special ?? []) mark(c, one.shape, sx(xs[one.point]), sy(rows[one.point]), 4.5, legible(family.kinds[one.kind], ink), ink.plate);
     }, { empty: !ys.some(Number.isFinite) });
+  }
+
+  /** Every stored return over an axis, in the colour of its lane's regime; families lie over them. */
+  drawReturns(canvas, x, variable, ink) {
+    const { column, axis } = x, grid = this.grid, count = grid.axes.get(variable.inner).values.length, regime = grid.variables.get("regime");
+    const xs = [], ys = [], index = [];
+    axis.values.forEach((_, k) => {
+      for (let r = 0; r < count; r++) {
+        const value = grid.value(variable.name, this.cellAt({ [axis.name]: k, [variable.inner]: r }));
+        if (!Number.isFinite(value)) continue;
+        xs.push(column.numeric ? column.values[k] * column.factor : k);
+        ys.push(value * variable.factor);
+        index.push(k);
+      }
+    });
+    this.dots = { xs, ys, index, axis: axis.name };
+    const { overlay } = grid.data, over = overlay?.variable === variable.name && overlay.along === axis.name ? overlay.items : [];
+    const across = { limits: limitsOf([column.numeric ? column.values.map((v) => v * column.factor) : xs], 0.03), label: labelOf(column), log: column.log };
+    const colours = axis.values.map((_, k) => (regime ? grid.colour(regime, grid.value("regime", this.cellAt({ [axis.name]: k })), ink.undefined) : ink.bit));
+    const size = Math.max(1.6, Math.min(3.6, 900 / (axis.values.length + 1)));
+    return framed(canvas, ink, across, { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") }, (c, sx, sy) => {
+      xs.forEach((value, k) => mark(c, "circle", sx(value), sy(ys[k]), size, colours[index[k]], ink.faint));
+      drawItems(c, over, sx, sy, ink);
+    }, { empty: !xs.length });
   }
 
   /** The cell at a place of the canvas, null outside. */
@@ -180,7 +211,7 @@ export class MapView {
       const distance = Math.hypot(frame.x(value) - px, frame.y(this.dots.ys[k]) - py);
       if (distance < least) { least = distance; best = k; }
     });
-    return best < 0 ? null : this.cellAt({ [this.dots.axis]: best });
+    return best < 0 ? null : this.cellAt({ [this.dots.axis]: this.dots.index?.[best] ?? best });
   }
 
   /** The cell that an arrow key leads to from the chosen one. */
@@ -206,6 +237,11 @@ export class MapView {
   drawOver(hover = null) {
     const { context: c } = prepared(this.overlay), { frame, view } = this;
     if (!frame) return;
+    const { box } = frame;
+    c.save();
+    c.beginPath();
+    c.rect(box.left - 8, box.top - 8, box.right - box.left + 16, box.bottom - box.top + 16);
+    c.clip();
     for (const [cell, strong] of [[hover, false], [view.cell, true]]) {
       if (!cell) continue;
       if (view.y && view.x.column === view.x.axis) {
@@ -228,7 +264,20 @@ export class MapView {
           c.strokeRect(left - more, top - more, wide + 2 * more, high + 2 * more);
         }
       } else {
-        const k = cell[this.dots.axis];
+        const k = cell[this.dots.axis], { index } = this.dots;
+        if (index) {
+          const of = index.flatMap((one, i) => (one === k ? [i] : []));
+          if (!of.length) continue;
+          const at = Math.round(frame.x(this.dots.xs[of[0]])) + 0.5;
+          c.strokeStyle = this.ink.ink;
+          c.lineWidth = strong ? 1.4 : 0.8;
+          c.setLineDash(strong ? [] : [3, 3]);
+          c.beginPath();
+          c.moveTo(at, frame.box.top); c.lineTo(at, frame.box.bottom);
+          c.stroke();
+          c.setLineDash([]);
+          continue;
+        }
         c.beginPath();
         c.arc(frame.x(this.dots.xs[k]), frame.y(this.dots.ys[k]), strong ? 8 : 6, 0, 2 * Math.PI);
         c.strokeStyle = this.ink.plate;
@@ -239,6 +288,7 @@ export class MapView {
         c.stroke();
       }
     }
+    c.restore();
   }
 }
 
@@ -261,9 +311,8 @@ export function drawBar(canvas, grid, variable) {
   c.font = "11px system-ui, sans-serif";
   c.textAlign = "center";
   c.textBaseline = "top";
-  const n = width < 300 ? 3 : 5;
-  for (let k = 0; k <= n; k++) {
-    const share = k / n, value = log ? low * (high / low) ** share : low + share * (high - low);
+  for (const value of ticks(low, high, width < 300 ? 3 : 6, log)) {
+    const share = log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
     c.fillText(numberText(value, 3), left + share * (right - left), 18);
   }
 }

@@ -6,6 +6,7 @@ import { unpack } from "./decode.js";
 import { fragmentOf, readFragment } from "./fragment.js";
 import { Grid } from "./grid.js";
 import { layOut } from "./layout.js";
+import { csvOf } from "./paper.js";
 import { drawLegend } from "./legend.js";
 import { listen } from "./pointing.js";
 import { drawSlices, drawWhole } from "./slices.js";
@@ -29,7 +30,7 @@ export async function mount(element, { data, source = {}, state = "", onPick = n
 class Page {
   constructor(element, data, source, onPick, onState) {
     Object.assign(this, { element, data, source, onPick, onState, grid: new Grid(data), id: `vx${++instances}` });
-    this.cell = Object.fromEntries(data.axes.map((axis) => [axis.name, 0]));
+    this.cell = Object.fromEntries(data.axes.map((axis) => [axis.name, data.first?.[axis.name] ?? 0]));
     this.shown = { variable: data.variables[0]?.name, x: null, y: null, region: true, borders: "own", returns: null };
     this.asked = 0;
   }
@@ -41,7 +42,8 @@ class Page {
     this.choose();
     this.restore(state);
     if (this.shown.variable) await this.grid.load(this.shown.variable);
-    if (this.grid.variables.has("hidden_motion")) await this.grid.load("hidden_motion");
+    for (const name of ["hidden_motion", "regime"]) if (this.grid.variables.has(name)) await this.grid.load(name);
+    await this.figure?.load();
     if (this.data.history) {
       this.history = { time: await unpack(this.data.history.time), observed: this.data.history.observed_from };
       for (const one of this.data.history.columns) this.history[one.name] = await unpack(one.data);
@@ -56,15 +58,15 @@ class Page {
     this.scheme.addEventListener("change", this.onScheme);
     await this.grid.loadAll();
     await this.pick(this.cell);
+    await this.pins.restore(readFragment(this.data, state).pins);
   }
 
   destroy() {
     this.resized?.disconnect();
+    this.player.destroy();
     this.scheme?.removeEventListener("change", this.onScheme);
     this.element.replaceChildren();
   }
-
-  // What is there.
 
   // What is shown.
 
@@ -81,10 +83,10 @@ class Page {
     const x = along.find((one) => one.id === wanted[0]) ?? longest[0] ?? null;
     const others = x ? longest.filter((one) => Grid.together(x, one)) : [];
     const up = others.find((one) => one.id === wanted[1]) ?? others.find((one) => one.axis.values.length > 1);
-    const y = this.data.family ? null : up ?? null;
+    const y = this.data.family || this.variable?.inner ? null : up ?? null;  // several values of a cell make a diagram
     this.shown.x = x?.id ?? null;
     this.shown.y = y?.id ?? null;
-    for (const one of [x, y]) if (one) this.cell[one.axis.name] ||= Math.floor(one.axis.values.length / 2);
+    for (const one of [x, y]) if (one) this.cell[one.axis.name] ||= this.data.first?.[one.axis.name] ?? Math.floor(one.axis.values.length / 2);
   }
 
   /** Whether the variable that is shown runs along a direction. */
@@ -102,7 +104,7 @@ class Page {
   }
 
   /** The first direction that makes a map with x. */
-  firstUp(x) { return this.directions.find((one) => this.along(one) && Grid.together(x, one))?.id ?? null; }
+  firstUp(x) { return this.variable?.inner ? null : this.directions.find((one) => this.along(one) && Grid.together(x, one))?.id ?? null; }
 
   /** Show another variable, other directions, or lay something over. */
   async show(changes) {
@@ -115,7 +117,7 @@ class Page {
       this.choose();
     }
     const x = this.direction(this.shown.x), y = this.direction(this.shown.y);
-    if (y && (!this.along(y) || !Grid.together(x, y))) this.shown.y = "y" in changes ? null : this.firstUp(x);
+    if (y && (this.variable.inner || !this.along(y) || !Grid.together(x, y))) this.shown.y = "y" in changes ? null : this.firstUp(x);
     if ("x" in changes && !this.shown.y && !("y" in changes) && !this.data.family) this.shown.y = this.firstUp(x);
     this.fillControls();
     this.draw();
@@ -129,6 +131,7 @@ class Page {
     this.element.querySelector(".vx-map").classList.toggle("vx-low", !y || (!y.column.numeric && y.axis.values.length < 4));
     this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, borders: borders !== "off" && borders }, anew);
     if (anew) drawLegend(this);
+    this.figure?.draw();
     drawSlices(this);
   }
 
@@ -141,6 +144,7 @@ class Page {
   drawWhole() {
     this.element.querySelector(".vx-map").hidden = true;
     this.controls.hidden = this.live.hidden = true;
+    this.figure?.draw();
     if (this.history) drawWhole(this);
   }
 
@@ -157,7 +161,7 @@ class Page {
       if (one) one.value = `${this.cell[facet]}`;
     }
     this.draw(anew);
-    this.tell();
+    this.tell(Boolean(this.current));
     this.say();
     this.onPick?.({ cell: this.cell, lane, values: this.coordinates() });
     this.computing?.stand(this.coordinates());
@@ -220,20 +224,21 @@ class Page {
   }
 
   showMotion(motion) {
-    this.current = { motion, draw: fillChosen(this, motion) };
+    this.current = { motion, draw: () => {} };
+    this.current.draw = fillChosen(this, motion);
     this.current.draw();
     this.element.dataset.ready = String(this.asked);
   }
 
   // The numbers of what is shown, and its command line and Python call.
-  numbers(motion) { return numbersOf(this, motion); }
+  numbers(motion, pins = this.pinned(motion)) { return numbersOf(this, motion, pins); }
   calls() { return this.apart === "attractor" && !this.point ? null : callsOf(this.data, this.coordinates(), this.point); }
 
   // The fragment, and the scheme.
 
   get state() {
     const { shown, cell } = this;
-    return fragmentOf(this.data, { shown, cell, scheme: this.element.dataset.scheme });
+    return fragmentOf(this.data, { shown, cell, scheme: this.element.dataset.scheme, pins: this.pins.state });
   }
 
   restore(state) {
@@ -245,7 +250,7 @@ class Page {
     const x = this.direction(said.x), y = this.direction(said.y);
     if (x && this.along(x)) {
       shown.x = x.id;
-      shown.y = y && this.along(y) && Grid.together(x, y) ? y.id : null;
+      shown.y = y && !this.variable.inner && this.along(y) && Grid.together(x, y) ? y.id : null;
     }
     Object.assign(this.cell, said.cell);
     shown.region = said.region;
@@ -255,7 +260,40 @@ class Page {
     this.nameScheme();
   }
 
-  tell() { this.onState?.(this.state); }
+  /** What the drawing of the machine needs to know of the chosen cell: the drive's speed and the gap. */
+  machineOf() {
+    const { machine = {} } = this.data, own = { ...machine, ...this.coordinates(), ...this.point?.parameters };
+    if (typeof own.rpm === "number") own.v = ((2 * Math.PI) / 60) * own.rpm * (own.bit_radius ?? machine.bit_radius ?? 0);
+    return { v: own.v ?? 0, delta: own.delta ?? 0, strikes: this.data.scene !== "rotary" };
+  }
+
+  /** The pinned motions that are drawn with another. */
+  pinned(motion) { return this.pins.list.filter((pin) => pin.motion !== motion); }
+
+  /** The chosen cell, or the point beside it, in words. */
+  titleOf() { return this.point?.title || this.grid.cellText(this.cell, this.named) || "The motion"; }
+
+  /** What the map shows, in words. */
+  mapTitle() {
+    const { variable, grid } = this, at = grid.cellText(this.cell, this.facets());
+    return variable ? [variable.name.replaceAll("_", " "), at].filter(Boolean).join(", ") : "map";
+  }
+
+  /** The map, or the curve, that is shown, as a table. */
+  mapTable() {
+    const { grid, variable } = this, [x, y] = [this.direction(this.shown.x), this.direction(this.shown.y)], columns = {};
+    const names = [...new Set([x, y].filter(Boolean).map((one) => one.axis.name)), ...(variable.inner ? [variable.inner] : [])];
+    const cells = names.reduce((some, name) => some.flatMap((cell) => grid.axes.get(name).values.map((_, k) => ({ ...cell, [name]: k }))), [{ ...this.cell }]);
+    for (const name of names) {
+      const axis = grid.axes.get(name), listed = axis.columns.length ? axis.columns : [axis];
+      for (const column of listed) columns[column.name] = cells.map((cell) => column.values[cell[name]]);
+    }
+    columns[variable.name] = cells.map((cell) => { const value = grid.value(variable.name, cell); return variable.flags ? variable.flags[value] ?? value : value; });
+    return csvOf(columns);
+  }
+
+  /** Say what is chosen to who keeps it; `picked`: whether the user chose another cell. */
+  tell(picked = false) { this.onState?.(this.state, picked); }
 
   get dark() {
     return this.element.dataset.scheme ? this.element.dataset.scheme === "dark" : window.matchMedia("(prefers-color-scheme: dark)").matches;

@@ -1,10 +1,10 @@
 // Plots on canvas: scales, ticks, frames, lines. Sizes are in CSS pixels.
 
-const FONT = "system-ui, -apple-system, 'Segoe UI', sans-serif";
+export const FONT = "system-ui, -apple-system, 'Segoe UI', sans-serif";
 
 /** Colours of the scheme in use; those of lines are the pictures', lighter on dark ground. */
 export function inkOf(element) {
-  const style = getComputedStyle(element);
+  const style = getComputedStyle(element.source ?? element);
   const get = (name) => style.getPropertyValue(`--${name}`).trim();
   const ink = Object.fromEntries(
     ["ink", "faint", "grid", "ground", "plate", "bit", "striker", "stick", "impact", "rock", "slip", "accent"]
@@ -74,7 +74,7 @@ export function scaleOf(low, high, from, to, log = false) {
 
 /** The canvas made as large as it is shown, and its context in CSS pixels. */
 export function prepared(canvas) {
-  const ratio = window.devicePixelRatio || 1, { width, height } = canvas.getBoundingClientRect();
+  const ratio = canvas.ratio ?? (window.devicePixelRatio || 1), { width, height } = canvas.getBoundingClientRect();
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);
@@ -110,6 +110,7 @@ export function limitsAndTicks(values) {
 export function framed(canvas, ink, x, y, draw, options = {}) {
   const { context: c, width, height } = prepared(canvas);
   if (width < 20 || height < 20) return null;
+  [x, y] = zoomed(canvas, x, y);
   c.font = `11px ${FONT}`;
   c.textBaseline = "middle";
   const textOf = (axis, value) => numberText(Math.abs(value) < 1e-12 * (axis.limits[1] - axis.limits[0]) ? 0 : value, 5);
@@ -169,7 +170,17 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
     c.fillText(y.label, 0, 0, room(middle[1], height));
     c.restore();
   }
-  return { x: sx, y: sy, box, context: c };
+  canvas.frame = { x: sx, y: sy, box, context: c, xAxis: x, yAxis: y };
+  return canvas.frame;
+}
+
+/** Axes with the limits that a canvas is zoomed to; named ticks outside of them go. */
+function zoomed(canvas, ...axes) {
+  return axes.map((axis, k) => {
+    const limits = canvas.zoom?.[k];
+    if (!limits) return axis;
+    return { ...axis, limits, ticks: axis.ticks?.filter(([value]) => value >= limits[0] && value <= limits[1]) };
+  });
 }
 
 /** A line through points; not-finite ones part it. */

@@ -28,10 +28,6 @@ export function listen(page) {
   };
   page.over.addEventListener("pointermove", (event) => hover(page, page.view.at(...place(event)), place(event)));
   page.over.addEventListener("pointerleave", () => hover(page, null));
-  page.over.addEventListener("click", (event) => {
-    const cell = page.view.at(...place(event));
-    if (cell) page.pick(cell);
-  });
   page.over.addEventListener("keydown", (event) => {
     const way = WAYS[event.key];
     if (!way || event.ctrlKey || event.metaKey || event.altKey) return;

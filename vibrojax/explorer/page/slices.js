@@ -1,6 +1,8 @@
 // Below the map: the variable along both directions through the chosen cell; of a trajectory its whole course.
-import { drawCourse } from "./cell.js";
+import { drawCourse, groupsOf } from "./cell.js";
 import { el } from "./dom.js";
+import { interactive } from "./interact.js";
+import { csvOf } from "./paper.js";
 import { framed, inkOf, limitsAndTicks, limitsOf, line, mark } from "./plots.js";
 
 /** Draw the slices of a page's map into its element. */
@@ -28,9 +30,10 @@ function drawSlice(page, figure, direction, other) {
   const named = column.numeric ? undefined : column.values.map((text, i) => [i, text]);
   const right = { limits: limitsOf([xs], 0.02), label: column.symbol, log: column.log, ticks: named };
   const frame = framed(canvas, ink, right, up, (c, sx, sy, box) => {
+    const size = Math.max(1.6, Math.min(2.6, (box.right - box.left) / xs.length / 2));  // a rim would hide the colour of many
     if (!variable.flags) line(c, xs, ys, sx, sy, ink.faint, 1.2);
     xs.forEach((value, i) => {
-      if (Number.isFinite(ys[i])) mark(c, "circle", sx(value), sy(ys[i]), 2.6, grid.colour(variable, values[i], ink.undefined), ink.faint);
+      if (Number.isFinite(ys[i])) mark(c, "circle", sx(value), sy(ys[i]), size, grid.colour(variable, values[i], ink.undefined), size > 2.2 ? ink.faint : null);
     });
     const here = sx(xs[page.cell[direction.axis.name]]);
     c.strokeStyle = ink.ink;
@@ -50,13 +53,18 @@ function drawSlice(page, figure, direction, other) {
   };
 }
 
-/** Draw a trajectory from its beginning, a plot for each unit, into a page's element. */
+/** Draw a trajectory from its beginning, a plot for each unit and one for the hole, into a page's element. */
 export function drawWhole(page) {
-  const { columns } = page.data.history, { slices } = page, units = [...new Set(columns.map((one) => one.units))];
-  const of = (unit) => columns.filter((one) => one.units === unit);
-  if (!slices.childElementCount)
-    slices.replaceChildren(...units.map((unit) => el("figure", { class: "vx-whole" },
-      el("figcaption", { text: of(unit).map((one) => one.long_name).join(", ") }),
-      el("canvas", { role: "img", "aria-label": "The whole course over time" }))));
-  units.forEach((unit, k) => drawCourse(slices.children[k].querySelector("canvas"), page.history, of(unit), k === units.length - 1));
+  const { slices, history } = page, groups = groupsOf(page.data.history.columns);
+  if (!slices.childElementCount) {
+    page.courses = groups.map((columns, k) => {
+      const canvas = el("canvas", { role: "img", "aria-label": "The whole course over time" }), words = columns.map((one) => one.long_name).join(", ");
+      const tools = interactive(canvas, (paper) => drawCourse(paper, history, columns, k === groups.length - 1), {
+        title: () => words, files: [["CSV", "csv", () => csvOf(Object.fromEntries([["time [s]", history.time], ...columns.map((one) => [one.name, history[one.name]])].map(([name, x]) => [name, Array.from(x)])))]],
+      });
+      return { tools, figure: el("figure", { class: "vx-whole vx-panel" }, el("figcaption", {}, el("span", { text: words }), tools.menu), el("div", { class: "vx-stack" }, canvas, tools.band)) };
+    });
+    slices.replaceChildren(...page.courses.map((one) => one.figure));
+  }
+  for (const { tools } of page.courses) tools.redraw();
 }

@@ -21,6 +21,10 @@ UNITS: dict[str, tuple[str, ...]] = {
     "s-2": ("1/s2",),
     "Hz": ("Hz", "1/min", "rad/s"),
     "min-1": ("1/min", "1/s", "rad/s"),
+    "rad s-1": ("rad/s", "rpm", "rev/s"),
+    "N m": ("N m", "kN m", "ft lbf", "kft lbf"),
+    "Pa": ("Pa", "kPa", "MPa", "bar", "psi"),
+    "m3 s-1": ("m3/s", "L/min", "gal/min"),
 }
 """Common units of each physical dimension. The keys are SI units as in datasets; the first unit of each tuple is the SI
 unit as people usually write it."""
@@ -39,7 +43,8 @@ _DEFINITIONS = """
     cm = 1e-2 m
     um = 1e-6 m = um = µm
     inch = 0.0254 m = in
-    foot = 0.3048 m = ft
+    foot = 0.3048 m = ft = feet
+    kft = 1e3 foot
     ms = 1e-3 s
     us = 1e-6 s = us = µs
     min = 60 s
@@ -53,7 +58,25 @@ _DEFINITIONS = """
     kgf = 9.80665 N
     lbf = 4.4482216152605 N
     klbf = 1e3 lbf = klbf = klb = klbs = kip = kips
+    dan = 10 N
+    kdan = 1e4 N
+    kkgf = 9806.65 N
+    knm = 1e3 N * m
+    nm = N * m
+    ftlbf = 1.3558179483314004 N * m = ftlbf = ftlb = ftlbs
+    kftlbf = 1e3 ftlbf = kftlbf = kftlb = kftlbs
+    pascal = N / m ** 2 = pa
+    kpa = 1e3 pa
+    mpa = 1e6 pa
+    bar = 1e5 pa
+    psi = lbf / inch ** 2
+    liter = 1e-3 m ** 3 = l = liters = litre = litres
+    gal = 3.785411784e-3 m ** 3
+    bbl = 42 gal
+    gpm = gal / min
+    lpm = liter / min
     hertz = 1 / s = Hz
+    rev = 1 = rev = cycle = cycles
     rpm = 1 / min = rpm = bpm
 """
 _STANDARD_GRAVITY = 9.80665  # m/s2, for tonnes and pounds that are used as units of force
@@ -62,7 +85,8 @@ _STANDARD_GRAVITY = 9.80665  # m/s2, for tonnes and pounds that are used as unit
 _UNIT = re.compile(r"(?:1|%|[a-zµ]+(?:-?[1-4]|[²³])?)(?:[ */·](?:%|[a-zµ]+(?:-?[1-4]|[²³])?))*", re.IGNORECASE)
 _DRAWN = re.compile(r"[A-Za-zµ°Ω][A-Za-z0-9µ°Ω /*·-]*|1/[A-Za-zµ°Ω][A-Za-z0-9µ°Ω]*")
 _powers = partial(re.compile(r"(?<=[A-Za-zµ])(?=-?\d)").sub, "**")  # "m s-1" is m*s**-1
-_MILLINEWTON = re.compile(r"\bm[nN]\b")
+_MILLI = re.compile(r"\bm([nN]|[pP]a)\b")
+_SEPARATORS = re.compile(r"(?<=[A-Za-z])[-_.](?=[A-Za-z])")  # of "k-lbs", "ft_lb" and "kN.m"
 
 
 @cache
@@ -87,10 +111,12 @@ def _registry() -> "pint.UnitRegistry":
 def factor(unit: str, si: str) -> float | None:
     """Return the factor that converts a number in `unit` to the SI unit `si`, or None if the dimensions differ.
 
-    Case does not matter, except that mN is rejected. If `si` is a force, a unit of mass stands for its weight.
+    Case does not matter, except that mN and mPa are rejected. If `si` is a force, a unit of mass stands for its weight.
+    Spellings of rig data such as `ft_per_hr`, `k-lbs` and `kN.m` are known.
     """
     unit = "1" if unit.strip() == "-" else unit.strip().replace("·", "*").replace("\N{GREEK SMALL LETTER MU}", "µ")
-    if not _UNIT.fullmatch(unit) or _MILLINEWTON.search(unit):
+    unit = _SEPARATORS.sub("", unit.replace("_per_", "/").replace("c/s", "rev/s"))
+    if not _UNIT.fullmatch(unit) or _MILLI.search(unit):
         return None
     import pint
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from vibrojax.errors import Place, shown
+from vibrojax.io.tables import read_table
 from vibrojax.sweep.input.names import Names
-from vibrojax.sweep.input.source import read_table
 from vibrojax.sweep.input.values import STATE, as_table, quantity
 
 VECTOR = "start_"

@@ -4,13 +4,10 @@ This module also converts a dict to TOML. A general TOML writer (tomli-w) puts t
 the order of a grid's axes.
 """
 
-import csv
-import io
 import json
 import re
 import tomllib
-import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path, PurePath
@@ -19,7 +16,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from vibrojax.errors import InputError, Place, nearest, shown, suggestion
+from vibrojax.errors import InputError, Place, shown, suggestion
+from vibrojax.io.tables import read_text
 from vibrojax.models.physics.friction import FrictionLaw
 from vibrojax.models.scenes import Scene
 from vibrojax.stepping import Stepper
@@ -37,9 +35,6 @@ DESIGN_FOLDERS = tuple(folder / "designs" for folder in BUNDLED_FOLDERS)
 _TABLES = ("parameters", "grid", "run")
 _TOP_KEYS = ("scene", "title", "starts", "unusual")
 _OBJECTS = (Scene, FrictionLaw, Stepper)
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
-_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
-_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -63,8 +58,8 @@ class Source:
 def read_source(source: str | PathLike[str] | Mapping[str, object], noun: str = "sweep") -> Source:
     """Read a sweep from the path of a TOML file, the name of a bundled sweep, or a dict with the same structure.
 
-    `noun`: "sweep", or "study" or "design", which are read in the same way. In a dict, a scene, a friction law or a
-    stepper may be an object instead of a name.
+    `noun`: "sweep", or "study", "design" or "calibration", which are read in the same way. In a dict, a scene, a
+    friction law or a stepper may be an object instead of a name.
     """
     if isinstance(source, Mapping):
         tables = plain_table(Place(noun), source)
@@ -75,7 +70,9 @@ def read_source(source: str | PathLike[str] | Mapping[str, object], noun: str = 
     bundled = {path.stem.replace("_", "-"): path for path in reversed(_bundled(noun))} if is_name else {}
     path = bundled.get(str(source).replace("_", "-"), Path(source))
     if is_name and path == Path(source) and not path.exists():
-        raise InputError(f"{source}: no such bundled {noun} or file; {suggestion(str(source), bundled_names(noun))}")
+        if not (names := bundled_names(noun)):
+            raise InputError(f"{source}: no such file; give the path of a {noun}, which ends in .toml")
+        raise InputError(f"{source}: no such bundled {noun} or file; {suggestion(str(source), names)}")
     if path.suffix in (".nc", ".zarr") and path.exists():
         raise InputError(f"{path}: is a dataset, not a {noun}; vibrojax info {path} and vibrojax plot {path} take it")
     text = read_text(path)
@@ -131,107 +128,6 @@ def _set(place: Place, tables: dict[str, object], name: str, value: object) -> N
     home[key] = value
 
 
-def read_text(path: Path) -> str:
-    """Return the text of a file that the user specified, without a byte order mark.
-
-    **Raises:** `InputError` if the file cannot be read.
-    """
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
-    except FileNotFoundError:
-        similar = [other.name for other in path.parent.glob(f"*{path.suffix}")] if path.parent.is_dir() else []
-        best = nearest(path.name, similar)
-        hint = f" (did you mean {shown(best)}?)" if best else ""
-        raise InputError(f"{path}: no such file; give the path of one that is there{hint}") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; give the path of a file") from None
-    except (OSError, ValueError) as error:  # ValueError: the path contains a null character
-        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
-
-
-def read_table(
-    path: Path, row: str, none: str, example: str, text: str | None = None
-) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
-    """Return the header of a CSV with the number of its line, and the other rows, each with the number of its line.
-
-    `row`, `none`, `example`: name of a row, advice if there is none, and example of a header, for messages. `text`: the
-    content of the CSV, if that is not read from `path`.
-
-    **Raises:** `InputError` if the header is no list of names or, while reading rows, if one has other columns.
-    """
-    place = Place(str(path))
-    rows = read_csv(place, read_text(path) if text is None else text)
-    line, header = next(rows, (0, []))
-    if not header:
-        raise place.error(f"empty; a line of column names and a line for each {row} are needed")
-    header, here = [cell.strip() for cell in header], place.at(f"line {line}")
-    if len(header) == 1 and "\t" in header[0]:
-        raise here.error(f"{shown(header[0])} is one column; separate them by commas")
-    if all(map(is_number, header)):
-        raise here.error(f"{shown(', '.join(header))} are numbers; the first line names the columns, like {example}")
-
-    def checked() -> Iterator[tuple[int, list[str]]]:
-        last = 0
-        for last, cells in rows:
-            if len(cells) != len(header):
-                raise place.at(f"line {last}").error(f"has {len(cells)} cells; {len(header)} are needed, one a column")
-            yield last, cells
-        if not last:
-            raise place.error(f"{none} below the column names")
-
-    return line, header, checked()
-
-
-def is_number(cell: str) -> bool:
-    """Return whether a cell holds a number other than NaN."""
-    try:
-        return float(cell) == float(cell)
-    except ValueError:
-        return False
-
-
-def read_csv(place: Place, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Return the non-empty lines of a CSV, each with its number; columns are separated by commas or semicolons.
-
-    Semicolons separate the columns if the first line has no comma. Commas in numbers are then decimal marks; a warning
-    says so.
-
-    **Raises:** `InputError` if the text is not CSV, or a comma in a number may also separate thousands.
-    """
-    first = next((line for line in text.splitlines() if line.strip()), "")
-    if ";" in first and "," not in first:
-        return iter(_with_decimal_points(place, list(_csv_rows(place, text, ";"))))
-    return _csv_rows(place, text, ",")
-
-
-def _csv_rows(place: Place, text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
-    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True, delimiter=delimiter)
-    try:
-        yield from ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
-    except csv.Error as error:
-        raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
-
-
-def _with_decimal_points(place: Place, rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
-    """Return the rows of a semicolon-separated CSV with decimal points in place of decimal commas."""
-    cells = [(line, cell.strip()) for line, row in rows[1:] for cell in row]
-    commas = [(line, cell) for line, cell in cells if _DECIMAL_COMMA.fullmatch(cell)]
-    points = any(_DECIMAL_POINT.fullmatch(cell) for _, cell in cells)
-    if commas and (points or all(_THOUSANDS.fullmatch(cell) for _, cell in commas)):
-        line, cell = commas[0]
-        other = "the file has decimal points too" if points else "commas may separate thousands"
-        raise place.at(f"line {line}").error(f"{shown(cell)} is ambiguous: {other}; write decimal points")
-    said = "semicolons separate the columns" + (", commas are decimal marks" if commas else "")
-    warnings.warn(f"{place.file}: {said}", stacklevel=2)
-    header, *others = rows
-    return [header] + [
-        (line, [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in row])
-        for line, row in others
-    ]
-
-
 def bundled_names(noun: str = "sweep") -> list[str]:
     """Return the names of the bundled sweeps, or of the studies or designs if `noun` is "study" or "design".
 
@@ -241,8 +137,8 @@ def bundled_names(noun: str = "sweep") -> list[str]:
 
 
 def _bundled(noun: str) -> list[Path]:
-    folders = {"sweep": BUNDLED_FOLDERS, "study": STUDY_FOLDERS, "design": DESIGN_FOLDERS}[noun]
-    return [path for folder in folders for path in sorted(folder.glob("*.toml"))]
+    folders = {"sweep": BUNDLED_FOLDERS, "study": STUDY_FOLDERS, "design": DESIGN_FOLDERS}
+    return [path for folder in folders.get(noun, ()) for path in sorted(folder.glob("*.toml"))]
 
 
 def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:

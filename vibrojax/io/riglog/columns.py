@@ -6,7 +6,7 @@ rock="granite"                     the threshold of a rock of Table 4.5 of the s
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import xarray as xr
@@ -19,6 +19,8 @@ from vibrojax.models.physics.units import UNITS, factor, is_unit
 from vibrojax.models.scenes.penetration import PULSES
 
 RATE, RELIEF, FORCE, THRESHOLD = "rate_of_penetration", "relief", "mean_force", "threshold"
+WEIGHT, ROTATION_SPEED, DEPTH, BIT_DEPTH, TIME = "weight_on_bit", "rotary_speed", "depth", "bit_depth", "time"
+STICK_SLIP, LINE = "stick_slip_index", "line"
 
 LAW = table(
     not_negative(RATE, 1e-3, "m s-1", "rate of penetration", "ROP", (1e-5, 1e-2)),
@@ -28,10 +30,27 @@ LAW = table(
 )
 """The quantities that enter a fit of the rate-of-penetration law."""
 
-KNOWN: Mapping[str, Parameter] = BIT_AND_STRIKER | CONTACT | ROTATION | PULSES | ROCK | LAW
+RIG = table(
+    not_negative(DEPTH, 1e3, "m", "depth of the hole", "h"),
+    not_negative(BIT_DEPTH, 1e3, "m", "depth of the bit", "h"),
+    not_negative(TIME, 0.0, "s", "time since the first row", "t"),
+    not_negative(WEIGHT, 50e3, "N", "weight on bit", "WOB", (5e3, 500e3)),
+    not_negative(ROTATION_SPEED, 10.0, "rad s-1", "rotary speed", "n", (1.0, 50.0)),
+    not_negative("torque", 10e3, "N m", "torque", "T", (100.0, 100e3)),
+    not_negative("flow", 0.03, "m3 s-1", "flow of mud", "Q", (1e-3, 0.2)),
+    not_negative("pressure", 10e6, "Pa", "pressure of mud", "p", (1e5, 1e8)),
+    not_negative("bit_diameter", 0.2, "m", "diameter of the bit", "d", (0.03, 1.5)),
+    not_negative(STICK_SLIP, 0.0, "1", "stick-slip index as given", "SSI"),
+)
+"""The quantities of a rig log beside those of the law."""
+
+KNOWN: Mapping[str, Parameter] = BIT_AND_STRIKER | CONTACT | ROTATION | PULSES | ROCK | LAW | RIG
 
 _DRILLING_TERMS = {"rop": RATE, "penetration": RATE, "wob": FORCE, "weight": FORCE, "force": FORCE, "p/d": RELIEF}
 _DECIMAL_COMMA = re.compile(r",\d")
+Guess = Callable[[str], tuple[str, str | None, bool] | None]
+"""Function that returns the quantity and the unit of a column by its name, and whether the unit is not in the name."""
+
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 _BRACKETED = re.compile(r"\s*(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 
@@ -119,11 +138,17 @@ def split_unit(header: str) -> tuple[str, str | None]:
     return header.strip(), None
 
 
-def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) -> dict[str, Column]:
-    """Return the column of each quantity: the user's `columns`, and columns whose header is the quantity's name.
+def choose_columns(
+    place: Place, header: list[str], columns: Mapping[str, str], guess: Guess, units: Mapping[str, str]
+) -> tuple[dict[str, Column], list[tuple[str, Column]], list[str]]:
+    """Return the column of each quantity: the user's `columns`, columns with the quantity's name, and guessed ones.
 
     A header without a unit is recognised only for the quantities of the law, and means SI units. A header with a unit
-    is recognised for every known quantity. `place` is the location of the `header` in the file.
+    is recognised for every known quantity. `place` is the location of the `header` in the file; `guess` recognises the
+    names of a dialect; `units` are the user's, by quantity, for guessed columns.
+
+    The second result holds further columns of the same quantity by the same name, such as a depth in feet beside that
+    in metres. The third holds notes on columns that were left out.
     """
     chosen = {name: _user_column(Place("columns", name), header, name, text) for name, text in columns.items()}
     taken = {column.index: name for name, column in reversed(chosen.items()) if column.index is not None}
@@ -142,7 +167,33 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
             count = sum(split_unit(other)[0] == name for other in header)
             raise place.error(f"column {name} is there {count} times; give it once")
         chosen[name] = _column(place.at(f"column {cell}"), name, cell, index, unit)
-    return chosen
+        taken[index] = name
+    beside: list[tuple[str, Column]] = []
+    notes: list[str] = []
+    guesses = {index: found for index, cell in enumerate(header) if index not in taken and (found := guess(cell))}
+    for index, (name, unit, assumed) in guesses.items():
+        cell = header[index]
+        if name in columns or name not in KNOWN:
+            continue
+        unit, si = units.get(name, unit), KNOWN[name].unit
+        if name in (TIME, STICK_SLIP):  # times of the day have no unit; an index is kept as given
+            column = Column(cell, index, unit or "1", factor(unit or "s", si) or 1.0 if name == TIME else 1.0)
+        elif unit is None:
+            notes.append(f"{name}: column {shown(cell)} names no unit and is left out")
+            continue
+        elif factor(unit, si) is None and name not in (RATE, WEIGHT, DEPTH):
+            notes.append(f"{name}: column {shown(cell)} is in {unit}, not a unit of {name}, and is left out")
+            continue
+        else:
+            own = _column(place.at(f"column {cell}"), name, cell, index, unit)
+            column = Column(cell, index, unit, own.factor, assumed and name not in units)
+        if name in chosen:
+            same = split_unit(cell)[0].casefold() == split_unit(chosen[name].header)[0].casefold()
+            beside += [(name, column)] * same
+            notes.append(f"{name}: column {shown(cell)} is another one, and is left out")
+        else:
+            chosen[name] = column
+    return chosen, beside, notes
 
 
 def required_names(
@@ -165,7 +216,7 @@ def required_names(
         meant = _candidate(RELIEF if nearest(RELIEF, free) else FORCE, header, free)
         raise place.error(f"column {RELIEF} is missing, or {FORCE} and {THRESHOLD}; {meant}")
     if missing:
-        constant = f', or for all rows: --columns {THRESHOLD}="150 kN" or rock=granite'
+        constant = f', or for all rows: --columns {THRESHOLD}="150 kN", rock=granite or {THRESHOLD}=unknown'
         constant = constant if missing[0] == THRESHOLD else ""
         meant = _candidate(missing[0], header, free)
         raise place.error(f"column {missing[0]} [N] is missing, or {RELIEF}; {meant}{constant}")

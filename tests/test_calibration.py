@@ -1,0 +1,136 @@
+"""Calibrations: planted parameters, coverage of standard errors, what the data do not determine, and bad input."""
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.analyses.analysis import analysis_of
+from vibrojax.analyses.calibration.run import REASONS
+from vibrojax.cli import main
+from vibrojax.errors import InputError
+
+SPEEDS = np.linspace(1.1, 2.0, 6)
+PLANTED = {"mu": 0.4, "v_cr": 3.0}
+OF = ("period", "impact_velocity", "drive_power")
+ABOUT = {"scene": "vibro-impact", "start": "stuck", "parameters": {"delta": 0.005}}
+UNKNOWN = {"mu": [0.25, 0.6], "v_cr": [1.5, 6.0]}
+
+
+@pytest.fixture(scope="module")
+def motion():
+    points = {"points": {"v": SPEEDS.tolist()}, "parameters": {"delta": 0.005, **PLANTED}}
+    sweep = {"scene": "vibro-impact", "starts": ["stuck"], "run": {"orbits": True}, **points}
+    return vj.run_sweep(sweep, progress=False)
+
+
+def _runs(motion, noise=0.0, seed=0):
+    rng = np.random.default_rng(seed)
+    return {"v": SPEEDS} | {
+        name: motion[name].values[:, 0] * (1 + noise * rng.standard_normal(len(SPEEDS))) for name in OF
+    }
+
+
+def _calibrated(data, **settings):
+    return vj.calibrate({**ABOUT, "data": data, "unknown": UNKNOWN, "searches": 1, **settings}, progress=False)
+
+
+def test_planted_parameters_are_recovered_exactly_without_noise(motion):
+    fit = _calibrated(_runs(motion), searches=2)
+    assert fit.estimate.values == pytest.approx([*PLANTED.values()], rel=1e-7)
+    assert not fit.reason.any() and fit.freedom == 3 * len(SPEEDS) - 2
+    assert fit.attrs["kind"] == "calibration"
+
+
+def test_standard_errors_cover_planted_parameters(motion):
+    """The distance from the truth, in standard errors, has the chi-squared distribution of two degrees of freedom."""
+    noise, distances = 2e-3, []
+    truth = np.array([*PLANTED.values()])
+    errors = {name: noise * float(np.abs(motion[name]).mean()) for name in OF}
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        exact = _runs(motion)
+        data = {"v": SPEEDS} | {name: exact[name] + errors[name] * rng.standard_normal(len(SPEEDS)) for name in OF}
+        fit = _calibrated(data, error=errors, draws=2)
+        stderr = fit.estimate_stderr.values
+        covariance = fit.correlation.values * np.outer(stderr, stderr)
+        off = fit.estimate.values - truth
+        distances.append(off @ np.linalg.solve(covariance, off))
+    # Mean 2 with a standard error of sqrt(4/10); four of these are allowed.
+    assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 10)
+
+
+def test_the_posterior_has_the_estimates_covariance(motion):
+    fit = _calibrated(_runs(motion, 1e-3), draws=20_000)
+    logs = np.log(fit.posterior.values)
+    relative = fit.estimate_stderr.values / fit.estimate.values
+    assert logs.std(axis=0) == pytest.approx(relative, rel=0.03)
+    assert np.corrcoef(logs.T)[0, 1] == pytest.approx(float(fit.correlation[0, 1]), abs=0.03)
+    assert float(fit.nonlinearity) < 0.1
+
+
+def test_the_period_determines_only_the_ratio_of_stiffness_and_mass(motion):
+    """With friction proportional to m1 g, x1 scales with m1 g/k1 and time with sqrt(m1/k1)."""
+    data = {name: _runs(motion, 5e-3)[name] for name in ("v", "period")}
+    fit = _calibrated(data, unknown={"m1": [150.0, 400.0], "k1": [1e5, 2.5e5]})
+    known = fit.direction.values[0]
+    assert abs(known[0] + known[1]) < 0.2 and fit.direction_error[0] < 0.02
+    assert REASONS[int(fit.reason[0])] == REASONS[int(fit.reason[1])] == "confounded"
+    lines = "\n".join(analysis_of(fit).summary(fit)[0].lines)
+    assert "the data determine" in lines and "and not the parameters by themselves" in lines
+    prior = _calibrated(
+        data, unknown={"m1": [150.0, 400.0], "k1": [1e5, 2.5e5]}, prior={"m1": [250.0, 5.0]}, error={"period": 1e-3}
+    )
+    assert not prior.reason.any() and float(prior.estimate[0]) == pytest.approx(250, abs=15)
+
+
+def test_the_laws_coefficient_is_calibrated_with_the_drill():
+    speeds = np.linspace(1.6, 2.0, 4)
+    sweep = {"scene": "drilling", "starts": ["stuck"], "points": {"v": speeds.tolist()}, "run": {"orbits": True}}
+    motion = vj.run_sweep(sweep, progress=False)
+    relief = motion.relief.values[:, 0]
+    data = {"v": speeds, "period": motion.period.values[:, 0], "rate_of_penetration (mm/s)": 2.0 * np.log(relief)}
+    about = {"scene": "drilling", "start": "stuck", "data": data, "searches": 1}
+    fit = vj.calibrate(about | {"unknown": {"C": [1e-4, 1e-1], "mu": [0.2, 0.6]}}, progress=False)
+    assert float(fit.estimate.sel(parameter="C")) == pytest.approx(2e-3, rel=1e-6)
+    assert float(fit.estimate.sel(parameter="mu")) == pytest.approx(0.4, rel=1e-6)
+
+
+def test_the_command_writes_dataset_and_picture(motion, tmp_path, capsys):
+    rows = _runs(motion, 1e-3)
+    table = np.column_stack([*rows.values()])
+    np.savetxt(tmp_path / "runs.csv", table, delimiter=",", header=",".join(rows), comments="", fmt="%.10g")
+    lines = ['scene = "vibro-impact"', 'start = "stuck"', 'data = "runs.csv"', "searches = 1"]
+    lines += ["[parameters]", "delta = 0.005", "[unknown]", "mu = [0.25, 0.6]", "v_cr = [1.5, 6.0]"]
+    (tmp_path / "drill.toml").write_text("\n".join(lines) + "\n")
+    out = tmp_path / "fit.nc"
+    assert main(["calibrate", str(tmp_path / "drill.toml"), "-o", str(out), "--quiet", "--json"]) == 0
+    assert '"combinations"' in capsys.readouterr().out
+    assert out.exists() and out.with_suffix(".png").exists()
+    again = vj.open_dataset(out)
+    assert again.estimate.values == pytest.approx(_calibrated(rows).estimate.values, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"unknown": {}}, "unknown: missing"),
+        ({"unknown": {"mu": [0.6, 0.2]}}, "unknown.mu"),
+        ({"unknown": {"C": [1e-4, 1e-2]}}, "unknown.C: scene 'vibro-impact' has no relief"),
+        ({"data": {"v": [1.0]}}, "holds no observation"),
+        ({"data": {"v": [1.0], "perid": [0.2]}}, "column perid: is neither a parameter"),
+        ({"data": {"v": [1.0], "period (kg)": [0.2]}}, "is in kg, not a unit of period"),
+        ({"data": {"v": [np.nan], "period": [0.2]}}, "column v: has an empty cell"),
+        ({"data": {"mu": [0.4], "period": [0.2]}}, "column mu: is an unknown"),
+        ({"data": None}, "data: missing"),
+        ({"error": {"period": 0.0}}, "error.period"),
+        ({"error": {"perod": 0.1}}, "error: 'perod' is unknown"),
+        ({"prior": {"mu": [0.4, 0.1]}}, "prior: has no weight"),
+        ({"searches": 0}, "searches: 0 does not fit"),
+        ({"unknwn": 1}, "unknwn: unknown key"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(change, said):
+    data = {"v": [1.0, 1.5], "period": [0.23, 0.23]}
+    with pytest.raises(InputError) as caught:
+        vj.calibrate({**ABOUT, "data": data, "unknown": UNKNOWN, **change}, progress=False)
+    assert said.replace("'", '"') in str(caught.value).replace("'", '"') and "\n" not in str(caught.value)

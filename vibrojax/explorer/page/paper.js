@@ -1,0 +1,159 @@
+// Exports: a plot drawn once more on a sheet, as PNG or SVG with its title and legend, and text files.
+import { FONT, inkOf } from "./plots.js";
+
+const SCALE = 3;
+const escaped = (text) => String(text).replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
+const rounded = (x) => Math.round(x * 100) / 100;
+
+/** The part of a canvas context that the plots use, which writes SVG. */
+class SvgContext {
+  constructor() {
+    Object.assign(this, { parts: [], state: { at: [1, 0, 0, 1, 0, 0], clip: "" }, kept: [], path: [], clips: 0 });
+    Object.assign(this, { fillStyle: "#000", strokeStyle: "#000", lineWidth: 1, font: "", textAlign: "left", textBaseline: "middle", globalAlpha: 1, dash: [] });
+    this.measure = document.createElement("canvas").getContext("2d");
+  }
+  setTransform() {}
+  clearRect() {}
+  setLineDash(dash) { this.dash = dash; }
+  measureText(text) { this.measure.font = this.font; return this.measure.measureText(text); }
+  createPattern() { return {}; }
+  save() { this.kept.push({ ...this.state }); }
+  restore() { this.state = this.kept.pop(); }
+  translate(x, y) { const [a, b, c, d, e, f] = this.state.at; this.state.at = [a, b, c, d, e + a * x + c * y, f + b * x + d * y]; }
+  rotate(angle) {
+    const [a, b, c, d, e, f] = this.state.at, cos = Math.cos(angle), sin = Math.sin(angle);
+    this.state.at = [a * cos + c * sin, b * cos + d * sin, c * cos - a * sin, d * cos - b * sin, e, f];
+  }
+  beginPath() { this.path = []; }
+  moveTo(x, y) { this.path.push(`M${rounded(x)},${rounded(y)}`); }
+  lineTo(x, y) { this.path.push(`${this.path.length ? "L" : "M"}${rounded(x)},${rounded(y)}`); }
+  closePath() { this.path.push("Z"); }
+  rect(x, y, w, h) { this.path.push(`M${rounded(x)},${rounded(y)}h${rounded(w)}v${rounded(h)}h${rounded(-w)}Z`); }
+  arc(x, y, r) { this.ellipse(x, y, r, r); }
+  ellipse(x, y, rx, ry) {
+    const [a, b] = [Math.abs(rx), Math.abs(ry)].map(rounded);
+    this.path.push(`M${rounded(x - a)},${rounded(y)}a${a},${b} 0 1 0 ${2 * a},0a${a},${b} 0 1 0 ${-2 * a},0Z`);
+  }
+  clip() {
+    const id = `clip${++this.clips}`;
+    this.parts.push(`<clipPath id="${id}"><path transform="matrix(${this.state.at.map(rounded).join()})" d="${this.path.join("")}"/></clipPath>`);
+    this.state.clip = ` clip-path="url(#${id})"`;
+  }
+  paint(style) { return typeof style === "string" ? escaped(style) : "url(#hatch)"; }
+  put(element) {
+    const moved = this.state.at.join() === "1,0,0,1,0,0" ? "" : ` transform="matrix(${this.state.at.map(rounded).join()})"`;
+    this.parts.push(`<g${this.state.clip}${this.globalAlpha < 1 ? ` opacity="${this.globalAlpha}"` : ""}>${element.replace(/^<(\w+)/, `<$1${moved}`)}</g>`);
+  }
+  fill() { this.put(`<path d="${this.path.join("")}" fill="${this.paint(this.fillStyle)}"/>`); }
+  stroke() {
+    const dash = this.dash.length ? ` stroke-dasharray="${this.dash.join()}"` : "";
+    this.put(`<path d="${this.path.join("")}" fill="none" stroke="${this.paint(this.strokeStyle)}" stroke-width="${this.lineWidth}" stroke-linejoin="round"${dash}/>`);
+  }
+  fillRect(x, y, w, h) { this.put(`<rect x="${rounded(x)}" y="${rounded(y)}" width="${rounded(w)}" height="${rounded(h)}" fill="${this.paint(this.fillStyle)}"/>`); }
+  strokeRect(x, y, w, h) { this.beginPath(); this.rect(x, y, w, h); this.stroke(); }
+  fillText(text, x, y, most) {
+    const size = parseFloat(/([\d.]+)px/.exec(this.font)?.[1] ?? 11), anchor = { center: "middle", right: "end" }[this.textAlign] ?? "start";
+    const down = { top: 0.8 * size, middle: 0.35 * size }[this.textBaseline] ?? 0, weight = /bold|600/.test(this.font) ? ' font-weight="600"' : "";
+    const narrowed = most && this.measureText(text).width > most ? ` textLength="${rounded(most)}" lengthAdjust="spacingAndGlyphs"` : "";
+    this.put(`<text x="${rounded(x)}" y="${rounded(y + down)}" font-size="${size}" text-anchor="${anchor}" fill="${this.paint(this.fillStyle)}"${weight}${narrowed}>${escaped(text)}</text>`);
+  }
+}
+
+/** What a plot draws on when it is exported: of the size and zoom of its canvas, in the colours of the light scheme. */
+function paperOf(canvas, context, ratio) {
+  const { width, height } = canvas.getBoundingClientRect();
+  const paper = { source: canvas, zoom: canvas.zoom, ratio, width: 0, height: 0, getContext: () => context };
+  return Object.assign(paper, { getBoundingClientRect: () => ({ width, height }) });
+}
+
+/** Rows of legend entries [{text, colour, shape, dash}] that fit into a width. */
+function rowsOf(c, keys, width) {
+  const rows = [[]];
+  let used = 0;
+  c.font = `11px ${FONT}`;
+  for (const key of keys) {
+    const wide = c.measureText(key.text).width + 36;
+    if (used + wide > width && rows.at(-1).length) { rows.push([]); used = 0; }
+    rows.at(-1).push({ ...key, left: used });
+    used += wide;
+  }
+  return rows[0].length ? rows : [];
+}
+
+function drawKeys(c, rows, top, ink) {
+  c.font = `11px ${FONT}`;
+  c.textAlign = "left";
+  c.textBaseline = "middle";
+  rows.forEach((row, k) => {
+    for (const { text, colour, shape, dash, left } of row) {
+      const y = top + 16 * k + 8;
+      if (shape === "line") {
+        c.strokeStyle = colour; c.lineWidth = 2; c.setLineDash(dash ?? []);
+        c.beginPath(); c.moveTo(left + 6, y); c.lineTo(left + 24, y); c.stroke();
+        c.setLineDash([]);
+      } else { c.fillStyle = colour; c.fillRect(left + 10, y - 5, 10, 10); }
+      c.fillStyle = ink.ink;
+      c.fillText(text, left + 28, y);
+    }
+  });
+}
+
+/** A blob of a plot with title and legend. `draw(paper)` draws the plot; `type`: "png" or "svg". */
+export async function picture(canvas, draw, { title = "", keys = [] }, type) {
+  const { width, height } = canvas.getBoundingClientRect(), ink = inkOf(canvas), top = title ? 24 : 6;
+  const inner = document.createElement("canvas"), probe = inner.getContext("2d"), rows = rowsOf(probe, keys, width - 8);
+  const whole = height + top + 16 * rows.length + 8;
+  const around = (c, plot) => {
+    c.fillStyle = ink.plate;
+    c.fillRect(0, 0, width, whole);
+    plot();
+    c.fillStyle = ink.ink;
+    c.font = `bold 12.5px ${FONT}`;
+    c.textAlign = "left";
+    c.textBaseline = "middle";
+    if (title) c.fillText(title, 10, 13, width - 20);
+    drawKeys(c, rows, top + height, ink);
+  };
+  if (type === "svg") {
+    const c = new SvgContext();
+    around(c, () => {
+      c.save();
+      c.translate(0, top);
+      draw(paperOf(canvas, c, 1));
+      c.restore();
+    });
+    const hatch = '<defs><pattern id="hatch" width="6" height="6" patternUnits="userSpaceOnUse"><path d="M0,6L6,0" stroke="#8c8c8c"/></pattern></defs>';
+    const text = `<svg xmlns="http://www.w3.org/2000/svg" width="${rounded(width)}" height="${rounded(whole)}" viewBox="0 0 ${rounded(width)} ${rounded(whole)}" font-family="${escaped(FONT)}">${hatch}${c.parts.join("")}</svg>`;
+    return new Blob([text], { type: "image/svg+xml" });
+  }
+  const paper = paperOf(canvas, probe, SCALE), outer = document.createElement("canvas");
+  Object.defineProperties(paper, { width: { set: (x) => { inner.width = x; }, get: () => inner.width }, height: { set: (x) => { inner.height = x; }, get: () => inner.height } });
+  draw(paper);
+  Object.assign(outer, { width: Math.round(width * SCALE), height: Math.round(whole * SCALE) });
+  const c = outer.getContext("2d");
+  c.scale(SCALE, SCALE);
+  around(c, () => c.drawImage(inner, 0, top, width, height));
+  return new Promise((done) => outer.toBlob(done, "image/png"));
+}
+
+/** Offer a blob, or text, as a file. */
+export function download(content, name) {
+  const blob = content instanceof Blob ? content : new Blob([content], { type: "text/plain" });
+  const link = document.createElement("a");
+  Object.assign(link, { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+const field = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : String(value));
+
+/** Columns {name: values} as CSV. */
+export function csvOf(columns) {
+  const names = Object.keys(columns), count = Math.max(0, ...names.map((name) => columns[name].length));
+  const lines = [names.map(field).join(",")];
+  for (let k = 0; k < count; k++) lines.push(names.map((name) => field(columns[name][k] ?? "")).join(","));
+  return `${lines.join("\n")}\n`;
+}
+
+/** A file name from words. */
+export const fileName = (words, ending) => `${words.toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "").slice(0, 60) || "plot"}.${ending}`;

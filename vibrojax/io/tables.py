@@ -1,0 +1,208 @@
+"""Tables as text: CSV files with commas or semicolons between the columns, and LAS files of well logs."""
+
+import csv
+import io
+import re
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax.errors import InputError, Place, nearest, shown
+from vibrojax.models.physics.units import is_unit
+
+Rows = list[tuple[int, list[str]]]
+"""The non-empty lines of a table: (line number, cells)."""
+
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file that the user specified, without a byte order mark.
+
+    **Raises:** `InputError` if the file cannot be read.
+    """
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+    except FileNotFoundError:
+        similar = [other.name for other in path.parent.glob(f"*{path.suffix}")] if path.parent.is_dir() else []
+        best = nearest(path.name, similar)
+        hint = f" (did you mean {shown(best)}?)" if best else ""
+        raise InputError(f"{path}: no such file; give the path of one that is there{hint}") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder; give the path of a file") from None
+    except (OSError, ValueError) as error:  # ValueError: the path contains a null character
+        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+
+
+def read_table(
+    path: Path, row: str, none: str, example: str, text: str | None = None
+) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
+    """Return the header of a CSV with the number of its line, and the other rows, each with the number of its line.
+
+    `row`, `none`, `example`: name of a row, advice if there is none, and example of a header, for messages. `text`: the
+    content of the CSV, if that is not read from `path`.
+
+    **Raises:** `InputError` if the header is no list of names or, while reading rows, if one has other columns.
+    """
+    place = Place(str(path))
+    rows = read_csv(place, read_text(path) if text is None else text)
+    line, header = next(rows, (0, []))
+    if not header:
+        raise place.error(f"empty; a line of column names and a line for each {row} are needed")
+    header, here = [cell.strip() for cell in header], place.at(f"line {line}")
+    if len(header) == 1 and "\t" in header[0]:
+        raise here.error(f"{shown(header[0])} is one column; separate them by commas")
+    if all(map(is_number, header)):
+        raise here.error(f"{shown(', '.join(header))} are numbers; the first line names the columns, like {example}")
+
+    def checked() -> Iterator[tuple[int, list[str]]]:
+        last = 0
+        for last, cells in rows:
+            if len(cells) != len(header):
+                raise place.at(f"line {last}").error(f"has {len(cells)} cells; {len(header)} are needed, one a column")
+            yield last, cells
+        if not last:
+            raise place.error(f"{none} below the column names")
+
+    return line, header, checked()
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell holds a number other than NaN."""
+    try:
+        return float(cell) == float(cell)
+    except ValueError:
+        return False
+
+
+def read_csv(place: Place, text: str) -> Iterator[tuple[int, list[str]]]:
+    """Return the non-empty lines of a CSV, each with its number; columns are separated by commas or semicolons.
+
+    Semicolons separate the columns if the first line has no comma. Commas in numbers are then decimal marks; a warning
+    says so.
+
+    **Raises:** `InputError` if the text is not CSV, or a comma in a number may also separate thousands.
+    """
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    if ";" in first and "," not in first:
+        return iter(_with_decimal_points(place, list(_csv_rows(place, text, ";"))))
+    return _csv_rows(place, text, ",")
+
+
+def _csv_rows(place: Place, text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True, delimiter=delimiter)
+    try:
+        yield from ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
+    except csv.Error as error:
+        raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
+
+
+def _with_decimal_points(place: Place, rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """Return the rows of a semicolon-separated CSV with decimal points in place of decimal commas."""
+    cells = [(line, cell.strip()) for line, row in rows[1:] for cell in row]
+    commas = [(line, cell) for line, cell in cells if _DECIMAL_COMMA.fullmatch(cell)]
+    points = any(_DECIMAL_POINT.fullmatch(cell) for _, cell in cells)
+    if commas and (points or all(_THOUSANDS.fullmatch(cell) for _, cell in commas)):
+        line, cell = commas[0]
+        other = "the file has decimal points too" if points else "commas may separate thousands"
+        raise place.at(f"line {line}").error(f"{shown(cell)} is ambiguous: {other}; write decimal points")
+    said = "semicolons separate the columns" + (", commas are decimal marks" if commas else "")
+    warnings.warn(f"{place.file}: {said}", stacklevel=2)
+    header, *others = rows
+    return [header] + [
+        (line, [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in row])
+        for line, row in others
+    ]
+
+
+def rows_without_units(place: Place, header: list[str], rows: Rows) -> Rows:
+    """Return the rows of a CSV; raise `InputError` if the first of them holds units."""
+    line, units = rows[0][0], [cell.strip(" []()") for cell in rows[0][1] if cell.strip()]
+    if not any(map(is_number, units)) and any(map(is_unit, units)):
+        like = f"{header[0]} ({units[0]})"
+        fault = f"holds units; write them behind the names, like {like}, and leave it out"
+        raise place.at(f"line {line}").error(fault)
+    return rows
+
+
+def column_numbers(
+    place: Place, name: str, index: int, rows: Rows, nulls: Sequence[float] = ()
+) -> tuple[Float[np.ndarray, " rows"], int]:
+    """Return the numbers in a column, NaN for empty cells and for `nulls`, and the number of cells that are `nulls`.
+
+    **Raises:** `InputError` for other text.
+    """
+    values = np.full(len(rows), np.nan)
+    for position, (line, row) in enumerate(rows):
+        if cell := row[index].strip():
+            try:
+                values[position] = float(cell)
+            except ValueError:
+                fault = f"{shown(cell)} is not a number; write one, like 0.4, or leave it empty"
+                raise place.at(f"line {line}, column {name}").error(fault) from None
+    null = np.isin(values, nulls)
+    return np.where(null, np.nan, values), int(null.sum())
+
+
+def read_numbers(
+    place: Place, path: Path, wanted: Callable[[str], object], example: str
+) -> dict[str, Float[np.ndarray, " rows"]]:
+    """Return the numbers of the `wanted` columns of a CSV by header; NaN for empty cells.
+
+    **Raises:** `InputError` if the file cannot be read or a cell is not a number.
+    """
+    line, header, others = read_table(path, "measurement", "no rows; add a line for each measurement", example)
+    rows = rows_without_units(place, header, list(others))
+    columns: dict[str, Float[np.ndarray, " rows"]] = {}
+    for index, name in enumerate(header):
+        if wanted(name):
+            if name in columns:
+                raise place.at(f"line {line}").error(f"column {name} is there twice; give it once")
+            columns[name], _ = column_numbers(place, name, index, rows)
+    return columns
+
+
+def read_las(place: Place, text: str) -> tuple[int, list[str], Rows, float | None]:
+    """Return the line of the section ~Curve, its names with units, the rows, and the number of a missing value.
+
+    **Raises:** `InputError` if the text is not LAS 2.0 with one row on a line.
+    """
+    try:
+        import lasio
+    except ImportError:
+        raise place.error('LAS files need lasio, which is not installed; pip install "vibrojax[las]"') from None
+    plain = text.splitlines()
+    sections = {line[1:2].upper(): number for number, line in enumerate(plain, 1) if line.startswith("~")}
+    for letter, name in (("V", "~Version"), ("C", "~Curve"), ("A", "~ASCII")):
+        if letter not in sections:
+            raise place.error(f"not LAS 2.0: it has no section {name}")
+    try:
+        las = lasio.read(io.StringIO("\n".join(plain)), ignore_data=True)
+        version, wrap = float(las.version.VERS.value), str(las.version.WRAP.value).strip().upper()
+    except Exception:  # lasio has no error of its own for a malformed header
+        fault = "not LAS 2.0: its header cannot be read; it needs VERS and WRAP in ~Version, and a curve on each line"
+        raise place.at(f"line {sections['V']}").error(f"{fault} of ~Curve") from None
+    if version > 2 or wrap == "YES":
+        fault = "its lines are wrapped (WRAP YES)" if wrap == "YES" else f"it is LAS {version:g}"
+        raise place.at(f"line {sections['V']}").error(f"{fault}; write LAS 2.0 with one row on a line")
+    header = [f"{c.original_mnemonic} ({c.unit})" if c.unit else str(c.original_mnemonic) for c in las.curves]
+    rows = []
+    for number in range(sections["A"] + 1, len(plain) + 1):
+        cells = plain[number - 1].split()
+        if not cells or cells[0].startswith("#"):
+            continue
+        if len(cells) != len(header):
+            fault = f"has {len(cells)} cells; {len(header)} are needed, one a curve"
+            raise place.at(f"line {number}, from {cells[0]}").error(fault)
+        rows.append((number, cells))
+    if not rows:
+        raise place.at(f"line {sections['A']}").error("no rows below ~ASCII; add a line for each measurement")
+    null = las.well["NULL"].value if "NULL" in las.well else None
+    return sections["C"], header, rows, float(str(null)) if is_number(str(null)) else None
