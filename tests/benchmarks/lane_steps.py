@@ -2,9 +2,9 @@
 
     python tests/benchmarks/lane_steps.py [--platform NAME]
 
-A printout, not a test: nothing is asserted. The lanes lie over the regime map. With `--platform`, XLA compiles the lanes
-for jax's devices of that platform, such as gpu, with the settings for accelerators. `--platform cpu` thus shows on a CPU
-what an accelerator would run.
+A printout, not a test: nothing is asserted. The lanes lie over the regime map. With `--platform`, XLA compiles the
+lanes for jax's devices of that platform, such as gpu, with the settings for accelerators. `--platform cpu` thus shows
+on a CPU what an accelerator would run.
 """
 
 import argparse
