@@ -1,10 +1,13 @@
 """What a step of a lane costs: ns per lane-step and lane-seconds per second, of both steppers, on one core and on two.
 
-    python tests/benchmarks/lane_steps.py
+    python tests/benchmarks/lane_steps.py [--platform NAME]
 
-A printout, not a test: nothing is asserted. The lanes lie over the regime map.
+A printout, not a test: nothing is asserted. The lanes lie over the regime map. With `--platform`, XLA compiles the
+lanes for jax's devices of that platform, such as gpu, with the settings for accelerators. `--platform cpu` thus shows
+on a CPU what an accelerator would run.
 """
 
+import argparse
 import platform
 import statistics
 import time
@@ -16,6 +19,7 @@ import numpy as np
 import vibrojax as vj
 from vibrojax.compile.xla import usable_cores
 from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.engine.compiler import Programs
 from vibrojax.sweep.input.read import read_sweep
 
 REPEATS = 3
@@ -71,6 +75,14 @@ def once(chunks: Chunks) -> tuple[float, float]:
     return time.perf_counter() - began, float(found["steps"].sum())
 
 
+def as_on_accelerator(chunks: Chunks) -> Chunks:
+    """Chunks whose lanes XLA compiles, with the settings for accelerators, for all devices of jax's platform."""
+    engine, devices = chunks.engine, jax.local_devices()
+    engine.workers, engine.accelerated = devices, True
+    engine.programs = Programs(engine.programs.kind, np.dtype(chunks.sweep.run.precision), "accelerator")
+    return chunks
+
+
 def rotary(scene, lanes: int = 3000):
     """Lanes of `rotary`, or of the same equations as a system."""
     grid = {
@@ -81,9 +93,11 @@ def rotary(scene, lanes: int = 3000):
     return read_sweep({"scene": scene, "grid": grid, "starts": starts, "run": times})
 
 
-def measured(definition, cores: int) -> dict:
+def measured(definition, cores: int, accelerator: bool = False) -> dict:
     """Compile time, and by the median run, what a lane-step costs and how many lane-seconds a second gives."""
     chunks, lanes = Chunks(definition), definition.lanes
+    if accelerator:
+        as_on_accelerator(chunks)
     chunks.engine.workers = chunks.engine.workers[:cores]
     began = time.perf_counter()
     chunks.compile()
@@ -111,15 +125,20 @@ def processor() -> str:
 
 
 def main() -> None:
-    most = min(2, usable_cores())
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--platform")
+    if chosen := parser.parse_args().platform:
+        jax.config.update("jax_platforms", chosen)
+    most = len(jax.local_devices()) if chosen else min(2, usable_cores())
     found = {}
-    print(f"{processor()}, {usable_cores()} cores, Python {platform.python_version()}, jax {jax.__version__}")
+    where = f"{jax.devices()[0].device_kind}, {len(jax.local_devices())} devices" if chosen else processor()
+    print(f"{where}, {usable_cores()} cores, Python {platform.python_version()}, jax {jax.__version__}")
     print(f"{SETTLE + OBSERVE:g} s of each lane, float64, median of {REPEATS} runs\n")
     titles = ("", "cores", "lanes", "compile s", "run s", "spread", "steps/s", "ns/lane-step", "lane-s/s")
     print("{:<40}{:>8}{:>7}{:>11}{:>8}{:>8}{:>9}{:>14}{:>10}".format(*titles))
     for name, (lanes, run) in CASES.items():
         for cores in range(1, most + 1):
-            it = found[name, cores] = measured(sweep(lanes, run), cores)
+            it = found[name, cores] = measured(sweep(lanes, run), cores, bool(chosen))
             print(
                 f"{name:<40}{cores:>8}{it['lanes']:>7}{it['compile_s']:>11.1f}{it['run_s']:>8.2f}"
                 f"{it['spread']:>8.0%}{it['steps_per_second']:>9.0f}{it['ns']:>14.0f}{it['lane_seconds']:>10.0f}"
@@ -133,6 +152,8 @@ def main() -> None:
     for cores in sorted({cores for _, cores in found}):
         gain = found[located, cores]["lane_seconds"] / found[smoothed, cores]["lane_seconds"]
         print(f"lane-seconds per second, located over smoothed, on {cores}: {gain:.1f}")
+    if chosen:
+        return
     system, scene = (measured(rotary(scene), 1)["run_s"] for scene in (ROTARY, "rotary"))
     print(f"time of the same lanes, rotary as a System over the scene rotary, on 1: {system / scene:.2f}")
 

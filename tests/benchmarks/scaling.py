@@ -23,8 +23,9 @@ from vibrojax.compile.kernels import native
 from vibrojax.compile.xla import with_threads
 from vibrojax.sweep.input.read import read_sweep
 
+REPEATS = 3
 CASES = {"long": (6000, {"settle": 40.0, "observe": 8.0}), "short": (18000, {"settle": 3.0, "observe": 2.0})}
-ROWS, REPEATS = 60, 5
+ROWS = 60
 spent: dict[int, float] = {}
 
 
@@ -97,19 +98,16 @@ class TimedKernel(native.Kernel):
 
 
 def once(definition, threads: int, lock: HeldLock) -> tuple[float, float, float, float]:
-    """Processor time, of it in native code, time by the clock, and in another run the time with the lock [s]."""
+    """Processor time, of it in native code, time by the clock [s], and in another run the share with the lock."""
     spent.clear()
     with with_threads(threads):
         processor, clock = time.process_time(), time.perf_counter()
         vj.run_sweep(definition, progress=False)
         processor, clock = time.process_time() - processor, time.perf_counter() - clock
         code = sum(spent.values())
-        # While other processes use the cores, the lock is held longer by the clock, like everything else.
-        began = time.perf_counter()
         with lock:
             vj.run_sweep(definition, progress=False)
-        held = lock.share * (time.perf_counter() - began)
-    return processor, code, clock, held * min(processor / clock, 1.0) if threads == 1 else float("nan")
+    return processor, code, clock, lock.share
 
 
 def main() -> None:
@@ -122,11 +120,10 @@ def main() -> None:
         definition = sweep(lanes, run)
         vj.run_sweep(sweep(240, run), progress=False)  # compiles
         time.sleep(1.0)  # the last program compiles in the background
-        for threads in asked or [1, 2]:  # with several threads, a thread that waits for a core may hold the lock
+        for threads in asked or [1]:  # the share with the lock is a serial fraction only of one thread
             runs = [once(definition, threads, lock) for _ in range(REPEATS)]
-            processor, code, clock, held = (median(run[k] for run in runs) for k in range(4))
+            processor, code, clock, serial = (median(run[k] for run in runs) for k in range(4))
             other, share = 1e6 * (processor - code) / lanes, 1 - code / processor
-            serial = held / processor
             gains = " and ".join(f"{1 / (serial + (1 - serial) / n):.1f}" for n in (16, 64))
             print(
                 f"{name:8}{threads:7}{processor:13.2f}{code:10.2f}{other:15.1f}{share:7.1%}"

@@ -56,7 +56,8 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
             if not begun:
                 template = _template(sweep, part.variables)
                 known = {name: np.mean(np.isfinite(x)) for name, x in part.variables.items() if x.dtype.kind == "f"}
-                plain = {name for name, share in known.items() if share > 0.5 and template.nbytes > COMPRESSED_BYTES}
+                large = template.nbytes > COMPRESSED_BYTES
+                plain = {name for name, share in known.items() if share > 0.5 and large}
                 region = dict(zip(sweep.counted, _regions(sweep).chunk, strict=True))
                 target.begin(template, tuple(region[name] for name in sweep.dims), frozenset(plain))
                 begun = True
