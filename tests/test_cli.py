@@ -160,7 +160,7 @@ def test_bad_input_found_late_is_one_line(calls, capsys, monkeypatch):
         (
             [],
             "no command; choose from sweep, simulate, orbits, follow, curves, borders, attractors, push, tolerance, "
-            "design, study, plot, explore, info",
+            "design, study, calibrate, plot, explore, info",
         ),
         (["swep"], "argument COMMAND: invalid choice: 'swep'; did you mean \"sweep\"?; see vibrojax --help"),
         (["explore"], "explore: the following arguments are required: OUT.nc; see vibrojax explore --help"),

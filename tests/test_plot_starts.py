@@ -197,10 +197,10 @@ SHAPES = [
 CASES = [(kind, shape) for shape in SHAPES for kind in (sample, line) if kind is line or shape[-1] > 8]
 
 
-LONG = [pytest.param(*case, marks=[pytest.mark.long] * (index % 3 > 0)) for index, case in enumerate(CASES)]
+OFTEN = [pytest.param(*case, marks=[pytest.mark.long] * (index % 3 > 0)) for index, case in enumerate(CASES)]
 
 
-@pytest.mark.parametrize(("kind", "shape"), LONG)
+@pytest.mark.parametrize(("kind", "shape"), OFTEN)
 def test_a_sweep_of_any_shape_fits_on_a_page(kind, shape):
     *sizes, starts = shape
     grid = {name: np.linspace(0.3, 0.9, size) for name, size in zip(AXES, sizes, strict=False)}

@@ -48,6 +48,9 @@ VALID = {"valid": ("parameter", [1, 1]), "reason": ("parameter", [0, 0]), "param
 SLOPES = xr.Dataset(VALID, {"parameter": ["beta", "gamma"]}, {"kind": "sensitivity"})
 INDICES = {name: (("of", "parameter"), [[0.4, 0.6]]) for name in ("first_order", "total_order", "effect")}
 EFFECTS = xr.Dataset(INDICES, {"of": ["period"], "parameter": ["beta", "gamma"]}, {"kind": "study"})
+ESTIMATED = {"estimate": ("parameter", [0.4]), "posterior": (("draw", "parameter"), [[0.4]])}
+ESTIMATED |= {"direction": (("combination", "parameter"), [[1.0]]), "residual": (("observation", "of"), [[0.1]])}
+ESTIMATES = xr.Dataset(ESTIMATED, attrs={"kind": "calibration"})
 CANDIDATES = {"objective": ("candidate", [1.0]), "limit": ["force"], "parameter": ["gamma"]}
 BEST = xr.Dataset(CANDIDATES, attrs={"kind": "design"})
 CHART = BEST.assign({"chart_region": (("chart_beta", "chart_gamma"), [[1]])})
@@ -80,6 +83,7 @@ EXPECTED = {
     "chart_page": lambda: CHART,
     "elasticities": lambda: SLOPES,
     "bars_and_interactions": lambda: EFFECTS,
+    "calibration_picture": lambda: ESTIMATES,
 }
 
 

@@ -107,8 +107,6 @@ class Calibrations(Analysis):
     kind = "calibration"
     variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
     pictures = (PictureRule("a calibration", lambda held: "posterior" in held.variables, calibration_picture),)
-    view = "none"
-    no_view = "it holds estimates, not a map; draw it with vibrojax plot"
 
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
         """Run a calibration, as [vibrojax.calibrate][] does."""
