@@ -375,7 +375,7 @@ def test_calm_steps_and_axe_finds_nothing_serious(browser: Any, files: dict[str,
                 (one["id"], one["nodes"][0]["html"]) for one in found if one["impact"] in ("serious", "critical")
             ] == []
             if width == 390:  # the sheet shows the motion without scrolling
-                assert opened.page.locator(".vx-panel canvas").first.bounding_box()["y"] < 900
+                assert opened.page.locator(".vx-panels canvas[role=img]").first.bounding_box()["y"] < 900
 
 
 def _numbers(opened: Opened) -> dict[str, str]:
@@ -498,7 +498,9 @@ def test_it_works_in_firefox(files: dict[str, Path]) -> None:
         })()"""
         await firefox.click(*await firefox.evaluate(place))
         assert await firefox.evaluate("vibrojax.cell") == {"beta": 2, "gamma": 2, "start": 1}
-        shown = await firefox.evaluate("[...document.querySelectorAll('.vx-panel canvas')].map(one => one.ariaLabel)")
+        shown = await firefox.evaluate(
+            "[...document.querySelectorAll('.vx-panels canvas[role=img]')].map(one => one.ariaLabel)"
+        )
         assert len(shown) >= 6 and all(shown)
         await firefox.open(files["few"].as_uri(), width=500)  # Firefox's windows are no narrower
         assert await firefox.evaluate("document.scrollingElement.scrollWidth <= innerWidth")

@@ -117,7 +117,7 @@ def browser_page(live, width=1280, height=900):
     assert all(url.startswith((live.url, "data:")) for url in asked)
 
 
-PICTURE = "() => document.querySelector('.vx-panel canvas').toDataURL()"
+PICTURE = "() => document.querySelector('.vx-panels canvas[role=img]').toDataURL()"
 
 
 def numbers(page):

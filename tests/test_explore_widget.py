@@ -191,7 +191,7 @@ def test_the_module_in_a_browser(widget, sent):
         widget.point = {"beta": 0.3, "gamma": 0.8, "start": "stuck"}
         page.set_content(HOST)
         page.locator("h2", has_text="β = 0.3, γ = 0.8, start stuck").wait_for()
-        page.locator(".vx-panel canvas").first.wait_for()
+        page.locator(".vx-panels canvas[role=img]").first.wait_for()
         page.locator(".vx-over").press("ArrowLeft")
         page.locator("h2", has_text="γ = 0.75").wait_for()
         assert widget.point == {"beta": 0.3, "gamma": 0.75, "start": "stuck"}
