@@ -51,6 +51,8 @@ EFFECTS = xr.Dataset(INDICES, {"of": ["period"], "parameter": ["beta", "gamma"]}
 ESTIMATED = {"estimate": ("parameter", [0.4]), "posterior": (("draw", "parameter"), [[0.4]])}
 ESTIMATED |= {"direction": (("combination", "parameter"), [[1.0]]), "residual": (("observation", "of"), [[0.1]])}
 ESTIMATES = xr.Dataset(ESTIMATED, attrs={"kind": "calibration"})
+LOG = {"specific_energy": ("row", [1e8]), "founder_weight": ((), 1e5), "founder_reason": ((), 0)}
+LOG = xr.Dataset(LOG, attrs={"kind": "rig"})
 CANDIDATES = {"objective": ("candidate", [1.0]), "limit": ["force"], "parameter": ["gamma"]}
 BEST = xr.Dataset(CANDIDATES, attrs={"kind": "design"})
 CHART = BEST.assign({"chart_region": (("chart_beta", "chart_gamma"), [[1]])})
@@ -84,6 +86,7 @@ EXPECTED = {
     "elasticities": lambda: SLOPES,
     "bars_and_interactions": lambda: EFFECTS,
     "calibration_picture": lambda: ESTIMATES,
+    "rig_picture": lambda: LOG,
 }
 
 

@@ -21,6 +21,7 @@ from vibrojax.analyses.orbits.analysis import orbits as orbits
 from vibrojax.analyses.pictures import picture as picture
 from vibrojax.analyses.pictures import save_picture as save_picture
 from vibrojax.analyses.push.run import smallest_push as smallest_push
+from vibrojax.analyses.rig.measures import rig as rig
 from vibrojax.analyses.rop_law.frequency import refit_frequency as refit_frequency
 from vibrojax.analyses.rop_law.friction import fit_friction as fit_friction
 from vibrojax.analyses.rop_law.joint import fit_joint as fit_joint

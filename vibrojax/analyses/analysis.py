@@ -190,6 +190,7 @@ _HOMES = {
     "tolerance": "tolerance.analysis:Tolerances",
     "design": "design.analysis:Designs",
     "study": "study.analysis:Studies",
+    "rig": "rig.analysis:Rigs",
     "calibration": "calibration.analysis:Calibrations",
     "fit": "rop_law.analysis:Fits",
     "accuracy": "accuracy.picture:AccuracyStudy",

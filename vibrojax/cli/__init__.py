@@ -25,7 +25,7 @@ from vibrojax.cli.command import Command, Options, either, flag
 from vibrojax.cli.datasets import explore, info, plot
 from vibrojax.cli.designs import design
 from vibrojax.cli.points import follow, push, scenes, simulate, tolerance
-from vibrojax.cli.studies import accuracy, calibrate, fit, reproduce, study
+from vibrojax.cli.studies import accuracy, calibrate, fit, reproduce, rig, study
 from vibrojax.cli.sweeps import sweep
 from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.provenance import package_version
@@ -71,6 +71,7 @@ _COMMANDS: dict[str, Command] = {
     "explore": explore,
     "info": info,
     "fit": fit,
+    "rig": rig,
     "accuracy": accuracy,
     "reproduce": reproduce,
     "scenes": scenes,

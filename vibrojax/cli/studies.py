@@ -1,4 +1,4 @@
-"""The commands `study`, `calibrate`, `fit`, `accuracy` and `reproduce`."""
+"""The commands `fit`, `rig`, `study`, `calibrate`, `accuracy` and `reproduce`."""
 
 import hashlib
 from pathlib import Path
@@ -115,6 +115,42 @@ def _digest(file: Path) -> str:
     if identity is not None:
         return digest(identity)[:_DIGEST_LENGTH]
     return hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGEST_LENGTH] if file.is_file() else ""
+
+
+@command(
+    argument("file", "FILE", "a rig log as it is exported (CSV, LAS)", files(".csv", ".las")),
+    argument(
+        "--columns",
+        "NAME=COLUMN",
+        'which column is what, or one value for all rows, like bit_diameter="8.5 in" or impact_power="12 kW"',
+        nargs="+",
+        action="extend",
+    ),
+    argument(
+        "--dialect",
+        "NAME",
+        "pason, rigcloud, usrop, witsml, las, semicolon, generic or plain (detected by its columns)",
+    ),
+    JSON,
+    output_options("FILE-rig.nc"),
+)
+def rig(options: Options) -> None:
+    """Compute specific energies, the founder point and stick-slip of a rig log, and draw tracks over depth."""
+    from vibrojax.analyses.rig.measures import rig as measures
+    from vibrojax.io.riglog.columns import read_columns
+
+    file, columns = Path(options.file), read_columns(list(options.columns or []))
+    identity = {"rig": f"{file.name}, sha256 {_digest(file)}", "dialect": options.dialect, **columns}
+
+    def compute() -> "xarray.Dataset":
+        return measures(file, dialect=options.dialect, columns=columns)
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.rig.analysis import Rigs
+
+        return dict(Rigs().summary(dataset)[1].facts)
+
+    answer(options, f"{file.stem}-rig.nc", identity, compute, facts)
 
 
 @command(

@@ -27,6 +27,7 @@ STRUCTURES: dict[str, Callable[[xr.Dataset], bool]] = {
     "tolerance": lambda ds: "sample" in ds.dims and "place" in ds and "regime" in ds,
     "sensitivity": lambda ds: {"valid", "reason", "parameter_value"} <= set(ds.variables) and "parameter" in ds.dims,
     "study": lambda ds: {"first_order", "total_order", "effect"} <= set(ds.variables) and "of" in ds.dims,
+    "rig": lambda ds: {"founder_weight", "founder_reason", "specific_energy"} <= set(ds.variables),
     "calibration": lambda ds: {"estimate", "posterior", "direction", "residual"} <= set(ds.variables),
     "design": lambda ds: "candidate" in ds.dims and {"objective", "parameter", "limit"} <= set(ds.variables),
     "accuracy": lambda ds: "setting" in ds.dims and "error_worst" in ds,

@@ -41,6 +41,7 @@ RIG = table(
     not_negative("pressure", 10e6, "Pa", "pressure of mud", "p", (1e5, 1e8)),
     not_negative("bit_diameter", 0.2, "m", "diameter of the bit", "d", (0.03, 1.5)),
     not_negative(STICK_SLIP, 0.0, "1", "stick-slip index as given", "SSI"),
+    not_negative("impact_power", 10e3, "W", "power of the impacts on the bit", "P"),
 )
 """Further quantities of a rig log."""
 

@@ -24,6 +24,7 @@ UNITS: dict[str, tuple[str, ...]] = {
     "rad s-1": ("rad/s", "rpm", "rev/s"),
     "N m": ("N m", "kN m", "ft lbf", "kft lbf"),
     "Pa": ("Pa", "kPa", "MPa", "bar", "psi"),
+    "W": ("W", "kW", "hp"),
     "m3 s-1": ("m3/s", "L/min", "gal/min"),
 }
 """Common units of each physical dimension. The keys are SI units as in datasets; the first unit of each tuple is the SI
@@ -69,6 +70,9 @@ _DEFINITIONS = """
     kpa = 1e3 pa
     mpa = 1e6 pa
     bar = 1e5 pa
+    watt = N * m / s = w
+    kw = 1e3 w
+    hp = 745.6998715822702 w
     psi = lbf / inch ** 2
     liter = 1e-3 m ** 3 = l = liters = litre = litres
     gal = 3.785411784e-3 m ** 3

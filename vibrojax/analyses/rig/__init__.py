@@ -1,0 +1,1 @@
+"""The analysis `rig`: what drilling engineers look at in a rig log."""
