@@ -92,6 +92,8 @@ _CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
 )
 def curves(options: Options) -> None:
     """Continue the special points of a family in a second parameter: curves, and the points where several meet."""
+    from vibrojax.analyses.curves.analysis import curves_facts
+    from vibrojax.analyses.curves.run import continue_curves
     from vibrojax.analyses.curves.spec import read_curves
     from vibrojax.io.dataset import open_dataset
 
@@ -107,16 +109,9 @@ def curves(options: Options) -> None:
     spec = read_curves(open_dataset(file), settings["by"], (settings["from"], settings["to"]), special, at)
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.analyses.curves.run import continue_curves
-
         return continue_curves(spec, progress=not options.quiet)
 
-    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.curves.analysis import curves_facts
-
-        return curves_facts(dataset)
-
-    answer(options, f"{file.stem}-{spec.by}.nc", spec.identity(), compute, facts)
+    answer(options, f"{file.stem}-{spec.by}.nc", spec.identity(), compute, curves_facts)
 
 
 def analysis_command(kind: str, summary: str) -> Command:
@@ -152,6 +147,7 @@ def _settings(analysis: "type[Analysis]") -> "dict[str, dataclasses.Field[Any]]"
 def _run(kind: str, options: Options) -> None:
     from vibrojax.analyses.analysis import analyse, checked_result
     from vibrojax.analyses.orbits.analysis import SweepAnalysis
+    from vibrojax.analyses.sweep.run import lanes_beside
     from vibrojax.io.dataset import open_dataset
 
     analysis_class = _analysis_class(kind)
@@ -177,27 +173,22 @@ def _run(kind: str, options: Options) -> None:
     dataset = stored_result(options, out, identity) if sweep is not None else None
     if dataset is not None:
         line = stored_line(dataset, out, stored_picture(options, dataset, out))
-    elif isinstance(analysis, SweepAnalysis) and sweep is not None:
+    else:
         lanes_of: Any = nullcontext(source)
-        if not (is_dataset and "orbit_reason" in source):
-            from vibrojax.analyses.sweep.run import lanes_beside
-
+        if sweep is not None and not (is_dataset and "orbit_reason" in source):
             # Finished chunks are kept next to OUT until the result is written, so an interrupt loses none of them.
             options.advise("finished chunks are kept; to go on", *words)
             lanes_of = lanes_beside(sweep, out, resume=not options.fresh, progress=progress)
         with lanes_of as lanes:
-            dataset = checked_result(analysis, analysis.of_lanes(sweep, lanes, progress))
-            line = _result_line(analysis, dataset, out, write_result(options, dataset, out, identity))
-    else:
-        dataset = analyse(source, analysis, progress=progress)
-        line = _result_line(analysis, dataset, out, write_result(options, dataset, out, identity))
+            if isinstance(analysis, SweepAnalysis) and sweep is not None:
+                dataset = checked_result(analysis, analysis.of_lanes(sweep, lanes, progress))
+            else:
+                dataset = analyse(lanes, analysis, progress=progress)
+            drawn = write_result(options, dataset, out, identity)
+        count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
+        line = f"{out}{count}{drawn}"
     if progress:
         print("\n".join([line, *(text for part in analysis.summary(dataset) for text in part.lines)]))
-
-
-def _result_line(analysis: "Analysis", dataset: "xarray.Dataset", out: Path, drawn: str) -> str:
-    count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
-    return f"{out}{count}{drawn}"
 
 
 def _value(option: str, field: "dataclasses.Field[Any]", text: str) -> object:

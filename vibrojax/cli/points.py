@@ -138,7 +138,9 @@ def follow(options: Options) -> None:
     missing = [name for name in _REQUIRED if name not in settings]
     if missing:
         raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_FOLLOW_SYNTAX}")
-    from vibrojax.analyses.continuation.run import family_spec
+    from vibrojax.analyses.continuation.analysis import family_facts
+    from vibrojax.analyses.continuation.run import continue_families, family_spec
+    from vibrojax.io.attributes import attribute_of
     from vibrojax.measures.ledger import MOST_CYCLES
 
     defaults = {"start": None, "settle": None, "observe": None, "cycles": MOST_CYCLES}
@@ -147,14 +149,9 @@ def follow(options: Options) -> None:
     request = family_spec(options.scene, parameters=parameters, **arguments)
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.analyses.continuation.run import continue_families
-
         return continue_families(request, progress=not options.quiet)
 
     def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.continuation.analysis import family_facts
-        from vibrojax.io.attributes import attribute_of
-
         machine = {"scene": dataset.attrs["scene"], "start": dataset.attrs.get("start")}
         return {**machine, "parameters": attribute_of(dataset, "parameters"), **family_facts(dataset)}
 
@@ -175,6 +172,7 @@ def follow(options: Options) -> None:
 def push(options: Options) -> None:
     """Find the smallest push in each state variable after which a machine no longer returns to its working cycle."""
     settings, parameters = named_values(Place("push"), options.values, PUSH_SETTINGS, lists=True)
+    from vibrojax.analyses.push.run import find_pushes
     from vibrojax.analyses.push.spec import PRECISION, SCAN, push_spec
 
     defaults = {"start": None, "scan": SCAN, "precision": PRECISION, "settle": None, "observe": None}
@@ -184,8 +182,6 @@ def push(options: Options) -> None:
     request = push_spec(options.scene, parameters=parameters, **arguments)
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.analyses.push.run import find_pushes
-
         return find_pushes(request, progress=not options.quiet)
 
     answer(options, f"{request.sweep.scene}-push.nc", request.identity(), compute, numbered=True)
@@ -217,20 +213,14 @@ def tolerance(options: Options) -> None:
     def compute() -> "xarray.Dataset":
         return simulate_box(box, progress=not options.quiet)
 
-    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.tolerance.analysis import Tolerances
-
-        return dict(Tolerances().summary(dataset)[0].facts)
-
-    answer(options, f"{box.sweep.scene}-tolerance.nc", box.identity(), compute, facts)
+    answer(options, f"{box.sweep.scene}-tolerance.nc", box.identity(), compute)
 
 
 def _pair(place: Place, word: str) -> tuple[str, tuple[float, float]]:
     """Return the name, the nominal value and the half-width in NAME=VALUE+-HALF_WIDTH, which may end in %."""
     name, _, text = (part.strip() for part in word.partition("="))
-    value, width = (
-        (part.strip() for part in _HALF_WIDTH.split(text, maxsplit=1)) if _HALF_WIDTH.search(text) else ("", "")
-    )
+    value, *widths = (part.strip() for part in _HALF_WIDTH.split(text, maxsplit=1))
+    width = "".join(widths)
     try:
         nominal = float(value)
         return name, (nominal, abs(nominal) * float(width[:-1]) / 100 if width.endswith("%") else float(width))
