@@ -62,7 +62,7 @@ def regimes_under_laws(maps: Sequence[xr.Dataset]) -> Figure:
 
 def _draw_cells(axes: Axes, flags: xr.DataArray, colours: Sequence[str]) -> None:
     """Draw flags over beta and gamma as cells, each with one of the `colours`."""
-    look = {"cmap": ListedColormap(colours), "vmin": -0.5, "vmax": len(colours) - 0.5}
+    look: dict[str, Any] = {"cmap": ListedColormap(colours), "vmin": -0.5, "vmax": len(colours) - 0.5}
     axes.pcolormesh(flags.beta, flags.gamma, flags.transpose("gamma", "beta"), **look)
 
 

@@ -38,6 +38,7 @@ _UNITS |= dict.fromkeys(("impact_force", "friction_force"), (1e-3, "kN"))
 _COLOURS = {"x1": BIT, "v1": BIT, "x2": STRIKER, "v2": STRIKER, "x3": BIT, "x4": ROCK}
 _COLOURS |= {"impact_force": IMPACT, "friction_force": INK}
 _NAMES = {"x3": "bit x₃", "x4": "hole x₄"}
+_WIDTHS = {"x3": 0.9, "x4": 2.0}  # the hole lies below the bit that presses on it
 
 Motions = Sequence[xr.Dataset]
 Texts = Sequence[str]
@@ -80,7 +81,7 @@ def histories(
     begins at zero. `look`: properties of the lines. `mark`: "stop" for a line at the stop, "impacts" for dots at the
     beginnings of impacts. `unit`: unit of the time, "s" or "ms".
     """
-    labels = [", ".join(_SYMBOLS[name] for name in names) + f" [{_UNITS[names[0]][1]}]" for names in rows]
+    labels = [", ".join(_SYMBOLS[name] for name in sorted(names)) + f" [{_UNITS[names[0]][1]}]" for names in rows]
     figure, panels = panels_for(height, f"time [{unit}]", labels * len(motions), titles, share=True, grid=not mark)
     scale = 1e3 if unit == "ms" else 1.0
     for axes, (motion, names) in zip(panels, product(motions, rows), strict=True):
@@ -88,8 +89,8 @@ def histories(
         begin, end = origin or window[0], origin + window[1] - min(window[0], 0.0)
         shown = motion.isel(time=within(motion, begin, end))
         for name in names:
-            line = {"color": _COLOURS[name], "linewidth": 1.1, "label": _NAMES.get(name)} | dict(look)
-            axes.plot(scale * (shown["time"] - origin), _UNITS[name][0] * shown[name], **line)
+            line = {"linewidth": _WIDTHS.get(name, 1.1), "label": _NAMES.get(name), **look}
+            axes.plot(scale * (shown["time"] - origin), _UNITS[name][0] * shown[name], color=_COLOURS[name], **line)
         if mark == "stop":
             axes.axhline(-5, color=FAINT, linewidth=0.8, linestyle=(0, (4, 3)))
         elif mark == "impacts":
@@ -110,14 +111,15 @@ def portraits(
     limits: tuple[float, float] | None = None,
     height: float = 2.6,
 ) -> Figure:
-    """Draw phase portraits of the `bodies`, "1" bit and "2" striker, for each motion, with dots at their beginnings.
+    """Draw phase portraits of the `bodies`, "1" bit and "2" striker, for each motion.
 
-    Lines are thick from the time `since` [s] of the motion on, and thin before if `whole`. `limits` [mm] are common
-    limits of the abscissas.
+    Lines are thick from the time `since` [s] of the motion on. If `whole`, they are thin before, and a dot is at the
+    beginning. `limits` [mm] are common limits of the abscissas.
     """
     labels = [{"1": "bit x₁ [mm]", "2": "striker x₂ [mm]"}[body] for body in bodies]
-    texts, share = [title for title in titles for _ in bodies], len(bodies) == 1
-    figure, panels = panels_for(height, labels * len(motions), "velocity [m/s]", texts, share=share)
+    texts = [title for title in titles for _ in bodies]
+    share = len(bodies) == 1 and (whole or limits is not None)
+    figure, panels = panels_for(height, labels * len(motions), "velocity [m/s]", texts, share)
     for axes, ((motion, begin), body) in zip(panels, product(zip(motions, since, strict=True), bodies), strict=True):
         late = within(motion, begin)
         for mask, linewidth, alpha in ((~late, 0.35, 0.6), (late, 1.2, None)) if whole else ((late, 1.2, None),):
@@ -235,8 +237,8 @@ def bit_and_hole(motions: Motions, titles: Texts, until_ms: int = 0) -> Figure:
     figure, panels = panels_for(2.6, labels, "x₃, x₄ [mm]" if until_ms else "displacement [mm]", titles)
     for axes, motion in zip(panels, motions, strict=True):
         time = motion["time"].values * (1e3 if until_ms else 1.0)
-        for name, linewidth in (("x4", 2.0), ("x3", 0.9)):
-            axes.plot(time, 1e3 * motion[name], color=_COLOURS[name], linewidth=linewidth, label=_NAMES[name])
+        for name in ("x4", "x3"):
+            axes.plot(time, 1e3 * motion[name], color=_COLOURS[name], linewidth=_WIDTHS[name], label=_NAMES[name])
         if until_ms:
             axes.set_xlim(0, until_ms)
             axes.set_ylim(top=1.15e3 * motion["x3"].values[time < until_ms].max())

@@ -45,7 +45,7 @@ def runge_kutta(rates: Callable[[Values], Values], state: Values, h: Real) -> tu
     return moved(mean, 1.0), k1
 
 
-def hermite(start: Array, end: Array, rate: Array, end_rate: Array) -> list[Array]:
+def _hermite(start: Array, end: Array, rate: Array, end_rate: Array) -> list[Array]:
     """Return the coefficients in tau of the cubic with the values and the derivatives at tau = 0 and tau = 1."""
     change = end - start
     return [start, rate, 3 * change - 2 * rate - end_rate, rate + end_rate - 2 * change]
@@ -107,7 +107,7 @@ class Smoothed(Stepper):
 
         after, rates = runge_kutta(rates_at, lane.state, h)
         ends = zip(lane.state, after, rates, rates_at(after), strict=True)
-        polynomials = tuple(hermite(y, z, h * dy, h * dz) for y, z, dy, dz in ends)
+        polynomials = tuple(_hermite(y, z, h * dy, h * dz) for y, z, dy, dz in ends)
         event = Event(scene, constants, mode, marked, smooths=True)
         series = event.functions(tuple(known(polynomial) for polynomial in polynomials))
         trial = Trial(polynomials, [f.arrays(self.degree, h) for f in series], h, jnp.ones_like(h), goal.moving)

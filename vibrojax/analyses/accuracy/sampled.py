@@ -1,7 +1,8 @@
 """Features of a smoothed motion, computed from samples for solvers that do not measure features while stepping.
 
-The package's own gauges measure the motion. Its steps lead from each sample to the next on cubic Hermite interpolants,
-and end on events between the samples.
+The package's own gauges measure the motion. Events between samples are located by one integration step from the
+preceding sample, in the mode at that sample. Event times have the order of accuracy of this step, independent of the
+sampling.
 """
 
 from dataclasses import dataclass
@@ -13,15 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from vibrojax.measures import recorder_for
-from vibrojax.measures.recorder import Effort, run_block
+from vibrojax.measures.impacts import Impacts
+from vibrojax.measures.motion import Shares, Swings
+from vibrojax.measures.recorder import Effort, Recorder, run_block
 from vibrojax.models.arrays import Array
-from vibrojax.models.scenes import Scene
-from vibrojax.stepping import Accuracy, Goal, Lane, Step
-from vibrojax.stepping.event import Event, Trial, locate
-from vibrojax.stepping.series import known
-from vibrojax.stepping.smoothed import STICK_WIDTHS, Smoothed, hermite
-from vibrojax.stepping.stepper import taken, trial_length
+from vibrojax.models.scenes import HasImpacts, Scene
+from vibrojax.stepping import Accuracy, Goal, Lane, Smoothed, Step
 
 STEPS_PER_SAMPLE = 10
 """Greatest mean number of steps from one sample to the next: one, and one for each event."""
@@ -34,7 +32,7 @@ Constants = Any
 
 @dataclass(frozen=True)
 class _Replayed(Smoothed):
-    """A stepper along samples.
+    """A stepper that continues from the next sample wherever it reaches its time.
 
     `Accuracy.step` holds the samples (samples, states, lanes), `Accuracy.stride` their interval [s].
     """
@@ -42,25 +40,17 @@ class _Replayed(Smoothed):
     def step(
         self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
     ) -> tuple[Lane, Step]:
-        samples, interval, width = accuracy.step, accuracy.stride, accuracy.smoothing
-        mode = scene.smoothed_mode(constants, lane.mode, lane.state, STICK_WIDTHS * width)
-        lane = lane._replace(mode=mode)
+        samples, interval = accuracy.step, accuracy.stride
         following = jnp.floor(lane.clock.high / interval + _ROUNDING) + 1
-        remaining = lane.clock.until(following * interval)
+        to_sample = accuracy._replace(step=lane.clock.until(following * interval), stride=jnp.inf)
+        lane, step = super().step(scene, constants, lane, to_sample, goal, marked)
+        reached = lane.clock.until(following * interval) < _ROUNDING * interval
+        reached &= ~jnp.stack(list(step.hits.values())).any(axis=0)
         index = jnp.minimum(following.astype(int), len(samples) - 1)
-        target = tuple(samples[index, state, jnp.arange(index.size)] for state in range(samples.shape[1]))
-        h = trial_length(lane, remaining, interval, goal)
-
-        def rates(state: tuple[Array, ...]) -> tuple[Array, ...]:
-            return scene.smoothed_field(constants, mode, state, width)
-
-        ends = zip(lane.state, target, rates(lane.state), rates(target), strict=True)
-        curves = (hermite(y, z, remaining * dy, remaining * dz) for y, z, dy, dz in ends)
-        polynomials = tuple([x * (h / remaining) ** power for power, x in enumerate(curve)] for curve in curves)
-        event = Event(scene, constants, mode, marked, smooths=True)
-        series = event.functions(tuple(known(polynomial) for polynomial in polynomials))
-        trial = Trial(polynomials, [f.arrays(self.degree, h) for f in series], h, jnp.ones_like(h), goal.moving)
-        return taken(event, lane, trial, h, locate(event, trial))
+        state = tuple(
+            jnp.where(reached, samples[index, k, jnp.arange(index.size)], y) for k, y in enumerate(lane.state)
+        )
+        return lane._replace(state=state), step._replace(after=state)
 
 
 def features_of(
@@ -85,5 +75,6 @@ def _measured(
     scene: Scene[Any], p: Constants, samples: Array, sampling: Array, width: Array
 ) -> dict[str, Shaped[Array, "..."]]:
     count = len(samples) - 1
+    gauges = (Swings(), Shares(), Impacts()) if isinstance(scene, HasImpacts) else (Swings(), Shares())
     effort = Effort(Accuracy(0.0, sampling, samples, width), STEPS_PER_SAMPLE * count)
-    return run_block(scene, _Replayed(), recorder_for(scene), p, tuple(samples[0]), effort, 0.0, count * sampling)
+    return run_block(scene, _Replayed(), Recorder(gauges), p, tuple(samples[0]), effort, 0.0, count * sampling)
