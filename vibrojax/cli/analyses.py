@@ -92,8 +92,6 @@ _CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
 )
 def curves(options: Options) -> None:
     """Continue the special points of a family in a second parameter: curves, and the points where several meet."""
-    from vibrojax.analyses.curves.analysis import curves_facts
-    from vibrojax.analyses.curves.run import continue_curves
     from vibrojax.analyses.curves.spec import read_curves
     from vibrojax.io.dataset import open_dataset
 
@@ -109,9 +107,16 @@ def curves(options: Options) -> None:
     spec = read_curves(open_dataset(file), settings["by"], (settings["from"], settings["to"]), special, at)
 
     def compute() -> "xarray.Dataset":
+        from vibrojax.analyses.curves.run import continue_curves
+
         return continue_curves(spec, progress=not options.quiet)
 
-    answer(options, f"{file.stem}-{spec.by}.nc", spec.identity(), compute, curves_facts)
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.curves.analysis import curves_facts
+
+        return curves_facts(dataset)
+
+    answer(options, f"{file.stem}-{spec.by}.nc", spec.identity(), compute, facts)
 
 
 def analysis_command(kind: str, summary: str) -> Command:
@@ -147,7 +152,6 @@ def _settings(analysis: "type[Analysis]") -> "dict[str, dataclasses.Field[Any]]"
 def _run(kind: str, options: Options) -> None:
     from vibrojax.analyses.analysis import analyse, checked_result
     from vibrojax.analyses.orbits.analysis import SweepAnalysis
-    from vibrojax.analyses.sweep.run import lanes_beside
     from vibrojax.io.dataset import open_dataset
 
     analysis_class = _analysis_class(kind)
@@ -176,6 +180,8 @@ def _run(kind: str, options: Options) -> None:
     else:
         lanes_of: Any = nullcontext(source)
         if sweep is not None and not (is_dataset and "orbit_reason" in source):
+            from vibrojax.analyses.sweep.run import lanes_beside
+
             # Finished chunks are kept next to OUT until the result is written, so an interrupt loses none of them.
             options.advise("finished chunks are kept; to go on", *words)
             lanes_of = lanes_beside(sweep, out, resume=not options.fresh, progress=progress)

@@ -138,9 +138,7 @@ def follow(options: Options) -> None:
     missing = [name for name in _REQUIRED if name not in settings]
     if missing:
         raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_FOLLOW_SYNTAX}")
-    from vibrojax.analyses.continuation.analysis import family_facts
     from vibrojax.analyses.continuation.run import continue_families, family_spec
-    from vibrojax.io.attributes import attribute_of
     from vibrojax.measures.ledger import MOST_CYCLES
 
     defaults = {"start": None, "settle": None, "observe": None, "cycles": MOST_CYCLES}
@@ -152,6 +150,9 @@ def follow(options: Options) -> None:
         return continue_families(request, progress=not options.quiet)
 
     def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.continuation.analysis import family_facts
+        from vibrojax.io.attributes import attribute_of
+
         machine = {"scene": dataset.attrs["scene"], "start": dataset.attrs.get("start")}
         return {**machine, "parameters": attribute_of(dataset, "parameters"), **family_facts(dataset)}
 
@@ -172,7 +173,6 @@ def follow(options: Options) -> None:
 def push(options: Options) -> None:
     """Find the smallest push in each state variable after which a machine no longer returns to its working cycle."""
     settings, parameters = named_values(Place("push"), options.values, PUSH_SETTINGS, lists=True)
-    from vibrojax.analyses.push.run import find_pushes
     from vibrojax.analyses.push.spec import PRECISION, SCAN, push_spec
 
     defaults = {"start": None, "scan": SCAN, "precision": PRECISION, "settle": None, "observe": None}
@@ -182,6 +182,8 @@ def push(options: Options) -> None:
     request = push_spec(options.scene, parameters=parameters, **arguments)
 
     def compute() -> "xarray.Dataset":
+        from vibrojax.analyses.push.run import find_pushes
+
         return find_pushes(request, progress=not options.quiet)
 
     answer(options, f"{request.sweep.scene}-push.nc", request.identity(), compute, numbered=True)
