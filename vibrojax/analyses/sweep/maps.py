@@ -100,11 +100,9 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
             draw_cells(panel, x, y)
         if panel.value is None and not points:
             marks |= _mark_cells(panel, x, y)
-            limits = panel.axes.get_xlim(), panel.axes.get_ylim()
             kinds += [kind for layer in over for kind in draw_over_panel(panel.axes, layer, panel.facet, x, y)]
             if kinds:
                 corners = draw_codim2(panel.axes, [layer for layer in over if kind_of(layer) == "curves"], x, y)
-            panel.axes.set(xlim=limits[0], ylim=limits[1])
     for panel in drawn.panels:  # when all axis limits are known
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])
