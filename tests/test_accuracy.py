@@ -8,7 +8,6 @@ import pytest
 from vibrojax.analyses.accuracy.cases import SCENES, lanes_of, settings_of
 from vibrojax.analyses.accuracy.measurement import STATUSES, errors_of, measure, statuses_of, usable
 from vibrojax.analyses.accuracy.programs import Program
-from vibrojax.analyses.accuracy.sampled import _cycles, _peak, _share
 from vibrojax.analyses.accuracy.study import dataset_of, pareto, run_accuracy, table
 from vibrojax.analyses.pictures import work_precision
 from vibrojax.cli import main
@@ -145,15 +144,15 @@ def test_a_setting_whose_lanes_fail_stays_with_the_reason():
     found = measure(
         settings_of("penetration")[0], Failing(lanes, "located", "float64"), 1.0, reference, np.ones(4, bool), repeats=5
     )
-    assert (found.status, found.lanes, found.agreeing, len(found.seconds)) == ("not-finite", 4, 1, 1)
+    assert (STATUSES[found["status"]], found["lanes"], found["agreeing"], found["repeats"]) == ("not-finite", 4, 1, 1)
     reasons = [
         "1 of 4 lanes did not stay finite",
         "1 of 4 lanes did not reach the end within the steps allowed",
         "1 of 4 lanes moved in another way than the reference",
     ]
-    assert found.reason == "; ".join(reasons)
-    ds = dataset_of([found], {"penetration": 1e-14}, 1.0)
-    assert not ds["on_front"].any() and found.reason in table(ds)
+    assert found["remark"] == "; ".join(reasons)
+    ds = dataset_of([found | {"reference_spread": 1e-14}], 1.0)
+    assert not ds["on_front"].any() and found["remark"] in table(ds)
     assert work_precision(ds).axes
 
 
@@ -162,17 +161,6 @@ def test_lanes_that_do_not_repeat_are_left_out():
     fine = whole | {"period": np.ones(3), "impact_velocity": np.ones(3), "cycles": np.array([1, 0, 2])}
     second = fine | {"period": np.array([1.0, 1.0, 1.001])}
     assert usable(fine, second).tolist() == [True, False, False]
-
-
-def test_what_is_read_off_samples():
-    rows = np.tile([[1.0, 2.0], [0.0, 1.0], [3.0, 3.0]], 6)
-    assert _cycles(rows) == 2 and _cycles(rows[:, ::2]) == 1 and _cycles(rows[:, :6]) == 0
-    assert _cycles(np.random.default_rng(0).normal(size=(3, 40))) == 0
-    held = np.array([False, True, True, True, False, False])
-    assert _share(held, 0.1, 0.0, 0.5) == pytest.approx(0.6)
-
-    x = np.arange(-1.0, 1.0, 0.25)
-    assert _peak(5.0 - (x - 0.13) ** 2) == pytest.approx(5.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("scene", SCENES)

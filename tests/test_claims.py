@@ -17,7 +17,7 @@ from vibrojax import cli
 from vibrojax.io.claims import BEAT, STALE
 from vibrojax.io.dataset import LAZY_FROM
 from vibrojax.models.scenes import SCENES
-from vibrojax.plot.contents import MOST_LANES
+from vibrojax.plot.selection import MOST_LANES
 from vibrojax.reproduce import GROUPS
 from vibrojax.stepping import Located
 from vibrojax.sweep.engine.chunks import CHUNK, CHUNK_SHARING_ORBITS

@@ -16,7 +16,7 @@ import vibrojax as vj
 from vibrojax.analyses.pictures import REGIME_COLOURS, picture
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.plot.contents import select
+from vibrojax.plot.selection import select
 from vibrojax.plot.sheet import PAGE
 
 

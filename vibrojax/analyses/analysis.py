@@ -125,19 +125,15 @@ class Analysis:
 
         if over:
             refuse_overlays(over, "the dataset holds none")
-        held = Contents(ds)
-        rule = next((rule for rule in self.pictures if rule.fits(held)), None)
-        if rule is None and type(self) is Analysis and kind_of(ds):
-            raise InputError(
-                f'nothing to draw: no analysis of kind "{kind_of(ds)}" is known here; install the package that made it'
-            )
-        if rule is None:
-            names = ", ".join(str(name) for name in ds.data_vars) or "no variable"
-            raise InputError(
-                "nothing to draw: a picture needs regime, rate_of_penetration, C along form, or a motion along time; "
-                f"the dataset holds {names}"
-            )
-        return rule.draw(ds)
+        held, kind = Contents(ds), kind_of(ds)
+        for rule in self.pictures:
+            if rule.fits(held):
+                return rule.draw(ds)
+        needed = "a picture needs regime, rate_of_penetration, C along form, or a motion along time; the dataset holds "
+        needed += ", ".join(str(name) for name in ds.data_vars) or "no variable"
+        if type(self) is Analysis and kind:
+            needed = f'no analysis of kind "{kind}" is known here; install the package that made it'
+        raise InputError(f"nothing to draw: {needed}")
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the parts of a dataset's summary that are specific to this kind; `info` prints them."""

@@ -52,7 +52,8 @@ def frequencies(ds: xr.Dataset) -> dict[str, xr.DataArray]:
     given = {name: x.astype(float) for name, x in arrays.items() if x.dtype.kind in "fiu"}
     with np.errstate(all="ignore"):  # a dataset from elsewhere may hold any numbers
         found = _computed(ds, given)
-    return {name: x.rename(name).assign_attrs(_attributes(name)) for name, x in found.items()}
+    about = {name: {"units": unit, "long_name": words} for name, (words, unit) in _WORDS.items()}
+    return {name: x.rename(name).assign_attrs(about[name]) for name, x in found.items()}
 
 
 def _computed(ds: xr.Dataset, given: dict[str, xr.DataArray]) -> dict[str, xr.DataArray]:
@@ -69,11 +70,6 @@ def _computed(ds: xr.Dataset, given: dict[str, xr.DataArray]) -> dict[str, xr.Da
     if "bit_radius" in given and ("rpm" in given or "v" in values):
         found["rpm"] = given["rpm"] if "rpm" in given else 60 * values["v"] / (2 * pi * given["bit_radius"])
     return found
-
-
-def _attributes(name: str) -> dict[str, str]:
-    words, unit = _WORDS[name]
-    return {"units": unit, "long_name": words}
 
 
 def _of_sweep(ds: xr.Dataset) -> dict[str, Any]:

@@ -34,13 +34,9 @@ from vibrojax.plot.contents import (
     RETURN,
     TIME,
     Contents,
-    Value,
     axes_of_map,
     lane_dims,
     named_groups,
-    select,
-    thin_out,
-    thinned_text,
     varied,
     without_single,
 )
@@ -55,6 +51,7 @@ from vibrojax.plot.curves import (
     split_lines,
 )
 from vibrojax.plot.overlays import Overlays, as_layers, refuse_overlays
+from vibrojax.plot.selection import Value, select, thin_out, thinned_text
 from vibrojax.plot.sheet import facets, legend_at_right, write_margins
 from vibrojax.plot.starts import medians, medians_text, varied_states
 from vibrojax.plot.style import BIT, COLOURS, Mark, new_figure, settings, styled

@@ -177,27 +177,24 @@ def _run(kind: str, options: Options) -> None:
     dataset = stored_result(options, out, identity) if sweep is not None else None
     if dataset is not None:
         line = stored_line(dataset, out, stored_picture(options, dataset, out))
-    elif isinstance(analysis, SweepAnalysis) and sweep is not None:
+    else:
         lanes_of: Any = nullcontext(source)
-        if not (is_dataset and "orbit_reason" in source):
+        if sweep is not None and not (is_dataset and "orbit_reason" in source):
             from vibrojax.analyses.sweep.run import lanes_beside
 
             # Finished chunks are kept next to OUT until the result is written, so an interrupt loses none of them.
             options.advise("finished chunks are kept; to go on", *words)
             lanes_of = lanes_beside(sweep, out, resume=not options.fresh, progress=progress)
         with lanes_of as lanes:
-            dataset = checked_result(analysis, analysis.of_lanes(sweep, lanes, progress))
-            line = _result_line(analysis, dataset, out, write_result(options, dataset, out, identity))
-    else:
-        dataset = analyse(source, analysis, progress=progress)
-        line = _result_line(analysis, dataset, out, write_result(options, dataset, out, identity))
+            if isinstance(analysis, SweepAnalysis) and sweep is not None:
+                dataset = checked_result(analysis, analysis.of_lanes(sweep, lanes, progress))
+            else:
+                dataset = analyse(lanes, analysis, progress=progress)
+            drawn = write_result(options, dataset, out, identity)
+        count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
+        line = f"{out}{count}{drawn}"
     if progress:
         print("\n".join([line, *(text for part in analysis.summary(dataset) for text in part.lines)]))
-
-
-def _result_line(analysis: "Analysis", dataset: "xarray.Dataset", out: Path, drawn: str) -> str:
-    count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
-    return f"{out}{count}{drawn}"
 
 
 def _value(option: str, field: "dataclasses.Field[Any]", text: str) -> object:

@@ -80,15 +80,14 @@ def plot(options: Options) -> None:
         picture = view_path(options, path, PICTURES, parts)
         from vibrojax.analyses.pictures import save_picture
 
+        asked = options.variable, where, options.colours, over, options.diagram
         drawn: list[str] = []
-
-        def draw(picture: Path) -> None:
-            drawn.append(
-                save_picture(dataset, picture, options.variable, where, options.colours, over, options.diagram)
-            )
-
         with timed("draw"):
-            picture, replaced = write_view(picture, draw, numbered=bool(parts) and not options.out)
+            picture, replaced = write_view(
+                picture,
+                lambda path: drawn.append(save_picture(dataset, path, *asked)),
+                numbered=bool(parts) and not options.out,
+            )
     if not options.quiet:
         notes = [*drawn, f"{replaced} picture" if replaced and not options.out else ""]
         print(": ".join(filter(None, (str(picture), "; ".join(filter(None, notes))))))

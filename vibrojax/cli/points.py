@@ -138,7 +138,7 @@ def follow(options: Options) -> None:
     missing = [name for name in _REQUIRED if name not in settings]
     if missing:
         raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_FOLLOW_SYNTAX}")
-    from vibrojax.analyses.continuation.run import family_spec
+    from vibrojax.analyses.continuation.run import continue_families, family_spec
     from vibrojax.measures.ledger import MOST_CYCLES
 
     defaults = {"start": None, "settle": None, "observe": None, "cycles": MOST_CYCLES}
@@ -147,8 +147,6 @@ def follow(options: Options) -> None:
     request = family_spec(options.scene, parameters=parameters, **arguments)
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.analyses.continuation.run import continue_families
-
         return continue_families(request, progress=not options.quiet)
 
     def facts(dataset: "xarray.Dataset") -> dict[str, object]:
@@ -217,20 +215,14 @@ def tolerance(options: Options) -> None:
     def compute() -> "xarray.Dataset":
         return simulate_box(box, progress=not options.quiet)
 
-    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.tolerance.analysis import Tolerances
-
-        return dict(Tolerances().summary(dataset)[0].facts)
-
-    answer(options, f"{box.sweep.scene}-tolerance.nc", box.identity(), compute, facts)
+    answer(options, f"{box.sweep.scene}-tolerance.nc", box.identity(), compute)
 
 
 def _pair(place: Place, word: str) -> tuple[str, tuple[float, float]]:
     """Return the name, the nominal value and the half-width in NAME=VALUE+-HALF_WIDTH, which may end in %."""
     name, _, text = (part.strip() for part in word.partition("="))
-    value, width = (
-        (part.strip() for part in _HALF_WIDTH.split(text, maxsplit=1)) if _HALF_WIDTH.search(text) else ("", "")
-    )
+    value, *widths = (part.strip() for part in _HALF_WIDTH.split(text, maxsplit=1))
+    width = "".join(widths)
     try:
         nominal = float(value)
         return name, (nominal, abs(nominal) * float(width[:-1]) / 100 if width.endswith("%") else float(width))

@@ -16,7 +16,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 
-from vibrojax.errors import InputError, printable
+from vibrojax.errors import InputError
+from vibrojax.io.attributes import flags
 from vibrojax.measures.labels import REGIMES
 from vibrojax.plot.axes import scale, share_text, with_unit
 from vibrojax.plot.contents import RATE, REGIME, RELIEF, quantities_beside
@@ -80,6 +81,8 @@ _LOG_SHARE, _LOG_RATIO = 20.0, 15.0  # logarithmic if this percentage of values 
 _NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
 _CONSTANT = 1e-9  # relative range up to which values count as equal
 
+flag_names = flags  # the meanings of flags, by flag
+
 Cells = Float[np.ndarray, "*shape"]
 Extend = Literal["neither", "min", "max", "both"]
 
@@ -129,9 +132,6 @@ def coloured(ds: xr.Dataset, value: Value | None, *dims: str) -> Coloured:
     return Coloured(value.of(ds).transpose(*dims).values, value.colour_map, value.norm)
 
 
-# Regimes.
-
-
 def regime_cells(data: xr.DataArray) -> Cells:
     """Return the regime flags as floats, NaN for lanes without a regime.
 
@@ -142,7 +142,7 @@ def regime_cells(data: xr.DataArray) -> Cells:
     unknown = values[~known & np.isfinite(values)]
     if unknown.size:
         flag = int(unknown.min())
-        name = flag_names(data).get(flag, "no meaning in flag_meanings")
+        name = flags(data).get(flag, "no meaning in flag_meanings")
         choices = ", ".join(f"{key} {REGIMES[key]}" for key in REGIME_COLOURS)
         raise InputError(f"{data.name}: flag {flag} ({name}) is not a regime with a colour; these are {choices}")
     return np.where(known, values, np.nan)
@@ -150,14 +150,7 @@ def regime_cells(data: xr.DataArray) -> Cells:
 
 def regime_names(data: xr.DataArray) -> dict[int, str]:
     """Return the names of regimes by flag; the attributes `flag_values` and `flag_meanings` override the defaults."""
-    return dict(enumerate(REGIMES)) | flag_names(data)
-
-
-def flag_names(data: xr.DataArray) -> dict[int, str]:
-    """Return the meanings of flags, from the attributes `flag_values` and `flag_meanings`."""
-    values = np.atleast_1d(data.attrs.get("flag_values", [])).astype(int).tolist()
-    meanings = [printable(meaning, 60) for meaning in str(data.attrs.get("flag_meanings", "")).split()]
-    return dict(zip(values, meanings, strict=False))
+    return dict(enumerate(REGIMES)) | flags(data)
 
 
 def regime_counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
@@ -243,7 +236,7 @@ def value_of(data: xr.DataArray) -> Value:
 
 def _flags_value(data: xr.DataArray) -> Value:
     """Return the colour coding of flags: fixed colours for stability and regimes, else colours by position."""
-    meanings, name = flag_names(data), str(data.name)
+    meanings, name = flags(data), str(data.name)
     occurring = np.unique(data.values[~np.isnan(data.values)]).astype(int).tolist() or [0]
     own = REGIME_COLOURS if "single-impact" in meanings.values() else _STABILITY_COLOURS if name == "stable" else {}
     colours = [own.get(flag, other_colour(position)) for position, flag in enumerate(occurring)]

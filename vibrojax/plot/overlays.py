@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
 from vibrojax.errors import InputError
-from vibrojax.io.attributes import parameters_of
+from vibrojax.io.attributes import flags, parameters_of
 from vibrojax.io.branches import FAMILY, along_name, branches, kind_names, numbers_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import edges, number, scale, short, values_along
@@ -24,7 +24,6 @@ from vibrojax.plot.branches import (
     special_handles,
     stability_handles,
 )
-from vibrojax.plot.colours import flag_names
 from vibrojax.plot.contents import IMPACTS_OF_RETURNS, START, is_numeric
 from vibrojax.plot.style import DASHED, FAINT, INK, Mark
 
@@ -195,13 +194,22 @@ def draw_borders(axes: Axes, ds: xr.Dataset, plane: dict[str, float], start: str
     mask = ds[START].values == start if START in ds.coords else np.ones(ds.sizes["curve"], bool)
     for name, value in plane.items():
         mask &= np.isclose(ds[name].values, value, rtol=SAME_DIGITS, atol=0.0)
-    names, factors = flag_names(ds["kind"]), [scale(ds[name])[0] for name in (x, y)]
+    return _draw_paths(axes, ds, mask, ds["curve"].values, x, y)
+
+
+def draw_curves(axes: Axes, ds: xr.Dataset, mask: np.ndarray, x: str, y: str) -> list[str]:
+    """Draw the curves of special points in the mask over two parameters; return their kinds."""
+    return _draw_paths(axes, ds, mask, ds["point_curve"].values, x, y)
+
+
+def _draw_paths(axes: Axes, ds: xr.Dataset, mask: np.ndarray, number: np.ndarray, x: str, y: str) -> list[str]:
+    """Draw the curves in the mask; return their kinds. `number`: index of the curve of each point."""
+    names, factors = flags(ds["kind"]), [scale(ds[name])[0] for name in (x, y)]
     stroke = [withStroke(linewidth=2.8, foreground="white", alpha=0.85)]
     kinds = []
-    for curve in np.flatnonzero(mask):
+    for curve in np.flatnonzero(mask & np.isin(np.arange(len(mask)), number)):
         kinds.append(names[int(ds["kind"][curve])])
-        vertices = ds["curve"].values == curve
-        path = (factor * ds[name].values[vertices] for name, factor in zip((x, y), factors, strict=True))
+        path = (factor * ds[name].values[number == curve] for name, factor in zip((x, y), factors, strict=True))
         axes.plot(*path, linewidth=1.6, path_effects=stroke, **LINES.get(kinds[-1], _OTHER_LINE))
     return kinds
 
@@ -229,10 +237,7 @@ def draw_over_panel(axes: Axes, over: xr.Dataset, facet: xr.Dataset, x: str, y: 
     plane = {name: float(facet[name]) for name in beyond(over) if name in facet.coords and facet[name].ndim == 0}
     if kind_of(over) != "curves":
         return draw_borders(axes, over, plane, ANY, x, y)
-    limits = axes.get_xlim(), axes.get_ylim()
-    kinds = draw_curves(axes, over, curves_on_map(over, facet, x, y), x, y)
-    axes.set(xlim=limits[0], ylim=limits[1])
-    return kinds
+    return draw_curves(axes, over, curves_on_map(over, facet, x, y), x, y)
 
 
 def curves_on_map(over: xr.Dataset, lanes: xr.Dataset, x: str, y: str) -> np.ndarray:
@@ -246,35 +251,13 @@ def curves_on_map(over: xr.Dataset, lanes: xr.Dataset, x: str, y: str) -> np.nda
     return mask
 
 
-def draw_corners(axes: Axes, layers: Sequence[xr.Dataset], x: str, y: str) -> list[Artist]:
-    """Mark the points of codimension two within a map panel; return the legend entries of those in view."""
-    curves = [layer for layer in layers if kind_of(layer) == "curves"]
-    limits = axes.get_xlim(), axes.get_ylim()
-    handles = draw_codim2(axes, curves, x, y) if curves else []
-    axes.set(xlim=limits[0], ylim=limits[1])
-    return handles
-
-
-def draw_curves(axes: Axes, ds: xr.Dataset, mask: np.ndarray, x: str, y: str) -> list[str]:
-    """Draw the curves of special points in the mask over two parameters; return their kinds."""
-    names, number = flag_names(ds["kind"]), ds["point_curve"].values
-    factors = [scale(ds[name])[0] for name in (x, y)]
-    stroke = [withStroke(linewidth=2.8, foreground="white", alpha=0.85)]
-    kinds = []
-    for curve in np.flatnonzero(mask):
-        points = number == curve
-        if points.any():
-            kinds.append(names[int(ds["kind"][curve])])
-            path = (factor * ds[name].values[points] for name, factor in zip((x, y), factors, strict=True))
-            axes.plot(*path, linewidth=1.6, path_effects=stroke, **LINES.get(kinds[-1], _OTHER_LINE))
-    return kinds
-
-
 _CODIM2 = "osD^v<>phP*X"  # one marker per name of points of codimension two, in the order of their first occurrence
 
 
 def draw_codim2(axes: Axes, layers: Sequence[xr.Dataset], x: str, y: str) -> list[Artist]:
     """Mark the points of codimension two of curves; return the legend entries."""
+    if not layers:
+        return []
     kinds = np.concatenate([ds["codim2_kind"].values.astype(str) for ds in layers])
     values = [np.concatenate([scale(ds[name])[0] * ds[f"codim2_{name}"].values for ds in layers]) for name in (x, y)]
     handles: list[Artist] = []

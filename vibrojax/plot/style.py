@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import wraps
 from io import BytesIO
+from pathlib import Path
 from typing import Any, ParamSpec
 
 import numpy as np
@@ -44,33 +45,7 @@ VIRIDIS_RANGE = (0.0, 0.87)
 SAVED_DPI = 160.0
 TITLE_SIZE = 11.0
 _TICK_SIZE = 8.0
-_SETTINGS = {
-    "font.size": 9.0,
-    "axes.titlesize": 9.0,
-    "axes.labelsize": 9.0,
-    "axes.linewidth": 0.7,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.axisbelow": True,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.labelsize": _TICK_SIZE,
-    "ytick.labelsize": _TICK_SIZE,
-    "xtick.direction": "out",
-    "ytick.direction": "out",
-    "legend.fontsize": 8.0,
-    "legend.frameon": False,
-    "legend.handlelength": 1.4,
-    "figure.titlesize": TITLE_SIZE,
-    "grid.color": "#E2E2E2",
-    "grid.linewidth": 0.5,
-    "lines.solid_capstyle": "round",
-    "savefig.dpi": SAVED_DPI,
-    "figure.dpi": 110,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "vibrojax",  # the same dataset gives the same file
-    "pdf.fonttype": 42,
-}
+_STYLE = Path(__file__).with_name("pictures.mplstyle")
 
 COLOURS: ContextVar[str | None] = ContextVar("COLOURS", default=None)
 """Colour map that the user chose for quantities; None if each quantity has its own."""
@@ -94,7 +69,7 @@ class OwnFigure(Figure):
 @contextmanager
 def settings() -> Iterator[None]:
     """Apply the common settings of all pictures to matplotlib, in place of the user's settings."""
-    with style.context(["default", _SETTINGS]), warnings.catch_warnings():
+    with style.context(["default", _STYLE]), warnings.catch_warnings():
         # A character that the font lacks is drawn as a box, so no warning is needed.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from vibrojax.models.physics.friction import FRICTION_LAWS
 from vibrojax.models.physics.modes import empirical_frequency, natural_frequencies, striker
 from vibrojax.models.physics.rock import ROCKS
-from vibrojax.reproduce.struck_mass import Blows
 
 Values = Float[np.ndarray, " values"]
 Parameter = float | int | Values
@@ -55,11 +54,6 @@ def friction(law: str, speeds: Values = SPEEDS) -> Values:
     friction_law = FRICTION_LAWS[law]
     p = {name: np.asarray(parameter.default) for name, parameter in friction_law.parameters.items()}
     return np.asarray(friction_law.on_weight(speeds, p)) + 0.0 * speeds
-
-
-def mean_period(mass: Blows) -> float:
-    """Return the mean time [s] between impacts."""
-    return float(np.diff(mass.times).mean())
 
 
 def hammer_velocity(frequency: float | int, gap: float | int) -> float:

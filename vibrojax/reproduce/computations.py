@@ -23,7 +23,7 @@ import xarray as xr
 
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, Place, counted
-from vibrojax.reproduce.struck_mass import Blows, strike
+from vibrojax.reproduce.struck_mass import EXACT, STRUCK, struck_mass
 from vibrojax.sweep.input.read import read_point
 from vibrojax.sweep.input.values import UnusualValue
 from vibrojax.sweep.simulation import simulate
@@ -45,13 +45,13 @@ Features = dict[str, Any]
 
 @dataclass(frozen=True)
 class Need:
-    """A computation of the `kind` "lanes" (one lane), "motion", "map" (a sweep over a grid) or "mass" (hits a stop).
+    """A computation of the `kind` "lanes" (one lane), "motion" or "map" (a sweep over a grid).
 
-    Its answer is a dictionary of features, the dataset of `simulate`, the dataset of the sweep, or `Blows`.
+    Its answer is a dictionary of features, the dataset of `simulate`, or the dataset of the sweep.
 
     - `parameters`: pairs (name, value), sorted by name; the friction law and the shape of a pulse are strings.
     - `start`: name of the initial condition, or the initial state.
-    - `settle`, `observe`: times of a lane or map [s]; `duration`: time of a motion or mass [s].
+    - `settle`, `observe`: times of a lane or map [s]; `duration`: time of a motion [s].
     - `sampling`: interval of a motion's samples [s], None for the default of `simulate`.
     - `name`, `axes`: the title of a map, and its pairs of a parameter name and its values.
     """
@@ -86,7 +86,7 @@ class Unanswered:
 
 Labelled = tuple[str, Need]
 """A label and the computation whose result it names; the empty label stands for the main subject of a result."""
-Answer = Features | xr.Dataset | Blows | Unanswered
+Answer = Features | xr.Dataset | Unanswered
 
 
 def read_needs(text: str, abbreviations: Mapping[str, str], maps: Mapping[str, str]) -> tuple[Labelled, ...]:
@@ -121,7 +121,7 @@ def _read_item(scene: str, settings: Mapping[str, str], title: str) -> list[Need
         times = dict(OBSERVATION.get(scene, {}))
         times |= {name: values.pop(name) for name in ("start", "settle", "duration", "sampling") if name in values}
         grid = tuple((name, tuple(_values(text))) for name, text in axes.items())
-        kind = "map" if title else "mass" if scene == "struck" else "motion" if "duration" in times else "lanes"
+        kind = "map" if title else "motion" if "duration" in times else "lanes"
         needs.append(Need(kind, scene, tuple(sorted(values.items())), **times, name=title, axes=grid))
     return needs
 
@@ -188,8 +188,6 @@ class SourceAnswers:
         for need in (need for need in others if need.kind == "motion"):
             begin(f"motion: {need.scene}, {need.duration:g} s")
             self._answers[need] = _simulate(need)
-        for need in (need for need in others if need.kind == "mass"):
-            self._answers[need] = strike(need.start, need.duration, dict(need.parameters))
 
     def __getitem__(self, need: Need) -> Answer:
         return self._answers[need]
@@ -207,8 +205,7 @@ def collect(needs: tuple[Labelled, ...], answers: list[Answer]) -> dict[str, Any
 
     The lanes with one label form one dictionary of features, whose values are arrays if there are several lanes. Lanes
     without a label are named `lanes`, and each of their features is also a variable of its own. Motions without a label
-    are the list `motions`, and `motion` is the first of them. `map` and `maps`, `mass` and `masses` follow the same
-    rule.
+    are the list `motions`, and `motion` is the first of them. `map` and `maps` follow the same rule.
     """
     names: dict[str, Any] = {}
     groups: dict[str, list[Any]] = {}
@@ -221,7 +218,7 @@ def collect(needs: tuple[Labelled, ...], answers: list[Answer]) -> dict[str, Any
             names[name] = group[0] if len(group) == 1 else arrays
             names |= names[name] if name == "lanes" else {}
         else:
-            names[name], names["masses" if name == "mass" else f"{name}s"] = group[0], group
+            names[name], names[f"{name}s"] = group[0], group
     return names
 
 
@@ -244,10 +241,13 @@ def _features(lane: Need, row: xr.Dataset) -> Features:
 def _simulate(need: Need) -> xr.Dataset | Unanswered:
     settings: dict[str, Any] = {"start": need.start} if need.starts else {}
     settings |= {"duration": need.duration, "sampling": need.sampling, "progress": False}
+    scene: Any = need.scene
+    if scene == STRUCK:
+        scene, settings["error"] = struck_mass(), EXACT
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UnusualValue)
-            return simulate(need.scene, **settings, **dict(need.parameters))
+            return simulate(scene, **settings, **dict(need.parameters))
     except InputError as problem:  # too many steps: this does not invalidate the other results
         return Unanswered(str(problem))
 

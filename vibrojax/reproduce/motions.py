@@ -98,6 +98,11 @@ def events(motion: xr.Dataset, kind: str, since: Real = 0.0) -> Times:
     return times[times >= since]
 
 
+def mean_period(motion: xr.Dataset) -> float:
+    """Return the mean time [s] between impacts."""
+    return float(np.diff(events(motion, "impact")).mean())
+
+
 def last_cycle(motion: xr.Dataset) -> tuple[float, float]:
     """Return the times [s] of the last two section crossings, the beginning and the end of the last cycle."""
     times = events(motion, "section")
@@ -176,6 +181,11 @@ def blow_restitution(motion: xr.Dataset) -> float:
 def blow_duration(motion: xr.Dataset) -> float:
     """Return the duration [s] of the first blow."""
     return float(events(motion, "release")[0] - events(motion, "impact")[0])
+
+
+def blow_of(motion: xr.Dataset) -> xr.Dataset:
+    """Return the motion up to 9 ms after the beginning of its last blow, when the blow has ended."""
+    return motion.isel(time=within(motion, 0.0, events(motion, "impact", 10.0)[-1] + 9e-3))
 
 
 def growth_share(motion: xr.Dataset, steps: Bool[np.ndarray, " steps"]) -> float:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
@@ -15,7 +16,7 @@ from vibrojax.models.physics.friction import FRICTION_LAWS
 from vibrojax.plot.style import BIT, FAINT, INK, START_COLOURS, new_figure
 from vibrojax.reproduce.closed_forms import friction
 from vibrojax.reproduce.maps import LISTED_RATE, REGION, coexisting, fit_law, single_impact, strong
-from vibrojax.reproduce.pictures_motions import FIGURE_WIDTH, LINE_COLOURS, in_row
+from vibrojax.reproduce.pictures_motions import FIGURE_WIDTH, LINE_COLOURS, panels_for
 
 LAWS = ("coulomb", "popp-exponential", "popp-arctan", "hyperbolic", "hyperbolic-quadratic", "stribeck")
 SINGLE_IMPACT_COLOURS = {
@@ -46,11 +47,9 @@ def friction_laws() -> Figure:
 def regimes_under_laws(maps: Sequence[xr.Dataset]) -> Figure:
     """Draw a map of the regimes over beta and gamma for each friction law."""
     figure = new_figure(FIGURE_WIDTH, 4.2)
-    colours = ListedColormap([REGIME_COLOURS[flag] for flag in range(len(REGIMES))])
     panels = figure.subplots(2, 3, sharex=True, sharey=True)
     for axes, map, law in zip(panels.ravel(), maps, LAWS, strict=True):
-        regime = map.regime.sel(start="drive").transpose("gamma", "beta")
-        axes.pcolormesh(map.beta, map.gamma, regime, cmap=colours, vmin=-0.5, vmax=len(REGIMES) - 0.5)
+        _draw_cells(axes, map.regime.sel(start="drive"), list(REGIME_COLOURS.values()))
         axes.set_title(law)
     for axes in panels[-1]:  # the legend would cover a label of the whole figure
         axes.set_xlabel("mass ratio β")
@@ -59,6 +58,12 @@ def regimes_under_laws(maps: Sequence[xr.Dataset]) -> Figure:
     flags = sorted({int(flag) for map in maps for flag in np.unique(map.regime)})
     _legend_below(figure, {REGIMES[flag]: REGIME_COLOURS[flag] for flag in flags})
     return figure
+
+
+def _draw_cells(axes: Axes, flags: xr.DataArray, colours: Sequence[str]) -> None:
+    """Draw flags over beta and gamma as cells, each with one of the `colours`."""
+    look: dict[str, Any] = {"cmap": ListedColormap(colours), "vmin": -0.5, "vmax": len(colours) - 0.5}
+    axes.pcolormesh(flags.beta, flags.gamma, flags.transpose("gamma", "beta"), **look)
 
 
 def _legend_below(figure: Figure, colours: Mapping[str, str], title: str | None = None) -> None:
@@ -70,7 +75,7 @@ def _legend_below(figure: Figure, colours: Mapping[str, str], title: str | None 
 def settling_times(speeds: Mapping[str, Any], ratios: Mapping[str, Any]) -> Figure:
     """Draw the settling time over the driving velocity and over gamma (source, Figs 5.22, 5.38)."""
     labels = ("driving velocity v [m/s]", "frequency ratio γ (β = 0.3)")
-    figure, panels = in_row(2.8, labels, "settling time [s]")
+    figure, panels = panels_for(2.8, labels, "settling time [s]")
     for axes, lanes, name in zip(panels, (speeds, ratios), ("v", "gamma"), strict=True):
         axes.plot(lanes[name], lanes["settling_time"], "o-", color=BIT, markersize=4)
         axes.set_ylim(bottom=0)
@@ -82,7 +87,7 @@ def over_stribeck_speed(lanes: Mapping[str, Any]) -> Figure:
 
     There is a line for each combination of gap (two) and initial condition (three).
     """
-    figure, panels = in_row(3.2, ["Stribeck speed v_cr [m/s]"] * 2, "")
+    figure, panels = panels_for(3.2, ["Stribeck speed v_cr [m/s]"] * 2, "")
     quantities = (("omega", 27.45, "frequency [rad/s]"), ("velocity_change", 4.0, "change of velocity [m/s]"))
     for axes, (name, source, label) in zip(panels, quantities, strict=True):
         axes.axhline(source, color=FAINT, linewidth=1.0, linestyle=(0, (4, 3)))
@@ -106,14 +111,13 @@ def region_of_impacts(map: xr.Dataset) -> Figure:
     A rectangle marks the source's region of best performance.
     """
     titles = [f"gap {1e3 * delta:+.0f} mm" for delta in map.delta.values]
-    figure, panels = in_row(3.4, ["mass ratio β"] * 2, "frequency ratio γ", titles, share=True, grid=False)
+    figure, panels = panels_for(3.4, ["mass ratio β"] * 2, "frequency ratio γ", titles, share=True, grid=False)
     (beta, beta_end), (gamma, gamma_end) = REGION.values()
-    colours = ListedColormap(list(SINGLE_IMPACT_COLOURS.values()))
     for axes, delta in zip(panels, map.delta.values, strict=True):
         part = map.sel(delta=delta, v=1.5)
         good, best = single_impact(part), strong(part)
         kind = good.any("start").astype(int) + good.all("start").astype(int) + best.all("start").astype(int)
-        axes.pcolormesh(part.beta, part.gamma, kind.transpose("gamma", "beta"), cmap=colours, vmin=-0.5, vmax=3.5)
+        _draw_cells(axes, kind, list(SINGLE_IMPACT_COLOURS.values()))
         region = Rectangle((beta, gamma), beta_end - beta, gamma_end - gamma, fill=False, edgecolor=INK, linewidth=1.5)
         axes.add_patch(region)
     _legend_below(figure, SINGLE_IMPACT_COLOURS, "single impact")
@@ -125,7 +129,7 @@ def shares_over_gap(map: xr.Dataset) -> Figure:
 
     The fractions are of all lanes in that region of parameters, for all speeds together.
     """
-    figure, (axes,) = in_row(3.0, ["gap Δ [mm], negative: preload"], "share of the region")
+    figure, (axes,) = panels_for(3.0, ["gap Δ [mm], negative: preload"], "share of the region")
     gaps = 1e3 * map.delta.values
     lines = [
         (single_impact(map).sel(start=start), "o-", colour, f"single, from {start}")
@@ -150,7 +154,7 @@ def rates(map: xr.Dataset, x: str, scale: float, label: str, lines: str, line: s
     - `lines`: axis with one line per value; `line`: format string for the label of a line (k3 is in MN/m).
     - `marker`: format string of matplotlib for all lines.
     """
-    figure, (axes,) = in_row(3.0, [label], "rate of penetration [mm/s]")
+    figure, (axes,) = panels_for(3.0, [label], "rate of penetration [mm/s]")
     for value, colour in zip(map[lines].values, LINE_COLOURS, strict=False):
         part = map.sel({lines: value})
         name = line.format(value / 1e6 if lines == "k3" else value)
@@ -180,7 +184,7 @@ def surfaces(map: xr.Dataset, name: str, label: str, azimuth: int) -> Figure:
 def laws_beside_rates(map: xr.Dataset) -> Figure:
     """Draw the rate over P/D, with the fitted logarithm (source, eq. 6.4) and the fitted straight line."""
     titles = [f"k₃ = {k3 / 1e6:g} MN/m" for k3 in map.k3.values]
-    figure, panels = in_row(3.0, ["relief P/D"] * 2, "rate of penetration [mm/s]", titles)
+    figure, panels = panels_for(3.0, ["relief P/D"] * 2, "rate of penetration [mm/s]", titles)
     fit = fit_law(map, "frequency")
     map = map.sel(pulse_width=0.004)
     for axes, k3 in zip(panels, map.k3.values, strict=True):
@@ -200,7 +204,7 @@ def laws_beside_rates(map: xr.Dataset) -> Figure:
 
 def constants_over_force(map: xr.Dataset) -> Figure:
     """Draw C over the force, with a line for each stiffness and pulse width, and the source's range."""
-    figure, (axes,) = in_row(2.8, ["force [kN]"], "C [m/s], listing's rate")
+    figure, (axes,) = panels_for(2.8, ["force [kN]"], "C [m/s], listing's rate")
     axes.axhspan(0.046, 0.189, color=FAINT, alpha=0.3, linewidth=0)
     for width, marker in zip(map.pulse_width.values, ("s--", "o-"), strict=True):
         fit = fit_law(map, "frequency", float(width))

@@ -1,9 +1,11 @@
-"""Lanes and settings of the accuracy study.
+"""Lanes and settings of the accuracy study: the files `lanes.csv` and `settings.csv`.
 
-The lanes are periodic motions that settle soon, so that errors are well defined.
+The lanes are periodic motions that settle soon, so that errors are well defined. Settings that share a compiled program
+are adjacent. A scene lacks a setting that would take long and add no information.
 """
 
 import csv
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,13 +27,11 @@ LONGEST_STEP = 1e-2  # s; steps limited by a stride are shorter
 TOLERANCE_PER_WIDTH = 1e-2
 NO_TOLERANCE = 1e30
 
-TSIT5, FIXED = "diffrax Tsit5", "diffrax Tsit5, fixed steps"
-DOPRI8, KVAERNO5 = "diffrax Dopri8", "diffrax Kvaerno5"
 SOLVERS = {
-    TSIT5: ("Tsit5", True),
-    DOPRI8: ("Dopri8", True),
-    KVAERNO5: ("Kvaerno5", True),
-    FIXED: ("Tsit5", False),
+    "diffrax Tsit5": ("Tsit5", True),
+    "diffrax Dopri8": ("Dopri8", True),
+    "diffrax Kvaerno5": ("Kvaerno5", True),
+    "diffrax Tsit5, fixed steps": ("Tsit5", False),
 }
 """Name of the solver in diffrax, and whether its step size is adaptive, by method."""
 
@@ -42,20 +42,23 @@ SETTINGS_TEXT = (
     f"diffrax has the smoothed equations, with relative and absolute tolerances (SI) of {TOLERANCE_PER_WIDTH:g} of the "
     f"width, or fixed steps of {STEP_PER_WIDTH:g} s per m/s of it"
 )
-NO_ROCK = ("rotary", "vibro-impact")
 
 Columns = dict[str, list[Any]]
+
+
+def _rows(file: str) -> Iterator[dict[str, str]]:
+    with Path(__file__).with_name(file).open(encoding="utf-8", newline="") as text:
+        yield from csv.DictReader(text)
 
 
 def _read_lanes() -> dict[str, Columns]:
     """Read the lanes of each scene as columns by name; empty cells of the file are skipped."""
     scenes: dict[str, Columns] = {}
-    with Path(__file__).with_name("lanes.csv").open(encoding="utf-8", newline="") as file:
-        for row in csv.DictReader(file):
-            columns = scenes.setdefault(row.pop("scene"), {})
-            for name, text in row.items():
-                if text:
-                    columns.setdefault(name, []).append(text if name == "start" else float(text))
+    for row in _rows("lanes.csv"):
+        columns = scenes.setdefault(row.pop("scene"), {})
+        for name, text in row.items():
+            if text:
+                columns.setdefault(name, []).append(text if name == "start" else float(text))
     return scenes
 
 
@@ -81,6 +84,16 @@ class StudyLanes:
         points = {name: column * copies for name, column in self.points.items()}
         times = {"settle": self.settle, "observe": self.observe, "end_early": False, "chunk": self.count * copies}
         return {"scene": self.scene, "points": points, "run": times | {"method": method, "precision": precision}}
+
+
+def lanes_of(scene: str, quick: bool = False) -> StudyLanes:
+    """Return the lanes of a scene; fewer lanes and shorter times if `quick`."""
+    columns = _LANES[scene]
+    count = len(next(iter(columns.values())))
+    points = {name: column[:: count // 4 if quick else 1] for name, column in columns.items()}
+    if scene == "penetration":
+        return StudyLanes(scene, points, 0.2 if quick else 0.5, 0.4 if quick else 0.5)
+    return StudyLanes(scene, points, 6.0 if quick else 8.0, 2.0 if quick else 4.0)
 
 
 @dataclass(frozen=True)
@@ -110,48 +123,11 @@ class Setting:
         return Accuracy(0.0, self.value, LONGEST_STEP, WIDTH)
 
 
-def lanes_of(scene: str, quick: bool = False) -> StudyLanes:
-    """Return the lanes of a scene; fewer lanes and shorter times if `quick`."""
-    columns = _LANES[scene]
-    count = len(next(iter(columns.values())))
-    points = {name: column[:: count // 4 if quick else 1] for name, column in columns.items()}
-    if scene == "penetration":
-        return StudyLanes(scene, points, 0.2 if quick else 0.5, 0.4 if quick else 0.5)
-    return StudyLanes(scene, points, 6.0 if quick else 8.0, 2.0 if quick else 4.0)
-
-
 def settings_of(scene: str, quick: bool = False) -> list[Setting]:
     """Return all settings of a scene; settings that share a compiled program are adjacent."""
-    smooth = scene != "penetration"  # that scene has nothing to smooth
-    finest = (1e-4,) if scene in NO_ROCK else ()  # takes a minute in scenes with rock
-    rows: list[tuple[str, str, str, tuple[float, ...]]]
-    if quick:
-        rows = [("located", "float64", "tolerance", (1e-11, 1e-9, 1e-7))]
-        rows += [("smoothed", "float64", "width", (3e-3, 1e-2)), ("smoothed", "float64", "step", (3e-2,))] * smooth
-        rows += [("smoothed", "float64", "stride", (0.1, 0.3))] * (not smooth)
-        counts = {TSIT5: 2}
-    else:
-        rows = [
-            ("located", "float64", "tolerance", (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5)),
-            ("located", "float64", "stride", (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)),
-            ("located", "float32", "tolerance", (1e-6, 1e-5, 1e-4, 1e-3)),
-        ]
-        if smooth:
-            rows += [
-                ("smoothed", "float64", "width", (*finest, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)),
-                ("smoothed", "float64", "step", (1e-3, 3e-3, 1e-2)),
-                ("smoothed", "float32", "width", (1e-3, 3e-3, 1e-2)),
-            ]
-        else:
-            rows += [("smoothed", precision, "stride", (0.03, 0.1, 0.3, 1.0)) for precision in ("float64", "float32")]
-        counts = {TSIT5: 5, DOPRI8: 3, KVAERNO5: 1, FIXED: 3}
-        if scene == "rotary":
-            del counts[KVAERNO5]  # takes a quarter of a minute, and adds no information
-    widths = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
-    for method, count in counts.items():
-        rows.append((method, "float64", "width", widths[: count if scene in NO_ROCK else 1][::-1]))
     return [
-        Setting(scene, method, precision, varied, value)
-        for method, precision, varied, values in rows
-        for value in values
+        Setting(scene, row["method"], row["precision"], row["varied"], float(value))
+        for row in _rows("settings.csv")
+        if row["run"] == ("quick" if quick else "full") and scene in row["scenes"].split()
+        for value in row["values"].split()
     ]

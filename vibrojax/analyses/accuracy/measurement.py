@@ -2,8 +2,8 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import reduce
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -35,28 +35,13 @@ _FAILURES = {
 LaneFeatures = Mapping[str, Shaped[np.ndarray, " lanes"]]
 """Features of lanes by name."""
 
+Row = dict[str, Any]
+"""The result of a setting: values of the dataset's variables by name; undefined variables are left out."""
 
-@dataclass(frozen=True)
-class Measurement:
-    """Result of a setting.
 
-    - `seconds`: time of every run, per lane-second; `compile_time` [s] of the program; `steps` per lane-second.
-    - `errors`: errors by feature, of the lanes with the same motion as the reference.
-    - `lanes`: number of lanes; `agreeing`: number with the same motion as the reference; `repeating`: number that also
-      have the same period in returns.
-    - `status`: "done", or the first failure; `reason`: all failures in words.
-    """
-
-    setting: Setting
-    status: str
-    reason: str
-    lanes: int
-    compile_time: float = np.nan
-    seconds: tuple[float, ...] = ()
-    steps: float = np.nan
-    agreeing: int = 0
-    repeating: int = 0
-    errors: dict[str, Float[np.ndarray, " agreeing"]] = field(default_factory=dict)
+def error_name(feature: str, statistic: str) -> str:
+    """Return the name of the variable with a statistic of the lanes' errors, "worst" or "median"."""
+    return f"error_{statistic}" if feature == "overall" else f"{feature}_error_{statistic}"
 
 
 def measure(
@@ -66,10 +51,11 @@ def measure(
     reference: LaneFeatures,
     usable: Bool[np.ndarray, " lanes"],
     repeats: int,
-) -> Measurement:
+) -> Row:
     """Run a setting up to `repeats` times, and compare its usable lanes with the reference.
 
-    Two runs suffice if they take long, one if some lanes did not reach the end.
+    Two runs suffice if they take long, one if some lanes did not reach the end. Errors are those of the lanes with the
+    same motion as the reference.
     """
     seconds: list[float] = []
     ran: Outcome = {}
@@ -85,20 +71,24 @@ def measure(
     status = statuses_of(features, expected, errors)
     lanes, agrees = int(usable.sum()), status == 0
     repeating = agrees & (features["cycles"] == expected["cycles"]) if "cycles" in expected else agrees
-    counts = {name: int((status == STATUSES.index(name)).sum()) for name in _FAILURES}
-    length = program.lanes.settle + program.lanes.observe
-    return Measurement(
-        setting,
-        status="done" if agrees.all() else STATUSES[status[~agrees].min()],
-        reason="; ".join(f"{n} of {counted(lanes, 'lane')} {_FAILURES[name]}" for name, n in counts.items() if n),
-        lanes=lanes,
-        compile_time=compile_time,
-        seconds=tuple(x / program.lane_seconds for x in seconds),
-        steps=float(np.mean(ran["steps"])) / length,
-        agreeing=int(agrees.sum()),
-        repeating=int(repeating.sum()),
-        errors={name: x[agrees] for name, x in errors.items()},
-    )
+    failures = {what: int((status == STATUSES.index(name)).sum()) for name, what in _FAILURES.items()}
+    times = np.array(seconds) / program.lane_seconds
+    row: Row = vars(setting) | {
+        "time_per_lane_second": np.median(times),
+        "time_per_lane_second_min": times.min(),
+        "time_per_lane_second_max": times.max(),
+        "repeats": len(seconds),
+        "compile_time": compile_time,
+        "steps_per_second": np.mean(ran["steps"]) / (program.lanes.settle + program.lanes.observe),
+        "lanes": lanes,
+        "agreeing": agrees.sum(),
+        "repeating": repeating.sum(),
+        "status": 0 if agrees.all() else status[~agrees].min(),
+        "remark": "; ".join(f"{n} of {counted(lanes, 'lane')} {what}" for what, n in failures.items() if n),
+    }
+    for name, x in errors.items() if agrees.any() else ():
+        row |= {error_name(name, "worst"): x[agrees].max(), error_name(name, "median"): np.median(x[agrees])}
+    return row
 
 
 def errors_of(features: LaneFeatures, reference: LaneFeatures) -> dict[str, Float[np.ndarray, " lanes"]]:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from matplotlib.typing import MarkerType
 
 from vibrojax.analyses.analysis import Analysis, PictureRule
@@ -131,10 +131,8 @@ def _shape_axes(axes: Axes, ds: xr.Dataset) -> None:
     for values, margin, set_limits in ((time, 1.6, axes.set_xlim), (worst, 5.0, axes.set_ylim)):
         known = values[np.isfinite(worst) & (values > 0)]
         set_limits(*((known.min() / margin, known.max() * margin) if known.size else (0.1, 10.0)))
-    low, high = axes.get_ylim()
-    decades = range(int(np.ceil(np.log10(low))), int(np.floor(np.log10(high))) + 1)
-    axes.yaxis.set_major_locator(FixedLocator([10.0**power for power in decades if power % 2 == 0]))
-    axes.yaxis.set_minor_locator(FixedLocator([10.0**power for power in decades]))
+    axes.yaxis.set_major_locator(LogLocator(100.0, numticks=12))
+    axes.yaxis.set_minor_locator(LogLocator(10.0, numticks=24))
     fastest, slowest = axes.get_xlim()
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if slowest < 150 * fastest else (1.0,), numticks=12))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -3,9 +3,8 @@
 import json
 import platform
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from jaxtyping import Bool
 from numpy.typing import ArrayLike
 
 from vibrojax.analyses.accuracy.cases import (
-    NO_ROCK,
     REFERENCE,
     SCENES,
     SECOND_REFERENCE,
@@ -28,7 +26,8 @@ from vibrojax.analyses.accuracy.measurement import (
     COMPARED,
     RELATIVE,
     STATUSES,
-    Measurement,
+    Row,
+    error_name,
     errors_of,
     measure,
     usable,
@@ -43,16 +42,53 @@ from vibrojax.stepping import Accuracy
 
 REPEATS, QUICK_REPEATS = 5, 2
 QUICK_SCENES = ("vibro-impact", "penetration")
+NO_ROCK = ("rotary", "vibro-impact")
 SETTING = "setting"
 REFERENCE_TEXT = (
     f"the located method, float64, at a tolerance of {REFERENCE.tolerance:g} and a stride of {REFERENCE.stride:g}; "
     "reference_spread is its difference from another one "
     f"(tolerance {SECOND_REFERENCE.tolerance:g}, stride {SECOND_REFERENCE.stride:g})"
 )
-_OVERALL = "the larger of period and impact velocity; in penetration of the rate of penetration"
 
-_TEXT = ("method", "precision", "setting")
-_NUMBERS = ("µs per lane-s", "spread", "worst", "median")
+_COORDINATES = {
+    "scene": Variable("1", "scene", np.str_),
+    "method": Variable("1", "method", np.str_),
+    "precision": Variable("1", "precision", np.str_),
+    "varied": Variable("1", "varied quantity", np.str_),
+    "value": Variable("1", "value of the varied quantity: tolerance and stride [1], width [m s-1], step [s]"),
+}
+
+
+def _error_variables() -> dict[str, Variable]:
+    """Return the variables with the errors of the features: the worst lane's and the median."""
+    variables = {}
+    for name in ("overall", *COMPARED):
+        kind = name.replace("_", " ")
+        if name == "overall":
+            kind = "the larger of period and impact velocity; in penetration of the rate of penetration"
+        error = "relative error" if name in (*RELATIVE, "overall") else "error"
+        for statistic in ("worst", "median"):
+            variables[error_name(name, statistic)] = Variable("1", f"{statistic} {error} of {kind}")
+    return variables
+
+
+_VARIABLES = {
+    "time_per_lane_second": Variable("s", "median time per lane-second"),
+    "time_per_lane_second_min": Variable("s", "shortest time per lane-second"),
+    "time_per_lane_second_max": Variable("s", "longest time per lane-second"),
+    "repeats": Variable("1", "repeats", np.int32),
+    "compile_time": Variable("s", "compile time"),
+    "steps_per_second": Variable("s-1", "steps of a lane per simulated second"),
+    **_error_variables(),
+    "lanes": Variable("1", "periodic lanes", np.int32),
+    "agreeing": Variable("1", "lanes that move like the reference, over which errors are counted", np.int32),
+    "repeating": Variable("1", "lanes that also repeat like the reference, to 1e-3", np.int32),
+    "status": Variable("1", "outcome", np.int8, STATUSES),
+    "remark": Variable("1", "why lanes failed", np.str_),
+    "reference_spread": Variable("1", "difference of two references, below which errors mean nothing"),
+    "on_front": Variable("1", "no setting of the scene is faster and as exact", np.int8, ("no", "yes")),
+}
+
 _ERRORS = {
     "period": "period",
     "impact_velocity": "impact velocity",
@@ -100,16 +136,14 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
             raise InputError(f'accuracy: "{scene}" is not a scene; {suggestion(scene, SCENES)}')
     began = time.monotonic()
     bar = Progress(sum(len(settings_of(scene, quick)) for scene in scenes), "settings", progress, pace=False)
-    results: list[Measurement] = []
-    spreads = {}
+    rows: list[Row] = []
     for scene in scenes:
-        measured, spreads[scene] = _measure_scene(scene, quick, bar)
-        results += measured
-    return dataset_of(results, spreads, time.monotonic() - began)
+        rows += _measure_scene(scene, quick, bar)
+    return dataset_of(rows, time.monotonic() - began)
 
 
-def _measure_scene(scene: str, quick: bool, bar: Progress) -> tuple[list[Measurement], float]:
-    """Return the results of a scene's settings, and the largest difference between the two references."""
+def _measure_scene(scene: str, quick: bool, bar: Progress) -> list[Row]:
+    """Return the results of a scene's settings."""
     lanes = lanes_of(scene, quick)
     programs: dict[tuple[str, str], tuple[Program, float]] = {}
 
@@ -125,83 +159,38 @@ def _measure_scene(scene: str, quick: bool, bar: Progress) -> tuple[list[Measure
     program, _ = compiled("located", "float64", REFERENCE)
     reference, second = (program.features(fine, program.run(fine)) for fine in (REFERENCE, SECOND_REFERENCE))
     trusted = usable(reference, second)
-    results = []
+    spread = errors_of(second, reference)["overall"][trusted].max()
+    rows = []
     for setting in settings_of(scene, quick):
+        row: Row = vars(setting) | {"lanes": trusted.sum(), "status": STATUSES.index("unsupported")}
+        row["remark"] = outcome = "plain integration knows no rock that yields: its ratchet needs events"
         if setting.method not in SOLVERS or scene in NO_ROCK:
             program, compile_time = compiled(setting.method, setting.precision, setting.accuracy)
-            repeats = QUICK_REPEATS if quick else REPEATS
-            result = measure(setting, program, compile_time, reference, trusted, repeats)
-        else:
-            reason = "plain integration knows no rock that yields: its ratchet needs events"
-            result = Measurement(setting, "unsupported", reason, int(trusted.sum()))
-        results.append(result)
-        outcome = result.reason
-        if result.agreeing:
-            cost = f"{1e6 * np.median(result.seconds):.3g} µs/lane-s"
-            outcome = f"error {result.errors['overall'].max():.1e}, {cost}"
+            row = measure(setting, program, compile_time, reference, trusted, QUICK_REPEATS if quick else REPEATS)
+            outcome = row["remark"]
+        if "error_worst" in row:
+            outcome = f"error {row['error_worst']:.1e}, {1e6 * row['time_per_lane_second']:.3g} µs/lane-s"
+        rows.append(row | {"reference_spread": spread})
         bar.add(1, f"{scene}: {setting.method}, {setting.precision}, {setting.varied} {setting.value:g}: {outcome}")
-    return results, float(errors_of(second, reference)["overall"][trusted].max())
+    return rows
 
 
-def dataset_of(results: Sequence[Measurement], spreads: Mapping[str, float], wall_time: float) -> xr.Dataset:
-    """Return the dataset of the study.
+def dataset_of(rows: Sequence[Row], wall_time: float) -> xr.Dataset:
+    """Return the dataset of the study, given the result of each setting and the duration of the study [s]."""
 
-    **Arguments:** `spreads`: largest difference between the two references, by scene.
-    """
+    def column(name: str, about: Variable) -> xr.Variable:
+        missing = np.nan if about.dtype is np.float64 else 0
+        values = np.array([row.get(name, missing) for row in rows], about.dtype)
+        return xr.Variable(SETTING, values, about.attributes())
 
-    def along(
-        values: Iterable[object], long_name: str, units: str = "1", dtype: type | None = None, flags: Any = ()
-    ) -> xr.Variable:
-        attributes = Variable(units, long_name, flags=flags).attributes()
-        return xr.Variable(SETTING, np.array(list(values), dtype), attributes)
-
-    def each(field: str, long_name: str, units: str = "1", dtype: type | None = None) -> xr.Variable:
-        return along((attrgetter(field)(result) for result in results), long_name, units, dtype)
-
-    coordinates = {
-        "scene": each("setting.scene", "scene"),
-        "method": each("setting.method", "method"),
-        "precision": each("setting.precision", "precision"),
-        "varied": each("setting.varied", "varied quantity"),
-        "value": each(
-            "setting.value", "value of the varied quantity: tolerance and stride [1], width [m s-1], step [s]"
-        ),
-    }
-    variables = {}
-    for suffix, text, reduce in (("", "median", np.median), ("_min", "shortest", min), ("_max", "longest", max)):
-        times = (reduce(result.seconds) if result.seconds else np.nan for result in results)
-        variables[f"time_per_lane_second{suffix}"] = along(times, f"{text} time per lane-second", "s", float)
-    variables["repeats"] = along((len(result.seconds) for result in results), "repeats", dtype=np.int32)
-    variables["compile_time"] = each("compile_time", "compile time", "s")
-    variables["steps_per_second"] = each("steps", "steps of a lane per simulated second", "s-1")
-    for name in ("overall", *COMPARED):
-        errors = [result.errors.get(name, np.zeros(0)) for result in results]
-        prefix, kind = ("", _OVERALL) if name == "overall" else (f"{name}_", name.replace("_", " "))
-        relative = "relative error" if name in (*RELATIVE, "overall") else "error"
-        for which, statistic in (("worst", np.max), ("median", np.median)):
-            values = (statistic(x) if x.size else np.nan for x in errors)
-            variables[f"{prefix}error_{which}"] = along(values, f"{which} {relative} of {kind}", dtype=float)
-    statuses = np.array([STATUSES.index(result.status) for result in results], np.int8)
-    agreeing = "lanes that move like the reference, over which errors are counted"
-    repeating = "lanes that also repeat like the reference, to 1e-3"
-    spread = "difference of two references, below which errors mean nothing"
-    variables |= {
-        "lanes": each("lanes", "periodic lanes", dtype=np.int32),
-        "agreeing": each("agreeing", agreeing, dtype=np.int32),
-        "repeating": each("repeating", repeating, dtype=np.int32),
-        "status": along(statuses, "outcome", dtype=np.int8, flags=STATUSES),
-        "remark": each("reason", "why lanes failed"),
-        "reference_spread": along((spreads[result.setting.scene] for result in results), spread),
-    }
-    seconds = variables["time_per_lane_second"].values
+    variables = {name: column(name, about) for name, about in _VARIABLES.items()}
+    coordinates = {name: column(name, about) for name, about in _COORDINATES.items()}
     # Only settings whose lanes all agree with the reference can be on the front.
-    worst = np.where(statuses == 0, variables["error_worst"].values, np.nan)
-    front = np.zeros(len(results), np.int8)
-    for scene in spreads:
-        here = coordinates["scene"].values == scene
-        front[here] = pareto(seconds[here], worst[here])
-    best = "no setting of the scene is faster and as exact"
-    variables["on_front"] = along(front, best, dtype=np.int8, flags=("no", "yes"))
+    worst = np.where(variables["status"].values == 0, variables["error_worst"].values, np.nan)
+    seconds, scenes = variables["time_per_lane_second"].values, coordinates["scene"].values
+    for scene in np.unique(scenes):
+        here = scenes == scene
+        variables["on_front"].values[here] = pareto(seconds[here], worst[here])
     attributes = {
         **dataset_attributes("accuracy", "Speed against error", "accuracy"),
         "reference": REFERENCE_TEXT,
@@ -250,12 +239,14 @@ def table(ds: xr.Dataset) -> str:
     ]
     for scene in dict.fromkeys(ds["scene"].values.tolist()):
         here = ds.isel(setting=ds["scene"].values == scene)
-        lanes, spread = int(here["lanes"].values[0]), float(here["reference_spread"].values[0])
         shown = [name for name in _ERRORS if np.isfinite(here[f"{name}_error_worst"].values).any()]
-        numbers = [*_NUMBERS, *(_ERRORS[name] for name in shown), "compile s"]
-        rows = [_row(here.isel(setting=index), shown) for index in range(here.sizes["setting"])]
-        lines = [f"| {' | '.join(cells)} |" for cells in ([*_TEXT, *numbers, "remark"], *rows)]
-        lines.insert(1, "|" + "---|" * len(_TEXT) + "---:|" * len(numbers) + "---|")
+        numbers = ["µs per lane-s", "spread", "worst", "median", *(_ERRORS[name] for name in shown), "compile s"]
+        rows = [_cells(row, shown) for row in here.to_dataframe().to_dict("records")]
+        lines = [
+            f"| {' | '.join(cells)} |" for cells in (["method", "precision", "setting", *numbers, "remark"], *rows)
+        ]
+        lines.insert(1, "|---|---|---|" + "---:|" * len(numbers) + "---|")
+        lanes, spread = int(here["lanes"][0]), float(here["reference_spread"][0])
         paragraphs += [
             f"## {scene}",
             f"{counted(lanes, 'periodic lane')}; two references differ by {_format(spread, '.1e')}.",
@@ -264,23 +255,20 @@ def table(ds: xr.Dataset) -> str:
     return "\n\n".join(paragraphs) + "\n"
 
 
-def _row(setting: xr.Dataset, shown: list[str]) -> list[str]:
-    def number(name: str) -> float:
-        return float(setting[name])
-
-    spread = (number("time_per_lane_second_max") - number("time_per_lane_second_min")) / 2e-6
-    varied = str(setting["varied"].item())
-    name = f"{varied} {number('value'):g}{_UNITS.get(varied, '')}"
+def _cells(row: Mapping[Any, Any], shown: Sequence[str]) -> list[str]:
+    """Return the cells of the table for a setting; `shown`: the features with a column of their errors."""
+    name = f"{row['varied']} {row['value']:g}{_UNITS.get(row['varied'], '')}"
+    spread = (row["time_per_lane_second_max"] - row["time_per_lane_second_min"]) / 2e-6
     errors = ["error_worst", "error_median", *(f"{error}_error_worst" for error in shown)]
     return [
-        str(setting["method"].item()),
-        str(setting["precision"].item()),
-        f"**{name}**" if setting["on_front"].item() else name,
-        _format(1e6 * number("time_per_lane_second"), ".3g"),
+        row["method"],
+        row["precision"],
+        f"**{name}**" if row["on_front"] else name,
+        _format(1e6 * row["time_per_lane_second"], ".3g"),
         _format(spread, ".2g", "± "),
-        *(_format(number(error), ".1e") for error in errors),
-        _format(number("compile_time"), ".1f"),
-        str(setting["remark"].item()),
+        *(_format(row[error], ".1e") for error in errors),
+        _format(row["compile_time"], ".1f"),
+        row["remark"],
     ]
 
 

@@ -121,8 +121,7 @@ def orbit_lines(ds: xr.Dataset) -> list[str]:
     if limit is not None:
         lines.append(f"multipliers are given from a grazing_margin of {limit:g} on")
     if "nearby_cycles" in ds and "regime" in ds:
-        unsettled = [flag for flag, name in flags(ds["regime"]).items() if name in ("irregular", "undecided")]
-        open_lanes = ds["regime"].isin(unsettled).values
+        open_lanes = _labelled(ds, "irregular", "undecided").values
         near = int((open_lanes & (ds["nearby_cycles"].values > 0)).sum())
         lines.append(
             f"of {counted(int(open_lanes.sum()), 'lane')} labelled irregular or undecided, "
@@ -132,11 +131,15 @@ def orbit_lines(ds: xr.Dataset) -> list[str]:
     return lines
 
 
+def _labelled(ds: xr.Dataset, *regimes: str) -> xr.DataArray:
+    """Return which lanes have one of the `regimes`."""
+    return ds["regime"].isin([flag for flag, name in flags(ds["regime"]).items() if name in regimes])
+
+
 def _nature_lines(ds: xr.Dataset) -> list[str]:
     if "nature" not in ds or "regime" not in ds:
         return []
-    labels = [flag for flag, name in flags(ds["regime"]).items() if name == "irregular"]
-    irregular = ds["regime"].isin(labels).values
+    irregular = _labelled(ds, "irregular").values
     masks = ((name, ds["nature"].values == flag) for flag, name in flags(ds["nature"]).items())
     return [
         f"{name:<14}{int(mask.sum()):>9}{int((mask & irregular).sum()):>9} of them irregular"
@@ -206,7 +209,7 @@ def _reason_of_no_rate(ds: xr.Dataset, rate: xr.DataArray, facts: dict[str, Any]
 def _failure_lines(ds: xr.Dataset, has_lanes: bool) -> list[str]:
     """Return lines that state how many lanes failed and, for each reason, how many and the first few lanes."""
     if has_lanes:
-        mask = ds["regime"].isin([value for value, meaning in flags(ds["regime"]).items() if meaning == "failed"])
+        mask = _labelled(ds, "failed")
     elif "status" in ds:
         mask = ds["status"] != 0
     else:
@@ -237,17 +240,13 @@ def _accuracy(ds: xr.Dataset) -> SummaryPart:
         estimates = ds["error_estimate"].values
         errors = estimates[~np.isnan(estimates)]  # infinite where the two resolutions disagree
         accepted = run_of(ds).get("error")
-        facts = {
-            "accepted": accepted,
-            "estimated": int(errors.size),
-            "within": None if accepted is None else int((errors <= accepted).sum()),
-            "median": float(np.median(errors)) if errors.size else None,
-            "largest": float(errors.max()) if errors.size else None,
-        }
+        facts = {"accepted": accepted, "estimated": errors.size, "within": None, "median": None, "largest": None}
+        lines = ["no periodic lanes, so no error estimates"]
+        if accepted is not None:
+            facts["within"] = int((errors <= accepted).sum())
         if errors.size:
+            facts |= {"median": float(np.median(errors)), "largest": float(errors.max())}
             lines = _accuracy_lines(ds, errors, DEFAULT_ACCEPTED_ERROR if accepted is None else accepted)
-        else:
-            lines = ["no periodic lanes, so no error estimates"]
     if "regime" in ds and "check_regime" in ds:
         flips = int((ds["regime"].values != ds["check_regime"].values).sum())
         lines.append(f"{flips} of {ds['regime'].size} regimes differ at the check run's coarser resolution")

@@ -46,7 +46,7 @@ from vibrojax.plot.contents import (
     regimes_in,
     varied,
 )
-from vibrojax.plot.overlays import border_handles, check_borders, draw_corners, draw_over_panel, over_map_text
+from vibrojax.plot.overlays import border_handles, check_borders, draw_codim2, draw_over_panel, over_map_text
 from vibrojax.plot.sheet import MOST_PANELS, Facets, Panel, facets, sheet, write_margins
 from vibrojax.plot.style import INK, NO_VALUE, NOTHING, styled
 
@@ -102,7 +102,7 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
             marks |= _mark_cells(panel, x, y)
             kinds += [kind for layer in over for kind in draw_over_panel(panel.axes, layer, panel.facet, x, y)]
             if kinds:
-                corners = draw_corners(panel.axes, over, x, y)
+                corners = draw_codim2(panel.axes, [layer for layer in over if kind_of(layer) == "curves"], x, y)
     for panel in drawn.panels:  # when all axis limits are known
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vibrojax.analyses.trajectory.motion import Run, Samples, blow_times, read_hole
+from vibrojax.analyses.trajectory.motion import Run, Samples, blow_times, read_run
 from vibrojax.errors import InputError
 from vibrojax.plot.axes import number
 from vibrojax.plot.contents import Contents
@@ -81,7 +81,7 @@ def pulses(ds: xr.Dataset, last: float | None = None) -> Figure:
 
     **Raises:** `InputError` if the dataset holds no trajectory of bit and hole.
     """
-    hole = read_hole(ds)
+    hole = read_run(ds, "x3", "x4")
     first, end = float(hole.time[0]), float(hole.time[-1])
     late = _last_blows(hole) if last is None else max(end - last, first)
     forces = hole.has("applied_force", "rock_force")
@@ -125,7 +125,7 @@ def response(ds: xr.Dataset) -> Figure:
 
     **Raises:** `InputError` if the dataset holds no trajectory under a swept sine, or too few cycles.
     """
-    hole = read_hole(ds)
+    hole = read_run(ds, "x3", "x4")
     if not Contents(ds).swept_sine:
         raise InputError("no response to draw: the force is not a swept sine (pulse_shape, sweep_rate)")
     start, rate = hole.parameters.get("sweep_start", 0.0), hole.parameters["sweep_rate"]

@@ -1,6 +1,6 @@
 """Time series of a run in SI units (bit and striker, bit and hole), and the amplitude spectrum of a run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +8,7 @@ import xarray as xr
 from jaxtyping import Float, Num
 
 from vibrojax.errors import InputError
-from vibrojax.io.attributes import parameters_of
+from vibrojax.io.attributes import flags, parameters_of
 from vibrojax.plot.contents import TIME
 
 _FEWEST_SAMPLES = 16
@@ -55,33 +55,14 @@ class Run:
         return slice(max(int(np.searchsorted(self.time, start)) - 1, 0), int(np.searchsorted(self.time, end)) + 1)
 
 
-def read_motion(ds: xr.Dataset) -> Run:
-    """Return the time series of bit and striker, with the bit's sliding speed `u` and a mask `stuck`.
+def read_run(ds: xr.Dataset, *states: str) -> Run:
+    """Return the time series at the times at which all `states` are finite.
 
-    `u` is the speed relative to the drive if the dataset lacks the drive's speed `v`.
+    Added are the bit's sliding speed `u`, relative to the drive if the dataset lacks the drive's speed `v`; `stuck`;
+    and the speed `v3` of the bit on rock.
 
     **Raises:** `InputError` if a state is missing or samples are too few.
     """
-    run = _read(ds, ("x1", "v1", "x2", "v2"))
-    stuck = run["stuck"] if run.has("stuck") else np.zeros(run.time.size)
-    more = {"u": run["v1"] + run.parameters.get("v", 0.0), "stuck": (stuck == 1).astype(float)}
-    return Run(run.time, {**run.series, **more}, run.impacts, run.parameters)
-
-
-def read_states(ds: xr.Dataset, names: Sequence[str]) -> Run:
-    """Return the time series of the states `names`; raise `InputError` if samples are too few."""
-    return _read(ds, names)
-
-
-def read_hole(ds: xr.Dataset) -> Run:
-    """Return the time series of bit and hole; raise `InputError` if a state is missing or samples are too few."""
-    run = _read(ds, ("x3", "x4"))
-    speed = {} if run.has("v3") else {"v3": np.gradient(run["x3"], run.time)}
-    return Run(run.time, {**run.series, **speed}, run.impacts, run.parameters)
-
-
-def _read(ds: xr.Dataset, states: Sequence[str]) -> Run:
-    """Return the time series at the times at which all `states` are finite."""
     missing = [name for name in states if name not in ds]
     if missing or TIME not in ds.dims:
         raise InputError(f"no trajectory to draw: the dataset lacks {', '.join(missing) or 'dimension time'}")
@@ -91,16 +72,19 @@ def _read(ds: xr.Dataset, states: Sequence[str]) -> Run:
         raise InputError(f"no trajectory to draw: {reason}")
     along = {str(name): data for name, data in ds.data_vars.items() if data.dims == (TIME,)}
     series = {name: np.asarray(data.values, float) for name, data in along.items() if data.dtype.kind in "fiub"}
-    time = np.asarray(ds[TIME].values, float)
-    return Run(time, series, _impact_times(ds, time, series.get("impact_force")), parameters_of(ds))
+    time, parameters = np.asarray(ds[TIME].values, float), parameters_of(ds)
+    series["stuck"] = (series.get("stuck", np.zeros(time.size)) == 1).astype(float)
+    if "v1" in series:
+        series["u"] = series["v1"] + parameters.get("v", 0.0)
+    if "x3" in series and "v3" not in series:
+        series["v3"] = np.gradient(series["x3"], time)
+    return Run(time, series, _impact_times(ds, time, series.get("impact_force")), parameters)
 
 
 def _impact_times(ds: xr.Dataset, time: Samples, force: Samples | None) -> Times:
     """Return the times [s] at which impacts begin: from recorded events, else where the force rises from zero."""
     if "event_time" in ds and "event_kind" in ds:
-        meanings = str(ds["event_kind"].attrs.get("flag_meanings", "stick slip impact release section")).split()
-        flags = np.atleast_1d(ds["event_kind"].attrs.get("flag_values", range(1, 1 + len(meanings)))).tolist()
-        impacts = [flag for flag, meaning in zip(flags, meanings, strict=False) if meaning == "impact"]
+        impacts = [flag for flag, meaning in flags(ds["event_kind"]).items() if meaning == "impact"]
         return np.asarray(ds["event_time"].values, float)[np.isin(ds["event_kind"].values, impacts)]
     if force is None:
         return np.empty(0)
@@ -150,13 +134,13 @@ def peaks(frequencies: Frequencies, amplitudes: Frequencies) -> list[Peak]:
 
     Each frequency is the vertex of the parabola through the logarithms of the three amplitudes at the peak.
     """
-    inner, least = amplitudes[1:-1], _LEAST_PEAK * amplitudes.max()
-    maxima = 1 + np.flatnonzero((inner > amplitudes[:-2]) & (inner >= amplitudes[2:]) & (inner > least))
+    from scipy.signal import find_peaks  # slow to import, and no other picture needs it
+
+    maxima, _ = find_peaks(amplitudes, height=_LEAST_PEAK * amplitudes.max())
     highest: list[Peak] = []
     for index in maxima[separate_peaks(maxima, amplitudes[maxima], _LOBE_BINS)[:_MOST_PEAKS]].tolist():
         below, here, above = np.log(np.maximum(amplitudes[index - 1 : index + 2], 1e-300))
-        bend = below - 2.0 * here + above
-        shift = 0.5 * (below - above) / bend if bend < 0 else 0.0
+        shift = 0.5 * (below - above) / (below - 2.0 * here + above)
         frequency = float(frequencies[index] + shift * (frequencies[1] - frequencies[0]))
         highest.append((frequency, float(amplitudes[index])))
     return highest

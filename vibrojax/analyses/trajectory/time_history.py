@@ -18,9 +18,7 @@ from vibrojax.analyses.trajectory.motion import (
     amplitude_spectrum,
     last_impact,
     peaks,
-    read_hole,
-    read_motion,
-    read_states,
+    read_run,
     separate_peaks,
 )
 from vibrojax.errors import InputError
@@ -50,8 +48,8 @@ def trajectory(ds: xr.Dataset) -> Figure:
 
     **Raises:** `InputError` if the dataset holds no trajectory.
     """
-    motion = read_motion(ds)
-    hole = read_hole(ds) if Contents(ds).hole else None
+    motion = read_run(ds, "x1", "v1", "x2", "v2")
+    hole = read_run(ds, "x3", "x4") if Contents(ds).hole else None
     start, end = max(float(motion.time[-1]) - _WINDOW, float(motion.time[0])), float(motion.time[-1])
     overview = float(np.ptp(motion.time)) > _OVERVIEW_FROM * _WINDOW
     forces = motion.has("impact_force", "friction_force")
@@ -219,7 +217,7 @@ def states_over_time(ds: xr.Dataset) -> Figure:
     names = [name for name in along if not name.endswith("_force")][:_MOST_STATES]
     if not names:
         raise InputError("no trajectory to draw: the dataset has no state along time")
-    motion, end = read_states(ds, names), float(ds[TIME].values[-1])
+    motion, end = read_run(ds, *names), float(ds[TIME].values[-1])
     length, part = _observed(ds, end)
     start = end - length
     late, impacts = motion.since(start), motion.impacts[motion.impacts >= start]
