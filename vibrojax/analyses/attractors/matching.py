@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.analyses.attractors.grouping import SIMILAR_FACTOR, PointMotion, PointMotions, is_on_orbit
 from vibrojax.measures.labels import EQUILIBRIUM
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.newton import ACCEPTED, orbits
+from vibrojax.periodic.newton import ACCEPTED, orbits, spectral_radius
 from vibrojax.periodic.return_map import Segments
 
 MATCHING_FIRST_STEP, MATCHING_MIN_STEP = 1 / 4, 1 / 256
@@ -117,7 +117,7 @@ def _continue_orbits(
         with np.errstate(all="ignore"):
             orbit = orbits(predicted, scales[active], np.full(len(active), PREDICTION_WITHIN), return_map.of(values))
             good = (orbit.residual <= ACCEPTED) & (orbit.moved <= PREDICTION_WITHIN)
-        good[good] = np.abs(np.linalg.eigvals(orbit.product[good])).max(axis=1) < 1
+            good &= spectral_radius(orbit.product) < 1
         accepted, rejected = active[good], active[~good]
         slope[accepted] = (orbit.states[good] - states[accepted]) / advance[good, None, None]
         states[accepted], done[accepted] = orbit.states[good], share[good]
