@@ -1,6 +1,8 @@
 """Chains of located vertices around a region of grid points."""
 
 from collections.abc import Callable
+from functools import cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -36,17 +38,14 @@ def around_region(
 
     A closed chain repeats its first vertex at the end. Two parts of the region that meet at a saddle remain separate.
     """
-    contours = contour_generator(
-        z=inside.T.astype(float), line_type=LineType.Separate, fill_type=FillType.OuterOffset
-    )  # over the indices of the grid: the contour crosses edges in the middle
-    vertices: dict[_Crossing, Vertex] = {}
+    # Over the indices of the grid, contours cross each edge in its middle.
+    contours = contour_generator(z=inside.T + 0.0, line_type=LineType.Separate, fill_type=FillType.OuterOffset)
 
+    @cache
     def vertex(crossing: _Crossing) -> Vertex:
-        if crossing not in vertices:
-            axis, i, j = crossing
-            here, there = (i, j), (i + 1, j) if axis == 0 else (i, j + 1)
-            vertices[crossing] = ends(here, there) if inside[here] else ends(there, here)
-        return vertices[crossing]
+        axis, i, j = crossing
+        here, there = (i, j), (i + 1, j) if axis == 0 else (i, j + 1)
+        return ends(here, there) if inside[here] else ends(there, here)
 
     chains = sorted((_in_order(line) for line in contours.lines(0.5)), key=lambda chain: (chain[0] == chain[-1], chain))
     area = 0.0
@@ -55,7 +54,7 @@ def around_region(
             (float(x[int(i)]), float(y[int(j)])) if i % 1 == 0 == j % 1 else vertex(_crossing(i, j))[:2]
             for i, j in points.tolist()
         ]
-        for first, last in zip(offsets[:-1], offsets[1:], strict=True):  # holes are passed in the other direction
+        for first, last in pairwise(offsets.tolist()):  # holes are passed in the other direction
             px, py = np.array(corners[first:last]).T
             area += float(np.dot(px[:-1], py[1:]) - np.dot(py[:-1], px[1:])) / 2
     whole = (x[-1] - x[0]) * (y[-1] - y[0])

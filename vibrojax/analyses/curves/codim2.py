@@ -133,31 +133,27 @@ class CodimensionTwo(Locator):
     """Location of the points of codimension two of curves."""
 
     max_event_changes = MAX_CURVE_EVENT_CHANGES
-
-    def __init__(self, problem: CurveProblem) -> None:
-        super().__init__(problem)
-        self._curve_problem = problem
+    problem: CurveProblem
 
     def tests(self, family: Index) -> Iterator[tuple[int, Flags, Test]]:
         """Yield flag, mask of the lanes on curves of one kind, and test function of each kind of point."""
-        kinds = self._curve_problem.kinds[family]
+        kinds = self.problem.kinds[family]
         for kind in np.unique(kinds):
-            for name, test in tests_of(str(kind), self._curve_problem.flip_coefficient).items():
+            for name, test in tests_of(str(kind), self.problem.flip_coefficient).items():
                 yield CODIM2_NAMES.index(name), kinds == kind, test
 
     def accepted(self, brackets: Brackets, shrunk: Brackets, test: TestFunction, lanes: Index) -> Brackets:
         """Return the points among the `lanes` of shrunk brackets in which the test function does not jump."""
-        (before, behind), ends = (
-            [np.abs(test(lanes, end.of(lanes))) for end in (x.near, x.far)] for x in (brackets, shrunk)
-        )
-        return shrunk.of(lanes[np.minimum(*ends) < JUMP * np.maximum(before, behind)])
+        before = np.maximum(*(np.abs(test(lanes, end.of(lanes))) for end in (brackets.near, brackets.far)))
+        least = np.minimum(*(np.abs(test(lanes, end.of(lanes))) for end in (shrunk.near, shrunk.far)))
+        return shrunk.of(lanes[least < JUMP * before])
 
     def classified(self, changes: Brackets) -> Brackets:
         """Return located changes of other events, each with its names."""
         parts = [changes.of(slice(0))]
         for k in np.flatnonzero(np.minimum(changes.near.margin, changes.far.margin) < TOUCHES).tolist():
             change = changes.of([k])
-            parts += [change.as_kind(CODIM2_NAMES.index(x)) for x in event_names(self._curve_problem, change)]
+            parts += [change.as_kind(CODIM2_NAMES.index(x)) for x in event_names(self.problem, change)]
         return Brackets.join(parts)
 
 

@@ -114,10 +114,11 @@ class _CurveTracing(Tracing):
     """Continuation of the curves of one problem, which gets marks and notes."""
 
     longest = LONGEST_STEP
+    _problem: CurveProblem
 
     def __init__(self, problem: CurveProblem, curves: list[Curve]) -> None:
         super().__init__(problem, CodimensionTwo(problem))
-        self._curve_problem, self._curves = problem, curves
+        self._curves = curves
 
     def stop(self, segments: list[Segment]) -> Stop:
         """Return the condition that a curve leaves its range, or does not advance."""
@@ -130,7 +131,7 @@ class _CurveTracing(Tracing):
             close[lanes] += 1
             away = np.abs(now.u[:, -2:] - place[lanes]).max(axis=1) > CLOSE
             place[lanes[away]], close[lanes[away]] = now.u[away, -2:], 0
-            return (beyond_bounds(self._curve_problem, now) != "") | (close[lanes] >= MOST_CLOSE)
+            return (beyond_bounds(self._problem, now) != "") | (close[lanes] >= MOST_CLOSE)
 
         return stop
 
@@ -139,7 +140,7 @@ class _CurveTracing(Tracing):
         stalled = []
         for segment in segments:
             segment.home = None
-            _cut(self._curve_problem, segment)
+            _cut(self._problem, segment)
             self._curves[segment.family].marks += segment.marks
             if segment.status == STALLED and segment.number + 1 < MAX_SEGMENTS:
                 stalled.append(segment)
@@ -147,7 +148,7 @@ class _CurveTracing(Tracing):
 
     def _behind_corners(self, stalled: list[Segment]) -> list[Segment]:
         """Return the segments behind the corners at which segments have stalled, and mark the corners."""
-        problem = self._curve_problem
+        problem = self._problem
         turned, corners = turn_corner(problem, [segment.points for segment in stalled])
         following = []
         for k, segment in enumerate(stalled):
