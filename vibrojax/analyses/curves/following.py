@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.analyses.continuation.arclength import CLOSED, ENDED, STALLED, STOPPED, Stop
+from vibrojax.analyses.continuation.brackets import interpolate
 from vibrojax.analyses.continuation.location import GRAZED_MARGIN
 from vibrojax.analyses.continuation.problem import Flags, Index, Points, Unknowns, towards
 from vibrojax.analyses.continuation.segments import ENDINGS, Mark, Segment, Tracing
@@ -253,9 +254,7 @@ def crossings(problem: CurveProblem, points: Points, which: int, value: float) -
 def between(points: Points, places: Index, share: Float[np.ndarray, " lanes"]) -> Unknowns:
     """Return the unknowns between neighbouring points of a curve, by cubic interpolation."""
     near, far = points.u[places], points.u[places + 1]
-    length, s = np.linalg.norm(far - near, axis=1)[:, None], share[:, None]
     first, last = points.tangent[places], points.tangent[places + 1]
     # Tangents point along the direction in which a part was continued.
-    way = np.sign(np.einsum("ij,ij->i", first, far - near))[:, None]
-    first_bend, last_bend = way * length * first - far + near, way * length * last - far + near
-    return near + s * (far - near) + s * (1 - s) * ((1 - s) * first_bend - s * last_bend)
+    way = np.sign(np.einsum("ij,ij->i", first, far - near)) * np.linalg.norm(far - near, axis=1)
+    return interpolate(near, far, way[:, None] * first, way[:, None] * last, share)
