@@ -138,27 +138,17 @@ def number_attractors(
     **Arguments:** `cells`, `lanes`: grid point and number of lanes of each motion; `order`: sort key of each motion.
     The least key of an attractor breaks ties between attractors with equally many lanes.
     """
-    parent = list(range(len(cells)))
-    points = [{cell} for cell in cells]
+    from scipy.cluster.hierarchy import DisjointSet  # slow to import
 
-    def root(motion: int) -> int:
-        while parent[motion] != motion:
-            parent[motion] = parent[parent[motion]]
-            motion = parent[motion]
-        return motion
-
+    groups, points = DisjointSet(range(len(cells))), [{cell} for cell in cells]
     for pair in sorted(links, key=lambda pair: (links[pair], sorted(order[motion] for motion in pair))):
-        first, second = map(root, pair)
-        if first != second and points[first].isdisjoint(points[second]):
-            if len(points[first]) < len(points[second]):
-                first, second = second, first
-            parent[second] = first
-            points[first] |= points[second]
-    members: dict[int, list[int]] = {}
-    for motion in range(len(cells)):
-        members.setdefault(root(motion), []).append(motion)
+        small, large = sorted((groups[motion] for motion in pair), key=lambda root: len(points[root]))
+        if points[small].isdisjoint(points[large]):
+            points[large] |= points[small]
+            groups.merge(small, large)
+            points[groups[large]] = points[large]
+    ranked = sorted(groups.subsets(), key=lambda own: (-sum(lanes[m] for m in own), min(order[m] for m in own)))
     number = np.zeros(len(cells), int)
-    ranked = sorted(members.values(), key=lambda own: (-sum(lanes[m] for m in own), min(order[m] for m in own)))
     for place, own in enumerate(ranked):
-        number[own] = place
+        number[list(own)] = place
     return number

@@ -3,11 +3,11 @@
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import pairwise
 from os import PathLike
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from jaxtyping import Float, Int
 
@@ -205,26 +205,22 @@ def _columns(
     They are regime, cycles, medians of `MEASURED` over the lanes, and one point of the orbit on the section.
     """
     shape = dataset["regime"].size // dataset.sizes["start"], int(number.max(initial=-1)) + 1
-    measured = {name: dataset[name].values.ravel().astype(float) for name in MEASURED if name in dataset}
-    states = list(of_orbits(sweep.system))
+    lanes = pd.DataFrame({name: dataset[name].values.ravel().astype(float) for name in MEASURED if name in dataset})
+    cells = np.array([motion.cell for motion in motions.items], int), number
+    repeats = np.array([motion.cycles for motion in motions.items] + [0])[motions.of_lane]
+    if "impacts" in lanes:  # a lane may show a longer period than its orbit has
+        of_orbit = lanes["impacts"] * repeats / dataset["cycles"].values.ravel()
+        lanes["impacts"] = lanes["impacts"].where(repeats == 0, of_orbit)
+    medians = lanes.where(np.isfinite(lanes)).groupby(motions.of_lane).median().reindex(range(len(number)))
     columns = {name: np.zeros(shape) for name in ("regime", "cycles")}
-    columns |= {name: np.full(shape, np.nan) for name in (*measured, *states)}
-    cycles = dataset["cycles"].values.ravel()
-    order = np.argsort(motions.of_lane, kind="stable")
-    ends = np.searchsorted(motions.of_lane[order], np.arange(len(number) + 1)).tolist()
-    for motion, k, (first, end) in zip(motions.items, number.tolist(), pairwise(ends), strict=True):
-        lanes, cell = order[first:end], (motion.cell, k)
-        columns["regime"][cell], columns["cycles"][cell] = motion.regime, motion.cycles
-        for name, column in measured.items():
-            x = column[lanes]
-            if name == "impacts" and motion.cycles:  # a lane may show a longer period than its orbit has
-                x = x * motion.cycles / cycles[lanes]
-            x = x[np.isfinite(x)]
-            if len(x):
-                columns[name][cell] = np.median(x)
+    columns |= {name: np.full(shape, np.nan) for name in (*lanes, *of_orbits(sweep.system))}
+    for name in lanes:
+        columns[name][cells] = medians[name]
+    for motion, *cell in zip(motions.items, *cells, strict=True):
+        columns["regime"][*cell], columns["cycles"][*cell] = motion.regime, motion.cycles
         if motion.states is not None:
-            for name, state in zip(states, motion.states[0], strict=True):
-                columns[name][cell] = state
+            for name, state in zip(of_orbits(sweep.system), motion.states[0], strict=True):
+                columns[name][*cell] = state
     if "blow_frequency" in dataset:
         columns["blow_frequency"] = blow_frequency(columns["impacts"], columns["cycles"], columns["period"])
     return columns
