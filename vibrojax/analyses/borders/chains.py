@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from contourpy import FillType, LineType, contour_generator
@@ -47,7 +47,8 @@ def around_region(
         here, there = (i, j), (i + 1, j) if axis == 0 else (i, j + 1)
         return ends(here, there) if inside[here] else ends(there, here)
 
-    chains = sorted((_in_order(line) for line in contours.lines(0.5)), key=lambda chain: (chain[0] == chain[-1], chain))
+    lines: Any = contours.lines(0.5)  # a list of arrays with this type of lines
+    chains = sorted((_in_order(line) for line in lines), key=lambda chain: (chain[0] == chain[-1], chain))
     area = 0.0
     for points, offsets in zip(*contours.filled(0.5, 1.5), strict=True):
         corners = [

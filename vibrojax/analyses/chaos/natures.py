@@ -13,7 +13,6 @@ from vibrojax.analyses.chaos.growth import (
     LONGEST_REPEAT,
     TANGENT_ACCURACY,
     Growth,
-    PerLane,
     PerState,
     exponents,
     exponents_of_repeats,
@@ -29,7 +28,7 @@ from vibrojax.periodic.lane_orbits import last_returns, reason
 from vibrojax.periodic.nearby import MOST_STEPS, REACH
 from vibrojax.periodic.newton import ACCEPTED, orbits, repeats_after, spectral_radius
 from vibrojax.periodic.return_map import STEPS, Segments
-from vibrojax.sweep.engine.batch import Features, Index
+from vibrojax.sweep.engine.batch import Features, Index, PerLane
 from vibrojax.sweep.engine.labelled import regimes
 from vibrojax.sweep.input.definition import Sweep
 

@@ -1,6 +1,7 @@
 """Curves that begin at points of codimension two on other curves, and curves that were continued twice."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -178,10 +179,11 @@ def _extended(problem: CurveProblem, curve: Curve, mark: Mark, kind: str) -> Cur
     def again(x: np.ndarray) -> np.ndarray:
         return np.concatenate([x, x[[k]]])
 
+    arrays: dict[str, Any] = {name: again(getattr(problem, name)) for name in ("scales", "unit", "first", "last")}
     return replace(
         problem,
         parameters={name: again(x) for name, x in problem.parameters.items()},
-        **{name: again(getattr(problem, name)) for name in ("scales", "unit", "first", "last")},
+        **arrays,
         kinds=np.append(problem.kinds, kind),
         chosen=np.concatenate([problem.chosen, chosen[None]]),
     )

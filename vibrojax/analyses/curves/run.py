@@ -116,7 +116,7 @@ def problem_through(
         size = MIN_RELATIVE_SWING * np.maximum(traced.greatest, -traced.least)
         swing = np.maximum((traced.greatest - traced.least) / 2, size).T
         scales[moving], most_steps = np.where(swing > 0, swing, 1.0), STEP_ALLOWANCE * traced.steps
-        for k, whole in zip(moving, traced.states, strict=True):
+        for k, whole in zip(moving.tolist(), traced.states, strict=True):
             states[k] = whole
     none = np.zeros((count, len(conditions_of(scene))))
     problem = CurveProblem(
