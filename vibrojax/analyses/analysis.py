@@ -14,7 +14,7 @@ import xarray as xr
 
 from vibrojax.errors import InputError, printable, shown
 from vibrojax.io.kinds import KIND, check_structure, dataset_attributes, kind_of
-from vibrojax.io.variables import Variable
+from vibrojax.io.variables import Variable, described
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -159,17 +159,8 @@ class Analysis:
         dataset attributes, among them `title`.
         """
         title = str(attributes.pop("title", self.kind))
-
-        def described(table: Mapping[Any, Any]) -> dict[Any, Any]:
-            return {
-                name: (*given, self.variables[name].attributes())
-                if name in self.variables and isinstance(given, tuple) and len(given) == 2
-                else given
-                for name, given in table.items()
-            }
-
         attrs = dataset_attributes(self.kind, title, self.kind, **attributes)
-        return xr.Dataset(described(variables), described(coords), attrs)
+        return xr.Dataset(described(variables, self.variables), described(coords, self.variables), attrs)
 
 
 GROUP = "vibrojax.analyses"

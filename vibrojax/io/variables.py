@@ -34,13 +34,29 @@ class Variable:
     notes: Mapping[str, str | float] = field(default_factory=dict, hash=False)
 
     def attributes(self) -> dict[str, Any]:
-        """Return the CF attributes of the variable, by name."""
+        """Return the CF attributes of the variable, by name; a text has no units."""
         attributes: dict[str, Any] = {"units": self.units, "long_name": self.long_name, **self.notes}
+        if self.dtype is np.str_:
+            del attributes["units"]
         if self.flags:
             attributes["flag_values"] = self.first_flag + np.arange(len(self.flags), dtype=np.int8)
             # CF 1.11, section 3.5: apart from letters and digits, a flag's meaning may contain only - _ . + @.
             attributes["flag_meanings"] = " ".join(flag.replace("/", "-over-") for flag in self.flags)
         return attributes
+
+
+def described(table: Mapping[Any, Any], schema: Mapping[str, Variable]) -> dict[Any, Any]:
+    """Return variables with the data types and attributes in `schema`.
+
+    **Arguments:** `table`: (dimensions, values) by name; entries of another form are not changed.
+    """
+
+    def entry(name: Any, given: Any) -> Any:
+        if name not in schema or not isinstance(given, tuple) or len(given) != 2:
+            return given
+        return given[0], np.asarray(given[1], schema[name].dtype), schema[name].attributes()
+
+    return {name: entry(name, given) for name, given in table.items()}
 
 
 OWN_REGIMES = "regime of the motion"

@@ -7,12 +7,13 @@ position, and for its velocity half that range times 2 pi/period.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.repeats import SETTLED_WITHIN
 from vibrojax.measures.section import Settling
-from vibrojax.periodic.newton import PeriodicOrbits, States
+from vibrojax.periodic.newton import PeriodicOrbits, PerLane, States
+from vibrojax.sweep.engine.batch import Index
 
 NEAR_ORBIT = SETTLED_WITHIN / 2
 """Scaled distance within which the last section crossings must repeat."""
@@ -41,8 +42,6 @@ multipliers."""
 CHECKED_REPEATS = 8
 """Number of predicted periods whose successive differences must stay within the tolerance of labels."""
 
-Index = Int[np.ndarray, " some"]
-PerLane = Float[np.ndarray, " lanes"]
 Away = Float[np.ndarray, "returns states lanes"]
 
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from copy import copy
 from typing import NamedTuple
 
+import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool
@@ -108,17 +109,11 @@ class OnOrbits(NamedTuple):
 
     def of(self, subset: Index) -> "OnOrbits":
         """Return a subset, by index."""
-        features = {name: x[subset] for name, x in self.features.items()}
-        return OnOrbits(self.lanes[subset], self.orbits.of(subset), features)
+        return OnOrbits(*jax.tree.map(lambda x: x[subset], tuple(self)))
 
     def joined(self, other: "OnOrbits") -> "OnOrbits":
         """Return these orbits and the others, which have the same number of section crossings per period."""
-        pairs = zip(self.orbits, other.orbits, strict=True)
-        return OnOrbits(
-            np.concatenate([self.lanes, other.lanes]),
-            PeriodicOrbits(*map(np.concatenate, pairs)),
-            {name: np.concatenate([x, other.features[name]]) for name, x in self.features.items()},
-        )
+        return OnOrbits(*jax.tree.map(lambda *x: np.concatenate(x), tuple(self), tuple(other)))
 
 
 class EarlyEnds:

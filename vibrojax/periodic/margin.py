@@ -33,7 +33,7 @@ from vibrojax.models.scenes.scene import ROUNDINGS, Scene
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, Step
 from vibrojax.stepping.polynomial import Coefficients, slope, value
 from vibrojax.stepping.series import known
-from vibrojax.sweep.engine.batch import Batch, Engine, Features, Index
+from vibrojax.sweep.engine.batch import Batch, Engine, Features, Index, PerLane
 from vibrojax.sweep.engine.programs import Given
 from vibrojax.sweep.input.definition import Sweep
 
@@ -187,8 +187,6 @@ ORBIT_ACCURACY = Accuracy(tolerance=1e-10, stride=LOCATED_STRIDE, step=np.inf)
 
 DRIVEN_RETURNS = 4
 """Section crossings after which a driven part has settled on the motion that the orbit imposes."""
-
-PerLane = Float[np.ndarray, " lanes"]
 
 
 class Begun(NamedTuple):

@@ -7,16 +7,16 @@ a simulation confirms its number of impacts.
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from vibrojax.measures import RETURNS_FOR_DRIFT
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.lane_orbits import last_returns
 from vibrojax.periodic.margin import GRAZING, Measuring, begun
-from vibrojax.periodic.newton import ACCEPTED, PeriodicOrbits, orbits, repeats_after
+from vibrojax.periodic.newton import ACCEPTED, PeriodicOrbits, orbits, repeats_after, spectral_radius
 from vibrojax.periodic.return_map import STEPS, Segments
-from vibrojax.sweep.engine.batch import Features, Index
+from vibrojax.sweep.engine.batch import Features, Index, PerLane
 from vibrojax.sweep.input.definition import Sweep
 
 REACH = 0.5
@@ -37,8 +37,6 @@ return to the section."""
 
 NEARBY_TOLERANCE = 1e-9
 """Tolerance of the step-size control in the return map."""
-
-PerLane = Float[np.ndarray, " lanes"]
 
 
 class Nearby:
@@ -102,8 +100,7 @@ class Nearby:
         """Return the indices of the orbits that are stable, near their lane, and confirmed by a simulation."""
         cycles = orbit.states.shape[1]
         right = (orbit.residual <= ACCEPTED) & (orbit.margin >= GRAZING) & (distance < REACH)
-        right &= repeats_after(orbit) == cycles
-        right[right] = np.max(np.abs(np.linalg.eigvals(orbit.product[right])), axis=1) < 1
+        right &= (repeats_after(orbit) == cycles) & (spectral_radius(orbit.product) < 1)
         sure = np.flatnonzero(right)
         if not len(sure):
             return sure

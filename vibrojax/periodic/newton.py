@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Complex, Float, Inexact, Int
 
 from vibrojax.periodic.return_map import Mapped, ReturnMap
 
@@ -160,6 +160,23 @@ def multipliers(product: Float[np.ndarray, "lanes states states"]) -> Complex[np
     return np.take_along_axis(values, np.argsort(-np.abs(values), axis=1, kind="stable"), axis=1)
 
 
+def spectral_radius(product: Float[np.ndarray, "lanes states states"]) -> PerLane:
+    """Return the greatest modulus of each lane's multipliers; NaN where the derivative is not finite."""
+    return np.abs(multipliers(product)[:, 0])
+
+
+def solve(
+    matrix: Inexact[np.ndarray, "lanes n n"], right: Inexact[np.ndarray, "lanes n columns"]
+) -> Inexact[np.ndarray, "lanes n columns"]:
+    """Solve matrix x = `right` in each lane; x is NaN where the matrix is singular, for example at a fold."""
+    sound = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=(1, 2))
+    matrix = np.where(sound[:, None, None], matrix, np.eye(matrix.shape[1]))
+    # For a single singular matrix, NumPy would raise for the whole batch.
+    sound &= np.linalg.slogdet(matrix)[0] != 0
+    matrix = np.where(sound[:, None, None], matrix, np.eye(matrix.shape[1]))
+    return np.where(sound[:, None, None], np.linalg.solve(matrix, right), np.nan)
+
+
 def images_by_lane(mapped: Mapped, lanes: int, cycles: int) -> Any:
     """Return a copy of `mapped` with arrays of shape (lanes, cycles, ...) instead of (..., segments)."""
     return jax.tree.map(lambda x: np.moveaxis(np.array(x), -1, 0).reshape(lanes, cycles, *np.shape(x)[:-1]), mapped)
@@ -200,12 +217,5 @@ def _newton_step(states: States, images: Any, scales: np.ndarray) -> States:
     lanes, cycles, rows = states.shape
     jacobian = images.jacobian * scales[:, None, None, :] / scales[:, None, :, None]
     off = (np.roll(states, -1, axis=1) - images.state) / scales[:, None]
-    matrix = shooting_matrix(jacobian)
-    right = off.reshape(lanes, cycles * rows, 1)
-    sound = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=(1, 2))
-    matrix = np.where(sound[:, None, None], matrix, np.eye(cycles * rows))
-    # The matrix is singular exactly at a fold. NumPy would then raise for the whole batch.
-    singular = np.linalg.slogdet(matrix)[0] == 0
-    step = np.linalg.solve(np.where(singular[:, None, None], np.eye(cycles * rows), matrix), right)
-    step[singular] = np.nan
+    step = solve(shooting_matrix(jacobian), off.reshape(lanes, cycles * rows, 1))
     return step.reshape(states.shape) * scales[:, None]

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from vibrojax.compile.xla import precision, workers
 from vibrojax.io.variables import VARIABLES
@@ -75,9 +75,7 @@ class OrbitFeatures(NamedTuple):
     - `values`, `derivatives`: of the features `of`, and with respect to the parameters `by`; NaN where unknown.
     - `reason`: why value or derivative do not hold, a flag of `DERIVATIVE_REASONS`; 0 where they hold.
     - `states`, `state_derivatives`: states at the section crossings, and their derivatives.
-    - `times` [s]: time from each state to the next; `multipliers`: by decreasing modulus.
-    - `margin`: grazing margin; `impacts`: number of impacts in a period.
-    - `residual`, `moved`: see [vibrojax.periodic.newton.PeriodicOrbits][].
+    - `impacts`: number of impacts in a period; `moved`: see [vibrojax.periodic.newton.PeriodicOrbits][].
     """
 
     values: Float[np.ndarray, "lanes of"]
@@ -85,11 +83,7 @@ class OrbitFeatures(NamedTuple):
     reason: Int[np.ndarray, "lanes of"]
     states: Float[np.ndarray, "lanes cycles states"]
     state_derivatives: Float[np.ndarray, "lanes cycles states by"]
-    times: Float[np.ndarray, "lanes cycles"]
-    multipliers: Complex[np.ndarray, "lanes states"]
-    margin: PerLane
     impacts: PerLane
-    residual: PerLane
     moved: PerLane
 
     @property
@@ -125,23 +119,18 @@ def orbit_features(
     of the driving part's return map; `reach`: distance from the guess, in half swings, beyond which an orbit is not
     accepted.
     """
-    with np.errstate(all="ignore"):
-        orbit = _solved(scene, parameters, guess, reach)
-        return derived(scene, of, by, parameters, orbit)
-
-
-def _solved(scene: Scene[Any], parameters: Mapping[str, PerLane], guess: np.ndarray, reach: float) -> PeriodicOrbits:
-    """Return the orbits near `guess`."""
     driving = scene.driving_part()
-    go = Segments(driving).of({name: parameters[name] for name in driving.parameters()})
     lanes, _, rows = guess.shape
-    orbit = orbits(guess, np.full((lanes, rows), np.nan), np.full(lanes, reach), go)
-    # One more Newton step leaves nothing but rounding errors. Exact states, such as rest, are left alone.
-    converged = (orbit.residual <= ACCEPTED) & (orbit.residual > EXACT) & np.isfinite(orbit.step).all(axis=(1, 2))
-    return orbit._replace(states=orbit.states + np.where(converged[:, None, None], orbit.step, 0.0))
+    with np.errstate(all="ignore"):
+        go = Segments(driving).of({name: parameters[name] for name in driving.parameters()})
+        orbit = orbits(guess, np.full((lanes, rows), np.nan), np.full(lanes, reach), go)
+        # One more Newton step leaves nothing but rounding errors. Exact states, such as rest, are left alone.
+        converged = (orbit.residual <= ACCEPTED) & (orbit.residual > EXACT) & np.isfinite(orbit.step).all(axis=(1, 2))
+        orbit = orbit._replace(states=orbit.states + np.where(converged[:, None, None], orbit.step, 0.0))
+        return _differentiated(scene, of, by, parameters, orbit)
 
 
-def derived(
+def _differentiated(
     scene: Scene[Any], of: Sequence[str], by: Sequence[str], parameters: Mapping[str, PerLane], orbit: PeriodicOrbits
 ) -> OrbitFeatures:
     """Return features and derivatives of orbits that Newton's method has computed; see `orbit_features`."""
@@ -154,11 +143,7 @@ def derived(
         reason=np.full((lanes, len(of)), DERIVATIVE_REASONS.index("no-orbit")),
         states=orbit.states.copy(),
         state_derivatives=np.full((*orbit.states.shape, len(by)), np.nan),
-        times=orbit.times.copy(),
-        multipliers=np.full((lanes, rows), np.nan, complex),
-        margin=orbit.margin.copy(),
         impacts=orbit.impacts.copy(),
-        residual=orbit.residual,
         moved=orbit.moved,
     )
     if not len(found):
@@ -205,8 +190,7 @@ def derived(
         result.values[found, place] = np.where(whole, value, np.nan)
         result.derivatives[found, place] = np.where((whole & ~neutral)[:, None], slope, np.nan)[:, :count]
     result.state_derivatives[found] = varied.d_states[..., :count]
-    result.times[found], result.multipliers[found] = varied.times, values
-    result.margin[found], result.impacts[found] = least.min(axis=1), varied.impacts
+    result.impacts[found] = varied.impacts
     return result
 
 

@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float, Inexact
+from jaxtyping import Float
 
 from vibrojax.compile.xla import workers
 from vibrojax.models.arrays import Array, Lanes
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.newton import PeriodicOrbits, PerLane, shooting_matrix
+from vibrojax.periodic.newton import PeriodicOrbits, PerLane, shooting_matrix, solve
 from vibrojax.periodic.return_map import MOST_STEPS, at_section, in_calls, one_return
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
 from vibrojax.sweep.engine.compiler import lane_function
@@ -85,7 +85,7 @@ class Variations(NamedTuple):
         scale = orbit.scales
         scaled = jacobian * scale[:, None, None, :] / scale[:, None, :, None]
         right = -np.swapaxes(by_image[:, :, rows:], 2, 3) / scale[:, None, :, None]
-        d_states = _solve(shooting_matrix(scaled), right.reshape(lanes, cycles * rows, len(by)))
+        d_states = solve(shooting_matrix(scaled), right.reshape(lanes, cycles * rows, len(by)))
         d_states = d_states.reshape(lanes, cycles, rows, len(by)) * scale[:, None, :, None]
 
         def total(slope: np.ndarray) -> np.ndarray:
@@ -115,16 +115,6 @@ class Variations(NamedTuple):
         return slope
 
 
-def _solve(matrix: Inexact[np.ndarray, "lanes n n"], right: Inexact[np.ndarray, "lanes n by"]) -> np.ndarray:
-    """Solve matrix x = `right` in each lane; x is NaN if the matrix is singular."""
-    sound = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=(1, 2))
-    eye = np.eye(matrix.shape[1])
-    matrix = np.where(sound[:, None, None], matrix, eye)
-    sound &= np.linalg.slogdet(matrix)[0] != 0
-    matrix = np.where(sound[:, None, None], matrix, eye)
-    return np.where(sound[:, None, None], np.linalg.solve(matrix, right), np.nan)
-
-
 def eigenvalues(
     product: Float[np.ndarray, "lanes n n"], slope: Float[np.ndarray, "lanes n n by"], scales: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -138,7 +128,7 @@ def eigenvalues(
     values = np.take_along_axis(values, order, axis=1)
     vectors = np.take_along_axis(vectors, order[:, None, :], axis=2)
     eye = np.eye(product.shape[1]).astype(complex)
-    inverse = _solve(vectors, np.broadcast_to(eye, vectors.shape))
+    inverse = solve(vectors, np.broadcast_to(eye, vectors.shape))
     slopes = np.einsum("lia,labj,lbi->lij", inverse, slope, vectors)
     moduli = np.abs(values)
     small = EQUAL_MODULI * moduli[:, :1, None]

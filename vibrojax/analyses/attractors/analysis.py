@@ -12,15 +12,14 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from vibrojax.analyses.analysis import PictureRule, Source, SummaryPart
-from vibrojax.analyses.attractors.run import attractors_of, sweep_of
+from vibrojax.analyses.attractors.run import attractors_of, drive_speed, strong_share, sweep_of
 from vibrojax.analyses.orbits.analysis import SweepAnalysis
 from vibrojax.analyses.sweep.maps import draw_cells, outline_region, region_handle, write_labels
 from vibrojax.errors import counted
-from vibrojax.io.attributes import flags, parameters_of
+from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import OF_ATTRACTORS
 from vibrojax.plot.axes import edges, label, scale, shape_axis, share_text, unclip_markers, values_along, with_unit
 from vibrojax.plot.colours import (
-    SINGLE,
     Values,
     hatch_gaps,
     no_value_handle,
@@ -206,9 +205,6 @@ def _handles(ds: xr.Dataset) -> list[Artist]:
     return handles
 
 
-# Over two axes.
-
-
 @styled
 def share_map(ds: xr.Dataset) -> Figure:
     """Draw the fraction of initial conditions that end in the strong single impact, over two axes.
@@ -245,28 +241,9 @@ def share_map(ds: xr.Dataset) -> Figure:
     handles = regime_handles([facet[_FROM + name] for facet in panels.data for name in names]) if names else []
     drawn.finish(handles + region_handle(drawn.panels[0].axes))
     strong = "Strong: the striker hits faster than the drive moves"
-    about = "Of single impacts, strong or weak" if _drive_speed(ds) is None else strong
+    about = "Of single impacts, strong or weak" if drive_speed(ds) is None else strong
     write_margins(drawn.figure, ds, panels.note, f"{ds.sizes[START]} starts at each point", about)
     return drawn.figure
-
-
-def strong_share(ds: xr.Dataset) -> xr.DataArray:
-    """Return the percentage of initial conditions that end in a stable single impact faster than the drive.
-
-    In scenes without a drive, all single impacts count.
-    """
-    strong = ds[REGIME] == SINGLE
-    speed = _drive_speed(ds)
-    if speed is not None:
-        strong = strong & (ds[_VELOCITY] > speed)
-    return (100.0 * ds["share"]).where(strong, 0.0).sum("attractor").assign_attrs(units="%")
-
-
-def _drive_speed(ds: xr.Dataset) -> xr.DataArray | float | None:
-    """Return the drive's speed [m/s]; None if there are no impacts or no drive."""
-    if _VELOCITY not in ds:
-        return None
-    return ds["v"] if "v" in ds.coords else parameters_of(ds).get("v")
 
 
 @dataclass(frozen=True)

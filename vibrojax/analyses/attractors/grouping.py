@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.io.variables import NATURES, orbit_name
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, UNDECIDED
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.lane_orbits import known_orbits
+from vibrojax.periodic.known_orbits import known_orbits
+from vibrojax.sweep.engine.batch import Index
 
 SAME_ORBIT_WITHIN = 1e-4
 """Scaled distance below which two orbits of a point are the same; Newton's method finds orbits to 1e-10."""
@@ -40,7 +41,6 @@ STATISTICS = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
 
 _FAR_APART = 1e3  # exceeds the difference of any two logarithms
 
-Index = Int[np.ndarray, " _"]
 PerStatistic = Float[np.ndarray, "_ statistics"]
 
 

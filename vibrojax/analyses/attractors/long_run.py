@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from vibrojax.analyses.attractors.grouping import IRREGULAR_WITHIN, RESOLUTION_STDERRS, STATISTICS, stderr_name
 from vibrojax.analyses.sweep.workers.work import Work, quiet
 from vibrojax.progress import Progress
-from vibrojax.sweep.engine.batch import Batch, Features
+from vibrojax.sweep.engine.batch import Batch, Features, Index
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.engine.underway import checkpoints
 from vibrojax.sweep.input.definition import Sweep
@@ -38,7 +38,6 @@ ORBIT_WINDOWS_FRACTION = 4
 LANES_TOGETHER = 4096
 """Greatest number of lanes that are stepped together, which bounds memory use."""
 
-Index = Int[np.ndarray, " lanes"]
 Windows = Float[np.ndarray, "windows fields lanes"]
 """Fields per window: total of each statistic, count of each, the lane's cycles, and 1 if it is finite and finished."""
 

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.analyses.attractors.grouping import SIMILAR_FACTOR, PointMotion, PointMotions, is_on_orbit
 from vibrojax.measures.labels import EQUILIBRIUM
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.newton import ACCEPTED, orbits
+from vibrojax.periodic.newton import ACCEPTED, orbits, spectral_radius
 from vibrojax.periodic.return_map import Segments
 
 MATCHING_FIRST_STEP, MATCHING_MIN_STEP = 1 / 4, 1 / 256
@@ -117,7 +117,7 @@ def _continue_orbits(
         with np.errstate(all="ignore"):
             orbit = orbits(predicted, scales[active], np.full(len(active), PREDICTION_WITHIN), return_map.of(values))
             good = (orbit.residual <= ACCEPTED) & (orbit.moved <= PREDICTION_WITHIN)
-        good[good] = np.abs(np.linalg.eigvals(orbit.product[good])).max(axis=1) < 1
+            good &= spectral_radius(orbit.product) < 1
         accepted, rejected = active[good], active[~good]
         slope[accepted] = (orbit.states[good] - states[accepted]) / advance[good, None, None]
         states[accepted], done[accepted] = orbit.states[good], share[good]
@@ -138,27 +138,17 @@ def number_attractors(
     **Arguments:** `cells`, `lanes`: grid point and number of lanes of each motion; `order`: sort key of each motion.
     The least key of an attractor breaks ties between attractors with equally many lanes.
     """
-    parent = list(range(len(cells)))
-    points = [{cell} for cell in cells]
+    from scipy.cluster.hierarchy import DisjointSet  # slow to import
 
-    def root(motion: int) -> int:
-        while parent[motion] != motion:
-            parent[motion] = parent[parent[motion]]
-            motion = parent[motion]
-        return motion
-
+    groups, points = DisjointSet(range(len(cells))), [{cell} for cell in cells]
     for pair in sorted(links, key=lambda pair: (links[pair], sorted(order[motion] for motion in pair))):
-        first, second = map(root, pair)
-        if first != second and points[first].isdisjoint(points[second]):
-            if len(points[first]) < len(points[second]):
-                first, second = second, first
-            parent[second] = first
-            points[first] |= points[second]
-    members: dict[int, list[int]] = {}
-    for motion in range(len(cells)):
-        members.setdefault(root(motion), []).append(motion)
+        small, large = sorted((groups[motion] for motion in pair), key=lambda root: len(points[root]))
+        if points[small].isdisjoint(points[large]):
+            points[large] |= points[small]
+            groups.merge(small, large)
+            points[groups[large]] = points[large]
+    ranked = sorted(groups.subsets(), key=lambda own: (-sum(lanes[m] for m in own), min(order[m] for m in own)))
     number = np.zeros(len(cells), int)
-    ranked = sorted(members.values(), key=lambda own: (-sum(lanes[m] for m in own), min(order[m] for m in own)))
     for place, own in enumerate(ranked):
-        number[own] = place
+        number[list(own)] = place
     return number

@@ -3,11 +3,11 @@
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import pairwise
 from os import PathLike
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from jaxtyping import Float, Int
 
@@ -35,10 +35,11 @@ from vibrojax.analyses.orbits.analysis import orbits as with_orbits
 from vibrojax.analyses.orbits.analysis import sweep_with_orbits
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError
+from vibrojax.io.attributes import parameters_of
 from vibrojax.io.kinds import OF_ATTRACTORS
-from vibrojax.io.variables import VARIABLES
+from vibrojax.io.variables import VARIABLES, described
 from vibrojax.measures.derived import blow_frequency
-from vibrojax.measures.labels import IRREGULAR
+from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
 from vibrojax.sweep.engine.labelled import of_orbits, shared_attributes
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.starts import DEFAULT_STARTS, list_of
@@ -156,14 +157,13 @@ def attractors_of(sweep: Sweep, dataset: xr.Dataset, progress: bool = True) -> x
     result = _dataset(sweep, dataset, _columns(sweep, lanes, motions, number), of_lane[..., :starts])
     if len(runs) == 1:
         return result
-    dims, table = (*sweep.dims[:-1], NAMED), OF_ATTRACTORS
-    own_dataset = runs[1][1]
+    dims, own_dataset = (*sweep.dims[:-1], NAMED), runs[1][1]
     variables: dict[str, Any] = {
         NAMED: (NAMED, own_dataset["start"].values, {"units": "1", "long_name": "start of the scene, by name"}),
-        "named_attractor": (dims, of_lane[..., starts:].astype(np.int32), table["named_attractor"].attributes()),
-        "named_regime": (dims, own_dataset["regime"].values, table["named_regime"].attributes()),
+        "named_attractor": (dims, of_lane[..., starts:]),
+        "named_regime": (dims, own_dataset["regime"].values),
     }
-    return result.assign(variables)
+    return result.assign(described(variables, OF_ATTRACTORS))
 
 
 def _observe_irregular(runs: list[tuple[Sweep, xr.Dataset]], progress: bool) -> xr.Dataset:
@@ -205,26 +205,22 @@ def _columns(
     They are regime, cycles, medians of `MEASURED` over the lanes, and one point of the orbit on the section.
     """
     shape = dataset["regime"].size // dataset.sizes["start"], int(number.max(initial=-1)) + 1
-    measured = {name: dataset[name].values.ravel().astype(float) for name in MEASURED if name in dataset}
-    states = list(of_orbits(sweep.system))
+    lanes = pd.DataFrame({name: dataset[name].values.ravel().astype(float) for name in MEASURED if name in dataset})
+    cells = np.array([motion.cell for motion in motions.items], int), number
+    repeats = np.array([motion.cycles for motion in motions.items] + [0])[motions.of_lane]
+    if "impacts" in lanes:  # a lane may show a longer period than its orbit has
+        of_orbit = lanes["impacts"] * repeats / dataset["cycles"].values.ravel()
+        lanes["impacts"] = lanes["impacts"].where(repeats == 0, of_orbit)
+    medians = lanes.where(np.isfinite(lanes)).groupby(motions.of_lane).median().reindex(range(len(number)))
     columns = {name: np.zeros(shape) for name in ("regime", "cycles")}
-    columns |= {name: np.full(shape, np.nan) for name in (*measured, *states)}
-    cycles = dataset["cycles"].values.ravel()
-    order = np.argsort(motions.of_lane, kind="stable")
-    ends = np.searchsorted(motions.of_lane[order], np.arange(len(number) + 1)).tolist()
-    for motion, k, (first, end) in zip(motions.items, number.tolist(), pairwise(ends), strict=True):
-        lanes, cell = order[first:end], (motion.cell, k)
-        columns["regime"][cell], columns["cycles"][cell] = motion.regime, motion.cycles
-        for name, column in measured.items():
-            x = column[lanes]
-            if name == "impacts" and motion.cycles:  # a lane may show a longer period than its orbit has
-                x = x * motion.cycles / cycles[lanes]
-            x = x[np.isfinite(x)]
-            if len(x):
-                columns[name][cell] = np.median(x)
+    columns |= {name: np.full(shape, np.nan) for name in (*lanes, *of_orbits(sweep.system))}
+    for name in lanes:
+        columns[name][cells] = medians[name]
+    for motion, *cell in zip(motions.items, *cells, strict=True):
+        columns["regime"][*cell], columns["cycles"][*cell] = motion.regime, motion.cycles
         if motion.states is not None:
-            for name, state in zip(states, motion.states[0], strict=True):
-                columns[name][cell] = state
+            for name, state in zip(of_orbits(sweep.system), motion.states[0], strict=True):
+                columns[name][*cell] = state
     if "blow_frequency" in dataset:
         columns["blow_frequency"] = blow_frequency(columns["impacts"], columns["cycles"], columns["period"])
     return columns
@@ -244,13 +240,8 @@ def _dataset(
     columns = {"share": share, "share_stderr": np.sqrt(share * (1 - share).clip(0) / starts), **columns}
     about = VARIABLES | of_orbits(sweep.system) | OF_ATTRACTORS
     grid = sweep.dims[:-1]
-    data: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
-        name: ((*grid, "attractor"), x.reshape(*shape, -1)) for name, x in columns.items()
-    }
+    data: dict[str, Any] = {name: ((*grid, "attractor"), x.reshape(*shape, -1)) for name, x in columns.items()}
     data |= {"unassigned": (grid, (of_lane < 0).sum(axis=-1)), "lane_attractor": (sweep.dims, of_lane)}
-    variables: dict[str, Any] = {}
-    for name, (dims, x) in data.items():
-        variables[name] = dims, x.astype(about[name].dtype), about[name].attributes()
     numbers = ("attractor", np.arange(count), {"units": "1", "long_name": "number of the attractor"})
     coordinates = {name: x for name, x in dataset.coords.items() if set(x.dims) <= set(sweep.dims)}
     settings = {
@@ -273,4 +264,23 @@ def _dataset(
         "attractors": json.dumps(settings),
         "lanes": sweep.lanes,
     }
-    return xr.Dataset(variables, {**coordinates, "attractor": numbers}, attributes)
+    return xr.Dataset(described(data, about), {**coordinates, "attractor": numbers}, attributes)
+
+
+def strong_share(ds: xr.Dataset) -> xr.DataArray:
+    """Return the percentage of initial conditions that end in a stable single impact faster than the drive.
+
+    In scenes without a drive, all single impacts count.
+    """
+    strong = ds["regime"] == SINGLE_IMPACT
+    speed = drive_speed(ds)
+    if speed is not None:
+        strong = strong & (ds["impact_velocity"] > speed)
+    return (100.0 * ds["share"]).where(strong, 0.0).sum("attractor").assign_attrs(units="%")
+
+
+def drive_speed(ds: xr.Dataset) -> xr.DataArray | float | None:
+    """Return the drive's speed [m/s]; None if there are no impacts or no drive."""
+    if "impact_velocity" not in ds:
+        return None
+    return ds["v"] if "v" in ds.coords else parameters_of(ds).get("v")

@@ -1,9 +1,12 @@
-"""Chains of located vertices around a region of grid points, by marching squares."""
+"""Chains of located vertices around a region of grid points."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import cache
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
+from contourpy import FillType, LineType, contour_generator
 from jaxtyping import Bool
 
 from vibrojax.analyses.borders.propagation import OrbitLoss
@@ -21,86 +24,55 @@ class Vertex(NamedTuple):
     loss: OrbitLoss | None = None
 
 
-Crossing = tuple[int, int, int]
-"""A grid edge that a border crosses: its axis, and the two indices of its lower end point."""
-
 EndFinder = Callable[[tuple[int, int], tuple[int, int]], Vertex]
 """`ends(inside, outside)`: point of the border between two neighbouring grid points."""
 
-_Ring = list[tuple[bool, tuple[float, float], Crossing | None]]
-"""Corners and crossings in order around a grid square: (is in the region, position, crossing or None)."""
+_Crossing = tuple[int, int, int]
+"""A grid edge that a border crosses: its axis, and the two indices of its lower end point."""
 
 
 def around_region(
     inside: Bool[np.ndarray, "xs ys"], x: np.ndarray, y: np.ndarray, ends: EndFinder
 ) -> tuple[list[list[Vertex]], float]:
-    """Return the chains of vertices around a region, and the region's fraction of the area of the grid."""
-    vertices: dict[Crossing, Vertex] = {}
-    for axis in (0, 1):
-        lower, upper = (inside[:-1], inside[1:]) if axis == 0 else (inside[:, :-1], inside[:, 1:])
-        for i, j in np.argwhere(lower != upper).tolist():
-            here, there = (i, j), (i + 1, j) if axis == 0 else (i, j + 1)
-            vertices[axis, i, j] = ends(here, there) if inside[here] else ends(there, here)
-    links: dict[Crossing, list[Crossing]] = {crossing: [] for crossing in vertices}
-    area = 0.0
-    for i in range(len(x) - 1):
-        for j in range(len(y) - 1):
-            corners = ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1))
-            sides = ((0, i, j), (1, i + 1, j), (0, i, j + 1), (1, i, j))
-            ring: _Ring = []
-            for corner, side in zip(corners, sides, strict=True):
-                ring.append((bool(inside[corner]), (float(x[corner[0]]), float(y[corner[1]])), None))
-                if side in vertices:
-                    ring.append((True, (vertices[side].x, vertices[side].y), side))
-            for polygon, (first, second) in _polygons(ring):
-                px, py = np.array(polygon).T
-                area += float(abs(np.dot(px, np.roll(py, -1)) - np.dot(py, np.roll(px, -1))) / 2)
-                if first is not None and second is not None:
-                    links[first].append(second)
-                    links[second].append(first)
-    whole = (x[-1] - x[0]) * (y[-1] - y[0])
-    chains = [[vertices[crossing] for crossing in chain] for chain in _chains(links)]
-    return chains, area / whole if whole else 0.0
+    """Return the chains of vertices around a region, and the region's fraction of the area of the grid.
 
-
-def _polygons(ring: _Ring) -> list[tuple[list[tuple[float, float]], tuple[Crossing | None, Crossing | None]]]:
-    """Return the parts of a grid square that are in the region, each with the two crossings that it joins.
-
-    The crossings are None for a square that is completely in the region. Each part is a sequence of corners between two
-    crossings, so that the two parts at a saddle remain separate.
+    A closed chain repeats its first vertex at the end. Two parts of the region that meet at a saddle remain separate.
     """
-    if all(crossing is None for _, _, crossing in ring):
-        return [([point for _, point, _ in ring], (None, None))] if ring[0][0] else []
-    following = [*ring[1:], ring[0]]
-    enters = (now[2] is not None and after[0] and after[2] is None for now, after in zip(ring, following, strict=True))
-    first = list(enters).index(True)
-    polygons: list[tuple[list[tuple[float, float]], tuple[Crossing | None, Crossing | None]]] = []
-    polygon: list[tuple[float, float]] = []
-    begin: Crossing | None = None
-    for within, point, crossing in ring[first:] + ring[:first]:
-        if crossing is None:
-            if within and begin is not None:
-                polygon.append(point)
-        elif begin is None:
-            polygon, begin = [point], crossing
-        else:
-            polygons.append(([*polygon, point], (begin, crossing)))
-            begin = None
-    return polygons
+    # Over the indices of the grid, contours cross each edge in its middle.
+    contours = contour_generator(z=inside.T + 0.0, line_type=LineType.Separate, fill_type=FillType.OuterOffset)
+
+    @cache
+    def vertex(crossing: _Crossing) -> Vertex:
+        axis, i, j = crossing
+        here, there = (i, j), (i + 1, j) if axis == 0 else (i, j + 1)
+        return ends(here, there) if inside[here] else ends(there, here)
+
+    lines: Any = contours.lines(0.5)  # a list of arrays with this type of lines
+    chains = sorted((_in_order(line) for line in lines), key=lambda chain: (chain[0] == chain[-1], chain))
+    area = 0.0
+    for points, offsets in zip(*contours.filled(0.5, 1.5), strict=True):
+        corners = [
+            (float(x[int(i)]), float(y[int(j)])) if i % 1 == 0 == j % 1 else vertex(_crossing(i, j))[:2]
+            for i, j in points.tolist()
+        ]
+        for first, last in pairwise(offsets.tolist()):  # holes are passed in the other direction
+            px, py = np.array(corners[first:last]).T
+            area += float(np.dot(px[:-1], py[1:]) - np.dot(py[:-1], px[1:])) / 2
+    whole = (x[-1] - x[0]) * (y[-1] - y[0])
+    return [[vertex(crossing) for crossing in chain] for chain in chains], abs(area / whole) if whole else 0.0
 
 
-def _chains(links: dict[Crossing, list[Crossing]]) -> list[list[Crossing]]:
-    """Return chains of joined crossings, in order; a closed chain repeats its first crossing at the end."""
-    remaining = {crossing: list(others) for crossing, others in links.items()}
-    chains = []
-    for begin in sorted(remaining, key=lambda crossing: (len(remaining[crossing]), crossing)):
-        while remaining[begin]:
-            chain = [begin]
-            while remaining[chain[-1]]:
-                following = remaining[chain[-1]].pop()
-                remaining[following].remove(chain[-1])
-                chain.append(following)
-            chains.append(chain)
-        if not links[begin]:
-            chains.append([begin])
-    return chains
+def _crossing(i: float, j: float) -> _Crossing:
+    return (0 if i % 1 else 1), int(i), int(j)
+
+
+def _in_order(line: np.ndarray) -> list[_Crossing]:
+    """Return the crossings of a line from its lower end, or from its lowest crossing and with rising y if it closes."""
+    chain = [_crossing(i, j) for i, j in line.tolist()]
+    if chain[0] != chain[-1]:
+        return min(chain, chain[::-1])
+    lowest = chain.index(min(chain))
+    chain = chain[lowest:-1] + chain[: lowest + 1]
+    _, i, j = chain[0]
+    upwards = chain[1] in ((1, i + 1, j), (0, i, j + 1), (1, i, j))
+    return chain if upwards else chain[::-1]

@@ -13,7 +13,6 @@ import numpy as np
 from vibrojax.analyses.borders.chains import Vertex
 from vibrojax.analyses.borders.lines import (
     End,
-    Ending,
     Line,
     Plane,
     cell_width,
@@ -23,9 +22,9 @@ from vibrojax.analyses.borders.lines import (
     nearest_place,
 )
 from vibrojax.analyses.borders.propagation import OrbitGrid, OrbitLoss
+from vibrojax.analyses.curves.codim2 import CONTINUED
 from vibrojax.analyses.curves.following import crossings, follow_curves
 from vibrojax.analyses.curves.run import problem_through
-from vibrojax.analyses.curves.spec import CONTINUED
 from vibrojax.progress import Progress
 
 ON_CURVE = 1e-2
@@ -130,10 +129,6 @@ class ContinuedBorders:
             pieces.append(self._piece(run, first, last))
         return pieces
 
-    def _ending(self, vertex: Vertex) -> Ending | None:
-        """Return the curve of a vertex and its place there, None if it is on no curve."""
-        return None if vertex.loss is None or vertex.loss not in self._places else Ending(*self._places[vertex.loss])
-
     def _piece(self, run: list[Vertex], first: End | None, last: End | None) -> Border:
         """Return the border of a run between its ends."""
         known = None if run[0].loss is None else self._places.get(run[0].loss)
@@ -157,16 +152,16 @@ class ContinuedBorders:
 
     def _joint(self, first: Vertex, second: Vertex) -> tuple[End | None, End | None]:
         """Return the ends of two neighbouring pieces, which have the neighbouring vertices `first` and `second`."""
-        here, there = self._ending(first), self._ending(second)
+        here, there = (None if x.loss is None else self._places.get(x.loss) for x in (first, second))
         middle = np.array([first.x + second.x, first.y + second.y]) / 2
         cell = np.array([cell_width(x, value) for x, value in zip(self._grid.values, middle, strict=True)])
         if here is not None and there is not None:
             return meeting(here, there, middle, cell) or (None, None)
         if here is not None:
-            own = end_near(here.line, middle, cell) or End(np.array([first.x, first.y]), here.place)
+            own = end_near(here[0], middle, cell) or End(np.array([first.x, first.y]), here[1])
             return own, End(own.point)
         if there is not None:
-            own = end_near(there.line, middle, cell) or End(np.array([second.x, second.y]), there.place)
+            own = end_near(there[0], middle, cell) or End(np.array([second.x, second.y]), there[1])
             return End(own.point), own
         return End(middle), End(middle)
 

@@ -44,7 +44,7 @@ class Line:
         """Return the place of a vertex on the curve, as an index, and its scaled distance."""
         assert vertex.loss is not None
         number, values = np.array([self.curve.number]), np.array([[vertex.x, vertex.y]])
-        return nearest_place(self.u, self.problem.point(number, vertex.loss.state[None, None], values)[0])
+        return nearest_place(self.u, self.problem.unknowns(number, vertex.loss.state[None, None], values)[0])
 
     def distance(self, first: float, second: float) -> float:
         """Return the scaled length in the plane between two places."""
@@ -67,11 +67,8 @@ class End(NamedTuple):
     place: float | None = None
 
 
-class Ending(NamedTuple):
-    """The end of a run of vertices: its curve, and the place of its last vertex there."""
-
-    line: Line
-    place: float
+Ending = tuple[Line, float]
+"""The end of a run of vertices: its curve, and the place of its last vertex there."""
 
 
 def line_through(problem: CurveProblem, curve: Curve, plane: int, vertex: Vertex) -> Line:
@@ -84,12 +81,12 @@ def line_through(problem: CurveProblem, curve: Curve, plane: int, vertex: Vertex
     if closed:
         u = np.concatenate([u, u[:1]])
     for mark in curve.marks:
-        point = _with_width(mark.point.u, size)
+        point = _with_width(mark.orbit.u, size)
         place, _ = nearest_place(u[:, -2:], point[0, -2:])
         k = int(place) + 1
         u = np.insert(u, k, point, axis=0)
         corners = [corner + (corner >= k) for corner in corners] + [k]
-    values = u[:, -2:] * [problem.other_unit[curve.number], problem.unit[curve.number]]
+    values = u[:, -2:] * problem.unit[curve.number]
     note, seed = "; ".join(curve.notes), (vertex.x, vertex.y)
     return Line(plane, vertex.kind, seed, note, closed, u, values, corners, problem, curve)
 
@@ -130,27 +127,28 @@ def end_near(line: Line, middle: np.ndarray, cell: np.ndarray) -> End | None:
 
 def meeting(first: Ending, second: Ending, middle: np.ndarray, cell: np.ndarray) -> tuple[End, End] | None:
     """Return the ends of two curves where they meet nearest to two vertices, at most a cell away from their middle."""
+    (one, first_place), (another, second_place) = first, second
     meetings: list[tuple[float, End, End]] = []
 
     def enter(point: np.ndarray, here: float, there: float) -> None:
         if (np.abs(point - middle) <= cell).all():
-            off = first.line.distance(here, first.place) + second.line.distance(there, second.place)
+            off = one.distance(here, first_place) + another.distance(there, second_place)
             meetings.append((off, End(point, here), End(point, there)))
 
-    for line, other in ((first.line, second.line), (second.line, first.line)):
+    for line, other in ((one, another), (another, one)):
         for k in line.corners:
             place, off = nearest_place(other.u[:, -2:], line.u[k, -2:])
             if off < MEETS:
-                enter(line.values[k], *((float(k), place) if line is first.line else (place, float(k))))
+                enter(line.values[k], *((float(k), place) if line is one else (place, float(k))))
     if not meetings:
-        p, q = first.line.values, second.line.values
+        p, q = one.values, another.values
         a, b = np.diff(p, axis=0)[:, None], np.diff(q, axis=0)[None]
         between = q[None, :-1] - p[:-1, None]
         with np.errstate(all="ignore"):
             area = _cross(a, b)
             s, t = _cross(between, b) / area, _cross(between, a) / area
         for i, j in np.argwhere((s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)).tolist():
-            enter(first.line.at(i + s[i, j]), i + float(s[i, j]), j + float(t[i, j]))
+            enter(one.at(i + s[i, j]), i + float(s[i, j]), j + float(t[i, j]))
     return min(meetings, key=lambda item: item[0])[1:] if meetings else None
 
 

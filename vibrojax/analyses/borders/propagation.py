@@ -14,12 +14,13 @@ from jaxtyping import Float, Int
 
 from vibrojax.analyses.continuation.arclength import ENDED, STALLED, continue_branches
 from vibrojax.analyses.continuation.brackets import Brackets, shrink_brackets
-from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points, Problem, spectral_radius, towards
+from vibrojax.analyses.continuation.location import TEST_FUNCTIONS, classify_event_changes
+from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points, Problem, towards
 from vibrojax.analyses.continuation.segments import STEP_AFTER_CORNER
-from vibrojax.analyses.continuation.special_points import TEST_FUNCTIONS, classify_event_changes, turn_corner
+from vibrojax.analyses.continuation.special_points import turn_corner
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.newton import multipliers
+from vibrojax.periodic.newton import multipliers, spectral_radius
 
 SAME_ORBIT = 1e-4
 """Scaled distance within which two orbits at one grid point count as equal."""
@@ -123,7 +124,16 @@ class OrbitGrid:
         end = self.values[axis][np.array([cell[1 + axis] for _, _, cell in edges])]
         first, last = np.minimum(begin, end), np.maximum(begin, end)
         unit, scales = (last - first) / EDGE_LENGTH, np.array([orbit.scale for orbit in orbits])
-        problem = Problem(self.scene, self.names[axis], parameters, scales, unit, first, last, self.most_steps)
+        problem = Problem(
+            scene=self.scene,
+            along=(self.names[axis],),
+            parameters=parameters,
+            scales=scales,
+            unit=unit[:, None],
+            first=first[:, None],
+            last=last[:, None],
+            most_steps=self.most_steps,
+        )
         ends = _continue_edges(problem, np.array([orbit.state for orbit in orbits]), begin, end)
         new = []
         for (orbit, step, cell), state in zip(edges, ends, strict=True):
@@ -154,14 +164,14 @@ def _continue_edges(
     ]
 
     def enter(points: Points, kinds: Index) -> None:
-        values, orbits = problem.value(points.family, points.u), problem.states(points.family, points.u)[:, 0]
+        values, orbits = problem.values(points.family, points.u)[:, 0], problem.states(points.family, points.u)[:, 0]
         for k, edge in enumerate(points.family.tolist()):
             ends[edge] = OrbitLoss(int(kinds[k]), float(values[k]), orbits[k])
 
     def test(_: Index, points: Points) -> PerLane:
         return np.where(is_stable_single_impact(points), 1.0, -1.0)
 
-    u = problem.unknowns(lanes, states[:, None], begin)
+    u = problem.unknowns(lanes, states[:, None], begin[:, None])
     with np.errstate(all="ignore"):
         points = problem.evaluate(lanes, u).along(towards(u, np.sign(end - begin)))
         step = np.full(len(lanes), EDGE_MAX_STEP)

@@ -15,10 +15,11 @@ from vibrojax.analyses.orbits.analysis import orbits as with_orbits
 from vibrojax.analyses.orbits.analysis import sweep_with_orbits
 from vibrojax.errors import InputError, counted, shown
 from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS
+from vibrojax.io.variables import described
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
 from vibrojax.models.physics.parameters import REPLACED, substitutes
 from vibrojax.models.scenes import HasImpacts
-from vibrojax.periodic.lane_orbits import known_orbits
+from vibrojax.periodic.known_orbits import known_orbits
 from vibrojax.sweep.engine.labelled import parameter_attributes, shared_attributes
 from vibrojax.sweep.input.definition import Sweep
 
@@ -215,24 +216,20 @@ class Regions:
         """Return the dataset of curves and areas, each given with its plane and initial condition."""
         sweep = self._sweep
         vertices = np.concatenate([piece.points for piece, _, _ in curves]) if curves else np.zeros((0, 2))
-        number = np.repeat(np.arange(len(curves)), [len(piece.points) for piece, _, _ in curves])
-        kinds = np.array([BORDER_KINDS.index(piece.kind) for piece, _, _ in curves], np.int8)
-        variables: dict[str, Any] = {
-            "curve": ("vertex", number.astype(np.int32), OF_BORDERS["curve"].attributes()),
-            "kind": ("curve", kinds, OF_BORDERS["kind"].attributes()),
-            "region_area": ("region", np.array([area for area, _, _ in areas]), OF_BORDERS["region_area"].attributes()),
-        }
         lines = [piece.line for piece, _, _ in curves]
-        continued = np.array([line is not None for line in lines], np.int8)
-        variables["continued"] = ("curve", continued, OF_BORDERS["continued"].attributes())
-        notes = [piece.note for piece, _, _ in curves]
-        variables["curve_note"] = ("curve", np.array(notes, str), {"long_name": OF_BORDERS["curve_note"].long_name})
+        variables: dict[str, Any] = {
+            "curve": ("vertex", np.repeat(np.arange(len(curves)), [len(piece.points) for piece, _, _ in curves])),
+            "kind": ("curve", [BORDER_KINDS.index(piece.kind) for piece, _, _ in curves]),
+            "region_area": ("region", [area for area, _, _ in areas]),
+            "continued": ("curve", [line is not None for line in lines]),
+            "curve_note": ("curve", [piece.note for piece, _, _ in curves]),
+        }
         seeds = np.array([(np.nan, np.nan) if line is None else line.seed for line in lines]).reshape(-1, 2)
-        crossed = [(k, x) for k, (piece, _, _) in enumerate(curves) for x in self._crossings(piece, at)]
         located = {"": ("vertex", vertices), "seed_": ("curve", seeds)}
         if at is not None:
-            number = np.array([k for k, _ in crossed], np.int32)
-            variables["crossing_curve"] = ("crossing", number, OF_BORDERS["crossing_curve"].attributes())
+            which = self._names.index(at[0])
+            crossed = [(k, x) for k, (piece, _, _) in enumerate(curves) for x in crossings_of(piece, which, at[1])]
+            variables["crossing_curve"] = ("crossing", [k for k, _ in crossed])
             located["crossing_"] = ("crossing", np.array([x for _, x in crossed]).reshape(-1, 2))
         for prefix, (dimension, points) in located.items():
             for name, values in zip(self._names, points.T, strict=True):
@@ -249,19 +246,13 @@ class Regions:
             for name, index in zip(self._others, indices, strict=True):
                 coordinates[f"{prefix}{name}"] = (dimension, sweep.axes[name][index], parameter_attributes(sweep, name))
         title = f"Borders of the stable single impact: {sweep.title or sweep.name}"
+        count = counted(len(self._continued.lines), "curve")
+        size = " x ".join(str(len(x)) for x in self._grid.values)
+        begun = f"{count} continued from points located on a grid of {size}; regions between its points are missed"
         attributes = {
             **shared_attributes(sweep, "borders", title, "borders"),
             "sweep": sweep.text,
             "axes": list(self._names),
-            "begun_from": self._begun_from(),
+            "begun_from": begun,
         }
-        return xr.Dataset(variables, coordinates, attributes)
-
-    def _crossings(self, piece: Border, at: tuple[str, float] | None) -> list[np.ndarray]:
-        return [] if at is None else crossings_of(piece, self._names.index(at[0]), at[1])
-
-    def _begun_from(self) -> str:
-        """Return a sentence on the grid and the points from which curves were continued."""
-        count = counted(len(self._continued.lines), "curve")
-        size = " x ".join(str(len(x)) for x in self._grid.values)
-        return f"{count} continued from points located on a grid of {size}; regions between its points are missed"
+        return xr.Dataset(described(variables, OF_BORDERS), coordinates, attributes)

@@ -21,6 +21,7 @@ from vibrojax.models.scenes import Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.periodic.return_map import MOST_STEPS, at_section, passed
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
+from vibrojax.sweep.engine.batch import PerLane
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.parallel import in_parallel
 
@@ -49,7 +50,6 @@ TANGENT_LANES_PER_CALL = 256
 RETURNS_PER_CALL = 128
 """Number of returns per compiled call; lanes wait for each other only at the end of a call."""
 
-PerLane = Float[np.ndarray, " lanes"]
 PerReturn = Float[np.ndarray, "returns lanes"]
 States = Float[np.ndarray, "returns states lanes"]
 PerState = Float[np.ndarray, "states lanes"]

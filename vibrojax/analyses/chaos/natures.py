@@ -13,7 +13,6 @@ from vibrojax.analyses.chaos.growth import (
     LONGEST_REPEAT,
     TANGENT_ACCURACY,
     Growth,
-    PerLane,
     PerState,
     exponents,
     exponents_of_repeats,
@@ -27,9 +26,9 @@ from vibrojax.models.scenes import Scene
 from vibrojax.periodic import Orbits
 from vibrojax.periodic.lane_orbits import last_returns, reason
 from vibrojax.periodic.nearby import MOST_STEPS, REACH
-from vibrojax.periodic.newton import ACCEPTED, orbits, repeats_after
+from vibrojax.periodic.newton import ACCEPTED, orbits, repeats_after, spectral_radius
 from vibrojax.periodic.return_map import STEPS, Segments
-from vibrojax.sweep.engine.batch import Features, Index
+from vibrojax.sweep.engine.batch import Features, Index, PerLane
 from vibrojax.sweep.engine.labelled import regimes
 from vibrojax.sweep.input.definition import Sweep
 
@@ -243,6 +242,6 @@ def has_embedded_orbit(
         with np.errstate(all="ignore"):
             orbit = orbits(begin, scale.T[lanes], np.full(len(lanes), REACH), segments.of(values), ACCEPTED)
             accepted = (orbit.residual <= ACCEPTED) & (repeats_after(orbit) == repeat)
-            accepted[accepted] = np.abs(np.linalg.eigvals(orbit.product[accepted])).max(axis=1) < 1
+            accepted &= spectral_radius(orbit.product) < 1
         stable[lanes[accepted]] = True
     return stable

@@ -99,7 +99,9 @@ def family_facts(ds: xr.Dataset) -> dict[str, Any]:
     - `stable`: `family`, `branch`, `from` and `to` of each stable interval. `from_kind` and `to_kind` are the kinds of
       special points at its ends.
     """
-    every, kinds, family = list(branches(ds)), kind_names(ds), numbers_of(ds, "special")
+    every, kinds = list(branches(ds)), kind_names(ds)
+    values, branch, notes = (ds[f"special_{name}"].values for name in ("value", "branch", "note"))
+    special = zip(kinds, values, numbers_of(ds, "special"), branch, (printable(x, 300) for x in notes), strict=True)
     return {
         "along": along_name(ds),
         "span": list(ds.attrs["span"]),
@@ -107,27 +109,15 @@ def family_facts(ds: xr.Dataset) -> dict[str, Any]:
         "branches": len(every),
         "points": ds.sizes["point"],
         "kinds": dict(Counter(kinds)),
-        "special": [
-            {
-                "kind": kind,
-                "value": ds["special_value"].values[k],
-                "family": family[k],
-                "branch": ds["special_branch"].values[k],
-                "note": printable(ds["special_note"].values[k], 300),
-            }
-            for k, kind in enumerate(kinds)
-        ],
+        "special": [dict(zip(("kind", "value", "family", "branch", "note"), row, strict=True)) for row in special],
         "stable": [
-            {
-                "family": branch.family,
-                "branch": branch.number,
-                "from": interval.low,
-                "to": interval.high,
-                "from_kind": interval.low_kind,
-                "to_kind": interval.high_kind,
-            }
-            for branch in every
-            for interval in stable_intervals(ds, branch)
+            dict(
+                zip(
+                    ("family", "branch", "from", "to", "from_kind", "to_kind"), (x.family, x.number, *ends), strict=True
+                )
+            )
+            for x in every
+            for ends in stable_intervals(ds, x)
         ],
     }
 

@@ -26,9 +26,9 @@ from vibrojax.analyses.continuation.problem import (
     Problem,
     Unknowns,
     solve_bordered,
-    spectral_radius,
     towards,
 )
+from vibrojax.periodic.newton import spectral_radius
 
 POLISHED_STEP = 1e-6
 """Step length above which accepted points are improved by one more Newton step. After shorter steps, the Newton step
@@ -154,7 +154,7 @@ class _ActiveBranches:
         """Compute the predictors, on the plane ahead or on the parameter's bound if the bound is nearer."""
         problem, family = self._problem, self._last.family[lanes]
         u, t, h = self._last.u[lanes], self._last.tangent[lanes], self._step[lanes]
-        ahead = np.where(t[:, -1] > 0, problem.last[family], problem.first[family]) / problem.unit[family]
+        ahead = np.where(t[:, -1] > 0, problem.last[family, -1], problem.first[family, -1]) / problem.unit[family, -1]
         room = (ahead - u[:, -1]) / t[:, -1]
         short = (t[:, -1] != 0) & (room < 1.0001 * h)
         self._bound[lanes] = np.where(short, ahead, np.nan)
@@ -259,8 +259,8 @@ class _ActiveBranches:
         corner = (taken <= CORNER) & (turn <= CORNER_TURN) | (taken <= CROSSING) & (turn <= CROSSING_TURN)
         sound = np.isfinite(now.tangent).all(axis=1)
         sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST_STEP) | changed & corner
-        value = problem.value(now.family, now.u)
-        beyond = (value > problem.last[now.family]) | (value < problem.first[now.family])
+        value = problem.values(now.family, now.u)[:, -1]
+        beyond = (value > problem.last[now.family, -1]) | (value < problem.first[now.family, -1])
         sound &= ~(beyond & np.isnan(self._bound[lanes]))
         sound[sound & changed] &= ~self._faces_corner(now.of(sound & changed), taken[sound & changed])
         kept = lanes[sound]

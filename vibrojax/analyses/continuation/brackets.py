@@ -67,6 +67,13 @@ def push_history(history: np.ndarray, lanes: Int[np.ndarray, " some"], value: Fl
     history[lanes, 0] = value
 
 
+def interpolate(near: Unknowns, far: Unknowns, near_slope: Unknowns, far_slope: Unknowns, share: PerLane) -> Unknowns:
+    """Interpolate by cubic polynomials between two points; slopes are with respect to the `share` of the way."""
+    s = share[:, None]
+    near_bend, far_bend = near_slope - far + near, far_slope - far + near
+    return near + s * (far - near) + s * (1 - s) * ((1 - s) * near_bend - s * far_bend)
+
+
 class Brackets(NamedTuple):
     """Parts of branches between two points, `near` and `far`.
 
@@ -228,8 +235,6 @@ class _Shrinking:
         linear = np.where(
             from_near[:, None], near + (place - low)[:, None] * near_slope, far + (place - high)[:, None] * far_slope
         )
-        whole, part = (high - low)[:, None], ((place - low) / (high - low))[:, None]
-        near_bend, far_bend = whole * near_slope - far + near, whole * far_slope - far + near
-        cubic = near + part * (far - near)
-        cubic += part * (1 - part) * ((1 - part) * near_bend - part * far_bend)
+        whole, share = (high - low)[:, None], (place - low) / (high - low)
+        cubic = interpolate(near, far, whole * near_slope, whole * far_slope, share)
         return np.where(self._jumps[lanes][:, None], linear, cubic)

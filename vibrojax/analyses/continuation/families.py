@@ -4,35 +4,34 @@ Every branch is continued in both directions, past its special points. Period-do
 """
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
-from vibrojax.analyses.continuation.arclength import ENDED, STALLED, STOPPED, continue_branches
+from vibrojax.analyses.continuation.arclength import CLOSED, ENDED, STALLED, STOPPED, Stop
 from vibrojax.analyses.continuation.brackets import Brackets
 from vibrojax.analyses.continuation.hopf import hopf_point
+from vibrojax.analyses.continuation.location import GRAZED_MARGIN, Locator, classify_event_changes
 from vibrojax.analyses.continuation.problem import Flags, Index, Points, Problem, towards
 from vibrojax.analyses.continuation.segments import (
     ENDINGS,
     REJOIN_DISTANCE,
     SAME_POINT,
-    FamilyPoint,
+    Mark,
     Segment,
-    drop_duplicates,
+    Tracing,
 )
 from vibrojax.analyses.continuation.special_points import (
-    GRAZED_MARGIN,
     branch_distance,
-    classify_event_changes,
     cross_impact,
     doubled_branch,
-    locate_special_points,
     reindex_returns,
     turn_corner,
 )
 from vibrojax.io.kinds import SPECIAL_KINDS
 
-FIRST_STEP = 0.02
-"""First scaled step length of a branch."""
+POINT_SPACING = 0.02
+"""Scaled distance within which points that are not special are omitted."""
 
 MAX_SEGMENTS = 24
 """Largest number of segments of a branch in one direction. Segments end at corners and where the motion touches the
@@ -42,41 +41,33 @@ MAX_BRANCHES = 32
 """Largest number of branches of a family."""
 
 
-class FamilyContinuation:
+class FamilyContinuation(Tracing):
     """Continuation of the families of one problem.
 
     `cycles`: largest number of section crossings per period of doubled branches.
     """
 
     def __init__(self, problem: Problem, cycles: int) -> None:
-        self._problem, self._cycles = problem, cycles
+        super().__init__(problem, Locator(problem))
+        self._cycles = cycles
         self._branches: dict[int, int] = {}
 
     def __call__(self, family: Index, u: Sequence[np.ndarray]) -> list[Segment]:
         """Return all segments of the families to which orbits belong; `u`: unknowns of one orbit per `family`."""
         self._branches = dict.fromkeys(family.tolist(), 1)
-        pending: list[Segment] = []
+        segments: list[Segment] = []
         for number, orbit in zip(family.tolist(), u, strict=True):
             first = self._problem.evaluate(np.array([number]), orbit[None])
-            tangent = first.along(towards(first.u, 1.0)).tangent[0]
+            first = first.along(towards(first.u, 1.0))
             for sign in (1, -1):
-                home = (orbit, sign * tangent)
-                pending.append(Segment(number, 0, sign, *home, FIRST_STEP, home=home))
-        done: list[Segment] = []
-        while pending:
-            following: list[Segment] = []
-            for size in sorted({len(segment.u) for segment in pending}):
-                group = [segment for segment in pending if len(segment.u) == size]
-                following += self._continue(group)
-                done += group
-            pending = following
-        return drop_duplicates(done, self._problem.rows)
+                begin = first._replace(tangent=sign * first.tangent)
+                segments.append(Segment(number, 0, sign, begin, home=begin))
+        return drop_duplicates(self.trace(segments), self._problem.rows)
 
-    def _continue(self, segments: list[Segment]) -> list[Segment]:
-        """Continue segments with equal numbers of section crossings to their ends; return the segments that follow."""
-        size = len(segments[0].u)
+    def stop(self, segments: list[Segment]) -> Stop:
+        """Return the condition that a doubled branch is back at the branch that it left."""
+        size = segments[0].begin.u.shape[1]
         none = np.full(size, np.nan)
-        homes = [s.home if s.home is not None and len(s.home[0]) == size else (none, none) for s in segments]
         departure = np.array([none if segment.departure is None else segment.departure for segment in segments])
 
         def rejoins(lanes: Index, now: Points) -> Flags:
@@ -85,49 +76,46 @@ class FamilyContinuation:
             with np.errstate(invalid="ignore"):
                 return branch_distance(now.u, departure[lanes]) <= 0
 
-        family = np.array([segment.family for segment in segments])
-        begin = self._problem.evaluate(family, np.array([segment.u for segment in segments]))
-        begin = begin._replace(tangent=np.array([segment.tangent for segment in segments]))
-        step = np.array([segment.step for segment in segments])
-        branches = continue_branches(self._problem, begin, step, rejoins, home=np.array(homes))
-        special = locate_special_points(self._problem, branches)
-        bounds = branches.bounds.tolist()
+        return rejoins
+
+    def finish(self, segments: list[Segment]) -> list[Segment]:
+        """Enter special points and ends of segments; return the segments beyond stalls, and doubled branches."""
         stalled: list[Segment] = []
-        for segment, status, first, end in zip(segments, branches.status.tolist(), bounds, bounds[1:], strict=False):
-            last = end - (status == STOPPED)
-            segment.points = branches.points.of(slice(first, last))
-            if last < end:
-                beyond = float(np.abs(branches.points.u[last] - segment.points.u[-1]).max())
+        for segment in segments:
+            status, special, reached = segment.status, segment.special, segment.points
+            if status == STOPPED:
+                segment.points = reached.of(slice(0, -1))
+                beyond = float(np.abs(reached.u[-1] - segment.points.u[-1]).max())
                 segment.reach = max(segment.reach, beyond)
-            inside = (special.place >= first) & (special.place < last - 1)
-            if segment.departure is None and segment.origin is not None and len(segment.origin) == size:
+            inside = special.place < len(segment.points.u) - 1
+            if segment.departure is None and segment.origin is not None and len(segment.origin) == reached.u.shape[1]:
                 rejoined = inside & (np.abs(special.near.u - segment.origin).max(axis=1) < REJOIN_DISTANCE)
                 if rejoined.any():
-                    status, last = STOPPED, int(special.place[rejoined].min()) + 1
-                    segment.points = branches.points.of(slice(first, last))
+                    last = int(special.place[rejoined].min()) + 1
+                    status, segment.points = STOPPED, segment.points.of(slice(0, last))
                     inside &= special.place < last - 1
-            self._add_marks(segment, special.of(inside), first)
+            self._add_marks(segment, special.of(inside))
             if status == STALLED and segment.number < MAX_SEGMENTS:
                 stalled.append(segment)
                 continue
             note = ENDINGS.get(status, "")
             if status == ENDED:
-                value = self._problem.value(segment.points.family[-1:], segment.points.u[-1:])
-                is_last = value == self._problem.last[segment.family]
+                value = self._problem.values(segment.points.family[-1:], segment.points.u[-1:])[0, 0]
+                is_last = value == self._problem.last[segment.family, 0]
                 note = f"the {'last' if is_last else 'first'} value is reached"
             segment.mark("end", note)
         return (self._pass_stalls(stalled) if stalled else []) + self._doubled_branches(segments)
 
-    def _add_marks(self, segment: Segment, special: Brackets, first: int) -> None:
-        """Add special points to the segment whose first point is the branches' point `first`."""
-        for k, place in enumerate((special.place - first).tolist()):
+    def _add_marks(self, segment: Segment, special: Brackets) -> None:
+        """Add special points to a segment."""
+        for k, place in enumerate(special.place.tolist()):
             kind, orbit, note, beyond = SPECIAL_KINDS[special.kind[k]], special.near.of([k]), "", special.far.of([k])
             if kind == "grazing" and orbit.impacts[0] == beyond.impacts[0]:
                 changed = (orbit.mode_changes[0] != beyond.mode_changes[0]).any(axis=1)
                 modes = zip(self._problem.scene.modes, changed, strict=True)
                 names = ", ".join(mode.name for mode, differs in modes if differs)
                 note = f"no impact: another order of events of {names}"
-            segment.marks.append(FamilyPoint(orbit, kind, note, place))
+            segment.marks.append(Mark(orbit, kind, note, place))
         u = segment.points.u
         segment.marks.sort(key=lambda mark: (mark.place, np.abs(mark.orbit.u[0] - u[mark.place]).max()))
 
@@ -144,9 +132,9 @@ class FamilyContinuation:
             kinds: list[str] = []
             hopf = None if changed[k] else hopf_point(self._problem, segment.points)
             if hopf is not None:
-                value = self._problem.value(end.family, end.u)[0]
+                value = self._problem.values(end.family, end.u)[0, 0]
                 note = f"the amplitude is zero; from {value:.9g} on, it is too small for the section"
-                segment.marks.append(FamilyPoint(hopf, "hopf", note, len(segment.points.u) - 1))
+                segment.marks.append(Mark(hopf, "hopf", note, len(segment.points.u) - 1))
                 continue
             # At a rigid stop no mode changes: only the margin shows that an event begins.
             if changed[k] or end.margin[0] < GRAZED_MARGIN:
@@ -185,8 +173,102 @@ class FamilyContinuation:
                 if branch >= MAX_BRANCHES:
                     continue
                 u, tangent = doubled_branch(self._problem, mark.orbit)
+                begin = self._problem.evaluate(mark.orbit.family, u)._replace(tangent=tangent)
                 self._branches[segment.family] += 1
-                start = (u[0], tangent[0], FIRST_STEP)
-                own = Segment(segment.family, branch, 1, *start, departure=tangent[0], parent=segment, origin=u[0])
-                doubled.append(own)
+                more = {"parent": segment, "departure": tangent[0], "origin": u[0]}
+                doubled.append(Segment(segment.family, branch, 1, begin, **more))
         return doubled
+
+
+def drop_duplicates(segments: list[Segment], rows: int) -> list[Segment]:
+    """Remove branches that were continued twice, and renumber the others.
+
+    A closed branch was continued in both directions. A branch that connects two period doublings was continued from
+    both of them.
+    """
+    closed = {s.family for s in segments if s.branch == 0 and any(m.note == ENDINGS[CLOSED] for m in s.marks)}
+    again = _from_other_ends(segments, rows)
+
+    def is_dropped(segment: Segment | None) -> bool:
+        while segment is not None:
+            if segment.branch == 0 and segment.direction < 0 and segment.family in closed:
+                return True
+            if (segment.family, segment.branch) in again:
+                return True
+            segment = segment.parent
+        return False
+
+    kept = [segment for segment in segments if not is_dropped(segment)]
+    numbers: dict[tuple[int, int], int] = {}
+    for segment in kept:
+        in_family = sum(family == segment.family for family, _ in numbers)
+        segment.branch = numbers.setdefault((segment.family, segment.branch), in_family)
+    return kept
+
+
+def _from_other_ends(segments: list[Segment], rows: int) -> set[tuple[int, int]]:
+    """Return the doubled branches, as (family, branch), that retrace another branch in the opposite direction."""
+    begins = {(s.family, s.branch): s.begin.u[0] for s in segments if s.departure is not None and s.number == 0}
+    ends = {
+        (segment.family, segment.branch): (mark.orbit.u[0], segment.reach)
+        for segment in segments
+        for mark in segment.marks
+        if mark.note == ENDINGS[STOPPED]
+    }
+
+    def meet(first: tuple[int, int], second: tuple[int, int]) -> bool:
+        """Return whether `first` begins at the end of `second`, up to a cyclic shift of the section crossings."""
+        begin, (end, reach) = begins[first], ends[second]
+        if len(begin) != len(end):
+            return False
+        shifts = range(0, len(begin) - 1, rows)
+        shifted = (np.append(np.roll(begin[:-1], shift), begin[-1]) for shift in shifts)
+        return any(np.abs(states - end).max() <= reach for states in shifted)
+
+    again: set[tuple[int, int]] = set()
+    for first, second in combinations(sorted(ends), 2):
+        if first[0] == second[0] and first not in again and meet(first, second) and meet(second, first):
+            again.add(second)
+    return again
+
+
+def in_order(segments: list[Segment]) -> tuple[list[Mark], list[Mark]]:
+    """Return the points of all branches, and the special points in the same order.
+
+    Each branch is ordered from one end to the other.
+    """
+    points: list[Mark] = []
+    special: list[Mark] = []
+    before: tuple[int, int] | None = None
+    for segment in sorted(segments, key=lambda s: (s.family, s.branch, s.direction * (s.number + 1))):
+        along, marks = _thin_out(segment)
+        if segment.direction < 0:
+            along, marks = along[::-1], marks[::-1]
+        # The two segments that meet at the first point of the branch both contain it.
+        if before == (segment.family, segment.branch) and _distance(points[-1].orbit, along[0].orbit) < 1e-12:
+            along = along[1:]
+        before = segment.family, segment.branch
+        points += along
+        special += marks
+    return points, special
+
+
+def _thin_out(segment: Segment) -> tuple[list[Mark], list[Mark]]:
+    """Return the points of a segment at a distance of about `POINT_SPACING` and at special points; and the latter."""
+    points: list[Mark] = []
+    marks = [mark._replace(branch=segment.branch) for mark in segment.marks]
+    pending, last = list(marks), len(segment.points.u) - 1
+    for k in range(last + 1):
+        orbit = segment.points.of([k])
+        if k in (0, last) or _distance(points[-1].orbit, orbit) >= POINT_SPACING:
+            points.append(Mark(orbit, branch=segment.branch))
+        while pending and pending[0].place <= k:
+            mark = pending.pop(0)
+            if _distance(points[-1].orbit, mark.orbit) > 0:
+                points.append(mark)
+    return points, marks
+
+
+def _distance(first: Points, second: Points) -> float:
+    """Return the scaled distance; infinite between orbits with different numbers of section crossings."""
+    return float(np.abs(first.u - second.u).max()) if first.u.shape == second.u.shape else np.inf

@@ -51,6 +51,13 @@ class Equilibrium(NamedTuple):
         nearest = int(np.abs(values - 1j * frequency).argmin())
         return complex(values[nearest]), vectors[:, nearest]
 
+    def nearest_pair(self) -> tuple[complex, np.ndarray] | None:
+        """Return the complex eigenvalue next to the imaginary axis, and its eigenvector; None if all are real."""
+        values, vectors = np.linalg.eig(self.jacobian)
+        turning = np.flatnonzero(values.imag > 0)
+        nearest = turning[np.abs(values[turning].real).argmin()] if len(turning) else None
+        return None if nearest is None else (complex(values[nearest]), vectors[:, nearest])
+
 
 def hopf_point(problem: Problem, points: Points) -> Points | None:
     """Return the Hopf point to which the last points of one branch lead, or None if there is none.
@@ -60,13 +67,13 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
     last, scene = points.of([-1]), problem.scene
     if scene.section is None or last.times.shape[1] > 1 or last.signature.any() or not np.isfinite(last.times).all():
         return None
-    family = last.family
+    family, [along] = last.family, problem.along
     names = moving_states(scene)
     rows = [names.index(name) for name in scene.return_states]
     section = dict(zip(scene.return_states, problem.states(family, last.u)[0, 0], strict=True))
     begin = np.array([section.get(name, 0.0) for name in names])
     field = Field(scene, {name: x[family[0]] for name, x in problem.parameters.items()}, begin)
-    value, frequency = float(problem.value(family, last.u)[0]), 2 * np.pi / float(last.times[0, 0])
+    value, frequency = float(problem.values(family, last.u)[0, 0]), 2 * np.pi / float(last.times[0, 0])
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of the secant method, for a growth that is constant
         predicted = _extrapolated(problem, points, field, rows)
@@ -74,13 +81,13 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
             return None
 
         def growth(at: float) -> float:
-            known = field.equilibrium({problem.along: at})
+            known = field.equilibrium({along: at})
             return np.nan if known is None else known.pair(frequency)[0].real
 
-        tolerance = LOCATED_WITHIN * problem.unit[family[0]]
+        tolerance = LOCATED_WITHIN * problem.unit[family[0], 0]
         located, report = newton(growth, value, x1=predicted, tol=tolerance, full_output=True, disp=False)
-        known = field.equilibrium({problem.along: located}) if report.converged else None
-    if known is None or not problem.first[family[0]] <= located <= problem.last[family[0]]:
+        known = field.equilibrium({along: located}) if report.converged else None
+    if known is None or not problem.first[family[0], 0] <= located <= problem.last[family[0], 0]:
         return None
     eigenvalue, vector = known.pair(frequency)
     near = abs(located - predicted) < EXTRAPOLATION_ERROR * abs(located - value)
@@ -88,7 +95,7 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
         return None
     period = 2 * np.pi / eigenvalue.imag
     product = section_product(scene, known, eigenvalue, vector, problem.scales[family[0]])
-    u = problem.unknowns(family, known.states[rows][None, None], np.array([located]))
+    u = problem.unknowns(family, known.states[rows][None, None], np.array([[located]]))
     zero = np.zeros_like(last.margin)
     times = np.full_like(last.times, period)
     return last._replace(u=u, off=np.zeros_like(last.off), times=times, product=product[None], margin=zero)
@@ -149,9 +156,9 @@ class Field:
 def _extrapolated(problem: Problem, points: Points, field: Field, rows: list[int]) -> float | None:
     """Return the parameter value at which the squares of the last amplitudes extrapolate to zero, or None."""
     squares: list[float] = []
-    values = problem.value(points.family, points.u)
+    values, [along] = problem.values(points.family, points.u)[:, 0], problem.along
     for k in range(len(values) - 1, -1, -1):
-        known = field.equilibrium({problem.along: float(values[k])})
+        known = field.equilibrium({along: float(values[k])})
         if known is None or (points.signature[k] != points.signature[-1]).any():
             return None
         states = problem.states(points.family[[k]], points.u[[k]])[0, 0]

@@ -1,8 +1,8 @@
-"""Equations of a family of periodic orbits: p scaled states at the section and one scaled parameter.
+"""Equations of a family of periodic orbits: p scaled states at the section and one or two scaled parameters.
 
-The unknowns u of a lane are the states s_1 ... s_p divided by their scales, and the parameter divided by its unit. The
-equations require that the return map takes each state to the next, and the last to the first. There is one equation
-fewer than unknowns, so solutions form curves.
+The unknowns u of a lane are the states s_1 ... s_p divided by their scales, and the parameters divided by their units.
+The equations require that the return map takes each state to the next, and the last to the first. There is one equation
+fewer than unknowns (with two parameters, a further equation is added), so solutions form curves.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.newton import chain, images_by_lane, multipliers, shooting_matrix
+from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix, solve
 from vibrojax.periodic.return_map import Segments
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy
 
@@ -25,6 +25,9 @@ CORRECTOR_RESIDUAL = 1e-10
 """Largest residual of an accepted point; another Newton step would reduce the residual to about its square."""
 
 CORRECTOR_MAX_ITERATIONS = 8
+
+UNITS_PER_SPAN = 8
+"""Number of units of a scaled parameter between its bounds, which weights parameter steps against state steps."""
 
 Index = Int[np.ndarray, " lanes"]
 Unknowns = Float[np.ndarray, "lanes unknowns"]
@@ -93,75 +96,87 @@ class Points(NamedTuple):
         return self.times.sum(axis=1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Problem:
-    """Families of one scene along one parameter.
+    """Families of one scene over one parameter, or curves over two.
 
-    - `along`: name of the continuation parameter.
+    - `along`: names of the varied parameters; a continuation ends at the bounds of the last one.
     - `parameters`: the scene's parameters by name, each (families,); the values of `along` are unused.
-    - `scales` (families, states): scales of the states; `unit` (families,): unit of the continuation parameter.
-    - `first`, `last` (families,): bounds of the continuation parameter, `first` < `last`.
+    - `scales` (families, states): scales of the states.
+    - `unit`, `first`, `last` (families, varied parameters): units and bounds of the varied parameters.
     - `most_steps`: step limit between two section crossings, above which a motion counts as not returning.
     """
 
     scene: Scene[Any]
-    along: str
+    along: tuple[str, ...]
     parameters: Mapping[str, PerLane]
     scales: Float[np.ndarray, "families states"]
-    unit: PerLane
-    first: PerLane
-    last: PerLane
+    unit: Float[np.ndarray, "families varied"]
+    first: Float[np.ndarray, "families varied"]
+    last: Float[np.ndarray, "families varied"]
     most_steps: float
 
     @cached_property
     def _map(self) -> Segments:
-        return Segments(self.scene, (self.along,), FAMILY_ACCURACY, self.most_steps)
+        return Segments(self.scene, self.along, FAMILY_ACCURACY, self.most_steps)
 
     @property
     def rows(self) -> int:
         return self.scales.shape[1]
 
-    def unknowns(self, family: Index, states: Float[np.ndarray, "lanes cycles states"], value: PerLane) -> Unknowns:
+    def cycles(self, u: Unknowns) -> int:
+        """Return the number of section crossings per period that belongs to the number of unknowns."""
+        return (u.shape[1] - len(self.along)) // self.rows
+
+    def unknowns(
+        self, family: Index, states: Float[np.ndarray, "lanes cycles states"], values: Float[np.ndarray, "lanes varied"]
+    ) -> Unknowns:
         scaled = states / self.scales[family][:, None]
-        return np.column_stack([scaled.reshape(len(family), -1), value / self.unit[family]])
+        return np.column_stack([scaled.reshape(len(family), -1), values / self.unit[family]])
 
     def states(self, family: Index, u: Unknowns) -> Float[np.ndarray, "lanes cycles states"]:
         """Return the states at the section that belong to the unknowns `u`."""
-        return u[:, :-1].reshape(len(u), (u.shape[1] - 1) // self.rows, self.rows) * self.scales[family][:, None]
+        return u[:, : -len(self.along)].reshape(len(u), self.cycles(u), self.rows) * self.scales[family][:, None]
 
-    def with_states(
-        self, family: Index, u: Unknowns, states: Float[np.ndarray, "lanes cycles states"]
-    ) -> Float[np.ndarray, "lanes others"]:
-        """Return unknowns with the parameters of `u` and other states."""
-        return self.unknowns(family, states, self.value(family, u))
+    def values(self, family: Index, u: Unknowns) -> Float[np.ndarray, "lanes varied"]:
+        """Return the varied parameters."""
+        return u[:, -len(self.along) :] * self.unit[family]
 
     def parameters_at(self, family: Index, u: Unknowns) -> dict[str, PerLane]:
         """Return all parameters of lanes, by name."""
-        return {name: x[family] for name, x in self.parameters.items()} | {self.along: self.value(family, u)}
+        varied = dict(zip(self.along, self.values(family, u).T, strict=True))
+        return {name: x[family] for name, x in self.parameters.items()} | varied
 
-    def value(self, family: Index, u: Unknowns) -> PerLane:
-        return u[:, -1] * self.unit[family]
+    def segments(self, family: Index, u: Unknowns) -> tuple[dict[str, PerLane], Float[np.ndarray, "states segments"]]:
+        """Return the parameters and the initial states of the segments between section crossings."""
+        states = self.states(family, u)
+        parameters = {name: np.repeat(x, states.shape[1]) for name, x in self.parameters_at(family, u).items()}
+        return parameters, states.reshape(-1, self.rows).T
+
+    def scaled(
+        self, family: Index, jacobian: Float[np.ndarray, "lanes cycles rows columns"]
+    ) -> Float[np.ndarray, "lanes cycles rows columns"]:
+        """Return scaled derivatives of images with respect to the scaled states and parameters."""
+        scale = self.scales[family][:, None]
+        return jacobian / scale[..., None] * np.column_stack([self.scales[family], self.unit[family]])[:, None, None]
 
     def evaluate(self, family: Index, u: Unknowns) -> Points:
         """Evaluate the equations at the unknowns `u` of lanes; `family`: index of each lane's family."""
-        lanes, rows = len(u), self.rows
-        states, scale = self.states(family, u), self.scales[family]
-        cycles = states.shape[1]
-        each = np.repeat(family, cycles)
-        parameters = {name: x[each] for name, x in self.parameters.items()}
-        parameters[self.along] = np.repeat(self.value(family, u), cycles)
-        images = images_by_lane(self._map(parameters, states.reshape(-1, rows).T), lanes, cycles)
-        off = (images.state - np.roll(states, -1, axis=1)) / scale[:, None]
-        jacobian = images.jacobian / scale[:, None, :, None]
-        jacobian[..., :rows] *= scale[:, None, None, :]
-        jacobian[..., rows:] *= self.unit[family][:, None, None, None]
-        by_parameter = jacobian[..., rows:].reshape(lanes, cycles * rows, 1)
+        parameters, states = self.segments(family, u)
+        images = images_by_lane(self._map(parameters, states), len(u), self.cycles(u))
+        return self.orbit(family, u, images, self.scaled(family, images.jacobian))
+
+    def orbit(self, family: Index, u: Unknowns, images: Any, jacobian: np.ndarray) -> Points:
+        """Return the points with the equations of the orbits; `jacobian`: scaled derivatives of the `images`."""
+        lanes, cycles, rows, _ = jacobian.shape
+        off = (images.state - np.roll(self.states(family, u), -1, axis=1)) / self.scales[family][:, None]
+        by_parameters = jacobian[..., rows:].reshape(lanes, cycles * rows, -1)
         return Points(
             family=family,
             u=u.copy(),
             tangent=np.full_like(u, np.nan),
             off=off.reshape(lanes, -1),
-            matrix=np.concatenate([shooting_matrix(jacobian[..., :rows]), by_parameter], axis=2),
+            matrix=np.concatenate([shooting_matrix(jacobian[..., :rows]), by_parameters], axis=2),
             times=np.where(images.seen.returned, images.time, np.inf),
             product=chain(jacobian[..., :rows]),
             impacts=images.seen.impacts.sum(axis=1),
@@ -198,13 +213,7 @@ class Problem:
 
 def solve_bordered(matrix: Float[np.ndarray, "lanes equations unknowns"], row: Unknowns, right: Unknowns) -> Unknowns:
     """Solve matrix x = `right[:-1]`, row x = `right[-1]` for x in each lane; x is NaN if the system is singular."""
-    square = np.concatenate([matrix, row[:, None]], axis=1)
-    sound = np.isfinite(square).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-    square = np.where(sound[:, None, None], square, np.eye(square.shape[1]))
-    # For a single singular matrix, NumPy would raise for the whole batch.
-    sound &= np.linalg.slogdet(square)[0] != 0
-    square = np.where(sound[:, None, None], square, np.eye(square.shape[1]))
-    return np.where(sound[:, None], np.linalg.solve(square, right[..., None])[..., 0], np.nan)
+    return solve(np.concatenate([matrix, row[:, None]], axis=1), right[..., None])[..., 0]
 
 
 def towards(u: Unknowns, sign: PerLane | float) -> Unknowns:
@@ -212,8 +221,3 @@ def towards(u: Unknowns, sign: PerLane | float) -> Unknowns:
     direction = np.zeros_like(u)
     direction[:, -1] = sign
     return direction
-
-
-def spectral_radius(product: Float[np.ndarray, "lanes states states"]) -> PerLane:
-    """Return the greatest modulus of each lane's multipliers."""
-    return np.abs(multipliers(product)[:, 0])

@@ -1,6 +1,5 @@
 """Continuation of families of periodic orbits along one parameter: `follow`."""
 
-import json
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,28 +8,20 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.analyses.continuation.families import FamilyContinuation
-from vibrojax.analyses.continuation.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, Problem
-from vibrojax.analyses.continuation.segments import FamilyPoint, columns, in_order, measured
+from vibrojax.analyses.continuation.dataset import families_dataset
+from vibrojax.analyses.continuation.families import FamilyContinuation, in_order
+from vibrojax.analyses.continuation.problem import UNITS_PER_SPAN, Problem
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place, shown
-from vibrojax.io.kinds import OF_FAMILIES, SPECIAL_KINDS
-from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES
-from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.physics.meanings import suggest_parameter
 from vibrojax.models.physics.parameters import FREQUENCIES, REPLACED, ROTATION, not_negative, positive
-from vibrojax.models.scenes import HasImpacts, Scene
-from vibrojax.periodic.lane_orbits import known_orbits
-from vibrojax.periodic.margin import HOW
-from vibrojax.sweep.engine.labelled import measured_besides, of_orbits, parameter_attributes, shared_attributes
+from vibrojax.models.scenes import Scene
+from vibrojax.periodic.known_orbits import known_orbits, why_no_orbit
 from vibrojax.sweep.input.definition import Sweep, resolved
 from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.read import read_point, read_sweep, several_and_single
 from vibrojax.sweep.input.values import UnusualValue, quantity, warn_if_far
-
-UNITS_PER_SPAN = 8
-"""Number of units of the scaled parameter between its bounds, which weights parameter steps against state steps."""
 
 SETTLE = not_negative("settle", 40.0, "s", "time for which motions settle", "settle")
 OBSERVE = positive("observe", 8.0, "s", "time for which they are then observed", "observe")
@@ -160,11 +151,7 @@ def family_spec(
             raise place.at(name).error(f"{fault}; give {REPLACED[name]}")
     if isinstance(cycles, bool) or not isinstance(cycles, int) or not 1 <= cycles <= MOST_CYCLES:
         raise place.at("cycles").error(f"{shown(cycles)} is not a whole number from 1 to {MOST_CYCLES}")
-    if not isinstance(span, Sequence | np.ndarray) or isinstance(span, str) or len(span) != 2:
-        raise place.at("span").error(f"{shown(span)} is not a pair of numbers; give the bounds of {along}")
-    low, high = sorted(names.quantity(place.at(name), along, span[k]) for k, name in enumerate(("from", "to")))
-    if not low < high:
-        raise place.at("to").error(f"{high:g} is the same as from; give the two bounds of {along}")
+    low, high = read_span(place, names, along, span)
     begin = names.quantity(place.at("at"), along, at)
     if not low <= begin <= high:
         raise place.at("at").error(f"{begin:g} is not between from = {low:g} and to = {high:g}")
@@ -191,6 +178,16 @@ def family_spec(
     return FamilySpec(read_sweep(tables), along, low, high, cycles)
 
 
+def read_span(place: Place, names: Names, name: str, span: object) -> tuple[float, float]:
+    """Return the lower and the upper bound of a parameter, in order."""
+    if not isinstance(span, Sequence | np.ndarray) or isinstance(span, str) or len(span) != 2:
+        raise place.at("span").error(f"{shown(span)} is not a pair of numbers; give the bounds of {name}")
+    low, high = sorted(names.quantity(place.at(end), name, x) for end, x in zip(("from", "to"), span, strict=True))
+    if not low < high:
+        raise place.at("to").error(f"{high:g} is the same as from; give the two bounds of {name}")
+    return low, high
+
+
 def _count_families(place: Place, names: Names, several: Mapping[str, list[Any]]) -> int:
     """Check the values that differ between families, and return the number of families."""
     for name, column in several.items():
@@ -215,8 +212,8 @@ def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
     """Return the families of a specification, as `follow` does; raise `InputError` if there is no initial orbit."""
     dataset = run_sweep(spec.sweep, progress=progress)
     problem, families, first = problem_of(spec, dataset)
-    points, special = in_order(FamilyContinuation(problem, cycles=spec.cycles)(families, first))
-    return _dataset(spec.sweep, problem, points, special)
+    segments = FamilyContinuation(problem, cycles=spec.cycles)(families, first)
+    return families_dataset(spec.sweep, problem, *in_order(segments))
 
 
 def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
@@ -235,79 +232,25 @@ def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarr
     families = known.lanes
     if not len(families):
         lane = dataset.isel(point=0)
-        raise Place("follow").at("at").error(_no_orbit(lane, f"{along} = {float(lane[along]):g}"))
+        why = why_no_orbit(lane)
+        instead = "begin where it does" if why.startswith("does not repeat") else "begin elsewhere"
+        raise Place("follow").at("at").error(f"the motion at {along} = {float(lane[along]):g} {why}; {instead}")
     scale = np.ones((sweep.lanes, len(system.return_states)))
     scale[families] = known.scales
     bounds = ((spec.high - spec.low) / UNITS_PER_SPAN, spec.low, spec.high)
-    unit, first, last = (np.full(sweep.lanes, x) for x in bounds)
-    problem = Problem(system, along, parameters, scale, unit, first, last, known.most_steps)
+    unit, first, last = (np.full((sweep.lanes, 1), x) for x in bounds)
+    problem = Problem(
+        scene=system,
+        along=(along,),
+        parameters=parameters,
+        scales=scale,
+        unit=unit,
+        first=first,
+        last=last,
+        most_steps=known.most_steps,
+    )
     unknowns = [
-        problem.unknowns(families[[k]], states[None], parameters[along][families[[k]]])[0]
+        problem.unknowns(families[[k]], states[None], parameters[along][families[[k]], None])[0]
         for k, states in enumerate(known.states)
     ]
     return problem, families, unknowns
-
-
-def _no_orbit(lane: xr.Dataset, where: str) -> str:
-    """Return a message with the reason why there is no initial orbit, and a remedy."""
-    reason = ORBIT_REASONS[int(lane["orbit_reason"])]
-    if reason == "not-repeating":
-        regime, settle = REGIMES[int(lane["regime"])], json.loads(str(lane.attrs["run"]))["settle"]
-        return f"the motion at {where} does not repeat ({regime} after {settle:g} s); begin where it does"
-    if reason == "refused":
-        words = REASONS[int(lane["reason"])].replace("-", " ")
-        return f"the motion at {where} cannot be run ({words}); begin elsewhere"
-    words = reason.replace("-", " ")
-    return f"the motion at {where} repeats, but its orbit is not known ({words}); begin elsewhere"
-
-
-def _dataset(sweep: Sweep, problem: Problem, points: list[FamilyPoint], special: list[FamilyPoint]) -> xr.Dataset:
-    table, at_special = columns(problem, points), columns(problem, special)
-    along, system = problem.along, problem.scene
-    schema = VARIABLES | OF_FAMILIES | measured_besides(sweep.system) | of_orbits(sweep.system)
-    measures = {name: x for name, x in measured(sweep, problem, points, table).items() if name in schema}
-    multipliers = {name: table.pop(name) for name in ("multiplier_abs", "multiplier_arg")}
-    family, value = table.pop("family"), table.pop(along)
-    values = table | measures | multipliers
-    if not isinstance(system, HasImpacts):
-        del values["impacts"]
-    described = parameter_attributes(sweep, along)
-    values |= {
-        "special_kind": np.array([SPECIAL_KINDS.index(point.kind) for point in special], np.int8),
-        "special_value": at_special[along],
-        "special_branch": at_special["branch"],
-        "special_note": np.array([point.note for point in special], str),
-    }
-    several = {name: x for name, x in (sweep.points or {}).items() if name != along}
-    coordinates: dict[str, Any] = {}
-    if several:
-        values |= {"point_family": family, "special_family": at_special["family"]}
-        coordinates["family"] = ("family", np.arange(sweep.lanes), schema["point_family"].attributes())
-        for name, x in several.items():
-            about = {"long_name": "rock"} if name == "rock" else parameter_attributes(sweep, name)
-            coordinates[name] = ("family", x, about)
-    variables: dict[str, Any] = {along: ("point", value, described)}
-    for name, x in values.items():
-        dims = ("special" if name.startswith("special_") else "point", "multiplier")[: x.ndim]
-        variables[name] = (dims, np.asarray(x, schema[name].dtype), schema[name].attributes())
-    at_point = {"long_name": f"{described['long_name']} at the special point"}
-    variables["special_value"][-1].update(described | at_point)
-    del variables["special_note"][-1]["units"]
-    orbits = {
-        "states": list(system.return_states),
-        "tolerance": FAMILY_ACCURACY.tolerance,
-        "accepted_residual": CORRECTOR_RESIDUAL,
-        "grazing_margin": HOW,
-    }
-    title = f"Families of periodic orbits of {sweep.scene} over {along}"
-    attributes = {
-        **shared_attributes(sweep, "family", title, "follow"),
-        "along": along,
-        "span": [float(problem.first[0]), float(problem.last[0])],
-        "parameters": json.dumps({name: x for name, x in sweep.parameters.items() if name != along}),
-        "orbits": json.dumps(orbits),
-    }
-    if sweep.starts is not None:
-        start = sweep.starts[0]
-        attributes["start"] = start if isinstance(start, str) else json.dumps(start)
-    return xr.Dataset(variables, coordinates, attributes)

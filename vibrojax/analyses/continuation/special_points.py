@@ -1,32 +1,19 @@
-"""Special points of branches: detection and location between successive points, and passage to the parts beyond.
+"""Passage of branches through special points: corners, tangencies with the section, and period doublings.
 
 Where an event begins or vanishes, the return map has a kink. The branch has a corner there, which may be so sharp that
 the branch turns back. Where the motion becomes tangent to the section, the branch continues with another number of
 section crossings per period. At a period doubling, a branch with twice the period begins.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
 
-from vibrojax.analyses.continuation.arclength import SHORTEST_STEP, Branches
-from vibrojax.analyses.continuation.brackets import ACCEPTED_WITHIN, EVENT_CHANGE, Brackets, shrink_brackets
-from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points, Problem, Unknowns, towards
-from vibrojax.io.kinds import SPECIAL_KINDS
+from vibrojax.analyses.continuation.arclength import SHORTEST_STEP
+from vibrojax.analyses.continuation.brackets import EVENT_CHANGE, Brackets
+from vibrojax.analyses.continuation.location import SAME_TIME
+from vibrojax.analyses.continuation.problem import Flags, PerLane, Points, Problem, Unknowns, towards
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.periodic.newton import multipliers
-
-MAX_EVENT_CHANGES = 8
-"""Largest number of event changes that are located between two points of a branch."""
-
-CRITICAL_DISTANCE = 1e-3
-"""Largest distance of a located point's multiplier from its critical value. Where events begin or vanish, multipliers
-may jump over the critical value; such a point has another kind."""
-
-GRAZED_MARGIN = 1e-4
-"""Largest grazing margin of a grazing point. The margin may vary as the square root of the distance, and points are
-located, or branches stall, within `SHORTEST_STEP` (1e-9)."""
 
 BEFORE_CORNER = 100 * SHORTEST_STEP
 """Scaled distance before a corner at which a point certainly has the events of the side before the corner."""
@@ -40,135 +27,8 @@ DEPARTURE_DISTANCES = (1e-6, 1e-5, 1e-4, 1e-3)
 REINDEX_DISTANCES = (1e-7, 1e-6, 1e-5, 1e-4)
 """Scaled distances behind a tangency with the section at which section crossings are counted again."""
 
-SAME_TIME = 1e-2
-"""Largest relative difference of the period of the motion between neighbouring points with the same crossings."""
-
 SAME_PERIOD = 1e-4
 """Largest relative difference of the period between two descriptions of one motion with different crossings."""
-
-
-def _torus(points: Points) -> PerLane:
-    """Return the product of mu_i mu_j - 1 over all pairs of multipliers.
-
-    See Kuznetsov, *Elements of Applied Bifurcation Theory*, section 10.2.
-    """
-    values = multipliers(points.product)
-    first, second = np.triu_indices(values.shape[1], 1)
-    return np.prod(values[:, first] * values[:, second] - 1, axis=1).real
-
-
-TEST_FUNCTIONS: dict[str, Callable[[Points], PerLane]] = {
-    "fold": lambda points: points.tangent[:, -1],
-    "period-doubling": lambda points: np.linalg.det(points.product + np.eye(points.product.shape[1])),
-    "torus": _torus,
-}
-"""Functions that change sign at special points, by kind: the tangent's component along the parameter; det(M + 1), where
-M is the derivative of the map over one period of the motion; and `_torus`."""
-
-
-def locate_special_points(problem: Problem, branches: Branches) -> Brackets:
-    """Return all special points between the points of branches: `near` at the special point, `far` just behind it.
-
-    Multipliers jump where events begin or vanish. Such points are located first, then the special points between them.
-    """
-    with np.errstate(all="ignore"):
-        brackets = _detect(branches.brackets(np.arange(len(branches.lane) - 1)))
-        located = [brackets.of(slice(0))]
-        for _ in range(MAX_EVENT_CHANGES + 1):
-            if not len(brackets.place):
-                break
-            shrunk, success = shrink_brackets(problem, brackets, _test_function(brackets))
-            events = brackets.kind == EVENT_CHANGE
-            for side in (shrunk, shrunk._replace(near=shrunk.far, far=shrunk.near)):
-                smooth = np.flatnonzero(success & ~events)
-                smooth = smooth[is_critical(side.kind[smooth], side.near.product[smooth])]
-                located.append(side.of(smooth))
-                success[smooth] = False
-            change, whole = shrunk.of(success & events), brackets.of(success & events)
-            located.append(_at_graze(classify_event_changes(problem, _touching_end_first(change))))
-            before, behind = whole._replace(far=change.near), whole._replace(near=change.far)
-            parts = _detect_smooth(before), _detect(behind), _detect_smooth(brackets.of(~success & events))
-            brackets = Brackets.join(parts)
-    return Brackets.join(located)
-
-
-def _touching_end_first(changes: Brackets) -> Brackets:
-    """Return located changes of events with `near` at the change, where only one end of the bracket has moved to it.
-
-    That end, the one with fewer events, is the far one if an event vanishes along the branch.
-    """
-    near, far = changes.near, changes.far
-    apart = np.abs(far.u - near.u).max(axis=1, initial=0.0) > ACCEPTED_WITHIN
-    swapped = changes._replace(near=far, far=near)
-    other = apart & (far.margin < near.margin)
-    return Brackets.join([changes.of(~other), swapped.of(other)])
-
-
-def _at_graze(changes: Brackets) -> Brackets:
-    """Return the changes of events without those that would be called grazing although nothing grazes."""
-    grazes = np.minimum(changes.near.margin, changes.far.margin) < GRAZED_MARGIN
-    return changes.of(grazes | (changes.kind != SPECIAL_KINDS.index("grazing")))
-
-
-def classify_event_changes(problem: Problem, brackets: Brackets) -> Brackets:
-    """Classify points at which events begin or vanish: impacts, sticks and reversals, or tangencies with the section.
-
-    A point at which both impacts and sticks change is returned twice, once with each kind. If the duration of the
-    period jumps, other section crossings are counted; such a point counts as a tangency only. All remaining changes
-    count as grazing.
-    """
-    near, far = brackets.near, brackets.far
-    section = ~(np.abs(far.period - near.period) < SAME_TIME * near.period)
-    impact = (near.impacts != far.impacts) & ~section
-    # The mode of friction is -1 for reversed motion, and 0 for stick.
-    slips = list(problem.scene.switch_places.values())
-    stick = (near.mode_changes[:, slips, :2] != far.mode_changes[:, slips, :2]).any(axis=(1, 2)) & ~section
-    kinds = {"grazing": impact | (~stick & ~section), "stick": stick, "section": section}
-    return Brackets.join([brackets.of(mask).as_kind(SPECIAL_KINDS.index(kind)) for kind, mask in kinds.items()])
-
-
-def is_critical(kind: Int[np.ndarray, " lanes"], product: Float[np.ndarray, "lanes states states"]) -> Flags:
-    """Return a mask of lanes with a multiplier near the critical value of their `kind` (a flag)."""
-    values = multipliers(product)
-    fold, doubling = (np.abs(values - critical).min(axis=1) < CRITICAL_DISTANCE for critical in (1, -1))
-    on_circle = np.abs(np.abs(values) - 1) < CRITICAL_DISTANCE
-    torus = ((np.abs(values.imag) > CRITICAL_DISTANCE) & on_circle).any(axis=1)
-    return np.select([kind == SPECIAL_KINDS.index(name) for name in TEST_FUNCTIONS], [fold, doubling, torus], False)
-
-
-def _detect(brackets: Brackets) -> Brackets:
-    """Return the brackets with special points; a change of events hides points of other kinds."""
-    changed = brackets.changes_events
-    return Brackets.join([brackets.of(changed).as_kind(EVENT_CHANGE), _detect_smooth(brackets.of(~changed))])
-
-
-def _detect_smooth(brackets: Brackets) -> Brackets:
-    """Return the brackets in which a test function changes sign."""
-    parts = []
-    for kind, test in TEST_FUNCTIONS.items():
-        changed = test(brackets.near) * test(brackets.far) < 0
-        parts.append(brackets.of(changed).as_kind(SPECIAL_KINDS.index(kind)))
-    return Brackets.join(parts)
-
-
-def _test_function(brackets: Brackets) -> Callable[[Index, Points], PerLane]:
-    """Return a function that evaluates the test function of each bracket's kind.
-
-    For `EVENT_CHANGE` the test function is the grazing margin, which tends to zero from at least one side. It gets a
-    negative sign where the events differ from those at the near end.
-    """
-    counts = brackets.near.signature
-
-    def test(lanes: Index, points: Points) -> PerLane:
-        same = (points.signature == counts[lanes]).all(axis=1)
-        values = np.where(same, 1.0, -1.0) * np.maximum(points.margin, np.finfo(float).tiny)
-        for name, function in TEST_FUNCTIONS.items():
-            mask = brackets.kind[lanes] == SPECIAL_KINDS.index(name)
-            if mask.any():
-                values[mask] = function(points.of(mask))
-        return values
-
-    return test
 
 
 def turn_corner(problem: Problem, branches: Sequence[Points]) -> tuple[Flags, Brackets]:
@@ -225,14 +85,14 @@ def reindex_returns(problem: Problem, last: Points) -> Points | None:
         for begin in problem.states(lane, u)[0]:
             states, total = [begin], 0.0
             for _ in range(min(cycles + 3, 2 * MOST_CYCLES)):
-                now = problem.evaluate(lane, problem.with_states(lane, u, states[-1][None, None]))
+                now = problem.evaluate(lane, problem.unknowns(lane, states[-1][None, None], problem.values(lane, u)))
                 total += float(now.times[0, 0])
                 if not np.isfinite(total) or total > (1 - SAME_PERIOD) * period:
                     break
                 states.append(states[-1] + now.off[0, : problem.rows] * problem.scales[lane[0]])
             if abs(total - period) > SAME_PERIOD * period or len(states) == cycles or len(states) > MOST_CYCLES:
                 continue
-            guess = problem.with_states(lane, u, np.stack(states)[None])
+            guess = problem.unknowns(lane, np.stack(states)[None], problem.values(lane, u))
             now, converged = problem.correct(lane, guess, towards(guess, 1.0), guess[:, -1])
             if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
                 return now.along(towards(guess, np.sign(tangent[:, -1])))

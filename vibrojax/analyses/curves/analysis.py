@@ -53,14 +53,11 @@ def curves_facts(ds: xr.Dataset) -> dict[str, Any]:
     - `codim2`: `kind`, `curve` and the two parameters of each point; `crossings`: `curve` and the two parameters.
     """
     names, meanings = axes_of(ds), flags(ds["kind"])
+    sizes = np.bincount(ds["point_curve"].values, minlength=ds.sizes["curve"]).tolist()
+    columns = ds["kind"].values.tolist(), ds["special"].values.tolist(), sizes, ds["curve_note"].values
     curves = [
-        {
-            "kind": meanings[int(ds["kind"][k])],
-            "special": int(ds["special"][k]),
-            "points": int((ds["point_curve"].values == k).sum()),
-            "note": printable(ds["curve_note"].values[k], 300),
-        }
-        for k in range(ds.sizes["curve"])
+        {"kind": meanings[kind], "special": special, "points": size, "note": printable(note, 300)}
+        for kind, special, size, note in zip(*columns, strict=True)
     ]
 
     def places(dimension: str) -> list[dict[str, Any]]:

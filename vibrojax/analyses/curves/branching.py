@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.analyses.continuation.problem import Points
+from vibrojax.analyses.continuation.segments import Mark
 from vibrojax.analyses.curves.codim2 import NAMES
 from vibrojax.analyses.curves.event_map import conditions_of
 from vibrojax.analyses.curves.extended import EVENTS, CurveProblem, antiperiodic
-from vibrojax.analyses.curves.following import NEAR_START, Curve, Mark, between, continue_both_ways
+from vibrojax.analyses.curves.following import NEAR_START, Curve, between, continue_both_ways
 from vibrojax.analyses.curves.singular import signed_singular
 from vibrojax.io.kinds import SPECIAL_KINDS
-from vibrojax.models.scenes import Scene
 
 MAX_CURVES = 40
 """Largest number of curves that begin at points of codimension two; each of the drill takes about half a second."""
@@ -77,11 +77,6 @@ def condition_at(
     return choices[nearest] if least[nearest] < NEAR_EVENT else np.zeros(len(choices))
 
 
-def on_switch(scene: Scene[Any], chosen: Float[np.ndarray, " conditions"]) -> bool:
-    """Return whether the chosen condition is one of a switch that may hold the motion, as friction does."""
-    return conditions_of(scene)[int(chosen.argmax())][0] in scene.switch_places
-
-
 def passes(problem: CurveProblem, curve: Curve, point: Points) -> bool:
     """Return whether a curve passes through a point of another curve, whatever crossing its orbit is listed from."""
     rows, mine, others = problem.rows, curve.number, int(point.family[0])
@@ -107,17 +102,16 @@ def _alike(problem: CurveProblem, first: int, second: int) -> bool:
     # The name of an event depends on what changes, its condition does not.
     same = problem.kinds[first] == problem.kinds[second] or set(problem.kinds[[first, second]]) <= set(EVENTS)
     same &= bool((problem.chosen[first] == problem.chosen[second]).all())
-    varied = (problem.along, problem.other)
-    return bool(same) and all(x[first] == x[second] for name, x in problem.parameters.items() if name not in varied)
+    fixed = (x for name, x in problem.parameters.items() if name not in problem.along)
+    return bool(same) and all(x[first] == x[second] for x in fixed)
 
 
 def without_duplicates(problem: CurveProblem, curves: list[Curve]) -> list[Curve]:
     """Return the curves without those whose special point lies on an earlier one, which gets a note."""
     kept: list[Curve] = []
     for curve in curves:
-        begin = curve.begin
-        same = [x for x in kept if begin is not None and _alike(problem, x.number, curve.number)]
-        same = [x for x in same if begin is not None and passes(problem, x, begin)]
+        others = [x for x in kept if _alike(problem, x.number, curve.number)]
+        same = [x for x in others if curve.begin is not None and passes(problem, x, curve.begin)]
         if not same:
             kept.append(curve)
         elif curve.special >= 0:
@@ -133,29 +127,32 @@ def with_branches(problem: CurveProblem, curves: list[Curve]) -> tuple[CurveProb
         marks = [(curve, mark) for curve in fresh for mark in curve.marks]
         begins: list[Points] = []
         for curve, mark in marks:
-            kind = other_kind(mark.name, str(problem.kinds[curve.number]))
+            kind = other_kind(mark.kind, str(problem.kinds[curve.number]))
             if kind is None:
                 continue
             extended = _extended(problem, curve, mark, kind)
             number = len(problem.kinds)
             if extended is None:
                 continue
-            doubled = mark.name == "generalised flip"
+            doubled = mark.kind == "generalised flip"
             begin = _begin_doubled(extended, mark, number) if doubled else _begin(extended, mark, number)
-            point = begin if doubled and begin is not None else mark.point
+            point = begin if doubled and begin is not None else mark.orbit
             if any(_alike(extended, x.number, number) and passes(extended, x, point) for x in curves):
                 continue
-            known = [x for x in begins if _alike(extended, int(x.family[0]), number) and _near(x, begin)]
-            if begin is None or known:
+            if begin is None:
+                continue
+            same = [x for x in begins if _alike(extended, int(x.family[0]), number) and x.u.shape == begin.u.shape]
+            if any(np.abs(x.u - begin.u).max() < SAME_CURVE for x in same):
                 continue
             if begun >= MAX_CURVES:
-                _say_limit(curve)
+                note = f"further curves begin here; {MAX_CURVES} of them are followed"
+                curve.notes += [note] * (note not in curve.notes)
                 continue
             problem, begun = extended, begun + 1
             begins.append(begin)
-            values = problem.values(mark.point.family, mark.point.u)[0]
-            place = f"{problem.other} = {values[0]:.6g}, {problem.along} = {values[1]:.6g}"
-            every.append(Curve(number, notes=[], origin=f"begins at the point {mark.name} at {place}"))
+            values = zip(problem.along, problem.values(mark.orbit.family, mark.orbit.u)[0], strict=True)
+            place = ", ".join(f"{name} = {value:.6g}" for name, value in values)
+            every.append(Curve(number, notes=[], origin=f"begins at the point {mark.kind} at {place}"))
         if not begins:
             break
         continue_both_ways(problem, begins, every, lambda ends: None)
@@ -168,40 +165,25 @@ def with_branches(problem: CurveProblem, curves: list[Curve]) -> tuple[CurveProb
     return problem, curves
 
 
-def _say_limit(curve: Curve) -> None:
-    note = f"further curves begin here; {MAX_CURVES} of them are followed"
-    if note not in curve.notes:
-        curve.notes.append(note)
-
-
-def _near(point: Points, other: Points | None) -> bool:
-    same = other is not None and other.u.shape == point.u.shape
-    return other is not None and same and bool(np.abs(other.u - point.u).max() < SAME_CURVE)
-
-
 def _extended(problem: CurveProblem, curve: Curve, mark: Mark, kind: str) -> CurveProblem | None:
     """Return the equations with those of a further curve, of another kind than `curve`; None without a condition."""
     k = curve.number
     chosen = np.zeros(problem.chosen.shape[1])
     if kind in EVENTS:
-        chosen = condition_at(problem, k, mark.point.u[0], problem.chosen[k])
+        chosen = condition_at(problem, k, mark.orbit.u[0], problem.chosen[k])
         if not chosen.any():
             return None
-        kind = "stick" if on_switch(problem.scene, chosen) else "grazing"
+        guard, _ = conditions_of(problem.scene)[int(chosen.argmax())]
+        kind = "stick" if guard in problem.scene.switch_places else "grazing"
 
     def again(x: np.ndarray) -> np.ndarray:
         return np.concatenate([x, x[[k]]])
 
+    arrays: dict[str, Any] = {name: again(getattr(problem, name)) for name in ("scales", "unit", "first", "last")}
     return replace(
         problem,
         parameters={name: again(x) for name, x in problem.parameters.items()},
-        scales=again(problem.scales),
-        unit=again(problem.unit),
-        first=again(problem.first),
-        last=again(problem.last),
-        other_unit=again(problem.other_unit),
-        other_first=again(problem.other_first),
-        other_last=again(problem.other_last),
+        **arrays,
         kinds=np.append(problem.kinds, kind),
         chosen=np.concatenate([problem.chosen, chosen[None]]),
     )
@@ -209,24 +191,24 @@ def _extended(problem: CurveProblem, curve: Curve, mark: Mark, kind: str) -> Cur
 
 def _begin(problem: CurveProblem, mark: Mark, number: int) -> Points | None:
     """Return the first point of a curve next to a point of codimension two, with its tangent; None if there is none."""
-    curve, across = np.array([number]), mark.point.matrix[0, -1]
+    curve, across = np.array([number]), mark.orbit.matrix[0, -1]
     across = across / max(float(np.linalg.norm(across)), 1e-300)
     with np.errstate(all="ignore"):
         for offset in OFFSETS if np.isfinite(across).all() else OFFSETS[:1]:
-            u = mark.point.u + offset * across
+            u = mark.orbit.u + offset * across
             now = problem.evaluate(curve, u)
             if not (np.isfinite(now.matrix).all() and np.isfinite(now.residual).all()):
                 continue
             row = np.linalg.svd(now.matrix)[2][:, -1]
             begin, converged = problem.correct(curve, u, row, np.einsum("ij,ij->i", row, u))
-            if converged[0] and np.abs(begin.u - mark.point.u).max() < NEAR_START and np.isfinite(begin.tangent).all():
+            if converged[0] and np.abs(begin.u - mark.orbit.u).max() < NEAR_START and np.isfinite(begin.tangent).all():
                 return begin
     return None
 
 
 def _begin_doubled(problem: CurveProblem, mark: Mark, number: int) -> Points | None:
     """Return a fold of the doubled orbit next to a generalised flip, with its tangent; None if there is none."""
-    point, curve = mark.point, np.array([number])
+    point, curve = mark.orbit, np.array([number])
     states, parameters = point.u[:, :-2], point.u[:, -2:]
     shooting = point.matrix[:, : states.shape[1], : states.shape[1]]
     _, _, v = signed_singular(antiperiodic(shooting, problem.rows))

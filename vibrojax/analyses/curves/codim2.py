@@ -4,21 +4,17 @@ See Kuznetsov, *Elements of Applied Bifurcation Theory*, chapters 8 and 9, and d
 Dynamical Systems*, chapter 9, for points with events.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from vibrojax.analyses.continuation.arclength import Branches
-from vibrojax.analyses.continuation.brackets import EVENT_CHANGE, Brackets, shrink_brackets
-from vibrojax.analyses.continuation.problem import Index, PerLane, Points
-from vibrojax.analyses.continuation.special_points import classify_event_changes
+from vibrojax.analyses.continuation.brackets import Brackets, TestFunction
+from vibrojax.analyses.continuation.location import Locator, Test, classify_event_changes, pair_products
+from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points
 from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
 from vibrojax.analyses.curves.singular import signed_singular
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.newton import multipliers
-
-MOST_CHANGES = 4
-"""Largest number of event changes that are located between two points of a curve."""
 
 JUMP = 1e-2
 """Largest value of a test function at a located point, relative to its values at the ends of the bracket. A test
@@ -35,9 +31,6 @@ NAMES = {
     ("grazing", "stick"): "stick-graze",
 }
 """Names of points at which a curve's own condition and another one hold; others are called "a and b"."""
-
-Test = Callable[[Points, Points], PerLane]
-"""`test(points, reference)`: test values; `reference`: points of the same curves that fix the signs of vectors."""
 
 
 def name_of(kind: str, other: str) -> str:
@@ -83,18 +76,13 @@ def cosine(points: Points) -> PerLane:
     return _pair(points)[0]
 
 
-def _product_of_pairs(values: np.ndarray) -> PerLane:
-    i, j = np.triu_indices(values.shape[1], 1)
-    return np.asarray(np.prod(values[:, i] * values[:, j] - 1, axis=1).real)
-
-
 def _of_singular(critical: float) -> dict[str, Test]:
     """Return the tests of curves with the multiplier `critical`, 1 or -1."""
     own, flip = (f"1:{1 if critical > 0 else 2} resonance", "fold-flip")
     return {
         own: lambda points, _: np.prod(_others(points, critical) - critical, axis=1).real,
         flip: lambda points, _: np.prod(_others(points, critical) + critical, axis=1).real,
-        name_of("fold" if critical > 0 else "period-doubling", "torus"): lambda points, _: _product_of_pairs(
+        name_of("fold" if critical > 0 else "period-doubling", "torus"): lambda points, _: pair_products(
             _others(points, critical)
         ),
     }
@@ -122,42 +110,47 @@ def tests_of(kind: str, flip_coefficient: Callable[[Points], PerLane]) -> dict[s
     return {
         name_of(kind, "fold"): lambda points, _: np.linalg.det(points.product - eye(points)),
         name_of(kind, "period-doubling"): lambda points, _: np.linalg.det(points.product + eye(points)),
-        name_of(kind, "torus"): lambda points, _: _product_of_pairs(multipliers(points.product)),
+        name_of(kind, "torus"): lambda points, _: pair_products(multipliers(points.product)),
     }
 
 
-ALL_NAMES = tuple(dict.fromkeys(name for kind in (*SPECIAL_KINDS[:3], *EVENTS) for name in tests_of(kind, cosine)))
-"""Names of the points that test functions locate; points with another event are named by `name_of`."""
+CONTINUED = ("fold", "period-doubling", "torus", "grazing", "stick", "hopf")
+"""Kinds of special points that are continued; the others depend on how returns are counted."""
+
+CODIM2_NAMES = tuple(
+    dict.fromkeys(
+        [name for kind in CONTINUED for name in tests_of(kind, cosine)]
+        + [name_of(kind, other) for kind in CONTINUED for other in (*EVENTS, "section", kind)]
+    )
+)
+"""Names of the points of codimension two: those of test functions, and those at which another event begins."""
 
 
-def locate(problem: CurveProblem, branches: Branches) -> list[tuple[int, str, Points]]:
-    """Return the points of codimension two: index of the point of a branch before each, its name, and the point.
+class CodimensionTwo(Locator):
+    """Location of the points of codimension two of curves."""
 
-    Test functions jump where events change. Such points are located first, then the others between them.
-    """
-    located: list[tuple[int, str, Points]] = []
-    with np.errstate(all="ignore"):
-        brackets = _detect(problem, branches.brackets(np.arange(len(branches.lane) - 1)))
-        for _ in range(MOST_CHANGES):
-            if not len(brackets.place):
-                break
-            test = _test_function(problem, brackets)
-            every = np.arange(len(brackets.place))
-            ends = np.maximum(np.abs(test(every, brackets.near)), np.abs(test(every, brackets.far)))
-            shrunk, success = shrink_brackets(problem, brackets, test)
-            events = brackets.kind == EVENT_CHANGE
-            least = np.minimum(np.abs(test(every, shrunk.near)), np.abs(test(every, shrunk.far)))
-            for k in np.flatnonzero(success & ~events & (least < JUMP * ends)).tolist():
-                located.append((int(shrunk.place[k]), ALL_NAMES[shrunk.kind[k]], shrunk.near.of([k])))
-            changes = shrunk.of(success & events)
-            for k in range(len(changes.place)):
-                change = changes.of([k])
-                if min(change.near.margin[0], change.far.margin[0]) < TOUCHES:
-                    located += [(int(change.place[0]), name, change.near) for name in event_names(problem, change)]
-            whole = brackets.of(success & events)
-            before, behind = whole._replace(far=changes.near), whole._replace(near=changes.far)
-            brackets = Brackets.join([_smooth(problem, before), _detect(problem, behind)])
-    return located
+    problem: CurveProblem
+
+    def tests(self, family: Index) -> Iterator[tuple[int, Flags, Test]]:
+        """Yield flag, mask of the lanes on curves of one kind, and test function of each kind of point."""
+        kinds = self.problem.kinds[family]
+        for kind in np.unique(kinds):
+            for name, test in tests_of(str(kind), self.problem.flip_coefficient).items():
+                yield CODIM2_NAMES.index(name), kinds == kind, test
+
+    def accepted(self, brackets: Brackets, shrunk: Brackets, test: TestFunction, lanes: Index) -> Brackets:
+        """Return the points among the `lanes` of shrunk brackets in which the test function does not jump."""
+        before = np.maximum(*(np.abs(test(lanes, end.of(lanes))) for end in (brackets.near, brackets.far)))
+        least = np.minimum(*(np.abs(test(lanes, end.of(lanes))) for end in (shrunk.near, shrunk.far)))
+        return shrunk.of(lanes[least < JUMP * before])
+
+    def classified(self, changes: Brackets) -> Brackets:
+        """Return located changes of other events, each with its names."""
+        parts = [changes.of(slice(0))]
+        for k in np.flatnonzero(np.minimum(changes.near.margin, changes.far.margin) < TOUCHES).tolist():
+            change = changes.of([k])
+            parts += [change.as_kind(CODIM2_NAMES.index(x)) for x in event_names(self.problem, change)]
+        return Brackets.join(parts)
 
 
 def event_names(problem: CurveProblem, change: Brackets) -> list[str]:
@@ -168,40 +161,3 @@ def event_names(problem: CurveProblem, change: Brackets) -> list[str]:
         return [name_of(kind, kind)]
     classified = classify_event_changes(problem, change)
     return [name_of(kind, SPECIAL_KINDS[flag]) for flag in classified.kind]
-
-
-def _detect(problem: CurveProblem, brackets: Brackets) -> Brackets:
-    changed = brackets.changes_events
-    return Brackets.join([brackets.of(changed).as_kind(EVENT_CHANGE), _smooth(problem, brackets.of(~changed))])
-
-
-def _smooth(problem: CurveProblem, brackets: Brackets) -> Brackets:
-    """Return the brackets in which a test function of the curve's kind changes sign, with the index of its name."""
-    parts = [brackets.of(slice(0))]
-    kinds = problem.kinds[brackets.near.family]
-    for kind in np.unique(kinds):
-        own = brackets.of(kinds == kind)
-        for name, test in tests_of(str(kind), problem.flip_coefficient).items():
-            changed = test(own.near, own.near) * test(own.far, own.near) < 0
-            parts.append(own.of(changed).as_kind(ALL_NAMES.index(name)))
-    return Brackets.join(parts)
-
-
-def _test_function(problem: CurveProblem, brackets: Brackets) -> Callable[[Index, Points], PerLane]:
-    """Return a function that evaluates the test function of each bracket; see `_detect` for their kinds."""
-    counts, near = brackets.near.signature, brackets.near.of(slice(None))
-    near = near.of(np.arange(len(near.u)))
-    kinds = problem.kinds[near.family]
-
-    def evaluate(lanes: Index, points: Points) -> PerLane:
-        same = (points.signature == counts[lanes]).all(axis=1)
-        values = np.where(same, 1.0, -1.0) * np.maximum(points.margin, np.finfo(float).tiny)
-        for flag in np.unique(brackets.kind[lanes]):
-            for kind in np.unique(kinds[lanes]) if flag != EVENT_CHANGE else ():
-                mask = (brackets.kind[lanes] == flag) & (kinds[lanes] == kind)
-                test = tests_of(str(kind), problem.flip_coefficient).get(ALL_NAMES[flag])
-                if mask.any() and test is not None:
-                    values[mask] = test(points.of(mask), near.of(lanes[mask]))
-        return values
-
-    return evaluate

@@ -7,7 +7,7 @@ which is regular at the curve itself:
   the sign of its determinant;
 - torus: that of C - 1, where C is the second compound of the monodromy matrix, whose eigenvalues are the products of
   two multipliers (Kuznetsov, *Elements of Applied Bifurcation Theory*, section 10.2);
-- Hopf: the growth rate of the equilibrium ([vibrojax.analyses.curves.hopf][]);
+- Hopf: the growth rate of the equilibrium ([vibrojax.analyses.continuation.hopf][]);
 - grazing and stick: the signed margin of the event ([vibrojax.analyses.curves.event_map][]).
 
 The derivative of a singular value with the vectors w and v is w dA v. Second derivatives of the return map are
@@ -22,19 +22,21 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.analyses.continuation.hopf import Field, moving_states
+from vibrojax.analyses.continuation.hopf import Field, moving_states, section_product
 from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY, Index, PerLane, Points, Problem, Unknowns
 from vibrojax.analyses.curves.event_map import conditions_of, event_mapped
-from vibrojax.analyses.curves.hopf import HopfEquations
 from vibrojax.analyses.curves.singular import compound, compound_along, segment_product, signed_singular
 from vibrojax.compile.xla import workers
 from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
-from vibrojax.periodic.return_map import Segments, in_calls
+from vibrojax.periodic.return_map import in_calls
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, second_variation
 from vibrojax.stepping import Accuracy, Located
 
 FLIP_STEP = 1e-3
 """Scaled difference of states from which third derivatives are taken. Second derivatives are exact."""
+
+HOPF_STEP = 1e-5
+"""Scaled step of the differences with respect to the parameters, of exact equilibria and eigenvalues."""
 
 EVENTS = ("grazing", "stick")
 """Kinds of special points that are conditions on events, not on multipliers."""
@@ -49,45 +51,14 @@ def antiperiodic(shooting: Float[np.ndarray, "lanes n n"], rows: int) -> Float[n
 
 @dataclass(frozen=True, kw_only=True)
 class CurveProblem(Problem):
-    """Equations of curves, each of which takes the place of a family; `along` is the second parameter.
+    """Equations of curves, each of which takes the place of a family, over two parameters.
 
-    - `other`: name of the first parameter, along which the special points were found; `other_unit` (curves,): its unit;
-      `other_first`, `other_last` (curves,): its bounds.
     - `kinds` (curves,): kind of each curve; `chosen` (curves, conditions): its condition on an event, see
       [vibrojax.analyses.curves.event_map.conditions_of][].
     """
 
-    other: str
-    other_unit: PerLane
-    other_first: PerLane
-    other_last: PerLane
     kinds: np.ndarray
     chosen: Float[np.ndarray, "curves conditions"]
-
-    @cached_property
-    def _smooth_map(self) -> Segments:
-        return Segments(self.scene, (self.other, self.along), FAMILY_ACCURACY, self.most_steps)
-
-    def point(self, curve: Index, states: Float[np.ndarray, "lanes cycles states"], values: np.ndarray) -> Unknowns:
-        """Return the unknowns of orbits at `values` (lanes, 2) of the two parameters."""
-        scaled = (states / self.scales[curve][:, None]).reshape(len(curve), -1)
-        return np.column_stack([scaled, values[:, 0] / self.other_unit[curve], values[:, 1] / self.unit[curve]])
-
-    def with_states(
-        self, family: Index, u: Unknowns, states: Float[np.ndarray, "lanes cycles states"]
-    ) -> Float[np.ndarray, "lanes others"]:
-        return self.point(family, states, self.values(family, u))
-
-    def parameters_at(self, family: Index, u: Unknowns) -> dict[str, PerLane]:
-        values = self.values(family, u).T
-        return {name: x[family] for name, x in self.parameters.items()} | {self.other: values[0], self.along: values[1]}
-
-    def states(self, curve: Index, u: Unknowns) -> Float[np.ndarray, "lanes cycles states"]:
-        return u[:, :-2].reshape(len(u), (u.shape[1] - 2) // self.rows, self.rows) * self.scales[curve][:, None]
-
-    def values(self, curve: Index, u: Unknowns) -> Float[np.ndarray, "lanes 2"]:
-        """Return the two parameters of each lane."""
-        return np.column_stack([u[:, -2] * self.other_unit[curve], u[:, -1] * self.unit[curve]])
 
     def evaluate(self, family: Index, u: Unknowns) -> Points:
         on_event, at_rest = np.isin(self.kinds[family], EVENTS), self.kinds[family] == "hopf"
@@ -105,59 +76,27 @@ class CurveProblem(Problem):
         images, _ = self._past_events(curve, u, chosen)
         return np.asarray(images.seen.margin[:, :, 0])
 
-    def _inputs(self, curve: Index, u: Unknowns) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        states = self.states(curve, u)
-        each, values = np.repeat(curve, states.shape[1]), np.repeat(self.values(curve, u), states.shape[1], axis=0)
-        p = {name: x[each] for name, x in self.parameters.items()}
-        return p | {self.other: values[:, 0], self.along: values[:, 1]}, states.reshape(-1, self.rows).T
-
-    def _scaled(self, curve: Index, jacobian: np.ndarray) -> Float[np.ndarray, "lanes cycles states directions"]:
-        """Return the scaled derivatives of images with respect to states and parameters."""
-        columns = np.column_stack([self.scales[curve], self.other_unit[curve], self.unit[curve]])
-        return jacobian * columns[:, None, None, :] / self.scales[curve][:, None, :, None]
-
-    def _jacobian(self, curve: Index, u: Unknowns) -> tuple[Any, np.ndarray]:
-        """Return the images of the states by lane, and their scaled derivatives."""
-        images = images_by_lane(self._smooth_map(*self._inputs(curve, u)), len(u), (u.shape[1] - 2) // self.rows)
-        return images, self._scaled(curve, images.jacobian)
-
     def _past_events(self, curve: Index, u: Unknowns, chosen: np.ndarray) -> tuple[Any, np.ndarray]:
         """Return the images of the states past grazes, and the scaled derivatives of the signed margins."""
-        cycles = (u.shape[1] - 2) // self.rows
-        p, states = self._inputs(curve, u)
+        p, states = self.segments(curve, u)
+        cycles = self.cycles(u)
         weights = np.repeat(chosen, cycles, axis=0).T
         accuracy, most_steps = Accuracy(*map(np.float64, FAMILY_ACCURACY)), np.float64(self.most_steps)
 
         def work(part: Any) -> Any:
             own = {name: p[name][part] for name in self.scene.parameters()}
-            names = (self.other, self.along)
-            return event_mapped(self.scene, names, own, states[:, part], weights[:, part], accuracy, most_steps)
+            return event_mapped(self.scene, self.along, own, states[:, part], weights[:, part], accuracy, most_steps)
 
         images, rate = in_calls(work, states.shape[1], workers())
-        columns = np.column_stack([self.scales[curve], self.other_unit[curve], self.unit[curve]])
+        columns = np.column_stack([self.scales[curve], self.unit[curve]])
         rates = np.asarray(rate).T.reshape(len(u), cycles, -1) * columns[:, None]
         return images_by_lane(images, len(u), cycles), rates
 
-    def _orbit(self, curve: Index, u: Unknowns, images: Any, jacobian: np.ndarray) -> Points:
-        """Return the points with the orbits' equations only."""
-        lanes, cycles, rows, _ = jacobian.shape
-        off = (images.state - np.roll(self.states(curve, u), -1, axis=1)) / self.scales[curve][:, None]
-        shooting = shooting_matrix(jacobian[..., :rows])
-        by_parameters = jacobian[..., rows:].reshape(lanes, cycles * rows, 2)
-        changes = images.seen.mode_changes.sum(axis=1)
-        return Points(
-            family=curve,
-            u=u.copy(),
-            tangent=np.full_like(u, np.nan),
-            off=off.reshape(lanes, -1),
-            matrix=np.concatenate([shooting, by_parameters], axis=2),
-            times=np.where(images.seen.returned, images.time, np.inf),
-            product=chain(jacobian[..., :rows]),
-            impacts=images.seen.impacts.sum(axis=1),
-            # The last row marks a second graze of the same event, see `_on_event`.
-            mode_changes=np.concatenate([changes, np.zeros((lanes, 1, 3))], axis=1),
-            margin=images.seen.margin.reshape(lanes, -1).min(axis=1),
-        )
+    def orbit(self, family: Index, u: Unknowns, images: Any, jacobian: np.ndarray) -> Points:
+        """Return the points with the equations of the orbits only."""
+        points = super().orbit(family, u, images, jacobian)
+        # The last row marks a second graze of the same event, see `_on_event`.
+        return points._replace(mode_changes=np.pad(points.mode_changes, ((0, 0), (0, 1), (0, 0))))
 
     def _with_condition(self, points: Points, value: PerLane, row: Unknowns) -> Points:
         off = np.column_stack([points.off, value])
@@ -177,7 +116,7 @@ class CurveProblem(Problem):
             row[lanes, first * self.rows + k] = rates[lanes, first, k]
         row[:, -2:] = rates[lanes, first, self.rows :]
         seen = images.seen._replace(margin=margins[..., 1])
-        points = self._orbit(curve, u, images._replace(seen=seen), self._scaled(curve, images.jacobian))
+        points = self.orbit(curve, u, images._replace(seen=seen), self.scaled(curve, images.jacobian))
         for condition, (_, mode) in enumerate(conditions_of(self.scene)):
             if mode is not None:
                 # At the curve itself, rounding errors decide whether the body sticks or reverses.
@@ -189,8 +128,10 @@ class CurveProblem(Problem):
         return self._with_condition(points, margins[lanes, first, 0], row)
 
     def _smooth(self, curve: Index, u: Unknowns) -> Points:
-        images, jacobian = self._jacobian(curve, u)
-        points = self._orbit(curve, u, images, jacobian)
+        p, states = self.segments(curve, u)
+        images = images_by_lane(self._map(p, states), len(u), self.cycles(u))
+        jacobian = self.scaled(curve, images.jacobian)
+        points = self.orbit(curve, u, images, jacobian)
         sound = np.isfinite(jacobian).all(axis=(1, 2, 3))
         jacobian = np.where(sound[:, None, None, None], jacobian, 0.0)
         value, row = np.full(len(u), np.nan), np.full(u.shape, np.nan)
@@ -206,30 +147,44 @@ class CurveProblem(Problem):
         return Points.join([self._equilibrium(curve[[k]], u[[k]]) for k in range(len(u))])
 
     def _equilibrium(self, curve: Index, u: Unknowns) -> Points:
-        lanes, rows, modes = 1, self.rows, max(len(self.scene.modes), 1)
-        if int(curve[0]) not in self._fields:
+        number, rows, modes = int(curve[0]), self.rows, max(len(self.scene.modes), 1)
+        if number not in self._fields:
             states = dict(zip(self.scene.return_states, self.states(curve, u)[0, 0], strict=True))
             begin = np.array([states.get(name, 0.0) for name in moving_states(self.scene)])
-            fixed = {name: x[curve[0]] for name, x in self.parameters.items()}
-            self._fields[int(curve[0])] = Field(self.scene, fixed, begin)
-        hopf = HopfEquations(self.scene, self._fields[int(curve[0])], (self.other, self.along), self.scales[curve[0]])
-        units = np.array([self.other_unit[curve[0]], self.unit[curve[0]]])
-        equilibrium, by_parameters = hopf.at(self.values(curve, u)[0], units)
-        by_states = np.vstack([np.eye(rows), np.zeros(rows)])
-        matrix = np.column_stack([by_states, np.vstack([-by_parameters[:rows], by_parameters[rows:]])])
-        off = np.append(u[0, :rows] - equilibrium.states, equilibrium.growth)
+            self._fields[number] = Field(self.scene, {name: x[number] for name, x in self.parameters.items()}, begin)
+        values = self.values(curve, u)[0]
+        here, period, product = self._critical(number, values)
+        slopes = []
+        for step in HOPF_STEP * np.diag(self.unit[number]):
+            ahead, behind = (self._critical(number, values + sign * step)[0] for sign in (1.0, -1.0))
+            slopes.append((ahead - behind) / (2 * HOPF_STEP))
         return Points(
             family=curve,
             u=u.copy(),
             tangent=np.full_like(u, np.nan),
-            off=off[None],
-            matrix=matrix[None],
-            times=np.full((lanes, 1), equilibrium.period),
-            product=equilibrium.product[None],
-            impacts=np.zeros(lanes),
-            mode_changes=np.zeros((lanes, modes + 1, 3)),
-            margin=np.ones(lanes),
+            off=(np.append(u[0, :rows], 0.0) - here)[None],
+            matrix=np.column_stack([np.eye(rows + 1)[:, :rows], -np.column_stack(slopes)])[None],
+            times=np.full((1, 1), period),
+            product=product[None],
+            impacts=np.zeros(1),
+            mode_changes=np.zeros((1, modes + 1, 3)),
+            margin=np.ones(1),
         )
+
+    def _critical(self, number: int, values: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+        """Return states and negative growth rate of an equilibrium, period, and derivative of the return map.
+
+        States are scaled, and the growth rate is relative to the frequency; NaN without an oscillating equilibrium.
+        """
+        rows, scale = self.rows, self.scales[number]
+        known = self._fields[number].equilibrium(dict(zip(self.along, values.tolist(), strict=True)))
+        pair = None if known is None else known.nearest_pair()
+        if known is None or pair is None:
+            return np.full(rows + 1, np.nan), np.inf, np.full((rows, rows), np.nan)
+        product = section_product(self.scene, known, *pair, scale)
+        names = moving_states(self.scene)
+        states = known.states[[names.index(name) for name in self.scene.return_states]] / scale
+        return np.append(states, -pair[0].real / pair[0].imag), 2 * np.pi / pair[0].imag, product
 
     @cached_property
     def _fields(self) -> dict[int, Field]:
@@ -238,11 +193,11 @@ class CurveProblem(Problem):
     def _along(self, curve: Index, u: Unknowns, direction: Float[np.ndarray, "lanes cycles states"]) -> np.ndarray:
         """Return the derivative of the scaled Jacobian along directions of the scaled states, by forward mode twice."""
         lanes, cycles, rows = direction.shape
-        p, states = self._inputs(curve, u)
+        p, states = self.segments(curve, u)
         first = (direction * self.scales[curve][:, None]).reshape(-1, rows).T
         segment, column = np.repeat(np.arange(lanes * cycles), rows + 2), np.tile(np.arange(rows + 2), lanes * cycles)
         second = (np.arange(rows)[:, None] == column) + 0.0
-        changes = {self.other: (column == rows) + 0.0, self.along: (column == rows + 1) + 0.0}
+        changes = {name: (column == rows + k) + 0.0 for k, name in enumerate(self.along)}
         accuracy, most_steps = Accuracy(*map(np.float64, DERIVATIVE_ACCURACY)), np.float64(self.most_steps)
 
         def work(part: Any) -> Any:
@@ -252,7 +207,7 @@ class CurveProblem(Problem):
             return second_variation(self.scene, Located(), pairs, *begin, accuracy, most_steps)[1][2]
 
         slopes = np.asarray(in_calls(work, len(segment), workers()))
-        return self._scaled(curve, np.moveaxis(slopes.reshape(rows, lanes, cycles, rows + 2), 0, 2))
+        return self.scaled(curve, np.moveaxis(slopes.reshape(rows, lanes, cycles, rows + 2), 0, 2))
 
     def _singular(self, curve: Index, u: Unknowns, jacobian: np.ndarray) -> tuple[PerLane, Unknowns]:
         """Return the signed smallest singular value of the shooting matrices, and its derivatives."""

@@ -2,26 +2,21 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.analyses.continuation.arclength import (
-    CLOSED,
-    ENDED,
-    STALLED,
-    STOPPED,
-    continue_branches,
-)
+from vibrojax.analyses.continuation.arclength import CLOSED, ENDED, STALLED, STOPPED, Stop
+from vibrojax.analyses.continuation.brackets import interpolate
+from vibrojax.analyses.continuation.location import GRAZED_MARGIN
 from vibrojax.analyses.continuation.problem import Flags, Index, Points, Unknowns, towards
-from vibrojax.analyses.continuation.segments import ENDINGS, STEP_AFTER_CORNER
-from vibrojax.analyses.continuation.special_points import GRAZED_MARGIN, cross_impact, reindex_returns, turn_corner
-from vibrojax.analyses.curves.codim2 import cosine, event_names, locate
+from vibrojax.analyses.continuation.segments import ENDINGS, Mark, Segment, Tracing
+from vibrojax.analyses.continuation.special_points import cross_impact, reindex_returns, turn_corner
+from vibrojax.analyses.curves.codim2 import CODIM2_NAMES, CodimensionTwo, cosine, event_names
 from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
 
-FIRST_STEP, LONGEST_STEP = 0.02, 0.1
-"""First and longest scaled step length of a curve; a parameter's range has the length 8."""
+LONGEST_STEP = 0.1
+"""Longest scaled step length of a curve; a parameter's range has the length 8."""
 
 MAX_SEGMENTS = 6
 """Largest number of segments of a curve in one direction; they meet at corners, where another event begins."""
@@ -43,13 +38,6 @@ HALVED = 0.03
 """Scaled amplitude up to which a doubled orbit counts as the one from which it branches; its folds end there."""
 
 
-class Mark(NamedTuple):
-    """A point of codimension two on a curve: its name and the point."""
-
-    name: str
-    point: Points
-
-
 @dataclass
 class Curve:
     """A curve: `parts` of its points in order, marks, notes on its two ends, and the `special` point of the family.
@@ -64,16 +52,6 @@ class Curve:
     special: int = -1
     origin: str = ""
     begin: Points | None = None
-
-
-class _Segment(NamedTuple):
-    """A part of a curve in one direction (0 backwards, 1 forwards), with its first point."""
-
-    curve: int
-    direction: int
-    begin: Points
-    step: float
-    number: int
 
 
 def follow_curves(problem: CurveProblem, unknowns: list[np.ndarray], report: Callable[[int], None]) -> list[Curve]:
@@ -101,33 +79,20 @@ def continue_both_ways(
     problem: CurveProblem, begins: list[Points], curves: list[Curve], report: Callable[[int], None]
 ) -> None:
     """Continue curves from one point of each, with a tangent; `curves`: the curves of the problem, in order."""
-    pending = [
-        _Segment(int(begin.family[0]), direction, begin.along(sign * begin.tangent), FIRST_STEP, 0)
-        for begin in begins
-        for direction, sign in ((0, -1.0), (1, 1.0))
-    ]
+    segments = []
     for begin in begins:
-        curves[int(begin.family[0])].begin = begin
-    ends: dict[tuple[int, int], list[Points]] = {}
-    notes: dict[tuple[int, int], str] = {}
-    while pending:
-        report(2 * len(curves) - len(pending))
-        following: list[_Segment] = []
-        for size in sorted({segment.begin.u.shape[1] for segment in pending}):
-            group = [segment for segment in pending if segment.begin.u.shape[1] == size]
-            following += _continue(problem, group, curves, ends, notes)
-        pending = following
-    for curve in (curves[number] for number in sorted({int(begin.family[0]) for begin in begins})):
-        backwards, forwards = (ends.get((curve.number, way), []) for way in (0, 1))
-        if not backwards and not forwards:
-            continue
-        reverse = [part.of(slice(None, None, -1)) for part in backwards[::-1]]
-        closed = notes[curve.number, 1] == ENDINGS[CLOSED]
-        curve.parts = (
-            forwards if closed else [*reverse, *(part.of(slice(k == 0, None)) for k, part in enumerate(forwards))]
-        )
-        ways = (1,) if closed else (0, 1)
-        curve.notes = list(dict.fromkeys(notes[curve.number, way] for way in ways))
+        for sign in (-1, 1):
+            first = begin.along(sign * begin.tangent)
+            segments.append(Segment(int(begin.family[0]), 0, sign, first, home=first))
+    done = _CurveTracing(problem, curves).trace(segments, lambda remaining: report(2 * len(curves) - remaining))
+    for begin in begins:
+        curve = curves[int(begin.family[0])]
+        backwards, forwards = ([s for s in done if (s.family, s.direction) == (curve.number, way)] for way in (-1, 1))
+        closed = forwards[-1].note == ENDINGS[CLOSED]
+        reverse = [segment.points.of(slice(None, None, -1)) for segment in backwards[::-1]]
+        onward = [segment.points.of(slice(segment.number == 0 and not closed, None)) for segment in forwards]
+        curve.begin, curve.parts = begin, onward if closed else reverse + onward
+        curve.notes = list(dict.fromkeys(way[-1].note for way in ([forwards] if closed else [backwards, forwards])))
         curve.marks = _distinct(curve.marks)
 
 
@@ -135,89 +100,77 @@ def _distinct(marks: list[Mark]) -> list[Mark]:
     """Return the marks of a curve without repetitions; located marks come before those at stalled ends."""
     kept: list[Mark] = []
     for mark in marks:
-        same = [x for x in kept if x.name == mark.name and x.point.u.shape == mark.point.u.shape]
-        if all(np.abs(x.point.u - mark.point.u)[0, -2:].max() > SAME_MARK for x in same):
+        if not _is_marked(kept, mark.orbit, mark.kind):
             kept.append(mark)
     return kept
 
 
-def _continue(
-    problem: CurveProblem,
-    segments: list[_Segment],
-    curves: list[Curve],
-    ends: dict[tuple[int, int], list[Points]],
-    notes: dict[tuple[int, int], str],
-) -> list[_Segment]:
-    """Continue segments with equal numbers of unknowns; return those that follow behind corners."""
-    begin = Points.join([segment.begin for segment in segments])
-    step = np.array([segment.step for segment in segments])
-    home = np.stack([begin.u, begin.tangent], axis=1)
-    home[[segment.number > 0 for segment in segments]] = np.nan
-
-    place, close = begin.u[:, -2:].copy(), np.zeros(len(segments), int)
-
-    def stop(lanes: Index, now: Points) -> Flags:
-        if not len(now.u):
-            return np.zeros(0, bool)
-        close[lanes] += 1
-        away = np.abs(now.u[:, -2:] - place[lanes]).max(axis=1) > CLOSE
-        place[lanes[away]], close[lanes[away]] = now.u[away, -2:], 0
-        return (beyond_bounds(problem, now) != "") | (close[lanes] >= MOST_CLOSE)
-
-    branches = continue_branches(problem, begin, step, stop, home=home, longest=LONGEST_STEP)
-    located = locate(problem, branches)
-    bounds = branches.bounds.tolist()
-    stalled: list[tuple[_Segment, Points]] = []
-    for k, segment in enumerate(segments):
-        first, end, status = bounds[k], bounds[k + 1], int(branches.status[k])
-        points, marks = branches.points.of(slice(first, end)), [x for x in located if first <= x[0] < end]
-        points, marks, note = _cut(problem, points, [(place - first, name, x) for place, name, x in marks], status)
-        key = (segment.curve, segment.direction)
-        ends.setdefault(key, []).append(points)
-        notes[key] = note
-        curves[segment.curve].marks += [Mark(name, x) for _, name, x in marks]
-        if status == STALLED and segment.number + 1 < MAX_SEGMENTS:
-            stalled.append((segment, points))
-    return _behind_corners(problem, stalled, curves, notes) if stalled else []
+def _is_marked(marks: list[Mark], point: Points, kind: str = "") -> bool:
+    """Return whether there is a mark at the parameters of a point, of any kind or of one."""
+    same = [x.orbit.u for x in marks if kind in ("", x.kind) and x.orbit.u.shape == point.u.shape]
+    return any(np.abs(u - point.u)[0, -2:].max() <= SAME_MARK for u in same)
 
 
-def _behind_corners(
-    problem: CurveProblem,
-    stalled: list[tuple[_Segment, Points]],
-    curves: list[Curve],
-    notes: dict[tuple[int, int], str],
-) -> list[_Segment]:
-    """Return the segments behind the corners at which segments have stalled, and mark the corners."""
-    turned, corners = turn_corner(problem, [points for _, points in stalled])
-    following = []
-    for k, (segment, points) in enumerate(stalled):
-        corner = corners.of([k])
-        key = (segment.curve, segment.direction)
-        # At a rigid stop no mode changes: only the margin shows that the curve ends at a graze.
-        marks = [mark.point.u for mark in curves[segment.curve].marks if mark.point.u.shape == points.u[-1:].shape]
-        marked = any(np.abs(u - points.u[-1:])[0, -2:].max() < SAME_MARK for u in marks)
-        if corner.changes_events[0] or (points.margin[-1] < GRAZED_MARGIN and not marked):
-            names = event_names(problem, corner)
-            curves[segment.curve].marks += [Mark(name, points.of([-1])) for name in names]
-            notes[key] = f"ends at the point {names[0]}"
-        beyond = corner.far if turned[k] else _other_section(problem, points.of([-1]))
-        if beyond is not None:
-            step = STEP_AFTER_CORNER
-            following.append(_Segment(segment.curve, segment.direction, beyond, step, segment.number + 1))
-    return following
+class _CurveTracing(Tracing):
+    """Continuation of the curves of one problem, which gets marks and notes."""
 
+    longest = LONGEST_STEP
+    _problem: CurveProblem
 
-def _other_section(problem: CurveProblem, last: Points) -> Points | None:
-    """Return the next point where an impact passes the time of the section, or a motion touches the section."""
-    with np.errstate(all="ignore"):
-        return cross_impact(problem, last) or reindex_returns(problem, last)
+    def __init__(self, problem: CurveProblem, curves: list[Curve]) -> None:
+        super().__init__(problem, CodimensionTwo(problem))
+        self._curves = curves
+
+    def stop(self, segments: list[Segment]) -> Stop:
+        """Return the condition that a curve leaves its range, or does not advance."""
+        place = np.concatenate([segment.begin.u[:, -2:] for segment in segments])
+        close = np.zeros(len(segments), int)
+
+        def stop(lanes: Index, now: Points) -> Flags:
+            if not len(now.u):
+                return np.zeros(0, bool)
+            close[lanes] += 1
+            away = np.abs(now.u[:, -2:] - place[lanes]).max(axis=1) > CLOSE
+            place[lanes[away]], close[lanes[away]] = now.u[away, -2:], 0
+            return (beyond_bounds(self._problem, now) != "") | (close[lanes] >= MOST_CLOSE)
+
+        return stop
+
+    def finish(self, segments: list[Segment]) -> list[Segment]:
+        """Cut segments at their ends, and mark their points; return the segments behind the corners."""
+        stalled = []
+        for segment in segments:
+            segment.home = None
+            _cut(self._problem, segment)
+            self._curves[segment.family].marks += segment.marks
+            if segment.status == STALLED and segment.number + 1 < MAX_SEGMENTS:
+                stalled.append(segment)
+        return self._behind_corners(stalled) if stalled else []
+
+    def _behind_corners(self, stalled: list[Segment]) -> list[Segment]:
+        """Return the segments behind the corners at which segments have stalled, and mark the corners."""
+        problem = self._problem
+        turned, corners = turn_corner(problem, [segment.points for segment in stalled])
+        following = []
+        for k, segment in enumerate(stalled):
+            corner, last, marks = corners.of([k]), segment.points.of([-1]), self._curves[segment.family].marks
+            # At a rigid stop no mode changes: only the margin shows that the curve ends at a graze.
+            if corner.changes_events[0] or (last.margin[0] < GRAZED_MARGIN and not _is_marked(marks, last)):
+                names = event_names(problem, corner)
+                marks += [Mark(last, name) for name in names]
+                segment.note = f"ends at the point {names[0]}"
+            with np.errstate(all="ignore"):
+                beyond = corner.far if turned[k] else cross_impact(problem, last) or reindex_returns(problem, last)
+            if beyond is not None:
+                following.append(segment.onward(beyond))
+        return following
 
 
 def beyond_bounds(problem: CurveProblem, now: Points) -> np.ndarray:
     """Return for each point why a curve ends there, as a text: a bound of the first parameter, or a pair that meets."""
     curve, value = now.family, problem.values(now.family, now.u)[:, 0]
-    reason = np.where(value > problem.other_last[curve], f"the last value of {problem.other} is reached", "")
-    reason = np.where(value < problem.other_first[curve], f"the first value of {problem.other} is reached", reason)
+    reason = np.where(value > problem.last[curve, 0], f"the last value of {problem.along[0]} is reached", "")
+    reason = np.where(value < problem.first[curve, 0], f"the first value of {problem.along[0]} is reached", reason)
     states = now.u[:, :-2]
     if states.shape[1] % (2 * problem.rows) == 0 and len(states):
         first, second = np.split(states, 2, axis=1)
@@ -231,49 +184,50 @@ def beyond_bounds(problem: CurveProblem, now: Points) -> np.ndarray:
     return reason
 
 
-def _cut(
-    problem: CurveProblem, points: Points, marks: list[tuple[int, str, Points]], status: int
-) -> tuple[Points, list[tuple[int, str, Points]], str]:
-    """Return points and marks up to the end of a segment, and a note on the end."""
+def _cut(problem: CurveProblem, segment: Segment) -> None:
+    """Cut the points of a segment at its end; enter its marks, and a note on the end."""
+    points, special, status = segment.points, segment.special, segment.status
+    names = (CODIM2_NAMES[kind] for kind in special.kind)
+    marks = [Mark(special.near.of([k]), name, "", int(special.place[k])) for k, name in enumerate(names)]
+
+    def end_at(first: Mark) -> tuple[Points, list[Mark]]:
+        kept = [mark for mark in marks if mark.place <= first.place]
+        return Points.join([points.of(slice(0, first.place + 1)), first.orbit]), kept
+
+    note = ENDINGS.get(status, "")
     if status == ENDED:
         value = problem.values(points.family[-1:], points.u[-1:])[0, 1]
-        which = "last" if value == problem.last[points.family[-1]] else "first"
-        note = f"the {which} value of {problem.along} is reached"
-    else:
-        note = ENDINGS.get(status, "")
-        if status == STALLED:
-            note = f"no further point is found; grazing margin {points.margin[-1]:.1e}"
-    if status == STOPPED:
+        which = "last" if value == problem.last[points.family[-1], 1] else "first"
+        note = f"the {which} value of {problem.along[1]} is reached"
+    elif status == STALLED:
+        note = f"no further point is found; grazing margin {points.margin[-1]:.1e}"
+    elif status == STOPPED:
         note = str(beyond_bounds(problem, points.of([-1]))[0])
         if not note:
-            return points, marks, f"{MOST_CLOSE} points within a scaled distance of {CLOSE:g}: it does not advance"
-        if "value of" in note:
-            last = _at_bound(problem, points)
-            points = Points.join([points.of(slice(0, len(points.u) - 1)), last])
+            note = f"{MOST_CLOSE} points within a scaled distance of {CLOSE:g}: it does not advance"
+        elif "value of" in note:
+            points = Points.join([points.of(slice(0, len(points.u) - 1)), _at_bound(problem, points)])
         else:
-            meeting = [(k, x) for k, name, x in marks if name in ("1:1 resonance", "1:2 resonance")]
+            meeting = [mark for mark in marks if mark.kind in ("1:1 resonance", "1:2 resonance")]
             if meeting:
-                place, point = min(meeting, key=lambda item: item[0])
-                points = Points.join([points.of(slice(0, place + 1)), point])
-                marks = [mark for mark in marks if mark[0] <= place]
+                points, marks = end_at(min(meeting, key=lambda mark: mark.place))
             else:  # the curve begins where the pair meets
                 points = points.of(slice(0, max(len(points.u) - 1, 1)))
     # Beyond a second graze of its own event, the curve is not one of the motion's.
-    again = [mark for mark in marks if mark[1] in ("double grazing", "stick and stick")]
+    again = [mark for mark in marks if mark.kind in ("double grazing", "stick and stick")]
     passes = points.mode_changes[:, -1, 0] > 0
-    if again and passes.any() and problem.kinds[points.family[0]] in EVENTS:
-        place, name, point = min(again, key=lambda item: item[0])
-        points = Points.join([points.of(slice(0, place + 1)), point])
-        marks = [mark for mark in marks if mark[0] <= place]
-        note = f"ends at the point {name}"
-    return points, marks, note
+    if again and passes.any() and problem.kinds[segment.family] in EVENTS:
+        first = min(again, key=lambda mark: mark.place)
+        points, marks = end_at(first)
+        note = f"ends at the point {first.kind}"
+    segment.points, segment.marks, segment.note = points, marks, note
 
 
 def _at_bound(problem: CurveProblem, points: Points) -> Points:
     """Return the point at which the curve passes a bound of the first parameter, on its last step."""
     last = points.of([-1])
     curve, value = last.family, problem.values(last.family, last.u)[0, 0]
-    bound = problem.other_last[curve] if value > problem.other_last[curve] else problem.other_first[curve]
+    bound = problem.last[curve, 0] if value > problem.last[curve, 0] else problem.first[curve, 0]
     passed = crossings(problem, points.of(slice(-2, None)), 0, float(bound[0]))
     return Points.join(passed).of([0]) if passed else points.of([-2])
 
@@ -282,8 +236,7 @@ def crossings(problem: CurveProblem, points: Points, which: int, value: float) -
     """Return the points at which a curve passes a value of the parameter `which` (0 or 1)."""
     if not len(points.u):
         return []
-    unit = (problem.other_unit, problem.unit)[which][points.family[0]]
-    level, column = value / unit, which - 2
+    level, column = value / problem.unit[points.family[0], which], which - 2
     ahead = points.u[:, column] - level
     places = np.flatnonzero((ahead[:-1] * ahead[1:] < 0) | (ahead[:-1] == 0))
     if not len(places):
@@ -301,9 +254,7 @@ def crossings(problem: CurveProblem, points: Points, which: int, value: float) -
 def between(points: Points, places: Index, share: Float[np.ndarray, " lanes"]) -> Unknowns:
     """Return the unknowns between neighbouring points of a curve, by cubic interpolation."""
     near, far = points.u[places], points.u[places + 1]
-    length, s = np.linalg.norm(far - near, axis=1)[:, None], share[:, None]
     first, last = points.tangent[places], points.tangent[places + 1]
     # Tangents point along the direction in which a part was continued.
-    way = np.sign(np.einsum("ij,ij->i", first, far - near))[:, None]
-    first_bend, last_bend = way * length * first - far + near, way * length * last - far + near
-    return near + s * (far - near) + s * (1 - s) * ((1 - s) * first_bend - s * last_bend)
+    way = np.sign(np.einsum("ij,ij->i", first, far - near)) * np.linalg.norm(far - near, axis=1)
+    return interpolate(near, far, way[:, None] * first, way[:, None] * last, share)

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY
+from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY, UNITS_PER_SPAN
 from vibrojax.analyses.curves.branching import condition_at, with_branches, without_duplicates
 from vibrojax.analyses.curves.dataset import curves_dataset
 from vibrojax.analyses.curves.event_map import conditions_of
@@ -17,12 +17,10 @@ from vibrojax.analyses.curves.spec import CurvesSpec, read_curves
 from vibrojax.io.branches import branches, kind_names, places
 from vibrojax.io.variables import orbit_name
 from vibrojax.models.scenes import Scene
+from vibrojax.periodic.known_orbits import STEP_ALLOWANCE, trace_orbits
 from vibrojax.periodic.newton import MIN_RELATIVE_SWING
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
 from vibrojax.progress import Progress
-
-UNITS_PER_SPAN = 8
-"""Number of units of a scaled parameter between its bounds."""
 
 
 def curves(
@@ -105,32 +103,38 @@ def problem_through(
     crossings and the state at the section.
     """
     scene, count = scene.driving_part(), len(orbits)
-    (first, (low, high)), (second, (bottom, top)) = bounds.items()
+    (first, second), limits = bounds, np.array([*bounds.values()], float)
     parameters = {name: parameters[name] for name in scene.parameters()}
     # The program of the curves serves here, too: another one would have to be compiled.
     go = Segments(scene, (first, second), FAMILY_ACCURACY)
-    states, scales, most_steps = _states(go, parameters, orbits, kinds != "hopf")
+    cycles = np.array([number for number, _ in orbits])
+    states, scales, most_steps = [state[None] for _, state in orbits], np.ones((count, len(scene.return_states))), 0.0
+    moving = np.flatnonzero(kinds != "hopf")  # an equilibrium does not return to the section
+    if len(moving):
+        begin = np.array([orbits[k][1] for k in moving]).T
+        traced = trace_orbits(go, {name: x[moving] for name, x in parameters.items()}, begin, cycles[moving])
+        size = MIN_RELATIVE_SWING * np.maximum(traced.greatest, -traced.least)
+        swing = np.maximum((traced.greatest - traced.least) / 2, size).T
+        scales[moving], most_steps = np.where(swing > 0, swing, 1.0), STEP_ALLOWANCE * traced.steps
+        for k, whole in zip(moving.tolist(), traced.states, strict=True):
+            states[k] = whole
     none = np.zeros((count, len(conditions_of(scene))))
     problem = CurveProblem(
         scene=scene,
-        along=second,
+        along=(first, second),
         parameters=parameters,
         scales=scales,
-        unit=np.full(count, (top - bottom) / UNITS_PER_SPAN),
-        first=np.full(count, bottom),
-        last=np.full(count, top),
-        most_steps=most_steps,
-        other=first,
-        other_unit=np.full(count, (high - low) / UNITS_PER_SPAN),
-        other_first=np.full(count, low),
-        other_last=np.full(count, high),
+        unit=np.tile(np.diff(limits).T / UNITS_PER_SPAN, (count, 1)),
+        first=np.tile(limits[:, 0], (count, 1)),
+        last=np.tile(limits[:, 1], (count, 1)),
+        most_steps=most_steps or float(MOST_STEPS),
         kinds=kinds,
         chosen=none,
     )
     unknowns = []
     for k in range(count):
         values = np.array([[parameters[first][k], parameters[second][k]]])
-        unknowns.append(problem.point(np.array([k]), states[k][None], values)[0])
+        unknowns.append(problem.unknowns(np.array([k]), states[k][None], values)[0])
         if kinds[k] in EVENTS:
             none[k] = condition_at(problem, k, unknowns[k])
     return problem, unknowns
@@ -145,27 +149,3 @@ def _orbit_at(spec: CurvesSpec, index: int) -> tuple[int, Float[np.ndarray, " st
             names = map(orbit_name, spec.scene.driving_part().return_states)
             return int(family["cycles"].values[point]), np.array([float(family[name].values[point]) for name in names])
     raise AssertionError(index)
-
-
-def _states(
-    go: Segments, parameters: Mapping[str, np.ndarray], orbits: list[tuple[int, np.ndarray]], moves: np.ndarray
-) -> tuple[list[Float[np.ndarray, "cycles states"]], Float[np.ndarray, "curves states"], float]:
-    """Return the states at all section crossings of orbits, the scales of states, and a limit of steps.
-
-    `moves`: mask of the orbits with an amplitude; the others do not return to the section.
-    """
-    state = np.array([begin for _, begin in orbits]).T
-    cycles, lanes = np.array([count for count, _ in orbits]), np.flatnonzero(moves)
-    own = {name: x[lanes] for name, x in parameters.items()}
-    returns, least, greatest, steps = [state], state.copy(), state.copy(), 0.0
-    for k in range(int(cycles[lanes].max(initial=0))):
-        mapped, active = go(own, returns[-1][:, lanes]), cycles[lanes] > k
-        least[:, lanes[active]] = np.fmin(least[:, lanes], mapped.seen.least)[:, active]
-        greatest[:, lanes[active]] = np.fmax(greatest[:, lanes], mapped.seen.greatest)[:, active]
-        steps = max(steps, float(mapped.seen.steps[active].max()))
-        returns.append(state.copy())
-        returns[-1][:, lanes] = mapped.state
-    swing = np.maximum((greatest - least) / 2, MIN_RELATIVE_SWING * np.maximum(greatest, -least))
-    scales = np.where((swing > 0) & moves, swing, 1.0).T
-    states = [np.stack([state[:, k] for state in returns[: cycles[k]]]) for k in range(len(orbits))]
-    return states, scales, 8 * steps or float(MOST_STEPS)

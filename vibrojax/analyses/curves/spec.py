@@ -1,13 +1,15 @@
 """The specification of `curves`: a family, a second parameter with its bounds, and the special points to continue."""
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from vibrojax.analyses.continuation.run import read_span
+from vibrojax.analyses.curves.codim2 import CONTINUED
 from vibrojax.errors import Place, shown
 from vibrojax.io.attributes import parameters_of, text_of
 from vibrojax.io.branches import along_name, kind_names, numbers_of
@@ -18,10 +20,6 @@ from vibrojax.models.scenes import Scene
 from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.read import read_point
 from vibrojax.sweep.input.values import UnusualValue
-
-CONTINUED = ("fold", "period-doubling", "torus", "grazing", "stick", "hopf")
-"""Kinds of special points that are continued; the others depend on how returns are counted."""
-
 
 SAME_VALUE = 1e-7
 """Difference of the parameter, relative to its range, up to which special points of one kind on one branch are one."""
@@ -76,11 +74,7 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
         raise place.at("family").error("holds families of several rocks; follow those of one rock")
     if by in (*ROTATION, "rpm") and by != "v":
         raise place.at("by").error(f"{by} is not continued; give v")
-    if not isinstance(span, Sequence | np.ndarray) or isinstance(span, str) or len(span) != 2:
-        raise place.at("span").error(f"{shown(span)} is not a pair of numbers; give the bounds of {by}")
-    low, high = sorted(names.quantity(place.at(name), by, span[k]) for k, name in enumerate(("from", "to")))
-    if not low < high:
-        raise place.at("to").error(f"{high:g} is the same as from; give the two bounds of {by}")
+    low, high = read_span(place, names, by, span)
     kinds = kind_names(family)
     chosen = _special(place, special, family, kinds)
     number = numbers_of(family, "special")[chosen]

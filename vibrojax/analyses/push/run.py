@@ -12,10 +12,10 @@ from vibrojax.analyses.attractors.grouping import is_on_orbit
 from vibrojax.analyses.push.spec import PRECISION, SCAN, PushSpec, push_spec
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place
-from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES, orbit_name
-from vibrojax.measures.labels import EQUILIBRIUM, IRREGULAR, REGIMES, UNDECIDED
+from vibrojax.io.variables import VARIABLES, orbit_name
+from vibrojax.measures.labels import EQUILIBRIUM, IRREGULAR, UNDECIDED
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.lane_orbits import KnownOrbits, known_orbits
+from vibrojax.periodic.known_orbits import KnownOrbits, known_orbits, why_no_orbit
 from vibrojax.sweep.engine.labelled import shared_attributes
 from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.read import read_sweep
@@ -103,7 +103,8 @@ def find_pushes(spec: PushSpec, progress: bool = True) -> xr.Dataset:
     cycle = cycle if "point" in cycle.dims else cycle.expand_dims("point")
     stable = np.flatnonzero(cycle["stable"].values == 1)
     if not len(stable):
-        raise Place("push").error(_why_no_cycle(cycle.isel(point=0)))
+        why = why_no_orbit(cycle.isel(point=0))
+        raise Place("push").error(f"the motion {why}: no cycle to push; give another start or point")
     scene, values = sweep.system.driving_part(), sweep.lane_values(0, sweep.lanes)[0]
     section = {name: cycle[orbit_name(name)].values[stable] for name in scene.return_states}
     begin = np.stack([section.get(name, np.zeros(len(stable))) for name in sweep.system.start_states], axis=1)
@@ -112,16 +113,6 @@ def find_pushes(spec: PushSpec, progress: bool = True) -> xr.Dataset:
     search = _Search(spec, stable, orbits, begin, bound, progress)
     search.run()
     return _dataset(spec, cycle, stable, search)
-
-
-def _why_no_cycle(lane: xr.Dataset) -> str:
-    """Return a message with the reason why a lane has no stable cycle."""
-    reason = ORBIT_REASONS[int(lane["orbit_reason"])]
-    if reason == "refused":
-        return f"the motion cannot be run ({REASONS[int(lane['reason'])].replace('-', ' ')}); push it elsewhere"
-    regime, settled = REGIMES[int(lane["regime"])], json.loads(str(lane.attrs["run"]))["settle"]
-    why = "does not repeat" if reason == "not-repeating" else f"has no known orbit, {reason.replace('-', ' ')}"
-    return f"the motion {why} ({regime} after {settled:g} s): no cycle to push; give another start or point"
 
 
 def _bounds(spec: PushSpec, cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.analyses.sweep.run import run_sweep
-from vibrojax.periodic.lane_orbits import known_orbits
+from vibrojax.periodic.known_orbits import known_orbits
 from vibrojax.periodic.orbit_derivatives import DERIVATIVE_REASONS, MARGIN, STABILITY, OrbitFeatures, orbit_features
 from vibrojax.sweep.input.read import Point, read_sweep
 

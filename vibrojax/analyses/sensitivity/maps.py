@@ -13,7 +13,7 @@ from vibrojax.analyses.sensitivity.run import read_names
 from vibrojax.errors import InputError, Place
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.lane_orbits import known_orbits
+from vibrojax.periodic.known_orbits import known_orbits
 from vibrojax.periodic.orbit_derivatives import (
     DERIVATIVE_REASONS,
     MODULUS,
