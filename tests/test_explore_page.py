@@ -347,9 +347,10 @@ def test_a_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[
         page.locator(".vx-map .vx-reset").click()
         assert opened.evaluate("vibrojax.map.zoom") is None
         assert opened.evaluate("vibrojax.cell") == {"beta": 1, "gamma": 2, "start": 1}
-        # A regime is explained where it has the focus.
-        page.locator(".vx-badge.vx-why").focus()
-        assert page.locator(".vx-badge .vx-sentence").is_visible()
+        # A regime is explained beside its name, and in the legend where it has the focus.
+        assert "The motion repeats after one return" in page.locator(".vx-meaning").inner_text()
+        page.locator(".vx-legend .vx-why").first.focus()
+        assert page.locator(".vx-legend .vx-sentence").first.is_visible()
         page.wait_for_timeout(800)
         page.locator(".vx-over").press("ArrowLeft")
         opened.settled()

@@ -16,7 +16,7 @@ from vibrojax.analyses.attractors.analysis import BEYOND
 from vibrojax.analyses.attractors.analysis import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.explorer.encoding import pack
-from vibrojax.explorer.reading import REGIME_MEANINGS, reading_text
+from vibrojax.explorer.reading import BORDER_MEANINGS, REGIME_MEANINGS, reading_text
 from vibrojax.io.attributes import LONGEST_TEXT, differing_of, parameters_of, run_of, text_of, title_of
 from vibrojax.models.scenes import SCENES
 from vibrojax.plot.axes import is_geometric, point_text, pretty_unit, scale, symbol
@@ -95,7 +95,7 @@ def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts:
         "source": text_of(ds, "source"),
         "notes": [one_line(note, LONGEST_TEXT) for note in notes if note],
         "variables": variables,
-        "meanings": REGIME_MEANINGS,
+        "meanings": REGIME_MEANINGS | BORDER_MEANINGS,
         "maps": {name: [to_hex(colormaps[name](level)) for level in range(256)] for name in map_names},
     }
     return document | empty | parts

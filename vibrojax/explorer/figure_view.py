@@ -2,7 +2,7 @@
 
 A description holds the plots of the figure and the entries of its legends:
 
-    {"plots": [{"title", "x", "y": {"label", "limits", "log", "ticks": [[value, text]] | null,
+    {"plots": [{"title", "x", "y": {"label", "limits", "log", "reversed", "ticks": [[value, text]] | null,
                                     "direction": id of the page's direction along the axis, or null},
                 "at": {axis: index}: the map cells that the plot shows, "wide", "low", "square", "items": [...]}],
      "keys": [{"text", "colour", "shape": "line", "patch" or a mark, "dash": [...]}]}
@@ -20,7 +20,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import Collection, LineCollection, PathCollection, PolyCollection, QuadMesh
-from matplotlib.colors import to_hex, to_rgba_array
+from matplotlib.colors import BoundaryNorm, to_hex, to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.legend import Legend
@@ -33,14 +33,20 @@ from matplotlib.transforms import Transform
 from vibrojax.explorer.document import Document, json_value, one_line
 from vibrojax.explorer.encoding import pack
 from vibrojax.plot.axes import label, value_text
+from vibrojax.plot.colours import REGIME_COLOURS
 
 ITEM_MAX_POINTS = 20_000
 """Number of points of an item above which only every n-th is described; a screen has fewer pixels."""
 
 LABEL_MAX_CHARACTERS = 120
 
+TABLE_MAX_CELLS = 64
+"""Number of cells of a map up to which their values are written into them."""
+
 LOW_INCHES, WIDE_SHARE = 1.1, 0.45
 """Height below which a plot is a strip, and share of the figure's width from which it has a row of its own."""
+
+_REGIME_COLOURS = {to_hex(colour) for colour in REGIME_COLOURS.values()}
 
 _SHAPES = {
     **{"o": "circle", ".": "circle", "s": "square", "D": "diamond", "*": "diamond", "P": "square", "X": "cross"},
@@ -69,10 +75,10 @@ def figure_document(
         is_curve = bool(plot["x"]["direction"]) and plot["y"]["label"] in drawn
         if plot["items"] and not is_map and not is_curve:
             plots.append(plot)
+    keys = {key["text"]: key for figure in figures for panel in figure.axes for key in _scale_of(panel, drawn)}
     legends = [
         legend for figure in figures for legend in (*figure.legends, *(panel.get_legend() for panel in figure.axes))
     ]
-    keys: dict[str, Document] = {}
     for legend in legends:
         for key in _keys(legend) if legend is not None else ():
             keys.setdefault(key["text"], key)
@@ -95,8 +101,7 @@ def _plain(text: str) -> str:
 
 
 def _plot(panel: Axes, directions: dict[str, str], ds: xr.Dataset, axes: Sequence[Document]) -> Document:
-    titles = [panel.get_title(loc) for loc in ("left", "center", "right")]
-    title = _plain(next(filter(None, titles), ""))
+    title = _title(panel) or _row_title(panel)
     place, whole = panel.get_window_extent(), panel.figure.bbox
     at = {
         axis["name"]: index
@@ -105,6 +110,10 @@ def _plot(panel: Axes, directions: dict[str, str], ds: xr.Dataset, axes: Sequenc
         for index, value in enumerate(ds[axis["name"]].values)
         if value_text(ds[axis["name"]], value) in title.split(", ")
     }
+    items = items_of(panel)
+    strips = [set(item["colours"]) for item in items if item["kind"] == "cells"]
+    if not title and not panel.get_ylabel() and strips and set.union(*strips) <= _REGIME_COLOURS:
+        title = "regimes"
     return {
         "title": title,
         "x": _axis(panel, "x", directions),
@@ -113,8 +122,36 @@ def _plot(panel: Axes, directions: dict[str, str], ds: xr.Dataset, axes: Sequenc
         "wide": bool(place.width >= WIDE_SHARE * whole.width),
         "low": bool(place.height < LOW_INCHES * panel.figure.get_dpi()),
         "square": panel.get_aspect() == 1.0,
-        "items": items_of(panel),
+        "items": items,
     }
+
+
+def _scale_of(panel: Axes, drawn: Sequence[str]) -> Iterator[Document]:
+    """Yield the key of a colour bar, unless the page draws the bar itself."""
+    bar = getattr(panel, "_colorbar", None)
+    text = _plain(panel.get_ylabel() or panel.get_xlabel())
+    if bar is None or isinstance(bar.norm, BoundaryNorm) or text in drawn:
+        return
+    low, high = (f"{x:.3g}".replace("-", "−") for x in (bar.vmin, bar.vmax))
+    colours = [_hex(bar.cmap(level)) for level in np.linspace(0.0, 1.0, 9)]
+    key = {"shape": "scale", "colour": colours[4], "colours": colours, "dash": []}
+    yield key | {"text": f"{text}: {low} to {high}" if text else f"{low} to {high}"}
+
+
+def _title(panel: Axes) -> str:
+    return _plain(next(filter(None, (panel.get_title(loc) for loc in ("left", "center", "right"))), ""))
+
+
+def _row_title(panel: Axes) -> str:
+    """Return the title of a panel's row, which pictures write over its first panel, or of a figure without labels."""
+    spec = panel.get_subplotspec()
+    for first in panel.figure.axes if spec is not None else ():
+        place = first.get_subplotspec()
+        if place is None or first.get_gridspec() is not panel.get_gridspec() or not _title(first):
+            continue
+        if (place.rowspan.start, place.colspan.start) == (spec.rowspan.start, 0):
+            return _title(first)
+    return "" if panel.get_xlabel() or panel.get_ylabel() else _plain(panel.figure.get_suptitle())
 
 
 def _axis(panel: Axes, name: str, directions: dict[str, str]) -> Document:
@@ -137,6 +174,7 @@ def _axis(panel: Axes, name: str, directions: dict[str, str]) -> Document:
         "label": text,
         "limits": [json_value(float(x)) for x in ends],
         "log": axis.get_scale() == "log",
+        "reversed": bool(axis.get_inverted()),
         "ticks": ticks,
         "direction": directions.get(text),
     }
@@ -201,6 +239,9 @@ def _described(panel: Axes) -> Iterator[Document | None]:
             else:
                 place, transform = artist.get_position(), artist.get_transform()
             text = {"text": _plain(artist.get_text()), "align": artist.get_horizontalalignment()}
+            text["baseline"] = (
+                artist.get_verticalalignment() if artist.get_verticalalignment() in ("top", "bottom") else "middle"
+            )
             yield {"kind": "text", **_xy(panel, np.array(place, float), transform), **text}
 
 
@@ -259,7 +300,12 @@ def _of_cells(panel: Axes, cells: ScalarMappable) -> Document:
     indices = np.where(np.ma.getmaskarray(array).ravel() | (colours[:, 3] == 0), -1, indices.ravel())
     ends = {"x": xs.tolist(), "y": ys.tolist()}
     names = [_hex(colour / 255) for colour in palette]
-    return {"kind": "cells", **ends, "colours": names, "data": pack(indices.astype(np.int32))}
+    item = {"kind": "cells", **ends, "colours": names, "data": pack(indices.astype(np.int32))}
+    if array.size <= TABLE_MAX_CELLS and not isinstance(
+        cells.norm, BoundaryNorm
+    ):  # the page has no bar of their colours
+        item["texts"] = [f"{x:.3g}".replace("-", "−") for x in array.filled(np.nan).ravel()]
+    return item
 
 
 def _hex(colour: Any) -> str:
