@@ -70,28 +70,14 @@ def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts:
     if run_seconds(ds) > COMMAND_MAX_SECONDS:
         notes.append(f"Each lane ran for {run_seconds(ds):g} s; the commands simulate {COMMAND_MAX_SECONDS:g} s")
     map_names = dict.fromkeys(variable["map"] for variable in variables if variable["map"])
-    empty: Document = {
-        "axes": [],
-        "lanes": None,
-        "fixed": {},
-        "region": None,
-        "run": None,
-        "curves": None,
-        "cells": None,
-        "figure": None,
-        "overlay": None,
-        "summary": [],
-        "view": [],
-        "first": {},
-    }
+    nothing = dict.fromkeys(("lanes", "region", "run", "curves", "cells", "figure", "overlay"))
+    empty: Document = {**nothing, "axes": [], "fixed": {}, "summary": [], "view": [], "first": {}}
     document = {
         "format": 1,
         "kind": kind,
         "title": title_of(ds),
         "scene": text_of(ds, "scene"),
-        "machine": {
-            name: parameters_of(ds)[name] for name in ("v", "delta", "bit_radius") if name in parameters_of(ds)
-        },
+        "machine": {name: x for name, x in parameters_of(ds).items() if name in ("v", "delta", "bit_radius")},
         "source": text_of(ds, "source"),
         "notes": [one_line(note, LONGEST_TEXT) for note in notes if note],
         "variables": variables,

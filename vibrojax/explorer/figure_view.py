@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import Collection, LineCollection, PathCollection, PolyCollection, QuadMesh
@@ -28,7 +29,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Annotation, Text
 from matplotlib.ticker import FixedFormatter, FuncFormatter
-from matplotlib.transforms import Transform
+from matplotlib.transforms import IdentityTransform, Transform
 
 from vibrojax.explorer.document import Document, json_value, one_line
 from vibrojax.explorer.encoding import pack
@@ -198,63 +199,54 @@ def _xy(panel: Axes, points: Any, transform: Transform) -> Document:
 
 def items_of(panel: Axes) -> list[Document]:
     """Return the descriptions of what a panel shows, in the order in which it is drawn."""
-    return [item for item in _described(panel) if item is not None]
+    artists = sorted(panel.get_children(), key=lambda one: one.get_zorder())
+    shown_artists = [one for one in artists if one.get_visible() and one is not panel.patch]
+    return [item for artist in shown_artists for item in _described(panel, artist)]
 
 
-def _described(panel: Axes) -> Iterator[Document | None]:
-    """Yield the descriptions of what a panel shows, in the order in which it is drawn."""
-    for artist in sorted(panel.get_children(), key=lambda one: one.get_zorder()):
-        if not artist.get_visible() or artist is panel.patch:
-            continue
-        if isinstance(artist, Line2D):
-            yield from _of_line(panel, artist)
-        elif isinstance(artist, QuadMesh | AxesImage):
-            yield _of_cells(panel, artist)
-        elif isinstance(artist, PathCollection):
-            yield _of_points(panel, artist)
-        elif isinstance(artist, LineCollection):
-            colours = [_hex(colour) for colour in artist.get_colors()] or ["#222222"]
-            dash = _dash(artist.get_linestyle()[0] if len(artist.get_linestyle()) else None)
-            for k, segment in enumerate(artist.get_segments()):
-                look = {"colour": colours[k % len(colours)], "width": 1.2, "dash": dash}
-                yield {"kind": "line", **_xy(panel, segment, artist.get_transform()), **look}
-        elif isinstance(artist, PolyCollection):
-            for path in artist.get_paths():
-                yield _area(panel, path.vertices, artist.get_transform(), artist)
-        elif isinstance(artist, Patch) and artist.get_fill():
-            for polygon in artist.get_path().to_polygons(artist.get_transform()):
-                inside = panel.transData.inverted().transform(polygon)
-                yield _area(panel, inside, panel.transData, artist)
-        elif isinstance(artist, Patch):
-            for polygon in artist.get_path().to_polygons(artist.get_transform()):
-                look = {"colour": _hex(artist.get_edgecolor()), "width": 1.2, "dash": []}
-                yield {
-                    "kind": "line",
-                    **_xy(panel, panel.transData.inverted().transform(polygon), panel.transData),
-                    **look,
-                }
-        elif isinstance(artist, Text) and artist.get_text() and artist in panel.texts:
-            if isinstance(artist, Annotation):
-                place, transform = artist.xy, panel.transAxes if artist.xycoords == "axes fraction" else panel.transData
+def _described(panel: Axes, artist: Artist) -> Iterator[Document]:
+    """Yield the descriptions of an artist."""
+    if isinstance(artist, Line2D):
+        yield from _of_line(panel, artist)
+    elif isinstance(artist, QuadMesh | AxesImage):
+        yield _of_cells(panel, artist)
+    elif isinstance(artist, PathCollection):
+        yield _of_points(panel, artist)
+    elif isinstance(artist, LineCollection):
+        colours = [_hex(colour) for colour in artist.get_colors()] or ["#222222"]
+        dash = _dash(artist.get_linestyle()[0] if len(artist.get_linestyle()) else None)
+        for k, segment in enumerate(artist.get_segments()):
+            look = {"colour": colours[k % len(colours)], "width": 1.2, "dash": dash}
+            yield {"kind": "line", **_xy(panel, segment, artist.get_transform()), **look}
+    elif isinstance(artist, PolyCollection):
+        for path in artist.get_paths():
+            yield from _area(panel, path.vertices, artist.get_transform(), artist)
+    elif isinstance(artist, Patch):
+        for polygon in artist.get_path().to_polygons(artist.get_transform()):
+            if artist.get_fill():
+                yield from _area(panel, polygon, IdentityTransform(), artist)
             else:
-                place, transform = artist.get_position(), artist.get_transform()
-            text = {"text": _plain(artist.get_text()), "align": artist.get_horizontalalignment()}
-            text["baseline"] = (
-                artist.get_verticalalignment() if artist.get_verticalalignment() in ("top", "bottom") else "middle"
-            )
-            yield {"kind": "text", **_xy(panel, np.array(place, float), transform), **text}
+                look = {"colour": _hex(artist.get_edgecolor()), "width": 1.2, "dash": []}
+                yield {"kind": "line", **_xy(panel, polygon, IdentityTransform()), **look}
+    elif isinstance(artist, Text) and artist.get_text() and artist in panel.texts:
+        place, transform = artist.get_position(), artist.get_transform()
+        if isinstance(artist, Annotation):
+            place, transform = artist.xy, panel.transAxes if artist.xycoords == "axes fraction" else panel.transData
+        level = artist.get_verticalalignment()
+        yield {
+            "kind": "text",
+            **_xy(panel, np.array(place, float), transform),
+            "text": _plain(artist.get_text()),
+            "align": artist.get_horizontalalignment(),
+            "baseline": level if level in ("top", "bottom") else "middle",
+        }
 
 
-def _area(panel: Axes, points: Any, transform: Transform, artist: Collection | Patch) -> Document | None:
+def _area(panel: Axes, points: Any, transform: Transform, artist: Collection | Patch) -> Iterator[Document]:
     face = to_rgba_array(artist.get_facecolor())
-    if not len(face) or face[0, 3] == 0:
-        return None
-    return {
-        "kind": "area",
-        **_xy(panel, points, transform),
-        "colour": _hex(face[0]),
-        "alpha": json_value(float(face[0, 3])),
-    }
+    if len(face) and face[0, 3] > 0:
+        look = {"colour": _hex(face[0]), "alpha": json_value(float(face[0, 3]))}
+        yield {"kind": "area", **_xy(panel, points, transform), **look}
 
 
 def _of_line(panel: Axes, line: Line2D) -> Iterator[Document]:
@@ -272,7 +264,7 @@ def _faces(line: Line2D) -> Document:
     return {"colours": [_hex(line.get_markeredgecolor() if hollow else face)], "hollow": hollow}
 
 
-def _of_points(panel: Axes, dots: PathCollection) -> Document | None:
+def _of_points(panel: Axes, dots: PathCollection) -> Document:
     faces, edges = np.asarray(dots.get_facecolor()), np.asarray(dots.get_edgecolor())
     hollow = not len(faces) or bool((faces[:, 3] == 0).all())
     colours = [_hex(colour) for colour in (edges if hollow else faces)]
