@@ -41,9 +41,6 @@ ITEM_MAX_POINTS = 20_000
 
 LABEL_MAX_CHARACTERS = 120
 
-TABLE_MAX_CELLS = 64
-"""Number of cells of a map up to which their values are written into them."""
-
 LOW_INCHES, WIDE_SHARE = 1.1, 0.45
 """Height below which a plot is a strip, and share of the figure's width from which it has a row of its own."""
 
@@ -237,6 +234,7 @@ def _described(panel: Axes, artist: Artist) -> Iterator[Document]:
             "kind": "text",
             **_xy(panel, np.array(place, float), transform),
             "text": _plain(artist.get_text()),
+            "colour": _hex(artist.get_color()),
             "align": artist.get_horizontalalignment(),
             "baseline": level if level in ("top", "bottom") else "middle",
         }
@@ -292,12 +290,7 @@ def _of_cells(panel: Axes, cells: ScalarMappable) -> Document:
     indices = np.where(np.ma.getmaskarray(array).ravel() | (colours[:, 3] == 0), -1, indices.ravel())
     ends = {"x": xs.tolist(), "y": ys.tolist()}
     names = [_hex(colour / 255) for colour in palette]
-    item = {"kind": "cells", **ends, "colours": names, "data": pack(indices.astype(np.int32))}
-    if array.size <= TABLE_MAX_CELLS and not isinstance(
-        cells.norm, BoundaryNorm
-    ):  # the page has no bar of their colours
-        item["texts"] = [f"{x:.3g}".replace("-", "−") for x in array.filled(np.nan).ravel()]
-    return item
+    return {"kind": "cells", **ends, "colours": names, "data": pack(indices.astype(np.int32))}
 
 
 def _hex(colour: Any) -> str:

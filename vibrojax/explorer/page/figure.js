@@ -3,7 +3,7 @@ import { unpack } from "./decode.js";
 import { el } from "./dom.js";
 import { interactive } from "./interact.js";
 import { csvOf } from "./paper.js";
-import { brightness, FONT, framed, GLYPHS, inkOf, legible, line, mark } from "./plots.js";
+import { FONT, framed, GLYPHS, inkOf, legible, line, mark } from "./plots.js";
 
 /** Draw items of a description; cells need `levels`, their unpacked indices. */
 export function drawItems(c, items, sx, sy, ink) {
@@ -32,19 +32,13 @@ export function drawItems(c, items, sx, sy, ink) {
         const i = k % wide, j = Math.floor(k / wide), [x0, x1, y0, y1] = [sx(x[i]), sx(x[i + 1]), sy(y[j]), sy(y[j + 1])];
         c.fillStyle = level < 0 ? ink.undefined : item.colours[level];
         c.fillRect(Math.floor(Math.min(x0, x1)), Math.floor(Math.min(y0, y1)), Math.ceil(Math.abs(x1 - x0)) + 0.5, Math.ceil(Math.abs(y1 - y0)) + 0.5);
-        if (!item.texts || level < 0) return;
-        c.font = `11px ${FONT}`;
-        c.textAlign = "center";
-        c.textBaseline = "middle";
-        c.fillStyle = brightness(item.colours[level]) > 0.5 ? "#222222" : "#FFFFFF";
-        c.fillText(item.texts[k], (x0 + x1) / 2, (y0 + y1) / 2, Math.abs(x1 - x0) - 4);
       });
     } else if (item.kind === "text") {
       const over = items.some((one) => one.kind === "cells");
       c.font = `11px ${FONT}`;
       c.textAlign = item.align;
       c.textBaseline = item.baseline;
-      c.fillStyle = over ? "#222222" : ink.ink;
+      c.fillStyle = over ? item.colour : ink.ink;
       c.fillText(item.text, sx(x[0]), sy(y[0]));
     }
   }

@@ -26,7 +26,7 @@ function hatched(ground, colour) {
 }
 
 /** From 0 of black to 1 of white; of a colour #rrggbb. */
-export const brightness = (colour) => [1, 3, 5].reduce((sum, k) => sum + parseInt(colour.slice(k, k + 2), 16), 0) / 765;
+const brightness = (colour) => [1, 3, 5].reduce((sum, k) => sum + parseInt(colour.slice(k, k + 2), 16), 0) / 765;
 
 /** A colour of the pictures, or the ink's own where it would not be seen on the plate. */
 export function legible(colour, ink) {
