@@ -21,7 +21,7 @@ from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import read_sweep
 
 BLOCK_CELLS = 256
-"""Number of motions per block; the page decodes a complete block when one of its motions is selected."""
+"""Number of motions per block; the page inflates a block when one of its motions is selected."""
 
 MODULES = [
     f"{name}.js"

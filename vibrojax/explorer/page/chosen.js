@@ -69,6 +69,11 @@ function motionTable(motion) {
   return table;
 }
 
+/** The legend of a file with pinned motions in it. */
+function pinKeys(page, motion) {
+  return page.pinned(motion).map(({ title, colour }) => ({ text: title, colour, shape: "line" }));
+}
+
 function planePanels(page, motion, planes) {
   const mass = (one) => one.long_name.replace(/^.*(position|displacement) of (the )?/, "").replace(/ (relative|\().*/, "");
   const size = { 1: "vx-wide vx-tall", 2: "vx-half" }[planes.length] ?? "";
@@ -88,7 +93,7 @@ function planePanels(page, motion, planes) {
       page.player.to(motion.time[best]);
     };
     return panel(`Phase plane, ${title(k)}`, (canvas) => drawPlane(canvas, motion, plane, k, page.pinned(motion)), described(motion),
-      { extra: size, at, click, table: () => motionTable(motion) });
+      { extra: size, at, click, keys: () => pinKeys(page, motion), table: () => motionTable(motion) });
   });
 }
 
@@ -113,7 +118,7 @@ function phasePanel(page, motion) {
     ...names.map((name) => el("option", { value: name, text: symbolOf(name), selected: name === shown.phase })));
   const all = () => [...others, { motion, colour: null }].filter((one) => shown.phase in one.motion.states);
   return [panel("Over the phase", (canvas) => drawPhase(canvas, all(), motion.columns.find((one) => one.name === shown.phase)),
-    `${shown.phase} of the shown and the pinned motions over the share of a return`, { extra: "vx-wide", more: [choice] })];
+    `${shown.phase} of the shown and the pinned motions over the share of a return`, { extra: "vx-wide", more: [choice], keys: () => pinKeys(page, motion) })];
 }
 
 /** The states at the returns, of which one is chosen. */

@@ -64,7 +64,7 @@ function amongControl(page, make) {
 /** A short name of an axis: its label without what stands in brackets, and its symbol. */
 function shortName({ label, symbol, name }) {
   const words = label.replace(/\s*\([^)]*\)/g, "");
-  if (words.length > 26) return symbol;
+  if (words.length > 26) return `${words.split(" ")[0]}, ${symbol}`;
   return symbol && ![name, words].includes(symbol) ? `${words}, ${symbol}` : words;
 }
 

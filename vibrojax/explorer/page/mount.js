@@ -122,6 +122,7 @@ class Page {
     if ("x" in changes && !this.shown.y && !("y" in changes) && !this.data.family) this.shown.y = this.firstUp(x);
     this.fillControls();
     this.draw();
+    this.say();
     if (!this.data.lanes && this.current) this.showMotion(this.current.motion);
     this.tell();
   }

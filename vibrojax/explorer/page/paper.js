@@ -49,7 +49,7 @@ class SvgContext {
     const dash = this.dash.length ? ` stroke-dasharray="${this.dash.join()}"` : "";
     this.put(`<path d="${this.path.join("")}" fill="none" stroke="${this.paint(this.strokeStyle)}" stroke-width="${this.lineWidth}" stroke-linejoin="round"${dash}/>`);
   }
-  fillRect(x, y, w, h) { this.put(`<rect x="${rounded(x)}" y="${rounded(y)}" width="${rounded(w)}" height="${rounded(h)}" fill="${this.paint(this.fillStyle)}"/>`); }
+  fillRect(x, y, w, h) { this.put(`<rect x="${rounded(x)}" y="${rounded(y)}" width="${rounded(w)}" height="${rounded(h)}" fill="${this.paint(this.fillStyle)}" shape-rendering="crispEdges"/>`); }
   strokeRect(x, y, w, h) { this.beginPath(); this.rect(x, y, w, h); this.stroke(); }
   fillText(text, x, y, most) {
     const size = parseFloat(/([\d.]+)px/.exec(this.font)?.[1] ?? 11), anchor = { center: "middle", right: "end" }[this.textAlign] ?? "start";
