@@ -20,6 +20,7 @@ from vibrojax.cli import main
 from vibrojax.explorer import Cell, cell_of, cells_of, document_of, encode, module_text, page_text, write_page
 from vibrojax.explorer.encoding import EVENTS, MANTISSA_BITS, STATE_LEVELS, STUCK, StateColumn, pack
 from vibrojax.explorer.figure_view import figure_document
+from vibrojax.explorer.reading import first_cell
 from vibrojax.explorer.write import blocks_of
 from vibrojax.sweep.input.read import read_sweep
 
@@ -355,6 +356,32 @@ def test_a_figure_is_described_in_its_data_coordinates() -> None:
     assert level >= 0 and missing == -1
     assert found["keys"] == [{"text": "law", "shape": "line", "colour": "#112233", "dash": items["line"]["dash"]}]
     json.dumps(found, allow_nan=False)
+
+
+def test_a_figure_keeps_scales_rows_and_directions() -> None:
+    """A title holds for its row, a colour bar becomes a key, and depth grows downwards."""
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    left.plot([0.0, 1.0], [1.0, 2.0])
+    left.set(title="row of a", ylabel="depth [m]")
+    left.invert_yaxis()
+    cells = right.pcolormesh([0.0, 1.0, 2.0], [0.0, 1.0], [[-0.5, 3.0]])
+    figure.colorbar(cells, ax=right, label="share [%]")
+    found = figure_document([figure], xr.Dataset(), [])
+    assert [plot["title"] for plot in found["plots"]] == ["row of a", "row of a"]
+    assert [plot["y"]["reversed"] for plot in found["plots"]] == [True, False]
+    [key] = found["keys"]
+    assert key["shape"] == "scale" and key["text"] == "share [%]: −0.5 to 3" and len(key["colours"]) == 9
+
+
+def test_pages_open_at_what_there_is_most_of() -> None:
+    """Attractors at the most frequent one, fits at the form with the lowest AIC, pushes on the side with values."""
+    share = xr.DataArray([[1.0, 0.0], [0.3, 0.7], [1.0, 0.0]], dims=("gamma", "attractor"))
+    attractors = xr.Dataset({"share": share, "lane_attractor": ("gamma", [0, 1, 0])})
+    assert first_cell(attractors, [], []) == {"gamma": 1, "attractor": 1}
+    fit = xr.Dataset({"aic": (("form", "k3"), [[3.0, 9.0], [1.0, np.nan]])}, {"form": ["literal", "power"]})
+    assert first_cell(fit, [], []) == {"form": 1}
+    assert first_cell(xr.Dataset({"push_x1": ("sign", [np.nan, 0.1])}), [], []) == {"sign": 1}
 
 
 def test_returns_are_a_diagram_and_the_first_cell_is_a_single_impact() -> None:

@@ -290,7 +290,8 @@ def test_curves_lie_over_the_map_with_their_names(browser: Any, tmp_path: Path, 
     assert MARKUP[:20] in page.locator(".vx-live").inner_text()  # the chosen cell holds the point
     x, y = page.evaluate("(() => { const { frame } = vibrojax.view; return [frame.x(0.7), frame.y(0.35)]; })()")
     page.locator(".vx-over").hover(position={"x": x, "y": y})
-    assert MARKUP[:20] in page.locator(".vx-tip").inner_text()
+    tip = page.locator(".vx-tip").inner_text()
+    assert MARKUP[:20] in tip and "fold: A stable and an unstable orbit meet" in tip
     page.locator('[data-control="borders"]').uncheck()
     assert "grazing" not in page.locator(".vx-legend").inner_text()
     assert not heard and len(asked) == 1

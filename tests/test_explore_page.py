@@ -284,6 +284,23 @@ def test_cells_that_a_page_shows_are_those_that_were_written(browser: Any, files
                 np.testing.assert_allclose(shown["states"][name], values, rtol=1e-9, atol=1e-15)
 
 
+def test_the_strongest_single_impact_is_found(browser: Any, files: dict[str, Path], many: xr.Dataset) -> None:
+    """The map shows one regime, and goes to the cells with its greatest value, here and on all maps."""
+    single = many["impact_velocity"].where(many["regime"] == 3).transpose("beta", "gamma", "delta", "start")
+    with Opened(browser, files["many"], "#variable=impact_velocity&at.delta=0.005&at.start=1") as opened:
+        page = opened.page
+        page.locator("[data-control='only']").select_option("3")
+        page.get_by_role("button", name="greatest here").click()
+        here = np.unravel_index(np.nanargmax(single[:, :, 1, 1]), single.shape[:2])
+        assert (opened.cell["beta"], opened.cell["gamma"]) == here
+        assert "only=3" in opened.evaluate("location.hash")
+        if page.get_by_role("button", name="greatest of all maps").count():
+            page.get_by_role("button", name="greatest of all maps").click()
+        best = np.unravel_index(np.nanargmax(single), single.shape)
+        assert tuple(opened.cell[name] for name in single.dims) == best
+        assert opened.heard == []
+
+
 def test_a_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[str, Path]) -> None:
     """The cursor goes through the plots, pins compare numbers, files hold what is shown, and Back leads back."""
     with Opened(browser, files["few"]) as opened:
@@ -347,9 +364,10 @@ def test_a_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[
         page.locator(".vx-map .vx-reset").click()
         assert opened.evaluate("vibrojax.map.zoom") is None
         assert opened.evaluate("vibrojax.cell") == {"beta": 1, "gamma": 2, "start": 1}
-        # A regime is explained where it has the focus.
-        page.locator(".vx-badge.vx-why").focus()
-        assert page.locator(".vx-badge .vx-sentence").is_visible()
+        # A regime is explained beside its name, and in the legend where it has the focus.
+        assert "The motion repeats after one return" in page.locator(".vx-meaning").inner_text()
+        page.locator(".vx-legend .vx-why").first.focus()
+        assert page.locator(".vx-legend .vx-sentence").first.is_visible()
         page.wait_for_timeout(800)
         page.locator(".vx-over").press("ArrowLeft")
         opened.settled()

@@ -34,7 +34,7 @@ from vibrojax.analyses.sweep.run import run_sweep as run_sweep
 from vibrojax.analyses.tolerance.run import tolerance as tolerance
 from vibrojax.errors import InputError as InputError
 from vibrojax.explorer import write_page as write_page
-from vibrojax.explorer.write import explore as explore
+from vibrojax.explorer.notebook import explore as explore
 from vibrojax.io.dataset import open_dataset as open_dataset
 from vibrojax.io.dataset import write_dataset as write_dataset
 from vibrojax.io.riglog.log import read_log as read_log

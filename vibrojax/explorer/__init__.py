@@ -31,7 +31,7 @@ that the page shows for one map cell. An HTML file reads them from itself (`embe
      "family": {"runs", "special", ...} only of families,
      "figure": plots of the analysis, see `figure_view` | null,
      "overlay": {"variable", "along", "items"}: what lies over a diagram of returns | null,
-     "summary": [{"name", "lines"}], "meanings": {regime: sentence}, "machine": {parameter: value},
+     "summary": [{"name", "lines"}], "meanings": {regime or kind of border: sentence}, "machine": {parameter: value},
      "view": directions of the first view, "first": {axis: index} of the cell shown first,
      "cells": {"size", "blocks"} of the motions stored in the page | null,
      "without": the reason why there are no motions}

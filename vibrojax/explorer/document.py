@@ -16,7 +16,7 @@ from vibrojax.analyses.attractors.analysis import BEYOND
 from vibrojax.analyses.attractors.analysis import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.explorer.encoding import pack
-from vibrojax.explorer.reading import REGIME_MEANINGS, reading_text
+from vibrojax.explorer.reading import BORDER_MEANINGS, REGIME_MEANINGS, reading_text
 from vibrojax.io.attributes import LONGEST_TEXT, differing_of, parameters_of, run_of, text_of, title_of
 from vibrojax.models.scenes import SCENES
 from vibrojax.plot.axes import is_geometric, point_text, pretty_unit, scale, symbol
@@ -70,32 +70,18 @@ def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts:
     if run_seconds(ds) > COMMAND_MAX_SECONDS:
         notes.append(f"Each lane ran for {run_seconds(ds):g} s; the commands simulate {COMMAND_MAX_SECONDS:g} s")
     map_names = dict.fromkeys(variable["map"] for variable in variables if variable["map"])
-    empty: Document = {
-        "axes": [],
-        "lanes": None,
-        "fixed": {},
-        "region": None,
-        "run": None,
-        "curves": None,
-        "cells": None,
-        "figure": None,
-        "overlay": None,
-        "summary": [],
-        "view": [],
-        "first": {},
-    }
+    nothing = dict.fromkeys(("lanes", "region", "run", "curves", "cells", "figure", "overlay"))
+    empty: Document = {**nothing, "axes": [], "fixed": {}, "summary": [], "view": [], "first": {}}
     document = {
         "format": 1,
         "kind": kind,
         "title": title_of(ds),
         "scene": text_of(ds, "scene"),
-        "machine": {
-            name: parameters_of(ds)[name] for name in ("v", "delta", "bit_radius") if name in parameters_of(ds)
-        },
+        "machine": {name: x for name, x in parameters_of(ds).items() if name in ("v", "delta", "bit_radius")},
         "source": text_of(ds, "source"),
         "notes": [one_line(note, LONGEST_TEXT) for note in notes if note],
         "variables": variables,
-        "meanings": REGIME_MEANINGS,
+        "meanings": REGIME_MEANINGS | BORDER_MEANINGS,
         "maps": {name: [to_hex(colormaps[name](level)) for level in range(256)] for name in map_names},
     }
     return document | empty | parts

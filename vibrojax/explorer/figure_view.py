@@ -2,7 +2,7 @@
 
 A description holds the plots of the figure and the entries of its legends:
 
-    {"plots": [{"title", "x", "y": {"label", "limits", "log", "ticks": [[value, text]] | null,
+    {"plots": [{"title", "x", "y": {"label", "limits", "log", "reversed", "ticks": [[value, text]] | null,
                                     "direction": id of the page's direction along the axis, or null},
                 "at": {axis: index}: the map cells that the plot shows, "wide", "low", "square", "items": [...]}],
      "keys": [{"text", "colour", "shape": "line", "patch" or a mark, "dash": [...]}]}
@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import Collection, LineCollection, PathCollection, PolyCollection, QuadMesh
-from matplotlib.colors import to_hex, to_rgba_array
+from matplotlib.colors import BoundaryNorm, to_hex, to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.legend import Legend
@@ -28,11 +29,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Annotation, Text
 from matplotlib.ticker import FixedFormatter, FuncFormatter
-from matplotlib.transforms import Transform
+from matplotlib.transforms import IdentityTransform, Transform
 
 from vibrojax.explorer.document import Document, json_value, one_line
 from vibrojax.explorer.encoding import pack
 from vibrojax.plot.axes import label, value_text
+from vibrojax.plot.colours import REGIME_COLOURS
 
 ITEM_MAX_POINTS = 20_000
 """Number of points of an item above which only every n-th is described; a screen has fewer pixels."""
@@ -41,6 +43,8 @@ LABEL_MAX_CHARACTERS = 120
 
 LOW_INCHES, WIDE_SHARE = 1.1, 0.45
 """Height below which a plot is a strip, and share of the figure's width from which it has a row of its own."""
+
+_REGIME_COLOURS = {to_hex(colour) for colour in REGIME_COLOURS.values()}
 
 _SHAPES = {
     **{"o": "circle", ".": "circle", "s": "square", "D": "diamond", "*": "diamond", "P": "square", "X": "cross"},
@@ -69,10 +73,10 @@ def figure_document(
         is_curve = bool(plot["x"]["direction"]) and plot["y"]["label"] in drawn
         if plot["items"] and not is_map and not is_curve:
             plots.append(plot)
+    keys = {key["text"]: key for figure in figures for panel in figure.axes for key in _scale_of(panel, drawn)}
     legends = [
         legend for figure in figures for legend in (*figure.legends, *(panel.get_legend() for panel in figure.axes))
     ]
-    keys: dict[str, Document] = {}
     for legend in legends:
         for key in _keys(legend) if legend is not None else ():
             keys.setdefault(key["text"], key)
@@ -95,8 +99,7 @@ def _plain(text: str) -> str:
 
 
 def _plot(panel: Axes, directions: dict[str, str], ds: xr.Dataset, axes: Sequence[Document]) -> Document:
-    titles = [panel.get_title(loc) for loc in ("left", "center", "right")]
-    title = _plain(next(filter(None, titles), ""))
+    title = _title(panel) or _row_title(panel)
     place, whole = panel.get_window_extent(), panel.figure.bbox
     at = {
         axis["name"]: index
@@ -105,6 +108,10 @@ def _plot(panel: Axes, directions: dict[str, str], ds: xr.Dataset, axes: Sequenc
         for index, value in enumerate(ds[axis["name"]].values)
         if value_text(ds[axis["name"]], value) in title.split(", ")
     }
+    items = items_of(panel)
+    strips = [set(item["colours"]) for item in items if item["kind"] == "cells"]
+    if not title and not panel.get_ylabel() and strips and set.union(*strips) <= _REGIME_COLOURS:
+        title = "regimes"
     return {
         "title": title,
         "x": _axis(panel, "x", directions),
@@ -113,8 +120,36 @@ def _plot(panel: Axes, directions: dict[str, str], ds: xr.Dataset, axes: Sequenc
         "wide": bool(place.width >= WIDE_SHARE * whole.width),
         "low": bool(place.height < LOW_INCHES * panel.figure.get_dpi()),
         "square": panel.get_aspect() == 1.0,
-        "items": items_of(panel),
+        "items": items,
     }
+
+
+def _scale_of(panel: Axes, drawn: Sequence[str]) -> Iterator[Document]:
+    """Yield the key of a colour bar, unless the page draws the bar itself."""
+    bar = getattr(panel, "_colorbar", None)
+    text = _plain(panel.get_ylabel() or panel.get_xlabel())
+    if bar is None or isinstance(bar.norm, BoundaryNorm) or text in drawn:
+        return
+    low, high = (f"{x:.3g}".replace("-", "−") for x in (bar.vmin, bar.vmax))
+    colours = [_hex(bar.cmap(level)) for level in np.linspace(0.0, 1.0, 9)]
+    key = {"shape": "scale", "colour": colours[4], "colours": colours, "dash": []}
+    yield key | {"text": f"{text}: {low} to {high}" if text else f"{low} to {high}"}
+
+
+def _title(panel: Axes) -> str:
+    return _plain(next(filter(None, (panel.get_title(loc) for loc in ("left", "center", "right"))), ""))
+
+
+def _row_title(panel: Axes) -> str:
+    """Return the title of a panel's row, which pictures write over its first panel, or of a figure without labels."""
+    spec = panel.get_subplotspec()
+    for first in panel.figure.axes if spec is not None else ():
+        place = first.get_subplotspec()
+        if place is None or first.get_gridspec() is not panel.get_gridspec() or not _title(first):
+            continue
+        if (place.rowspan.start, place.colspan.start) == (spec.rowspan.start, 0):
+            return _title(first)
+    return "" if panel.get_xlabel() or panel.get_ylabel() else _plain(panel.figure.get_suptitle())
 
 
 def _axis(panel: Axes, name: str, directions: dict[str, str]) -> Document:
@@ -137,6 +172,7 @@ def _axis(panel: Axes, name: str, directions: dict[str, str]) -> Document:
         "label": text,
         "limits": [json_value(float(x)) for x in ends],
         "log": axis.get_scale() == "log",
+        "reversed": bool(axis.get_inverted()),
         "ticks": ticks,
         "direction": directions.get(text),
     }
@@ -160,60 +196,55 @@ def _xy(panel: Axes, points: Any, transform: Transform) -> Document:
 
 def items_of(panel: Axes) -> list[Document]:
     """Return the descriptions of what a panel shows, in the order in which it is drawn."""
-    return [item for item in _described(panel) if item is not None]
+    artists = sorted(panel.get_children(), key=lambda one: one.get_zorder())
+    shown_artists = [one for one in artists if one.get_visible() and one is not panel.patch]
+    return [item for artist in shown_artists for item in _described(panel, artist)]
 
 
-def _described(panel: Axes) -> Iterator[Document | None]:
-    """Yield the descriptions of what a panel shows, in the order in which it is drawn."""
-    for artist in sorted(panel.get_children(), key=lambda one: one.get_zorder()):
-        if not artist.get_visible() or artist is panel.patch:
-            continue
-        if isinstance(artist, Line2D):
-            yield from _of_line(panel, artist)
-        elif isinstance(artist, QuadMesh | AxesImage):
-            yield _of_cells(panel, artist)
-        elif isinstance(artist, PathCollection):
-            yield _of_points(panel, artist)
-        elif isinstance(artist, LineCollection):
-            colours = [_hex(colour) for colour in artist.get_colors()] or ["#222222"]
-            dash = _dash(artist.get_linestyle()[0] if len(artist.get_linestyle()) else None)
-            for k, segment in enumerate(artist.get_segments()):
-                look = {"colour": colours[k % len(colours)], "width": 1.2, "dash": dash}
-                yield {"kind": "line", **_xy(panel, segment, artist.get_transform()), **look}
-        elif isinstance(artist, PolyCollection):
-            for path in artist.get_paths():
-                yield _area(panel, path.vertices, artist.get_transform(), artist)
-        elif isinstance(artist, Patch) and artist.get_fill():
-            for polygon in artist.get_path().to_polygons(artist.get_transform()):
-                inside = panel.transData.inverted().transform(polygon)
-                yield _area(panel, inside, panel.transData, artist)
-        elif isinstance(artist, Patch):
-            for polygon in artist.get_path().to_polygons(artist.get_transform()):
-                look = {"colour": _hex(artist.get_edgecolor()), "width": 1.2, "dash": []}
-                yield {
-                    "kind": "line",
-                    **_xy(panel, panel.transData.inverted().transform(polygon), panel.transData),
-                    **look,
-                }
-        elif isinstance(artist, Text) and artist.get_text() and artist in panel.texts:
-            if isinstance(artist, Annotation):
-                place, transform = artist.xy, panel.transAxes if artist.xycoords == "axes fraction" else panel.transData
+def _described(panel: Axes, artist: Artist) -> Iterator[Document]:
+    """Yield the descriptions of an artist."""
+    if isinstance(artist, Line2D):
+        yield from _of_line(panel, artist)
+    elif isinstance(artist, QuadMesh | AxesImage):
+        yield _of_cells(panel, artist)
+    elif isinstance(artist, PathCollection):
+        yield _of_points(panel, artist)
+    elif isinstance(artist, LineCollection):
+        colours = [_hex(colour) for colour in artist.get_colors()] or ["#222222"]
+        dash = _dash(artist.get_linestyle()[0] if len(artist.get_linestyle()) else None)
+        for k, segment in enumerate(artist.get_segments()):
+            look = {"colour": colours[k % len(colours)], "width": 1.2, "dash": dash}
+            yield {"kind": "line", **_xy(panel, segment, artist.get_transform()), **look}
+    elif isinstance(artist, PolyCollection):
+        for path in artist.get_paths():
+            yield from _area(panel, path.vertices, artist.get_transform(), artist)
+    elif isinstance(artist, Patch):
+        for polygon in artist.get_path().to_polygons(artist.get_transform()):
+            if artist.get_fill():
+                yield from _area(panel, polygon, IdentityTransform(), artist)
             else:
-                place, transform = artist.get_position(), artist.get_transform()
-            text = {"text": _plain(artist.get_text()), "align": artist.get_horizontalalignment()}
-            yield {"kind": "text", **_xy(panel, np.array(place, float), transform), **text}
+                look = {"colour": _hex(artist.get_edgecolor()), "width": 1.2, "dash": []}
+                yield {"kind": "line", **_xy(panel, polygon, IdentityTransform()), **look}
+    elif isinstance(artist, Text) and artist.get_text() and artist in panel.texts:
+        place, transform = artist.get_position(), artist.get_transform()
+        if isinstance(artist, Annotation):
+            place, transform = artist.xy, panel.transAxes if artist.xycoords == "axes fraction" else panel.transData
+        level = artist.get_verticalalignment()
+        yield {
+            "kind": "text",
+            **_xy(panel, np.array(place, float), transform),
+            "text": _plain(artist.get_text()),
+            "colour": _hex(artist.get_color()),
+            "align": artist.get_horizontalalignment(),
+            "baseline": level if level in ("top", "bottom") else "middle",
+        }
 
 
-def _area(panel: Axes, points: Any, transform: Transform, artist: Collection | Patch) -> Document | None:
+def _area(panel: Axes, points: Any, transform: Transform, artist: Collection | Patch) -> Iterator[Document]:
     face = to_rgba_array(artist.get_facecolor())
-    if not len(face) or face[0, 3] == 0:
-        return None
-    return {
-        "kind": "area",
-        **_xy(panel, points, transform),
-        "colour": _hex(face[0]),
-        "alpha": json_value(float(face[0, 3])),
-    }
+    if len(face) and face[0, 3] > 0:
+        look = {"colour": _hex(face[0]), "alpha": json_value(float(face[0, 3]))}
+        yield {"kind": "area", **_xy(panel, points, transform), **look}
 
 
 def _of_line(panel: Axes, line: Line2D) -> Iterator[Document]:
@@ -231,7 +262,7 @@ def _faces(line: Line2D) -> Document:
     return {"colours": [_hex(line.get_markeredgecolor() if hollow else face)], "hollow": hollow}
 
 
-def _of_points(panel: Axes, dots: PathCollection) -> Document | None:
+def _of_points(panel: Axes, dots: PathCollection) -> Document:
     faces, edges = np.asarray(dots.get_facecolor()), np.asarray(dots.get_edgecolor())
     hollow = not len(faces) or bool((faces[:, 3] == 0).all())
     colours = [_hex(colour) for colour in (edges if hollow else faces)]

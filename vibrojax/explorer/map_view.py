@@ -73,7 +73,7 @@ LANE = "lane_number"
 
 LEADING_VARIABLES = (
     *("lane_attractor", "regime", "rate_of_penetration"),
-    *("share", "impact_velocity", "period", "bit_amplitude"),
+    *("share", "elasticity", "impact_velocity", "period", "bit_amplitude"),
 )
 
 OVERLAY_MAX_POINTS = 200_000
@@ -94,6 +94,10 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         ds = described(on_axes(ds))
     if FORM in ds.dims:
         ds = named_groups(ds)
+    if "sign" in ds.dims:  # of pushes
+        ds = ds.assign_coords(
+            sign=("sign", np.where(ds["sign"].values > 0, "positive", "negative"), {"long_name": "side of the push"})
+        )
     variables = [variable_document(ds[name]) for name in _shown_variables(ds)]
     for variable in variables:
         if "inner" in variable:
@@ -112,7 +116,7 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         fixed={str(name): json_value(data.values.item()) for name, data in ds.coords.items() if data.ndim == 0},
         region={name: list(ends) for name, ends in REGION.items()},
         # A fit lacks an axis of its sweep, so none of its map cells is a parameter point.
-        run=None if FORM in ds.dims else run_document(ds, sweep),
+        run=None if FORM in ds.dims or not ds.attrs.get("scene") else run_document(ds, sweep),
         view=(along := _first_axes(ds)),
         first=first_cell(ds, variables, along),
     )

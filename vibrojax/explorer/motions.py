@@ -21,6 +21,7 @@ from vibrojax.explorer.recording import (
     Excerpt,
     cell_of_record,
     event_times,
+    repeated_pulses,
 )
 from vibrojax.explorer.views import sweep_of
 from vibrojax.io.attributes import differing_of, text_of
@@ -46,10 +47,6 @@ MOTION_MAX_SECONDS = 60.0
 
 MOTION_MAX_STEPS = 400_000
 """Maximum number of steps of a motion; more would take seconds and gigabytes. A typical motion has a few thousand."""
-
-PULSE_TOLERANCE, PULSE_MAX_CYCLES = 1e-3, 8
-"""Largest difference of states one period apart, relative to half their peak-to-peak ranges, and longest period in
-pulses."""
 
 LOG_SLIDER_RATIO = 30.0
 """Smallest ratio of the greatest to the least value of a logarithmic slider."""
@@ -249,25 +246,12 @@ def _cell_of_motion(scene: Scene[Any], constants: Any, motion: Recorded, duratio
     if "cycles" in motion.found:
         cycles = int(motion.found["cycles"][1])
     else:
-        after = np.asarray(record.after)
-        cycles = _repeated_pulses(after[np.searchsorted(record.start + record.dt, moments["section"])], after, scene)
+        after = np.asarray(record.after)[:, [scene.place(name) for name in scene.driving_part().return_states]]
+        passed = after[np.searchsorted(record.start + record.dt, moments["section"])]
+        cycles = repeated_pulses(passed, np.ptp(after, axis=0) / 2)
     cell = cell_of_record(scene, record, moments, _excerpt(moments["section"], cycles, duration))
     numbers = {name: value.item() for name, (_, value, _) in motion.found.items()}
     return replace(cell, numbers={n: x if isinstance(x, int) or np.isfinite(x) else None for n, x in numbers.items()})
-
-
-def _repeated_pulses(passed: np.ndarray, after: np.ndarray, scene: Scene[Any]) -> int:
-    """Return the number of pulses per period of the motion, or 0 if the motion is not periodic.
-
-    **Arguments:** `passed` (pulses, states): states at the beginnings of pulses; `after` (steps, states): after steps.
-    """
-    columns = [scene.place(name) for name in scene.driving_part().return_states]
-    passed, swing = passed[:, columns], np.maximum(np.ptp(after[:, columns], axis=0), np.finfo(float).tiny) / 2
-    for cycles in range(1, PULSE_MAX_CYCLES + 1):
-        away = np.abs(passed[cycles:] - passed[:-cycles]) / swing
-        if len(passed) > 3 * cycles and (away < PULSE_TOLERANCE).all():
-            return cycles
-    return 0
 
 
 def _excerpt(returns: np.ndarray, cycles: int, duration: float) -> Excerpt:

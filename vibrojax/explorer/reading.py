@@ -7,6 +7,7 @@ import xarray as xr
 
 from vibrojax.io.attributes import table_of
 from vibrojax.plot.axes import certified_text
+from vibrojax.plot.contents import FORM
 
 REGIME_MEANINGS = {
     "undecided": "The motion still grows or decays, or returns too seldom, when the observation ends.",
@@ -20,6 +21,20 @@ REGIME_MEANINGS = {
 }
 """One sentence on each regime, which the page shows where its name is pointed at or has the focus."""
 
+BORDER_MEANINGS = {
+    "fold": "A stable and an unstable orbit meet and vanish.",
+    "period-doubling": "The orbit loses its stability to one that repeats after twice as many returns.",
+    "torus": "The orbit loses its stability to a motion with a second frequency.",
+    "grazing": "An impact, or another event, appears or vanishes.",
+    "stick": "A stick or a backward slip appears or vanishes.",
+    "section": "The bit just catches up with the drive: beyond it, returns are counted differently.",
+    "hopf": "The amplitude of the orbit shrinks to zero at an equilibrium.",
+    "end": "A bound is reached, or the family ends.",
+    "basin": "The orbit goes on and is stable, but this start no longer leads to it.",
+    "not-settled": "Beyond it, motions from this start had not settled when they were observed.",
+}
+"""One sentence on what happens at each kind of border, curve and special point."""
+
 SINGLE = "single-impact"
 
 
@@ -31,8 +46,9 @@ def reading_text(ds: xr.Dataset) -> str:
     estimated, beyond = round(counts["estimated"]), round(counts["estimated"] - counts["within"])
     total = f"{lanes:,}" if lanes >= estimated else "the"
     known = f"all but {beyond:,} of these" if beyond else "all of these"
+    tolerance = np.format_float_scientific(counts["error"], trim="-", exp_digits=1)
     failed = certified_text(ds).partition(". ")[2]
-    text = f"{estimated:,} of {total} motions repeat; {known} are exact to {counts['error']:g}"
+    text = f"{estimated:,} of {total} motions repeat; {known} are exact to {tolerance}"
     return ". ".join(part for part in (text, failed) if part)
 
 
@@ -40,11 +56,21 @@ def first_cell(ds: xr.Dataset, variables: list[dict[str, Any]], along: list[str]
     """Return the cell shown first: the single impact nearest to the middle, stable if that is known.
 
     `along`: the axes of the first view, or empty for the longest one. Other axes begin at 0 if that has such a cell.
-    The result is empty without regimes or without single impacts.
+    The result is empty without regimes or without single impacts. Of attractors it is the most frequent one.
+    Of fits it is the form with the lowest AIC.
     """
+    if FORM in ds.dims and "aic" in ds:
+        aic = ds["aic"].median([dim for dim in ds["aic"].dims if dim != FORM])
+        return {FORM: int(aic.argmin(FORM))} if aic.notnull().any() else {}
+    if "sign" in ds.dims:
+        found = [x.notnull().sum([d for d in x.dims if d != "sign"]) for x in ds.values() if "sign" in x.dims]
+        return {"sign": int(sum(found).argmax())}
+    if {"share", "lane_attractor"} <= set(ds.variables):
+        middle = {str(name): size // 2 for name, size in ds["share"].sizes.items() if name != "attractor"}
+        return middle | {"attractor": int(ds["share"].isel(middle).argmax("attractor"))}
     regime = next((one for one in variables if one["name"] == "regime" and one["flags"]), None)
     flag = next((key for key, name in (regime or {"flags": {}})["flags"].items() if name == SINGLE), None)
-    if regime is None or flag is None or "attractor" in regime["axes"]:
+    if regime is None or flag is None:
         return {}
     names = regime["axes"]
     single = ds["regime"].transpose(*names).values == int(flag)

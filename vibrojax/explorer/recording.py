@@ -38,6 +38,10 @@ RETURN_SAMPLES, CELL_MAX_SAMPLES = 56, 180
 """Number of evenly spaced samples per return interval, and maximum for a motion, of up to four states; more states have
 more. Samples at events are added."""
 
+PULSE_TOLERANCE, PULSE_MAX_CYCLES = 1e-3, 8
+"""Largest difference of states one period apart, relative to half their peak-to-peak ranges, and longest period in
+pulses."""
+
 STEP_PLACES = 6
 """Number of points in each step at which the path of the states is measured."""
 
@@ -189,6 +193,18 @@ def sample_times(times: np.ndarray, states: np.ndarray, events: np.ndarray, retu
     samples = np.unique(np.concatenate([even, events[(events > times[0]) & (events < times[-1])]]))
     is_new = np.diff(samples) > TIME_TOLERANCE * (times[-1] - times[0])
     return samples[np.concatenate([[True], is_new])]
+
+
+def repeated_pulses(passed: Float[np.ndarray, "pulses states"], swing: Float[np.ndarray, " states"]) -> int:
+    """Return the number of pulses per period of a motion, or 0 if the motion is not periodic.
+
+    `passed`: states at the beginnings of pulses; `swing`: half the peak-to-peak range of each state.
+    """
+    for cycles in range(1, PULSE_MAX_CYCLES + 1):
+        away = np.abs(passed[cycles:] - passed[:-cycles]) / np.maximum(swing, np.finfo(float).tiny)
+        if len(passed) > 3 * cycles and (away < PULSE_TOLERANCE).all():
+            return cycles
+    return 0
 
 
 def mark_events(flags: np.ndarray, times: np.ndarray, events: Mapping[str, np.ndarray], tolerance: float) -> None:

@@ -22,6 +22,7 @@ from vibrojax.explorer.recording import (
     SHOWN_SECONDS,
     TIME_TOLERANCE,
     mark_events,
+    repeated_pulses,
     sample_times,
 )
 from vibrojax.io.attributes import parameters_of, run_of
@@ -32,8 +33,8 @@ HISTORY_BINS = 1200
 SECTION_STATES = ("x1", "x2", "v2", "x3", "v3")
 """States whose values at section crossings are shown, if the scene has them."""
 
-REPEAT_MAX_PULSES, REPEAT_TOLERANCE = 8, 1e-2
-"""Longest period in pulses, and largest difference of states one period apart relative to their peak-to-peak range."""
+LAST_PULSES = 32
+"""Number of pulses at the end of a motion whose states are compared to find its period."""
 
 
 def motion_document(ds: xr.Dataset) -> Document:
@@ -87,7 +88,9 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
     returns, cycles = events["section"], int(motion["cycles"]) if "cycles" in motion else 0
     if not len(returns) and "applied_force" in motion:
         returns = _pulses(motion, float(time[-1]))
-        cycles = _repeated_pulses(motion, returns)
+        states = [motion["v3"].values, motion["x3"].values - motion["x4"].values]
+        passed = np.stack([np.interp(returns, time, x) for x in states], axis=1)
+        cycles = repeated_pulses(passed[-LAST_PULSES:], np.ptp(states, axis=1) / 2)
     kind = "orbit" if cycles and len(returns) > cycles else "motion"
     shown = cycles if kind == "orbit" else min(SHOWN_RETURNS, max(len(returns) - 1, 0))
     if shown:
@@ -128,21 +131,6 @@ def _pulses(motion: xr.Dataset, end: float) -> Float[np.ndarray, " pulses"]:
     if not 0 < end * frequency < motion.sizes["time"]:  # with fewer samples than pulses, a period cannot be detected
         return np.zeros(0)
     return np.arange(int(end * frequency + 1e-9) + 1) / frequency
-
-
-def _repeated_pulses(motion: xr.Dataset, pulses: np.ndarray) -> int:
-    """Return the number of pulses per period of the motion, or 0 if it is not periodic."""
-    time = motion["time"].values
-    states = [motion["v3"].values, motion["x3"].values - motion["x4"].values]
-    for count in range(1, min(REPEAT_MAX_PULSES, len(pulses) - 1) + 1):
-        last = np.linspace(pulses[-1 - count], pulses[-1], 64)
-        before = last - (pulses[-1] - pulses[-1 - count])
-        if before[0] < 0:
-            return 0
-        away = (np.abs(np.interp(last, time, x) - np.interp(before, time, x)).max() / (np.ptp(x) or 1) for x in states)
-        if max(away) < REPEAT_TOLERANCE:
-            return count
-    return 0
 
 
 def _flags(motion: xr.Dataset, times: np.ndarray, events: dict[str, Any], tolerance: float) -> np.ndarray:

@@ -28,6 +28,7 @@ from vibrojax.explorer.document import (
 from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.figure_view import figure_document
 from vibrojax.explorer.map_view import REPEAT_MARGIN, lane_cells, map_document, overlay_document
+from vibrojax.explorer.reading import BORDER_MEANINGS, REGIME_MEANINGS
 from vibrojax.explorer.recording import Excerpt, record_cells
 from vibrojax.explorer.trajectory_view import cell_of, motion_document
 from vibrojax.io.attributes import parameters_of, text_of
@@ -37,7 +38,8 @@ from vibrojax.io.kinds import kind_of
 from vibrojax.io.variables import orbit_name
 from vibrojax.periodic.margin import DRIVEN_RETURNS
 from vibrojax.plot.branches import MARKS, curves_of
-from vibrojax.plot.contents import FORM, long_axes
+from vibrojax.plot.contents import FORM, START, long_axes
+from vibrojax.plot.starts import described
 from vibrojax.progress import LOG
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import Point, read_point
@@ -108,10 +110,15 @@ def picture_document(ds: xr.Dataset, document: Document) -> Document | None:
     first = document["variables"][0]
     drawn = [" ".join(str(first["label"]).split())]
     try:
-        figure = figure_document(analysis_of(ds).page_figures(ds), ds, document["axes"], drawn)
+        figure = figure_document(
+            analysis_of(ds).page_figures(ds), described(ds) if START in ds.dims else ds, document["axes"], drawn
+        )
     except Exception as error:
         LOG.info("explore: no picture: %s", error)
         return None
+    # The legend of the map has these.
+    known = {"stable", "unstable", *BORDER_MEANINGS} if document["kind"] == "family" else set(REGIME_MEANINGS)
+    figure["keys"] = [key for key in figure["keys"] if key["text"].split(" ")[0] not in known]
     return figure if figure["plots"] else None
 
 
@@ -219,6 +226,7 @@ def family_document(ds: xr.Dataset) -> Document:
     run = run_document(ds) | {"start": None, "duration": 2.0}
     if point.system.driving_part() is not point.system:
         run["states"] = []
+    branches = _branches(ds)
     return document_with(
         ds,
         "family",
@@ -226,9 +234,16 @@ def family_document(ds: xr.Dataset) -> Document:
         axes=[axis | {"columns": columns}],
         lanes=pack(np.arange(count, dtype=np.int32)) | {"axes": ["point"]},
         run=run,
-        family=_branches(ds),
+        family=branches,
         view=[f"point:{along}"],
+        first={"point": _first_point(branches)},
     )
+
+
+def _first_point(branches: Document) -> int:
+    """Return the point in the middle of the longest stable stretch, or of the longest one if none is stable."""
+    longest = max(branches["runs"], key=lambda run: (run["stable"] == 1, len(run["points"])), default={"points": [0]})
+    return int(longest["points"][len(longest["points"]) // 2])
 
 
 def _branches(ds: xr.Dataset) -> Document:

@@ -46,7 +46,9 @@ export const groupsOf = (columns) => {
   return [...new Set(columns.map(key))].map((one) => columns.filter((column) => key(column) === one));
 };
 
-const colourOf = (ink, name, k) => ink[COLOURED[name] ?? ["bit", "striker", "rock", "accent"][k % 4]];
+/** The name of a state's colour, of the k-th state in its plot. */
+export const colourName = (name, k) => COLOURED[name] ?? ["bit", "striker", "rock", "accent"][k % 4];
+const colourOf = (ink, name, k) => ink[colourName(name, k)];
 
 /** Which events belong to a state's plane: impacts to both masses, stick and slip to what slides. */
 const SHAPES = { stick: ["square", "stick"], slip: ["triangle", "slip"], impact: ["diamond", "impact"] };
@@ -123,9 +125,10 @@ export function drawPhase(canvas, all, { name, units }) {
 /** The whole course of a trajectory: states of one unit, from the beginning; a line where the observation begins. */
 export function drawCourse(canvas, course, columns, isLast) {
   const ink = inkOf(canvas), [fy, uy] = shownIn(columns[0].units, columns.flatMap((one) => limitsOf([course[one.name]], 0)));
+  const forces = columns.length > 1 && columns.every(({ name }) => name.endsWith("_force"));
   framed(canvas, ink,
     { limits: [course.time[0], course.time.at(-1)], label: isLast ? "time [s]" : "" },
-    { limits: limitsOf(columns.map((one) => scaled(course[one.name], fy)), 0.06), label: withUnit(columns.map((one) => symbolOf(one.name)).join(", "), uy) },
+    { limits: limitsOf(columns.map((one) => scaled(course[one.name], fy)), 0.06), label: withUnit(forces ? "force" : columns.map((one) => symbolOf(one.name)).join(", "), uy) },
     (c, sx, sy, box) => {
       columns.forEach((one, k) => line(c, course.time, scaled(course[one.name], fy), sx, sy, colourOf(ink, one.name, k), 0.9));
       if (course.observed) line(c, [course.observed, course.observed], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [4, 3]);

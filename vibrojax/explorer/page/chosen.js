@@ -1,6 +1,6 @@
 // The chosen cell beside the map: its head, panels and keys, its numbers, and the calls that simulate it.
 import { described, drawHistory, drawMultipliers, drawPhase, drawPlane, drawReturns, drawSpectrum, groupsOf, planesOf, shownIn, symbolOf } from "./cell.js";
-import { el, explained } from "./dom.js";
+import { el } from "./dom.js";
 import { interactive } from "./interact.js";
 import { stateAt } from "./machine.js";
 import { csvOf, download, fileName } from "./paper.js";
@@ -9,22 +9,23 @@ import { inkOf, line, mark, numberText, prepared } from "./plots.js";
 const EVENT_KEYS = { 1: ["stick", "vx-k-stick"], 2: ["slip", "vx-k-slip"], 3: ["impact", "vx-k-impact"] };
 const MASS_KEYS = [["x1", "bit", "vx-k-bit"], ["x2", "striker", "vx-k-striker"], ["x3", "bit on rock", "vx-k-rock"], ["x4", "hole", "vx-k-hole"]];
 
-/** The regime of the motion that is shown, where it is known of the lane. */
-function badge(page, motion) {
+/** The regime of the motion that is shown and what it means, where it is known of the lane. */
+function regimeOf(page, motion) {
   const { grid, point, named } = page, regime = grid.variables.get("regime");
   const value = point ? motion?.numbers?.regime : regime && grid.value("regime", page.cell);
   const ofLane = point ? Boolean(regime) : page.apart !== "attractor" && regime?.axes.every((axis) => named.includes(axis));
-  if (!ofLane || value === undefined) return [];
+  if (!ofLane || value === undefined) return [[], ""];
   const swatch = el("span", { class: "vx-swatch", style: `background:${grid.colour(regime, value)}` });
-  const text = grid.valueText(regime, value), meaning = page.data.meanings?.[regime.flags?.[String(value)]];
-  return [explained(el("span", { class: "vx-badge" }, swatch, text), meaning)];
+  return [[el("span", { class: "vx-badge" }, swatch, grid.valueText(regime, value))], page.data.meanings?.[regime.flags?.[String(value)]] ?? ""];
 }
 
 function head(page, motion) {
   let text = page.data.without ?? "no motion is kept of this dataset";
   if (motion) text = described(motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "");
-  return el("div", { class: "vx-cellhead" }, el("h2", { text: page.titleOf() }),
-    ...badge(page, motion), ...(motion && motion.kind !== "none" ? [page.pins.button(), fileButton(page, motion)] : []), el("p", { class: "vx-motion", text }));
+  const [badge, meaning] = regimeOf(page, motion), moves = motion && motion.kind !== "none";
+  return el("div", { class: "vx-cellhead" }, el("h2", { text: page.titleOf() }), ...badge,
+    ...(moves ? [el("span", { class: "vx-cellbuttons" }, page.pins.button(), fileButton(page, motion))] : []),
+    el("p", { class: "vx-motion", text }), ...(meaning ? [el("p", { class: "vx-motion vx-meaning", text: meaning })] : []));
 }
 
 /** The chosen cell as a JSON file: its coordinates, numbers, command and motion. */
@@ -68,6 +69,11 @@ function motionTable(motion) {
   return table;
 }
 
+/** The legend of a file with pinned motions in it. */
+function pinKeys(page, motion) {
+  return page.pinned(motion).map(({ title, colour }) => ({ text: title, colour, shape: "line" }));
+}
+
 function planePanels(page, motion, planes) {
   const mass = (one) => one.long_name.replace(/^.*(position|displacement) of (the )?/, "").replace(/ (relative|\().*/, "");
   const size = { 1: "vx-wide vx-tall", 2: "vx-half" }[planes.length] ?? "";
@@ -87,7 +93,7 @@ function planePanels(page, motion, planes) {
       page.player.to(motion.time[best]);
     };
     return panel(`Phase plane, ${title(k)}`, (canvas) => drawPlane(canvas, motion, plane, k, page.pinned(motion)), described(motion),
-      { extra: size, at, click, table: () => motionTable(motion) });
+      { extra: size, at, click, keys: () => pinKeys(page, motion), table: () => motionTable(motion) });
   });
 }
 
@@ -112,7 +118,7 @@ function phasePanel(page, motion) {
     ...names.map((name) => el("option", { value: name, text: symbolOf(name), selected: name === shown.phase })));
   const all = () => [...others, { motion, colour: null }].filter((one) => shown.phase in one.motion.states);
   return [panel("Over the phase", (canvas) => drawPhase(canvas, all(), motion.columns.find((one) => one.name === shown.phase)),
-    `${shown.phase} of the shown and the pinned motions over the share of a return`, { extra: "vx-wide", more: [choice] })];
+    `${shown.phase} of the shown and the pinned motions over the share of a return`, { extra: "vx-wide", more: [choice], keys: () => pinKeys(page, motion) })];
 }
 
 /** The states at the returns, of which one is chosen. */
@@ -136,7 +142,7 @@ function panelsOf(page, motion) {
       `amplitudes of ${positions.map((one) => one.long_name).join(", ")} over frequency`));
   found.push(...returnsPanel(page, motion));
   if (motion.multipliers?.length)
-    found.push(panel("Multipliers", (canvas) => drawMultipliers(canvas, motion),
+    found.push(panel(`Largest multiplier ${numberText(Math.max(...motion.multipliers.map(([modulus]) => modulus)), 3)}`, (canvas) => drawMultipliers(canvas, motion),
       motion.multipliers.map(([modulus, argument]) => `modulus ${numberText(modulus)}, argument ${numberText(argument)} rad`).join("; ")));
   return found;
 }
@@ -190,7 +196,7 @@ export function numbersOf(page, motion, pins = []) {
     const push = name.startsWith("regime_") ? grid.value(name.replace("regime", "push"), page.cell) : 0;
     const value = Number.isNaN(push) ? NaN : ofMotion ? motion.numbers[name] ?? NaN : page.point ? undefined : grid.value(name, page.cell);
     if (value === undefined) continue;
-    const text = irregular ? spreadText(page, motion, variable, value) : grid.valueText(variable, value, 5);
+    const text = irregular && !/^(share|lyapunov|multiplier)/.test(name) ? spreadText(page, motion, variable, value) : grid.valueText(variable, value, 5);
     const at = page.point ? "" : grid.cellText(page.cell, variable.axes.filter((axis) => !named.includes(axis)));
     rows.push(el("tr", {}, el("th", { scope: "row", text: `${variable.long_name}${at && ` (${at})`} ` }, el("code", { text: name })), el("td", { "data-name": name, "data-value": value, text }), ...pins.map((pin) => pinnedNumber(grid, variable, value, pin))));
   }

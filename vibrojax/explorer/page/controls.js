@@ -47,17 +47,38 @@ function directionControls(page, make) {
   return found;
 }
 
+/** What the map may be limited to: the motions of a regime, and of these the stable ones. */
+function amongControl(page, make) {
+  const { grid, shown } = page, regime = grid.variables.get("regime"), stable = grid.variables.get("stable");
+  const runsAlong = (one) => one?.axes.every((name) => page.variable.axes.includes(name));
+  if (!regime?.flags || !runsAlong(regime) || page.variable.inner || !grid.values.has("regime")) return [];
+  const there = new Set(grid.values.get("regime")), options = [["", "all motions"]];
+  for (const [flag, name] of Object.entries(regime.flags)) {
+    if (!there.has(Number(flag))) continue;
+    options.push([flag, name]);
+    if (runsAlong(stable) && /impact|subharmonic/.test(name)) options.push([`stable ${flag}`, `stable ${name}`]);
+  }
+  return options.length > 2 ? [make.select("only", "Show", options, shown.only, (value) => page.show({ only: value }))] : [];
+}
+
+/** A short name of an axis: its label without what stands in brackets, and its symbol. */
+function shortName({ label, symbol, name }) {
+  const words = label.replace(/\s*\([^)]*\)/g, "");
+  if (words.length > 26) return `${words.split(" ")[0]}, ${symbol}`;
+  return symbol && ![name, words].includes(symbol) ? `${words}, ${symbol}` : words;
+}
+
 /** The index along an axis that the map does not run along. */
 function facetControl(page, make, facet) {
   const { grid } = page, axis = grid.axes.get(facet), name = `at-${facet}`, at = page.cell[facet];
   const pick = (value) => page.pick({ ...page.cell, [facet]: value });
-  if (axis.values.length > MOST_OPTIONS) return make.number(name, axis.label, at, axis.values.length - 1, pick);
+  if (axis.values.length > MOST_OPTIONS) return make.number(name, shortName(axis), at, axis.values.length - 1, pick);
   const text = (k) => {
     if (!axis.numeric) return axis.values[k];
     return axis.columns.length ? `${k}` : grid.coordinateText(axis, k).replace(/^.*= /, "");
   };
   const options = axis.values.map((_, k) => [`${k}`, text(k)]);
-  return make.select(name, axis.label.length < 26 ? axis.label : axis.symbol, options, `${at}`, (value) => pick(Number(value)));
+  return make.select(name, shortName(axis), options, `${at}`, (value) => pick(Number(value)));
 }
 
 function overControls(page, make) {
@@ -85,6 +106,7 @@ export function controlsOf(page) {
     make.select("variable", "Variable", variables, page.shown.variable, (value) => page.show({ variable: value })),
     ...directionControls(page, make),
     ...page.facets().map((facet) => facetControl(page, make, facet)),
+    ...amongControl(page, make),
     ...overControls(page, make),
   ];
 }

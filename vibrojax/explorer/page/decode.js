@@ -22,8 +22,8 @@ export async function unpack(one) {
   return new { f4: Float32Array, i1: Int8Array, i4: Int32Array }[one.dtype](bytes.buffer);
 }
 
-/** The cells of a block (ArrayBuffer or bytes); states and section are {name: Float64Array}. */
-export function decodeCells(buffer) {
+/** The cells of a block (ArrayBuffer or bytes), or of these the one of a lane; states and section are {name: Float64Array}. */
+export function decodeCells(buffer, lane = null) {
   const bytes = buffer instanceof Uint8Array ? buffer : new Uint8Array(buffer);
   const length = new DataView(bytes.buffer, bytes.byteOffset, 4).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(bytes.subarray(4, 4 + length)));
@@ -41,7 +41,12 @@ export function decodeCells(buffer) {
     }
     return values;
   };
-  return header.cells.map((one) => {
+  return header.cells.flatMap((one) => {
+    if (lane !== null && one.lane !== lane) {
+      at += wide * one.samples + section.length * one.passed;
+      flagAt += one.samples;
+      return [];
+    }
     const cell = { ...one, columns, states: {}, section: {} };
     cell.time = read(one.samples, true, 0, one.duration, 16383);
     columns.forEach((column, k) => {
@@ -54,21 +59,23 @@ export function decodeCells(buffer) {
     });
     cell.flags = payload.slice(flagAt, flagAt + one.samples);
     flagAt += one.samples;
-    return cell;
+    return [cell];
   });
 }
 
 /** The source of a page that holds its cells: `text()` gives, or promises, a block a line, `size` cells each. */
 export function embeddedSource(text, size) {
   let lines = null;
-  const blocks = new Map();
+  const blocks = new Map(), cells = new Map();
   return {
     async cell(lane) {
       lines ??= (await text()).trim().split("\n");
       const index = Math.floor(lane / size);
       if (!(index in lines)) return null;
-      if (!blocks.has(index)) blocks.set(index, inflated(bytesOf(lines[index])).then(decodeCells));
-      return (await blocks.get(index)).find((cell) => cell.lane === lane) ?? null;
+      if (!blocks.has(index)) blocks.set(index, inflated(bytesOf(lines[index])));
+      const block = await blocks.get(index);
+      if (!cells.has(lane)) cells.set(lane, decodeCells(block, lane)[0] ?? null);
+      return cells.get(lane);
     },
   };
 }

@@ -3,7 +3,7 @@ import { unpack } from "./decode.js";
 import { el } from "./dom.js";
 import { interactive } from "./interact.js";
 import { csvOf } from "./paper.js";
-import { framed, inkOf, legible, line, mark } from "./plots.js";
+import { FONT, framed, GLYPHS, inkOf, legible, line, mark } from "./plots.js";
 
 /** Draw items of a description; cells need `levels`, their unpacked indices. */
 export function drawItems(c, items, sx, sy, ink) {
@@ -35,9 +35,10 @@ export function drawItems(c, items, sx, sy, ink) {
       });
     } else if (item.kind === "text") {
       const over = items.some((one) => one.kind === "cells");
-      c.font = "11px system-ui, sans-serif";
+      c.font = `11px ${FONT}`;
       c.textAlign = item.align;
-      c.fillStyle = over ? "#222222" : ink.ink;
+      c.textBaseline = item.baseline;
+      c.fillStyle = over ? item.colour : ink.ink;
       c.fillText(item.text, sx(x[0]), sy(y[0]));
     }
   }
@@ -87,7 +88,7 @@ export class Figure {
 
   paint(canvas, plot) {
     const { page } = this, ink = inkOf(canvas);
-    const axis = ({ label, limits, log, ticks }) => ({ label, limits, log, ticks: ticks ?? undefined });
+    const axis = (one) => ({ ...one, ticks: one.ticks ?? undefined });
     framed(canvas, ink, axis(plot.x), axis(plot.y), (c, sx, sy, box) => {
       drawItems(c, plot.items, sx, sy, ink);
       const [x, y] = [chosenAt(page, plot.x.direction), chosenAt(page, plot.y.direction)];
@@ -118,7 +119,9 @@ export class Figure {
 }
 
 /** What stands before an entry of a legend. */
-export function keyMark({ shape, colour, dash }) {
+function keyMark({ shape, colour, dash, colours }) {
   if (shape === "line") return el("span", { class: `vx-dash${dash?.length ? " vx-dashed" : ""}`, style: `border-color:${colour}` });
+  if (colours) return el("span", { class: "vx-scale", style: `background:linear-gradient(90deg,${colours})` });
+  if (shape in GLYPHS && shape !== "circle") return el("span", { class: "vx-glyph", style: `color:${colour}`, text: GLYPHS[shape] });
   return el("span", { class: "vx-swatch", style: `background:${colour};border-radius:${shape === "circle" ? "50%" : "3px"}` });
 }

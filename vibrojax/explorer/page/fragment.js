@@ -16,6 +16,7 @@ export function fragmentOf(data, { shown, cell, scheme, pins }) {
     const k = cell[axis.name];
     if (axis.values.length > 1) parts.push([`at.${axis.name}`, byValue(axis) ? Number(axis.values[k].toPrecision(8)) : k]);
   }
+  if (shown.only) parts.push(["only", shown.only]);
   if (!shown.region) parts.push(["region", "off"]);
   if (data.curves) parts.push(["borders", shown.borders]);
   if (pins) parts.push(["pins", pins]);
@@ -35,6 +36,7 @@ export function readFragment(data, text) {
   return {
     variable: given.get("variable"), x: given.get("x"), y: given.get("y"), cell,
     region: given.get("region") !== "off",
+    only: /^(stable )?\d+$/.test(given.get("only") ?? "") ? given.get("only") : "",
     borders: oneOf("borders", ["own", "any", "off"]),
     scheme: oneOf("scheme", ["dark", "light"]),
     pins: given.get("pins") ?? "",

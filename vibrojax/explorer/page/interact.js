@@ -7,7 +7,7 @@ const LEAST_DRAG = 6;
 /** The limits in the middle of a scale's, by a factor narrower, around a pixel; a shift moves them by pixels. */
 function limitsAt(scale, ends, log, factor, around, shift = 0) {
   const middle = around ?? (ends[0] + ends[1]) / 2;
-  const limits = ends.map((end) => scale.inverse(middle + (end - middle) / factor - shift));
+  const limits = ends.map((end) => scale.inverse(middle + (end - middle) / factor - shift)).sort((u, v) => u - v);
   return log && !(limits[0] > 0) ? null : limits;
 }
 

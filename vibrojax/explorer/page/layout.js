@@ -21,6 +21,7 @@ export function layOut(page) {
     class: "vx-over", tabindex: "0", role: "application", "aria-roledescription": "map",
     "aria-label": "Map of the lanes; arrow keys choose a cell", "aria-describedby": `${id}-live`,
   });
+  page.caption = el("span");
   page.tip = el("div", { class: "vx-tip", hidden: true });
   page.controls = el("div", { class: "vx-controls" });
   page.legend = el("div", { class: "vx-legend" });
@@ -44,7 +45,7 @@ export function layOut(page) {
   page.mapTools = tools;
   const figure = page.figure ? [el("section", { "aria-label": "Plots of the analysis" }, page.figure.element)] : [];
   const first = figure.length && !data.family && !data.variables[0]?.inner && (data.view ?? []).length < 2, mapParts = [page.controls,
-    el("div", { class: "vx-map" }, page.map, page.over, page.tip, tools.band, tools.menu), page.legend, page.live, page.slices];
+    el("div", { class: "vx-map" }, el("div", { class: "vx-caption" }, page.caption, tools.menu), page.map, page.over, page.tip, tools.band), page.legend, page.live, page.slices];
   page.theme = el("button", { type: "button", class: "vx-theme", onclick: () => page.switchScheme() });
   const computing = page.computing ? [page.computing.element] : [];
   const notes = data.notes.length ? [el("p", { class: "vx-notes", text: data.notes.join(". ") })] : [];
@@ -59,6 +60,7 @@ export function layOut(page) {
   sheet.append(el("div", { class: "vx-sheetbar" }, turn("vx-tall", ["Taller", "Lower"]), turn("vx-closed", ["Hide", "Show"])), ...computing, page.pins.element, page.side);
   page.element.classList.toggle("vx-has-cell", Boolean(data.lanes) && !data.history);
   page.element.classList.add("vibrojax");
+  page.element.classList.toggle("vx-alone", data.kind === "plots" && !data.summary.length && !data.variables.length);
   page.element.classList.toggle("vx-still", !data.lanes && !data.history);
   page.element.replaceChildren(
     el("header", { class: "vx-head" }, el("div", {}, el("h1", { text: data.title || data.scene }), ...notes), page.theme),

@@ -1,10 +1,7 @@
 // What the colours and lines of the map mean.
 import { el, explained } from "./dom.js";
 import { DASHES, drawBar } from "./map.js";
-import { inkOf, legible, numberText, ticks } from "./plots.js";
-
-/** Characters that look like the marks of special points. */
-const GLYPHS = { square: "■", circle: "●", diamond: "◆", triangle: "▲", bar: "|", cross: "×" };
+import { GLYPHS, inkOf, legible, numberText, ticks } from "./plots.js";
 
 /** A line as it lies over the map: its colour and dashes, with the white edge it has there. */
 function dash(colour, text, dashes = []) {
@@ -19,7 +16,7 @@ function dash(colour, text, dashes = []) {
 }
 
 /** The cells of the plane that is shown. */
-function* plane(page, cell = page.cell, left = axesOfPlane(page)) {
+export function* plane(page, cell = page.cell, left = axesOfPlane(page)) {
   if (!left.length) {
     yield cell;
     return;
@@ -51,12 +48,33 @@ function flagItems(page) {
       el("small", { text: percent(counts.get(flag)) })), variable.name === "regime" && page.data.meanings?.[variable.flags[flag]])));
 }
 
+/** Buttons that choose the cells with the greatest and the least value, on the map and in the whole dataset. */
+function extremes(page) {
+  const { grid, variable, among } = page, every = variable.axes.filter((name) => !grid.axes.get(name).inner);
+  const ends = (cells) => {
+    let least = null, most = null;
+    for (const cell of cells) {
+      const value = grid.value(variable.name, cell);
+      if (!Number.isFinite(value) || (among && !among(cell))) continue;
+      if (!least || value < least.value) least = { cell, value };
+      if (!most || value > most.value) most = { cell, value };
+    }
+    return [most, least];
+  };
+  const [most, least] = ends(plane(page)), whole = page.facets().length ? ends(plane(page, page.cell, every))[0] : most;
+  if (!whole || variable.inner) return [];
+  const button = (text, end) => el("button", { type: "button", class: "vx-copy", text: `${text}: ${grid.valueText(variable, end.value, 4)}`, onclick: () => page.pick(end.cell) });
+  const found = most ? [button("greatest here", most), ...(least.value < most.value ? [button("least here", least)] : [])] : [];
+  if (!most || whole.value > most.value) found.push(button("greatest of all maps", whole));
+  return [el("p", { class: "vx-extremes" }, "Go to", ...found)];
+}
+
 /** What lies over the map: borders, branches, cells of a hidden motion. */
 function overItems(page) {
   const found = [], { curves, family } = page.data;
   if (curves && page.shown.borders !== "off" && page.view.view.y) {
     for (const kind of new Set(curves.list.filter((one) => page.view.onPlane(one)).map((one) => one.kind)))
-      found.push(dash(curves.colours[kind] ?? "#222222", kind, DASHES[kind]));
+      found.push(dash(curves.colours[kind] ?? "#222222", explained(el("span", { text: kind }), page.data.meanings?.[kind]), DASHES[kind]));
     const corners = [...new Set(page.view.corners().map((one) => one.kind))];
     if (corners.length) found.push(el("li", {}, el("span", { class: "vx-corner" }), `where curves meet: ${corners.join(", ")}`));
   }
@@ -65,7 +83,7 @@ function overItems(page) {
     if (stable.includes(true)) found.push(dash(colour, "stable"));
     if (stable.includes(false)) found.push(dash(colour, "not stable", [5, 4]));
     for (const [kind, shape] of new Map(family.special.map((one) => [one.kind, one.shape])))
-      found.push(el("li", {}, el("span", { class: "vx-glyph", style: `color:${legible(family.kinds[kind], ink)}`, text: GLYPHS[shape] }), kind));
+      found.push(el("li", {}, el("span", { class: "vx-glyph", style: `color:${legible(family.kinds[kind], ink)}`, text: GLYPHS[shape] }), explained(el("span", { text: kind }), page.data.meanings?.[kind])));
   }
   const hides = page.variable.name === "regime" && page.grid.variables.has("hidden_motion");
   if (hides && [...plane(page)].some((cell) => page.grid.value("hidden_motion", cell) === 1))
@@ -93,7 +111,7 @@ export function legendKeys(page) {
 export function drawLegend(page) {
   const { grid, legend } = page, variable = page.variable.inner ? grid.variables.get("regime") ?? page.variable : page.variable;
   if (variable.flags || !page.shown.y) {
-    legend.replaceChildren(el("ul", {}, ...(variable.flags ? flagItems(page) : []), ...overItems(page)));
+    legend.replaceChildren(el("ul", {}, ...(variable.flags ? flagItems(page) : []), ...overItems(page)), ...(variable.flags ? [] : extremes(page)));
     return;
   }
   const [only, ...others] = new Set([...plane(page)].map((cell) => grid.value(variable.name, cell)));
@@ -104,6 +122,6 @@ export function drawLegend(page) {
   }
   const about = `Colours of ${variable.label} from ${numberText(variable.low)} to ${numberText(variable.high)}`;
   const bar = el("canvas", { class: "vx-bar", role: "img", "aria-label": about });
-  legend.replaceChildren(el("p", { class: "vx-barname", text: variable.label.replace("\n", " ") }), bar, el("ul", {}, ...overItems(page)));
+  legend.replaceChildren(el("p", { class: "vx-barname", text: variable.label.replace("\n", " ") }), bar, ...extremes(page), el("ul", {}, ...overItems(page)));
   drawBar(bar, grid, variable);
 }

@@ -8,6 +8,12 @@ export const DASHES = {
   basin: [5, 4], "not-settled": [2, 2],
 };
 
+/** How far a place is from the straight line between two others. */
+function distanceTo([px, py], [ax, ay], [bx, by]) {
+  const [dx, dy] = [bx - ax, by - ay], share = Math.max(0, Math.min(1, ((px - ax) * dx + (py - ay) * dy) / (dx * dx + dy * dy || 1)));
+  return Math.hypot(px - ax - share * dx, py - ay - share * dy);
+}
+
 /** The map's view: draws, says which cell is at a place, and where a cell is. */
 export class MapView {
   constructor(canvas, overlay, grid) {
@@ -40,6 +46,11 @@ export class MapView {
     return { ...this.view.cell, ...changes };
   }
 
+  /** The colour of a cell; one that the map is not limited to has that of the grid. */
+  colourAt(variable, cell, ink) {
+    return this.view.only && !this.view.only(cell) ? ink.grid : this.grid.colour(variable, this.grid.value(variable.name, cell), ink.undefined);
+  }
+
   axisOf(direction) {
     const { edges, values } = edgesOf(direction.column);
     const low = Math.min(edges[0], edges.at(-1)), high = Math.max(edges[0], edges.at(-1));
@@ -56,7 +67,7 @@ export class MapView {
         for (let j = 0; j < up.values.length; j++) {
           const cell = this.cellAt({ [x.axis.name]: i, [y.axis.name]: j });
           const y0 = Math.floor(sy(up.edges[j])), y1 = Math.floor(sy(up.edges[j + 1]));
-          c.fillStyle = grid.colour(variable, grid.value(variable.name, cell), ink.undefined);
+          c.fillStyle = this.colourAt(variable, cell, ink);
           c.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
           if (hidden && grid.value("hidden_motion", cell) === 1 && Math.abs(x1 - x0) > 4)
             mark(c, "circle", (x0 + x1) / 2, (y0 + y1) / 2, Math.min(1.8, Math.abs(x1 - x0) / 5), "#222222", "#FFFFFF");
@@ -132,6 +143,17 @@ export class MapView {
     return curves.corners.filter((one) => x.axis.name in one.point && y.axis.name in one.point && this.onPlane(one));
   }
 
+  /** The kind of the border within some pixels of a place, empty where there is none. */
+  borderAt(place) {
+    const { frame, view } = this, { x, y } = view, { curves } = this.grid.data;
+    if (!place || !frame || !view.borders || !curves || !y || x.column !== x.axis) return "";
+    const near = curves.list.filter((curve) => this.onPlane(curve) && x.axis.name in curve.points && y.axis.name in curve.points).find(({ points }) => {
+      const [us, vs] = [[x, frame.x], [y, frame.y]].map(([way, scale]) => points[way.axis.name].map((v) => scale(v * way.column.factor)));
+      return us.some((u, k) => k && distanceTo(place, [us[k - 1], vs[k - 1]], [u, vs[k]]) < 6);
+    });
+    return near?.kind ?? "";
+  }
+
   /** The names of the points of codimension two within some pixels of a place, or within a cell. */
   namesAt(place, cell) {
     const { frame, view } = this, { x, y } = view;
@@ -168,7 +190,7 @@ export class MapView {
     return framed(canvas, ink, of(x, xs), of(y, ys), (c, sx, sy) => {
       xs.forEach((value, k) => {
         const cell = this.cellAt({ [x.axis.name]: k });
-        mark(c, "circle", sx(value), sy(ys[k]), size, this.grid.colour(variable, this.grid.value(variable.name, cell), ink.undefined), ink.faint);
+        mark(c, "circle", sx(value), sy(ys[k]), size, this.colourAt(variable, cell, ink), ink.faint);
       });
     });
   }
@@ -178,7 +200,10 @@ export class MapView {
     const column = x.column, grid = this.grid, family = grid.data.family, flags = variable.flags;
     if (variable.inner) return this.drawReturns(canvas, x, variable, ink);
     const xs = column.numeric ? column.values.map((v) => v * column.factor) : column.values.map((_, k) => k);
-    const ys = xs.map((_, k) => grid.value(variable.name, this.cellAt({ [x.axis.name]: k })) * (flags ? 1 : variable.factor));
+    const ys = xs.map((_, k) => {
+      const cell = this.cellAt({ [x.axis.name]: k });
+      return this.view.only && !this.view.only(cell) ? NaN : grid.value(variable.name, cell) * (flags ? 1 : variable.factor);
+    });
     const known = flags ? Object.keys(flags).map(Number).filter((flag) => ys.includes(flag)).sort((a, b) => a - b) : [];
     const rows = flags ? ys.map((value) => known.indexOf(value)) : ys;
     const up = flags
@@ -220,7 +245,8 @@ export class MapView {
     const colours = axis.values.map((_, k) => (regime ? grid.colour(regime, grid.value("regime", this.cellAt({ [axis.name]: k })), ink.undefined) : ink.bit));
     const size = Math.max(1.6, Math.min(3.6, 900 / (axis.values.length + 1)));
     return framed(canvas, ink, across, { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") }, (c, sx, sy) => {
-      xs.forEach((value, k) => mark(c, "circle", sx(value), sy(ys[k]), size, colours[index[k]], ink.faint));
+      const rim = xs.length < 300 ? ink.faint : null;  // rims of many would hide their colours
+      xs.forEach((value, k) => mark(c, "circle", sx(value), sy(ys[k]), size, colours[index[k]], rim));
       drawItems(c, over, sx, sy, ink);
     }, { empty: !xs.length });
   }

@@ -7,8 +7,9 @@ import { fragmentOf, readFragment } from "./fragment.js";
 import { Grid } from "./grid.js";
 import { layOut } from "./layout.js";
 import { csvOf } from "./paper.js";
-import { drawLegend } from "./legend.js";
+import { drawLegend, plane } from "./legend.js";
 import { listen } from "./pointing.js";
+import { limitsOf } from "./plots.js";
 import { drawSlices, drawWhole } from "./slices.js";
 
 let instances = 0;
@@ -31,7 +32,7 @@ class Page {
   constructor(element, data, source, onPick, onState) {
     Object.assign(this, { element, data, source, onPick, onState, grid: new Grid(data), id: `vx${++instances}` });
     this.cell = Object.fromEntries(data.axes.map((axis) => [axis.name, data.first?.[axis.name] ?? 0]));
-    this.shown = { variable: data.variables[0]?.name, x: null, y: null, region: true, borders: "own", returns: null };
+    this.shown = { variable: data.variables[0]?.name, x: null, y: null, region: true, borders: "own", only: "", returns: null };
     this.asked = 0;
   }
 
@@ -121,6 +122,7 @@ class Page {
     if ("x" in changes && !this.shown.y && !("y" in changes) && !this.data.family) this.shown.y = this.firstUp(x);
     this.fillControls();
     this.draw();
+    this.say();
     if (!this.data.lanes && this.current) this.showMotion(this.current.motion);
     this.tell();
   }
@@ -130,10 +132,21 @@ class Page {
     const x = this.direction(this.shown.x), y = this.direction(this.shown.y), { region, borders } = this.shown;
     this.element.querySelector(".vx-map").classList.toggle("vx-low", !y || (!y.column.numeric && y.axis.values.length < 4));
     const patch = this.patch?.at === this.facetKey() ? this.patch : null;
-    this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, patch, borders: borders !== "off" && borders }, anew);
+    if (anew) this.limit();
+    this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, patch, only: this.among, borders: borders !== "off" && borders }, anew);
     if (anew) drawLegend(this);
+    this.caption.textContent = this.mapTitle();
     this.figure?.draw();
     drawSlices(this);
+  }
+
+  /** The forms of a law have coefficients of different sizes: the colours span those of the form that is shown. */
+  limit() {
+    const { variable, grid } = this;
+    if (variable.flags || !variable.axes.includes("form")) return;
+    const values = [...plane(this)].map((cell) => grid.value(variable.name, cell) * variable.factor).filter(Number.isFinite);
+    if (values.length) [variable.low, variable.high] = limitsOf([values], 0);
+    variable.log &&= variable.low > 0;
   }
 
   redraw() {
@@ -147,6 +160,14 @@ class Page {
     this.controls.hidden = this.live.hidden = true;
     this.figure?.draw();
     if (this.history) drawWhole(this);
+  }
+
+  /** Whether a cell is among those that the map is limited to; null where it shows all. */
+  get among() {
+    const { only } = this.shown, { grid } = this;
+    if (!only) return null;
+    const stable = only.startsWith("stable "), flag = Number(only.replace("stable ", ""));
+    return (cell) => grid.value("regime", cell) === flag && (!stable || grid.value("stable", cell) === 1);
   }
 
   // The chosen cell.
@@ -255,6 +276,7 @@ class Page {
     }
     Object.assign(this.cell, said.cell);
     shown.region = said.region;
+    shown.only = this.grid.variables.has("regime") ? said.only : "";
     if (said.borders) shown.borders = said.borders;
     if (shown.borders === "own" && !this.grid.axes.has("start")) shown.borders = "any";
     if (said.scheme) this.element.dataset.scheme = said.scheme;
@@ -285,7 +307,7 @@ class Page {
 
   /** What the map shows, in words. */
   mapTitle() {
-    const { variable, grid } = this, at = grid.cellText(this.cell, this.facets());
+    const { variable, grid } = this, at = grid.cellText(this.cell, this.facets().filter((name) => variable?.axes.includes(name)));
     return variable ? [variable.name.replaceAll("_", " "), at].filter(Boolean).join(", ") : "map";
   }
 

@@ -49,7 +49,7 @@ class SvgContext {
     const dash = this.dash.length ? ` stroke-dasharray="${this.dash.join()}"` : "";
     this.put(`<path d="${this.path.join("")}" fill="none" stroke="${this.paint(this.strokeStyle)}" stroke-width="${this.lineWidth}" stroke-linejoin="round"${dash}/>`);
   }
-  fillRect(x, y, w, h) { this.put(`<rect x="${rounded(x)}" y="${rounded(y)}" width="${rounded(w)}" height="${rounded(h)}" fill="${this.paint(this.fillStyle)}"/>`); }
+  fillRect(x, y, w, h) { this.put(`<rect x="${rounded(x)}" y="${rounded(y)}" width="${rounded(w)}" height="${rounded(h)}" fill="${this.paint(this.fillStyle)}" shape-rendering="crispEdges"/>`); }
   strokeRect(x, y, w, h) { this.beginPath(); this.rect(x, y, w, h); this.stroke(); }
   fillText(text, x, y, most) {
     const size = parseFloat(/([\d.]+)px/.exec(this.font)?.[1] ?? 11), anchor = { center: "middle", right: "end" }[this.textAlign] ?? "start";
@@ -85,13 +85,16 @@ function drawKeys(c, rows, top, ink) {
   c.textAlign = "left";
   c.textBaseline = "middle";
   rows.forEach((row, k) => {
-    for (const { text, colour, shape, dash, left } of row) {
+    for (const { text, colour, colours, shape, dash, left } of row) {
       const y = top + 16 * k + 8;
       if (shape === "line") {
         c.strokeStyle = colour; c.lineWidth = 2; c.setLineDash(dash ?? []);
         c.beginPath(); c.moveTo(left + 6, y); c.lineTo(left + 24, y); c.stroke();
         c.setLineDash([]);
-      } else { c.fillStyle = colour; c.fillRect(left + 10, y - 5, 10, 10); }
+      } else {
+        const all = colours ?? [colour], wide = colours ? 18 : 10;
+        all.forEach((one, k) => { c.fillStyle = one; c.fillRect(left + 24 - wide + (k * wide) / all.length - (colours ? 0 : 4), y - 5, wide / all.length, 10); });
+      }
       c.fillStyle = ink.ink;
       c.fillText(text, left + 28, y);
     }

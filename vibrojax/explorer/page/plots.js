@@ -104,7 +104,7 @@ export function limitsAndTicks(values) {
 
 /**
  * A frame with ticks and labels, and in it what `draw(context, x, y, box)` draws.
- * `x`, `y`: {limits, label, log, ticks: [[value, text]]}; options: {left, right, top, square, grid, empty: nothing to
+ * `x`, `y`: {limits, label, log, reversed, ticks: [[value, text]]}; options: {left, right, top, square, grid, empty: nothing to
  * draw}; returns the frame {x, y, box}.
  */
 export function framed(canvas, ink, x, y, draw, options = {}) {
@@ -125,7 +125,8 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
     box.top += Math.max(0, (box.bottom - box.top - side) / 2);
     box.bottom = box.top + side;
   }
-  const sx = scaleOf(...x.limits, box.left, box.right, x.log), sy = scaleOf(...y.limits, box.bottom, box.top, y.log);
+  const ends = (axis) => (axis.reversed ? [...axis.limits].reverse() : axis.limits);
+  const sx = scaleOf(...ends(x), box.left, box.right, x.log), sy = scaleOf(...ends(y), box.bottom, box.top, y.log);
   const wanted = Math.max(2, (box.right - box.left) / 62);
   const xTicks = x.ticks ?? ticks(...x.limits, wanted, x.log).map((v) => [v, textOf(x, v)]);
   c.lineWidth = 1;
@@ -199,6 +200,9 @@ export function line(c, xs, ys, sx, sy, colour, width = 1.6, dash = []) {
   c.stroke();
   c.setLineDash([]);
 }
+
+/** Characters that look like the marks. */
+export const GLYPHS = { square: "■", circle: "●", diamond: "◆", triangle: "▲", bar: "|", cross: "×" };
 
 /** A mark: "circle", "diamond", "square", "triangle" or "cross". */
 export function mark(c, kind, x, y, size, colour, edge) {

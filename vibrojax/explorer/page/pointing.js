@@ -16,6 +16,8 @@ function hover(page, cell, place) {
   if (!cell) return;
   const inside = place && page.view.patchAt(place), value = page.grid.valueText(page.variable, inside ? inside.value : page.grid.value(page.variable.name, cell));
   const names = page.view.namesAt(place, cell).map((name) => el("b", { text: name }));
+  const border = page.view.borderAt(place);
+  if (border) names.push(el("span", { text: `${border}: ${page.data.meanings?.[border] ?? "a border"}` }));
   page.tip.replaceChildren(...names, el("b", { text: value }), el("span", { text: inside ? placeText(page, inside.at) : page.grid.cellText(cell, page.variable.axes) }));
   const box = page.over.getBoundingClientRect(), wide = page.tip.offsetWidth;
   page.tip.style.left = `${Math.max(0, Math.min(place[0] + 14, box.width - wide - 4))}px`;

@@ -1,5 +1,5 @@
 // Below the map: the variable along both directions through the chosen cell; of a trajectory its whole course.
-import { drawCourse, groupsOf } from "./cell.js";
+import { colourName, drawCourse, groupsOf } from "./cell.js";
 import { el } from "./dom.js";
 import { interactive } from "./interact.js";
 import { csvOf } from "./paper.js";
@@ -67,14 +67,15 @@ function drawSlice(page, figure, direction, other) {
 
 /** Draw a trajectory from its beginning, a plot for each unit and one for the hole, into a page's element. */
 export function drawWhole(page) {
-  const { slices, history } = page, groups = groupsOf(page.data.history.columns);
+  const { slices, history } = page, every = page.data.history.columns;
+  const groups = groupsOf(every).flatMap((some) => [some.filter(({ name }) => name !== "x4"), some.filter(({ name }) => name === "x4")]).filter((some) => some.length);  // the steps of the hole need a scale of their own
   if (!slices.childElementCount) {
     page.courses = groups.map((columns, k) => {
       const canvas = el("canvas", { role: "img", "aria-label": "The whole course over time" }), words = columns.map((one) => one.long_name).join(", ");
       const tools = interactive(canvas, (paper) => drawCourse(paper, history, columns, k === groups.length - 1), {
         title: () => words, files: [["CSV", "csv", () => csvOf(Object.fromEntries([["time [s]", history.time], ...columns.map((one) => [one.name, history[one.name]])].map(([name, x]) => [name, Array.from(x)])))]],
       });
-      return { tools, figure: el("figure", { class: "vx-whole vx-panel" }, el("figcaption", {}, el("span", { text: words }), tools.menu), el("div", { class: "vx-stack" }, canvas, tools.band)) };
+      return { tools, figure: el("figure", { class: "vx-whole vx-panel" }, el("figcaption", {}, el("span", { class: "vx-course" }, ...columns.map(({ name, long_name }, i) => el("span", {}, el("span", { class: `vx-line vx-k-${colourName(name, i)}` }), long_name))), tools.menu), el("div", { class: "vx-stack" }, canvas, tools.band)) };
     });
     slices.replaceChildren(...page.courses.map((one) => one.figure));
   }
