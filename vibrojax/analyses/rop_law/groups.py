@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.analyses.rop_law.results import to_variables
+from vibrojax.analyses.rop_law.dataset import to_variables
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.riglog.columns import DEPTH, FORCE, LINE, RATE, RELIEF, RIG
 from vibrojax.io.variables import Variable
@@ -132,20 +133,17 @@ def _group_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence
             fault = f"; {suggestion(str(name), own)}" if own else ": the data are not a table with columns"
             raise place.at("by" if name in by else "along").error(f"{shown(name)} is not a column of the data{fault}")
     keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *RIG)]
-    codes = [np.unique(lanes[name].values, return_inverse=True)[1].ravel() for name in keys]
-    table = np.stack(codes or [np.zeros(lanes["rate"].size, int)], axis=1)
-    _, first, group = np.unique(table, axis=0, return_index=True, return_inverse=True)
-    group = group.ravel()
-    if DEPTH in columns:  # a log: groups from top to bottom, rather than by name
-        group, first = np.argsort(np.argsort(first))[group], np.sort(first)
-    count = np.bincount(group)
-    order = np.argsort(group, kind="stable")
-    lane = np.arange(group.size) - np.repeat(np.cumsum(count) - count, count)
+    table = pd.DataFrame({name: lanes[name].values for name in keys}, index=range(lanes["rate"].size))
+    # Groups of a log are from top to bottom, rather than by name.
+    grouped = table.groupby(keys or np.zeros(len(table)), sort=DEPTH not in columns, dropna=False)
+    group, lane, count = grouped.ngroup().to_numpy(), grouped.cumcount().to_numpy(), grouped.size().to_numpy()
+    order, first = np.argsort(group, kind="stable"), np.flatnonzero(lane == 0)
+    first = first[np.argsort(group[first])]
 
     def padded(name: str) -> np.ndarray:
-        values = lanes[name].values[order]
+        values = lanes[name].values
         rows = np.zeros((count.size, int(np.max(count))), values.dtype)
-        rows[group[order], lane] = values
+        rows[group, lane] = values
         return rows
 
     coordinates = {name: xr.Variable("group", lanes[name].values[first], lanes[name].attrs) for name in keys}

@@ -49,6 +49,12 @@ FASTEST = "500 ft/h"
 _SAME = 0.05
 """Relative difference of the medians of two columns of one quantity above which one of their units is wrong."""
 
+LIMITS_OF_LOGS = (
+    "Rotary rig data are not percussive data: they can inform the friction at the bit and C of the law, "
+    "not the striker, the gap or the contact"
+)
+"""What summaries and pictures of a log say about it."""
+
 _LONGEST_CLOCK = len("23:59:59.999")
 _MEASUREMENTS = ("measurement", "no rows; add a line for each measurement", f"relief,{RATE}")
 
@@ -205,9 +211,14 @@ def open_log(
     return Log(place, line, header, chosen, data.set_coords([name for name in variables if name not in KNOWN]))
 
 
+def is_log(data: xr.Dataset) -> bool:
+    """Return whether a dataset holds, or was made from, an exported log of a rig."""
+    return text_of(data, "dialect", "plain") != "plain"
+
+
 def log_lines(data: xr.Dataset) -> list[str]:
     """Return lines of text: the dialect, the source and unit of each quantity, and what was dropped and why."""
-    if text_of(data, "dialect", "plain") == "plain":
+    if not is_log(data):
         return columns_lines(data)
     lines = [f"dialect {text_of(data, 'dialect')}: {text_of(data, 'detected')}", *columns_lines(data)]
     if dropped := table_of(data, "dropped"):
@@ -282,4 +293,6 @@ def _check_same(
         return
     ratio = float(np.median(others[both] / values[both]))
     fault = f"is {ratio:.4g} times column {shown(first.header)}, which should be the same {name}"
-    raise place.at(f"column {second.header}").error(f"{fault}; choose one: --columns {name}=COLUMN")
+    raise Place(place.file, f"{place.key}, column {second.header}").error(
+        f"{fault}; choose one: --columns {name}=COLUMN"
+    )
