@@ -21,7 +21,7 @@ from vibrojax.analyses.rop_law.blocks import (
 from vibrojax.analyses.rop_law.data import Columns, Data, open_data
 from vibrojax.analyses.rop_law.dataset import GOODNESS_SCHEMA, LAW_TITLE, fit_dataset
 from vibrojax.analyses.rop_law.forms import FORMS, SAME_AS_ONSET, Form, Model
-from vibrojax.analyses.rop_law.groups import Groups, group_lanes, usable_lanes
+from vibrojax.analyses.rop_law.groups import data_variables, group_lanes, usable_lanes
 from vibrojax.analyses.rop_law.least_squares import (
     LOSSES,
     Lanes,
@@ -129,7 +129,7 @@ def read_groups(
     columns: Columns,
     segments: bool = False,
     **reading: str | None,
-) -> tuple[Place, xr.Dataset, Groups]:
+) -> tuple[Place, xr.Dataset, xr.Dataset]:
     """Return the data of a fit and their groups, and the `Place` for messages; the arguments are those of `fit_rop`.
 
     **Raises:** `InputError`.
@@ -149,33 +149,35 @@ def read_groups(
 
 
 def fit_groups(
-    place: Place, data: xr.Dataset, groups: Groups, robust: str | None = None, progress: bool = False
+    place: Place, data: xr.Dataset, groups: xr.Dataset, robust: str | None = None, progress: bool = False
 ) -> xr.Dataset:
     """Fit every form to every group; return the dataset that `fit_rop` describes."""
-    LOG.info("chosen: along %s, %d groups, loss %s", groups.along, groups.count.size, robust or "squares")
+    along, (*dims, lane) = groups.attrs["along"], groups["rate"].dims
+    sizes, counts = tuple(groups.sizes[dim] for dim in dims), groups["is_lane"].sum(lane).values.ravel()
+    LOG.info("chosen: along %s, %d groups, loss %s", along, counts.size, robust or "squares")
     start = time.monotonic()
     ordered, unknown = "dialect" in data.attrs, "reference_force" in data.attrs
     fits: list[dict[str, float | int]] = []
-    for relief, rate, valid in zip(groups.relief, groups.rate, groups.valid, strict=True):
+    lanes = (groups[name].values.reshape(counts.size, -1) for name in ("relief", "rate", "valid"))
+    for relief, rate, valid in zip(*lanes, strict=True):
         fits += _fit_group(relief[valid], rate[valid], robust, ordered, unknown)
     if progress:
-        lanes = f"{counted(groups.count.size, 'group')} of {counted(groups.count.max(), 'lane')} along {groups.along}"
-        fitted = f"{lanes} fitted in {time.monotonic() - start:.1f} s"
-        print("\n".join([*log_lines(data), fitted]), file=sys.stderr)
+        fitted = f"{counted(counts.size, 'group')} of {counted(counts.max(), 'lane')} along {along} fitted"
+        print("\n".join([*log_lines(data), f"{fitted} in {time.monotonic() - start:.1f} s"]), file=sys.stderr)
     values = {name: np.array([fit[name] for fit in fits]) for name in fits[0]}
-    values["left_out"] = np.repeat(groups.count, len(FORMS)) - values["used"]
+    values["left_out"] = np.repeat(counts, len(FORMS)) - values["used"]
     values["r_squared_reason"] = r_squared_reason(values["r_squared"], values["reason"])
-    shaped = {name: value.reshape(*groups.sizes.values(), len(FORMS)) for name, value in values.items()}
+    shaped = {name: value.reshape(*sizes, len(FORMS)) for name, value in values.items()}
     form = ("form", [form.name for form in FORMS], {"units": "1", "long_name": "form of the law"})
-    more = {"along": groups.along, "formulas": "; ".join(f"{form.name}: {form.formula}" for form in FORMS)}
+    more = {"along": along, "formulas": "; ".join(f"{form.name}: {form.formula}" for form in FORMS)}
     more |= {"robust": robust} if robust else {}
-    dims, coordinates = dict.fromkeys(_SCHEMA, (*groups.sizes, "form")), {**groups.coordinates, "form": form}
-    fit = fit_dataset(place, data, "fit", LAW_TITLE, _SCHEMA, shaped, dims, coordinates, **more)
+    schema_dims, coordinates = dict.fromkeys(_SCHEMA, (*dims, "form")), {**groups.coords, "form": form}
+    fit = fit_dataset(place, data, "fit", LAW_TITLE, _SCHEMA, shaped, schema_dims, coordinates, **more)
     if unknown:
         for name in ("", "_stderr"):
             about = {"units": "N", "long_name": "standard error of " * bool(name) + "the force at the onset, eta0 D"}
             fit[f"onset_force{name}"] = (data.attrs["reference_force"] * fit[f"eta0{name}"]).assign_attrs(about)
-    return fit.assign(groups.data_variables())
+    return fit.assign(data_variables(groups))
 
 
 def _fit_group(
