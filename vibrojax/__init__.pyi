@@ -22,10 +22,10 @@ from vibrojax.analyses.pictures import picture as picture
 from vibrojax.analyses.pictures import save_picture as save_picture
 from vibrojax.analyses.push.run import smallest_push as smallest_push
 from vibrojax.analyses.rig.measures import rig as rig
-from vibrojax.analyses.rop_law.frequency import refit_frequency as refit_frequency
-from vibrojax.analyses.rop_law.friction import fit_friction as fit_friction
 from vibrojax.analyses.rop_law.joint import fit_joint as fit_joint
 from vibrojax.analyses.rop_law.rop import fit_rop as fit_rop
+from vibrojax.analyses.rotary_fits.frequency import refit_frequency as refit_frequency
+from vibrojax.analyses.rotary_fits.friction import fit_friction as fit_friction
 from vibrojax.analyses.sensitivity.gradients import as_jax as as_jax
 from vibrojax.analyses.sensitivity.maps import sensitivity as sensitivity
 from vibrojax.analyses.sensitivity.run import derivatives as derivatives

@@ -8,9 +8,9 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law.friction import _velocity, fit_friction
 from vibrojax.analyses.rop_law.least_squares import REASONS
-from vibrojax.analyses.rop_law.recording import contact_free_parts, open_recording
+from vibrojax.analyses.rotary_fits.friction import _velocity, fit_friction
+from vibrojax.analyses.rotary_fits.recording import contact_free_parts, open_recording
 from vibrojax.errors import InputError, Place
 from vibrojax.models.scenes.rotary import Rotary
 

@@ -5,8 +5,8 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law.frequency import refit_frequency
 from vibrojax.analyses.rop_law.least_squares import REASONS
+from vibrojax.analyses.rotary_fits.frequency import refit_frequency
 from vibrojax.errors import InputError
 from vibrojax.measures.labels import IMPACT_FREE, IRREGULAR
 from vibrojax.models.physics.modes import empirical_frequency, natural_frequencies

@@ -13,12 +13,18 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law.blocks import LEAST_ROWS, STANDINGS, Standing, block_covariance, prediction_errors
+from vibrojax.analyses.rop_law.blocks import (
+    LEAST_ROWS,
+    STANDINGS,
+    Standing,
+    block_covariance,
+    prediction_errors,
+    segments,
+)
 from vibrojax.analyses.rop_law.forms import FORMS
 from vibrojax.analyses.rop_law.least_squares import LinearRates
 from vibrojax.analyses.rop_law.results import recommended, verdict
 from vibrojax.analyses.rop_law.rop import fit_rop
-from vibrojax.analyses.rop_law.segments import segments
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 

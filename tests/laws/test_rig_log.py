@@ -94,6 +94,37 @@ def test_a_bit_off_the_bottom_and_outliers_of_depth_are_no_drilling(tmp_path):
     }
 
 
+ROWS = "10,20,30,120\n11,22,33,121\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("Depth (m),WOB (kN),ROP (m/h),RPM (rpm)\n" + ROWS, "dialect generic"),
+        ('\ufeffDepth (m),"WOB (kN)",ROP (M_PER_HR),RPM (rpm)\r\n' + ROWS + "\r\n\r\n", "dialect generic"),
+        ("Depth,WOB,ROP,Rotary RPM\n(m),kN,[m/h],RPM\n" + ROWS, "line 2 holds the units of the columns"),
+        ("Depth, m;WOB, kN;ROP, m/h;RPM, rpm\n" + ROWS.replace(",", ",0;").replace("\n", ",0\n"), "dialect semicolon"),
+        ("Depth (m);WOB (N);ROP (m/h);RPM (rpm)\n10,0;20.000,0;30,0;120,0\n11,0;22.000,0;33,0;121,0\n", "semicolon"),
+        ('Depth (m),WOB (N),ROP (m/h),RPM (rpm)\n10,"20,000.0",30,120\n11,"22,000.0",33,121\n', "dialect generic"),
+    ],
+    ids=["plain", "byte-order-mark", "row-of-units", "commas-in-names", "german-thousands", "us-thousands"],
+)
+def test_exports_are_read_without_editing(tmp_path, text, said):
+    (tmp_path / "log.csv").write_bytes(text.encode())
+    log = read_log(tmp_path / "log.csv")
+    np.testing.assert_allclose(log.depth, [10, 11])
+    np.testing.assert_allclose(log.weight_on_bit, [20e3, 22e3])
+    np.testing.assert_allclose(log.rate_of_penetration, np.array([30, 33]) / 3600)
+    np.testing.assert_allclose(log.rotary_speed, np.array([120, 121]) * 2 * np.pi / 60)
+    assert said in "\n".join(log_lines(log))
+
+
+def test_a_log_in_windows_1252_is_read_and_it_is_said(tmp_path):
+    (tmp_path / "log.csv").write_bytes("Depth (m),WOB (kN),Temp (\xb0C)\n1,2,3\n".encode("cp1252"))
+    with pytest.warns(UserWarning, match=r"log.csv: not UTF-8 \(byte 25\), read as Windows-1252"):
+        assert "Temp (\xb0C)" in read_log(tmp_path / "log.csv").coords
+
+
 BAD = {
     "a word": ({"Weight on Bit (klbs)": [9, "high"]}, 'line 3, column Weight on Bit (klbs): "high" is not a number'),
     "thousands": ({"Hole Depth (feet)": [5, '"1.234.5"']}, 'line 3, column Hole Depth (feet): "1.234.5" is not a n'),
@@ -118,17 +149,17 @@ FILES = {
     "empty": ("log.csv", "", "empty; a line of column names"),
     "no header": ("log.csv", "1,2\n3,4\n", 'line 1: "1, 2" are numbers'),
     "no rows": ("log.csv", "DMEA,WOB,ROPA\n", "no rows; add a line for each measurement"),
-    "a row of units": ("log.csv", "DMEA,WOB,ROPA\nm,N,m/s\n1,2,3\n", "line 2: holds units; write them behind"),
+    "units and no rows": ("log.csv", "DMEA,WOB,ROPA\nm,N,m/s\n", "no rows; add a line for each measurement below"),
     "no text": ("log.csv", b"PK\x03\x04\xff\xfe", "not UTF-8 text (byte 4)"),
     "a unit of other things": (
         "log.csv",
         "Hole Depth (feet),Rotary RPM (RPM),Weight on Bit (psi)\n1,2,3\n",
-        'line 1.column Weight on Bit (psi): "psi" is not a unit of weight_on_bit',
+        'line 1, column Weight on Bit (psi): "psi" is not a unit of weight_on_bit',
     ),
     "columns that differ": (
         "log.csv",
         "Depth(ft),Depth(m),ROP(1 ft),ROP(1 m)\n1,1,9,9\n2,2,9,9\n",
-        'column Depth(m): is 3.281 times column "Depth(ft)", which should be the same depth',
+        'line 1, column Depth(m): is 3.281 times column "Depth(ft)", which should be the same depth',
     ),
     "points and commas": ("log.csv", "WOB (kN);ROP (m/h)\n1,5;2.5\n", 'line 2: "1,5" is ambiguous'),
     "commas of thousands": ("log.csv", "WOB (kN);ROP (m/h)\n1,500;2,500\n", 'line 2: "1,500" is ambiguous'),

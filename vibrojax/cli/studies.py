@@ -73,8 +73,8 @@ def fit(options: Options) -> None:
     reading = {"dialect": options.dialect, "fastest": options.fastest}
     data = read_groups(options.file, options.along, by, columns, options.segments, **reading)
     groups = data[-1]
-    if groups.valid.any() and not (groups.rate[groups.valid] > 0).any():
-        lanes = counted(groups.count.sum(), "lane")
+    if groups["valid"].any() and not (groups["valid"] & (groups["rate"] > 0)).any():
+        lanes = counted(int(groups["is_lane"].sum()), "lane")
         more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
         raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
     identity = {"data": f"{file.name}, sha256 {_digest(file)}", "along": options.along, "by": ", ".join(by)}

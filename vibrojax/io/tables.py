@@ -16,19 +16,29 @@ from vibrojax.models.physics.units import is_unit
 Rows = list[tuple[int, list[str]]]
 """The non-empty lines of a table: (line number, cells)."""
 
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_DECIMAL_COMMA = re.compile(r"[-+]?(\d+|\d{1,3}(\.\d{3})+),\d+([eE][-+]?\d+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+_THOUSANDS_AND_POINT = re.compile(r"[-+]?\d{1,3}(,\d{3})+\.\d+")
+_TO_POINT = str.maketrans({".": None, ",": "."})  # "1.234,5" is 1234.5
+_NOT_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f]|\A(\xff\xfe|\xfe\xff)")  # control characters, or UTF-16
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, windows: bool = False) -> str:
     """Return the text of a file that the user specified, without a byte order mark.
+
+    `windows`: whether the file may be in Windows-1252, as exports of older software are; a warning then says so.
 
     **Raises:** `InputError` if the file cannot be read.
     """
+    content = b""
     try:
-        return path.read_bytes().decode("utf-8-sig")
+        content = path.read_bytes()
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if windows and not _NOT_TEXT.search(content):
+            warnings.warn(f"{path}: not UTF-8 (byte {error.start}), read as Windows-1252", stacklevel=2)
+            return content.decode("cp1252", "replace")
         raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
     except FileNotFoundError:
         similar = [other.name for other in path.parent.glob(f"*{path.suffix}")] if path.parent.is_dir() else []
@@ -82,16 +92,25 @@ def is_number(cell: str) -> bool:
         return False
 
 
+def separator(text: str) -> str:
+    """Return the separator of a CSV's columns: a comma or a semicolon.
+
+    It is a semicolon if the first line has semicolons and no comma, or as many semicolons as the second line.
+    """
+    lines = (line for line in text.splitlines() if line.strip())
+    first, second = next(lines, ""), next(lines, "")
+    is_semicolon = ";" in first and ("," not in first or first.count(";") == second.count(";"))
+    return ";" if is_semicolon else ","
+
+
 def read_csv(place: Place, text: str) -> Iterator[tuple[int, list[str]]]:
     """Return the non-empty lines of a CSV, each with its number; columns are separated by commas or semicolons.
 
-    Semicolons separate the columns if the first line has no comma. Commas in numbers are then decimal marks; a warning
-    says so.
+    Commas in numbers between semicolons are decimal marks; a warning says so.
 
     **Raises:** `InputError` if the text is not CSV, or a comma in a number may also separate thousands.
     """
-    first = next((line for line in text.splitlines() if line.strip()), "")
-    if ";" in first and "," not in first:
+    if separator(text) == ";":
         return iter(_with_decimal_points(place, list(_csv_rows(place, text, ";"))))
     return _csv_rows(place, text, ",")
 
@@ -117,18 +136,23 @@ def _with_decimal_points(place: Place, rows: list[tuple[int, list[str]]]) -> lis
     warnings.warn(f"{place.file}: {said}", stacklevel=2)
     header, *others = rows
     return [header] + [
-        (line, [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in row])
+        (line, [cell.translate(_TO_POINT) if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in row])
         for line, row in others
     ]
 
 
+def row_of_units(rows: Rows) -> list[str] | None:
+    """Return the units in the first row of a CSV, without brackets; None if it holds no units."""
+    units = [cell.strip(" []()") for cell in rows[0][1]]
+    return units if not any(map(is_number, units)) and any(is_unit(unit) for unit in units if unit) else None
+
+
 def rows_without_units(place: Place, header: list[str], rows: Rows) -> Rows:
     """Return the rows of a CSV; raise `InputError` if the first of them holds units."""
-    line, units = rows[0][0], [cell.strip(" []()") for cell in rows[0][1] if cell.strip()]
-    if not any(map(is_number, units)) and any(map(is_unit, units)):
+    if units := row_of_units(rows):
         like = f"{header[0]} ({units[0]})"
         fault = f"holds units; write them behind the names, like {like}, and leave it out"
-        raise place.at(f"line {line}").error(fault)
+        raise place.at(f"line {rows[0][0]}").error(fault)
     return rows
 
 
@@ -143,7 +167,7 @@ def column_numbers(
     for position, (line, row) in enumerate(rows):
         if cell := row[index].strip():
             try:
-                values[position] = float(cell)
+                values[position] = float(cell.replace(",", "") if _THOUSANDS_AND_POINT.fullmatch(cell) else cell)
             except ValueError:
                 fault = f"{shown(cell)} is not a number; write one, like 0.4, or leave it empty"
                 raise place.at(f"line {line}, column {name}").error(fault) from None

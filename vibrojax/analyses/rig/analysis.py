@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from vibrojax.analyses.analysis import Analysis, PictureRule, Source, SummaryPart
 from vibrojax.analyses.rig.measures import FOUNDER_REASONS, SCHEMA, rig
 from vibrojax.io.attributes import text_of
-from vibrojax.io.riglog import log_lines
+from vibrojax.io.riglog import LIMITS_OF_LOGS, log_lines
 from vibrojax.io.variables import Variable
 from vibrojax.plot.axes import label, pretty_unit, scale
 from vibrojax.plot.sheet import write_margins
@@ -21,11 +21,6 @@ TRACKS = (
     *("specific_energy", "percussive_specific_energy", "stick_slip_index", "torque_stick_slip"),
 )
 """Variables that are drawn over depth, as far as the log has them."""
-
-ROTARY = (
-    "rotary rig data are not percussive data: they can inform the friction at the bit and C of the law, "
-    "not the striker, the gap or the contact"
-)
 
 
 @styled
@@ -44,13 +39,14 @@ def rig_picture(ds: xr.Dataset) -> Figure:
         track.plot(ds[name].values * scale(ds[name])[0], height, color=BIT, linewidth=0.6)
         track.set_ylim(height.max(), height.min())
         track.set_title(name.replace("_", " "), fontsize="small", loc="left", wrap=True)
-        track.set_xlabel(f"[{pretty_unit(scale(ds[name])[1])}]")
+        unit = pretty_unit(scale(ds[name])[1])
+        track.set_xlabel(f"[{unit}]" if unit else "")
         track.grid(True)
         if track is not axes[1]:
             track.set_yticklabels([])
     if tracks:
         axes[1].set_ylabel("depth [m]" if over else "row")
-    write_margins(figure, ds, point=ROTARY)
+    write_margins(figure, ds, point=LIMITS_OF_LOGS)
     return figure
 
 
@@ -110,4 +106,4 @@ class Rigs(Analysis):
                 )
         lines += [part for part in text_of(ds, "notes").split("; ") if " is not known: " in part]
         read = [line for line in log_lines(ds) if line not in lines]
-        return [SummaryPart("log", read, {}), SummaryPart("rig", [*lines, ROTARY], {"rig": facts})]
+        return [SummaryPart("log", read, {}), SummaryPart("rig", [*lines, LIMITS_OF_LOGS], {"rig": facts})]

@@ -113,7 +113,8 @@ def rig(
     }
     for name, names in needed.items():
         if missing := [column for column in names if column not in columns_of]:
-            notes.append(f"{name} is not known: the log has no {' and no '.join(missing)}")
+            hint = ', which columns may give, like bit_diameter="8.5 in"' * ("bit_diameter" in missing)
+            notes.append(f"{name} is not known: the log has no {' and no '.join(missing)}{hint}")
         elif name == "torque_stick_slip" and not np.isfinite(index).any():
             notes.append(f"{name} is not known: rows are more than {SLOWEST_SAMPLING:g} s apart")
     table = {

@@ -1,13 +1,12 @@
 """Lanes (here, pairs of relief and rate of penetration) in groups; the law is fitted to each group separately."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 import xarray as xr
-from jaxtyping import Bool, Float, Int
 
-from vibrojax.analyses.rop_law.results import to_variables
+from vibrojax.analyses.rop_law.dataset import to_variables
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.riglog.columns import DEPTH, FORCE, LINE, RATE, RELIEF, RIG
 from vibrojax.io.variables import Variable
@@ -20,6 +19,7 @@ DEFAULT_AXES = ("frequency", "v", "point")
 NO_LANE, FITTED, CENSORED, LEFT_OUT = range(4)
 """Flag values of the variable `data_use`."""
 
+_LANE_VARIABLES = ("relief", "rate", "valid", "is_lane")
 _DATA_SCHEMA = {
     "data_relief": Variable("1", "relief of the lanes that were fitted"),
     "data_rate_of_penetration": Variable("m s-1", "rate of penetration of the lanes that were fitted"),
@@ -27,33 +27,16 @@ _DATA_SCHEMA = {
 }
 
 
-@dataclass(frozen=True)
-class Groups:
-    """Lanes in groups, one row per group. A row holds `count` lanes; the rest is padding, which is not `valid`.
+def data_variables(groups: xr.Dataset) -> dict[str, xr.Variable]:
+    """Return relief, rate and use (`data_use`) of lanes as variables over the groups' dimensions and `lane`.
 
-    `relief` is dimensionless and `rate` in m/s. `sizes` and `coordinates` describe the dimensions of the groups;
-    `along` is the axis along which the lanes of a group vary.
+    Lanes with zero rate are censored. Lanes that failed, are irregular or have no usable values are left out.
     """
-
-    relief: Float[np.ndarray, "groups lanes"]
-    rate: Float[np.ndarray, "groups lanes"]
-    valid: Bool[np.ndarray, "groups lanes"]
-    count: Int[np.ndarray, " groups"]
-    sizes: dict[str, int]
-    coordinates: Mapping[str, xr.DataArray | xr.Variable]
-    along: str
-
-    def data_variables(self) -> dict[str, xr.Variable]:
-        """Return relief, rate and use (`data_use`) of the lanes as variables over the groups' dimensions and `lane`.
-
-        Lanes with zero rate are censored. Lanes that failed, are irregular or have no usable values are left out.
-        """
-        lane = np.arange(self.rate.shape[1]) < self.count[:, None]
-        use = np.select([~lane, self.valid & (self.rate > 0), self.valid], [NO_LANE, FITTED, CENSORED], LEFT_OUT)
-        values = (np.where(lane, self.relief, np.nan), np.where(lane, self.rate, np.nan), use)
-        shape = (*self.sizes.values(), self.rate.shape[1])
-        shaped = {name: value.reshape(shape) for name, value in zip(_DATA_SCHEMA, values, strict=True)}
-        return to_variables(_DATA_SCHEMA, shaped, dict.fromkeys(_DATA_SCHEMA, (*self.sizes, "lane")))
+    is_lane, valid, rate = (groups[name].values for name in ("is_lane", "valid", "rate"))
+    use = np.select([~is_lane, valid & (rate > 0), valid], [NO_LANE, FITTED, CENSORED], LEFT_OUT)
+    values = (np.where(is_lane, groups["relief"].values, np.nan), np.where(is_lane, rate, np.nan), use)
+    dims = dict.fromkeys(_DATA_SCHEMA, groups["rate"].dims)
+    return to_variables(_DATA_SCHEMA, dict(zip(_DATA_SCHEMA, values, strict=True)), dims)
 
 
 def usable_lanes(data: xr.Dataset) -> xr.Dataset:
@@ -101,8 +84,11 @@ def _lane_dims(place: Place, lanes: xr.Dataset) -> list[str]:
     return dims
 
 
-def group_lanes(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str] = ()) -> Groups:
+def group_lanes(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str] = ()) -> xr.Dataset:
     """Group lanes, as `usable_lanes` returns them: one group per combination of values on the axes other than `along`.
+
+    The result has `relief` [1], `rate` [m/s], `valid` and `is_lane` over the dimensions of the groups and `lane`. Short
+    groups are padded where `is_lane` is False. The attribute `along` is the axis of the lanes.
 
     Rows of a table (data with one dimension) are grouped by the columns `by`. If `along` is a column and `by` is empty,
     the rows are grouped by all other columns except the mean force.
@@ -115,15 +101,15 @@ def group_lanes(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence
         return _group_rows(place, lanes, along, by, [str(name) for name in columns])
     along = check_axis(place, lanes, along)
     others = [str(dim) for dim in dims if dim != along]
-    ordered = lanes.transpose(*others, along)
-    sizes = {dim: lanes.sizes[dim] for dim in others}
-    shape = (int(np.prod(list(sizes.values()))), lanes.sizes[along])
-    relief, rate, valid = (ordered[name].values.reshape(shape) for name in ("relief", "rate", "valid"))
+    ordered = lanes.transpose(*others, along).assign(is_lane=xr.ones_like(lanes["valid"], bool))
+    variables = {name: ((*others, "lane"), ordered[name].transpose(*others, along).values) for name in _LANE_VARIABLES}
     coordinates = {str(name): values for name, values in lanes.coords.items() if set(values.dims) <= set(others)}
-    return Groups(relief, rate, valid, np.full(shape[0], shape[1]), sizes, coordinates, along)
+    return xr.Dataset(variables, coordinates, {"along": along})
 
 
-def _group_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str], columns: list[str]) -> Groups:
+def _group_rows(
+    place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str], columns: list[str]
+) -> xr.Dataset:
     """Return the rows of a table in groups of equal values in the columns `by`."""
     row = _lane_dims(place, lanes)[0] if columns else None
     for name in (*by, *([along] if along is not None and along != row else [])):
@@ -132,27 +118,21 @@ def _group_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence
             fault = f"; {suggestion(str(name), own)}" if own else ": the data are not a table with columns"
             raise place.at("by" if name in by else "along").error(f"{shown(name)} is not a column of the data{fault}")
     keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *RIG)]
-    codes = [np.unique(lanes[name].values, return_inverse=True)[1].ravel() for name in keys]
-    table = np.stack(codes or [np.zeros(lanes["rate"].size, int)], axis=1)
-    _, first, group = np.unique(table, axis=0, return_index=True, return_inverse=True)
-    group = group.ravel()
-    if DEPTH in columns:  # a log: groups from top to bottom, rather than by name
-        group, first = np.argsort(np.argsort(first))[group], np.sort(first)
-    count = np.bincount(group)
-    order = np.argsort(group, kind="stable")
-    lane = np.arange(group.size) - np.repeat(np.cumsum(count) - count, count)
-
-    def padded(name: str) -> np.ndarray:
-        values = lanes[name].values[order]
-        rows = np.zeros((count.size, int(np.max(count))), values.dtype)
-        rows[group[order], lane] = values
-        return rows
-
+    table = pd.DataFrame({name: lanes[name].values for name in keys}, index=range(lanes["rate"].size))
+    # Groups of a log are from top to bottom, rather than by name.
+    grouped = table.groupby(keys or np.zeros(len(table)), sort=DEPTH not in columns, dropna=False)
+    group, lane = grouped.ngroup().to_numpy(), grouped.cumcount().to_numpy()
+    first = np.flatnonzero(lane == 0)
+    first = first[np.argsort(group[first])]
+    rows = lanes.assign(is_lane=xr.ones_like(lanes["valid"], bool))
+    variables = {}
+    for name in _LANE_VARIABLES:
+        padded = np.zeros((first.size, lane.max() + 1), rows[name].dtype)
+        padded[group, lane] = rows[name].values
+        variables[name] = (("group", "lane"), padded)
     coordinates = {name: xr.Variable("group", lanes[name].values[first], lanes[name].attrs) for name in keys}
     if DEPTH in columns and DEPTH not in (*keys, along) and lanes[DEPTH].dtype.kind == "f":
-        about = {"units": "m", "long_name": "depth of the group"}
-        for name, depth in (("depth_from", np.fmin), ("depth_to", np.fmax)):
-            ends = depth.reduceat(lanes[DEPTH].values[order], np.cumsum(count) - count)
-            coordinates[name] = xr.Variable("group", ends, about)
-    relief, rate, valid = (padded(name) for name in ("relief", "rate", "valid"))
-    return Groups(relief, rate, valid, count, {"group": count.size}, coordinates, str(along or row))
+        about, depths = {"units": "m", "long_name": "depth of the group"}, pd.Series(lanes[DEPTH].values).groupby(group)
+        coordinates["depth_from"] = xr.Variable("group", depths.min().to_numpy(), about)
+        coordinates["depth_to"] = xr.Variable("group", depths.max().to_numpy(), about)
+    return xr.Dataset(variables, coordinates, {"along": str(along or row)})

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from scipy.linalg import block_diag
 
 from vibrojax.analyses.rop_law.data import Columns, Data, open_data
+from vibrojax.analyses.rop_law.dataset import GOODNESS_SCHEMA, LAW_TITLE, fit_dataset, reason_variable
 from vibrojax.analyses.rop_law.groups import check_axis, usable_lanes
 from vibrojax.analyses.rop_law.least_squares import (
     LARGEST_EXPONENT,
@@ -25,9 +26,9 @@ from vibrojax.analyses.rop_law.least_squares import (
     r_squared_reason,
     reason_of_no_fit,
 )
-from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, LAW_TITLE, fit_dataset, reason_variable
-from vibrojax.errors import Place, shown, suggestion
+from vibrojax.errors import Place, suggestion
 from vibrojax.io.variables import Variable
+from vibrojax.sweep.input.values import choice
 
 DEFAULT_PARAMETERS = ("force", "k3", "zeta", "threshold")
 ONSETS = ("power-law", "shared")
@@ -104,8 +105,7 @@ def fit_joint(
     'C = 14 mm/s, in proportion to force^2.9'
     """
     place, data = open_data(data, "fit_joint", rates=True, columns=columns)
-    if onset not in ONSETS:
-        raise place.at("onset").error(f"{shown(onset)} is unknown; {suggestion(str(onset), ONSETS)}")
+    choice(place.at("onset"), onset, ONSETS)
     lanes = usable_lanes(data)
     if along is not None:
         check_axis(place, lanes, along)
@@ -251,29 +251,18 @@ class JointRates:
         return np.block([[own, mixed], [mixed.T, np.zeros((onset_columns.shape[1],) * 2)]])
 
     def start(self, rate: Lanes, weight: Lanes) -> Theta:
-        """Return an initial guess: power laws fitted to the C and eta0 of groups of lanes with equal parameters.
+        """Return an initial guess with the same onset at all lanes.
 
-        C and eta0 of each group follow from a straight line, rate over ln(eta).
+        The exponents in C are those of a power law of the relief and the parameters. C and the onset follow from a
+        straight line, rate over ln(eta), through the rates without the effect of the parameters.
         """
-        log, positions, lanes = self.log, self.positions, np.flatnonzero(weight)
-        if positions.shape[1]:
-            group = np.unique(positions[lanes].round(9), axis=0, return_inverse=True)[1].ravel()
-            order = np.argsort(group, kind="stable")
-            groups = np.split(lanes[order], np.cumsum(np.bincount(group))[:-1])
-        else:
-            groups = [lanes]
-        lines: list[tuple[float, ...]] = []
-        for subset in [*groups, lanes]:
-            if subset is lanes and lines:
-                break  # a line through all lanes is used only if no group has a line with positive slope
-            above, spread = log[subset] - log[subset].mean(), log[subset].std()
-            if spread > LEAST_SPREAD and (slope := np.mean(above * rate[subset]) / spread**2) > 0:
-                onset = log[subset].mean() - rate[subset].mean() / slope
-                lines.append((np.log(slope), onset, *positions[subset].mean(axis=0)))
-        if not lines:  # the rate decreases with the relief: guess C = 1 and an onset below all lanes
-            lines.append((0.0, log.min() - 1, *positions[lanes].mean(axis=0)))
-        table = np.array(lines)
-        design = np.column_stack([np.ones(len(table)), table[:, 2:]])
-        coefficient = np.linalg.lstsq(design, table[:, 0])[0]
-        onset = [np.median(table[:, 1])] if self.shared else np.linalg.lstsq(design, table[:, 1])[0]
-        return np.concatenate([coefficient, onset])
+        lanes = np.flatnonzero(weight)
+        log, positions, rate = self.log[lanes], self.positions[lanes], rate[lanes]
+        design = np.column_stack([np.ones(lanes.size), log, positions])
+        exponents = np.linalg.lstsq(design, np.log(rate))[0][2:]
+        slope, level = np.polyfit(log - log.mean(), rate / np.exp(positions @ exponents), 1)
+        if slope > 0:
+            c, onset = np.log(slope), log.mean() - level / slope
+        else:  # the rate decreases with the relief: guess C = 1 and an onset below all lanes
+            c, onset = 0.0, self.log.min() - 1
+        return np.array([c, *exponents, onset, *([] if self.shared else 0 * exponents)])

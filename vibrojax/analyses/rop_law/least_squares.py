@@ -158,45 +158,38 @@ def minimise(
     model for the seen lanes. `weight` is the weight w of each lane, by default 1.
     """
     weight = np.ones(rate.size) if weight is None else weight
+    root = np.sqrt(weight)
+
+    def weighted(theta: Theta) -> Lanes:
+        return root * residuals(model.rates(theta), rate, censored)
+
+    def slopes(theta: Theta) -> Jacobian:
+        return (root * (~censored | (model.rates(theta) > 0)))[:, None] * model.jacobian(theta)
+
+    def newton_step(theta: Theta) -> Theta:
+        jacobian, values = slopes(theta), weighted(theta)
+        try:
+            return -np.linalg.solve(jacobian.T @ jacobian + model.curvature(theta, root * values), jacobian.T @ values)
+        except np.linalg.LinAlgError:
+            return np.full(theta.size, np.inf)
+
     linear = isinstance(model, LinearRates)
     theta = model.start(rate, np.where(censored, 0.0, weight)) if start is None or linear else start
     if linear and not (model.rates(theta)[censored] > 0).any():
         converged = bool(np.isfinite(theta).all())  # S is convex
     else:
-        data = model, rate, censored, np.sqrt(weight)
-        theta = least_squares(_weighted, theta, _slopes, method="lm", max_nfev=_LM_MAX_EVALUATIONS, args=data).x
-        step = _newton_step(theta, *data)
+        theta = least_squares(weighted, theta, slopes, method="lm", max_nfev=_LM_MAX_EVALUATIONS).x
+        step = newton_step(theta)
         for _ in range(_NEWTON_STEPS):
-            if not np.isfinite(step).all():  # the Hessian is singular
-                break
-            before, after = (float(np.sum(_weighted(x, *data) ** 2)) for x in (theta, theta + step))
-            if not after <= before * (1 + _ROUNDING) + _ROUNDING**2:
+            before, after = (float(np.sum(weighted(x) ** 2)) for x in (theta, theta + step))
+            if not after <= before * (1 + _ROUNDING) + _ROUNDING**2:  # or NaN, since the Hessian is singular
                 break
             theta = theta + step
-            step = _newton_step(theta, *data)
+            step = newton_step(theta)
         converged = bool(np.max(np.abs(step) / (1 + np.abs(theta))) <= _NEWTON_TOLERANCE)
     predicted = model.rates(theta)
     active = ~censored | (predicted > 0)
     return Minimum(theta, converged, residuals(predicted, rate, censored), active, model.jacobian(theta))
-
-
-def _weighted(theta: Theta, model: RateModel, rate: Lanes, censored: LaneFlags, root: Lanes) -> Lanes:
-    """Return the residuals times the roots of the weights."""
-    return root * residuals(model.rates(theta), rate, censored)
-
-
-def _slopes(theta: Theta, model: RateModel, rate: Lanes, censored: LaneFlags, root: Lanes) -> Jacobian:
-    """Return the derivatives of the weighted residuals."""
-    return (root * (~censored | (model.rates(theta) > 0)))[:, None] * model.jacobian(theta)
-
-
-def _newton_step(theta: Theta, model: RateModel, rate: Lanes, censored: LaneFlags, root: Lanes) -> Theta:
-    """Return the Newton step of S/2 with its exact Hessian; infinite if that is singular."""
-    slopes, values = _slopes(theta, model, rate, censored, root), _weighted(theta, model, rate, censored, root)
-    try:
-        return -np.linalg.solve(slopes.T @ slopes + model.curvature(theta, root * values), slopes.T @ values)
-    except np.linalg.LinAlgError:
-        return np.full(theta.size, np.inf)
 
 
 Loss = tuple[Callable[[Lanes], Lanes], Callable[[Lanes], Lanes]]

@@ -1,7 +1,4 @@
-"""Pictures of the fitted law, as curves or maps: the coefficient C with error bars, and the AIC of each form.
-
-AIC is drawn relative to the best form, the one with the lowest AIC in a group.
-"""
+"""Pictures of the fitted law over one axis: data and curves, C with error bars, and the comparison of the forms."""
 
 from collections.abc import Sequence
 
@@ -9,7 +6,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
@@ -17,15 +13,18 @@ from matplotlib.patches import Patch
 from matplotlib.typing import MarkerType
 
 from vibrojax.analyses.rop_law.blocks import Standing
+from vibrojax.analyses.rop_law.dataset import formulas_of
 from vibrojax.analyses.rop_law.forms import FORMS, SAME_AS_ONSET
-from vibrojax.analyses.rop_law.reading import formulas_of
-from vibrojax.analyses.sweep.maps import fill_cells, write_labels
-from vibrojax.plot.axes import scale, shape_zero, share_text, with_unit
-from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
-from vibrojax.plot.contents import FORM, POINT, law_in, long_axes
+from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log
+from vibrojax.plot.axes import scale, shape_zero, with_unit
+from vibrojax.plot.colours import form_colour
+from vibrojax.plot.contents import FORM, POINT, law_in
 from vibrojax.plot.curves import MOST_ROWS, Across, Row, longest_axis, new_rows
-from vibrojax.plot.sheet import LEGEND_WIDTH, Facets, facets, legend_at_right, sheet, write_margins
-from vibrojax.plot.style import FAINT, INK, Mark, styled
+from vibrojax.plot.sheet import Facets, facets, legend_at_right, write_margins
+from vibrojax.plot.style import FAINT, INK, Mark, new_figure, styled
+
+EQUAL_AIC = 2.0
+"""Difference of AIC up to which a form counts as equal to the best form."""
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
 _MARKS: dict[str, MarkerType] = {
@@ -36,23 +35,21 @@ _MARKS: dict[str, MarkerType] = {
     "power": "v",
     "constant": "P",
 }
-_EQUAL_AIC = 2.0  # difference of AIC up to which a form counts as equal to the best form
 # If a difference of AIC exceeds the first value, the scale is logarithmic above the second.
 _LOG_AIC_FROM, _LINEAR_AIC = 30.0, 10.0
 _TICKS = (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 _DODGE = 0.012  # offset between error bars at the same abscissa, as a fraction of the axis
-_MOST_MAP_FACETS = 3
-_SAME_ERROR = 0.1  # range of errors, relative to the greatest, up to which a note replaces their map
-_BEST, _ERROR = "best_form", "C_relative_error"
 _MOST_GROUPS, _MOST_COLUMNS = 6, 3
 _ROW_HEIGHT = 2.4  # height of a row of panels [inch]
 _MANY_LANES = 60  # number of drawn lanes in a group from which on the markers are small
 _CLOUD = 300  # number of drawn lanes in a group from which on they are a faint cloud below the curves
 _CURVE_POINTS = 200
+_CHOSEN_SIZE = 7.0  # of the marker of the chosen form
 # The power law often coincides with the straight line, the literal form with the onset form: dashed and on top, they
 # leave the colour of the other form visible.
 _DASHES = {"power": (0.0, (2.5, 2.0)), "literal": (0.0, (1.5, 2.5))}
 _RELIEF, _RATE, _USE = "data_relief", "data_rate_of_penetration", "data_use"
+_RATES = {form.name: form.rate for form in FORMS}
 
 _USES = {
     "fitted": ("data", Mark(marker="o", color=INK, markeredgewidth=0.0)),
@@ -66,73 +63,86 @@ _USES = {
 
 @styled
 def law_lines(fit: xr.Dataset) -> Figure:
-    """Draw C in each reading of the law, and the AIC of every form, over the longest axis of the groups.
+    """Draw C and a comparison of the forms over the longest axis of the groups, below the data and their curves.
 
-    At the top are the data of each group with the curve of every form, for six groups at most. For a log whose forms
-    were compared over blocks of rows, the error of predicted rates takes the place of AIC.
+    C is that of each reading of the law, and the comparison is by AIC. For a log whose forms were compared over blocks
+    of rows, C is that of the forms that the data do not reject, and the comparison is the error of predicted rates.
     """
     fit = _with_short_titles(law_in(fit))
     if "reference_force" in fit.attrs:  # the threshold is unknown: some forms are the same curve as another one
-        fit = fit.sel({FORM: [name for name in _forms(fit) if name not in SAME_AS_ONSET]})
+        fit = fit.sel({FORM: [name for name in form_names(fit) if name not in SAME_AS_ONSET]})
     x = longest_axis(fit)
     fit = fit.sortby(x.name) if x.is_number else fit
-    has_aic, by_blocks = "aic" in fit, "cv_error" in fit and bool(fit["cv_error"].notnull().any())
-    groups = groups_to_show(fit)
+    by_blocks, with_c, groups = _by_blocks(fit), readings(fit), groups_to_show(fit)
     if by_blocks:  # the C of a form that the data reject means nothing
-        fit = fit.assign(C=fit["C"].where(fit["standing"] != Standing.REJECTED))
+        kept = fit["standing"] != Standing.REJECTED
+        fit = fit.assign(C=fit["C"].where(kept))
+        with_c = [name for name in form_names(fit) if bool((kept & fit["C"].notnull()).sel({FORM: name}).any())]
     panels = facets(fit, (POINT, x.name), MOST_ROWS)
-    figure, rows, above = new_rows(panels, 1 + has_aic, _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS))
+    figure, rows, above = new_rows(panels, 2, height_of(groups))
     uses = draw_fits(figure, above, groups)
     factor, unit = scale(fit["C"])
     for row in rows:
-        _draw_coefficients(row, x, factor)
+        _draw_coefficients(row, x, factor, with_c)
         row.label(0, x.label, with_unit("C", unit))
         if by_blocks:
             _draw_errors(row, x, factor)
             row.label(1, x.label, with_unit("error of predicted rates", unit))
-        elif has_aic:
-            row.axes[1].axhspan(0.0, _EQUAL_AIC, color=FAINT, alpha=0.25, linewidth=0)
-            for k, name in enumerate(_forms(fit)):
-                excess = np.atleast_1d(_above_best(row.facet).sel({FORM: name}).values)
-                places = x.of(row.facet) if x.name else [float(k)]
-                row.axes[1].plot(places, excess, label=name, **form_mark(name, x))
+        else:
+            _draw_excess(row, x)
             row.label(1, x.label, "AIC above the best form")
     if by_blocks:
         rows[0].axes[1].set_ylim(bottom=0.0)
-    elif has_aic:
+    else:
         _scale_excess(rows)
-    for axes, names in zip(rows[0].axes, (_readings(fit), _forms(fit)), strict=False):
+    for axes, names in zip(rows[0].axes, (with_c, form_names(fit)), strict=True):
         if x.name:
             x.shape(axes)
         else:
             axes.set_xticks(range(len(names)), names)
             axes.set_xlim(-0.5, len(names) - 0.5)
-    values = fit["C"].sel({FORM: _readings(fit)}).values * factor
+    values = fit["C"].sel({FORM: with_c}).values * factor
     if np.isfinite(values).any():  # the limits ignore error bars, which are huge for a failed fit
         low, high = min(float(np.nanmin(values)), 0.0), max(float(np.nanmax(values)), 0.0)
         room = 0.15 * ((high - low) or 1.0)
-        rows[0].axes[0].set_ylim(low - room, high + room)
+        rows[0].axes[0].set_ylim(low - room * (low < 0), high + room)
     else:
-        for axes in (axes for row in rows for axes in row.axes):
-            for artist in (*axes.lines, *axes.patches):
-                artist.remove()
-            axes.set(xticks=[], yticks=[])
-            axes.text(0.5, 0.6, "no group has a C", transform=axes.transAxes, ha="center", color="0.3")
+        axes = rows[0].axes[0]
+        axes.set(xticks=[], yticks=[])
+        axes.text(0.5, 0.6, "no group has a C", transform=axes.transAxes, ha="center", color="0.3")
     equal: list[Artist] = [Patch(facecolor=FAINT, alpha=0.25, label="as good as the best")]
     if by_blocks:
-        ring = Mark(linestyle="none", marker="o", color=INK, markersize=4.0, markerfacecolor="white")
-        equal = [Line2D([], [], label="may be the truth too", **ring)]
-    has_any = bool(np.isfinite(values).any())
-    legend_at_right(figure, _line_handles(fit), equal if has_aic and has_any else [], uses)
+        dot = Mark(linestyle="none", marker="o", color=INK)
+        equal = [
+            Line2D([], [], label="chosen form", **dot | Mark(markersize=_CHOSEN_SIZE)),
+            Line2D([], [], label="may be the truth too", **dot | Mark(markersize=4.0, markerfacecolor="white")),
+        ]
+    legend_at_right(figure, line_handles(fit), equal, uses)
     over = "over the rows of the table" if fit.attrs.get("along") == POINT else f"along {fit.attrs.get('along')}"
     along = f"Fitted {over}; bars of one standard error, bands of that of C" if "along" in fit.attrs else ""
-    # Groups without a C: their number per reading if the numbers differ.
-    lacking = {name: int(np.isnan(fit["C"].sel({FORM: name}).values).sum()) for name in _readings(fit)}
-    counts = [f"{name}: {count}" for name, count in lacking.items() if count]
-    counts = counts if len(set(lacking.values())) > 1 else [str(count) for count in lacking.values() if count][:1]
-    counts = [] if by_blocks else counts
-    note = f"Groups without a C, of {fit['C'].size // fit.sizes[FORM]}: {', '.join(counts)}" if counts else ""
-    write_margins(figure, fit, panels.note, data_text(groups, fit), along, note)
+    limits = LIMITS_OF_LOGS if is_log(fit) else ""
+    lacking = "" if by_blocks else _groups_without_c(fit)
+    write_margins(figure, fit, panels.note, data_text(groups, fit), along, lacking, limits)
+    return figure
+
+
+@styled
+def residuals(fit: xr.Dataset) -> Figure:
+    """Draw the residuals of every form over the relief, with a panel for each group; no panels without the data."""
+    figure, groups = new_figure(8.0, 2.6), groups_to_show(law_in(fit))
+    if not len(groups):
+        return figure
+    for axes, title, group in zip(
+        figure.subplots(1, len(groups), squeeze=False)[0], groups.titles, groups.data, strict=True
+    ):
+        factor, unit = scale(group[_RATE])
+        relief, rate = (group[name].values[_use_masks(group).get("fitted", slice(0))] for name in (_RELIEF, _RATE))
+        axes.axhline(0.0, color=FAINT, linewidth=0.8)
+        for name in (name for name in form_names(group) if name in _RATES):
+            left = factor * (rate - _RATES[name](relief, *_coefficients(group.sel({FORM: name}))))
+            axes.plot(relief, left, **form_mark(name) | Mark(linestyle="none", markersize=3.5))
+        axes.set_title(f"residuals{f', {title}' if title else ''}", loc="left")
+        axes.set(xlabel="relief P/D", ylabel=with_unit("measured less the form", unit))
     return figure
 
 
@@ -147,39 +157,67 @@ def _with_short_titles(fit: xr.Dataset) -> xr.Dataset:
     return fit
 
 
-def _draw_coefficients(row: Row, x: Across, factor: float) -> None:
-    """Draw C of each reading with error bars; readings are slightly offset along the abscissa."""
+def _by_blocks(fit: xr.Dataset) -> bool:
+    """Return whether the forms were compared over blocks of rows."""
+    return "cv_error" in fit and bool(fit["cv_error"].notnull().any())
+
+
+def _groups_without_c(fit: xr.Dataset) -> str:
+    """Return the note on groups without a C: their number per reading if the numbers differ."""
+    lacking = {name: int(np.isnan(fit["C"].sel({FORM: name}).values).sum()) for name in readings(fit)}
+    counts = [f"{name}: {count}" for name, count in lacking.items() if count]
+    if len(set(lacking.values())) == 1:
+        counts = [str(count) for count in lacking.values() if count][:1]
+    return f"Groups without a C, of {fit['C'].size // fit.sizes[FORM]}: {', '.join(counts)}" if counts else ""
+
+
+def _places(form: xr.Dataset, x: Across, k: int) -> np.ndarray:
+    """Return the abscissae of the values of a form, the k-th of its panel."""
+    return x.of(form) if x.name else np.array([float(k)])
+
+
+def _draw_coefficients(row: Row, x: Across, factor: float, names: Sequence[str]) -> None:
+    """Draw C of the named forms with error bars; forms are slightly offset along the abscissa."""
     axes = row.axes[0]
     axes.axhline(0.0, color=FAINT, linewidth=0.8)
-    for k, name in enumerate(_readings(row.facet)):
+    for k, name in enumerate(names):
         form = row.facet.sel({FORM: name})
         values = np.atleast_1d(form["C"].values) * factor
-        errors = np.atleast_1d(form["C_stderr"].values) * factor if "C_stderr" in form else np.zeros(values.shape)
-        bars = np.where(np.isfinite(errors), errors, 0.0)
-        places = x.of(form) if x.name else np.array([float(k)])
+        bars = np.nan_to_num(np.atleast_1d(form["C_stderr"].values) * factor, posinf=0.0)
+        places = _places(form, x, k)
         if x.name:
             places = places + _DODGE * (float(np.ptp(places)) if x.is_number else 4.0) * k
         axes.errorbar(places, values, bars, label=name, capsize=2.5, elinewidth=0.9, **form_mark(name, x))
 
 
 def _draw_errors(row: Row, x: Across, factor: float) -> None:
-    """Draw the error of rates predicted from other blocks of rows; undecided forms are hollow."""
-    for k, name in enumerate(_forms(row.facet)):
+    """Draw the error of rates predicted from other blocks of rows: the chosen form large, undecided ones hollow."""
+    for k, name in enumerate(form_names(row.facet)):
         form = row.facet.sel({FORM: name})
         errors, standing = (np.atleast_1d(form[variable].values) for variable in ("cv_error", "standing"))
-        places = x.of(form) if x.name else np.array([float(k)])
+        places = _places(form, x, k)
         row.axes[1].plot(places, factor * errors, label=name, **form_mark(name, x))
         rings = np.isin(standing, (Standing.UNDECIDED, Standing.CONTAINS_CHOSEN))
-        hollow = form_mark(name, x) | Mark(linestyle="none", markerfacecolor="white")
-        row.axes[1].plot(np.asarray(places)[rings], factor * errors[rings], label=f"_{name}", **hollow)
+        looks = (rings, Mark(markerfacecolor="white")), (standing == Standing.CHOSEN, Mark(markersize=_CHOSEN_SIZE))
+        for mask, look in looks:
+            mark = form_mark(name, x) | Mark(linestyle="none") | look
+            row.axes[1].plot(places[mask], factor * errors[mask], label=f"_{name}", **mark)
+
+
+def _draw_excess(row: Row, x: Across) -> None:
+    """Draw the AIC of every form relative to the best form of each group."""
+    row.axes[1].axhspan(0.0, EQUAL_AIC, color=FAINT, alpha=0.25, linewidth=0)
+    for k, name in enumerate(form_names(row.facet)):
+        excess = np.atleast_1d(above_best(row.facet).sel({FORM: name}).values)
+        row.axes[1].plot(_places(row.facet, x, k), excess, label=name, **form_mark(name, x))
 
 
 def _scale_excess(rows: Sequence[Row]) -> None:
     """Scale the AIC axis from zero upwards; for large differences it is logarithmic above a bound."""
-    greatest = max(float(np.nanmax(_above_best(row.facet).values, initial=0.0)) for row in rows)
+    greatest = max(float(np.nanmax(above_best(row.facet).values, initial=0.0)) for row in rows)
     axes = rows[0].axes[1]
     if greatest <= _LOG_AIC_FROM:
-        axes.set_ylim(-0.5, max(1.1 * greatest, 2.0 * _EQUAL_AIC))
+        axes.set_ylim(-0.5, max(1.1 * greatest, 2.0 * EQUAL_AIC))
         return
     axes.set_yscale("symlog", linthresh=_LINEAR_AIC)
     axes.set_ylim(-1.0, 1.6 * greatest)
@@ -188,71 +226,14 @@ def _scale_excess(rows: Sequence[Row]) -> None:
     axes.set_yticks([], minor=True)
 
 
-@styled
-def law_map(fit: xr.Dataset) -> Figure:
-    """Draw maps over the two longest axes: the form that describes the data, C, and the relative error of C.
-
-    The first form in the dataset's order whose AIC is as good as the best is drawn. C is that of the first reading of
-    the logarithmic law.
-    """
-    fit = law_in(fit)
-    x, y = long_axes(fit)[:2]
-    fit = fit.sortby([x, y])
-    forms, name = _forms(fit), _readings(fit)[0]
-    form = fit.sel({FORM: name}, drop=True)
-    shown = form[["C"]].assign_attrs(fit.attrs)
-    values: tuple[Value, ...] = (value_of(shown["C"]),)
-    error_note = ""
-    if "C_stderr" in form:
-        error = 100.0 * form["C_stderr"] / np.abs(form["C"])
-        shown[_ERROR] = error.where(np.isfinite(error)).assign_attrs(units="%")
-        if shown[_ERROR].notnull().any():
-            low, high = np.nanpercentile(shown[_ERROR].values, ROBUST).tolist()  # without outliers
-            if high - low > _SAME_ERROR * high:
-                values += (value_of(shown[_ERROR]),)
-            else:
-                error_note = f"Standard error of C: {' to '.join(dict.fromkeys((f'{low:.2g}', f'{high:.2g}')))} %"
-    if "aic" in fit:
-        good = _above_best(fit) <= _EQUAL_AIC
-        shown[_BEST] = good.argmax(FORM).where(good.any(FORM))  # index of the first form as good as the best
-    panels, groups = facets(shown, (x, y), _MOST_MAP_FACETS), groups_to_show(fit)
-    drawn = sheet(panels, ((None,) if _BEST in shown else ()) + values, _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS))
-    uses = draw_fits(drawn.figure, drawn.above, groups)
-    if len(groups):
-        drawn.figure.set_figwidth(drawn.figure.get_figwidth() + LEGEND_WIDTH)
-        legend_at_right(drawn.figure, _line_handles(fit), uses)
-    colours = ListedColormap([form_colour(name) for name in forms], name="forms").with_extremes(
-        bad=(1.0, 1.0, 1.0, 0.0)
-    )
-    norm = BoundaryNorm(np.arange(-0.5, len(forms)), len(forms))
-    for panel in drawn.panels:
-        if panel.value is None:
-            fill_cells(panel, x, y, Coloured(panel.facet[_BEST].transpose(y, x).values, colours, norm))
-        else:
-            fill_cells(panel, x, y, coloured(panel.facet, panel.value, y, x))
-        write_labels(panel, shown[x], shown[y])
-    best = [number for facet in panels.data if _BEST in facet for number in facet[_BEST].values.ravel().tolist()]
-    shares = {name: best.count(k) / max(len(best), 1) for k, name in enumerate(forms)}
-    handles = [
-        patch(form_colour(name), f"{name}  {share_text(share)} of groups")
-        for name, share in shares.items()
-        if share > 0
-    ]
-    drawn.finish([*handles, *cell_handles(panels.data, values)])
-    along = f"fitted along {fit.attrs['along']}, " if "along" in fit.attrs else ""
-    left = "; at the left the first form within 2 of the least AIC" * (_BEST in shown)
-    about = f"The law {along}C of the form {name}{left}"
-    write_margins(drawn.figure, fit, panels.note, data_text(groups, fit), about, error_note)
-    return drawn.figure
-
-
-def _forms(fit: xr.Dataset) -> list[str]:
+def form_names(fit: xr.Dataset) -> list[str]:
+    """Return the names of the forms in a fit."""
     return [str(name) for name in fit[FORM].values]
 
 
-def _readings(fit: xr.Dataset) -> list[str]:
+def readings(fit: xr.Dataset) -> list[str]:
     """Return the forms that are readings of the logarithmic law, or all forms if none is."""
-    return [name for name in _READINGS if name in _forms(fit)] or _forms(fit)
+    return [name for name in _READINGS if name in form_names(fit)] or form_names(fit)
 
 
 def form_mark(name: str, x: Across | None = None) -> Mark:
@@ -261,11 +242,12 @@ def form_mark(name: str, x: Across | None = None) -> Mark:
     return mark if x is None else mark | Mark(linestyle="-" if x.is_number else "none")
 
 
-def _line_handles(fit: xr.Dataset) -> list[Artist]:
+def line_handles(fit: xr.Dataset) -> list[Artist]:
+    """Return the legend entries of the forms, with their formulas."""
     formulas = formulas_of(fit)
     signs = {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}
     handles: list[Artist] = []
-    for name in _forms(fit):
+    for name in form_names(fit):
         formula = formulas.get(name, "")
         for text, sign in signs.items():
             formula = formula.replace(text, sign)
@@ -274,10 +256,20 @@ def _line_handles(fit: xr.Dataset) -> list[Artist]:
     return handles
 
 
-def _above_best(fit: xr.Dataset) -> xr.DataArray:
+def above_best(fit: xr.Dataset) -> xr.DataArray:
     """Return the difference between each form's AIC and the lowest AIC in the group; NaN for a form without AIC."""
     aic = fit["aic"].where(np.isfinite(fit["aic"]))
     return aic - aic.min(FORM)
+
+
+def _coefficients(form: xr.Dataset) -> list[float]:
+    """Return C, eta0 and the exponent of a form in one group; NaN for those that it does not have."""
+    return [float(form[name]) if name in form else np.nan for name in ("C", "eta0", "exponent")]
+
+
+def height_of(groups: Facets) -> float:
+    """Return the height [inch] of the panels of `draw_fits`."""
+    return _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS)
 
 
 def groups_to_show(fit: xr.Dataset) -> Facets:
@@ -302,7 +294,7 @@ def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> list
         relief = "force over its median" if "reference_force" in group.attrs else "relief P/D"
         axes.set_xlabel(relief if k + wide >= len(groups) else "")
         axes.set_ylabel(with_unit("rate of penetration", unit) if k % wide == 0 else "")
-    shown = {use for group in groups.data for use in use_masks(group)}
+    shown = {use for group in groups.data for use in _use_masks(group)}
     look = Mark(linestyle="none", markersize=4.5)
     return [Line2D([], [], label=text, **look | mark) for use, (text, mark) in _USES.items() if use in shown]
 
@@ -319,23 +311,23 @@ def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
     axes.grid(True)
     if not seen.any():
         return
-    rates = {form.name: form.rate for form in FORMS}
     eta = np.linspace(relief[seen].min(), relief[seen].max(), _CURVE_POINTS)
-    for name in (str(name) for name in group[FORM].values):
+    for name in form_names(group):
         form = group.sel({FORM: name})
-        coefficients = [float(form[x]) if x in form else np.nan for x in ("C", "eta0", "exponent")]
-        if name in rates and np.isfinite(coefficients[0]):
+        coefficients = _coefficients(form)
+        if name in _RATES and np.isfinite(coefficients[0]):
             line = Mark(color=form_colour(name), linewidth=1.4, linestyle=_DASHES.get(name, "-"))
             line |= Mark(zorder=2.5 if name in _DASHES else 2.0)
-            curve = factor * rates[name](eta, *coefficients)
+            curve = factor * _RATES[name](eta, *coefficients)
             axes.plot(eta, curve, label=name, **line)
-            error = float(form["C_stderr"]) / coefficients[0] if "C_stderr" in form and coefficients[0] else np.nan
-            if np.isfinite(error):  # every form is proportional to its C
+            error = float(form["C_stderr"]) / coefficients[0] if coefficients[0] else np.nan
+            is_rejected = _by_blocks(group) and int(form["standing"]) == Standing.REJECTED
+            if np.isfinite(error) and not is_rejected:  # every form is proportional to its C
                 band = curve * (1 - error), curve * (1 + error)
                 axes.fill_between(eta, *band, color=form_colour(name), alpha=0.15, linewidth=0)
     is_cloud = seen.sum() >= _CLOUD
     size = 4.2 if seen.sum() < _MANY_LANES else 1.6 if is_cloud else 2.2
-    for use, mask in use_masks(group).items():
+    for use, mask in _use_masks(group).items():
         look = Mark(linestyle="none", markersize=size, zorder=1.5 if is_cloud else 3) | _USES[use][1]
         look |= Mark(color=FAINT) if is_cloud and use == "fitted" else Mark()
         axes.plot(relief[mask], rate[mask], label=f"_{use}", **look)
@@ -346,7 +338,7 @@ def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
         shape_zero([axes], "no penetration")
 
 
-def use_masks(group: xr.Dataset) -> dict[str, np.ndarray]:
+def _use_masks(group: xr.Dataset) -> dict[str, np.ndarray]:
     """Return a mask of the drawable lanes (finite relief and rate) for each use that occurs."""
     meanings = str(group[_USE].attrs["flag_meanings"]).split()
     known = np.isfinite(group[_RELIEF].values) & np.isfinite(group[_RATE].values)

@@ -1,31 +1,30 @@
-"""Datasets of fits: variables with units, provenance, the summary as text or JSON, and the comparison of the forms."""
+"""Summary of a fitted rate-of-penetration law, as text and as JSON: tables, the comparison of forms, the recommended C.
+
+A *group* is a set of lanes with a law of its own; a *form* is a formula of the law.
+"""
 
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.special import stdtrit
 
-from vibrojax.analyses.rop_law.blocks import Standing
-from vibrojax.analyses.rop_law.least_squares import REASONS
-from vibrojax.analyses.rop_law.reading import (
-    GROUPS_TABULATED,
+from vibrojax.analyses.rop_law.blocks import CONTAINED, Standing
+from vibrojax.analyses.rop_law.dataset import (
     formulas_of,
+    group_dims,
     group_names,
-    range_text,
-    region_text,
     standings,
     table,
+    value_text,
 )
-from vibrojax.analyses.rop_law.support import determined_combinations, supported_forms
-from vibrojax.errors import Place, counted
-from vibrojax.io.attributes import attribute_of, table_of, title_of
-from vibrojax.io.kinds import dataset_attributes
+from vibrojax.errors import counted
+from vibrojax.io.attributes import attribute_of, table_of
+from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log
 from vibrojax.io.riglog.columns import RATE
-from vibrojax.io.variables import Variable
 from vibrojax.models.physics.units import factor
 
 CLEAR_AIC_DIFFERENCE = 2.0
@@ -38,68 +37,13 @@ for k = 2 coefficients, is finite from n = 4 lanes on."""
 ONSET_STANDARD_ERRORS = 2.0
 """Number of standard errors by which an onset is below 1 before the verdict says so."""
 
-_KEPT = (
-    *("scene", "sweep", "parameters", "columns"),
-    *("dialect", "detected", "dropped", "rows_read", "nulls", "notes", "reference_force"),
-)
-"""Attributes of the data that a fit keeps."""
-
-_GROUPS_BEATEN_SHOWN = 5
-
-
-def reason_variable(long_name: str) -> Variable:
-    """Return the schema of a flag variable, with the meanings `REASONS`, that explains NaN in other variables."""
-    return Variable("1", long_name, np.int8, REASONS)
-
-
-GOODNESS_SCHEMA = {
-    "r_squared": Variable("1", "share of the rate's variance that the law explains"),
-    "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2"),
-    "degrees_of_freedom": Variable("1", "lanes with a residual less coefficients", np.int32),
-    "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32),
-    "left_out": Variable("1", "lanes left out: failed, irregular, or without usable values", np.int32),
-    "reason": reason_variable("why a coefficient is not a number"),
-    "r_squared_reason": reason_variable("why r_squared is not a number"),
-}
-"""Schema of the variables that every fit of a rate-of-penetration law contains."""
-
-
-LAW_TITLE = "rate-of-penetration law"
 LOGARITHMIC = ("literal", "percent", "onset")
 """Names of the three readings of the source's law, eq. 6.4."""
 
-
-def to_variables(
-    schema: Mapping[str, Variable], values: Mapping[str, object], dims: Mapping[str, Sequence[Hashable]]
-) -> dict[str, xr.Variable]:
-    """Return xarray variables with the dtypes and attributes of `schema`; variables without `dims` are scalars."""
-    return {
-        name: xr.Variable(dims.get(name, ()), np.asarray(values[name], variable.dtype), variable.attributes())
-        for name, variable in schema.items()
-    }
+_GROUPS_LISTED, _BEATEN_LISTED = 12, 5
 
 
-def fit_dataset(
-    place: Place,
-    data: xr.Dataset,
-    step: str,
-    title: str,
-    schema: Mapping[str, Variable],
-    values: Mapping[str, object],
-    dims: Mapping[str, Sequence[Hashable]],
-    coordinates: Mapping[Any, Any],
-    **more: str | float,
-) -> xr.Dataset:
-    """Return the dataset of a fit, with its provenance and the attributes of the data that remain valid.
-
-    **Arguments:** `step`: name of the computation, for the attribute `history`; `title`: title, which is followed by
-    that of the data; `schema`, `values`, `dims`: as in `to_variables`; `more`: further attributes.
-    """
-    own = dataset_attributes("fit", f"{title}: {title_of(data, place.file)}", f"{step} {place.file}")
-    if "history" in data.attrs:
-        own["history"] = f"{own['history']}\n{data.attrs['history']}"
-    kept = {name: data.attrs[name] for name in _KEPT if name in data.attrs}
-    return xr.Dataset(to_variables(schema, values, dims), coordinates, {**own, **kept, **more})
+# Tables
 
 
 def law_facts(fit: xr.Dataset) -> dict[str, Any]:
@@ -109,7 +53,7 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
 
     **Arguments:** `fit`: a dataset that `fit_rop` returned.
     """
-    dims = [dim for dim in fit["aic"].dims if dim != "form"]
+    dims = group_dims(fit)
     values = {str(name): table(fit, str(name)) for name, v in fit.items() if set(v.dims) == {*dims, "form"}}
     for name in ("reason", "r_squared_reason", "standing"):
         values[name] = np.array(str(fit[name].attrs["flag_meanings"]).split())[values[name]]
@@ -119,8 +63,8 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
         lanes = fit.isel(dict(zip(dims, position, strict=True)))
         coordinates = {str(name): lanes[name].item() for name in lanes.coords if lanes[name].ndim == 0}
         forms = {
-            str(form): {name: rows[index, column].item() for name, rows in values.items()}
-            for column, form in enumerate(fit["form"].values)
+            form: {name: rows[index, column].item() for name, rows in values.items()}
+            for column, form in enumerate(_forms(fit))
         }
         group = {"name": names[index], "coordinates": coordinates, "forms": forms}
         groups.append({**group, "recommended": choices[index]})
@@ -133,7 +77,7 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
 def law_table(facts: Mapping[str, Any]) -> list[str]:
     """Return lines of text: a table of the forms for each of the first groups, then the number of other groups."""
     lines: list[str] = []
-    for group in facts["groups"][:GROUPS_TABULATED]:
+    for group in facts["groups"][:_GROUPS_LISTED]:
         first = next(iter(group["forms"].values()))
         left_out = f", {first['left_out']} left out" if first["left_out"] else ""
         head = f"{group['name']}: {counted(first['used'], 'lane')} along {facts['along']}{left_out}"
@@ -141,13 +85,18 @@ def law_table(facts: Mapping[str, Any]) -> list[str]:
         if len(reasons) == 1 and not any(math.isfinite(values["C"]) for values in group["forms"].values()):
             lines.append(f"{head}: {reasons.pop()}")
             continue
+        by_blocks = any(values["standing"] == "chosen" for values in group["forms"].values())
         lines += [""] * bool(lines) + [head]
-        is_compared = any(values["standing"] == "chosen" for values in group["forms"].values())
-        by_blocks = f"{'CV [m/s]':>11}" * is_compared
-        lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}{by_blocks}")
+        lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>12}")
+        lines[-1] += f"{'CV [m/s]':>11}" * by_blocks
         lines += [f"  {form:<9}{_table_row(values)}".rstrip() for form, values in group["forms"].items()]
-    further = len(facts["groups"]) - GROUPS_TABULATED
-    return lines + ([f"and {counted(further, 'group')} more"] if further > 0 else [])
+    return lines + _further(len(facts["groups"]))
+
+
+def _further(groups: int) -> list[str]:
+    """Return a line with the number of groups that are not listed, if there are any."""
+    more = groups - _GROUPS_LISTED
+    return [f"and {counted(more, 'group')} more"] if more > 0 else []
 
 
 def _table_row(values: Mapping[str, float | int | str]) -> str:
@@ -158,11 +107,14 @@ def _table_row(values: Mapping[str, float | int | str]) -> str:
         f"{values[name]:.4g} ± {values[f'{name}_stderr']:.2g}" if math.isfinite(float(values[name])) else ""
         for name in ("C", "eta0", "exponent")
     ]
-    row = f"{cells[0]:<24}{cells[1]:<22}{cells[2]:<20}{values['r_squared']:>8.4f}{values['aic']:>10.2f}"
+    row = f"{cells[0]:<24}{cells[1]:<22}{cells[2]:<20}{values['r_squared']:>8.4f}{values['aic']:>12.2f}"
     row += f"{values['cv_error']:>11.4g}" if math.isfinite(float(values["cv_error"])) else ""
     reasons = [str(values[name]) for name in ("reason", "r_squared_reason") if values[name] != "identified"]
     reasons += [str(values["standing"])] * (values["standing"] in ("chosen", "undecided"))
     return f"{row}  {', '.join(reasons)}" if reasons else row
+
+
+# The recommended C
 
 
 def recommended(fit: xr.Dataset) -> list[dict[str, Any] | None]:
@@ -173,10 +125,9 @@ def recommended(fit: xr.Dataset) -> list[dict[str, Any] | None]:
 
     A dictionary holds `form`, `C` [m/s] and the ends `low` and `high` of its 95 % confidence interval [m/s], by
     Student's distribution. With rig data it also holds these three in the unit of the data's rate, as `in_unit`, and
-    this `unit`. It is None if the log law does not hold, its C is not positive, or the lanes cannot
-    decide it.
+    this `unit`. It is None if the log law does not hold, its C is not positive, or the lanes cannot decide it.
     """
-    names = [str(name) for name in fit["form"].values]
+    names = _forms(fit)
     judged, above_best = _judged(fit)
     c, error, freedom, reason = (table(fit, name) for name in ("C", "C_stderr", "degrees_of_freedom", "reason"))
     forms: dict[int, int] = {}
@@ -198,6 +149,113 @@ def recommended(fit: xr.Dataset) -> list[dict[str, Any] | None]:
     return choices
 
 
+def _recommendation(fit: xr.Dataset) -> list[str]:
+    """Return lines of text with the recommended C of the first groups, in m/s and in the unit of the data's rate."""
+    lines = []
+    for name, choice in zip(group_names(fit), recommended(fit), strict=True):
+        if choice:
+            scales = [(choice, "m/s"), *([(choice["in_unit"], choice["unit"])] if "unit" in choice else [])]
+            texts = [f"{x['C']:.4g} {unit} ({x['low']:.4g} to {x['high']:.4g})" for x, unit in scales]
+            lines.append(f"{name}: C = {' = '.join(texts)}, {choice['form']}")
+    if not lines:
+        return []
+    title = "recommended C (95 % interval), of the reading of the log law with the lowest AIC:"
+    if (standings(fit) == Standing.CHOSEN).any():
+        title = "recommended C (95 % interval, by a bootstrap of blocks), of the chosen form:"
+    return [title, *(f"  {line}" for line in lines[:_GROUPS_LISTED] + _further(len(lines)))]
+
+
+# The comparison of the forms
+
+
+def verdict(fit: xr.Dataset) -> list[str]:
+    """Return lines of text: the form that describes the data best, where the log law holds, and the recommended C.
+
+    For a log whose forms were compared over blocks of rows, they say which form the data support, and from which others
+    they cannot tell it. Otherwise, a form holds in a group if its AIC exceeds the lowest by at most
+    `CLEAR_AIC_DIFFERENCE`. The log law holds if one of its three readings holds. Groups with fewer than four lanes with
+    a rate cannot decide it.
+
+    **Arguments:** `fit`: a dataset that `fit_rop` returned.
+    """
+    judged, _ = _judged(fit)
+    missing = ~np.isfinite(table(fit, "aic"))
+    lost, by_blocks = missing.any(axis=1), (standings(fit) == Standing.CHOSEN).any()
+    lines = []
+    if lost.any() and not by_blocks:  # count the reason of the first missing form in each group
+        meanings = str(fit["reason"].attrs["flag_meanings"]).split()
+        reasons = table(fit, "reason")[lost, np.argmax(missing[lost], axis=1)]
+        counts = {meanings[flag]: int((reasons == flag).sum()) for flag in np.unique(reasons)}
+        listed = ", ".join(f"{meaning} {count}" for meaning, count in sorted(counts.items()))
+        lines.append(f"not every form can be told in {reasons.size} of {judged.size}: {listed}")
+    if (short := ~judged & ~lost).any():
+        needed = f"at least {LEAST_DEGREES_OF_FREEDOM + 2} with a rate are needed"
+        lines.append(f"too few lanes to compare the forms in {short.sum()} of {judged.size}; {needed}")
+    if by_blocks:
+        lines += _forms_by_blocks(fit)
+    elif judged.any():
+        lines += _forms_by_aic(fit)
+    else:
+        lines.append("no form can be told from the lanes that are there")
+    limits = [LIMITS_OF_LOGS] if is_log(fit) else []
+    return [*lines, *_determined_combinations(fit), *limits, *_recommendation(fit)]
+
+
+def _forms_by_blocks(fit: xr.Dataset) -> list[str]:
+    """Return lines of text: the form that each of the first groups supports, and forms that may be the truth too."""
+    standing, aic, names, titles = standings(fit), table(fit, "aic"), np.array(_forms(fit)), group_names(fit)
+    groups, lines = np.flatnonzero((standing == Standing.CHOSEN).any(axis=1)), []
+    for group in groups[:_GROUPS_LISTED].tolist():
+        chosen = str(names[standing[group] == Standing.CHOSEN][0])
+        if rivals := ", ".join(names[standing[group] == Standing.UNDECIDED]):
+            lines.append(f"{titles[group]}: these data cannot tell {chosen} from {rivals}")
+        else:
+            contains = (standing[group] == Standing.CONTAINS_CHOSEN).any()
+            others = "every form that does not contain it" if contains else "the other forms"
+            lines.append(f"{titles[group]}: the data support {chosen}, {formulas_of(fit)[chosen]}, against {others}")
+        best = str(names[np.nanargmin(aic[group])])
+        if best != chosen and best not in CONTAINED.get(chosen, ()):
+            lines.append(f"  AIC is lowest for {best}, but takes neighbouring rows for independent")
+    title = "by the rates of each block of rows, predicted from the other blocks (CV):"
+    return [title, *(f"  {line}" for line in lines + _further(groups.size))]
+
+
+def _forms_by_aic(fit: xr.Dataset) -> list[str]:
+    """Return lines of text: the forms with the lowest AIC, and where the log law holds or is beaten."""
+    names, (judged, above_best), r_squared = _forms(fit), _judged(fit), table(fit, "r_squared")
+    best, holds = np.argmin(above_best, axis=1), above_best <= CLEAR_AIC_DIFFERENCE
+    lines = [f"along {fit.attrs['along']}, over {judged.sum()} of {judged.size}:"]
+    rows = [(int((best == form).sum()), int(holds[:, form].sum()), form) for form in range(len(names))]
+    for lowest, close, form in sorted(rows, reverse=True):
+        counts = f"lowest AIC in {lowest}, within {CLEAR_AIC_DIFFERENCE:g} of it in {close}"
+        lines.append(f"  {names[form]:<8} {counts}; R2 {_range_text(r_squared[judged, form])}")
+    readings = {name: holds[:, names.index(name)] for name in LOGARITHMIC}
+    log_law = above_best[:, [names.index(name) for name in LOGARITHMIC]].min(axis=1)
+    beaten = log_law > CLEAR_AIC_DIFFERENCE
+    region = _region_text(fit, np.flatnonzero(judged)[~beaten]) if beaten.any() else ""
+    lines.append(f"the log law holds in {(~beaten).sum()} of {judged.sum()}{region}{'' if beaten.all() else ':'}")
+    for name, mask in sorted(readings.items(), key=lambda reading: not reading[1].any()):
+        share = f"R2 {_range_text(r_squared[judged, names.index(name)][mask if mask.any() else slice(None)])}"
+        if mask.any():
+            lines.append(f"  as {name}, {formulas_of(fit)[name]}, in {mask.sum()}: {share}")
+        elif name == "literal" and not beaten.all():
+            lines.append(f"  not as literal, {formulas_of(fit)[name]}, which is how the source writes it: {share}")
+    eta0, error = (table(fit, name)[judged, names.index("onset")] for name in ("eta0", "eta0_stderr"))
+    if (early := readings["onset"] & (eta0 + ONSET_STANDARD_ERRORS * error < 1)).any():
+        where = "" if early.all() else f" in {early.sum()} of {early.size}"
+        lines.append(
+            f"the onset eta0 {_range_text(eta0[early])} is below 1{where}: penetration begins at a mean force P below "
+            "D, as the peaks of the force exceed its mean; the literal form has no rate there"
+        )
+    if beaten.any():
+        lines.append(f"it is beaten in {beaten.sum()}, by an AIC of {_range_text(log_law[beaten])}:")
+        titles = group_names(fit)
+        for row in np.argsort(-log_law, kind="stable")[: min(_BEATEN_LISTED, beaten.sum())]:
+            lines.append(f"  {titles[np.flatnonzero(judged)[row]]}: {names[best[row]]} by {log_law[row]:.3g}")
+        lines += [f"  and {beaten.sum() - _BEATEN_LISTED} more"] if beaten.sum() > _BEATEN_LISTED else []
+    return lines
+
+
 def _judged(fit: xr.Dataset) -> tuple[Bool[np.ndarray, " groups"], Float[np.ndarray, "judged forms"]]:
     """Return a mask of the groups with enough lanes to compare all forms, and there the AIC above the lowest one."""
     aic = table(fit, "aic")
@@ -205,95 +263,48 @@ def _judged(fit: xr.Dataset) -> tuple[Bool[np.ndarray, " groups"], Float[np.ndar
     return judged, aic[judged] - aic[judged].min(axis=1, keepdims=True)
 
 
-def verdict(fit: xr.Dataset) -> list[str]:
-    """Return lines of text: which form describes the data best by AIC, and for which groups the log law holds.
-
-    For a log whose forms were compared over blocks of rows, they say which form the data support, and from which others
-    they cannot tell it. Otherwise, a form holds in a group if its AIC exceeds the lowest by at most
-    `CLEAR_AIC_DIFFERENCE`. The log law holds if one of its three readings holds. Groups with fewer than four lanes with
-    a rate cannot decide it. The last lines state the recommended C.
-
-    **Arguments:** `fit`: a dataset that `fit_rop` returned.
-    """
-    names = [str(name) for name in fit["form"].values]
-    aic, r_squared = table(fit, "aic"), table(fit, "r_squared")
-    missing = ~np.isfinite(aic)
-    judged, above_best = _judged(fit)
-    is_short, lost = ~judged & ~missing.any(axis=1), missing.any(axis=1)
-    lines = []
-    if lost.any():  # count the reason of the first missing form in each group
-        meanings = str(fit["reason"].attrs["flag_meanings"]).split()
-        reasons = table(fit, "reason")[lost, np.argmax(missing[lost], axis=1)]
-        counts = {meanings[flag]: int((reasons == flag).sum()) for flag in np.unique(reasons)}
-        listed = ", ".join(f"{meaning} {count}" for meaning, count in sorted(counts.items()))
-        lines.append(f"not every form can be told in {reasons.size} of {judged.size}: {listed}")
-    if is_short.any():
-        needed = f"at least {LEAST_DEGREES_OF_FREEDOM + 2} with a rate are needed"
-        lines.append(f"too few lanes to compare the forms in {is_short.sum()} of {judged.size}; {needed}")
-    if (standings(fit) == Standing.CHOSEN).any():
-        return [
-            *(lines if is_short.any() else []),
-            *supported_forms(fit),
-            *determined_combinations(fit),
-            *_recommendation(fit),
-        ]
-    if not judged.any():
-        return [*lines, "no form can be told from the lanes that are there", *determined_combinations(fit)]
-    best = np.argmin(above_best, axis=1)
-    lines.append(f"along {fit.attrs['along']}, over {judged.sum()} of {judged.size}:")
-    holds = above_best <= CLEAR_AIC_DIFFERENCE
-    rows = [(int((best == form).sum()), int(holds[:, form].sum()), form) for form in range(len(names))]
-    for lowest, close, form in sorted(rows, reverse=True):
-        share = range_text(r_squared[judged, form])
-        counts_of_form = f"lowest AIC in {lowest}, within {CLEAR_AIC_DIFFERENCE:g} of it in {close}"
-        lines.append(f"  {names[form]:<8} {counts_of_form}; R2 {share}")
-    readings = {name: holds[:, names.index(name)] for name in LOGARITHMIC}
-    log_law = above_best[:, [names.index(name) for name in LOGARITHMIC]].min(axis=1)
-    beaten = log_law > CLEAR_AIC_DIFFERENCE
-    region = region_text(fit, np.flatnonzero(judged)[~beaten]) if beaten.any() else ""
-    colon = "" if beaten.all() else ":"
-    lines.append(f"the log law holds in {(~beaten).sum()} of {judged.sum()}{region}{colon}")
-    for name, mask in sorted(readings.items(), key=lambda reading: not reading[1].any()):
-        share = f"R2 {range_text(r_squared[judged, names.index(name)][mask if mask.any() else slice(None)])}"
-        if mask.any():
-            lines.append(f"  as {name}, {formulas_of(fit)[name]}, in {mask.sum()}: {share}")
-        elif name == "literal" and not beaten.all():
-            lines.append(f"  not as literal, {formulas_of(fit)[name]}, which is how the source writes it: {share}")
-    onset = names.index("onset")
-    eta0, error = (table(fit, name)[judged, onset] for name in ("eta0", "eta0_stderr"))
-    if (early := readings["onset"] & (eta0 + ONSET_STANDARD_ERRORS * error < 1)).any():
-        where = "" if early.all() else f" in {early.sum()} of {early.size}"
-        lines.append(
-            f"the onset eta0 {range_text(eta0[early])} is below 1{where}: penetration begins at a mean force P below "
-            "D, as the peaks of the force exceed its mean; the literal form has no rate there"
-        )
-    if beaten.any():
-        lines.append(f"it is beaten in {beaten.sum()}, by an AIC of {range_text(log_law[beaten])}:")
-        worst = np.argsort(-log_law, kind="stable")[: min(_GROUPS_BEATEN_SHOWN, beaten.sum())]
-        groups = group_names(fit)
-        for row in worst:
-            lines.append(f"  {groups[np.flatnonzero(judged)[row]]}: {names[best[row]]} by {log_law[row]:.3g}")
-        lines += [f"  and {beaten.sum() - len(worst)} more"] if beaten.sum() > len(worst) else []
-    return [*lines, *_recommendation(fit)]
-
-
-def _recommendation(fit: xr.Dataset) -> list[str]:
-    """Return lines of text with the recommended C of the first groups, in m/s and in the unit of the data's rate."""
-    choices = recommended(fit)
-    if not any(choices):
+def _determined_combinations(fit: xr.Dataset) -> list[str]:
+    """Return lines of text: what the data determine if the threshold is unknown."""
+    force = attribute_of(fit, "reference_force")
+    if force is None:
         return []
-    lines = []
-    for name, choice in zip(group_names(fit), choices, strict=True):
-        if choice:
-            texts = [_interval(choice, "m/s")]
-            texts += [_interval(choice["in_unit"], choice["unit"])] if "unit" in choice else []
-            lines.append(f"{name}: C = {' = '.join(texts)}, {choice['form']}")
-    more = [f"  and {len(lines) - GROUPS_TABULATED} more"] if len(lines) > GROUPS_TABULATED else []
-    by_blocks = (standings(fit) == Standing.CHOSEN).any()
-    how = "of the chosen form" if by_blocks else "of the reading of the log law with the lowest AIC"
-    title = f"recommended C (95 % interval{', by a bootstrap of blocks' * bool(by_blocks)}), {how}:"
-    return [title, *(f"  {line}" for line in lines[:GROUPS_TABULATED]), *more]
+    onset, error = (fit[f"onset_force{name}"].sel(form="onset").values.ravel() for name in ("", "_stderr"))
+    slope = fit["C"].sel(form="line").values.ravel() / force
+    known = np.isfinite(onset)
+    lines = [
+        f"the threshold D is unknown, so that eta = P/{force / 1e3:.4g} kN, by the median of the mean force P. "
+        "The data determine C and eta0 D of onset, C/D and eta0 D of line, the exponent and C/D^exponent of power:"
+    ]
+    for group in np.flatnonzero(known)[:_GROUPS_LISTED].tolist():
+        lines.append(
+            f"  {group_names(fit)[group]}: onset eta0 D = {onset[group] / 1e3:.4g} ± {error[group] / 1e3:.2g} kN; "
+            f"line C/D = {1e3 * slope[group]:.4g} m/s per kN"
+        )
+    if known.any():
+        lines.append("  literal and percent have the curve of onset: D would be eta0 D, or 100 times as much")
+    return lines
 
 
-def _interval(values: Mapping[str, Any], unit: str) -> str:
-    return f"{values['C']:.4g} {unit} ({values['low']:.4g} to {values['high']:.4g})"
+def _forms(fit: xr.Dataset) -> list[str]:
+    return [str(name) for name in fit["form"].values]
+
+
+def _range_text(values: Float[np.ndarray, " groups"]) -> str:
+    """Return the least, the greatest and the median of values, or that there are none."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return "is not defined, since no rate varies"
+    low, middle, high = np.min(values), np.median(values), np.max(values)
+    return f"{low:.4g}" if len(values) == 1 else f"{low:.4g} to {high:.4g} (median {middle:.4g})"
+
+
+def _region_text(fit: xr.Dataset, groups: Int[np.ndarray, " groups"]) -> str:
+    """Return text that describes the smallest box over the groups' axes that contains `groups`, flat indices."""
+    dims = group_dims(fit)
+    positions = np.unravel_index(groups, [fit.sizes[dim] for dim in dims]) if dims else ()
+    ranges = []
+    for dim, indices in zip(dims, positions, strict=True):
+        if dim in fit.coords and len(indices):
+            low, high = (value_text(fit[dim], int(index)) for index in (indices.min(), indices.max()))
+            ranges.append(f"{dim} {low}" + (f" to {high}" if high != low else ""))
+    return f", all of them within {', '.join(ranges)}" if ranges else ""

@@ -15,9 +15,13 @@ from vibrojax.analyses.rop_law.blocks import (
     compare,
     prediction_errors,
 )
+from vibrojax.analyses.rop_law.blocks import (
+    segments as find_segments,
+)
 from vibrojax.analyses.rop_law.data import Columns, Data, open_data
+from vibrojax.analyses.rop_law.dataset import GOODNESS_SCHEMA, LAW_TITLE, fit_dataset
 from vibrojax.analyses.rop_law.forms import FORMS, SAME_AS_ONSET, Form, Model
-from vibrojax.analyses.rop_law.groups import Groups, group_lanes, usable_lanes
+from vibrojax.analyses.rop_law.groups import data_variables, group_lanes, usable_lanes
 from vibrojax.analyses.rop_law.least_squares import (
     LOSSES,
     Lanes,
@@ -30,12 +34,11 @@ from vibrojax.analyses.rop_law.least_squares import (
     r_squared_reason,
     reason_of_no_fit,
 )
-from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, LAW_TITLE, fit_dataset
-from vibrojax.analyses.rop_law.segments import segments as find_segments
-from vibrojax.errors import Place, counted, shown, suggestion
+from vibrojax.errors import Place, counted
 from vibrojax.io.riglog import log_lines
 from vibrojax.io.variables import Variable
 from vibrojax.progress import LOG
+from vibrojax.sweep.input.values import choice
 
 _LEAST_SLOPE = 1e-10
 """Slope theta_1 of rate/greatest rate below which there is no onset, since the slope is a rounding error."""
@@ -114,8 +117,8 @@ def fit_rop(
     [1.0, 1.0]
     """
     place, data, groups = read_groups(data, along, by, columns, segments, dialect=dialect, fastest=fastest)
-    if robust is not None and robust not in LOSSES:
-        raise place.at("robust").error(f"{shown(robust)} is unknown; {suggestion(str(robust), LOSSES)}")
+    if robust is not None:
+        choice(place.at("robust"), robust, LOSSES)
     return fit_groups(place, data, groups, robust, progress)
 
 
@@ -126,7 +129,7 @@ def read_groups(
     columns: Columns,
     segments: bool = False,
     **reading: str | None,
-) -> tuple[Place, xr.Dataset, Groups]:
+) -> tuple[Place, xr.Dataset, xr.Dataset]:
     """Return the data of a fit and their groups, and the `Place` for messages; the arguments are those of `fit_rop`.
 
     **Raises:** `InputError`.
@@ -134,9 +137,10 @@ def read_groups(
     place, data = open_data(data, "fit_rop", rates=True, columns=columns, **reading)
     lanes, by = usable_lanes(data), (by,) if isinstance(by, str) else tuple(by)
     if segments:
-        if by or along or "dialect" not in data.attrs:
-            fault = "is for the rows of a log" if "dialect" not in data.attrs else "makes the groups"
-            raise place.at("segments").error(f"{fault}; leave out {'segments' if 'log' in fault else 'along and by'}")
+        if "dialect" not in data.attrs:
+            raise place.at("segments").error("is for the rows of a log; leave out segments")
+        if by or along:
+            raise place.at("segments").error("makes the groups; leave out along and by")
         valid, numbers = lanes["valid"].values, np.zeros(lanes["valid"].size, int)
         numbers[valid] = find_segments(lanes["relief"].values[valid], lanes["rate"].values[valid])
         lanes = lanes.assign_coords(segment=("point", np.maximum.accumulate(numbers), {"units": "1"}))
@@ -145,40 +149,35 @@ def read_groups(
 
 
 def fit_groups(
-    place: Place, data: xr.Dataset, groups: Groups, robust: str | None = None, progress: bool = False
+    place: Place, data: xr.Dataset, groups: xr.Dataset, robust: str | None = None, progress: bool = False
 ) -> xr.Dataset:
     """Fit every form to every group; return the dataset that `fit_rop` describes."""
-    LOG.info("chosen: along %s, %d groups, loss %s", groups.along, groups.count.size, robust or "squares")
+    along, (*dims, lane) = groups.attrs["along"], groups["rate"].dims
+    sizes, counts = tuple(groups.sizes[dim] for dim in dims), groups["is_lane"].sum(lane).values.ravel()
+    LOG.info("chosen: along %s, %d groups, loss %s", along, counts.size, robust or "squares")
     start = time.monotonic()
-    rows = zip(groups.relief, groups.rate, groups.valid, strict=True)
-    unknown = "reference_force" in data.attrs
-    fits = [
-        fit
-        for relief, rate, valid in rows
-        for fit in _fit_group(relief[valid], rate[valid], robust, "dialect" in data.attrs, unknown)
-    ]
+    ordered, unknown = "dialect" in data.attrs, "reference_force" in data.attrs
+    fits: list[dict[str, float | int]] = []
+    lanes = (groups[name].values.reshape(counts.size, -1) for name in ("relief", "rate", "valid"))
+    for relief, rate, valid in zip(*lanes, strict=True):
+        fits += _fit_group(relief[valid], rate[valid], robust, ordered, unknown)
     if progress:
-        for line in log_lines(data):
-            print(line, file=sys.stderr)
-        number, size, seconds = groups.count.size, groups.count.max(), time.monotonic() - start
-        print(
-            f"{counted(number, 'group')} of {counted(size, 'lane')} along {groups.along} fitted in {seconds:.1f} s",
-            file=sys.stderr,
-        )
+        fitted = f"{counted(counts.size, 'group')} of {counted(counts.max(), 'lane')} along {along} fitted"
+        print("\n".join([*log_lines(data), f"{fitted} in {time.monotonic() - start:.1f} s"]), file=sys.stderr)
     values = {name: np.array([fit[name] for fit in fits]) for name in fits[0]}
-    values["left_out"] = np.repeat(groups.count, len(FORMS)) - values["used"]
+    values["left_out"] = np.repeat(counts, len(FORMS)) - values["used"]
     values["r_squared_reason"] = r_squared_reason(values["r_squared"], values["reason"])
-    shaped = {name: value.reshape(*groups.sizes.values(), len(FORMS)) for name, value in values.items()}
+    shaped = {name: value.reshape(*sizes, len(FORMS)) for name, value in values.items()}
     form = ("form", [form.name for form in FORMS], {"units": "1", "long_name": "form of the law"})
-    more = {"along": groups.along, "formulas": "; ".join(f"{form.name}: {form.formula}" for form in FORMS)}
+    more = {"along": along, "formulas": "; ".join(f"{form.name}: {form.formula}" for form in FORMS)}
     more |= {"robust": robust} if robust else {}
-    dims, coordinates = dict.fromkeys(_SCHEMA, (*groups.sizes, "form")), {**groups.coordinates, "form": form}
-    fit = fit_dataset(place, data, "fit", LAW_TITLE, _SCHEMA, shaped, dims, coordinates, **more)
+    schema_dims, coordinates = dict.fromkeys(_SCHEMA, (*dims, "form")), {**groups.coords, "form": form}
+    fit = fit_dataset(place, data, "fit", LAW_TITLE, _SCHEMA, shaped, schema_dims, coordinates, **more)
     if unknown:
         for name in ("", "_stderr"):
             about = {"units": "N", "long_name": "standard error of " * bool(name) + "the force at the onset, eta0 D"}
             fit[f"onset_force{name}"] = (data.attrs["reference_force"] * fit[f"eta0{name}"]).assign_attrs(about)
-    return fit.assign(groups.data_variables())
+    return fit.assign(data_variables(groups))
 
 
 def _fit_group(
@@ -195,10 +194,10 @@ def _fit_group(
         if unknown and form.name in SAME_AS_ONSET:
             fits.append(_no_fit(rate) | {"reason": Reason.UNKNOWN_THRESHOLD})
             continue
-        fit, model, minimum = _fit_form(form, relief, rate, robust, ordered)
+        fit, found = _fit_form(form, relief, rate, robust, ordered)
         fits.append(fit)
-        if model is not None and minimum is not None:
-            minima[index] = model, minimum
+        if found is not None:
+            minima[index] = found
     noise = min((minimum.residual for _, minimum in minima.values()), key=np.linalg.norm, default=rate)
     if not ordered or (block := blocks_of(noise)) is None:
         return fits
@@ -219,15 +218,15 @@ def _no_fit(rate: Lanes) -> dict[str, float | int]:
 
 def _fit_form(
     form: Form, relief: Lanes, rate: Lanes, robust: str | None, ordered: bool
-) -> tuple[dict[str, float | int], Model | None, Minimum | None]:
+) -> tuple[dict[str, float | int], tuple[Model, Minimum] | None]:
     """Fit a form to one group; return its values by name, NaN with a `reason` if the lanes do not identify them.
 
-    `ordered`: whether the noise of neighbouring lanes is correlated. The other results are the model and its minimum,
+    `ordered`: whether the noise of neighbouring lanes is correlated. The second result is the model and its minimum,
     with rates in units of the greatest one.
     """
     seen, fit = rate > 0, _no_fit(rate)
     if (reason := reason_of_no_fit(seen, form.size, np.log(relief))) is not None:
-        return fit | {"reason": reason}, None, None
+        return fit | {"reason": reason}, None
     unit = float(rate.max())  # scaled rates: squares of very small or large rates would underflow or overflow
     y, censored = rate / unit, ~seen
     model, frame = form.model(relief, seen)
@@ -235,7 +234,7 @@ def _fit_form(
     if robust:
         minimum, spread = minimise_loss(LOSSES[robust], model, y, censored, minimum)
     if not minimum.converged:
-        return fit | {"reason": Reason.NOT_CONVERGED}, None, None
+        return fit | {"reason": Reason.NOT_CONVERGED}, None
     theta, lanes = minimum.theta, minimum.active
     noise = minimum.residual[lanes]
     if robust:  # the residual is replaced by psi (the derivative of the loss), divided by the mean of its slope
@@ -257,4 +256,4 @@ def _fit_form(
     errors[np.isnan(values)] = np.nan
     for name, scale, value, error in zip(("C", "eta0", "exponent"), (unit, 1.0, 1.0), values, errors, strict=True):
         fit[name], fit[f"{name}_stderr"] = scale * value, scale * error
-    return fit | goodness(minimum, y, unit) | {"reason": reason}, model, minimum
+    return fit | goodness(minimum, y, unit) | {"reason": reason}, (model, minimum)

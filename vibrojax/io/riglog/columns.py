@@ -167,7 +167,7 @@ def choose_columns(
         if name in chosen:
             count = sum(split_unit(other)[0] == name for other in header)
             raise place.error(f"column {name} is there {count} times; give it once")
-        chosen[name] = _column(place.at(f"column {cell}"), name, cell, index, unit)
+        chosen[name] = _column(Place(place.file, f"{place.key}, column {cell}"), name, cell, index, unit)
         taken[index] = name
     beside: list[tuple[str, Column]] = []
     notes: list[str] = []
@@ -188,7 +188,7 @@ def choose_columns(
             notes.append(f"{name}: column {shown(cell)} is in {unit}, not a unit of {name}, and is left out")
             continue
         else:
-            own = _column(place.at(f"column {cell}"), name, cell, index, unit)
+            own = _column(Place(place.file, f"{place.key}, column {cell}"), name, cell, index, unit)
             column = Column(cell, index, unit, own.factor, assumed and name not in units)
         if name in chosen:
             same = split_unit(cell)[0].casefold() == split_unit(chosen[name].header)[0].casefold()

@@ -107,6 +107,11 @@ def normalised(name: str) -> str:
     return " ".join(re.findall(r"[a-z0-9]+", name.casefold())).removeprefix("average ")
 
 
+def is_alias(name: str) -> bool:
+    """Return whether a column name without a unit is known: "Rotary RPM" is, although it ends in a unit."""
+    return normalised(name) in _QUANTITIES
+
+
 def recognise(cell: str, dialect: Dialect) -> tuple[str, str | None, bool] | None:
     """Return the quantity and unit of a column by its name, and whether the unit is the dialect's; None if unknown.
 

@@ -24,11 +24,21 @@ from vibrojax.io.riglog.columns import (
     Column,
     choose_columns,
     columns_lines,
+    split_unit,
 )
-from vibrojax.io.riglog.dialects import DATE, detect_dialect, dialect_named, recognise
+from vibrojax.io.riglog.dialects import DATE, detect_dialect, dialect_named, is_alias, recognise
 from vibrojax.io.riglog.drilling import line_ranges, no_drilling, not_monotonic
-from vibrojax.io.tables import Rows, column_numbers, is_number, read_las, read_table, read_text, rows_without_units
-from vibrojax.models.physics.units import factor
+from vibrojax.io.tables import (
+    Rows,
+    column_numbers,
+    is_number,
+    read_las,
+    read_table,
+    read_text,
+    row_of_units,
+    separator,
+)
+from vibrojax.models.physics.units import factor, is_unit
 
 NULLS = (-999.25, -999.0, -9999.0, -9999.25)
 """Numbers that stand for a missing value in every dialect."""
@@ -38,6 +48,12 @@ FASTEST = "500 ft/h"
 
 _SAME = 0.05
 """Relative difference of the medians of two columns of one quantity above which one of their units is wrong."""
+
+LIMITS_OF_LOGS = (
+    "Rotary rig data are not percussive data: they can inform the friction at the bit and C of the law, "
+    "not the striker, the gap or the contact"
+)
+"""What summaries and pictures of a log say about it."""
 
 _LONGEST_CLOCK = len("23:59:59.999")
 _MEASUREMENTS = ("measurement", "no rows; add a line for each measurement", f"relief,{RATE}")
@@ -114,19 +130,28 @@ def open_log(
     if table is not None:
         text = (table.reset_index() if any(table.index.names) else table).to_csv(index=False)
     else:
-        text = read_text(path)
+        text = read_text(path, windows=True)
+    notes = []
     if text.lstrip().startswith("~") or path.suffix.lower() == ".las":
         line, header, rows, null = read_las(place, text)
         nulls += [null] if null is not None else []
         spoken, why = dialect_named("las"), "it begins with a section of LAS"
     else:
         line, header, others = read_table(path, *_MEASUREMENTS, text=text)
-        rows = rows_without_units(place, header, list(others))
-        first = next(part for part in text.splitlines() if part.strip())
-        spoken, why = detect_dialect(header, ";" if ";" in first and "," not in first else ",")
+        rows = list(others)
+        if units_below := row_of_units(rows):
+            header = [
+                f"{name} ({unit})" if is_unit(unit) and (is_alias(name) or split_unit(name)[1] is None) else name
+                for name, unit in zip(header, units_below, strict=True)
+            ]
+            notes.append(f"line {rows.pop(0)[0]} holds the units of the columns")
+        if not rows:
+            raise place.error(f"{_MEASUREMENTS[1]} below the units")
+        spoken, why = detect_dialect(header, separator(text))
     spoken, why = (given, "as the user says") if given else (spoken, why)
     guess = partial(recognise, dialect=spoken)
-    chosen, beside, notes = choose_columns(place.at(f"line {line}"), header, columns or {}, guess, units or {})
+    chosen, beside, left_out = choose_columns(place.at(f"line {line}"), header, columns or {}, guess, units or {})
+    notes += left_out
     lines = np.array([number for number, _ in rows])
     values: dict[str, Float[np.ndarray, " rows"]] = {}
     missing: dict[str, int] = {}
@@ -186,9 +211,14 @@ def open_log(
     return Log(place, line, header, chosen, data.set_coords([name for name in variables if name not in KNOWN]))
 
 
+def is_log(data: xr.Dataset) -> bool:
+    """Return whether a dataset holds, or was made from, an exported log of a rig."""
+    return text_of(data, "dialect", "plain") != "plain"
+
+
 def log_lines(data: xr.Dataset) -> list[str]:
     """Return lines of text: the dialect, the source and unit of each quantity, and what was dropped and why."""
-    if text_of(data, "dialect", "plain") == "plain":
+    if not is_log(data):
         return columns_lines(data)
     lines = [f"dialect {text_of(data, 'dialect')}: {text_of(data, 'detected')}", *columns_lines(data)]
     if dropped := table_of(data, "dropped"):
@@ -263,4 +293,6 @@ def _check_same(
         return
     ratio = float(np.median(others[both] / values[both]))
     fault = f"is {ratio:.4g} times column {shown(first.header)}, which should be the same {name}"
-    raise place.at(f"column {second.header}").error(f"{fault}; choose one: --columns {name}=COLUMN")
+    raise Place(place.file, f"{place.key}, column {second.header}").error(
+        f"{fault}; choose one: --columns {name}=COLUMN"
+    )

@@ -90,6 +90,7 @@ _UNIT = re.compile(r"(?:1|%|[a-zµ]+(?:-?[1-4]|[²³])?)(?:[ */·](?:%|[a-zµ]+(
 _DRAWN = re.compile(r"[A-Za-zµ°Ω][A-Za-z0-9µ°Ω /*·-]*|1/[A-Za-zµ°Ω][A-Za-z0-9µ°Ω]*")
 _powers = partial(re.compile(r"(?<=[A-Za-zµ])(?=-?\d)").sub, "**")  # "m s-1" is m*s**-1
 _MILLI = re.compile(r"\bm([nN]|[pP]a)\b")
+_PER = re.compile("_per_", re.IGNORECASE)  # of "ft_per_hr"
 _SEPARATORS = re.compile(r"(?<=[A-Za-z])[-_.](?=[A-Za-z])")  # of "k-lbs", "ft_lb" and "kN.m"
 
 
@@ -119,7 +120,7 @@ def factor(unit: str, si: str) -> float | None:
     Spellings of rig data such as `ft_per_hr`, `k-lbs` and `kN.m` are known.
     """
     unit = "1" if unit.strip() == "-" else unit.strip().replace("·", "*").replace("\N{GREEK SMALL LETTER MU}", "µ")
-    unit = _SEPARATORS.sub("", unit.replace("_per_", "/").replace("c/s", "rev/s"))
+    unit = _SEPARATORS.sub("", _PER.sub("/", unit).replace("c/s", "rev/s"))
     if not _UNIT.fullmatch(unit) or _MILLI.search(unit):
         return None
     import pint

@@ -4,8 +4,8 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.rop_law.data import Data, open_data
+from vibrojax.analyses.rop_law.dataset import fit_dataset, reason_variable
 from vibrojax.analyses.rop_law.least_squares import Reason
-from vibrojax.analyses.rop_law.results import fit_dataset, reason_variable
 from vibrojax.errors import Place
 from vibrojax.io.attributes import parameters_of
 from vibrojax.io.variables import Variable

@@ -9,18 +9,19 @@ import xarray as xr
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 
+from vibrojax.analyses.rop_law.dataset import fit_dataset, reason_variable
 from vibrojax.analyses.rop_law.least_squares import Reason, confounded_coefficients
-from vibrojax.analyses.rop_law.recording import MIN_SAMPLES, Contacts, Recording, contact_free_parts, open_recording
-from vibrojax.analyses.rop_law.results import fit_dataset, reason_variable
+from vibrojax.analyses.rotary_fits.recording import MIN_SAMPLES, Contacts, Recording, contact_free_parts, open_recording
 from vibrojax.compile import jitted
 from vibrojax.compile.xla import precision
-from vibrojax.errors import Place, shown, suggestion
+from vibrojax.errors import Place, shown
 from vibrojax.io.attributes import parameters_of
 from vibrojax.io.variables import Variable
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.meanings import suggest_parameter
 from vibrojax.models.scenes.rotary import Rotary
 from vibrojax.stepping.smoothed import smoothed_trajectory
+from vibrojax.sweep.input.values import choice, quantity
 
 DEFAULT_WINDOW = 0.5
 """Default length [s] of the fitted window: about two returns to the section of the default drill."""
@@ -323,11 +324,9 @@ def _parameters(place: Place, data: xr.Dataset, values: Mapping[str, float]) -> 
     for name, value in values.items():
         if name not in table:
             raise place.at(name).error(f"is not a parameter of the rotary scene; {suggest_parameter(name, table)}")
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise place.at(name).error(f"{shown(value)} is not a number")
-        if fault := table[name].problem(value) or ("is 0; it must be above 0" if name == "mu" and value == 0 else None):
-            raise place.at(name).error(fault)
-        p[name] = float(value)
+        p[name] = quantity(place.at(name), value, table[name])
+    if p["mu"] == 0:
+        raise place.at("mu").error("is 0; it must be above 0")
     return p
 
 
@@ -336,9 +335,7 @@ def _state(
 ) -> list[float]:
     """Return the state at the beginning of the window: specified by `start`, or the initial guess for its search."""
     if isinstance(start, str):
-        if start not in _SCENE.starts:
-            raise place.at("start").error(f"{shown(start)} is unknown; {suggestion(start, _SCENE.starts)}")
-        return [0.0, -p["v"] if start == "stuck" else 0.0, 0.0, 0.0]
+        return [0.0, -p["v"] if choice(place.at("start"), start, _SCENE.starts) == "stuck" else 0.0, 0.0, 0.0]
     if start is not None:
         values = np.asarray(start, dtype=float)
         if values.shape != (4,) or not np.isfinite(values).all():
