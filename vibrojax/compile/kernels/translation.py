@@ -13,6 +13,7 @@ from jax.lax import GatherScatterMode
 from vibrojax.compile.kernels import arrangement, control, elementwise, selection
 from vibrojax.compile.kernels.assembly import (
     Assembly,
+    Untranslatable,
     Value,
     dtype_of,
     each,
@@ -309,9 +310,10 @@ def check_parameters(primitive: str, params: Mapping[str, Any]) -> None:
     """
     needed, irrelevant = _known_parameters(primitive)
     for name, value in params.items():
-        known = name in needed or name in irrelevant
-        refuse_if(not known, f"{primitive} with the unknown parameter {name}")
+        if name not in needed and name not in irrelevant:
+            raise Untranslatable(f"{primitive} with the unknown parameter {name}")
         accepts = ACCEPTED.get(f"{primitive}.{name}") or ACCEPTED.get(name)
-        refuse_if(accepts is not None and not accepts(value), f"{primitive} with {name} = {value}")
+        if accepts is not None and not accepts(value):
+            raise Untranslatable(f"{primitive} with {name} = {value}")
     for name in needed:
         refuse_if(name not in params, f"{primitive} without the parameter {name}")
