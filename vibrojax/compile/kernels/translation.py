@@ -184,7 +184,7 @@ def _write(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collectio
         number = np.asarray(var.val)
         return literals(number if number.dtype == jax.dtypes.float0 else number.astype(dtype_of(var.aval)))
 
-    for equation in jaxpr.eqns:
+    for equation in _needed(jaxpr):
         arguments = [value(var) for var in equation.invars]
         pairs = zip(arguments, equation.invars, strict=True)
         last = {id(x) for x, var in pairs if id(x) in owned and not _is_literal(var) and uses.get(var) == 1}
@@ -193,6 +193,16 @@ def _write(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collectio
             owned |= {id(x) for x in results}
         known |= dict(zip(equation.outvars, results, strict=True))
     return [value(var) for var in jaxpr.outvars]
+
+
+def _needed(jaxpr: Any) -> list[Any]:
+    """Return the equations on which the results depend. A trace also has equations whose results nothing reads."""
+    needed, equations = set(map(id, jaxpr.outvars)), []
+    for equation in reversed(jaxpr.eqns):
+        if not needed.isdisjoint(map(id, equation.outvars)):
+            needed.update(map(id, equation.invars))
+            equations.append(equation)
+    return equations[::-1]
 
 
 def _uses(jaxpr: Any) -> Counter[Any]:
