@@ -14,10 +14,10 @@ LANES = 1009
 axis. A kernel has no lane axis: each array element represents one value in all lanes of a group."""
 
 LLVM_TYPES = {
-    "float64": "double",
-    "float32": "float",
-    **{f"{sign}int{bits}": f"i{bits}" for bits in (64, 32, 16, 8) for sign in ("", "u")},
-    "bool": "i1",
+    np.dtype("float64"): "double",
+    np.dtype("float32"): "float",
+    **{np.dtype(f"{sign}int{bits}"): f"i{bits}" for bits in (64, 32, 16, 8) for sign in ("", "u")},
+    BOOL: "i1",
 }
 """LLVM's name of each number type."""
 
@@ -91,9 +91,9 @@ def each(function: Callable[..., Entry], *values: Value) -> Value:
 
 def element(dtype: np.dtype) -> str:
     """Return LLVM's name of a number type; raise `Untranslatable` if kernels do not support the type."""
-    name = np.dtype(dtype).name
-    refuse_if(name not in LLVM_TYPES, f"numbers of type {dtype}")
-    return LLVM_TYPES[name]
+    if dtype not in LLVM_TYPES:
+        raise Untranslatable(f"numbers of type {dtype}")
+    return LLVM_TYPES[dtype]
 
 
 def literal(x: Any, dtype: np.dtype) -> Operand:
@@ -133,7 +133,8 @@ def dtype_of(aval: Any) -> np.dtype:
 
     **Raises:** `Untranslatable` for types that numpy does not have, such as jax's random keys.
     """
-    refuse_if(not isinstance(aval.dtype, np.dtype), f"numbers of type {aval.dtype}")
+    if not isinstance(aval.dtype, np.dtype):
+        raise Untranslatable(f"numbers of type {aval.dtype}")
     return BOOL if aval.dtype == jax.dtypes.float0 else aval.dtype
 
 

@@ -12,6 +12,7 @@ from vibrojax.compile.kernels.assembly import (
     Assembly,
     Entry,
     Operand,
+    Untranslatable,
     element,
     literal,
     refuse_if,
@@ -83,9 +84,9 @@ def apply(asm: Assembly, name: str, entries: Sequence[Entry], gives: Any = None,
         return COMPOSED[name](asm, entries)
     operands = [asm.register(entry) for entry in entries]
     rule, op = RULES[name], Application(asm, operands, gives, params)
-    unlike = len({operand.dtype for operand in operands}) > 1 and name != "pow"
-    types = " and ".join(str(operand.dtype) for operand in operands)
-    refuse_if(op.dtype.kind not in rule.kinds or unlike, f"{name} of {types}")
+    unlike = any(operand.dtype != op.dtype for operand in operands) and name != "pow"
+    if op.dtype.kind not in rule.kinds or unlike:
+        raise Untranslatable(f"{name} of {' and '.join(str(operand.dtype) for operand in operands)}")
     return Operand(rule.write(op), op.gives, op.varying)
 
 

@@ -13,6 +13,7 @@ from jax.lax import GatherScatterMode
 from vibrojax.compile.kernels import arrangement, control, elementwise, selection
 from vibrojax.compile.kernels.assembly import (
     Assembly,
+    Untranslatable,
     Value,
     dtype_of,
     each,
@@ -183,7 +184,7 @@ def _write(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collectio
         number = np.asarray(var.val)
         return literals(number if number.dtype == jax.dtypes.float0 else number.astype(dtype_of(var.aval)))
 
-    for equation in jaxpr.eqns:
+    for equation in _needed(jaxpr):
         arguments = [value(var) for var in equation.invars]
         pairs = zip(arguments, equation.invars, strict=True)
         last = {id(x) for x, var in pairs if id(x) in owned and not _is_literal(var) and uses.get(var) == 1}
@@ -192,6 +193,16 @@ def _write(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collectio
             owned |= {id(x) for x in results}
         known |= dict(zip(equation.outvars, results, strict=True))
     return [value(var) for var in jaxpr.outvars]
+
+
+def _needed(jaxpr: Any) -> list[Any]:
+    """Return the equations on which the results depend. A trace also has equations whose results nothing reads."""
+    needed, equations = set(map(id, jaxpr.outvars)), []
+    for equation in reversed(jaxpr.eqns):
+        if not needed.isdisjoint(map(id, equation.outvars)):
+            needed.update(map(id, equation.invars))
+            equations.append(equation)
+    return equations[::-1]
 
 
 def _uses(jaxpr: Any) -> Counter[Any]:
@@ -309,9 +320,10 @@ def check_parameters(primitive: str, params: Mapping[str, Any]) -> None:
     """
     needed, irrelevant = _known_parameters(primitive)
     for name, value in params.items():
-        known = name in needed or name in irrelevant
-        refuse_if(not known, f"{primitive} with the unknown parameter {name}")
+        if name not in needed and name not in irrelevant:
+            raise Untranslatable(f"{primitive} with the unknown parameter {name}")
         accepts = ACCEPTED.get(f"{primitive}.{name}") or ACCEPTED.get(name)
-        refuse_if(accepts is not None and not accepts(value), f"{primitive} with {name} = {value}")
+        if accepts is not None and not accepts(value):
+            raise Untranslatable(f"{primitive} with {name} = {value}")
     for name in needed:
         refuse_if(name not in params, f"{primitive} without the parameter {name}")
