@@ -107,6 +107,7 @@ class Calibrations(Analysis):
     kind = "calibration"
     variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
     pictures = (PictureRule("a calibration", lambda held: "posterior" in held.variables, calibration_picture),)
+    view = "plots"
 
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
         """Run a calibration, as [vibrojax.calibrate][] does."""

@@ -119,7 +119,7 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
 
     **Example:**
 
-    >>> runs = {"v": [1.2, 1.5, 1.8], "period": [0.23029, 0.22962, 0.22871]}
+    >>> runs = {"v": [1.2, 1.5, 1.8], "period": [0.230586, 0.229602, 0.228930]}  # of the orbits at beta = 0.4
     >>> about = {"scene": "vibro-impact", "start": "stuck", "parameters": {"delta": 0.005, "gamma": 0.75}}
     >>> fit = vj.calibrate({**about, "data": runs, "unknown": {"beta": [0.3, 0.5]}, "searches": 1}, progress=False)
     >>> f"{float(fit.estimate[0]):.2f}"

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.analyses.catalogue import list_variables
 from vibrojax.analyses.design.spec import DRAWN_BOX, Constraint, DesignSpec, Front
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.io.variables import Variable
 from vibrojax.measures.labels import REGIMES
-from vibrojax.sweep.engine.labelled import measured_besides
+from vibrojax.sweep.engine.scene_variables import sweep_variables
 from vibrojax.sweep.input.bounds import read_bounds, read_points_of
 from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.source import read_source
@@ -136,10 +135,8 @@ def _read_tolerances(
 
 def _known_variables(names: Names) -> dict[str, Variable]:
     """Return the variables that a design may use: numbers, one per lane or along `multiplier`."""
-    held = list_variables(names.system)
-    held = held[held["where"] == ""]
-    known = VARIABLES | measured_besides(names.system)
-    return {name: known[name] for name in held.index if name in known and known[name].along in ("", "multiplier")}
+    held = sweep_variables(names.system)
+    return {name: about for name, about in held.items() if about.along in ("", "multiplier")}
 
 
 def _is_continuous(variable: Variable, name: str) -> bool:

@@ -10,7 +10,7 @@ import xarray as xr
 from jaxtyping import Bool
 
 from vibrojax.analyses.analysis import Analysis
-from vibrojax.analyses.sensitivity.tangents import NEARBY, REASONS, judged, measured_of, run_and_derive
+from vibrojax.analyses.sensitivity.tangents import NEARBY, REASONS, judged, run_and_derive
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
@@ -19,6 +19,7 @@ from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import HasFriction, Scene
 from vibrojax.periodic.orbit_derivatives import COUNTED
 from vibrojax.sweep.engine.labelled import measured_besides, unresolved
+from vibrojax.sweep.engine.scene_variables import feature_names
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.values import quantity
 
@@ -122,7 +123,7 @@ def derivatives(
     settle, observe = setting("settle", settle, usual[0]), setting("observe", observe, usual[1])
     accepted = setting("error", error, 1e-3, "1")
     known = VARIABLES | measured_besides(system)
-    measured = measured_of(system)
+    measured = feature_names(system)
     smooth = [
         name
         for name, about in known.items()

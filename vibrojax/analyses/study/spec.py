@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 
-from vibrojax.analyses.catalogue import list_variables
 from vibrojax.analyses.study.sampling import Sampling
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.io.variables import VARIABLES
+from vibrojax.sweep.engine.scene_variables import sweep_variables
 from vibrojax.sweep.input.bounds import read_bounds, read_points_of
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.names import Names, read_names
@@ -78,10 +77,9 @@ def _read_of(place: Place, value: object, names: Names) -> list[str]:
     if not isinstance(value, list) or not value:
         problem = "missing" if value is None else f"{shown(value)} names no variable"
         raise place.error(f'{problem}; write a list like of = ["impact_energy", "blow_frequency"]')
-    known = list_variables(names.system)
-    own = [str(name) for name in known.index[known["where"] == ""]]
-    plain = [name for name in own if name not in VARIABLES or not (VARIABLES[name].flags or VARIABLES[name].along)]
-    allowed = plain + [SHARE] * ("impacts" in plain and "regime" in own)
+    known = sweep_variables(names.system)
+    plain = [name for name, about in known.items() if not (about.flags or about.along)]
+    allowed = plain + [SHARE] * ("impacts" in plain and "regime" in known)
     for index, name in enumerate(value):
         if name not in allowed:
             raise place.item(index).error(
