@@ -120,6 +120,8 @@ def test_the_command_writes_dataset_and_picture(motion, tmp_path, capsys):
         ({"data": {"v": [1.0], "perid": [0.2]}}, "column perid: is neither a parameter"),
         ({"data": {"v": [1.0], "period (kg)": [0.2]}}, "is in kg, not a unit of period"),
         ({"data": {"v": [np.nan], "period": [0.2]}}, "column v: has an empty cell"),
+        ({"data": {"v": [1.0], "period": [np.nan]}}, "column period: has no number"),
+        ({"data": {"v": [1.0, 1.5], "period": [0.2, np.inf]}}, "column period: has an infinite value"),
         ({"data": {"mu": [0.4], "period": [0.2]}}, "column mu: is an unknown"),
         ({"data": None}, "data: missing"),
         ({"error": {"period": 0.0}}, "error.period"),

@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 )
 def design(options: Options) -> None:
     """Find the best drill under constraints that hold from every start and within the tolerances."""
-    from vibrojax.analyses.design.reading import read_design
     from vibrojax.analyses.design.run import find_design
+    from vibrojax.analyses.design.spec import read_design
 
     spec = read_design(options.file)
 
     def compute() -> "xarray.Dataset":
         dataset = find_design(spec, progress=not options.quiet)
         if options.chart:
-            from vibrojax.analyses.design.chart.region import charted
+            from vibrojax.analyses.design.chart import charted
 
             dataset = charted(dataset, spec, progress=not options.quiet)
         return dataset

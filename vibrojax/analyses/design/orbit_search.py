@@ -12,8 +12,8 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from vibrojax.analyses.design.evaluation import Simulator, Unit, distinct_starts
+from vibrojax.analyses.design.orbits import is_periodic, orbit_states, scene_parameters
 from vibrojax.analyses.design.search import Candidate, evaluate, evaluate_new
-from vibrojax.analyses.design.slopes import is_periodic, orbit_states, scene_parameters
 from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_features
 
 FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.05, 0.2, 1e-4
