@@ -37,14 +37,9 @@ def design(options: Options) -> None:
             dataset = charted(dataset, spec, progress=not options.quiet)
         return dataset
 
-    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.design.analysis import Designs
-
-        return dict(Designs().summary(dataset)[0].facts)
-
     identity = {**spec.identity(), **({"chart": True} if options.chart else {})}
     default = f"{spec.name}-{'chart' if options.chart else 'design'}.nc"
-    answer(options, default, identity, compute, facts)
+    answer(options, default, identity, compute)
     if options.chart:
         from vibrojax.analyses.pictures import save_picture
         from vibrojax.io.dataset import open_dataset

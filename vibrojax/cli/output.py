@@ -202,13 +202,14 @@ def answer(
     default: str,
     identity: Mapping[str, object],
     compute: Callable[[], "xarray.Dataset"],
-    facts: Callable[["xarray.Dataset"], Mapping[str, object]] = lambda dataset: {},
+    facts: Callable[["xarray.Dataset"], Mapping[str, object]] | None = None,
     *,
     numbered: bool = False,
 ) -> None:
     """Compute a result, write and draw it, and print its summary as text, or with `--json` its `facts`.
 
-    A result that its file holds already is only printed. `default`, `identity`, `numbered`: as for `result_at`.
+    The facts are by default those of the analysis's summary. A result that its file holds already is only printed.
+    `default`, `identity`, `numbered`: as for `result_at`.
     """
     out = result_at(options, default, identity, numbered=numbered)
     from vibrojax.analyses.analysis import analysis_of
@@ -223,11 +224,14 @@ def answer(
     else:
         drawn = stored_picture(options, dataset, out)
         last = stored_line(dataset, out, drawn)
+    if options.quiet and not options.json:
+        return
+    parts = analysis_of(dataset).summary(dataset)
     if options.json:
-        print_json({**facts(dataset), **file_facts(out, drawn)})
-    elif not options.quiet:
-        lines = [line for part in analysis_of(dataset).summary(dataset) for line in part.lines]
-        print("\n".join([*lines, last]))
+        own = {key: fact for part in parts for key, fact in part.facts.items()} if facts is None else facts(dataset)
+        print_json({**own, **file_facts(out, drawn)})
+    else:
+        print("\n".join([*(line for part in parts for line in part.lines), last]))
 
 
 def file_facts(out: Path, drawn: str) -> dict[str, object]:

@@ -217,12 +217,7 @@ def tolerance(options: Options) -> None:
     def compute() -> "xarray.Dataset":
         return simulate_box(box, progress=not options.quiet)
 
-    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.tolerance.analysis import Tolerances
-
-        return dict(Tolerances().summary(dataset)[0].facts)
-
-    answer(options, f"{box.sweep.scene}-tolerance.nc", box.identity(), compute, facts)
+    answer(options, f"{box.sweep.scene}-tolerance.nc", box.identity(), compute)
 
 
 def _pair(place: Place, word: str) -> tuple[str, tuple[float, float]]:

@@ -27,8 +27,9 @@ USES = ("used", "no-orbit")
 VAGUE = 0.5
 """Relative standard error from which on a parameter is not identified."""
 
-AT_BOUND = 1e-3
-"""Distance from a bound, relative to the interval, within which an estimate is at the bound."""
+AT_BOUND = 1e-2
+"""Distance from a bound, relative to the interval, within which an estimate whose next step leads beyond the bound is
+at the bound: a search approaches it slowly."""
 
 LARGEST_OFFSET = 0.05
 """Length of the residuals along the tangent plane, in standard errors, up to which a search has reached a minimum
@@ -147,12 +148,17 @@ def _dataset(
     known = uncertainty_of(spec, theta, jacobian, variance if np.isfinite(variance) else 1.0)
     width = np.sqrt(np.diag(known.covariance))
     stderr = known.scale * width
-    place = (theta - spec.low) / (spec.high - spec.low)
-    reason = np.where(width < VAGUE, REASONS.index("identified"), REASONS.index("confounded"))
-    reason = np.where(np.minimum(place, 1 - place) < AT_BOUND, REASONS.index("at-bound"), reason)
-    along = jacobian @ np.linalg.lstsq(jacobian, left)[0]
-    if not np.linalg.norm(along) <= LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE:
-        reason[reason == REASONS.index("identified")] = REASONS.index("not-converged")
+    step = -np.linalg.lstsq(jacobian, left)[0]
+    margin = AT_BOUND * (spec.high - spec.low)
+    beyond = ((theta < spec.low + margin) & (theta + step < spec.low)) | (
+        (theta > spec.high - margin) & (theta + step > spec.high)
+    )
+    free = jacobian * ~beyond
+    offset = np.linalg.norm(free @ np.linalg.lstsq(free, left)[0])
+    converged = offset <= LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE
+    determined = "identified" if converged else "not-converged"
+    reason = np.where(width < VAGUE, REASONS.index(determined), REASONS.index("confounded"))
+    reason = np.where(beyond, REASONS.index("at-bound"), reason)
     if freedom < 0 or (freedom == 0 and spec.errors is None):
         reason[:], stderr = REASONS.index("too-few-observations"), np.full_like(stderr, np.nan)
     draws = posterior_draws(spec, theta, known, freedom)

@@ -12,7 +12,7 @@ from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.variables import Variable
 from vibrojax.measures.labels import REGIMES
 from vibrojax.sweep.engine.scene_variables import sweep_variables
-from vibrojax.sweep.input.bounds import read_bounds, read_points_of, read_specification
+from vibrojax.sweep.input.bounds import MAX_TOLERANCES, read_bounds, read_points_of, read_specification
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.names import Names
 from vibrojax.sweep.input.read import read_sweep
@@ -22,9 +22,6 @@ from vibrojax.sweep.input.values import as_table, choice, count, flag, known_key
 DRAWN_BOX = 1.04
 """Size of the box from which verification draws, relative to the tolerances: what holds there holds in the box."""
 
-
-MAX_TOLERANCES = 6
-"""Largest number of parameters with a tolerance; six have 64 corners."""
 
 MARGIN = 2.0
 """Tightening of a limit, in units of the accepted relative error of a lane: other runs of the point meet it, too."""

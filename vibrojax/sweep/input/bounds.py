@@ -15,6 +15,9 @@ from vibrojax.sweep.input.values import as_table, known_keys, warn_if_far
 MAX_VARIED = 12
 """Largest number of varied parameters: a dozen, as many as a person chooses by hand."""
 
+MAX_TOLERANCES = 6
+"""Largest number of parameters with a tolerance; six have 64 corners, and 192 edges."""
+
 _EXAMPLE = "write one like gamma = [0.6, 0.8]"
 
 
