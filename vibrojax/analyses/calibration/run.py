@@ -73,8 +73,8 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed values
     of variables of the orbit (period, forces, velocities, powers, rates). The residuals are differentiated by
     [vibrojax.as_jax][] and minimised by optimistix's Levenberg-Marquardt method inside the bounds, from several points.
-    The orbit is the one on which the motion from `start` settles at the first row, and its continuation: attractors
-    coexist, so observations of another motion are fitted by the wrong orbit, and their residuals show it. To fit
+    The motion from `start` settles on an orbit at the first row, which is continued to the other rows. Attractors
+    coexist: observations of another motion are fitted by the wrong orbit, and their residuals show it. To fit
     friction to the velocity of the bit over time, use [vibrojax.fit_friction][].
 
     The Fisher information J'J of the residuals, in logarithms of positive parameters, has eigenvectors: combinations of
@@ -141,20 +141,20 @@ def _dataset(
     used: Bool[np.ndarray, " observations"],
 ) -> xr.Dataset:
     target = target_of(spec, used)
-    left, jacobian = (np.asarray(f(jnp.asarray(theta), *target)) for f in (model.residuals, model.jacobian))
+    residuals, jacobian = (np.asarray(f(jnp.asarray(theta), *target)) for f in (model.residuals, model.jacobian))
     freedom = int((target.weight > 0).sum()) + int(np.isfinite(spec.prior_error).sum()) - len(theta)
     variance = 1.0 if spec.errors is not None else cost / freedom if freedom > 0 else np.nan
     noise = np.nan if spec.errors is not None else float(np.sqrt(variance))
     known = uncertainty_of(spec, theta, jacobian, variance if np.isfinite(variance) else 1.0)
     width = np.sqrt(np.diag(known.covariance))
     stderr = known.scale * width
-    step = -np.linalg.lstsq(jacobian, left)[0]
+    step = -np.linalg.lstsq(jacobian, residuals)[0]
     margin = AT_BOUND * (spec.high - spec.low)
     beyond = ((theta < spec.low + margin) & (theta + step < spec.low)) | (
         (theta > spec.high - margin) & (theta + step > spec.high)
     )
     free = jacobian * ~beyond
-    offset = np.linalg.norm(free @ np.linalg.lstsq(free, left)[0])
+    offset = np.linalg.norm(free @ np.linalg.lstsq(free, residuals)[0])
     converged = offset <= LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE
     determined = "identified" if converged else "not-converged"
     reason = np.where(width < VAGUE, REASONS.index(determined), REASONS.index("confounded"))

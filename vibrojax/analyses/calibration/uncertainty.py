@@ -1,4 +1,4 @@
-"""What the observations say of the unknowns near the estimate: Fisher information, combinations, and a posterior."""
+"""The uncertainty of the unknowns near the estimate: Fisher information, combinations, and a posterior."""
 
 from typing import NamedTuple
 

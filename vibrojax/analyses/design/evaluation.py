@@ -100,7 +100,7 @@ class Simulator:
     def failures(self, constraints: Sequence[Constraint]) -> Float[np.ndarray, "points varied"]:
         """Return the points of the unit box at which a simulated lane failed; every tolerance box excludes them.
 
-        They are known where the tolerances are those of the varied parameters, and all starts must be good.
+        They are known where the varied parameters have the tolerances, and all starts must be good.
         """
         failed = [np.zeros((0, len(self.spec.varied)))]
         for unit, lanes in self.history:

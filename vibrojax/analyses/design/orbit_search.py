@@ -65,7 +65,7 @@ class Orbit:
     def rows(self, unit: Unit) -> "Visit":
         """Return objective and slacks at a point, solved from the orbit at the centre.
 
-        Without such an orbit, they are those of the centre extrapolated, and a constraint is violated.
+        Without such an orbit, the centre is extrapolated, and a constraint is violated.
         """
         key = unit.tobytes()
         if key not in self.visited:
