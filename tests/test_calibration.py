@@ -83,6 +83,21 @@ def test_the_period_determines_only_the_ratio_of_stiffness_and_mass(motion):
     assert not prior.reason.any() and float(prior.estimate[0]) == pytest.approx(250, abs=15)
 
 
+def test_an_estimate_at_a_bound_is_named(motion):
+    fit = _calibrated(_runs(motion), unknown={"mu": [0.5, 0.6]})
+    assert REASONS[int(fit.reason[0])] == "at-bound" and float(fit.estimate[0]) == pytest.approx(0.5, abs=2e-3)
+    assert "an estimate at a bound has no standard error" in "\n".join(analysis_of(fit).summary(fit)[0].lines)
+
+
+def test_few_observations_have_a_wider_posterior(motion):
+    """The residuals give the error with one degree of freedom: the posterior is Cauchy's, far wider than the normal."""
+    rows = {name: x[:2] for name, x in _runs(motion, 1e-3).items() if name in ("v", "period")}
+    fit = _calibrated(rows, unknown={"mu": [0.25, 0.6]}, draws=20_000)
+    logs = np.log(fit.posterior.values[:, 0] / float(fit.estimate[0]))
+    quarter = float(fit.estimate_stderr[0] / fit.estimate[0])  # the quartiles of Cauchy's are at one scale
+    assert fit.freedom == 1 and np.mean(np.abs(logs) < quarter) == pytest.approx(0.5, abs=0.02)
+
+
 def test_the_laws_coefficient_is_calibrated_with_the_drill():
     speeds = np.linspace(1.6, 2.0, 4)
     sweep = {"scene": "drilling", "starts": ["stuck"], "points": {"v": speeds.tolist()}, "run": {"orbits": True}}
@@ -106,6 +121,9 @@ def test_the_command_writes_dataset_and_picture(motion, tmp_path, capsys):
     assert main(["calibrate", str(tmp_path / "drill.toml"), "-o", str(out), "--quiet", "--json"]) == 0
     assert '"combinations"' in capsys.readouterr().out
     assert out.exists() and out.with_suffix(".png").exists()
+    assert main(["explore", str(out), "-o", str(tmp_path / "page.html")]) == 0 and (tmp_path / "page.html").exists()
+    assert main(["plot", str(out), "--variable", "residual"]) == 2
+    assert '"residual" has no picture of its own, since a calibration is drawn' in capsys.readouterr().err
     again = vj.open_dataset(out)
     assert again.estimate.values == pytest.approx(_calibrated(rows).estimate.values, rel=1e-6)
 
@@ -120,6 +138,8 @@ def test_the_command_writes_dataset_and_picture(motion, tmp_path, capsys):
         ({"data": {"v": [1.0], "perid": [0.2]}}, "column perid: is neither a parameter"),
         ({"data": {"v": [1.0], "period (kg)": [0.2]}}, "is in kg, not a unit of period"),
         ({"data": {"v": [np.nan], "period": [0.2]}}, "column v: has an empty cell"),
+        ({"data": {"v": [1.0], "period": [np.nan]}}, "column period: has no number"),
+        ({"data": {"v": [1.0, 1.5], "period": [0.2, np.inf]}}, "column period: has an infinite value"),
         ({"data": {"mu": [0.4], "period": [0.2]}}, "column mu: is an unknown"),
         ({"data": None}, "data: missing"),
         ({"error": {"period": 0.0}}, "error.period"),

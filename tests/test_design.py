@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.design import mapping, orbit_search, robustness, run, search
+from vibrojax.analyses.design import chart, evaluation, orbit_search, robustness, run, search
 from vibrojax.analyses.design.analysis import Designs
-from vibrojax.analyses.design.chart import region as chart
-from vibrojax.analyses.design.chart.page import A4, chart_page
-from vibrojax.analyses.design.evaluation import Simulator
+from vibrojax.analyses.design.chart import A4, chart_page
+from vibrojax.analyses.design.evaluation import Simulator, coarse_map, ranked
 from vibrojax.analyses.design.fronts import front_limits, without_limit
-from vibrojax.analyses.design.mapping import coarse_map, ranked
-from vibrojax.analyses.design.reading import read_design
+from vibrojax.analyses.design.orbits import scene_parameters
 from vibrojax.analyses.design.robustness import DRAWS, MAX_CORNERS, box_samples, search_offsets
 from vibrojax.analyses.design.search import Candidate
-from vibrojax.analyses.design.slopes import scene_parameters
+from vibrojax.analyses.design.spec import read_design
 from vibrojax.cli import main
 from vibrojax.measures.labels import REGIMES
 
@@ -175,7 +173,7 @@ GRANITE = {"parameters": {"rock": "granite", "beta": 0.4, "delta": 0.005}}
     }.values(),
 )  # fmt: skip
 def test_what_cannot_be_met_is_one_line(change, line, monkeypatch):
-    monkeypatch.setitem(mapping.AXIS_POINTS, 1, 5)
+    monkeypatch.setitem(evaluation.AXIS_POINTS, 1, 5)
     monkeypatch.setattr(search, "MAX_ITERATIONS", 0)
     monkeypatch.setattr(robustness, "MAX_REPAIRS", 0)
     table = {key: x for key, x in DESIGN.items() if key not in ("tolerance", "front")}

@@ -16,8 +16,7 @@ import numpy as np
 
 import vibrojax as vj
 from vibrojax.analyses.design.evaluation import Simulator, assess
-from vibrojax.analyses.design.reading import read_design
-from vibrojax.analyses.design.spec import DesignSpec
+from vibrojax.analyses.design.spec import DesignSpec, read_design
 
 DESIGNS = ("energy", "rate-in-sandstone", "power-at-120-kn")
 FINE, CELLS_AT_ONCE = 160, 4096

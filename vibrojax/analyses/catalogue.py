@@ -4,40 +4,28 @@ All tables are derived from the definitions that the simulation uses.
 """
 
 from dataclasses import fields, is_dataclass
-from functools import cache
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import pandas as pd
 
 from vibrojax.analyses import glossary
 from vibrojax.analyses.analysis import offered_variables
+from vibrojax.analyses.design.dataset import DESIGN_VARIABLES
+from vibrojax.analyses.study.run import SCHEMA as STUDY_SCHEMA
 from vibrojax.analyses.tolerance.run import tolerance_variables
-from vibrojax.compile.xla import precision
 from vibrojax.errors import Place
 from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
-from vibrojax.io.variables import VARIABLES
-from vibrojax.measures import recorder_for
-from vibrojax.measures.derived import derived_names
-from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.models.physics.friction import FRICTION_LAWS
 from vibrojax.models.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
 from vibrojax.models.physics.rock import ROCKS
 from vibrojax.models.scenes import SCENES, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.models.scenes.penetration import PULSE_SHAPES
-from vibrojax.stepping import AccuracyRequest, stepper_named
-from vibrojax.sweep.engine.labelled import measured_besides, of_orbits
+from vibrojax.sweep.engine.labelled import of_orbits
+from vibrojax.sweep.engine.scene_variables import sweep_variables
 from vibrojax.sweep.input.names import Names, enter_offered, read_names
 from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.run_settings import MEANINGS, RunSettings
 from vibrojax.sweep.input.starts import PLANE, SAMPLE
-
-_OF_ALL = {"status", "reason", "error_estimate"}
-_WITH_SECTION = {"regime", "check_regime", "drift_estimate", "sensitive", "hidden_motion"}
-_WITH_ORBITS = {"multiplier_abs", "multiplier_arg", "stable", "orbit_residual", "grazing_margin", "orbit_cycles"}
-_WITH_ORBITS |= {"orbit_reason"}
-_WITH_ORBITS_AND_SECTION = {"nearby_cycles", "nearby_impacts", "nearby_distance"}
 
 
 def list_scenes() -> pd.DataFrame:
@@ -107,25 +95,17 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     >>> vj.list_variables("drilling").loc["relief", ["units", "meaning"]].tolist()
     ['1', 'mean force over threshold, P/D']
     """
-    # The specifications of designs and studies use this table.
-    from vibrojax.analyses.design.dataset import DESIGN_VARIABLES
-    from vibrojax.analyses.study.run import SCHEMA
-
     system = read_names(Place("scenes"), scene).system
-    has_section, orbit_states = system.section is not None, of_orbits(system)
-    held = _OF_ALL | set(_measured(system))
-    held |= {*_WITH_ORBITS, *orbit_states} if orbit_states else set()
-    held |= _WITH_SECTION | _WITH_ORBITS_AND_SECTION if has_section else set()
-    known = VARIABLES | measured_besides(system) | orbit_states
+    held, has_section, has_orbits = sweep_variables(system), system.section is not None, bool(of_orbits(system))
     tables = {
-        "": {name: about for name, about in known.items() if name in held},
-        "follow": OF_FAMILIES if orbit_states else {},
+        "": held,
+        "follow": OF_FAMILIES if has_orbits else {},
         "borders": OF_BORDERS if isinstance(system, HasImpacts) and has_section else {},
-        "curves": OF_CURVES if orbit_states else {},
+        "curves": OF_CURVES if has_orbits else {},
         "attractors": OF_ATTRACTORS if has_section else {},
         "tolerance": tolerance_variables(held) if "regime" in held else {},
         "design": DESIGN_VARIABLES,
-        "study": {name: about for name, (_, about) in SCHEMA.items()} if "regime" in held else {},
+        "study": {name: about for name, (_, about) in STUDY_SCHEMA.items()} if "regime" in held else {},
         **offered_variables(),
     }
     rows: dict[str, dict[str, str]] = {}
@@ -214,22 +194,6 @@ def _parameters_of_choices(names: Names) -> dict[str, dict[str, Parameter]]:
         f'pulse_shape = "{shape}"': {name: parameter for name, parameter in table.items() if name not in common}
         for shape, table in shapes.items()
     }
-
-
-@cache
-def _measured(scene: Scene[Any]) -> tuple[str, ...]:
-    """Return the names of a scene's measured variables by tracing, without a simulation."""
-
-    def run() -> Any:
-        values = {name: jnp.full(1, parameter.default) for name, parameter in scene.parameters().items()}
-        constants = scene.constants(values)
-        state = scene.start(constants, scene.starts[0] if scene.starts else None, (1,))
-        stepper = stepper_named("located")
-        effort = Effort(stepper.accuracy(AccuracyRequest(error=1e-4), scene), 1.0)
-        return run_block(scene, stepper, recorder_for(scene), constants, state, effort, 1.0, 1.0)
-
-    with precision("float64"):
-        return (*jax.eval_shape(run), *derived_names(scene))
 
 
 def _summary(kind: type) -> str:

@@ -225,7 +225,7 @@ def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
     noun = "time" if run else "point of the families" if orbits else "lane"
     analysis = analysis_of(ds)
     for name in names:
-        if not lanes and analysis.view == "none":
+        if not lanes and analysis.view == "plots":
             whole = f"a {analysis.kind} is drawn as a whole"
             raise InputError(f"variable: {shown(name)} has no picture of its own, since {whole}; leave it out")
         if name in ds.data_vars and name not in drawable:

@@ -54,7 +54,7 @@ def summary_lines(parts: list[SummaryPart]) -> list[str]:
         return line[: len(line) - len(words)] + printable(words, LONGEST_LINE, keep_spaces=True)
 
     rows = ((part.name if index == 0 else "", line) for part in parts for index, line in enumerate(part.lines))
-    return [f"{name:<10}{indented(line)}".rstrip() for name, line in rows]
+    return [f"{name:<9} {indented(line)}".rstrip() for name, line in rows]
 
 
 def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:

@@ -24,27 +24,22 @@ if TYPE_CHECKING:
 )
 def design(options: Options) -> None:
     """Find the best drill under constraints that hold from every start and within the tolerances."""
-    from vibrojax.analyses.design.reading import read_design
     from vibrojax.analyses.design.run import find_design
+    from vibrojax.analyses.design.spec import read_design
 
     spec = read_design(options.file)
 
     def compute() -> "xarray.Dataset":
         dataset = find_design(spec, progress=not options.quiet)
         if options.chart:
-            from vibrojax.analyses.design.chart.region import charted
+            from vibrojax.analyses.design.chart import charted
 
             dataset = charted(dataset, spec, progress=not options.quiet)
         return dataset
 
-    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.design.analysis import Designs
-
-        return dict(Designs().summary(dataset)[0].facts)
-
     identity = {**spec.identity(), **({"chart": True} if options.chart else {})}
     default = f"{spec.name}-{'chart' if options.chart else 'design'}.nc"
-    answer(options, default, identity, compute, facts)
+    answer(options, default, identity, compute)
     if options.chart:
         from vibrojax.analyses.pictures import save_picture
         from vibrojax.io.dataset import open_dataset

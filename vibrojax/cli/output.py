@@ -208,7 +208,7 @@ def answer(
 ) -> None:
     """Compute a result, write and draw it, and print its summary as text, or with `--json` its `facts`.
 
-    The default of `facts` is the first part of the summary. A result that its file holds already is only printed.
+    The facts are by default those of the analysis's summary. A result that its file holds already is only printed.
     `default`, `identity`, `numbered`: as for `result_at`.
     """
     out = result_at(options, default, identity, numbered=numbered)
@@ -224,10 +224,13 @@ def answer(
     else:
         drawn = stored_picture(options, dataset, out)
         last = stored_line(dataset, out, drawn)
+    if options.quiet and not options.json:
+        return
     parts = analysis_of(dataset).summary(dataset)
     if options.json:
-        print_json({**(facts(dataset) if facts else parts[0].facts), **file_facts(out, drawn)})
-    elif not options.quiet:
+        own = {key: fact for part in parts for key, fact in part.facts.items()} if facts is None else facts(dataset)
+        print_json({**own, **file_facts(out, drawn)})
+    else:
         print("\n".join([*(line for part in parts for line in part.lines), last]))
 
 

@@ -145,12 +145,7 @@ def rig(options: Options) -> None:
     def compute() -> "xarray.Dataset":
         return measures(file, dialect=options.dialect, columns=columns)
 
-    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.rig.analysis import Rigs
-
-        return dict(Rigs().summary(dataset)[1].facts)
-
-    answer(options, f"{file.stem}-rig.nc", identity, compute, facts)
+    answer(options, f"{file.stem}-rig.nc", identity, compute)
 
 
 @command(
@@ -174,12 +169,7 @@ def study(options: Options) -> None:
         with lanes_beside(spec.sweep, out, resume=resume, progress=not options.quiet) as lanes:
             return study_of(spec, lanes)
 
-    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.study.analysis import Studies
-
-        return dict(Studies().summary(dataset)[0].facts)
-
-    answer(options, name, spec.identity(), compute, facts)
+    answer(options, name, spec.identity(), compute)
 
 
 @command(
@@ -204,12 +194,7 @@ def calibrate(options: Options) -> None:
 
         return find_calibration(spec, progress=not options.quiet)
 
-    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.calibration.analysis import Calibrations
-
-        return dict(Calibrations().summary(dataset)[0].facts)
-
-    answer(options, f"{Path(options.file).stem}-calibration.nc", spec.identity(), compute, facts)
+    answer(options, f"{Path(options.file).stem}-calibration.nc", spec.identity(), compute)
 
 
 @command(

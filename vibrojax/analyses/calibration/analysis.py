@@ -11,7 +11,7 @@ from vibrojax.analyses.analysis import Analysis, PictureRule, Source, SummaryPar
 from vibrojax.analyses.calibration.run import REASONS, SCHEMA, USES, VAGUE, calibrate
 from vibrojax.errors import counted
 from vibrojax.io.variables import Variable
-from vibrojax.plot.axes import pretty_unit, scale
+from vibrojax.plot.axes import pretty_unit, scale, with_unit
 from vibrojax.plot.sheet import write_margins
 from vibrojax.plot.style import BIT, FAINT, IMPACT, INK, new_figure, styled
 
@@ -50,8 +50,7 @@ def _draw_posterior(axes: Axes, ds: xr.Dataset) -> None:
     names = [str(name) for name in ds["parameter"].values]
     draws, estimate = ds["posterior"].values, ds["estimate"].values
     scales = [scale(_value(ds, k)) for k in range(len(names))]
-    units = [pretty_unit(unit) for _, unit in scales]
-    labels = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
+    labels = [with_unit(name, unit) for name, (_, unit) in zip(names, scales, strict=True)]
     if len(names) == 1:
         axes.hist(draws[:, 0] * scales[0][0], bins=30, color=FAINT)
         axes.axvline(estimate[0] * scales[0][0], color=IMPACT)
@@ -108,6 +107,7 @@ class Calibrations(Analysis):
     view = "plots"
     variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
     pictures = (PictureRule("a calibration", lambda held: "posterior" in held.variables, calibration_picture),)
+    view = "plots"
 
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
         """Run a calibration, as [vibrojax.calibrate][] does."""
@@ -122,16 +122,15 @@ class Calibrations(Analysis):
         ]
         errors = ds["direction_error"].values
         if "confounded" in reasons:
-            known = [k for k in range(len(errors)) if errors[k] < VAGUE]
-            texts = [f"{_combination(ds, k)} to {_percent(float(errors[k]))}" for k in known]
-            lines.append(f"the data determine {', '.join(texts) or 'nothing'}, and not the parameters by themselves")
+            texts = [f"{_combination(ds, k)} to {_percent(float(e))}" for k, e in enumerate(errors) if e < VAGUE]
+            determined = f"{', '.join(texts)}, and not the parameters by themselves" if texts else "no parameter"
+            lines.append(f"the data determine {determined}")
         elif "at-bound" in reasons:
             lines.append("an estimate at a bound has no standard error; widen the bounds, or examine the model")
         used = int((ds["used"] == USES.index("used")).sum())
         size, freedom = ds.sizes["observation"], int(ds["freedom"])
-        lines.append(f"{used} of {counted(size, 'observation')} used; the others have no orbit of this kind")
-        if used == size:
-            lines[-1] = f"all {counted(size, 'observation')} used"
+        others = "; the others have no orbit of this kind" if used < size else ""
+        lines.append(f"{used} of {counted(size, 'observation')} used{others}")
         if np.isfinite(ds["noise"]):
             lines.append(f"the observations scatter by {_percent(float(ds['noise']))} around the model")
         elif freedom > 0:

@@ -16,8 +16,8 @@ from vibrojax.io.tables import column_numbers, read_table, rows_without_units
 from vibrojax.io.variables import VARIABLES
 from vibrojax.models.physics.units import factor
 from vibrojax.periodic.orbit_derivatives import orbit_variables
-from vibrojax.sweep.input.bounds import read_bounds
-from vibrojax.sweep.input.names import Names, read_names
+from vibrojax.sweep.input.bounds import read_bounds, read_specification
+from vibrojax.sweep.input.names import Names
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.source import read_source
 from vibrojax.sweep.input.values import as_table, choice, count, number
@@ -70,6 +70,18 @@ class CalibrationSpec:
     draws: int
     seed: int
 
+    @property
+    def values(self) -> Float[np.ndarray, "observations of"]:
+        """Observations of all variables, NaN where there is none."""
+        return np.stack([*self.observed.values()], axis=1)
+
+    @property
+    def scales(self) -> Float[np.ndarray, "observations of"]:
+        """Standard errors of the observations; without these, the mean size of each variable."""
+        if self.errors is not None:
+            return np.stack([self.errors[name] for name in self.observed], axis=1)
+        return np.broadcast_to(np.nanmean(np.abs(self.values), axis=0), self.values.shape)
+
     def identity(self) -> dict[str, object]:
         """Return all settings on which the result depends, as flat JSON values."""
         tables = {f"data.{name}": x.tolist() for name, x in (self.conditions | self.observed).items()}
@@ -85,14 +97,7 @@ def read_calibration(source: str | PathLike[str] | Mapping[str, object]) -> Cali
     if isinstance(source, Mapping) and not isinstance(data, (str, PathLike)):
         source = {key: x for key, x in source.items() if key != "data"}
     origin = read_source(source, "calibration")
-    place, tables = Place(origin.file), dict(origin.tables)
-    for key in tables:
-        if key not in _KEYS:
-            raise place.at(key).error(f"unknown key; {suggestion(key, _KEYS)}")
-    if "scene" not in tables:
-        raise place.at("scene").error('missing; write the scene\'s name, like scene = "vibro-impact"')
-    fixed = dict(as_table(place.at("parameters"), tables.get("parameters", {})))
-    names = read_names(place.at("scene"), tables["scene"], dict(fixed), place.at("parameters"))
+    place, tables, fixed, names = read_specification(origin, _KEYS)
     unknown = dict(as_table(place.at("unknown"), tables.get("unknown", {})))
     if not unknown:
         raise place.at("unknown").error(f"missing, so there is nothing to calibrate; write one like {_EXAMPLE}")
@@ -213,6 +218,9 @@ def _split(
         if own:
             for value in column * scale:
                 names.quantity(here, name, float(value))
+        elif np.isinf(column).any() or not np.isfinite(column).any():
+            problem = "an infinite value" if np.isinf(column).any() else "no number"
+            raise here.error(f"has {problem}; leave a cell empty where there is no observation")
         (conditions if own else observed)[name] = column * scale
     size = len(next(iter(columns.values()), ()))
     if not observed:

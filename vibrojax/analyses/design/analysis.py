@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.analyses.design.chart.page import chart_page
+from vibrojax.analyses.design.chart import chart_page
 from vibrojax.analyses.design.dataset import DESIGN_VARIABLES
 from vibrojax.errors import counted
 from vibrojax.plot.axes import label, pretty_unit, scale, values_along

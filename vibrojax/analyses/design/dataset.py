@@ -7,8 +7,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.design.conditions import Conditions, limit_names, limit_values
-from vibrojax.analyses.design.evaluation import Assessment, Simulator, extreme
-from vibrojax.analyses.design.mapping import CoarseMap
+from vibrojax.analyses.design.evaluation import Assessment, CoarseMap, Simulator, extreme
 from vibrojax.analyses.design.search import Candidate
 from vibrojax.analyses.design.spec import DesignSpec
 from vibrojax.io.kinds import dataset_attributes

@@ -1,4 +1,4 @@
-"""Simulation of points from every start, and their assessment against the subject of a design."""
+"""Simulation of points from every start, their assessment against the subject of a design, and the coarse map."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
+from scipy.stats import qmc
 
 from vibrojax.analyses.design.spec import Constraint, DesignSpec
 from vibrojax.analyses.sweep.run import run_sweep
@@ -16,6 +17,15 @@ from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_variables
 
 Unit = Float[np.ndarray, " varied"]
 Offsets = Float[np.ndarray, "samples tolerances"]
+
+AXIS_POINTS = {1: 33, 2: 16}
+"""Points per axis of the map for one and two varied parameters, which make a grid."""
+
+FIRST_SAMPLE, LARGEST_SAMPLE = 16, 2048
+"""Sobol points of the map for more varied parameters: doubled until enough of them are feasible."""
+
+ENOUGH_FEASIBLE = 4
+"""Feasible points of the map with which a sample is not doubled."""
 
 SAME_ORBIT = 1e-6
 """Relative difference within which the motions from two starts count as one."""
@@ -90,7 +100,7 @@ class Simulator:
     def failures(self, constraints: Sequence[Constraint]) -> Float[np.ndarray, "points varied"]:
         """Return the points of the unit box at which a simulated lane failed; every tolerance box excludes them.
 
-        They are known where the tolerances are those of the varied parameters, and all starts must be good.
+        They are known where the varied parameters have the tolerances, and all starts must be good.
         """
         failed = [np.zeros((0, len(self.spec.varied)))]
         for unit, lanes in self.history:
@@ -179,3 +189,41 @@ def distinct_starts(assessment: Assessment) -> list[int]:
         if not any(np.allclose(motion, other, rtol=SAME_ORBIT, atol=0, equal_nan=True) for other in known):
             chosen.append(int(start))
     return chosen
+
+
+class CoarseMap(NamedTuple):
+    """The points of the map in the unit box, their assessments without tolerances, and the points' typical spacing."""
+
+    unit: Float[np.ndarray, "points varied"]
+    assessments: list[Assessment]
+    spacing: float
+
+
+def coarse_map(simulator: Simulator) -> CoarseMap:
+    """Simulate the map from every start."""
+    spec = simulator.spec
+    count = len(spec.varied)
+    if count in AXIS_POINTS:
+        axis = np.linspace(0, 1, AXIS_POINTS[count])
+        unit = np.stack(np.meshgrid(*[axis] * count, indexing="ij"), axis=-1).reshape(-1, count)
+        return CoarseMap(unit, _assessed(simulator, unit), 1 / (AXIS_POINTS[count] - 1))
+    sampler = qmc.Sobol(count, seed=0)
+    unit = sampler.random(FIRST_SAMPLE)
+    assessments = _assessed(simulator, unit)
+    while sum(a.feasible for a in assessments) < ENOUGH_FEASIBLE and len(unit) < LARGEST_SAMPLE:
+        more = sampler.random(len(unit))
+        unit = np.concatenate([unit, more])
+        assessments += _assessed(simulator, more)
+    return CoarseMap(unit, assessments, len(unit) ** (-1 / count))
+
+
+def _assessed(simulator: Simulator, unit: Float[np.ndarray, "points varied"]) -> list[Assessment]:
+    lanes = simulator(unit, np.zeros((len(unit), len(simulator.spec.tolerances))))
+    return [assess(lanes.part(slice(k, k + 1)), simulator.spec, simulator.spec.constraints) for k in range(len(unit))]
+
+
+def ranked(spec: DesignSpec, coarse: CoarseMap, constraints: Sequence[Constraint]) -> list[int]:
+    """Return the points of the map under these constraints, best first."""
+    own = constraints is spec.constraints
+    ranks = [(a if own else assess(a.lanes, spec, constraints)).rank for a in coarse.assessments]
+    return sorted(range(len(ranks)), key=ranks.__getitem__)

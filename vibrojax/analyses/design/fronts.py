@@ -9,8 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from vibrojax.analyses.design.dataset import FrontPoint
-from vibrojax.analyses.design.evaluation import Simulator, extreme
-from vibrojax.analyses.design.mapping import CoarseMap, ranked
+from vibrojax.analyses.design.evaluation import CoarseMap, Simulator, extreme, ranked
 from vibrojax.analyses.design.orbit_search import advance
 from vibrojax.analyses.design.robustness import box_samples, search_offsets, settle
 from vibrojax.analyses.design.search import Candidate, improve

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from vibrojax.analyses.design.evaluation import Simulator, Unit, distinct_starts
+from vibrojax.analyses.design.orbits import is_periodic, orbit_states, scene_parameters
 from vibrojax.analyses.design.search import Candidate, evaluate, evaluate_new
-from vibrojax.analyses.design.slopes import is_periodic, orbit_states, scene_parameters
 from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_features
 
 FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.05, 0.2, 1e-4
@@ -45,8 +45,7 @@ class Orbit:
     """The orbit of a candidate's worst start as a function of the point in the unit box."""
 
     def __init__(self, simulator: Simulator, candidate: Candidate, start: int) -> None:
-        assessment = candidate.assessment
-        assert assessment is not None
+        assessment = candidate.result
         self._spec, self._constraints = simulator.spec, candidate.constraints
         self._names = list(simulator.names)
         self._of = (*(simulator.features[name] for name in self._names), f"{MODULUS}0")
@@ -55,19 +54,28 @@ class Orbit:
         cycles = int(assessment.lanes.dataset["orbit_cycles"].values[0, start])
         self._guess = orbit_states(simulator.spec, assessment, start, cycles, parameters, 0)[None]
         self._impacts: float | None = None
-        self.visited: dict[bytes, Visit] = {}
         nominal = {c.variable: assessment.lanes.values[c.variable][0, start] for c in candidate.constraints}
         slack = [c.slack(nominal[c.variable]) for c in candidate.constraints]
         # The constraints are tightened by what they lose over the samples of the box.
         self._loss = [float(s - assessment.slack[j].min()) for j, s in enumerate(slack)]
         self.scale = abs(assessment.objective) or 1.0
-        self.centre = self._visit(candidate.point)
+        self.visited: dict[bytes, Visit] = {}
+        self.centre = self._solve(candidate.point)
 
     def rows(self, unit: Unit) -> "Visit":
-        """Return objective and slacks at a point, solved from the orbit at the centre."""
+        """Return objective and slacks at a point, solved from the orbit at the centre.
+
+        Without such an orbit, the centre is extrapolated, and a constraint is violated.
+        """
         key = unit.tobytes()
         if key not in self.visited:
-            self.visited[key] = self._visit(unit)
+            visit, centre = self._solve(unit), self.centre
+            if visit is None:
+                assert centre is not None
+                values = centre.values + centre.slopes @ (unit - centre.unit)
+                values[-1] = min(values[-1], -1.0)
+                visit = Visit(unit.copy(), values, centre.slopes, self._guess, False)
+            self.visited[key] = visit
         return self.visited[key]
 
     def move(self, centre: "Visit") -> None:
@@ -75,20 +83,8 @@ class Orbit:
         self.centre, self._guess = centre, centre.states
         self.visited = {centre.unit.tobytes(): centre}
 
-    def _visit(self, unit: Unit) -> "Visit":
-        """Return a visit; without such an orbit, it has the centre's values extrapolated, and violates a constraint."""
-        visit = self._valid(unit)
-        if visit is None:
-            centre = getattr(self, "centre", None)
-            count = 2 + len(self._constraints)
-            if centre is None:
-                return Visit(unit.copy(), np.full(count, -1.0), np.zeros((count, len(unit))), self._guess, False)
-            values = centre.values + centre.slopes @ (unit - centre.unit)
-            values[-1] = min(values[-1], -1.0)
-            return Visit(unit.copy(), values, centre.slopes, self._guess, False)
-        return visit
-
-    def _valid(self, unit: Unit) -> "Visit | None":
+    def _solve(self, unit: Unit) -> "Visit | None":
+        """Return the orbit at a point, or None if there is none of the same kind."""
         parameters, chain = scene_parameters(self._spec, unit[None])
         orbit = orbit_features(self._spec.template.system, self._of, self._by, parameters, self._guess, reach=1.0)
         jacobian = np.stack([chain.get(name, np.zeros((1, len(unit)))) for name in self._by], axis=1)
@@ -126,19 +122,19 @@ class Visit(NamedTuple):
 
 def orbit_path(simulator: Simulator, candidate: Candidate) -> list[Unit]:
     """Return points up to the optimum on the orbit of the candidate's worst start; empty if there is no such orbit."""
-    assessment = candidate.assessment
-    assert assessment is not None
+    assessment = candidate.result
     starts = distinct_starts(assessment)
     if not starts or not is_periodic(assessment, starts[0]) or set(simulator.features) != set(simulator.names):
         return []
     if not np.isfinite(assessment.slack).all():
         return []
     orbit = Orbit(simulator, candidate, starts[0])
-    if not orbit.centre.valid:
+    if orbit.centre is None:
         return []
+    now = orbit.centre
     radius, path = FIRST_RADIUS, []
     for _ in range(MAX_ROUNDS):
-        x = orbit.centre.unit
+        x = now.unit
         bounds = list(zip(np.maximum(0.0, x - radius), np.minimum(1.0, x + radius), strict=True))
         limits = {"fun": lambda u: orbit.rows(u).values[1:], "jac": lambda u: orbit.rows(u).slopes[1:]}
         minimize(
@@ -146,17 +142,17 @@ def orbit_path(simulator: Simulator, candidate: Candidate) -> list[Unit]:
             bounds=bounds, constraints=[{"type": "ineq", **limits}], options={"maxiter": ROUND_STEPS, "ftol": 1e-9},
         )  # fmt: skip
         simulator.orbits += len(orbit.visited)
-        best, now = max(orbit.visited.values(), key=lambda visit: visit.rank), orbit.centre
+        best = max(orbit.visited.values(), key=lambda visit: visit.rank)
         if best.rank[0] > now.rank[0] * (1 - LEAST_RELIEF) or best.values[0] > now.values[0] + LEAST_GAIN * abs(
             now.values[0]
         ):
             moved = float(np.abs(best.unit - x).max())
             radius = min(2 * radius, LARGEST_RADIUS) if moved > radius / 2 else radius
-            orbit.move(best)
+            now = best
             path.append(best.unit)
         else:
             radius /= 4
-            orbit.move(now)
+        orbit.move(now)
         if radius < LEAST_RADIUS:
             break
     return path

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import qmc
 
-from vibrojax.analyses.design.evaluation import Assessment, Offsets, Simulator, Unit, assess
-from vibrojax.analyses.design.motions import Motion, motions_at, predict
+from vibrojax.analyses.design.evaluation import Assessment, CoarseMap, Offsets, Simulator, Unit, assess, ranked
+from vibrojax.analyses.design.orbits import Motion, Request, motions_at, predict
 from vibrojax.analyses.design.spec import Constraint
 
 MAX_ITERATIONS = 40
@@ -45,6 +45,13 @@ LEAST_RELIEF = 1e-2
 
 UNGUIDED = 6
 """Proposals of an iteration, besides two for each varied parameter, where no orbit ranks them."""
+
+
+SEEDS, TRIED_SEEDS = 3, 12
+"""Number of candidates of the search, and number of points compared over their tolerance boxes to choose them."""
+
+APART = 0.12
+"""Least distance between two seeds in the unit box (greatest coordinate)."""
 
 
 @dataclass
@@ -98,6 +105,35 @@ def evaluate_new(simulator: Simulator, candidates: Sequence[Candidate]) -> None:
         c.assessment = assessment
 
 
+def seeds(
+    simulator: Simulator, coarse: CoarseMap, offsets: np.ndarray, constraints: Sequence[Constraint], most: int
+) -> list[Candidate]:
+    """Return candidates at the best points of the map that are apart from one another."""
+
+    def candidate(k: int) -> Candidate:
+        return Candidate(coarse.unit[k], offsets, constraints, radius=min(coarse.spacing / 2, 0.25))
+
+    order = ranked(simulator.spec, coarse, constraints)
+    if len(offsets) > 1:
+        tried = [candidate(k) for k in _apart(coarse, order, min(APART, coarse.spacing), TRIED_SEEDS)]
+        evaluate_new(simulator, tried)
+        tried.sort(key=lambda c: c.result.rank)
+        chosen: list[Candidate] = []
+        for c in tried:
+            if len(chosen) < most and all(np.abs(c.point - other.point).max() >= APART for other in chosen):
+                chosen.append(c)
+        return chosen
+    return [candidate(k) for k in _apart(coarse, order, APART, most)]
+
+
+def _apart(coarse: CoarseMap, order: Sequence[int], distance: float, most: int) -> list[int]:
+    chosen: list[int] = []
+    for k in order:
+        if len(chosen) < most and all(np.abs(coarse.unit[k] - coarse.unit[j]).max() >= distance * 0.99 for j in chosen):
+            chosen.append(k)
+    return chosen
+
+
 def improve(simulator: Simulator, candidates: Sequence[Candidate]) -> None:
     """Improve all candidates until none gains any more; they are modified in place."""
     evaluate_new(simulator, candidates)
@@ -140,7 +176,7 @@ def _ranked_proposals(simulator: Simulator, active: Sequence[Candidate], iterati
         proposals.append(points if c.motions else points[: UNGUIDED + 2 * count])
     guided = [k for k, c in enumerate(active) if c.motions]
     centre = np.zeros((1, len(simulator.spec.tolerances)))
-    nominal = predict(simulator, [(active[k], proposals[k], centre) for k in guided])
+    nominal = predict(simulator, [_request(active[k], proposals[k], centre) for k in guided])
     for k, (objective, slack) in zip(guided, nominal, strict=True):
         c = active[k]
         promising = np.isfinite(objective) & (slack[:, 0] >= min(0.0, -_violation(c))).all(axis=-1)
@@ -148,13 +184,18 @@ def _ranked_proposals(simulator: Simulator, active: Sequence[Candidate], iterati
             promising &= objective > c.result.objective + LEAST_GAIN * abs(c.result.objective)
         order = np.flatnonzero(promising)
         proposals[k] = proposals[k][order[np.argsort(-objective[order])]]
-    boxes = predict(simulator, [(active[k], proposals[k], active[k].offsets[_critical(active[k])]) for k in guided])
+    critical = [active[k].offsets[_critical(active[k])] for k in guided]
+    boxes = predict(simulator, [_request(active[k], proposals[k], x) for k, x in zip(guided, critical, strict=True)])
     for k, (_, slack) in zip(guided, boxes, strict=True):
         violation = np.maximum(-slack.min(axis=(1, 2), initial=np.inf), 0.0)
         order = np.argsort(violation, kind="stable")
         order = order[violation[order] <= (0.0 if active[k].result.feasible else np.inf)]
         proposals[k] = proposals[k][order[[0, len(order) // 2][:SIMULATED]] if len(order) > 1 else order]
     return [list(points) for points in proposals]
+
+
+def _request(candidate: Candidate, points: np.ndarray, offsets: Offsets) -> Request:
+    return Request(candidate.motions or [], candidate.constraints, points, offsets)
 
 
 def _violation(candidate: Candidate) -> float:

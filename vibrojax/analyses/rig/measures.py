@@ -86,6 +86,14 @@ def rig(
     and `founder_reason`.
 
     **Raises:** `InputError`.
+
+    **Example:**
+
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"WOB (kN)": [100, 120], "RPM (rpm)": 120, "Torque (kN.m)": 5, "ROP (m/h)": [18, 20]})
+    >>> log = vj.rig(vj.read_log("export", table=table, columns={"bit_diameter": "8.5 in"}))
+    >>> (log.specific_energy / 1e6).values.round().tolist()  # MPa
+    [346.0, 312.0]
     """
     log = source if isinstance(source, xr.Dataset) else read_log(source, dialect=dialect, columns=columns)
     # Names of other columns may hold what a netCDF file does not accept.

@@ -4,13 +4,12 @@ import json
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool
 
 from vibrojax.analyses.analysis import Analysis
-from vibrojax.analyses.sensitivity.tangents import NEARBY, REASONS, judged, measured_of, run_and_derive
+from vibrojax.analyses.sensitivity.tangents import NEARBY, REASONS, judged, run_and_derive
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
@@ -19,7 +18,8 @@ from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import HasFriction, Scene
 from vibrojax.periodic.orbit_derivatives import COUNTED
 from vibrojax.sweep.engine.labelled import measured_besides, unresolved
-from vibrojax.sweep.input.read import Point, read_point
+from vibrojax.sweep.engine.scene_variables import feature_names
+from vibrojax.sweep.input.read import Point, read_point, several_and_single
 from vibrojax.sweep.input.values import quantity
 
 _POINTWISE = ("point", "variable", "parameter")
@@ -122,7 +122,7 @@ def derivatives(
     settle, observe = setting("settle", settle, usual[0]), setting("observe", observe, usual[1])
     accepted = setting("error", error, 1e-3, "1")
     known = VARIABLES | measured_besides(system)
-    measured = measured_of(system)
+    measured = feature_names(system)
     smooth = [
         name
         for name, about in known.items()
@@ -171,13 +171,9 @@ def derivatives(
 
 def _read_points(
     place: Place, scene: str | Scene[Any], parameters: Mapping[str, object], start: object
-) -> tuple[list[Point], dict[str, list[object]]]:
+) -> tuple[list[Point], dict[str, list[Any]]]:
     """Return the validated points, and the parameters that are lists by name."""
-    columns: dict[str, list[object]] = {
-        name: list(x)
-        for name, x in parameters.items()
-        if isinstance(x, (list, tuple)) or (isinstance(x, (np.ndarray, jax.Array)) and x.ndim > 0)
-    }
+    columns, fixed = several_and_single(parameters)
     first = next(iter(columns), "")
     count = len(columns[first]) if columns else 1
     for name, column in columns.items():
@@ -185,7 +181,7 @@ def _read_points(
             why = f"{first} has {count}" if name != first else "at least one is needed"
             raise place.at(name).error(f"has {len(column)} values; {why}")
     rows = ({name: column[index] for name, column in columns.items()} for index in range(count))
-    points = [read_point(place, scene, dict(parameters) | row, start) for row in rows]
+    points = [read_point(place, scene, fixed | row, start) for row in rows]
     if any(point.system != points[0].system for point in points):
         raise place.error("friction law and shape of pulses are the same for all points; call it once for each")
     return points, columns

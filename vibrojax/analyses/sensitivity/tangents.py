@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import jax
@@ -120,16 +119,6 @@ def run_and_derive(
             progress.reach((int(lanes[-1]) + 1) // len(RUN_SHARES))
 
     return jax.tree.map(lambda *x: np.concatenate(x)[: settling.size].reshape(shape), *parts)
-
-
-@cache
-def measured_of(scene: Scene[Any]) -> frozenset[str]:
-    """Return the names of the scene's features, without computing the features."""
-    start = scene.starts[0] if scene.starts else None
-    with precision("float64"):
-        ones = jnp.ones(1)
-        parameters = dict.fromkeys(scene.parameters(), ones)
-        return frozenset(jax.eval_shape(lambda p: _features(scene, start, p, (ones, ones)), parameters))
 
 
 @lane_function(static=2, derives=True)

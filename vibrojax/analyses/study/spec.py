@@ -4,16 +4,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 
-from vibrojax.analyses.catalogue import list_variables
 from vibrojax.analyses.study.sampling import Sampling
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.io.variables import VARIABLES
-from vibrojax.sweep.input.bounds import read_bounds, read_points_of
+from vibrojax.sweep.engine.scene_variables import sweep_variables
+from vibrojax.sweep.input.bounds import read_bounds, read_points_of, read_specification
 from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.names import Names, read_names
+from vibrojax.sweep.input.names import Names
 from vibrojax.sweep.input.read import read_parameters
 from vibrojax.sweep.input.source import read_source
-from vibrojax.sweep.input.values import as_table, check_distinct, count, flag
+from vibrojax.sweep.input.values import check_distinct, count, flag
 
 DEFAULT_SAMPLES = 256
 """Number of base samples if the file gives none."""
@@ -48,16 +47,8 @@ def read_study(source: str | PathLike[str] | Mapping[str, object]) -> Study:
     **Raises:** `InputError` with a one-line message at the first error.
     """
     origin = read_source(source, "study")
-    place, tables = Place(origin.file), dict(origin.tables)
-    for key in tables:
-        if key not in _KEYS:
-            raise place.at(key).error(f"unknown key; {suggestion(key, _KEYS)}")
-    if "scene" not in tables:
-        raise place.at("scene").error('missing; write the scene\'s name, like scene = "drilling"')
-    fixed = dict(as_table(place.at("parameters"), tables.get("parameters", {})))
-    table = dict(fixed)
-    names = read_names(place.at("scene"), tables["scene"], table, place.at("parameters"))
-    read_parameters(place.at("parameters"), table, names)
+    place, tables, fixed, names = read_specification(origin, _KEYS)
+    read_parameters(place.at("parameters"), dict(fixed), names)
     unusual = flag(place.at("unusual"), tables.get("unusual", False))
     sampling = Sampling(
         read_bounds(place.at("vary"), tables.get("vary"), names, fixed, unusual),
@@ -78,10 +69,9 @@ def _read_of(place: Place, value: object, names: Names) -> list[str]:
     if not isinstance(value, list) or not value:
         problem = "missing" if value is None else f"{shown(value)} names no variable"
         raise place.error(f'{problem}; write a list like of = ["impact_energy", "blow_frequency"]')
-    known = list_variables(names.system)
-    own = [str(name) for name in known.index[known["where"] == ""]]
-    plain = [name for name in own if name not in VARIABLES or not (VARIABLES[name].flags or VARIABLES[name].along)]
-    allowed = plain + [SHARE] * ("impacts" in plain and "regime" in own)
+    known = sweep_variables(names.system)
+    plain = [name for name, about in known.items() if not (about.flags or about.along)]
+    allowed = plain + [SHARE] * ("impacts" in plain and "regime" in known)
     for index, name in enumerate(value):
         if name not in allowed:
             raise place.item(index).error(

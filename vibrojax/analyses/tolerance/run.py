@@ -16,6 +16,7 @@ from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures.labels import REGIMES
 from vibrojax.models.scenes import Scene
+from vibrojax.sweep.input.bounds import MAX_TOLERANCES
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import read_point, read_sweep
 
@@ -24,9 +25,6 @@ PLACES = ("nominal", "corner", "edge", "interior")
 
 INTERIOR_SAMPLES = 64
 """Number of Sobol points inside the box: a power of two, for which the points are balanced."""
-
-MAX_TOLERANCES = 6
-"""Largest number of parameters with a tolerance; six have 64 corners and 192 edges."""
 
 QUANTITIES = (
     "impact_velocity",

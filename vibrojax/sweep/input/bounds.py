@@ -1,19 +1,34 @@
-"""Specifications whose parameters vary between bounds: the bounds, and the sweep over the points within them."""
+"""Specifications whose parameters vary between bounds: their tables, bounds, and the sweep over points within."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.names import Names
+from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.read import read_sweep
-from vibrojax.sweep.input.values import as_table, warn_if_far
+from vibrojax.sweep.input.source import Source
+from vibrojax.sweep.input.values import as_table, known_keys, warn_if_far
 
 MAX_VARIED = 12
 """Largest number of varied parameters: a dozen, as many as a person chooses by hand."""
 
+MAX_TOLERANCES = 6
+"""Largest number of parameters with a tolerance; six have 64 corners, and 192 edges."""
+
 _EXAMPLE = "write one like gamma = [0.6, 0.8]"
+
+
+def read_specification(origin: Source, keys: Collection[str]) -> tuple[Place, dict[str, Any], dict[str, object], Names]:
+    """Return the place and tables of a specification with these keys, its fixed parameters, and the scene's names."""
+    place, tables = Place(origin.file), dict(origin.tables)
+    known_keys(place, tables, keys)
+    if "scene" not in tables:
+        raise place.at("scene").error('missing; write the scene\'s name, like scene = "vibro-impact"')
+    fixed = dict(as_table(place.at("parameters"), tables.get("parameters", {})))
+    return place, tables, fixed, read_names(place.at("scene"), tables["scene"], dict(fixed), place.at("parameters"))
 
 
 def read_bounds(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
+import jax
 import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
@@ -234,6 +235,6 @@ def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list
     several = {
         name: list(x)
         for name, x in parameters.items()
-        if isinstance(x, (list, tuple)) or (isinstance(x, np.ndarray) and x.ndim > 0)
+        if isinstance(x, (list, tuple)) or (isinstance(x, (np.ndarray, jax.Array)) and x.ndim > 0)
     }
     return several, {name: x for name, x in parameters.items() if name not in several}
