@@ -9,7 +9,8 @@ from jaxtyping import Float
 from vibrojax.analyses.design.evaluation import Assessment, Offsets, Simulator, Unit, distinct_starts
 from vibrojax.analyses.design.spec import Constraint, DesignSpec
 from vibrojax.io.variables import orbit_name
-from vibrojax.periodic.lane_orbits import known_orbits, reason
+from vibrojax.periodic.known_orbits import known_orbits
+from vibrojax.periodic.lane_orbits import reason
 from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_features
 from vibrojax.sweep.input.definition import with_substitutes
 
