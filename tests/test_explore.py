@@ -360,7 +360,7 @@ def test_a_figure_is_described_in_its_data_coordinates() -> None:
 
 def test_a_figure_keeps_scales_rows_and_directions() -> None:
     """A title holds for its row, a colour bar becomes a key, and depth grows downwards."""
-    figure = Figure()
+    figure = Figure(layout="constrained")
     left, right = figure.subplots(1, 2)
     left.plot([0.0, 1.0], [1.0, 2.0])
     left.set(title="row of a", ylabel="depth [m]")
