@@ -32,6 +32,7 @@ UNITS_PER_SPAN = 8
 Index = Int[np.ndarray, " lanes"]
 Unknowns = Float[np.ndarray, "lanes unknowns"]
 PerLane = Float[np.ndarray, " lanes"]
+PerSegment = Float[np.ndarray, " segments"]
 Flags = Bool[np.ndarray, " lanes"]
 
 
@@ -147,7 +148,9 @@ class Problem:
         varied = dict(zip(self.along, self.values(family, u).T, strict=True))
         return {name: x[family] for name, x in self.parameters.items()} | varied
 
-    def segments(self, family: Index, u: Unknowns) -> tuple[dict[str, PerLane], Float[np.ndarray, "states segments"]]:
+    def segments(
+        self, family: Index, u: Unknowns
+    ) -> tuple[dict[str, PerSegment], Float[np.ndarray, "states segments"]]:
         """Return the parameters and the initial states of the segments between section crossings."""
         states = self.states(family, u)
         parameters = {name: np.repeat(x, states.shape[1]) for name, x in self.parameters_at(family, u).items()}
