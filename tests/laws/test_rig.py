@@ -39,7 +39,8 @@ def test_specific_energy_is_teales_in_field_units(log):
 
 def test_what_the_log_lacks_is_a_note(log):
     ds = vj.rig(log[0])
-    assert np.isnan(ds.specific_energy).all() and "no bit_diameter" in ds.attrs["notes"]
+    assert np.isnan(ds.specific_energy).all()
+    assert 'no bit_diameter, which columns may give, like bit_diameter="8.5 in"' in ds.attrs["notes"]
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.8])

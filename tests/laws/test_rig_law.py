@@ -226,6 +226,16 @@ def test_few_rows_are_compared_by_aic_alone(tmp_path):
     assert any("lowest AIC" in line for line in verdict(fit))
 
 
+def test_the_picture_of_a_log_has_c_of_every_form_that_is_not_rejected(tmp_path):
+    rows = rig_logs.drilling(noise=0.01, law="line")
+    fit = fit_quietly(rig_logs.write(tmp_path / "line.csv", "usrop", rows), columns={"rock": "granite"})
+    figure = vj.picture(fit)
+    coefficient, _, data = figure.axes
+    assert [text.get_text() for text in coefficient.get_xticklabels()] == ["line"]
+    assert len(data.collections) == 1  # the band of the line, and none of the rejected forms
+    assert "not percussive data" in " ".join(text.get_text().replace("\n", " ") for text in figure.texts)
+
+
 # the command
 
 
@@ -237,7 +247,7 @@ def test_the_command_says_what_it_read_dropped_and_chose(logs, tmp_path, monkeyp
     assert "dropped 6 of 406 rows:\n" in out and "  no rotation: 1 (line " in out
     assert "CV [m/s]" in out and ("these data cannot tell onset from" in out or "the data support onset" in out)
     assert "recommended C (95 % interval, by a bootstrap of blocks)" in out and "M/HR" in out
-    assert "las-fit.nc; picture las-fit.png" in out
+    assert "Rotary rig data are not percussive data" in out and "las-fit.nc; picture las-fit.png" in out
     stored = vj.open_dataset("las-fit.nc")
     assert stored.standing.attrs["flag_meanings"].split() == list(STANDINGS) and stored.dialect == "las"
     assert main(["info", "las-fit.nc"]) == 0 and "dialect las" in capsys.readouterr().out

@@ -152,8 +152,8 @@ def fit_groups(
     place: Place, data: xr.Dataset, groups: xr.Dataset, robust: str | None = None, progress: bool = False
 ) -> xr.Dataset:
     """Fit every form to every group; return the dataset that `fit_rop` describes."""
-    along, (*dims, lane) = groups.attrs["along"], groups["rate"].dims
-    sizes, counts = tuple(groups.sizes[dim] for dim in dims), groups["is_lane"].sum(lane).values.ravel()
+    along, (*dims, _) = groups.attrs["along"], groups["rate"].dims
+    sizes, counts = tuple(groups.sizes[dim] for dim in dims), groups["is_lane"].sum("lane").values.ravel()
     LOG.info("chosen: along %s, %d groups, loss %s", along, counts.size, robust or "squares")
     start = time.monotonic()
     ordered, unknown = "dialect" in data.attrs, "reference_force" in data.attrs
