@@ -365,3 +365,19 @@ def test_unknown_parameters():
     with pytest.raises(Untranslatable, match="gather with mode = ONE_HOT"):
         translation.check_parameters("gather", {"dimension_numbers": None, "mode": "ONE_HOT", "fill_value": None})
     assert set(translation.PARAMETERS) <= translation.primitives()
+
+
+def test_texts_of_refusals_are_written_only_for_refusals(monkeypatch):
+    """The text of a loop's body costs more than its translation."""
+    monkeypatch.setattr(type(jax.make_jaxpr(jnp.sin)(1.0)), "__str__", lambda _: pytest.fail("a body was printed"))
+    monkeypatch.setattr(type(jax.make_jaxpr(jnp.sin)(1.0)), "__repr__", lambda _: pytest.fail("a body was printed"))
+    halved = of_lanes(lambda x: lax.while_loop(lambda x: jnp.any(x > 1), lambda x: x / 2, x), np.array([1.0, 3.0]))
+    assert halved.tolist() == [0.25, 0.75]
+
+
+def test_equations_that_nothing_reads_are_left_out():
+    def unused_sort(x):
+        lax.sort((x, x, x), dimension=0, num_keys=2)  # kernels have no sort by two keys
+        return 2 * x[0]
+
+    assert np.array_equal(of_lanes(unused_sort, ROWS), 2 * ROWS[0])
