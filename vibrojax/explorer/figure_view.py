@@ -147,7 +147,7 @@ def _row_title(panel: Axes) -> str:
         place = first.get_subplotspec()
         if place is None or first.get_gridspec() is not panel.get_gridspec() or not _title(first):
             continue
-        if (place.rowspan.start, place.colspan.start) == (spec.rowspan.start, 0):
+        if spec and (place.rowspan.start, place.colspan.start) == (spec.rowspan.start, 0):
             return _title(first)
     return "" if panel.get_xlabel() or panel.get_ylabel() else _plain(panel.figure.get_suptitle())
 
