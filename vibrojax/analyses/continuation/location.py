@@ -60,6 +60,8 @@ M is the derivative of the map over one period of the motion; and `pair_products
 class Locator:
     """Location of the special points of families; a subclass replaces test functions, acceptance and names."""
 
+    max_event_changes = MAX_EVENT_CHANGES
+
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
 
@@ -88,7 +90,7 @@ class Locator:
         with np.errstate(all="ignore"):
             brackets = self._detect(branches.brackets(np.arange(len(branches.lane) - 1)))
             located = [brackets.of(slice(0))]
-            for _ in range(MAX_EVENT_CHANGES + 1):
+            for _ in range(self.max_event_changes + 1):
                 if not len(brackets.place):
                     break
                 test = self._test_function(brackets)

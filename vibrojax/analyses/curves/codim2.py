@@ -16,6 +16,9 @@ from vibrojax.analyses.curves.singular import signed_singular
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.newton import multipliers
 
+MAX_CURVE_EVENT_CHANGES = 3
+"""Largest number of event changes that are located between two points of a curve."""
+
 JUMP = 1e-2
 """Largest value of a test function at a located point, relative to its values at the ends of the bracket. A test
 function that jumps through zero has larger values."""
@@ -129,6 +132,7 @@ CODIM2_NAMES = tuple(
 class CodimensionTwo(Locator):
     """Location of the points of codimension two of curves."""
 
+    max_event_changes = MAX_CURVE_EVENT_CHANGES
     problem: CurveProblem
 
     def tests(self, family: Index) -> Iterator[tuple[int, Flags, Test]]:

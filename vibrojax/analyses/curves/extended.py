@@ -92,6 +92,13 @@ class CurveProblem(Problem):
         rates = np.asarray(rate).T.reshape(len(u), cycles, -1) * columns[:, None]
         return images_by_lane(images, len(u), cycles), rates
 
+    def scaled(
+        self, family: Index, jacobian: Float[np.ndarray, "lanes cycles rows columns"]
+    ) -> Float[np.ndarray, "lanes cycles rows columns"]:
+        # Multiplied first, unlike in families: steps near the ends of fold curves depend on the last bits.
+        columns = np.column_stack([self.scales[family], self.unit[family]])
+        return jacobian * columns[:, None, None] / self.scales[family][:, None, :, None]
+
     def orbit(self, family: Index, u: Unknowns, images: Any, jacobian: np.ndarray) -> Points:
         """Return the points with the equations of the orbits only."""
         points = super().orbit(family, u, images, jacobian)

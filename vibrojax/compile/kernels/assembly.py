@@ -13,7 +13,7 @@ LANES = 1009
 """Length of the lane axis while a function is traced: a large prime, so that no other axis is mistaken for the lane
 axis. A kernel has no lane axis: each array element represents one value in all lanes of a group."""
 
-LLVM_TYPES = {
+LLVM_TYPES: dict[Any, str] = {  # any: numpy knows no common type of its dtypes
     np.dtype("float64"): "double",
     np.dtype("float32"): "float",
     **{np.dtype(f"{sign}int{bits}"): f"i{bits}" for bits in (64, 32, 16, 8) for sign in ("", "u")},
