@@ -114,7 +114,8 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     except InputError:
         raise
     except TimeoutError:  # HDF5 never returns on some files that have lost a block
-        raise InputError(f"{path}: cannot be read as netCDF (its structure is damaged)") from None
+        waited = f"cannot be read as netCDF within {patience:.0f} s"
+        raise InputError(f"{path}: {waited}: its structure is damaged, or this machine is overloaded") from None
     except Exception as error:  # the library raises many types of exceptions on a damaged or foreign file
         raise InputError(f"{path}: cannot be read as netCDF ({_first_line(error)})") from None
     if not str(dataset.attrs.get("source", "")).startswith(MARK):
