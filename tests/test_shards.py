@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import shutil
 import subprocess
 import sys
 from threading import Timer
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from vibrojax.errors import InputError
+from vibrojax.io import atomic
 from vibrojax.io.claims import lock
 from vibrojax.io.shards import DamagedShard, Shards
 
@@ -158,6 +160,20 @@ def test_a_write_that_fails_leaves_nothing_that_counts(shards, monkeypatch):
             opened.write(1, arrays(1))
         monkeypatch.undo()
         assert opened.finished() == {0, 2}
+
+
+def test_a_folder_removed_during_a_write_is_made_again(shards, monkeypatch):
+    opened, times = again(shards), iter([1, 2])
+    finish = atomic.commit
+
+    def commit(part, path):
+        if next(times, None):
+            shutil.rmtree(opened.folder)
+        finish(part, path)
+
+    monkeypatch.setattr("vibrojax.io.shards.commit", commit)
+    opened.write(1, arrays(1))
+    assert opened.finished() == {1}
 
 
 def test_two_processes_do_not_share_a_folder(shards):

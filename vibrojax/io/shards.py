@@ -32,6 +32,9 @@ _SHARE_PATIENCE = 30.0
 _HEADER_SIZE = 1 << 16
 """Largest npy header [bytes] that is parsed: each of the many arrays takes about 40."""
 
+_WRITE_ATTEMPTS = 5
+"""Times that a file is written anew while the user removes its folder; removing a folder takes milliseconds."""
+
 _DAMAGES_SHOWN = 3
 _DIGEST_SIZE = hashlib.sha256().digest_size
 
@@ -237,17 +240,24 @@ class Shards:
         return data[_DIGEST_SIZE:]
 
     def _put(self, path: Path, *parts: bytes | memoryview) -> None:
-        """Write a file that is complete or absent, even after a power failure."""
-        if not self._shared:
-            self.folder.mkdir(exist_ok=True)  # the user may have removed the folder meanwhile
+        """Write a file that is complete or absent, even after a power failure.
+
+        A folder that the user removes meanwhile is made again, and the file is then written once more.
+        """
         temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-        try:
-            with open(temporary, "wb") as file:
-                file.writelines(parts)
-            commit(temporary, path)
-        except OSError as error:  # an error while writing does not state the file name
-            temporary.unlink(missing_ok=True)
-            raise OSError(error.errno, error.strerror, str(path)) from None
+        for attempt in reversed(range(1 if self._shared else _WRITE_ATTEMPTS)):
+            if not self._shared:
+                self.folder.mkdir(exist_ok=True)
+            try:
+                with open(temporary, "wb") as file:
+                    file.writelines(parts)
+                commit(temporary, path)
+                return
+            except OSError as error:  # an error while writing does not state the file name
+                temporary.unlink(missing_ok=True)
+                if attempt and isinstance(error, FileNotFoundError):
+                    continue
+                raise OSError(error.errno, error.strerror, str(path)) from None
 
     def _clear(self, shards: bool) -> None:
         """Remove leftovers of killed processes and, with `shards`, the finished chunks; other files stay."""
