@@ -45,7 +45,7 @@ smartquotes = False  # x' is a derivative
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(HERE.parent / "build" / "executed" / fingerprint())
 nb_execution_raise_on_error = True
-nb_execution_timeout = 600
+nb_execution_timeout = 1800  # s; a notebook takes one to two minutes, but up to ten where other programs use the cores
 nb_merge_streams = True
 nb_ipywidgets_js: dict[str, dict[str, str]] = {}
 
