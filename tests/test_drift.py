@@ -122,6 +122,15 @@ def test_without_impacts():
     np.testing.assert_allclose(drift(features, "float64", 1e-7), true, rtol=1e-3)
 
 
+def test_a_lane_has_the_same_bits_alone():
+    """Chunks end anywhere, so that the last lanes of a chunk may be fitted alone."""
+    maps = [spiral(0.95, 0.3), spiral(0.985, 0.9), two(0.99, 0.6), two(0.9, -0.8)]
+    lanes = [lane(x, away)[0] for x in maps for away in (1e-2, 1e-4, 1e-6)]
+    together = {name: np.concatenate([x[name] for x in lanes]) for name in lanes[0]}
+    alone = [drift(x, "float64", 1e-7)[0] for x in lanes]
+    np.testing.assert_array_equal(drift(together, "float64", 1e-7), alone)
+
+
 def test_swings_that_grow_slowly():
     """The period of a motion without impact does not depend on its swing, so that it has no drift itself."""
     growth = 1 + 4e-5

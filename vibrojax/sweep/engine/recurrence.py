@@ -127,9 +127,9 @@ def fit_recurrence(
     gram, right = np.empty((lanes, order, order)), np.empty((lanes, order, 1))
     now, *before = sides.reshape(order + 1, -1, lanes)
     for j, column in enumerate(before):
-        right[:, j, 0] = np.add.reduce(column * now)
+        right[:, j, 0] = _sum_of_rows(column * now)
         for k in range(j + 1):
-            gram[:, j, k] = gram[:, k, j] = np.add.reduce(column * before[k])
+            gram[:, j, k] = gram[:, k, j] = _sum_of_rows(column * before[k])
     if order == 1:
         for number in np.flatnonzero(np.bincount(equations)):
             same = np.flatnonzero(equations == number)
@@ -138,6 +138,11 @@ def fit_recurrence(
             right[same, :, 0] = np.einsum("lij,li->lj", column[..., None], value)
     gram[:, np.arange(order), np.arange(order)] += blurred[:, None]
     return Recurrence(np.linalg.solve(gram, right)[..., 0].T, sides, equations)
+
+
+def _sum_of_rows(x: Series) -> PerLane:
+    """Return the sum of the rows, added in order. numpy adds a single column in another order than several."""
+    return np.add.reduce(x) if x.shape[1] > 1 else np.add.accumulate(x)[-1]
 
 
 ACCUMULATORS = 8
