@@ -11,8 +11,9 @@ from urllib.parse import quote
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.explorer import live as server
-from vibrojax.explorer.live import Live, RefusedRequest, RequestQueue
+from vibrojax.explorer import _loopback as server
+from vibrojax.explorer._loopback import RefusedRequest
+from vibrojax.explorer.live import Live, RequestQueue
 
 HTML = "<!doctype html><title>page</title><script type=module>export const a = 1;</script>"
 
@@ -142,7 +143,7 @@ REFUSED = [
     *((404, "path", path) for path in PATHS),
     (405, "path", ""),
     *((400, "body", body) for body in BODIES),
-    *((413, "body", body) for body in ("x" * 20_000, "x" * 60_000)),
+    *((413, "body", body) for body in ("x" * 20_000, "x" * 3_000_000)),
 ]
 
 
@@ -196,13 +197,54 @@ def test_who_keeps_silent_is_let_go(live, monkeypatch):
     assert raw(live, b"GET / HT") == b""
 
 
-def test_who_comes_byte_by_byte_is_let_go(live, monkeypatch):
-    monkeypatch.setattr(server, "REQUEST_MAX_SECONDS", 0.3)
+@pytest.mark.parametrize(
+    ("limit", "begin"),
+    [("HEADER_MAX_SECONDS", "GET /"), ("REQUEST_MAX_SECONDS", POST + "Content-Length: 9999\r\n\r\n")],
+)
+def test_who_comes_byte_by_byte_is_let_go(live, monkeypatch, limit, begin):
+    """Before the token is shown after one time, after it after another."""
+    monkeypatch.setattr(server, limit, 0.3)
     with socket.create_connection(("127.0.0.1", live.port), 10) as one, pytest.raises(OSError):
-        one.sendall(b"GET /")
+        one.sendall(begin.format(token=live.token, port=live.port).encode())
         for _ in range(200):
             one.sendall(b"x")
             time.sleep(0.02)
+
+
+def test_a_new_connection_takes_the_place_of_one_without_the_token(live, monkeypatch):
+    monkeypatch.setattr(server, "CONNECTIONS_MAX", 3)
+    silent = [socket.create_connection(("127.0.0.1", live.port)) for _ in range(4)]
+    silent[0].settimeout(2.0)
+    assert silent[0].recv(1) == b""  # long before its own limit
+    assert request(live, "GET", path="")[0] == 200
+    for one in silent:
+        one.close()
+
+
+def test_the_page_is_answered_beside_many_slow_connections(live):
+    """Connections without a token, each of which sends a byte now and then, keep nobody out."""
+    slow, end = [], threading.Event()
+
+    def trickle():
+        while not end.wait(0.1):
+            for one in list(slow):
+                try:
+                    one.send(b"x")
+                except OSError:  # hung up on
+                    slow.remove(one)
+
+    trickling = threading.Thread(target=trickle)
+    trickling.start()
+    try:
+        for _ in range(60):
+            slow.append(socket.create_connection(("127.0.0.1", live.port), 10))
+        assert request(live, "GET", "")[0] == 200  # within the 10 s of the request's timeout
+        assert request(live, body=asked())[0] == 200
+    finally:
+        end.set()
+        trickling.join()
+        for one in slow:
+            one.close()
 
 
 def test_wrong_values_are_said_in_one_line_and_faults_are_not_shown(live):
@@ -244,7 +286,7 @@ def test_a_thousand_quick_clicks_are_answered_or_refused_in_order():
         assert found[999] == 200
         assert answers.answered == sorted(answers.answered)
         assert set(answers.answered) >= {number for number, status in found.items() if status == 200}
-        assert answers.left > 0
+        assert answers.left > 0 and len(live.queue._newest) <= 2 and not live.queue._waiting
     assert request_fails(live)
 
 
@@ -256,20 +298,24 @@ def request_fails(live):
     return False
 
 
-def test_clients_wait_for_one_another():
-    answers = Slow(0.05)
+def test_clients_wait_for_one_another_and_too_many_are_sent_away():
+    answers = Slow(0.3)
     with served(answers) as live:
         found = []
 
         def ask(client):
-            found.append(request(live, body=asked(client=client, number=1, parameters=client))[0])
+            found.append(request(live, body=asked(client=client, number=1, parameters=client)))
 
-        threads = [threading.Thread(target=ask, args=(str(k),)) for k in range(6)]
+        threads = [threading.Thread(target=ask, args=(str(k),)) for k in range(12)]
         for one in threads:
             one.start()
+            time.sleep(0.01)
         for one in threads:
             one.join()
-    assert found == [200] * 6 and sorted(answers.answered) == [str(k) for k in range(6)]
+    statuses = [status for status, *_ in found]
+    assert statuses.count(503) == 3 and statuses.count(200) == 9  # one at work, eight that wait
+    assert {headers["Retry-After"] for status, headers, _ in found if status == 503} == {"1"}
+    assert answers.answered == [str(k) for k in range(9)]
 
 
 def test_closing_lets_everybody_go():
@@ -298,12 +344,31 @@ def attempt(live, client):
         return "broken"
 
 
-def test_a_number_is_answered_once_and_a_closed_queue_refuses():
-    queue = RequestQueue()
-    assert queue.ask("a", 5, lambda check: "a") == "a"
+def test_turns_keep_their_order():
+    queue, done = RequestQueue(waiting=1), []
+    begun, go = threading.Event(), threading.Event()
+
+    def long(check):
+        begun.set()
+        go.wait(5)
+        done.append("long")
+
+    threads = [threading.Thread(target=lambda: queue.ask("a", 5, long))]
+    threads[0].start()
+    assert begun.wait(5)
     with pytest.raises(RefusedRequest, match="earlier"):
-        queue.ask("a", 5, lambda check: "a")
-    assert queue.ask("b", 1, lambda check: "b") == "b"
+        queue.ask("a", 5, long)
+    threads.append(threading.Thread(target=lambda: queue.ask("b", 1, lambda check: done.append("b"))))
+    threads[1].start()
+    while not queue._waiting:
+        time.sleep(0.001)
+    with pytest.raises(RefusedRequest, match="too many"):
+        queue.ask("c", 1, long)
+    go.set()
+    for one in threads:
+        one.join()
+    assert queue.ask("c", 1, lambda check: "c") == "c"  # the same number again: it was sent away, not answered
+    assert done == ["long", "b"]
     queue.close()
     with pytest.raises(RefusedRequest, match="closed"):
-        queue.ask("a", 9, lambda check: "a")
+        queue.ask("a", 9, long)
