@@ -2,7 +2,6 @@
 
 import json
 import sys
-import time
 import warnings
 from functools import partial
 from pathlib import Path
@@ -138,11 +137,11 @@ def test_the_same_rows_give_the_same_fit_in_every_dialect(logs):
         assert (fit.standing == first.standing).all()
 
 
-def test_a_log_of_7310_rows_takes_less_than_three_seconds(tmp_path):
+def test_a_log_of_7310_rows(tmp_path):
+    """`tests/benchmarks/rig_log.py` measures the time that it takes."""
     path = rig_logs.write(tmp_path / "long.csv", "pason-processed", rig_logs.with_traps(rig_logs.drilling(7304))[0])
-    begin = time.process_time()
     fit = fit_quietly(path)
-    assert time.process_time() - begin < 3 and fit.rows_read == 7310
+    assert fit.rows_read == 7310
     assert float(fit.standing.sel(form="onset")) == Standing.CHOSEN
 
 
