@@ -208,7 +208,7 @@ def answer(
 ) -> None:
     """Compute a result, write and draw it, and print its summary as text, or with `--json` its `facts`.
 
-    The facts are by default those of the analysis's summary. A result that its file holds already is only printed.
+    By default, the analysis's summary gives the facts. A result that its file holds already is only printed.
     `default`, `identity`, `numbered`: as for `result_at`.
     """
     out = result_at(options, default, identity, numbered=numbered)

@@ -156,7 +156,7 @@ def _axis(panel: Axes, name: str, directions: dict[str, str]) -> Document:
     axis = getattr(panel, f"{name}axis")
     joined = getattr(panel, f"get_shared_{name}_axes")().get_siblings(panel)
     own = axis.get_label().get_text()
-    text = _plain(own or next(filter(None, (getattr(one, f"get_{name}label")() for one in joined)), ""))
+    text = _plain(own or next(filter(None, (getattr(other, f"get_{name}label")() for other in joined)), ""))
     limits = sorted(getattr(panel, f"get_{name}lim")())
     ticks = None
     if axis.get_scale() not in ("linear", "log") or isinstance(
@@ -196,8 +196,8 @@ def _xy(panel: Axes, points: Any, transform: Transform) -> Document:
 
 def items_of(panel: Axes) -> list[Document]:
     """Return the descriptions of what a panel shows, in the order in which it is drawn."""
-    artists = sorted(panel.get_children(), key=lambda one: one.get_zorder())
-    shown_artists = [one for one in artists if one.get_visible() and one is not panel.patch]
+    artists = sorted(panel.get_children(), key=Artist.get_zorder)
+    shown_artists = [artist for artist in artists if artist.get_visible() and artist is not panel.patch]
     return [item for artist in shown_artists for item in _described(panel, artist)]
 
 

@@ -179,7 +179,7 @@ def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
     _check_points(over, axes, point)
     shown_curves = curves_on_map(over, ds, *axes) if of_curves else np.ones(over.sizes["curve"], bool)
     if of_curves and not shown_curves.any():
-        raise InputError("over: no curve is of the map's parameters; continue those of the same values")
+        raise InputError("over: no curve has the parameters of the map; continue curves with the same values")
     kinds, fixed = flag_names(over["kind"]), parameters_of(over) if of_curves else {}
     curves: dict[int, Document] = {}
     for curve in np.flatnonzero(shown_curves).tolist():

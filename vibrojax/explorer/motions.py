@@ -86,7 +86,7 @@ class LiveMotions:
         """Return the requested motion, encoded for the explorer page.
 
         `request` is `lane`, the number of a lane; `lane` and `box`, see [vibrojax.explorer.box][], with an answer in
-        JSON; or `parameters`, numbers by name that replace those of the point, and `start`, the name or the vector of
+        JSON; or `parameters`, numbers by name that replace the point's own, and `start`, the name or the vector of
         an initial condition. `check` is called often; an exception that it raises ends the simulation.
 
         **Raises:** `InputError` if the request is invalid, or the motion takes too long.
@@ -107,7 +107,7 @@ class LiveMotions:
     def cell(
         self, parameters: Mapping[str, object], start: object = None, check: Callable[..., None] | None = None
     ) -> Cell:
-        """Return the motion with `parameters` in place of those of the point; its note lists unusual values."""
+        """Return the motion of the point with other `parameters`; its note lists unusual values."""
         start = self.point.start if start is None else start
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", UnusualValue)

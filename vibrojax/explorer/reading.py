@@ -63,8 +63,8 @@ def first_cell(ds: xr.Dataset, variables: list[dict[str, Any]], along: list[str]
         aic = ds["aic"].median([dim for dim in ds["aic"].dims if dim != FORM])
         return {FORM: int(aic.argmin(FORM))} if aic.notnull().any() else {}
     if "sign" in ds.dims:
-        found = [x.notnull().sum([d for d in x.dims if d != "sign"]) for x in ds.values() if "sign" in x.dims]
-        return {"sign": int(np.argmax(np.sum([x.values for x in found], axis=0)))}
+        counts = [x.notnull().sum([d for d in x.dims if d != "sign"]) for x in ds.values() if "sign" in x.dims]
+        return {"sign": int(np.argmax(np.sum([x.values for x in counts], axis=0)))}
     if {"share", "lane_attractor"} <= set(ds.variables):
         middle = {str(name): size // 2 for name, size in ds["share"].sizes.items() if name != "attractor"}
         return middle | {"attractor": int(ds["share"].isel(middle).argmax("attractor"))}

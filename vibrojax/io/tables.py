@@ -132,8 +132,8 @@ def _with_decimal_points(place: Place, rows: list[tuple[int, list[str]]]) -> lis
         line, cell = commas[0]
         other = "the file has decimal points too" if points else "commas may separate thousands"
         raise place.at(f"line {line}").error(f"{shown(cell)} is ambiguous: {other}; write decimal points")
-    said = "semicolons separate the columns" + (", commas are decimal marks" if commas else "")
-    warnings.warn(f"{place.file}: {said}", stacklevel=2)
+    message = "semicolons separate the columns" + (", commas are decimal marks" if commas else "")
+    warnings.warn(f"{place.file}: {message}", stacklevel=2)
     header, *others = rows
     return [header] + [
         (line, [cell.translate(_TO_POINT) if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in row])

@@ -256,7 +256,7 @@ def is_geometric(values: Float[np.ndarray, " values"]) -> bool:
 def edges(values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values+1"]:
     """Return the n + 1 edges of the map cells at n > 1 increasing values: midpoints between the values.
 
-    For geometric values, the midpoints are those of the logarithms.
+    For geometric values, these are midpoints of the logarithms.
     """
     if is_geometric(values):
         return np.exp(edges(np.log(values)))

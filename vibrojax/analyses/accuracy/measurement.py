@@ -54,8 +54,8 @@ def measure(
 ) -> Row:
     """Run a setting up to `repeats` times, and compare its usable lanes with the reference.
 
-    Two runs suffice if they take long, one if some lanes did not reach the end. Errors are those of the lanes with the
-    same motion as the reference.
+    Two runs suffice if they take long, one if some lanes did not reach the end. Only lanes with the
+    same motion as the reference have errors.
     """
     seconds: list[float] = []
     ran: Outcome = {}

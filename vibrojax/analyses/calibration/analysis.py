@@ -104,7 +104,6 @@ class Calibrations(Analysis):
     """Estimate parameters of the drill from observations of periodic motions, by gradients through the orbits."""
 
     kind = "calibration"
-    view = "plots"
     variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
     pictures = (PictureRule("a calibration", lambda held: "posterior" in held.variables, calibration_picture),)
     view = "plots"

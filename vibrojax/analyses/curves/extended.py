@@ -150,7 +150,7 @@ class CurveProblem(Problem):
         return self._with_condition(points, value, row)
 
     def _at_rest(self, curve: Index, u: Unknowns) -> Points:
-        """Return the points of Hopf curves, whose equations are those of the equilibrium."""
+        """Return the points of Hopf curves, which are equilibria."""
         return Points.join([self._equilibrium(curve[[k]], u[[k]]) for k in range(len(u))])
 
     def _equilibrium(self, curve: Index, u: Unknowns) -> Points:

@@ -29,7 +29,7 @@ def compound(product: Float[np.ndarray, "lanes n n"]) -> Float[np.ndarray, "lane
 
 
 def compound_along(product: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, "lanes directions pairs pairs"]:
-    """Return the derivatives of the second compound from those of the matrix, `slopes` (lanes, directions, n, n)."""
+    """Return the derivatives of the matrix's second compound. `slopes`: its own (lanes, directions, n, n)."""
     i, j = np.triu_indices(product.shape[1], 1)
 
     def part(a: np.ndarray, rows: Any, columns: Any) -> np.ndarray:

@@ -29,7 +29,7 @@ DESIGN_VARIABLES = {
     "map_feasible": Variable("1", "whether all requirements hold at the nominal point", np.int8, _YES_NO),
     "front_feasible": Variable("1", "whether a feasible point was found", np.int8, _YES_NO),
 }
-"""Variables in addition to objective, subject, map and front, whose units are those of the design."""
+"""Variables whose units do not depend on the design, unlike objective, subject, map and front."""
 
 
 class Result(NamedTuple):

@@ -103,7 +103,7 @@ def _near_least_slack(
 def settle(simulator: Simulator, candidate: Candidate, samples: Offsets) -> Assessment:
     """Verify a candidate and repair it while it fails; return its last assessment.
 
-    A repair tightens the constraints by what is missing, and adds samples that fail to those of the search. Then it
+    A repair tightens the constraints by what is missing, and adds the failing samples to the search. Then it
     goes back along the path of the candidate to a point that holds there, and continues the search from it.
     """
     evaluate_new(simulator, [candidate])

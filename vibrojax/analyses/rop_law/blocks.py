@@ -210,11 +210,11 @@ def segments(relief: Lanes, rate: Lanes) -> Int[np.ndarray, " lanes"]:
 
 
 def _correlation_time(residual: Lanes) -> float:
-    """Return the correlation time of noise [rows], whatever steps lie beneath it.
+    """Return the correlation time of noise [rows].
 
     For neighbours with the correlation rho, differences over two rows are sqrt(1 + rho) times as large as over one.
     Medians make a few steps of the law harmless.
     """
-    one, two = (float(np.median(np.abs(residual[k:] - residual[:-k]))) for k in (1, 2))
-    rho = float(np.clip((two / one) ** 2 - 1 if one > 0 else 0.0, 0.0, _LARGEST_CORRELATION_OF_SEGMENTS))
+    over_one, over_two = (float(np.median(np.abs(residual[k:] - residual[:-k]))) for k in (1, 2))
+    rho = float(np.clip((over_two / over_one) ** 2 - 1 if over_one > 0 else 0.0, 0.0, _LARGEST_CORRELATION_OF_SEGMENTS))
     return (1 + rho) / (1 - rho)

@@ -280,7 +280,7 @@ def groups_to_show(fit: xr.Dataset) -> Facets:
 def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> list[Artist]:
     """Draw a panel per group into `place`: the data and the fitted curve of each form. Return entries of the legend.
 
-    Without a place, nothing is drawn. The entries are those of the occurring uses of lanes: fitted, censored, left out.
+    Without a place, nothing is drawn. Each use of lanes that occurs has an entry: fitted, censored, left out.
     """
     if place is None:
         return []

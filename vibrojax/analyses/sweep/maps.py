@@ -263,7 +263,7 @@ def draw_points(axes: Axes, ds: xr.Dataset, value: Value | None, x: str, y: str)
 def split_starts(ds: xr.Dataset) -> Facets:
     """Return one facet per initial condition of a list of points, or a single facet for many initial conditions.
 
-    The names of the initial conditions are those of the dimension `start`, or of the coordinate `start` of the points.
+    The dimension `start`, or the coordinate `start` of the points, names the initial conditions.
     """
     if many_starts(ds):
         return Facets((f"{ds.sizes[START]} starts together",), (ds,))

@@ -44,7 +44,7 @@ SAMPLE_VARIABLES = {
     "regime_share": Variable("1", "share of the samples in the regime"),
     "regime_kept": Variable("1", "share of the samples whose regime is that of the nominal point"),
 }
-"""Variables in addition to those of the lanes and to the extremes of `QUANTITIES`."""
+"""Variables that neither lanes nor the extremes of `QUANTITIES` have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class ToleranceBox:
 
 
 def tolerance_variables(names: Iterable[str]) -> dict[str, Variable]:
-    """Return the variables in addition to those of the lanes, which have the variables `names`."""
+    """Return the variables that are added to `names`, the variables of the lanes."""
     held = [name for name in QUANTITIES if name in names]
     extremes = [_extreme(name, word) for name in held for word in _WORDS]
     return SAMPLE_VARIABLES | {name: about for pair in extremes for name, about in pair.items()}

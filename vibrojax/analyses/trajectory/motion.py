@@ -140,7 +140,8 @@ def peaks(frequencies: Frequencies, amplitudes: Frequencies) -> list[Peak]:
     highest: list[Peak] = []
     for index in maxima[separate_peaks(maxima, amplitudes[maxima], _LOBE_BINS)[:_MOST_PEAKS]].tolist():
         below, here, above = np.log(np.maximum(amplitudes[index - 1 : index + 2], 1e-300))
-        shift = 0.5 * (below - above) / (below - 2.0 * here + above)
+        bend = below - 2.0 * here + above  # 0 on a plateau
+        shift = 0.5 * (below - above) / bend if bend < 0 else 0.0
         frequency = float(frequencies[index] + shift * (frequencies[1] - frequencies[0]))
         highest.append((frequency, float(amplitudes[index])))
     return highest

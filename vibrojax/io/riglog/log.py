@@ -275,8 +275,8 @@ def _times(place: Place, header: list[str], column: Column, rows: Rows) -> Float
 
 def recognise_date(cell: str) -> bool:
     """Return whether a column holds the day of each row."""
-    found = recognise(cell, dialect_named("pason"))
-    return found is not None and found[0] == DATE
+    column = recognise(cell, dialect_named("pason"))
+    return column is not None and column[0] == DATE
 
 
 def _check_same(

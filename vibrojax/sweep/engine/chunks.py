@@ -39,7 +39,7 @@ DRIFT_MARGIN = 1.25
 """Safety factor on the drift, which assumes a linear return map. One estimate in ten is off by 10 %."""
 
 COMPARED = {*LABELLED_BY, "period", "impact_velocity", "rate_of_penetration"}
-"""Features of the check run that are compared with those of the main run."""
+"""Features by which the check run is compared with the main run."""
 
 PostProcessor = Callable[[int, int, Features], Features]
 """`beyond(first, end, features)` returns features to add or replace, for the lanes from `first` (inclusive) to `end`
