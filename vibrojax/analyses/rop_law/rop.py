@@ -194,10 +194,10 @@ def _fit_group(
         if unknown and form.name in SAME_AS_ONSET:
             fits.append(_no_fit(rate) | {"reason": Reason.UNKNOWN_THRESHOLD})
             continue
-        fit, minimum = _fit_form(form, relief, rate, robust, ordered)
+        fit, model_and_minimum = _fit_form(form, relief, rate, robust, ordered)
         fits.append(fit)
-        if minimum is not None:
-            minima[index] = minimum
+        if model_and_minimum is not None:
+            minima[index] = model_and_minimum
     noise = min((minimum.residual for _, minimum in minima.values()), key=np.linalg.norm, default=rate)
     if not ordered or (block := blocks_of(noise)) is None:
         return fits
