@@ -51,18 +51,24 @@ export function askingSource(offered, ask, patience) {
   return source;
 }
 
+const pause = (seconds) => new Promise((done) => setTimeout(done, 1000 * seconds));
+
 /** The source that asks the server whose page this is. */
 export function serverSource(offered, address = "motion") {
   const client = `${Math.random()}`.slice(2) + Date.now();
   return askingSource(offered, async (question, number) => {
-    const body = JSON.stringify({ client, number, ...question });
-    let answer;
-    try {
-      answer = await fetch(address, { method: "POST", headers: { "Content-Type": "application/json" }, body });
-    } catch {
-      throw new Error("the server does not answer; it may have been stopped");
+    for (;;) {
+      const body = JSON.stringify({ client, number, ...question });
+      let answer;
+      try {
+        answer = await fetch(address, { method: "POST", headers: { "Content-Type": "application/json" }, body });
+      } catch {
+        throw new Error("the server does not answer; it may have been stopped");
+      }
+      if (answer.ok) return answer.arrayBuffer();
+      if (answer.status === 409) throw new Overtaken();
+      if (answer.status !== 503) throw new Error((await answer.json()).error);
+      await pause(Number(answer.headers.get("Retry-After")) || 1);
     }
-    if (answer.ok) return answer.arrayBuffer();
-    throw answer.status === 409 ? new Overtaken() : new Error((await answer.json()).error);
   });
 }
