@@ -101,6 +101,7 @@ def family_facts(ds: xr.Dataset) -> dict[str, Any]:
     """
     every, kinds = list(branches(ds)), kind_names(ds)
     values, branch, notes = (ds[f"special_{name}"].values for name in ("value", "branch", "note"))
+    ends_of_interval = ("from", "to", "from_kind", "to_kind")
     special = zip(kinds, values, numbers_of(ds, "special"), branch, (printable(x, 300) for x in notes), strict=True)
     return {
         "along": along_name(ds),
@@ -111,11 +112,7 @@ def family_facts(ds: xr.Dataset) -> dict[str, Any]:
         "kinds": dict(Counter(kinds)),
         "special": [dict(zip(("kind", "value", "family", "branch", "note"), row, strict=True)) for row in special],
         "stable": [
-            dict(
-                zip(
-                    ("family", "branch", "from", "to", "from_kind", "to_kind"), (x.family, x.number, *ends), strict=True
-                )
-            )
+            {"family": x.family, "branch": x.number, **dict(zip(ends_of_interval, ends, strict=True))}
             for x in every
             for ends in stable_intervals(ds, x)
         ],
