@@ -17,10 +17,10 @@ from vibrojax.analyses.attractors.analysis import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.explorer.encoding import pack
 from vibrojax.explorer.reading import BORDER_MEANINGS, REGIME_MEANINGS, reading_text
-from vibrojax.io.attributes import LONGEST_TEXT, differing_of, parameters_of, run_of, text_of, title_of
+from vibrojax.io.attributes import LONGEST_TEXT, differing_of, flags, parameters_of, run_of, text_of, title_of
 from vibrojax.models.scenes import SCENES
 from vibrojax.plot.axes import is_geometric, point_text, pretty_unit, scale, symbol
-from vibrojax.plot.colours import REGIME_COLOURS, flag_names, value_of
+from vibrojax.plot.colours import REGIME_COLOURS, value_of
 from vibrojax.plot.contents import POINT, RETURN, START
 from vibrojax.plot.style import OTHER_COLOURS
 from vibrojax.sweep.input.definition import Sweep
@@ -123,35 +123,35 @@ def variable_document(data: xr.DataArray) -> Document:
     """Return the description of a variable: meaning, colours and values; of multipliers, only the largest."""
     data = data.isel(multiplier=0) if "multiplier" in data.dims else data
     value = value_of(data)
-    flags = {str(flag): name for flag, name in flag_names(data).items()} if value.names else None
+    meanings = {str(flag): name for flag, name in flags(data).items()} if value.names else None
     colours = None
     if data.name == "lane_attractor":
         numbers = [int(x) for x in np.unique(data.values)]
-        flags = {str(n): f"attractor {n}" if n >= 0 else "unassigned" for n in numbers}
+        meanings = {str(n): f"attractor {n}" if n >= 0 else "unassigned" for n in numbers}
         palette = dict(enumerate(ATTRACTOR_COLOURS))
         colours = {str(n): palette.get(n, BEYOND) for n in numbers}
-    elif flags is not None and "single-impact" in flags.values():
-        colours = {flag: REGIME_COLOURS.get(int(flag), _other_colour(flag)) for flag in flags}
-    elif flags is not None:
+    elif meanings is not None and "single-impact" in meanings.values():
+        colours = {flag: REGIME_COLOURS.get(int(flag), _other_colour(flag)) for flag in meanings}
+    elif meanings is not None:
         palette = {number: to_hex(value.colour_map(value.norm(number))) for number in value.names}
-        colours = {flag: palette.get(int(flag), _other_colour(flag)) for flag in flags}
+        colours = {flag: palette.get(int(flag), _other_colour(flag)) for flag in meanings}
     label = "\n".join(one_line(line) for line in value.label.split("\n")[:3])
     return {
         "name": str(data.name),
-        "label": label if flags is None else str(data.name).replace("_", " "),
+        "label": label if meanings is None else str(data.name).replace("_", " "),
         "long_name": one_line(data.attrs.get("long_name", "")) or str(data.name),
-        "units": one_line(pretty_unit(scale(data)[1]), SYMBOL_MAX_CHARACTERS) if flags is None else "",
+        "units": one_line(pretty_unit(scale(data)[1]), SYMBOL_MAX_CHARACTERS) if meanings is None else "",
         "factor": value.factor,
         "axes": [str(name) for name in data.dims],
-        "flags": flags,
+        "flags": meanings,
         "colours": colours,
-        "map": None if flags is not None else value.colour_map.name,
+        "map": None if meanings is not None else value.colour_map.name,
         "low": float(value.norm.vmin or 0.0),
         "high": float(value.norm.vmax or 1.0),
         "log": isinstance(value.norm, LogNorm),
         "extend": value.extend,
         "nothing_at_zero": value.of_rate,
-        "whole": data.dtype.kind in "iu" and flags is None,
+        "whole": data.dtype.kind in "iu" and meanings is None,
         "data": pack(np.asarray(data.values)),
     } | ({"inner": RETURN, "count": data.sizes[RETURN]} if RETURN in data.dims else {})
 

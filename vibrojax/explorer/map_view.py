@@ -31,14 +31,13 @@ from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.figure_view import items_of
 from vibrojax.explorer.reading import first_cell
 from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SECONDS, Excerpt, record_cells
-from vibrojax.io.attributes import parameters_of
+from vibrojax.io.attributes import flags, parameters_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.io.variables import orbit_name
 from vibrojax.measures.repeats import state_name
 from vibrojax.periodic import Orbits, early_stopping_of
 from vibrojax.periodic.margin import DRIVEN_RETURNS
 from vibrojax.plot.axes import scale, with_unit
-from vibrojax.plot.colours import flag_names
 from vibrojax.plot.contents import (
     FORM,
     IMPACTS_OF_RETURNS,
@@ -180,7 +179,7 @@ def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
     shown_curves = curves_on_map(over, ds, *axes) if of_curves else np.ones(over.sizes["curve"], bool)
     if of_curves and not shown_curves.any():
         raise InputError("over: no curve has the parameters of the map; continue curves with the same values")
-    kinds, fixed = flag_names(over["kind"]), parameters_of(over) if of_curves else {}
+    kinds, fixed = flags(over["kind"]), parameters_of(over) if of_curves else {}
     curves: dict[int, Document] = {}
     for curve in np.flatnonzero(shown_curves).tolist():
         plane: Document = {name: json_value(over[name].values[curve].item()) for name in beyond(over)}

@@ -81,8 +81,6 @@ _LOG_SHARE, _LOG_RATIO = 20.0, 15.0  # logarithmic if this percentage of values 
 _NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
 _CONSTANT = 1e-9  # relative range up to which values count as equal
 
-flag_names = flags  # the meanings of flags, by flag
-
 Cells = Float[np.ndarray, "*shape"]
 Extend = Literal["neither", "min", "max", "both"]
 
