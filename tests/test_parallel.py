@@ -58,16 +58,14 @@ def test_the_error_of_an_inner_call_is_raised_and_ends_the_threads():
 
 
 def test_free_threads():
-    """Outside all workers; inside this thread, and those without an item."""
+    """Outside of all threads: all of them. Inside: only idle ones while items wait, then all, idle soon."""
     assert free_threads(3) == 3
-    inside = []
+    together, inside = threading.Barrier(3), {}
 
     def work(worker, item):
-        for _ in range(2000):
-            if free_threads(3) == 3:
-                break
-            time.sleep(1e-3)
-        inside.append(free_threads(3))
+        inside[item] = free_threads(3)
+        if item < 3:
+            together.wait(20)
 
-    list(in_parallel(work, [0], WORKERS))
-    assert inside == [3]
+    list(in_parallel(work, range(4), WORKERS))
+    assert inside == {0: 1, 1: 1, 2: 1, 3: 3}

@@ -2,7 +2,7 @@
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
@@ -28,14 +28,14 @@ def in_parallel(
         yield from crew.share(_Calls(work, items, workers))
         return
     done: SimpleQueue[tuple[int, Result] | BaseException] = SimpleQueue()
-    crew, waiting = _Crew(), iter(range(len(items)))
+    crew = _Crew(len(workers), range(len(items)))
 
     def run(number: int, worker: Worker) -> None:
         _Member.crew, _Member.number = crew, number
         try:
             while not crew.stopped:
                 with crew.changed:
-                    index = next(waiting, None)
+                    index = crew.waiting.popleft() if crew.waiting else None
                 if index is None:
                     crew.help(None)
                     return
@@ -56,11 +56,15 @@ def in_parallel(
 
 
 def free_threads(workers: int) -> int:
-    """Return the number of threads, this one included, that would at once take calls of `in_parallel`.
+    """Return the number of threads, this one included, that take calls of `in_parallel` at once or soon.
 
+    These are the idle threads, or all of them if no item waits: each is then idle as soon as it finishes its own.
     `workers`: number of threads that `in_parallel` would start outside of its own threads.
     """
-    return workers if _Member.crew is None else 1 + _Member.crew.idle
+    crew = _Member.crew
+    if crew is None:
+        return workers
+    return 1 + crew.idle if crew.waiting else crew.threads
 
 
 class _Stopped(BaseException):
@@ -90,9 +94,13 @@ class _Calls:
 
 
 class _Crew:
-    """Threads that run each other's calls. `idle`: number of threads that wait for calls."""
+    """Threads that run each other's calls.
 
-    def __init__(self) -> None:
+    `threads`: number of threads; `idle`: number of those that wait for calls; `waiting`: items that none has taken.
+    """
+
+    def __init__(self, threads: int, items: Iterable[int]) -> None:
+        self.threads, self.waiting = threads, deque(items)
         self.changed = threading.Condition()
         self.stopped = False
         self.idle = 0
