@@ -66,7 +66,7 @@ CHECKED = [
     "vibrojax.sweep.simulation.dense_output",
     "vibrojax.sweep.simulation.trajectory",
 ]
-install_import_hook(CHECKED, "beartype.beartype")
+install_import_hook(CHECKED, "checked_types.checked")
 
 LONGEST = ("test_reproduce.py", "test_derivatives.py", "test_exact.py", "test_accuracy.py", "test_hard_faults.py")
 """Files that take longest: they begin first, so that no process is left alone with one of them."""
