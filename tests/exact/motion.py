@@ -74,9 +74,13 @@ class Motion:
 
     def at(self, times) -> np.ndarray:
         """States [times, entries]."""
+        times = np.asarray(times, float)
         ends = np.array([piece.end for piece in self.pieces])
         index = np.minimum(np.searchsorted(ends, times, side="left"), len(ends) - 1)
-        return np.stack([self.pieces[i].states(t) for i, t in zip(index, times, strict=True)])
+        states = np.empty((len(times), len(self.scene.entries)))
+        for i in np.unique(index):
+            states[index == i] = self.pieces[i].states(times[index == i])
+        return states
 
     def column(self, name, times) -> np.ndarray:
         """x1, v1, x2, v2, x4, v3; x3 = e + x4."""
