@@ -8,6 +8,7 @@ Forward-mode derivatives include the implicit derivative of each event time, hen
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -21,6 +22,7 @@ from vibrojax.models.arrays import Array, Flags, Lanes, Real
 from vibrojax.models.scenes import Driven, HasImpacts, Scene
 from vibrojax.models.scenes.declared import Section, Values
 from vibrojax.periodic.margin import Margin
+from vibrojax.periodic.tangent_loop import loop_with_tangents
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.parallel import in_parallel
@@ -99,22 +101,10 @@ def mapped(
     - `p`: all parameters by name, each (lanes,). `state` (states, lanes): values of `scene.return_states`.
     - `most_steps`: step limit, above which a lane counts as not returning to the section.
     """
-    rows = state.shape[0]
-
-    def image(unknowns: Array) -> tuple[tuple[Array, Lanes], ReturnEvents]:
-        varied = dict(zip(along, unknowns[rows:], strict=True))
-        begin = jax.lax.stop_gradient(at_section(scene, state))
-        c = scene.scaled(scene.constants(p | varied), begin)
-        return one_return(scene, stepper, c, unknowns[:rows], accuracy, most_steps)
-
-    def derivative(tangent: Array) -> Any:
-        (there, time), (moved, _), seen = jax.jvp(image, (unknowns,), (tangent,), has_aux=True)
-        return there, time, moved, seen._replace(margin=jnp.min(seen.margin, axis=0))
-
-    unknowns = jnp.stack([*state, *(p[name] for name in along)])
-    basis = jnp.broadcast_to(jnp.eye(len(unknowns), dtype=state.dtype)[:, :, None], (len(unknowns), *unknowns.shape))
-    there, time, moved, seen = jax.vmap(derivative, out_axes=(None, None, 1, None))(basis)
-    return Mapped(there, time, moved, seen)
+    loop = ReturnLoop(scene, stepper, accuracy, most_steps)
+    flight, moved = loop.differentiated(along, p, state)
+    seen = flight.seen._replace(margin=jnp.min(flight.seen.margin, axis=0))
+    return Mapped(map_state(scene, flight.lane), flight.time, map_state(scene, moved.lane), seen)
 
 
 def at_section(scene: Scene[Any], state: Array) -> Values:
@@ -124,44 +114,39 @@ def at_section(scene: Scene[Any], state: Array) -> Values:
     return tuple(rows.get(name, zero) for name in scene.state_names)
 
 
-def one_return(
-    scene: Scene[Any],
-    stepper: Stepper,
-    c: Any,
-    state: Array,
-    accuracy: Accuracy,
-    most_steps: Real = MOST_STEPS,
-    derives_margin: bool = False,
-    margin: Margin | None = None,
-) -> tuple[tuple[Array, Lanes], ReturnEvents]:
-    """Return ((image under the return map, time [s] until the image), events on the way): pure, hence differentiable.
+class ReturnLoop(NamedTuple):
+    """The loop of steps from one section crossing to the next; `margin(c)` is the grazing margin that it measures."""
 
-    `c`: the scene's constants, scaled for the motion; `state` (states, lanes): state at the section; `derives_margin`:
-    True if the grazing margin is differentiated; `margin`: replacement for the grazing margin.
-    """
-    section = scene.section
-    margin = margin or Margin(scene, section, c, derives_margin)
-    lane = lane_at(scene, c, at_section(scene, state))
-    zero = jnp.zeros_like(state[0])
-    none = jnp.zeros_like(zero, bool)
-    own = jax.lax.stop_gradient(_map_state(scene, lane))
-    changes = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
-    far = jnp.full((2, *zero.shape), jnp.inf, zero.dtype)
-    begin = _Flight(
-        lane, zero, none, margin.begin(zero), ReturnEvents(none, zero, zero, changes, far, far[0], own, own)
-    )
+    scene: Scene[Any]
+    stepper: Stepper
+    accuracy: Accuracy
+    most_steps: Real = MOST_STEPS
+    margin: Callable[[Any], Margin] | None = None
 
-    def is_moving(flight: _Flight) -> Flags:
-        return ~flight.seen.returned & (flight.seen.steps < most_steps) & jnp.isfinite(flight.lane.state[0])
+    def begin(self, c: Any, state: Array) -> _Flight:
+        """Return lanes at the section in a state (states, lanes). `c`: the scene's constants, scaled for the motion."""
+        scene = self.scene
+        lane = lane_at(scene, c, at_section(scene, state))
+        zero = jnp.zeros_like(state[0])
+        none = jnp.zeros_like(zero, bool)
+        own = jax.lax.stop_gradient(map_state(scene, lane))
+        changes = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
+        far = jnp.full((2, *zero.shape), jnp.inf, zero.dtype)
+        seen = ReturnEvents(none, zero, zero, changes, far, far[0], own, own)
+        return _Flight(lane, zero, none, self._margin(c).begin(zero), seen)
 
-    def advance(flight: _Flight) -> _Flight:
-        moving = is_moving(flight)
-        lane, step = stepper.step(scene, c, flight.lane, accuracy, Goal(jnp.inf, moving), marked=True)
+    def continues(self, flight: _Flight) -> Flags:
+        return jnp.any(self._moving(flight))
+
+    def advance(self, c: Any, flight: _Flight) -> _Flight:
+        scene, section, margin = self.scene, self.scene.section, self._margin(c)
+        moving = self._moving(flight)
+        lane, step = self.stepper.step(scene, c, flight.lane, self.accuracy, Goal(jnp.inf, moving), marked=True)
         armed, returns = passed(scene, section, c, flight.armed, step)
         seen = flight.seen
         margins = jnp.where(moving[None], margin.after(flight.margins, flight.armed, lane, step), flight.margins)
         total = margin.total(margins)
-        own = jax.lax.stop_gradient(_map_state(scene, lane))
+        own = jax.lax.stop_gradient(map_state(scene, lane))
         seen = ReturnEvents(
             returned=seen.returned | (returns & moving),
             impacts=seen.impacts + _impacts(scene, c, step),
@@ -174,11 +159,49 @@ def one_return(
         )
         return _Flight(lane, flight.time + step.dt, jnp.where(moving, armed, flight.armed), margins, seen)
 
-    flight = jax.lax.while_loop(lambda flight: jnp.any(is_moving(flight)), advance, begin)
-    return (_map_state(scene, flight.lane), flight.time), flight.seen
+    def differentiated(self, along: tuple[str, ...], p: dict[str, Lanes], state: Array) -> tuple[_Flight, Any]:
+        """Return the lanes at the next section crossing, and derivatives with respect to states and parameters `along`.
+
+        Derivatives have a leading axis (states and parameters); those of discrete values are None.
+        """
+        scene, rows = self.scene, state.shape[0]
+
+        def begin(unknowns: Array) -> tuple[Any, _Flight]:
+            varied = dict(zip(along, unknowns[rows:], strict=True))
+            c = scene.scaled(scene.constants(p | varied), jax.lax.stop_gradient(at_section(scene, state)))
+            return c, self.begin(c, unknowns[:rows])
+
+        unknowns = jnp.stack([*state, *(p[name] for name in along)])
+        number = len(unknowns)
+        directions = jnp.broadcast_to(jnp.eye(number, dtype=state.dtype)[:, :, None], (number, *unknowns.shape))
+
+        def varies(flight: _Flight) -> Any:
+            return flight.lane, flight.time, flight.margins, flight.seen.margin, flight.seen.reach
+
+        return loop_with_tangents(begin, self.advance, self.continues, unknowns, directions, varies)
+
+    def _margin(self, c: Any) -> Margin:
+        return self.margin(c) if self.margin else Margin(self.scene, self.scene.section, c, False)
+
+    def _moving(self, flight: _Flight) -> Flags:
+        return ~flight.seen.returned & (flight.seen.steps < self.most_steps) & jnp.isfinite(flight.lane.state[0])
 
 
-def _map_state(scene: Scene[Any], lane: Lane) -> Array:
+def one_return(
+    scene: Scene[Any], stepper: Stepper, c: Any, state: Array, accuracy: Accuracy, most_steps: Real = MOST_STEPS
+) -> tuple[tuple[Array, Lanes], ReturnEvents]:
+    """Return ((image under the return map, time [s] until the image), events on the way): pure, hence differentiable.
+
+    `c`: the scene's constants, scaled for the motion; `state` (states, lanes): state at the section. The grazing margin
+    is differentiated too.
+    """
+    loop = ReturnLoop(scene, stepper, accuracy, most_steps, lambda c: Margin(scene, scene.section, c, True))
+    flight = jax.lax.while_loop(loop.continues, partial(loop.advance, c), loop.begin(c, state))
+    return (map_state(scene, flight.lane), flight.time), flight.seen
+
+
+def map_state(scene: Scene[Any], lane: Lane) -> Array:
+    """Return the states of the return map, (states, ...), of a lane or of its derivatives."""
     return jnp.stack([lane.state[scene.place(name)] for name in scene.return_states])
 
 

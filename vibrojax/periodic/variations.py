@@ -161,7 +161,7 @@ def second_variation(
 
     def image(p: dict[str, Lanes], state: Array) -> Any:
         c = scene.scaled(scene.constants(p), at_section(scene, fixed))
-        (there, time), seen = one_return(scene, stepper, c, state, accuracy, most_steps, derives_margin=True)
+        (there, time), seen = one_return(scene, stepper, c, state, accuracy, most_steps)
         return there, (time, seen.margin, seen.impacts)
 
     def derivative(p: dict[str, Lanes], state: Array) -> Any:

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from vibrojax.models.arrays import Array, Flags, Lanes
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.margin import DEPARTED, FLAT, Margin, typical_values
-from vibrojax.periodic.return_map import Mapped, at_section, one_return
+from vibrojax.periodic.return_map import Mapped, ReturnLoop, map_state
 from vibrojax.stepping import Accuracy, Lane, Located, Step
 from vibrojax.stepping.event import Event
 from vibrojax.stepping.polynomial import Coefficients, first_guess, root, slope, value
@@ -170,27 +170,18 @@ def event_mapped(
     **Arguments:** `chosen`: see `Chosen`; the others as in [vibrojax.periodic.return_map.mapped][]. Of the results,
     `seen.margin` has the rows of `EventMargin`.
     """
-    rows, names = state.shape[0], scene.guard_names
-    masks = tuple(chosen)
-    guards = tuple(masks[: len(names)])
-
-    def image(unknowns: Array) -> Any:
-        varied = dict(zip(along, unknowns[rows:], strict=True))
-        c = scene.scaled(scene.constants(p | varied), lax.stop_gradient(at_section(scene, state)))
-        margin = EventMargin(scene, scene.section, c, True, masks)
-        stepper = Passing(chosen=guards)
-        (there, time), seen = one_return(scene, stepper, c, unknowns[:rows], accuracy, most_steps, margin=margin)
-        return (there, time, seen.margin[0]), seen
-
-    def derivative(tangent: Array) -> Any:
-        (there, time, _), (moved, _, rate), seen = jax.jvp(image, (unknowns,), (tangent,), has_aux=True)
-        return there, time, moved, rate, seen
-
-    unknowns = jnp.stack([*state, *(p[name] for name in along)])
-    basis = jnp.broadcast_to(jnp.eye(len(unknowns), dtype=state.dtype)[:, :, None], (len(unknowns), *unknowns.shape))
-    there, time, moved, rate, seen = jax.vmap(derivative, out_axes=(None, None, 1, 0, None))(basis)
-    margins = jnp.concatenate([seen.margin, seen.reach[None]])
-    return Mapped(there, time, moved, seen._replace(margin=margins)), rate
+    names, masks = scene.guard_names, tuple(chosen)
+    loop = ReturnLoop(
+        scene,
+        Passing(chosen=masks[: len(names)]),
+        accuracy,
+        most_steps,
+        lambda c: EventMargin(scene, scene.section, c, True, masks),
+    )
+    flight, moved = loop.differentiated(along, p, state)
+    seen = flight.seen._replace(margin=jnp.concatenate([flight.seen.margin, flight.seen.reach[None]]))
+    image, jacobian = map_state(scene, flight.lane), map_state(scene, moved.lane)
+    return Mapped(image, flight.time, jacobian, seen), moved.seen.margin[:, 0]
 
 
 def _typical(scene: Scene[Any], c: Any, mode: tuple[Any, ...], state: tuple[Any, ...]) -> list[Array]:

@@ -1,0 +1,113 @@
+"""A `while` loop together with the derivatives of its carry along several directions.
+
+`jax.vmap` of `jax.jvp` of `jax.lax.while_loop` has the same result. But jax then traces the loop's body six times, to
+find the parts of the carry that have a derivative. Here the caller names these parts, and the body is traced once.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+
+from vibrojax.models.arrays import Array, Flags
+
+X = TypeVar("X")
+Y = TypeVar("Y")
+Carry = TypeVar("Carry")
+Tangents = list[Array | None]
+"""Derivatives of the leaves of a pytree, each with a leading axis of directions; None for a leaf without any."""
+
+
+def loop_with_tangents(
+    begin: Callable[[X], tuple[Any, Carry]],
+    advance: Callable[[Any, Carry], Carry],
+    continues: Callable[[Carry], Flags],
+    x: X,
+    directions: X,
+    varies: Callable[[Carry], Any],
+) -> tuple[Carry, Any]:
+    """Run a loop, and differentiate its last carry with respect to `x`.
+
+    **Arguments:**
+
+    - `begin(x)`: return (constants of the loop, first carry). `advance(constants, carry)`: return the next carry.
+    - `continues(carry)`: return True while the loop continues.
+    - `directions`: like `x`, with a leading axis.
+    - `varies(carry)`: return the parts of the carry that have a derivative.
+
+    **Returns:** (last carry, its derivatives). The derivatives have a leading axis of directions, and None in place of
+    leaves that have none.
+    """
+    (constants, first), began = _derivatives(begin, [x], jax.tree.leaves(directions))
+    number = len(jax.tree.leaves(constants))
+    of_constants, of_first = began[:number], began[number:]
+    leaves, tree = jax.tree.flatten(first)
+    varying = set(jax.tree.leaves(varies(jax.tree.unflatten(tree, range(len(leaves))))))
+    named = [index in varying for index in range(len(leaves))]
+    count = len(jax.tree.leaves(directions)[0])
+    moved: Tangents = [
+        (jnp.zeros((count, *leaf.shape), leaf.dtype) if own is None else own) if has else None
+        for leaf, own, has in zip(leaves, of_first, named, strict=True)
+    ]
+
+    def body(both: tuple[Carry, Tangents]) -> tuple[Carry, Tangents]:
+        carry, moved = both
+        after, changed = _derivatives(advance, [constants, carry], [*of_constants, *moved])
+        for own, has in zip(changed, named, strict=True):
+            assert own is None or has, "a part of the carry has a derivative that `varies` does not name"
+        return after, [
+            jnp.zeros_like(before) if own is None and before is not None else own
+            for before, own in zip(moved, changed, strict=True)
+        ]
+
+    last, ended = jax.lax.while_loop(lambda both: continues(both[0]), body, (first, moved))
+    return last, jax.tree.unflatten(jax.tree.structure(last), ended)
+
+
+def _derivatives(function: Callable[..., Y], inputs: Sequence[Any], moved: Tangents) -> tuple[Y, Tangents]:
+    """Return the function's result, and the derivatives of its leaves if the leaves of the inputs move by `moved`."""
+    leaves, tree = jax.tree.flatten(inputs)
+    active = [index for index, own in enumerate(moved) if own is not None]
+    zero: list[bool] = []
+    results: list[Any] = []
+    outcome = tree
+
+    @jax.custom_jvp
+    def recorded(values: list[Array]) -> list[Array]:
+        return values
+
+    @partial(recorded.defjvp, symbolic_zeros=True)
+    def record_zeros(primals: Any, tangents: Any) -> tuple[list[Array], list[Array]]:
+        (values,), (slopes,) = primals, tangents
+        zero[:] = [isinstance(slope, SymbolicZero) for slope in slopes]
+        pairs = zip(values, slopes, zero, strict=True)
+        return values, [jnp.zeros_like(value) if none else slope for value, slope, none in pairs]
+
+    def of_active(varied: list[Array]) -> tuple[list[Array], list[Array]]:
+        nonlocal outcome
+        whole = list(leaves)
+        for index, leaf in zip(active, varied, strict=True):
+            whole[index] = leaf
+        results[:], outcome = jax.tree.flatten(function(*jax.tree.unflatten(tree, whole)))
+        zero[:] = [True] * sum(map(_is_real, results))
+        discrete: list[Array] = [leaf for leaf in results if isinstance(leaf, jax.Array) and not _is_real(leaf)]
+        return recorded([leaf for leaf in results if _is_real(leaf)]), discrete
+
+    def along(tangents: Tangents) -> Any:
+        return jax.jvp(of_active, ([leaves[index] for index in active],), (tangents,), has_aux=True)
+
+    reals, slopes, discretes = jax.vmap(along, out_axes=(None, 0, None))([moved[index] for index in active])
+    derivatives = iter([None if none else slope for slope, none in zip(slopes, zero, strict=True)])
+    changed = [next(derivatives) if _is_real(leaf) else None for leaf in results]
+    real, discrete = iter(reals), iter(discretes)
+    values = [
+        next(real) if _is_real(leaf) else next(discrete) if isinstance(leaf, jax.Array) else leaf for leaf in results
+    ]
+    return jax.tree.unflatten(outcome, values), changed
+
+
+def _is_real(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jnp.floating)
