@@ -246,9 +246,11 @@ def test_a_folder_that_cannot_be_made(tmp_path, capsys):
 def test_a_wrong_sign_is_seen(quick, monkeypatch, term):
     """At least a third of the results with impact turn red; `tests/reproduce_signs.py` says how many of all do.
 
-    Lanes that go wrong so much never end; few steps are enough to see it.
+    Lanes that go wrong so much never end. The limits of steps are those of that script, with which nothing turns red
+    under the right signs.
     """
-    monkeypatch.setattr("vibrojax.sweep.engine.batch.LANE_MAX_STEPS", 2e4)
+    monkeypatch.setattr("vibrojax.sweep.engine.batch.LANE_MAX_STEPS", 1e4)
+    monkeypatch.setattr("vibrojax.sweep.engine.batch.LANE_MAX_RATE", 300.0)
     monkeypatch.setitem(SCENES, "vibro-impact", WRONG[term])
     groups = [group for group in GROUPS if group.name in ("frequency-ratio", "mass-ratio")]
     wrong = run_reproduction(groups, quick=True, progress=False)
