@@ -196,7 +196,8 @@ def sensitive(engine: Engine, start: Batch, features: Features) -> Int[np.ndarra
         returns = _returns(engine, _changed(engine, start.of(slow), 1), (settled + 2 * cycles * period)[slow])
         times = np.asarray(returns.seen.settled)[cycles[slow].astype(int) - 1, np.arange(len(slow))]
         flags[slow] = ~(np.abs(times - settled[slow]) < period[slow] / 2)
-    run, irregular = engine.sweep.run, np.flatnonzero(cycles == 0)
+    # Lanes that have failed are labelled as such; up to their limit of steps they take longer than all others together.
+    run, irregular = engine.sweep.run, np.flatnonzero((cycles == 0) & features["finished"] & features["finite"])
     end = run.settle + run.observe
     if engine.sweep.lanes * end <= LANE_SECONDS and len(irregular):
         # Exclude lanes that have become periodic by the end of their observation.
