@@ -94,6 +94,13 @@ def test_short_transients_need_no_second_run(monkeypatch):
     assert (lanes.sensitive == 0).all()
 
 
+def test_lanes_that_have_failed_need_no_second_run(monkeypatch):
+    monkeypatch.setattr("vibrojax.sweep.engine.batch.steps_at_most", lambda *_: np.float64(200))
+    monkeypatch.setattr(module, "_repeat", lambda *_: pytest.fail("a lane that was abandoned ran again"))
+    sweep = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"gamma": [0.75, 0.8]}}
+    assert (vj.run_sweep(sweep, progress=False).sensitive == 0).all()
+
+
 def test_constants():
     assert module.GROWTH_RETURNS == 40 and module.CHANGE == 1e-9
     assert module.SECOND_RUNS == 8 and module.LANE_SECONDS == 25e3
