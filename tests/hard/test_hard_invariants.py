@@ -12,6 +12,7 @@ from cases import DRILL, ROCK, USUAL, lanes
 from flat import Flat
 
 import vibrojax as vj
+from vibrojax.compile.kernels import Kernel
 from vibrojax.models.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping import Accuracy, Goal, Located, keep, lane_at
 
@@ -46,7 +47,6 @@ def forces(p, mode, y):
     return jnp.where(slip == 0, p["k2"] * (x2 - x1) - p["k1"] * x1, sliding), J, raw
 
 
-@jax.jit
 def summed(constants, state):
     """The end state; sums over time of F, J, x1, x2, F v and what it is spent on; and the least of F u, J and J less
     k0 (x2 - delta) + c0 x2' where x2 >= delta, each (lanes,)."""
@@ -100,7 +100,8 @@ def motions():
     stuck = jnp.asarray([point["start"] == "stuck" for point in POINTS])
     starts = [SCENE.start(p, name, stuck.shape) for name in ("stuck", "drive")]
     state = tuple(jnp.where(stuck, *both) for both in zip(*starts, strict=True))
-    end, left, sums, least = summed(SCENE.scaled(p, state), state)
+    arguments = SCENE.scaled(p, state), state
+    end, left, sums, least = Kernel(summed, *arguments)(*arguments)
     assert np.all(np.asarray(left) <= 0), [POINTS[i] for i in np.flatnonzero(np.asarray(left) > 0)]
     return jax.tree.map(np.asarray, (dict(Flat(p)), state, end, sums, least))
 

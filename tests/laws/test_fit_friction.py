@@ -58,14 +58,17 @@ def smoothed_derivatives(duration, width, substeps=20):
 def test_derivatives_are_those_of_the_sharp_motion_over_a_short_window():
     """They come nearer in proportion to the smoothing, to under 1 %; over four times the window they are far off."""
 
-    def off(duration, width, expected):
-        found = smoothed_derivatives(duration, width, substeps=round(0.04 / width))
-        return np.linalg.norm(found - expected, axis=0) / np.linalg.norm(expected, axis=0)
+    short = round(0.5 / INTERVAL) + 1
+    expected = sharp_derivatives(2.0)
 
-    expected = sharp_derivatives(0.5)
-    wide, narrow = off(0.5, 0.004, expected), off(0.5, 0.001, expected)
+    def off(found):
+        first = expected[: len(found)]
+        return np.linalg.norm(found - first, axis=0) / np.linalg.norm(first, axis=0)
+
+    long = smoothed_derivatives(2.0, 0.001, substeps=40)
+    wide, narrow = off(smoothed_derivatives(0.5, 0.004, substeps=10)), off(long[:short])
     assert (narrow < 0.01).all() and (narrow < 0.4 * wide).all()
-    assert (off(2.0, 0.001, sharp_derivatives(2.0)) > 3 * narrow).all()
+    assert (off(long) > 3 * narrow).all()
 
 
 def test_without_noise_what_is_left_is_the_smoothing(history):

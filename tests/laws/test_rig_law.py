@@ -6,10 +6,10 @@ import warnings
 from functools import partial
 from pathlib import Path
 
-import jaxtyping
 import numpy as np
 import pytest
 import xarray as xr
+from unchecked import unchecked
 
 import vibrojax as vj
 from vibrojax.analyses.rop_law.blocks import (
@@ -51,13 +51,10 @@ def trial_data(law, noise, low=60e3, high=180e3, count=TRIALS, seed=20261124):
 
 
 def trials(*planted, **more):
-    """The fits of `trial_data`. Types are not checked here: that takes most of the time of thousands of fits."""
+    """The fits of `trial_data`."""
     data = trial_data(*planted, **more)
-    jaxtyping.config.update("jaxtyping_disable", True)
-    try:
+    with unchecked():
         return fit_quietly(data)
-    finally:
-        jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.mark.parametrize("law", NAMES)
@@ -207,14 +204,14 @@ def test_formations_have_laws_of_their_own_by_column_or_by_the_data(tmp_path):
 def test_segments_are_found_where_the_law_changes_and_nowhere_else():
     rng = np.random.default_rng(3)
     alone, hits = 0, 0
-    for _ in range(40):
+    for _ in range(20):
         eta = rig_logs.weights((600,), rng) / D
         law = rig_logs.LAWS["onset"](eta, C, ETA0, 0)
         noise = 0.05 * law.mean() * rig_logs.correlated((600,), CORRELATION, rng)
         alone += segments(eta, np.maximum(law + noise, 0)).max() == 0
         changes = np.flatnonzero(np.diff(segments(eta, np.maximum(law * np.repeat([1, 0.6, 1.2], 200) + noise, 0)))) + 1
         hits += changes.size == 2 and bool((abs(changes - [200, 400]) <= 10).all())
-    assert alone >= 38 and hits >= 38
+    assert alone >= 19 and hits >= 19
     assert segments(np.ones(20), np.ones(20)).max() == 0 and segments(np.ones(200), np.zeros(200)).max() == 0
 
 

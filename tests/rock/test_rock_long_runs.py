@@ -7,6 +7,7 @@ import pytest
 from rock_motion import FINE, constants
 
 import vibrojax as vj
+from vibrojax.compile.kernels import Kernel
 from vibrojax.compile.xla import precision
 from vibrojax.models.scenes.penetration import Penetration
 from vibrojax.stepping import Accuracy, Goal, Located, lane_at
@@ -17,13 +18,12 @@ FAST = {"threshold": 150e3, "k3": 20e9, "pulse_width": 3e-4, "zeta": 0.9}
 """A thousand blows a second on a very stiff rock, each over in a few tens of steps."""
 
 
-@jax.jit
 def _walk(p, lane, settings, end):
     """A thousand steps: (dt, states after each, pulse begins), and the lane after them."""
 
     def one(lane, _):
         new, step = STEPPER.step(SCENE, p, lane, settings, Goal(end, lane.clock.until(end) > 0))
-        return new, (step.dt[0], jnp.stack(step.after)[:, 0], SCENE.pulse_begins(p, step.mode, step.hits)[0])
+        return new, (step.dt, jnp.stack(step.after), SCENE.pulse_begins(p, step.mode, step.hits))
 
     return jax.lax.scan(one, lane, length=1000)
 
@@ -37,9 +37,10 @@ def walk(name, began):
         settings = Accuracy(*(jnp.asarray(value, name) for value in FINE._replace(tolerance=tolerance)))
         lane = lane_at(SCENE, p, SCENE.start(p, None, (1,)))
         lane = lane._replace(clock=lane.clock._replace(high=jnp.full(1, began, name)))
-        lane, steps = _walk(p, lane, settings, jnp.asarray(began + 1000.0, name))
+        arguments = p, lane, settings, jnp.asarray(began + 1000.0, name)
+        lane, steps = Kernel(_walk, *arguments)(*arguments)
         clock = np.float64(lane.clock.high[0]) + np.float64(lane.clock.low[0])
-        return *(np.asarray(one) for one in steps), clock
+        return *(one[..., 0] for one in steps), clock
 
 
 @pytest.mark.parametrize("name", ["float64", "float32"])

@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from vibrojax.compile.kernels import Kernel
 from vibrojax.errors import InputError
 from vibrojax.measures import Gauge, recorder_for
 from vibrojax.measures.recorder import Effort, run_block
@@ -89,7 +91,12 @@ def run(scene, stepper, error=1e-4, **values):
     c = scene.constants({name: jnp.full(1, value) for name, value in (defaults | values).items()})
     accuracy = stepper.accuracy(AccuracyRequest(error=error), scene)
     state = scene.start(c, "stuck", (1,))
-    return run_block(scene, stepper, recorder_for(scene), c, state, Effort(accuracy, 1e6), 20.0, 4.0)
+    arguments = (c, state, jax.tree.map(np.float64, accuracy))
+
+    def block(c, state, accuracy):
+        return run_block(scene, stepper, recorder_for(scene), c, state, Effort(accuracy, 1e6), 20.0, 4.0)
+
+    return Kernel(block, *arguments)(*arguments)  # as in sweeps; XLA takes five times as long to compile it
 
 
 VALUES = {"k4": 1e8, "m0": 100.0, "delta": 0.005}

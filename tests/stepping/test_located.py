@@ -1,11 +1,10 @@
 """The located stepper: its order, where it lands, and the corners in which event location goes wrong."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from by_kernels import by_kernels
 from flat import Flat
 
 from vibrojax.models.physics.friction import FRICTION_LAWS
@@ -20,11 +19,11 @@ FINE = Accuracy(tolerance=1e-12, stride=1.0, step=np.inf)
 
 def constants(scene, shape=(1,), **values):
     return scene.constants(
-        {name: jnp.full(shape, values.get(name, q.default)) for name, q in scene.parameters().items()}
+        {name: jnp.full(shape, float(values.get(name, q.default))) for name, q in scene.parameters().items()}
     )
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@by_kernels(static=2)
 def end_states(scene, method, p, state, settings, end):
     """States (states, lanes) at `end`, and the trial steps of each lane."""
 

@@ -267,8 +267,10 @@ def test_expansion_of_the_drill_by_repeated_differentiation(law):
 
     order, h = 5, 0.003
     found = jax.jit(lambda y: [c.arrays(order, slip) for c in expand(field, y, h, order)])(state)
-    derivative = field
-    for k in range(1, order + 1):
-        expected = np.array(jax.jit(derivative)(state)) * h**k / factorial(k)
+    derivatives = [field]
+    for _ in range(1, order):
+        derivatives.append(along(derivatives[-1]))
+    every = jax.jit(lambda y: [derivative(y) for derivative in derivatives])(state)  # they have much in common
+    for k, values in enumerate(every, 1):
+        expected = np.array(values) * h**k / factorial(k)
         np.testing.assert_allclose([c[k] for c in found], expected, rtol=1e-9, atol=1e-13, err_msg=str(k))
-        derivative = along(derivative)

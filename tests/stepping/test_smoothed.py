@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from by_kernels import by_kernels
 
 from vibrojax.models.scenes.rotary import Rotary
 from vibrojax.models.scenes.vibro_impact import VibroImpact
@@ -20,7 +21,7 @@ def constants(scene, shape=(1,), **values):
     return scene.constants({name: jnp.full(shape, values.get(name, x)) for name, x in defaults.items()})
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
+@by_kernels(static=3)
 def end_states(scene, method, start, p, settings, end):
     """States (states, lanes) at `end`."""
     lane = lane_at(scene, p, scene.start(p, start, scene.speed_scale(p).shape))
@@ -85,6 +86,9 @@ def test_width_where_the_bit_sticks_and_breaks_away(scene):
     assert distances[-1] < 0.01
 
 
+AT = {name: jnp.asarray(ROTARY.parameters()[name].default) for name in ("mu", "v_cr", "k1")}
+
+
 @partial(jax.jit, static_argnums=(2,))
 def x2_at_the_end(values, h=1e-3, steps=60):
     """x2 [m] after 60 ms of the rotary scene with its friction switch 0.1 m/s wide, from `stuck`: it breaks away."""
@@ -93,26 +97,30 @@ def x2_at_the_end(values, h=1e-3, steps=60):
     return smoothed_trajectory(ROTARY, p, start, h, steps, 0.1)[2][-1]
 
 
-@pytest.mark.parametrize("name", ["mu", "v_cr", "k1"])
+@partial(jax.jit, static_argnums=(1,))
+def gradient(h, steps):
+    return jax.grad(x2_at_the_end)(AT, h, steps)
+
+
+@jax.jit
+def forwards(along):
+    return jax.jvp(x2_at_the_end, (AT,), (along,))[1]
+
+
+@pytest.mark.parametrize("name", AT)
 def test_derivatives(name):
     """d x2/d parameter, backwards and forwards, against the central difference (y(q + e) - y(q - e))/(2 e)."""
-    at = ROTARY.parameters()[name].default
-
-    def y(q):
-        return x2_at_the_end({name: q})
-
-    e = 1e-5 * at
-    difference = (y(jnp.asarray(at + e)) - y(jnp.asarray(at - e))) / (2 * e)
-    assert abs(difference * at) > 1e-6
-    np.testing.assert_allclose(jax.grad(y)(jnp.asarray(at)), difference, rtol=1e-6)
-    np.testing.assert_allclose(jax.jvp(y, (jnp.asarray(at),), (jnp.asarray(1.0),))[1], difference, rtol=1e-6)
+    e = 1e-5 * AT[name]
+    up, down = (x2_at_the_end(AT | {name: AT[name] + sign * e}) for sign in (1.0, -1.0))
+    difference = (up - down) / (2 * e)
+    assert abs(difference * AT[name]) > 1e-6
+    np.testing.assert_allclose(gradient(1e-3, 60)[name], difference, rtol=1e-6)
+    np.testing.assert_allclose(forwards({one: jnp.asarray(float(one == name)) for one in AT}), difference, rtol=1e-6)
 
 
 def test_derivatives_converge_with_the_step():
     """At half the step the derivative differs by next to nothing: it is the motion's, not the steps'."""
-    coarse = jax.grad(lambda mu: x2_at_the_end({"mu": mu}))(0.4)
-    fine = jax.grad(lambda mu: x2_at_the_end({"mu": mu}, 5e-4, 120))(0.4)
-    np.testing.assert_allclose(coarse, fine, rtol=1e-4)
+    np.testing.assert_allclose(gradient(1e-3, 60)["mu"], gradient(5e-4, 120)["mu"], rtol=1e-4)
 
 
 def test_trajectory_is_what_the_stepper_gives():

@@ -158,7 +158,19 @@ def minimise(
     model for the seen lanes. `weight` is the weight w of each lane, by default 1.
     """
     weight = np.ones(rate.size) if weight is None else weight
-    root = np.sqrt(weight)
+    linear = isinstance(model, LinearRates)
+    theta = model.start(rate, np.where(censored, 0.0, weight)) if start is None or linear else start
+    if linear and not (model.rates(theta)[censored] > 0).any():
+        converged = bool(np.isfinite(theta).all())  # S is convex
+    else:
+        theta, converged = _search(model, rate, censored, theta, np.sqrt(weight))
+    predicted = model.rates(theta)
+    active = ~censored | (predicted > 0)
+    return Minimum(theta, converged, residuals(predicted, rate, censored), active, model.jacobian(theta))
+
+
+def _search(model: RateModel, rate: Lanes, censored: LaneFlags, theta: Theta, root: Lanes) -> tuple[Theta, bool]:
+    """Search for a minimum of S from `theta`; return it and whether it converged. `root` is sqrt(w) of each lane."""
 
     def weighted(theta: Theta) -> Lanes:
         return root * residuals(model.rates(theta), rate, censored)
@@ -173,23 +185,15 @@ def minimise(
         except np.linalg.LinAlgError:
             return np.full(theta.size, np.inf)
 
-    linear = isinstance(model, LinearRates)
-    theta = model.start(rate, np.where(censored, 0.0, weight)) if start is None or linear else start
-    if linear and not (model.rates(theta)[censored] > 0).any():
-        converged = bool(np.isfinite(theta).all())  # S is convex
-    else:
-        theta = least_squares(weighted, theta, slopes, method="lm", max_nfev=_LM_MAX_EVALUATIONS).x
+    theta = least_squares(weighted, theta, slopes, method="lm", max_nfev=_LM_MAX_EVALUATIONS).x
+    step = newton_step(theta)
+    for _ in range(_NEWTON_STEPS):
+        before, after = (float(np.sum(weighted(x) ** 2)) for x in (theta, theta + step))
+        if not after <= before * (1 + _ROUNDING) + _ROUNDING**2:  # or NaN, since the Hessian is singular
+            break
+        theta = theta + step
         step = newton_step(theta)
-        for _ in range(_NEWTON_STEPS):
-            before, after = (float(np.sum(weighted(x) ** 2)) for x in (theta, theta + step))
-            if not after <= before * (1 + _ROUNDING) + _ROUNDING**2:  # or NaN, since the Hessian is singular
-                break
-            theta = theta + step
-            step = newton_step(theta)
-        converged = bool(np.max(np.abs(step) / (1 + np.abs(theta))) <= _NEWTON_TOLERANCE)
-    predicted = model.rates(theta)
-    active = ~censored | (predicted > 0)
-    return Minimum(theta, converged, residuals(predicted, rate, censored), active, model.jacobian(theta))
+    return theta, bool(np.max(np.abs(step) / (1 + np.abs(theta))) <= _NEWTON_TOLERANCE)
 
 
 Loss = tuple[Callable[[Lanes], Lanes], Callable[[Lanes], Lanes]]

@@ -193,7 +193,17 @@ def _fit(
     with precision("float64"):
         arrays = {name: jnp.asarray(value) for name, value in fixed.items()}
 
+        latest: dict[bytes, tuple[Parts, Float[np.ndarray, "samples unknowns"]]] = {}
+
         def evaluate(scaled: Float[np.ndarray, " unknowns"]) -> tuple[Parts, Float[np.ndarray, "samples unknowns"]]:
+            # The search asks for the residual and then for the Jacobian at the same point.
+            key = scaled.tobytes()
+            if key not in latest:
+                latest.clear()
+                latest[key] = computed(scaled)
+            return latest[key]
+
+        def computed(scaled: Float[np.ndarray, " unknowns"]) -> tuple[Parts, Float[np.ndarray, "samples unknowns"]]:
             theta = scaled * scales
             begins = _all_states(theta, states, sought)
             local = np.concatenate([np.broadcast_to(theta[:2], (len(begins), 2)), begins], axis=1)
