@@ -25,7 +25,9 @@ if tuple(int(part) for part in version("jax").split(".")[:3]) < (0, 11, 2):
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_disable_hlo_passes=cse_barrier_expander"
 
 import jax  # noqa: E402
+import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
+from checked_types import checked  # noqa: E402
 from jaxtyping import install_import_hook  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
@@ -66,7 +68,8 @@ CHECKED = [
     "vibrojax.sweep.simulation.dense_output",
     "vibrojax.sweep.simulation.trajectory",
 ]
-install_import_hook(CHECKED, "checked_types.checked")
+install_import_hook(CHECKED, "beartype.beartype")
+jaxtyping.jaxtyped = checked  # the decorator that the hook writes into these modules
 
 LONGEST = ("test_reproduce.py", "test_derivatives.py", "test_exact.py", "test_accuracy.py", "test_hard_faults.py")
 """Files that take longest: they begin first, so that no process is left alone with one of them."""

@@ -1,0 +1,36 @@
+"""The annotations of the package are checked in tests: a wrong type or shape is an error where it is passed."""
+
+import numpy as np
+import pytest
+from checked_types import checked
+from jaxtyping import Float
+
+from vibrojax.models.scenes import SCENES
+from vibrojax.periodic.return_map import Segments, in_calls
+from vibrojax.sweep.engine.drift import _means
+
+SEGMENTS = Segments(SCENES["rotary"]())
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: in_calls(3, "many", 5),
+        lambda: SEGMENTS({}, np.zeros(3)),
+        lambda: _means(np.zeros((3, 4)), None, np.zeros(5, int), np.zeros((2, 4), int)),  # 4 lanes and 5
+    ],
+    ids=["function", "method", "dimension"],
+)
+def test_a_wrong_argument_is_an_error(call):
+    with pytest.raises(Exception, match="violates type hint"):
+        call()
+
+
+def test_a_wrong_result_is_an_error():
+    def doubled(x: Float[np.ndarray, " lanes"]) -> Float[np.ndarray, " lanes"]:
+        return np.concatenate([x, x])
+
+    doubled.__qualname__ = "doubled"  # functions within functions are not checked
+    with pytest.raises(Exception, match="violates type hint"):
+        checked(doubled)(np.zeros(3))
+    assert checked(doubled)(np.zeros(0)).shape == (0,)
