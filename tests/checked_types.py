@@ -13,8 +13,9 @@ CONTEXT = jaxtyping.jaxtyped("context")
 def checked(thing=None, *, typechecker=None):
     """Return a function or dataclass with its annotations checked at each call, all of them in one pass.
 
-    This takes the place of the decorator of jaxtyping's import hook, which checks arguments twice to say more of an error,
-    and which writes the checks of nested functions anew at each call of the outer one. Nested functions are not checked.
+    This takes the place of the decorator of jaxtyping's import hook, which checks arguments twice to say more of an
+    error, and which writes the checks of nested functions anew at each call of the outer one. Nested functions are not
+    checked.
     """
     if thing is None:
         return checked
