@@ -80,11 +80,12 @@ def test_at_random_points_they_are_the_exact_slopes():
     found = derivatives("vibro-impact", of=DRILL, by=by, **points, **times)
     repeat = np.flatnonzero((reasons(found)[:, 0] != "not-repeating").all(axis=-1))
     gap, preload = (repeat[points["delta"][repeat] * sign > 0][0] for sign in (1, -1))
-    for index in (gap, preload):
+    for index, name in ((gap, "beta"), (preload, "gamma")):  # the exact motion takes most of the time
         point = {name: float(column[index]) for name, column in points.items()}
-        slopes = exact_slopes("vibro-impact", DRILL, by, point, **times)
+        slopes = exact_slopes("vibro-impact", DRILL, (name,), point, **times)[:, 0]
         known = found.measured.values[index] != 0  # one never sticks
-        np.testing.assert_allclose(found.derivative.values[index][known], slopes[known], rtol=2e-6)
+        derivative = found.derivative.sel(parameter=name).values[index]
+        np.testing.assert_allclose(derivative[known], slopes[known], rtol=2e-6)
 
 
 @pytest.mark.long
