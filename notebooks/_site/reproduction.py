@@ -47,7 +47,8 @@ def finish(begun: list[subprocess.Popen[bytes]], app: Sphinx, config: Config) ->
     """Wait until the page is computed, and add it to the site."""
     if config.nb_execution_mode == "off":
         return
-    for process in begun:
+    while begun:
+        process = begun.pop()
         if process.wait():
             raise subprocess.CalledProcessError(process.returncode, process.args)
         PART.replace(KEPT)
