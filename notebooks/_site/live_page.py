@@ -3,6 +3,7 @@
 A build that executes no pages (`-D nb_execution_mode=off`) omits it.
 """
 
+import os
 from pathlib import Path
 
 from docutils import nodes
@@ -15,12 +16,13 @@ import vibrojax as vj
 
 KEPT = Path(__file__).parents[2] / "build" / "interactive" / fingerprint()
 PAGE = "map/index.html"
+VALUES = int(os.environ.get("VIBROJAX_NOTEBOOK_VALUES", 19))
 SWEEP = {
     "scene": "vibro-impact",
     "title": "Regimes over mass ratio and frequency ratio",
     "starts": ["drive", "stuck"],
     "parameters": {"delta": 0.005},
-    "grid": {"beta": {"start": 0.1, "stop": 1.2, "num": 19}, "gamma": {"start": 0.3, "stop": 1.2, "num": 19}},
+    "grid": {"beta": {"start": 0.1, "stop": 1.2, "num": VALUES}, "gamma": {"start": 0.3, "stop": 1.2, "num": VALUES}},
 }
 
 

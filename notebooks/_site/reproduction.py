@@ -5,6 +5,7 @@ A build that executes no pages (`-D nb_execution_mode=off`) omits both.
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 from docutils import nodes
@@ -16,27 +17,41 @@ from sphinx.util.docutils import SphinxDirective
 from tables import as_table
 
 KEPT = Path(__file__).parents[2] / "build" / "reproduction" / fingerprint()
+PART = KEPT.with_suffix(".part")
 PAGE = "reproduced/index.html"
 PLURAL = {"agrees": "agree", "agrees in trend": "agree in trend", "differs": "differ"}
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the computation and the directive."""
-    app.connect("config-inited", compute)
+    """Register the computation and the directive.
+
+    The computation is a process of its own, beside which the interactive page is made: neither keeps all cores busy.
+    """
+    begun: list[subprocess.Popen[bytes]] = []
+    app.connect("config-inited", partial(begin, begun), priority=400)
+    app.connect("config-inited", partial(finish, begun), priority=600)
     app.add_directive("reproduction-table", ReproductionTable)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
-def compute(app: Sphinx, config: Config) -> None:
-    """Compute the page unless it is cached for the same package, and add it to the site."""
+def begin(begun: list[subprocess.Popen[bytes]], app: Sphinx, config: Config) -> None:
+    """Begin to compute the page unless it is cached for the same package."""
+    if config.nb_execution_mode == "off" or (KEPT / PAGE).exists():
+        return
+    logging.getLogger(__name__).info("vibrojax reproduce ...")
+    command = [sys.executable, "-m", "vibrojax", "reproduce", "-o", str((PART / PAGE).parent), "--quiet"]
+    begun.append(subprocess.Popen(command))
+
+
+def finish(begun: list[subprocess.Popen[bytes]], app: Sphinx, config: Config) -> None:
+    """Wait until the page is computed, and add it to the site."""
     if config.nb_execution_mode == "off":
         return
-    if not (KEPT / PAGE).exists():
-        logging.getLogger(__name__).info("vibrojax reproduce ...")
-        part = KEPT.with_suffix(".part")
-        command = [sys.executable, "-m", "vibrojax", "reproduce", "-o", str((part / PAGE).parent), "--quiet"]
-        subprocess.run(command, check=True)
-        part.replace(KEPT)
+    while begun:
+        process = begun.pop()
+        if process.wait():
+            raise subprocess.CalledProcessError(process.returncode, process.args)
+        PART.replace(KEPT)
     config.html_extra_path = [*config.html_extra_path, str(KEPT)]
 
 

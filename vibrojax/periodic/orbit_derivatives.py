@@ -27,6 +27,7 @@ from vibrojax.models.scenes import Scene
 from vibrojax.periodic.margin import begun, observation
 from vibrojax.periodic.newton import ACCEPTED, PeriodicOrbits, PerLane, chain, orbits
 from vibrojax.periodic.return_map import Segments, in_calls
+from vibrojax.periodic.tangent_loop import with_derivatives
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, ZERO_MULTIPLIER, Variations, eigenvalues
 from vibrojax.stepping import Accuracy, Located, lane_at
 from vibrojax.sweep.engine.compiler import lane_function
@@ -230,7 +231,8 @@ def _features(scene: Scene[Any], on: _OnOrbit, past: Array, settle: Lanes, obser
     carry = recorder.settling(scene, lane)
     if isinstance(recorder, Recorder):
         carry = on_orbit(carry, past, on.when, on.period)
-    underway = settle_block(scene, Located(), recorder, c, Underway(lane, carry, zero), settle, effort)
+    underway = Underway(*with_derivatives((lane, carry)), zero)
+    underway = settle_block(scene, Located(), recorder, c, underway, settle, effort)
     _, features = observe_block(scene, Located(), recorder, c, underway, settle, observe, effort)
     if "impacts" in features:  # per section crossing, because the observation is too short to detect a repeat
         quantities = derived_quantities(scene, features | {"cycles": zero + 1}, HOLE_RADIUS, jnp)

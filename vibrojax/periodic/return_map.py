@@ -22,7 +22,7 @@ from vibrojax.models.arrays import Array, Flags, Lanes, Real
 from vibrojax.models.scenes import Driven, HasImpacts, Scene
 from vibrojax.models.scenes.declared import Section, Values
 from vibrojax.periodic.margin import Margin
-from vibrojax.periodic.tangent_loop import loop_with_tangents
+from vibrojax.periodic.tangent_loop import loop_with_tangents, with_derivatives
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.parallel import in_parallel
@@ -81,6 +81,11 @@ class _Flight(NamedTuple):
     armed: Flags
     margins: Array
     seen: ReturnEvents
+
+
+def varying(flight: _Flight) -> Any:
+    """Return the parts of lanes on their way that have derivatives."""
+    return flight.lane, flight.time, flight.margins, flight.seen.margin, flight.seen.reach
 
 
 @lane_function(static=3, derives=True)
@@ -175,10 +180,7 @@ class ReturnLoop(NamedTuple):
         number = len(unknowns)
         directions = jnp.broadcast_to(jnp.eye(number, dtype=state.dtype)[:, :, None], (number, *unknowns.shape))
 
-        def varies(flight: _Flight) -> Any:
-            return flight.lane, flight.time, flight.margins, flight.seen.margin, flight.seen.reach
-
-        return loop_with_tangents(begin, self.advance, self.continues, unknowns, directions, varies)
+        return loop_with_tangents(begin, self.advance, self.continues, unknowns, directions, varying)
 
     def _margin(self, c: Any) -> Margin:
         return self.margin(c) if self.margin else Margin(self.scene, self.scene.section, c, False)
@@ -196,7 +198,11 @@ def one_return(
     is differentiated too.
     """
     loop = ReturnLoop(scene, stepper, accuracy, most_steps, lambda c: Margin(scene, scene.section, c, True))
-    flight = jax.lax.while_loop(loop.continues, partial(loop.advance, c), loop.begin(c, state))
+    first = loop.begin(c, state)
+    lane, time, margins, total, reach = with_derivatives(varying(first))
+    seen = first.seen._replace(margin=total, reach=reach)
+    first = first._replace(lane=lane, time=time, margins=margins, seen=seen)
+    flight = jax.lax.while_loop(loop.continues, partial(loop.advance, c), first)
     return (map_state(scene, flight.lane), flight.time), flight.seen
 
 

@@ -67,6 +67,29 @@ def loop_with_tangents(
     return last, jax.tree.unflatten(jax.tree.structure(last), ended)
 
 
+def with_derivatives(tree: X) -> X:
+    """Return a pytree, all of whose real leaves have derivatives once it is differentiated, if only of 0.
+
+    `jax.jvp` of a loop traces the loop's body again for each part of the carry that turns out to have a derivative. A
+    first carry in which these parts have derivatives saves that. It may be differentiated more than once.
+    """
+    leaves, structure = jax.tree.flatten(tree)
+    real = iter(_with_derivatives([leaf for leaf in leaves if _is_real(leaf)]))
+    return jax.tree.unflatten(structure, [next(real) if _is_real(leaf) else leaf for leaf in leaves])
+
+
+@jax.custom_jvp
+def _with_derivatives(leaves: list[Array]) -> list[Array]:
+    return leaves
+
+
+@_with_derivatives.defjvp
+def _derivatives_of_leaves(primals: Any, tangents: Any) -> tuple[list[Array], list[Array]]:
+    (leaves,), (slopes,) = primals, tangents
+    both = _with_derivatives([*leaves, *slopes])  # in one call: the slopes have derivatives where the leaves have
+    return both[: len(leaves)], both[len(leaves) :]
+
+
 def _derivatives(function: Callable[..., Y], inputs: Sequence[Any], moved: Tangents) -> tuple[Y, Tangents]:
     """Return the function's result, and the derivatives of its leaves if the leaves of the inputs move by `moved`."""
     leaves, tree = jax.tree.flatten(inputs)
