@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import inspect
+import typing
 
 import jaxtyping
 from beartype import beartype
@@ -48,7 +49,7 @@ def checked(thing=None, *, typechecker=None):
 def are_known(function):
     """Return whether all annotations can be evaluated; those of modules that only type checkers import cannot."""
     try:
-        inspect.get_annotations(function, eval_str=True)
+        typing.get_type_hints(function, include_extras=True)
     except NameError:
         return False
     return True
