@@ -15,8 +15,8 @@ def checked(thing=None, *, typechecker=None):
     """Return a function or dataclass with its annotations checked at each call, all of them in one pass.
 
     This takes the place of the decorator of jaxtyping's import hook, which checks arguments twice to say more of an
-    error, and which writes the checks of nested functions anew at each call of the outer one. Nested functions are not
-    checked.
+    error, and which writes the checks of nested functions anew at each call of the outer one. Nested functions and
+    generators are not checked.
     """
     if thing is None:
         return checked
@@ -29,7 +29,8 @@ def checked(thing=None, *, typechecker=None):
             return kind(checked(thing.__func__))
     if isinstance(thing, property):
         return property(*(part and checked(part) for part in (thing.fget, thing.fset, thing.fdel)))
-    if "<locals>" in thing.__qualname__:
+    # A generator's arguments are checked where its first value is taken, among the dimensions of another call.
+    if "<locals>" in thing.__qualname__ or inspect.isgeneratorfunction(thing):
         return thing
     strict = None  # until the first call: of most functions, a process calls few
 
