@@ -40,14 +40,14 @@ def checked(thing=None, *, typechecker=None):
         if jaxtyping.config.jaxtyping_disable:
             return thing(*args, **kwargs)
         if strict is None:
-            strict = beartype(thing) if are_known(thing) else thing
+            strict = beartype(thing) if annotations_are_known(thing) else thing
         with CONTEXT:  # a name of a dimension means one number in a call
             return strict(*args, **kwargs)
 
     return call
 
 
-def are_known(function):
+def annotations_are_known(function):
     """Return whether all annotations can be evaluated; those of modules that only type checkers import cannot."""
     try:
         typing.get_type_hints(function, include_extras=True)

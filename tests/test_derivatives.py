@@ -90,7 +90,7 @@ def test_at_random_points_they_are_the_exact_slopes():
 
 @pytest.mark.long
 def test_the_pure_function_is_differentiable():
-    """Of the scene with the fewest events and of few measures, whose program XLA compiles soonest."""
+    """Its derivative along one direction, for the scene and the measures that XLA compiles soonest."""
     scene, recorder = SCENES["rotary"](), Recorder((Swings(), KeptReturns(RETURNS_FOR_DRIFT)))
     defaults = {name: parameter.default for name, parameter in scene.parameters().items()}
     wrt, of = ("beta", "gamma", "v", "mu"), ("period", "bit_amplitude")

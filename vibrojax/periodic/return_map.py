@@ -179,7 +179,6 @@ class ReturnLoop(NamedTuple):
         unknowns = jnp.stack([*state, *(p[name] for name in along)])
         number = len(unknowns)
         directions = jnp.broadcast_to(jnp.eye(number, dtype=state.dtype)[:, :, None], (number, *unknowns.shape))
-
         return loop_with_tangents(begin, self.advance, self.continues, unknowns, directions, varying)
 
     def _margin(self, c: Any) -> Margin:

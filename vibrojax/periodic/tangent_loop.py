@@ -45,23 +45,22 @@ def loop_with_tangents(
     number = len(jax.tree.leaves(constants))
     of_constants, of_first = began[:number], began[number:]
     leaves, tree = jax.tree.flatten(first)
-    varying = set(jax.tree.leaves(varies(jax.tree.unflatten(tree, range(len(leaves))))))
-    named = [index in varying for index in range(len(leaves))]
+    named = set(jax.tree.leaves(varies(jax.tree.unflatten(tree, range(len(leaves))))))  # indices of leaves
     count = len(jax.tree.leaves(directions)[0])
     moved: Tangents = [
-        (jnp.zeros((count, *leaf.shape), leaf.dtype) if own is None else own) if has else None
-        for leaf, own, has in zip(leaves, of_first, named, strict=True)
+        (jnp.zeros((count, *leaf.shape), leaf.dtype) if own is None else own) if index in named else None
+        for index, (leaf, own) in enumerate(zip(leaves, of_first, strict=True))
     ]
 
     def body(both: tuple[Carry, Tangents]) -> tuple[Carry, Tangents]:
         carry, moved = both
         after, changed = _derivatives(advance, [constants, carry], [*of_constants, *moved])
-        for own, has in zip(changed, named, strict=True):
-            assert own is None or has, "a part of the carry has a derivative that `varies` does not name"
-        return after, [
-            jnp.zeros_like(before) if own is None and before is not None else own
-            for before, own in zip(moved, changed, strict=True)
-        ]
+        for index, before in enumerate(moved):
+            if before is None:
+                assert changed[index] is None, "a part of the carry has a derivative that `varies` does not name"
+            elif changed[index] is None:
+                changed[index] = jnp.zeros_like(before)
+        return after, changed
 
     last, ended = jax.lax.while_loop(lambda both: continues(both[0]), body, (first, moved))
     return last, jax.tree.unflatten(jax.tree.structure(last), ended)
