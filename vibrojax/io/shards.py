@@ -1,8 +1,8 @@
 """Finished chunks of a sweep, stored as files (shards) next to its output, so that no computed chunk is lost."""
 
 import hashlib
-import io
 import json
+import math
 import os
 import re
 import sys
@@ -30,7 +30,10 @@ _SHARE_PATIENCE = 30.0
 """Time [s] that a process waits while others, started at the same time, check the manifest."""
 
 _HEADER_SIZE = 1 << 16
-"""Largest npy header [bytes] that is parsed: each of the many arrays takes about 40."""
+"""Largest header [bytes] that is parsed: each of the many arrays takes about 40."""
+
+_NUMBERS = re.compile(r"[<>|][biuf]\d")
+"""Types of the arrays that are stored: booleans and real numbers."""
 
 _WRITE_ATTEMPTS = 5
 """Times that a file is written anew while the user removes its folder; removing a folder takes milliseconds."""
@@ -57,9 +60,11 @@ class DamagedShard(Exception):
 class Shards:
     """The finished chunks of one sweep, as immutable files in one folder.
 
-    Each file consists of the SHA-256 of (manifest, index, content), followed by the content: an npy file with one
-    structured value, which has a field per array. A file with another manifest or index, a truncated file or a flipped
-    bit is therefore detected. The chunk then counts as missing.
+    Each file consists of the SHA-256 of (manifest, index, content), followed by the content: a line of JSON with the
+    type and shape of each array by name, then the arrays' bytes in this order. A file with another manifest or index, a
+    truncated file or a flipped bit is therefore detected. The chunk then counts as missing. (It is not an npy file,
+    because numpy parses the header of one with `ast`, which fails in Python 3.11 when two threads use it at once:
+    CPython issue 106905.)
 
     **Arguments:**
 
@@ -168,13 +173,9 @@ class Shards:
 
     def write(self, index: int, arrays: Arrays) -> None:
         """Store the arrays of a chunk; on return, the file is complete on the disk."""
-        record = np.zeros((), np.dtype([(name, x.dtype, x.shape) for name, x in arrays.items()], align=True))
-        for name, x in arrays.items():
-            record[name] = x
-        buffer = io.BytesIO()
-        np.save(buffer, record, allow_pickle=False)
-        with buffer.getbuffer() as content:
-            self._put(self._path(index), self._checksum(index, content), content)
+        header = json.dumps({name: (x.dtype.str, x.shape) for name, x in arrays.items()}).encode() + b"\n"
+        content = b"".join([header, *(x.tobytes() for x in arrays.values())])
+        self._put(self._path(index), self._checksum(index, content), content)
         self._failure_path(index).unlink(missing_ok=True)
 
     def read(self, index: int) -> dict[str, np.ndarray]:
@@ -182,13 +183,10 @@ class Shards:
 
         **Raises:** `DamagedShard` if the file is missing or damaged.
         """
-        file = io.BytesIO(self._content(index))
+        content = self._content(index)
         try:
-            record = np.load(file, allow_pickle=False, max_header_size=_HEADER_SIZE)
-            if record.shape or file.read(1):
-                raise ValueError("not a single value of the size of the file")
-            return {name: record[name] for name in record.dtype.names}
-        except Exception as error:  # numpy raises many types of exceptions on a malformed header
+            return _arrays(content)
+        except Exception as error:  # a malformed header causes many types of exceptions
             raise DamagedShard(f"{self._path(index)}: cannot be read ({type(error).__name__})") from None
 
     def remove(self) -> None:
@@ -292,6 +290,24 @@ class Shards:
         if differences and self.there():
             advice = "--fresh starts over, or give another output"
             raise InputError(f"{self.folder}: holds chunks of another sweep: {differences}; {advice}")
+
+
+def _arrays(content: memoryview) -> dict[str, np.ndarray]:
+    """Return the arrays of the content of a shard, which may come from anywhere."""
+    header, line_end, _ = bytes(content[:_HEADER_SIZE]).partition(b"\n")
+    if not line_end:
+        raise ValueError("no header")
+    arrays, begin = dict[str, np.ndarray](), len(header) + 1
+    for name, (kind, shape) in json.loads(header).items():
+        if not _NUMBERS.fullmatch(kind) or min(shape, default=0) < 0:
+            raise ValueError("not an array of booleans or real numbers")
+        dtype = np.dtype(kind)
+        end = begin + math.prod(shape) * dtype.itemsize
+        arrays[name] = np.frombuffer(content[begin:end], dtype).reshape(shape).copy()
+        begin = end
+    if begin != len(content):
+        raise ValueError("not the arrays of the size of the file")
+    return arrays
 
 
 def report_damage(damage: object) -> None:
