@@ -1,4 +1,4 @@
-"""Lanes by the programs for accelerators, on two devices that share the processor, come out as lanes of kernels do."""
+"""Test the programs for accelerators against kernels, on two devices that share the processor."""
 
 import os
 import subprocess
@@ -55,7 +55,7 @@ for name in ("cycles", "period", "bit_amplitude", "drive_power"):
 @pytest.mark.parametrize(
     ("precision", "within"), [("float64", "1e-8"), pytest.param("float32", "2e-3", marks=pytest.mark.long)]
 )
-def test_as_by_kernels(precision, within):
+def test_features_match_those_of_kernels(precision, within):
     folder = Path(__file__).parent
     paths = (str(folder / "benchmarks"), str(Path(vibrojax.__file__).parents[1]))
     environment = os.environ | {
@@ -64,5 +64,5 @@ def test_as_by_kernels(precision, within):
         "PYTHONPATH": os.pathsep.join(paths),
     }
     command = [sys.executable, "-c", SCRIPT, precision, within]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
+    completed = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert completed.returncode == 0, completed.stderr[-2000:]

@@ -1,4 +1,4 @@
-"""Speed against error: errors fall with the tolerance, failures are kept, and the front is right."""
+"""Test the study of speed against error: errors shrink with the tolerance, failures are kept, the front is correct."""
 
 import json
 
@@ -21,42 +21,45 @@ def study():
     return run_accuracy(quick=True, progress=False)
 
 
-def of(study, scene, method, varied):
+def settings_for(study, scene, method, varied):
     where = (study["scene"] == scene) & (study["method"] == method) & (study["varied"] == varied)
     return study.isel(setting=where.values).sortby("value")
 
 
 @pytest.mark.parametrize("scene", ["vibro-impact", "penetration"])
-def test_errors_fall_with_the_tolerance(study, scene):
-    located = of(study, scene, "located", "tolerance")
+def test_errors_shrink_with_tolerance(study, scene):
+    located = settings_for(study, scene, "located", "tolerance")
     assert np.all(np.diff(located["error_worst"].values) > 0)
     assert np.all(located["error_worst"] < 10 * located["value"])
     assert np.all(located["agreeing"] == located["lanes"]) and np.all(located["lanes"] >= 2)
 
 
 @pytest.mark.parametrize("method", ["smoothed", "diffrax Tsit5"])
-def test_errors_fall_with_the_width(study, method):
-    smoothed = of(study, "vibro-impact", method, "width")
+def test_errors_shrink_with_smoothing_width(study, method):
+    smoothed = settings_for(study, "vibro-impact", method, "width")
     for name in ("period", "impact_velocity", "peak_impact_force", "stick_fraction"):
         assert np.all(np.diff(smoothed[f"{name}_error_worst"].values) > 0), name
     assert np.all(smoothed["error_median"] <= smoothed["error_worst"])
 
 
-def test_two_ways_to_smooth_leave_the_same_error(study):
-    """What the width costs does not depend on who integrates it: the features read off samples are the same ones."""
-    own, others = of(study, "vibro-impact", "smoothed", "width"), of(study, "vibro-impact", "diffrax Tsit5", "width")
+def test_smoothing_error_does_not_depend_on_integrator(study):
+    """Both integrators read their features off samples of the same smoothed motion."""
+    own, others = (
+        settings_for(study, "vibro-impact", "smoothed", "width"),
+        settings_for(study, "vibro-impact", "diffrax Tsit5", "width"),
+    )
     np.testing.assert_allclose(own["error_worst"], others["error_worst"], rtol=0.3)
 
 
 def test_failures_are_kept(study):
-    failed = of(study, "penetration", "diffrax Tsit5", "width")
+    failed = settings_for(study, "penetration", "diffrax Tsit5", "width")
     assert failed.sizes["setting"] == 1 and STATUSES[int(failed["status"][0])] == "unsupported"
     assert "rock" in str(failed["remark"].values[0])
     assert np.isnan(failed["error_worst"]).all() and not failed["on_front"].any()
     assert str(failed["remark"].values[0]) in table(study)
 
 
-def test_times_and_the_front_of_each_scene_are_told(study):
+def test_study_records_times_and_front_of_each_scene(study):
     done = study.isel(setting=study["status"].values == 0)
     assert np.all(done["time_per_lane_second_min"] <= done["time_per_lane_second"])
     assert np.all(done["time_per_lane_second"] <= done["time_per_lane_second_max"])
@@ -70,7 +73,7 @@ def test_times_and_the_front_of_each_scene_are_told(study):
         np.testing.assert_array_equal(here["on_front"], pareto(here["time_per_lane_second"], here["error_worst"]))
 
 
-def test_the_files_are_written(study, tmp_path, monkeypatch, capsys):
+def test_command_writes_dataset_table_and_picture(study, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("vibrojax.analyses.accuracy.study.run_accuracy", lambda quick, progress: study)
     out = tmp_path / "new" / "folder"
     assert main(["accuracy", "--quick", "-o", str(out)]) == 0
@@ -80,9 +83,9 @@ def test_the_files_are_written(study, tmp_path, monkeypatch, capsys):
     rows = [line for line in (out / "accuracy.md").read_text().splitlines() if line.startswith("| ")]
     assert len(rows) == study.sizes["setting"] + 2  # a header for each scene
     assert len({row.count("|") for row in rows if "vibro" not in row}) <= 2
-    found = open_dataset(out / "accuracy.nc")
-    assert found["scene"].dtype.kind in "UO" and found["status"].attrs["flag_meanings"] == " ".join(STATUSES)
-    assert table(found) == table(study)
+    stored = open_dataset(out / "accuracy.nc")
+    assert stored["scene"].dtype.kind in "UO" and stored["status"].attrs["flag_meanings"] == " ".join(STATUSES)
+    assert table(stored) == table(study)
     assert main(["plot", str(out / "accuracy.nc")]) == 0
     assert main(["info", str(out / "accuracy.nc")]) == 0
 
@@ -96,7 +99,7 @@ def test_wrong_input_is_refused_in_one_line(tmp_path, capsys):
     assert captured.err.count("\n") == 1 and "-o" in captured.err
 
 
-def test_interrupted(tmp_path, monkeypatch, capsys):
+def test_interrupt_prints_command_to_start_again(tmp_path, monkeypatch, capsys):
     def interrupted(**_):
         raise KeyboardInterrupt
 
@@ -106,7 +109,7 @@ def test_interrupted(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err == line
 
 
-def test_the_front_of_some_points():
+def test_pareto_front():
     time = [1.0, 2.0, 3.0, 2.0, 0.5, 4.0, np.nan, 5.0]
     error = [1e-2, 1e-4, 1e-4, 1e-3, np.nan, 1e-6, 1e-9, 1e-6]
     assert pareto(time, error).tolist() == [True, True, False, False, False, True, False, False]
@@ -114,20 +117,20 @@ def test_the_front_of_some_points():
     assert pareto([], []).size == 0
 
 
-def test_what_became_of_lanes():
-    """Lanes: as the reference; twice the impacts; another period; not finite; not finished."""
+def test_status_of_each_lane():
+    """Check lanes that match the reference, impact twice as often, have another period, diverge, or do not finish."""
     reference = {"period": np.ones(5), "impact_velocity": np.ones(5), "impacts": np.ones(5), "cycles": np.ones(5)}
-    found = {name: x.copy() for name, x in reference.items()}
-    found["period"][0], found["period"][2], found["period"][3] = 1 + 1e-6, 2.0, np.nan
-    found["impacts"][1] = 2
-    found |= {"finite": np.arange(5) != 3, "finished": np.arange(5) != 4}
-    errors = errors_of(found, reference)
+    features = {name: x.copy() for name, x in reference.items()}
+    features["period"][0], features["period"][2], features["period"][3] = 1 + 1e-6, 2.0, np.nan
+    features["impacts"][1] = 2
+    features |= {"finite": np.arange(5) != 3, "finished": np.arange(5) != 4}
+    errors = errors_of(features, reference)
     np.testing.assert_allclose(errors["overall"][0], 1e-6, rtol=1e-6)
     expected = ["done", "other-regime", "other-regime", "not-finite", "out-of-steps"]
-    assert [STATUSES[status] for status in statuses_of(found, reference, errors)] == expected
+    assert [STATUSES[status] for status in statuses_of(features, reference, errors)] == expected
 
 
-def test_a_setting_whose_lanes_fail_stays_with_the_reason():
+def test_setting_with_failed_lanes_keeps_reasons():
     lanes = lanes_of("penetration")
     reference = {"rate_of_penetration": np.ones(4)}
 
@@ -141,22 +144,27 @@ def test_a_setting_whose_lanes_fail_stays_with_the_reason():
         def features(self, accuracy, ran):
             return ran | {"rate_of_penetration": np.array([1.0, np.nan, 1.0, 3.0]), "finite": np.arange(4) != 1}
 
-    found = measure(
+    record = measure(
         settings_of("penetration")[0], Failing(lanes, "located", "float64"), 1.0, reference, np.ones(4, bool), repeats=5
     )
-    assert (STATUSES[found["status"]], found["lanes"], found["agreeing"], found["repeats"]) == ("not-finite", 4, 1, 1)
+    assert (STATUSES[record["status"]], record["lanes"], record["agreeing"], record["repeats"]) == (
+        "not-finite",
+        4,
+        1,
+        1,
+    )
     reasons = [
         "1 of 4 lanes did not stay finite",
         "1 of 4 lanes did not reach the end within the steps allowed",
         "1 of 4 lanes moved in another way than the reference",
     ]
-    assert found["remark"] == "; ".join(reasons)
-    ds = dataset_of([found | {"reference_spread": 1e-14}], 1.0)
-    assert not ds["on_front"].any() and found["remark"] in table(ds)
+    assert record["remark"] == "; ".join(reasons)
+    ds = dataset_of([record | {"reference_spread": 1e-14}], 1.0)
+    assert not ds["on_front"].any() and record["remark"] in table(ds)
     assert work_precision(ds).axes
 
 
-def test_lanes_that_do_not_repeat_are_left_out():
+def test_only_lanes_that_repeat_are_usable():
     whole = {"finite": np.ones(3, bool), "finished": np.ones(3, bool), "impacts": np.ones(3)}
     fine = whole | {"period": np.ones(3), "impact_velocity": np.ones(3), "cycles": np.array([1, 0, 2])}
     second = fine | {"period": np.array([1.0, 1.0, 1.001])}
@@ -164,11 +172,11 @@ def test_lanes_that_do_not_repeat_are_left_out():
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_every_scene_has_lanes_and_settings(scene):
+def test_each_scene_has_lanes_and_settings(scene):
     lanes = lanes_of(scene)
     sweep = read_sweep(lanes.sweep("located", "float64", copies=2))
     assert sweep.lanes == 2 * lanes.count == 32 and not sweep.run.end_early
     settings = settings_of(scene)
-    assert {one.precision for one in settings} == {"float64", "float32"}
-    assert {one.varied for one in settings} >= {"tolerance", "stride"}
-    assert any(one.method.startswith("diffrax") for one in settings)
+    assert {setting.precision for setting in settings} == {"float64", "float32"}
+    assert {setting.varied for setting in settings} >= {"tolerance", "stride"}
+    assert any(setting.method.startswith("diffrax") for setting in settings)

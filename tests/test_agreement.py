@@ -1,4 +1,4 @@
-"""Smoothed, located and diffrax's adaptive steps give one motion, over a transient short enough to forbid chaos."""
+"""Test the smoothed, located and adaptive steppers against each other, over a transient too short for chaos."""
 
 import json
 
@@ -10,8 +10,8 @@ import vibrojax as vj
 from vibrojax.errors import InputError
 
 STATES = ("x1", "v1", "x2", "v2")
-STUCK = {"start": "stuck"}  # sticks, slips both ways, impacts; periodic in the end
-IRREGULAR = {"k1": 625000.0, "gamma": 1.2, "start": "drive"}  # chaotic in the end (Fig. 5.77c)
+STUCK = {"start": "stuck"}  # sticks, slips both ways, impacts; settles on a periodic orbit
+IRREGULAR = {"k1": 625000.0, "gamma": 1.2, "start": "drive"}  # settles on a chaotic attractor (Fig. 5.77c)
 WIDTHS = (1e-2, 1e-3, 1e-4)
 SOLVERS = ["Tsit5", "Kvaerno5", diffrax.Dopri8()]
 
@@ -25,23 +25,25 @@ def located():
     return {"stuck": motion(STUCK), "irregular": motion(IRREGULAR)}
 
 
-def apart(one, other):
-    """Greatest distance of the positions, over the swing."""
-    return max(float(abs(one[x] - other[x]).max() / abs(other[x]).max()) for x in ("x1", "x2"))
+def position_error(trajectory, reference):
+    """Return the largest difference of the positions, relative to the largest position."""
+    return max(float(abs(trajectory[x] - reference[x]).max() / abs(reference[x]).max()) for x in ("x1", "x2"))
 
 
-def apart_in_the_mean(one, other):
-    """The same of all states, on average over time: a velocity that turns round in a 4 ms blow is never close at all
-    times."""
-    return max(float(abs(one[y] - other[y]).mean() / abs(other[y]).max()) for y in STATES)
+def mean_state_error(trajectory, reference):
+    """Return the mean difference of all states, relative to their largest values.
+
+    The maximum would be large, since velocities reverse within an impact of 4 ms.
+    """
+    return max(float(abs(trajectory[y] - reference[y]).mean() / abs(reference[y]).max()) for y in STATES)
 
 
 def bound(width):
-    """What smoothing costs at least and at most about: w^(4/5) in units of 1 m/s (see stepping/test_smoothed.py)."""
+    """Return the order of the smoothing error: w^(4/5) in units of 1 m/s (see stepping/test_smoothed.py)."""
     return width**0.8
 
 
-def test_there_is_something_to_agree_on(located):
+def test_reference_has_events_of_all_kinds(located):
     kinds = located["stuck"].event_kind.attrs["flag_meanings"].split()
     happened = {kinds[kind] for kind in located["stuck"].event_kind.values}
     assert happened >= {"stick", "slip", "impact", "release", "section"}
@@ -49,40 +51,40 @@ def test_there_is_something_to_agree_on(located):
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_smoothed_and_located(located, width):
-    """Within the width's share, which falls as the width does."""
+def test_smoothed_matches_located(located, width):
+    """The error stays below the bound of the width, which shrinks with the width."""
     smoothed = motion(STUCK, method="smoothed", smoothing=width, step=0.1 * width)
-    assert apart(smoothed, located["stuck"]) < bound(width)
-    assert apart_in_the_mean(smoothed, located["stuck"]) < bound(width)
+    assert position_error(smoothed, located["stuck"]) < bound(width)
+    assert mean_state_error(smoothed, located["stuck"]) < bound(width)
     irregular = motion(IRREGULAR, method="smoothed", smoothing=width, step=0.1 * width)
-    assert apart(irregular, located["irregular"]) < bound(width)
+    assert position_error(irregular, located["irregular"]) < bound(width)
 
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=str)
 @pytest.mark.long
-def test_any_diffrax_solver(located, solver):
-    """An adaptive run at width 1e-4 m/s keeps to the located one within the width's share, 6e-4 of the swing."""
+def test_diffrax_solvers_match_located(located, solver):
+    """At a width of 1e-4 m/s, the difference stays below the bound of the width: 6e-4 of the largest values."""
     adaptive = motion(STUCK, solver=solver, smoothing=1e-4)
-    assert apart(adaptive, located["stuck"]) < bound(1e-4)
-    assert apart_in_the_mean(adaptive, located["stuck"]) < bound(1e-4)
+    assert position_error(adaptive, located["stuck"]) < bound(1e-4)
+    assert mean_state_error(adaptive, located["stuck"]) < bound(1e-4)
 
 
-def test_smoothed_and_diffrax():
-    """They solve the same equations: at one width they differ by their step errors only, which are far smaller."""
+def test_smoothed_matches_diffrax():
+    """Both solve the same equations, so at equal widths only their step errors differ. These are far smaller."""
     smoothed = motion(STUCK, method="smoothed", smoothing=1e-2, step=1e-4)
     adaptive = motion(STUCK, solver="Tsit5", smoothing=1e-2, error=1e-6)
-    assert apart(smoothed, adaptive) < 1e-2 * bound(1e-2)
+    assert position_error(smoothed, adaptive) < 1e-2 * bound(1e-2)
 
 
-def test_forces_agree(located):
-    """Friction and contact force of the sharp and the smoothed motion, on average over time."""
+def test_smoothed_forces_match_located(located):
+    """Compare the time averages of friction and contact force."""
     smoothed = motion(STUCK, method="smoothed", smoothing=1e-3, step=1e-4)
     for name in ("friction_force", "impact_force"):
         difference = abs(smoothed[name] - located["stuck"][name]).mean()
         assert difference < 0.01 * abs(located["stuck"][name]).max()
 
 
-def test_no_diffrax_solver():
+def test_invalid_solver_is_refused():
     with pytest.raises(InputError, match="no diffrax solver"):
         motion(STUCK, solver="Tsit6")
     with pytest.raises(InputError, match="solver"):
@@ -90,14 +92,14 @@ def test_no_diffrax_solver():
 
 
 def test_samples_do_not_depend_on_sampling(located):
-    """A trajectory is read off the steps' polynomials: other samples, the same motion."""
+    """Samples are read off the polynomials of the steps, so the sampling does not change the motion."""
     finer = vj.simulate("vibro-impact", **STUCK, duration=0.8, sampling=2.5e-4, progress=False)
     for name in STATES:
         np.testing.assert_array_equal(finer[name][::4], located["stuck"][name])
 
 
-def test_a_solver_with_fixed_steps(located):
-    """One without an error estimate takes the steps it is given, or those that the width asks for."""
+def test_solver_with_fixed_steps(located):
+    """A solver without an error estimate takes the given steps, or those that the width requires."""
     euler = motion(STUCK, solver="Euler", smoothing=1e-2, step=2e-5)
     assert json.loads(euler.solver)["steps"] == 40_000
     np.testing.assert_allclose(euler.x1, located["stuck"].x1, atol=2e-3)
@@ -114,11 +116,11 @@ def test_a_solver_with_fixed_steps(located):
         ("smoothing", "x"),
     ],
 )
-def test_settings_that_are_no_numbers_above_zero(name, value):
+def test_settings_that_are_not_positive_numbers_are_refused(name, value):
     with pytest.raises(InputError, match=f"simulate: {name}: "):
         vj.simulate("rotary", **({"duration": 0.1} | {name: value}), progress=False)
 
 
-def test_numpy_scalars_are_numbers():
+def test_numpy_scalars_are_accepted():
     motion = vj.simulate("rotary", beta=np.float32(0.5), m1=np.int64(250), duration=np.float32(0.1), progress=False)
     assert float(motion.time[-1]) == pytest.approx(0.1)

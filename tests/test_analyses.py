@@ -1,4 +1,4 @@
-"""Analyses are found by the kind of a dataset, also those that other packages offer."""
+"""Test that analyses are looked up by the kind of a dataset, including those that other packages register."""
 
 import json
 import subprocess
@@ -28,7 +28,7 @@ observe = 8.0
 
 @pytest.fixture(scope="module")
 def campbell(tmp_path_factory):
-    """A folder with an installed package that offers a Campbell diagram, and the dataset that its command writes."""
+    """Return a folder with an installed package that registers a Campbell diagram, and the dataset of its command."""
     folder = tmp_path_factory.mktemp("outside")
     (folder / "campbell-1.0.dist-info").mkdir()
     (folder / "campbell-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: campbell\nVersion: 1.0\n")
@@ -40,14 +40,14 @@ def campbell(tmp_path_factory):
         f"import sys; sys.path.insert(0, {str(folder)!r}); from vibrojax.cli import main; sys.exit(main(sys.argv[1:]))"
     )
     words = ["campbell", "speeds.toml", "--orders", "3"]
-    done = subprocess.run([sys.executable, "-c", code, *words], cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 0 and "picture" in done.stdout, done.stderr
+    completed = subprocess.run([sys.executable, "-c", code, *words], cwd=folder, capture_output=True, text=True)
+    assert completed.returncode == 0 and "picture" in completed.stdout, completed.stderr
     return folder
 
 
 @pytest.fixture
 def command(campbell, monkeypatch, capsys):
-    """Return what a command prints where the package is installed, on stdout or, if it is refused, on stderr."""
+    """Return a function that runs a command with the package installed and returns its stdout, or stderr on failure."""
     monkeypatch.chdir(campbell)
     monkeypatch.syspath_prepend(campbell)
     offered_analyses.cache_clear()
@@ -61,7 +61,7 @@ def command(campbell, monkeypatch, capsys):
     offered_analyses.cache_clear()
 
 
-def test_the_command_of_another_package_writes_and_draws(campbell):
+def test_command_of_another_package_writes_dataset_and_picture(campbell):
     assert (campbell / "speeds-campbell.png").stat().st_size > 10_000
     with xr.open_dataset(campbell / "speeds-campbell.nc") as ds:
         assert ds.attrs["kind"] == "campbell" and ds.attrs["Conventions"] == "CF-1.11"
@@ -69,7 +69,7 @@ def test_the_command_of_another_package_writes_and_draws(campbell):
         assert np.abs(ds["fundamental"] - ds["mode"][:, 1]).max() < 1 / 8
 
 
-def test_help_info_and_plot_know_it(command):
+def test_help_info_and_plot_include_analysis_of_another_package(command):
     assert "campbell" in command("--help")
     assert "highest frequency, Hz" in command("campbell", "--help")
     assert "spectrum  fundamental frequency from" in command("info", "speeds-campbell.nc")
@@ -79,13 +79,13 @@ def test_help_info_and_plot_know_it(command):
     assert command("plot", "speeds-campbell.nc", "-o", "again.png") == "again.png\n" and Path("again.png").exists()
 
 
-def test_a_broken_offer_is_one_line(command):
+def test_broken_entry_point_is_refused_in_one_line(command):
     refused = command("broken", "speeds.toml", status=2)
     assert refused.count("\n") == 1 and "entry point vibrojax.analyses: broken" in refused
-    command("scenes")  # which does not import what it does not need
+    command("scenes")  # does not import analyses that it does not need
 
 
-def test_its_mistakes_are_one_line(command):
+def test_wrong_input_is_refused_in_one_line(command):
     Path("plane.toml").write_text(SWEEP.replace("v =", "k1 = [1e5, 2e5]\nv ="))
     refused = command("campbell", "plane.toml", status=2)
     assert refused == "vibrojax: campbell: the sweep has 2 axes; give one with a single axis\n"
@@ -93,7 +93,7 @@ def test_its_mistakes_are_one_line(command):
     assert refused == 'vibrojax: --orders: "few" is not a number\n'
 
 
-def test_an_unknown_kind_still_opens(campbell, capsys, monkeypatch):
+def test_dataset_of_unknown_kind_opens_but_has_no_picture(campbell, capsys, monkeypatch):
     monkeypatch.chdir(campbell)
     assert main(["info", "speeds-campbell.nc"]) == 0
     assert "variables amplitude, mode, fundamental" in capsys.readouterr().out
@@ -102,7 +102,7 @@ def test_an_unknown_kind_still_opens(campbell, capsys, monkeypatch):
 
 
 class Medians(vj.Analysis):
-    """Return the median of each variable over the axes of a sweep."""
+    """The median of each variable over the axes of a sweep."""
 
     kind = "medians"
 
@@ -113,20 +113,20 @@ class Medians(vj.Analysis):
         return [vj.SummaryPart("medians", [f"period {ds.period:.3g} s"])]
 
 
-def test_an_object_is_an_analysis_at_once():
+def test_unregistered_analysis_object_runs():
     ds = vj.analyse({"scene": "rotary", "grid": {"v": [1.0, 1.5]}}, Medians(), progress=False)
     assert ds.attrs["kind"] == kind_of(ds) == "medians" and ds.attrs["source"].startswith("vibrojax")
     assert isinstance(analysis_of(ds), Medians)
 
 
-def test_a_known_kind_without_a_picture_does_not_ask_for_a_package():
+def test_known_kind_without_picture_does_not_suggest_a_package():
     for ds in (xr.Dataset({"x": 1.0}), xr.Dataset({"x": 1.0}, attrs={"kind": "derivatives"})):
         with pytest.raises(vj.InputError, match="a picture needs regime"):
             vj.picture(ds)
 
 
-class Orbits(vj.SweepAnalysis):
-    """Count the stable lanes of a sweep."""
+class StableLanes(vj.SweepAnalysis):
+    """The number of stable lanes of a sweep."""
 
     kind = "stable-lanes"
 
@@ -134,43 +134,43 @@ class Orbits(vj.SweepAnalysis):
         return xr.Dataset({"lanes": int((lanes.stable == 1).sum())})
 
 
-def test_a_command_states_the_kind_of_an_analysis_that_does_not(tmp_path, capsys, monkeypatch):
+def test_command_records_kind_that_analysis_omits(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(_USED, Orbits.kind, Orbits())
-    monkeypatch.setitem(cli._COMMANDS, Orbits.kind, analysis_command(Orbits.kind, "count"))
+    monkeypatch.setitem(_USED, StableLanes.kind, StableLanes())
+    monkeypatch.setitem(cli._COMMANDS, StableLanes.kind, analysis_command(StableLanes.kind, "count"))
     point = 'scene = "vibro-impact"\nstarts = ["stuck"]\n[grid]\ngamma = [0.75]\n[parameters]\ndelta = 0.005\n'
     Path("one.toml").write_text(point)
-    assert main([Orbits.kind, "one.toml", "-o", "one.nc"]) == 0
-    assert vj.open_dataset("one.nc").attrs["kind"] == Orbits.kind
+    assert main([StableLanes.kind, "one.toml", "-o", "one.nc"]) == 0
+    assert vj.open_dataset("one.nc").attrs["kind"] == StableLanes.kind
     assert capsys.readouterr().out == "one.nc\n"
 
 
 @pytest.mark.parametrize("wrong", [Medians, 3, None])
-def test_what_is_no_analysis_is_refused(wrong):
+def test_object_that_is_not_an_analysis_is_refused(wrong):
     with pytest.raises(vj.InputError, match="is not an Analysis"):
         vj.analyse("regime-map", wrong)
 
 
-def test_every_kind_of_the_package_has_an_analysis():
+def test_each_kind_of_package_has_an_analysis():
     for kind in ("sweep", "fit", "derivatives", *STRUCTURES):
         analysis = analysis_named(kind)
         assert analysis.kind == kind and analysis.__doc__
 
 
 @pytest.mark.parametrize("kind", STRUCTURES)
-def test_a_kind_without_its_structure_is_refused(kind, tmp_path):
+def test_kind_without_its_structure_is_refused(kind, tmp_path):
     xr.Dataset({"x": 1.0}, attrs={"source": "vibrojax 0", "kind": kind}).to_netcdf(tmp_path / "wrong.nc")
     with pytest.raises(vj.InputError, match=f'kind: is "{kind}", but'):
         vj.open_dataset(tmp_path / "wrong.nc")
 
 
-def test_a_kind_that_is_no_text_is_refused(tmp_path):
+def test_kind_that_is_not_text_is_refused(tmp_path):
     xr.Dataset({"x": 1.0}, attrs={"source": "vibrojax 0", "kind": 3}).to_netcdf(tmp_path / "wrong.nc")
     with pytest.raises(vj.InputError, match="attribute kind: 3"):
         vj.open_dataset(tmp_path / "wrong.nc")
 
 
-def test_datasets_of_earlier_versions_get_their_kind():
+def test_datasets_of_earlier_versions_receive_their_kind():
     folder = Path(__file__).parent / "data" / "versions"
     kinds = {"regimes": "sweep", "points": "sweep", "rates": "sweep", "law": "fit"}
     for path in sorted(folder.glob("*/*.nc")):

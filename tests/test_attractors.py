@@ -1,4 +1,4 @@
-"""Attractors of a sweep: told apart, counted, and numbered alike from both ends of an axis."""
+"""Test the classification, shares and numbers of the attractors of a sweep."""
 
 import json
 
@@ -39,85 +39,91 @@ def sweep():
 
 
 @pytest.fixture(scope="module")
-def found(sweep):
+def attractors(sweep):
     return vj.attractors(sweep, progress=False)
 
 
-def present(found, **at):
-    """The attractors at a point, by falling share."""
-    here = found.sel(at)
-    share = here.share.values
-    return here.isel(attractor=np.argsort(-share, kind="stable")[: int((share > 0).sum())])
+def present(attractors, **point):
+    """Return the attractors present at a point, by decreasing share."""
+    local = attractors.sel(point)
+    share = local.share.values
+    return local.isel(attractor=np.argsort(-share, kind="stable")[: int((share > 0).sum())])
 
 
-def test_what_is_in_it(sweep, found):
-    assert found.share.dims == ("beta", "gamma", "attractor") and found.unassigned.dims == ("beta", "gamma")
-    assert found.lane_attractor.dims == sweep.regime.dims and found.lane_attractor.dtype == np.int32
-    assert found.attractor.values.tolist() == list(range(found.sizes["attractor"]))
-    assert all({"units", "long_name"} <= set(found[name].attrs) for name in found.variables)
-    np.testing.assert_array_equal(found.start_x2, sweep.start_x2)
-    assert found.attrs["title"] == "Attractors: vibro-impact"
+def test_structure_of_dataset(sweep, attractors):
+    assert attractors.share.dims == ("beta", "gamma", "attractor") and attractors.unassigned.dims == ("beta", "gamma")
+    assert attractors.lane_attractor.dims == sweep.regime.dims and attractors.lane_attractor.dtype == np.int32
+    assert attractors.attractor.values.tolist() == list(range(attractors.sizes["attractor"]))
+    assert all({"units", "long_name"} <= set(attractors[name].attrs) for name in attractors.variables)
+    np.testing.assert_array_equal(attractors.start_x2, sweep.start_x2)
+    assert attractors.attrs["title"] == "Attractors: vibro-impact"
 
 
-def test_every_start_is_counted(found):
-    starts = found.sizes["start"]
-    np.testing.assert_allclose(found.share.sum("attractor") + found.unassigned / starts, 1.0, atol=1e-12)
-    np.testing.assert_array_equal((found.lane_attractor == -1).sum("start"), found.unassigned)
-    for number in found.attractor.values:
-        np.testing.assert_allclose((found.lane_attractor == number).mean("start"), found.share.sel(attractor=number))
-    np.testing.assert_allclose(found.share_stderr**2, found.share * (1 - found.share) / starts, atol=1e-15)
-    assert (np.diff(found.share.sum(("beta", "gamma")).values) <= 0).all()
+def test_shares_count_every_start(attractors):
+    starts = attractors.sizes["start"]
+    np.testing.assert_allclose(attractors.share.sum("attractor") + attractors.unassigned / starts, 1.0, atol=1e-12)
+    np.testing.assert_array_equal((attractors.lane_attractor == -1).sum("start"), attractors.unassigned)
+    for number in attractors.attractor.values:
+        np.testing.assert_allclose(
+            (attractors.lane_attractor == number).mean("start"), attractors.share.sel(attractor=number)
+        )
+    np.testing.assert_allclose(
+        attractors.share_stderr**2, attractors.share * (1 - attractors.share) / starts, atol=1e-15
+    )
+    assert (np.diff(attractors.share.sum(("beta", "gamma")).values) <= 0).all()
 
 
 @pytest.mark.parametrize("gamma", GAMMA[2:])
-def test_the_strong_single_impact_and_the_rattle(sweep, found, gamma):
-    """Which lane is in which follows from how hard it strikes: one is above 2 m/s, the other below 0.5."""
-    here, lanes = present(found, beta=0.4, gamma=gamma), sweep.sel(beta=0.4, gamma=gamma)
+def test_strong_single_impact_and_rattle_are_separated(sweep, attractors, gamma):
+    """The impact velocity separates them: one strikes above 2 m/s, the other below 0.5 m/s."""
+    here, lanes = present(attractors, beta=0.4, gamma=gamma), sweep.sel(beta=0.4, gamma=gamma)
     assert here.regime.values.tolist() == [SINGLE_IMPACT, IRREGULAR]
     assert here.cycles.values.tolist() == [1, 0] and here.impacts.values[0] == 1
     strong = lanes.impact_velocity.values > 1.0
-    np.testing.assert_array_equal(found.lane_attractor.sel(beta=0.4, gamma=gamma) == here.attractor[0], strong)
+    np.testing.assert_array_equal(attractors.lane_attractor.sel(beta=0.4, gamma=gamma) == here.attractor[0], strong)
     assert here.share.values[0] == strong.mean() and 0.8 < strong.mean() < 1
     velocity = here.impact_velocity.values
     assert velocity[0] > 2.0 and velocity[1] < 0.5
     assert velocity[0] == pytest.approx(float(lanes.impact_velocity.values[strong][0]), rel=1e-9)
 
 
-def test_power_and_blows_are_those_of_the_lanes(sweep, found):
-    at = {"beta": 0.4, "gamma": 0.75}
-    lanes, strong = sweep.sel(at), int(found.impact_velocity.sel(at).argmax("attractor"))
-    mine = lanes.where(found.lane_attractor.sel(at) == strong)
+def test_features_are_medians_over_lanes(sweep, attractors):
+    point = {"beta": 0.4, "gamma": 0.75}
+    lanes, strong = sweep.sel(point), int(attractors.impact_velocity.sel(point).argmax("attractor"))
+    members = lanes.where(attractors.lane_attractor.sel(point) == strong)
     for name in ("impact_power", "stick_slip_index", "blow_frequency"):
-        assert float(found[name].sel(at)[strong]) == pytest.approx(float(mine[name].median()), rel=1e-6), name
+        assert float(attractors[name].sel(point)[strong]) == pytest.approx(float(members[name].median()), rel=1e-6), (
+            name
+        )
 
 
-def test_numbers_stay_along_the_axes(found):
+def test_numbers_continue_along_axes(attractors):
     numbers = {
-        (beta, gamma): present(found, beta=beta, gamma=gamma).attractor.values.tolist()
-        for beta in found.beta.values
+        (beta, gamma): present(attractors, beta=beta, gamma=gamma).attractor.values.tolist()
+        for beta in attractors.beta.values
         for gamma in GAMMA[2:]
     }
     assert len(set(map(tuple, numbers.values()))) == 1
-    # Over the wide gap in the axis none of those below is one of those above.
-    below = set(np.flatnonzero((found.share.sel(gamma=GAMMA[:2]) > 0).any(("beta", "gamma"))))
+    # No attractor below the wide gap in the axis continues above it.
+    below = set(np.flatnonzero((attractors.share.sel(gamma=GAMMA[:2]) > 0).any(("beta", "gamma"))))
     assert not below & set(next(iter(numbers.values())))
 
 
 @pytest.mark.parametrize("axes", [("gamma",), ("beta",), ("beta", "gamma")])
-def test_the_same_from_the_other_end_of_an_axis(found, axes):
+def test_result_does_not_depend_on_direction_of_axes(attractors, axes):
     grid = {name: x[::-1] if name in axes else x for name, x in SWEEP["grid"].items()}
     other = vj.attractors(SWEEP | {"grid": grid}, progress=False)
     other = other.isel({name: slice(None, None, -1) for name in axes})
-    for name in found.data_vars:
-        np.testing.assert_array_equal(found[name], other[name])
+    for name in attractors.data_vars:
+        np.testing.assert_array_equal(attractors[name], other[name])
 
 
-def test_a_doubled_orbit_keeps_the_number(found):
-    before, after = present(found, beta=0.4, gamma=0.35), present(found, beta=0.4, gamma=0.3625)
+def test_doubled_orbit_keeps_its_number(attractors):
+    before, after = present(attractors, beta=0.4, gamma=0.35), present(attractors, beta=0.4, gamma=0.3625)
     assert (int(before.cycles[0]), int(after.cycles[0])) == (2, 4)
     assert before.regime.values[0] == after.regime.values[0] == SUBHARMONIC
     assert int(before.attractor[0]) == int(after.attractor[0])
-    # By the family of the orbit before: it doubles between the two.
+    # Check by continuation of the first orbit: its period doubles between the two values.
     start = {"start": "drive", "beta": 0.4, "delta": 0.005, "cycles": 2}
     family = vj.follow("vibro-impact", along="gamma", at=0.35, span=(0.35, 0.3625), progress=False, **start)
     kinds = family.special_kind.attrs["flag_meanings"].split()
@@ -126,54 +132,54 @@ def test_a_doubled_orbit_keeps_the_number(found):
 
 
 @pytest.mark.long
-def test_shares_of_an_oscillator_on_a_belt():
-    """Steady sliding and stick-slip of bSTAB's oscillator (Stender and Hoffmann 2021), whose shares are published."""
+def test_shares_of_belt_oscillator_match_published_values():
+    """Compare with steady sliding and stick-slip of bSTAB's oscillator (Stender and Hoffmann 2021)."""
     speeds = {1.5: 0.3165, 1.55: 0.3636}
     starts = {"sample": "sobol", "count": 256, "seed": 1, "box": {"x1": [-2.0, 2.0], "v1": [-2.0, 0.0]}}
     tables = {"scene": BeltOscillator(), "starts": starts, "grid": {"v": list(speeds)}}
-    found = vj.attractors(tables | {"run": {"settle": 400.0, "observe": 60.0}}, progress=False)
-    assert found.sizes["attractor"] == 2 and found.unassigned.sum() == 0
-    assert found.cycles.values.tolist() == [[1, 0], [1, 0]]  # 0 sticks and slips, 1 slides
-    sliding = found.isel(attractor=1)
+    attractors = vj.attractors(tables | {"run": {"settle": 400.0, "observe": 60.0}}, progress=False)
+    assert attractors.sizes["attractor"] == 2 and attractors.unassigned.sum() == 0
+    assert attractors.cycles.values.tolist() == [[1, 0], [1, 0]]  # attractor 0 sticks and slips, attractor 1 slides
+    sliding = attractors.isel(attractor=1)
     assert (sliding.regime == EQUILIBRIUM).all()
     assert (np.abs(sliding.share - np.array(list(speeds.values()))) < 2 * sliding.share_stderr).all()
 
 
-def test_what_the_scenes_own_starts_lead_to(sweep, found):
-    """As in a sweep from these starts; they are no part of the shares."""
+def test_named_starts_are_assigned_to_attractors(sweep, attractors):
+    """Named starts reach the same regimes as in a sweep of their own. They do not contribute to the shares."""
     own = vj.run_sweep(SWEEP | {"starts": ["drive", "stuck"]}, progress=False)
-    assert found.named_start.values.tolist() == ["drive", "stuck"]
-    np.testing.assert_array_equal(found.named_regime, own.regime)
+    assert attractors.named_start.values.tolist() == ["drive", "stuck"]
+    np.testing.assert_array_equal(attractors.named_regime, own.regime)
     for gamma in GAMMA[2:]:
-        here = present(found, beta=0.4, gamma=gamma)
+        here = present(attractors, beta=0.4, gamma=gamma)
         strong = (own.impact_velocity.sel(beta=0.4, gamma=gamma) > 1.0).values
-        led = found.named_attractor.sel(beta=0.4, gamma=gamma).values
-        assert led.tolist() == here.attractor.values[np.where(strong, 0, 1)].tolist()
+        assigned = attractors.named_attractor.sel(beta=0.4, gamma=gamma).values
+        assert assigned.tolist() == here.attractor.values[np.where(strong, 0, 1)].tolist()
     listed = vj.attractors(own, progress=False)
     assert "named_attractor" not in listed
 
 
-def test_a_lane_without_a_stable_orbit_is_unassigned(sweep, found):
+def test_lane_without_stable_orbit_is_unassigned(sweep, attractors):
     lanes = {"beta": 1, "gamma": 3, "start": np.flatnonzero(sweep.regime.sel(REGIMES_AT) == SINGLE_IMPACT)[:3]}
     changed = sweep.copy(deep=True)
     changed.stable[lanes] = 0
     changed.regime[lanes | {"gamma": 2}] = FAILED
     other = vj.attractors(changed, progress=False)
-    assert other.unassigned.sel(REGIMES_AT) == found.unassigned.sel(REGIMES_AT) + 3
+    assert other.unassigned.sel(REGIMES_AT) == attractors.unassigned.sel(REGIMES_AT) + 3
     assert (other.lane_attractor[lanes] == -1).all() and (other.lane_attractor[lanes | {"gamma": 2}] == -1).all()
-    assert (other.lane_attractor.values != found.lane_attractor.values).sum() == 6
+    assert (other.lane_attractor.values != attractors.lane_attractor.values).sum() == 6
 
 
-def test_where_nothing_is_decided_all_is_unassigned(tmp_path):
+def test_undecided_lanes_are_all_unassigned(tmp_path):
     short = SWEEP | {"grid": {"gamma": [0.7, 0.75]}, "run": {"settle": 0.5, "observe": 1.0}}
-    found = vj.attractors(short | {"starts": ["drive", "stuck"]}, progress=False)
-    assert found.sizes["attractor"] == 0 and found.unassigned.values.tolist() == [2, 2]
-    vj.save_picture(found, tmp_path / "none.png")
-    assert "4 of 4 lanes unassigned (100.0 %)" in Attractors().summary(found)[0].lines
+    attractors = vj.attractors(short | {"starts": ["drive", "stuck"]}, progress=False)
+    assert attractors.sizes["attractor"] == 0 and attractors.unassigned.values.tolist() == [2, 2]
+    vj.save_picture(attractors, tmp_path / "none.png")
+    assert "4 of 4 lanes unassigned (100.0 %)" in Attractors().summary(attractors)[0].lines
 
 
 def irregular(**lanes):
-    """A dataset of irregular lanes of one point."""
+    """Return a dataset of irregular lanes at one point."""
     count = len(next(iter(lanes.values())))
     fixed = {"regime": np.full(count, IRREGULAR), "stable": np.full(count, -1), "orbit_cycles": np.zeros(count)}
     orbits = {f"orbit_{name}": np.full(count, np.nan) for name in ("x1", "x2", "v2")}
@@ -182,24 +188,24 @@ def irregular(**lanes):
 
 
 def groups(dataset, starts=None):
-    """The motion of each lane, numbered in the order of the lanes."""
+    """Return the motion of each lane, numbered in the order of the lanes."""
     of_lane = classify_motions(SCENE, dataset, {}, starts or dataset.sizes["start"]).of_lane.tolist()
     order = [number for number in dict.fromkeys(of_lane) if number >= 0]
     return [order.index(number) if number >= 0 else number for number in of_lane]
 
 
-def test_irregular_lanes_by_their_statistics():
-    """Within a quarter of the next: a chain of lanes is one motion, one without impacts is another."""
+def test_irregular_lanes_are_grouped_by_statistics():
+    """Lanes within a quarter of the next form a chain, which is one motion. Lanes without impacts are another."""
     assert groups(irregular(impact_velocity=[1.0, 1.4, 1.2, 2.0, np.nan, 2.2, 2.1])) == [0, 0, 0, 1, 2, 1, 1]
 
 
-def test_few_irregular_lanes_near_many_cannot_be_told():
-    """They may be the tail of the others' scatter; far from all others they are another motion."""
+def test_few_irregular_lanes_near_many_are_unassigned():
+    """They may be the tail of the larger group's scatter. A lane far from all others is another motion."""
     assert groups(irregular(impact_velocity=[1.0, 1.1, 1.2, 2.0, 5.0])) == [0, 0, 0, -1, 1]
 
 
-def test_an_irregular_motion_that_is_nowhere_of_several_lanes_is_doubtful():
-    """Beside another of more lanes; alone at its point, or of several lanes at a neighbour, it is told."""
+def test_irregular_motion_with_one_lane_everywhere_is_ambiguous():
+    """It is ambiguous beside a motion with more lanes, unless it has several lanes at a neighbouring point."""
     motions = PointMotions(np.array([0, 0, 0, 1, 2, 3, 3, 3, 4]))
     for cell, regime in ((0, IRREGULAR), (0, IRREGULAR), (1, IRREGULAR), (2, IRREGULAR), (2, SINGLE_IMPACT)):
         motions.add(np.array([], int), PointMotion(cell, regime))
@@ -210,93 +216,96 @@ def test_an_irregular_motion_that_is_nowhere_of_several_lanes_is_doubtful():
     assert [motion.cell for motion in motions.items] == [0, 1, 2, 2]
 
 
-def test_lanes_of_different_points_are_different_motions():
+def test_lanes_at_different_points_are_different_motions():
     assert groups(irregular(impact_velocity=[1.0, 1.0, 1.0, 1.0]), 2) == [0, 0, 1, 1]
 
 
-def test_irregular_lanes_by_their_exponents():
-    """Where exponents are known, what was observed while lanes had not settled counts no more."""
+def test_irregular_lanes_are_grouped_by_lyapunov_exponents():
+    """Known exponents replace the statistics, which may include a transient."""
     names = ["chaotic", "chaotic", "chaotic", "quasi-periodic", "not-settled", "chaotic"]
     lanes = {"nature": [NATURES.index(name) for name in names], "lyapunov": [1.0, 1.02, 2.0, 0.0, -0.1, 1.01]}
     lanes |= {"lyapunov_stderr": [0.01] * 6, "impact_velocity": [1.0, 3.0, 1.0, 1.0, 1.0, 9.0]}
     assert groups(irregular(**lanes)) == [0, 0, 1, 2, -1, 0]
 
 
-def test_equilibria_of_a_point_are_one():
+def test_equilibria_at_one_point_are_one_motion():
     dataset = irregular(impact_velocity=[1.0, np.nan, np.nan])
     dataset.regime[1:] = EQUILIBRIUM
     assert groups(dataset) == [0, 1, 1]
 
 
-def test_chains():
+def test_join_chains():
     x = np.array([[0.0, 0.0], [0.9, 0.5], [1.8, 0.0], [0.0, 2.5], [5.0, 0.0]])
     assert join_chains(x).tolist() == [0, 0, 0, 1, 2]
 
 
-def test_no_number_twice_at_a_point():
-    """Around a cusp two motions of one point are linked by way of others; the farthest link is left out."""
+def test_numbers_are_unique_at_a_point():
+    """Around a cusp, a chain of links joins two motions of one point. The longest link is dropped."""
     cells, lanes = [0, 0, 1, 2], [5, 4, 9, 9]
     links = [((0, 2), 0.1), ((2, 3), 0.2), ((1, 3), 0.3)]
     order = [(float(cell), float(k)) for k, cell in enumerate(cells)]
     expected = [0, 1, 0, 0]
-    for some in ([0, 1, 2], [2, 1, 0], [1, 2, 0]):
-        assert number_attractors(cells, lanes, dict(links[k] for k in some), order).tolist() == expected
+    for subset in ([0, 1, 2], [2, 1, 0], [1, 2, 0]):
+        assert number_attractors(cells, lanes, dict(links[k] for k in subset), order).tolist() == expected
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"scene": "penetration", "starts": None, "parameters": {}, "grid": {"k3": [5e7, 6e7]}}, "with a drill"),
         ({"starts": ["drive"], "grid": {"gamma": [0.7, 0.75]}, "run": {"carry": "gamma"}}, "leave carry out"),
         ({"grid": None, "points": {"gamma": [0.7, 0.75]}, "starts": ["drive"]}, r"give a \[grid\] instead"),
     ],
 )
-def test_what_has_no_attractors_is_refused(change, says):
+def test_unsuitable_sweep_is_refused(change, message):
     tables = {name: x for name, x in (SWEEP | change).items() if x is not None}
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         vj.attractors(tables, progress=False)
 
 
-def test_the_picture_shows_shares(found):
-    figure = vj.picture(found)
+def test_picture_shows_shares(attractors):
+    figure = vj.picture(attractors)
     assert "legend: most frequent regime, and share of all 640 lanes" in " ".join(note(figure).split())
     panel = next(axes for axes in figure.axes if axes.get_title() == "β = 0.4")
-    number = int(present(found, beta=0.4, gamma=0.75).attractor[0])
+    number = int(present(attractors, beta=0.4, gamma=0.75).attractor[0])
     bands = [band.get_paths()[0].vertices for band in panel.collections if isinstance(band, PolyCollection)]
-    share = found.share.sel(beta=0.4, attractor=number).values
-    for gamma, expected in zip(found.gamma.values, share, strict=True):  # stacked: a band is as high as its share
+    share = attractors.share.sel(beta=0.4, attractor=number).values
+    # stacked: the height of a band is its share
+    for gamma, expected in zip(attractors.gamma.values, share, strict=True):
         assert np.ptp(bands[number][bands[number][:, 0] == gamma, 1]) == pytest.approx(100 * expected)
 
 
-def test_the_share_map(found):
-    """The strong single impact alone counts; beside it what the scene's own starts lead to."""
+def test_maps_of_shares_and_named_starts(attractors):
+    """The first map shows the share of strong single impacts, the others the regimes from the named starts."""
     grid = {"beta": np.linspace(0.2, 0.5, 6), "gamma": np.linspace(0.6, 0.9, 7)}
     shape, rng = (6, 7), np.random.default_rng(0)
     share = rng.dirichlet(np.ones(3), shape)
-    velocity = np.broadcast_to([2.0, 1.0, 3.0], share.shape)  # the drive moves at 1.5 m/s
-    held = {
+    velocity = np.broadcast_to([2.0, 1.0, 3.0], share.shape)  # the drive has a velocity of 1.5 m/s
+    variables = {
         "share": share,
         "share_stderr": np.zeros(share.shape),
         "impact_velocity": velocity,
         "regime": np.broadcast_to(np.array([SINGLE_IMPACT, SINGLE_IMPACT, IRREGULAR], np.int8), share.shape),
     }
     dims = ("beta", "gamma", "attractor")
-    ds = xr.Dataset({name: (dims, x) for name, x in held.items()}, grid | {"attractor": range(3)})
-    ds["regime"].attrs = found.regime.attrs
+    ds = xr.Dataset({name: (dims, x) for name, x in variables.items()}, grid | {"attractor": range(3)})
+    ds["regime"].attrs = attractors.regime.attrs
     ds["unassigned"] = (dims[:2], np.zeros(shape, int))
     ds["lane_attractor"] = ((*dims[:2], "start"), np.zeros((*shape, 4), int))
     ds["named_regime"] = ((*dims[:2], "named_start"), rng.integers(2, 7, (*shape, 2)).astype(np.int8))
     ds = ds.assign_coords(named_start=["drive", "stuck"])
     ds.attrs["parameters"] = json.dumps({"v": 1.5})
     figure = vj.picture(ds)
-    maps = [axes for axes in figure.axes if any(isinstance(one, QuadMesh) for one in axes.collections)][:3]
+    maps = [axes for axes in figure.axes if any(isinstance(collection, QuadMesh) for collection in axes.collections)][
+        :3
+    ]
     drawn = [axes.collections[0].get_array().reshape(shape) for axes in maps]
     np.testing.assert_allclose(drawn[0], 100 * share[..., 0])
     for k, name in enumerate(("drive", "stuck")):
         np.testing.assert_array_equal(drawn[1 + k], ds.named_regime.isel(named_start=k))
         assert maps[1 + k].get_title() == f"from {name}"
-    alone = vj.picture(ds.drop_dims("named_start"))
-    maps = [axes for axes in alone.axes if axes.get_xlabel().startswith("gamma") and axes.collections]
+    without_starts = vj.picture(ds.drop_dims("named_start"))
+    maps = [axes for axes in without_starts.axes if axes.get_xlabel().startswith("gamma") and axes.collections]
     np.testing.assert_array_equal(maps[1].collections[0].get_array().reshape(shape), (share > 0).sum(axis=-1))
 
 
@@ -315,18 +324,18 @@ chunk = 4
 
 
 @pytest.mark.parametrize("by", ["links", "lanes"])
-def test_what_was_computed_outlives_an_interrupt(by, tmp_path, capsys, monkeypatch):
-    """While lanes are computed, and while they are linked, which may take as long."""
+def test_finished_chunks_survive_an_interrupt(by, tmp_path, capsys, monkeypatch):
+    """Interrupt the computation of the lanes, or that of the links between them."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("VIBROJAX_THREADS", "1")  # two would lose the chunk that the other one computes
+    monkeypatch.setenv("VIBROJAX_THREADS", "1")  # a second thread would lose its unfinished chunk
     (tmp_path / "few.toml").write_text(FEW)
     compute, computed = Chunks.compute, []
 
-    def counted(self, index, *told):
+    def counted(self, index, *rest):
         if by == "lanes" and len(computed) == 2:
             raise KeyboardInterrupt
         computed.append(index)
-        return compute(self, index, *told)
+        return compute(self, index, *rest)
 
     def interrupted(*_):
         raise KeyboardInterrupt
@@ -346,48 +355,48 @@ def test_what_was_computed_outlives_an_interrupt(by, tmp_path, capsys, monkeypat
     assert main(["attractors", "few.toml", "-o", "out.nc", "--quiet"]) == 0
     assert len(computed) == 3 - kept and {path.name for path in tmp_path.iterdir()} == {"few.toml", "out.nc", "out.png"}
     expected = vj.attractors("few.toml", progress=False)
-    found = vj.open_dataset("out.nc")
+    stored = vj.open_dataset("out.nc")
     for name in expected.data_vars:
-        np.testing.assert_array_equal(found[name], expected[name])
+        np.testing.assert_array_equal(stored[name], expected[name])
 
 
-def test_orbits_are_marked_in_a_plane_of_starts():
-    """Where the section is passed, by the returns that another sweep keeps."""
+def test_plane_of_starts_marks_orbits():
+    """The marks are where the orbits cross the section, according to the stored returns of another sweep."""
     plane = {"plane": {"x1": np.linspace(-0.1, 0.1, 6).tolist(), "x2": np.linspace(-0.15, 0.05, 6).tolist()}}
-    asked = {"scene": "vibro-impact", "parameters": {"delta": 0.005, **REGIMES_AT}, "starts": plane}
-    found = vj.attractors(asked, progress=False)
-    kept = vj.run_sweep(asked | {"starts": ["stuck"], "run": {"keep_returns": 1}}, progress=False)
-    at = [1e3 * float(kept[f"return_{state}"].squeeze()) for state in ("x1", "x2")]
-    circle = next(line for line in vj.picture(found).axes[0].lines if line.get_marker() == "o")
-    np.testing.assert_allclose([circle.get_xdata()[0], circle.get_ydata()[0]], at, rtol=1e-6)
-    assert np.isfinite(found.orbit_v2.values).tolist() == (found.cycles.values > 0).tolist()
+    tables = {"scene": "vibro-impact", "parameters": {"delta": 0.005, **REGIMES_AT}, "starts": plane}
+    attractors = vj.attractors(tables, progress=False)
+    kept = vj.run_sweep(tables | {"starts": ["stuck"], "run": {"keep_returns": 1}}, progress=False)
+    crossing = [1e3 * float(kept[f"return_{state}"].squeeze()) for state in ("x1", "x2")]
+    circle = next(line for line in vj.picture(attractors).axes[0].lines if line.get_marker() == "o")
+    np.testing.assert_allclose([circle.get_xdata()[0], circle.get_ydata()[0]], crossing, rtol=1e-6)
+    assert np.isfinite(attractors.orbit_v2.values).tolist() == (attractors.cycles.values > 0).tolist()
 
 
-def test_the_command(sweep, found, tmp_path, capsys, monkeypatch):
+def test_command(sweep, attractors, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     vj.write_dataset(sweep, tmp_path / "map.nc")
     assert main(["attractors", "map.nc"]) == 0
-    said = capsys.readouterr().out
-    assert f"{found.sizes['attractor']} attractors; picture map-attractors.png" in said
-    assert f"{int(found.unassigned.sum())} of 640 lanes unassigned" in said
+    printed = capsys.readouterr().out
+    assert f"{attractors.sizes['attractor']} attractors; picture map-attractors.png" in printed
+    assert f"{int(attractors.unassigned.sum())} of 640 lanes unassigned" in printed
     again = vj.open_dataset(tmp_path / "map-attractors.nc")
-    for name in found.data_vars:
-        np.testing.assert_array_equal(again[name], found[name])
-    with monkeypatch.context() as changed:  # the finished result is not computed again
+    for name in attractors.data_vars:
+        np.testing.assert_array_equal(again[name], attractors[name])
+    with monkeypatch.context() as changed:  # reuses the finished result
         changed.setattr(Attractors, "of_lanes", None)
         assert main(["attractors", "map.nc"]) == 0
     line = f"map-attractors.nc: is there already ({source()}); it is not computed again without --fresh"
-    stored = [f"{line}; picture map-attractors.png", *said.splitlines()[1:]]
+    stored = [f"{line}; picture map-attractors.png", *printed.splitlines()[1:]]
     assert capsys.readouterr().out.splitlines() == stored
     with monkeypatch.context() as changed:
         changed.setattr(Attractors, "of_lanes", lambda *_: again)
         assert main(["attractors", "map.nc", "--fresh"]) == 0
-    assert capsys.readouterr().out == said
+    assert capsys.readouterr().out == printed
     assert main(["info", "map-attractors.nc"]) == 0
     assert "single-impact" in capsys.readouterr().out
     assert main(["info", "--json", "map-attractors.nc"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert facts["attractors"]["shares"] == pytest.approx(found.share.mean(("beta", "gamma")).values.tolist())
+    assert facts["attractors"]["shares"] == pytest.approx(attractors.share.mean(("beta", "gamma")).values.tolist())
     assert facts["regimes"] == {}
     assert main(["attractors", "map-attractors.nc"]) == 2
     assert "give the sweep" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Irregular attractors: lanes are observed until their statistics converge, and are split by more than their errors."""
+"""Test irregular attractors: lanes are observed until their statistics converge, then grouped by these."""
 
 import numpy as np
 import pytest
@@ -33,43 +33,43 @@ def starts(count, seed):
     return {"starts": {"sample": "sobol", "count": count, "seed": seed, "box": BOX}}
 
 
-def irregular_shares(found):
-    """The shares of the irregular attractors at the only point."""
-    share, regime = found.share.values.ravel(), found.regime.values.ravel()
+def irregular_shares(attractors):
+    """Return the shares of the irregular attractors at the only point."""
+    share, regime = attractors.share.values.ravel(), attractors.regime.values.ravel()
     return share[(share > 0) & (regime == IRREGULAR)].tolist()
 
 
 @pytest.fixture(scope="module")
 def bursting():
-    """A point whose irregular motion rests without impacts for more than an observation, again and again."""
+    """Return a sweep of one point whose irregular motion often rests without impacts for longer than an observation."""
     grid = {"beta": [0.25], "gamma": [0.74]}
     sweep = SCENE | starts(32, 3) | {"grid": grid, "run": {"settle": 200.0, "observe": 8.0, "orbits": True}}
     return vj.run_sweep(sweep, progress=False)
 
 
-def test_a_bursting_motion_is_one_attractor(bursting):
+def test_bursting_motion_is_one_attractor(bursting):
     lanes = np.flatnonzero(bursting.regime.values.ravel() == IRREGULAR)
     assert lanes.tolist() == [26, 28]
     observed = bursting.period.values.ravel()[lanes]
     assert observed[0] > 2 * observed[1] and np.isnan(bursting.impact_velocity.values.ravel()[28])
-    found = vj.attractors(bursting, progress=False)
-    assert irregular_shares(found) == [2 / 32] and found.unassigned.sum() == 0
-    number = int(found.lane_attractor.values.ravel()[26])
-    assert found.period.values.ravel()[number] == pytest.approx(0.270, rel=0.1)  # by 2,048 s of either lane
+    attractors = vj.attractors(bursting, progress=False)
+    assert irregular_shares(attractors) == [2 / 32] and attractors.unassigned.sum() == 0
+    number = int(attractors.lane_attractor.values.ravel()[26])
+    assert attractors.period.values.ravel()[number] == pytest.approx(0.270, rel=0.1)  # over 2,048 s of either lane
 
 
-def test_two_irregular_motions_of_a_point_stay_apart():
-    """They strike at 0.54 and 0.23 m/s, 800 s long."""
+def test_two_irregular_motions_at_one_point_are_separated():
+    """Their impact velocities are 0.54 and 0.23 m/s over 800 s."""
     grid = {"beta": [1.1], "gamma": [0.5]}
-    found = vj.attractors(SCENE | starts(16, 0) | {"grid": grid, "run": {"settle": 100.0}}, progress=False)
-    share = irregular_shares(found)
+    attractors = vj.attractors(SCENE | starts(16, 0) | {"grid": grid, "run": {"settle": 100.0}}, progress=False)
+    share = irregular_shares(attractors)
     assert len(share) == 2 and share[1] == 0.25
-    velocity = np.sort(found.impact_velocity.values[0, 0, : len(share)])
+    velocity = np.sort(attractors.impact_velocity.values[0, 0, : len(share)])
     np.testing.assert_allclose(velocity, [0.235, 0.54], rtol=0.1)
 
 
-def test_the_first_window_is_the_observation_of_the_sweep(bursting, monkeypatch):
-    """To the last bit: the lane that is observed for longer is the lane of the dataset."""
+def test_first_window_is_observation_of_sweep(bursting, monkeypatch):
+    """The features agree exactly: the extended run repeats the lane of the dataset."""
     windows = []
     real = long_run._window
     monkeypatch.setattr(long_run, "_window", lambda features, names: windows.append(features) or real(features, names))
@@ -81,39 +81,39 @@ def test_the_first_window_is_the_observation_of_the_sweep(bursting, monkeypatch)
 def test_lanes_that_do_not_converge_are_unassigned(bursting, monkeypatch):
     monkeypatch.setattr(long_run, "MOST_WINDOWS", long_run.FEWEST_WINDOWS)
     monkeypatch.setattr(long_run, "CONVERGED_STDERR", 1e-6)
-    found = vj.attractors(bursting, progress=False)
-    assert np.flatnonzero(found.lane_attractor.values.ravel() == -1).tolist() == [26, 28]
-    assert found.unassigned.sum() == 2 and irregular_shares(found) == []
-    assert (found.regime == SINGLE_IMPACT).any()
+    attractors = vj.attractors(bursting, progress=False)
+    assert np.flatnonzero(attractors.lane_attractor.values.ravel() == -1).tolist() == [26, 28]
+    assert attractors.unassigned.sum() == 2 and irregular_shares(attractors) == []
+    assert (attractors.regime == SINGLE_IMPACT).any()
 
 
 # Synthetic windows
 
 
 def windows_of(total, count=None, cycles=0.0):
-    """Windows of one statistic: its totals (windows, lanes) over counts."""
+    """Return windows of one statistic from its totals (windows, lanes) and counts."""
     count = np.ones_like(total) if count is None else count
     return np.stack([total, count, np.full_like(total, cycles), np.ones_like(total)], axis=1)
 
 
-def test_standard_errors_are_those_of_independent_windows():
+def test_standard_errors_match_scatter_of_independent_windows():
     rng = np.random.default_rng(0)
     count = rng.integers(20, 60, (16, 4000)).astype(float)
-    found = statistics(windows_of(0.2 * count * (1 + 0.1 * rng.standard_normal(count.shape)), count))
-    scatter = np.std(found.values[0] / 0.2)
-    assert np.sqrt(np.mean(found.errors[0] ** 2)) == pytest.approx(scatter, rel=0.05)
-    assert found.converged.mean() > 0.99
+    result = statistics(windows_of(0.2 * count * (1 + 0.1 * rng.standard_normal(count.shape)), count))
+    scatter = np.std(result.values[0] / 0.2)
+    assert np.sqrt(np.mean(result.errors[0] ** 2)) == pytest.approx(scatter, rel=0.05)
+    assert result.converged.mean() > 0.99
 
 
-def test_a_motion_that_drifts_or_switches_rarely_does_not_converge():
+def test_drifting_or_rarely_switching_motion_does_not_converge():
     time = np.arange(128.0)[:, None]
     drifting, switching = 1 + time / 128, np.where(time < 64, 1.0, 2.0)
-    found = statistics(windows_of(np.hstack([drifting, switching, np.ones_like(time)])))
-    assert found.converged.tolist() == [False, False, True]
-    assert (found.errors[0, :2] > CONVERGED_STDERR).all()
+    result = statistics(windows_of(np.hstack([drifting, switching, np.ones_like(time)])))
+    assert result.converged.tolist() == [False, False, True]
+    assert (result.errors[0, :2] > CONVERGED_STDERR).all()
 
 
-def test_a_lane_that_comes_to_an_orbit_had_not_settled():
+def test_lane_that_reaches_an_orbit_is_not_converged():
     windows = np.repeat(windows_of(np.ones((4 * BATCHES, 1))), 2, axis=2)
     windows[-BATCHES:, -2, 1] = 2.0
     assert on_orbits(windows).tolist() == [False, True]
@@ -123,7 +123,7 @@ def test_a_lane_that_comes_to_an_orbit_had_not_settled():
 # Grouping
 
 
-def test_errors_widen_the_resolution():
+def test_standard_errors_widen_resolution():
     step = np.log1p(IRREGULAR_WITHIN)
     velocity = [1.0, np.exp(1.6 * step)]
     assert groups(irregular(impact_velocity=velocity)) == [0, 1]
@@ -132,23 +132,23 @@ def test_errors_widen_the_resolution():
     assert groups(irregular(impact_velocity=[1.0, np.exp(2.5 * step)], **error)) == [0, 1]
 
 
-def test_margins_hold_for_pairs():
+def test_margins_apply_to_pairs():
     x = np.array([[0.0], [1.5], [4.0], [6.5]])
     assert join_chains(x).tolist() == [0, 1, 2, 3]
     assert join_chains(x, np.array([[0.5], [0.5], [0.0], [3.0]])).tolist() == [0, 0, 1, 1]
 
 
-def test_unconverged_lanes_are_in_no_motion():
+def test_unconverged_lanes_have_no_motion():
     lanes = irregular(impact_velocity=[1.0, 1.1, 5.0])
     assert groups(lanes.assign(converged=("start", [True, False, True]))) == [0, -1, 1]
 
 
-def test_a_dataset_without_irregular_lanes_stays_as_it_is(bursting):
+def test_dataset_without_irregular_lanes_is_unchanged(bursting):
     same = with_long_statistics(sweep_of_dataset(bursting), bursting, np.zeros(0, int), progress=False)
     assert same.converged.all()
     xr.testing.assert_identical(same[list(STATISTICS)], bursting[list(STATISTICS)])
 
 
-def test_what_the_documentation_says_of_the_observation():
+def test_documented_constants():
     assert (FEWEST_WINDOWS, MOST_WINDOWS) == (8, 128)
     assert IRREGULAR_WITHIN == 0.25

@@ -1,4 +1,4 @@
-"""The peers of the benchmark move as the exact reference does, and the race picks what it says."""
+"""Test the peers of the benchmark against the exact reference, and the race's choice of settings."""
 
 import sys
 from pathlib import Path
@@ -29,15 +29,15 @@ POINTS = Points(*np.array([(0.4, 0.7, 1.2, -0.004), (0.25, 0.6, 0.7, 0.0015)]).T
 
 @pytest.fixture(scope="module")
 def known():
-    """Period and impact velocity (2, lanes) of the exact reference."""
+    """Return period and impact velocity (2, lanes) of the exact reference."""
     names = ("beta", "gamma", "v", "delta")
-    found = []
+    features = []
     for lane in zip(*POINTS.columns, strict=True):
         point = dict(zip(names, map(float, lane), strict=True))
         measured = measure(run("vibro-impact", **point, start="stuck", settle=SETTLE, observe=OBSERVE))
         assert measured["cycles"] in (0, 1) and measured["stick_fraction"] > 0
-        found.append((measured["period"], measured["impact_velocity"]))
-    return np.array(found).T
+        features.append((measured["period"], measured["impact_velocity"]))
+    return np.array(features).T
 
 
 @pytest.mark.parametrize(
@@ -50,20 +50,20 @@ def known():
         (Simd, Steps(1e-5, 2.5, 1e-3, 1e-4), 1e-3),
     ],
 )
-def test_peers_find_what_is_exact(known, peer, setting, bound):
-    """Numba's loops are plain Python where there is no numba."""
+def test_peers_match_exact_reference(known, peer, setting, bound):
+    """Without numba, its loops run as plain Python."""
     racer = peer()
     if peer is Simd and racer.missing():
         pytest.skip(racer.missing())
-    ran = racer.run(POINTS, setting, SETTLE, OBSERVE, len(POINTS))
+    outcome = racer.run(POINTS, setting, SETTLE, OBSERVE, len(POINTS))
     racer.close()
-    assert np.abs(np.stack([ran.period, ran.impact_velocity]) / known - 1).max() < bound
+    assert np.abs(np.stack([outcome.period, outcome.impact_velocity]) / known - 1).max() < bound
 
 
 @pytest.mark.parametrize("solver", [Solver("RK45", 1e-7, 0.5), Solver("DOP853", 1e-6, 0.5), Solver("LSODA", 1e-9, 0.5)])
-def test_scipy_finds_what_is_exact(known, solver):
-    found = [scipy_lane((*lane, solver, SETTLE, OBSERVE)) for lane in zip(*POINTS.columns, strict=True)]
-    assert np.abs(np.array(found).T / known - 1).max() < 1e-5
+def test_scipy_matches_exact_reference(known, solver):
+    features = [scipy_lane((*lane, solver, SETTLE, OBSERVE)) for lane in zip(*POINTS.columns, strict=True)]
+    assert np.abs(np.array(features).T / known - 1).max() < 1e-5
 
 
 def test_only_whole_returns_count():
@@ -77,7 +77,7 @@ def test_only_whole_returns_count():
     assert velocity == 3.0
 
 
-def test_the_box_is_whole():
+def test_box_contains_all_points():
     points = box()
     assert len({lane for lane in zip(*points.columns, strict=True)}) == len(points) == AXIS**4
     for column, ends in zip(points.columns, BOX.values(), strict=True):
@@ -85,7 +85,7 @@ def test_the_box_is_whole():
 
 
 class _Scripted(Peer):
-    """Takes a second over the error, and is as exact as it is told to be."""
+    """A peer with given errors, whose time per lane is inversely proportional to the error."""
 
     about = "-"
     lanes = 2
@@ -102,15 +102,15 @@ class _Scripted(Peer):
     def run(self, points, setting, settle, observe, judged):
         if setting == 0:
             raise ArithmeticError("broke")
-        off = np.full(judged, 1 + setting)
-        return Ran(off, np.ones(judged), 1e-3 / setting)
+        period = np.full(judged, 1 + setting)
+        return Ran(period, np.ones(judged), 1e-3 / setting)
 
 
-def test_the_race_picks_the_fastest_within_the_error():
+def test_race_selects_fastest_setting_within_error():
     judged = Judged(POINTS, np.ones(2), np.ones(2), 0.0, 1.0)
     ours = raced(_Scripted("ours", [1e-2, 9e-4, 9e-5, 9e-7, 1e-9]), judged, 1.0, 1.0)
     assert [ours.best(target).setting for target in TARGETS] == [9e-4, 9e-5, 9e-7]
-    assert len(ours.runs) == 4  # what comes after the finest error is not run
+    assert len(ours.runs) == 4  # settings after the finest target are skipped
     assert len(ours.best(1e-3).times) == 3
     slow = raced(_Scripted("slow", [5e-3, 5e-4]), judged, 1.0, 1.0)
     absent = raced(_Scripted("absent", [], "it is not installed"), judged, 1.0, 1.0)

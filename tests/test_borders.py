@@ -1,4 +1,4 @@
-"""Borders of the single impact: against families, labels, and a circle."""
+"""Test borders of the single impact against continuation, the labels of lanes, and a circle."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def kinds(borders):
     return np.array(BORDER_KINDS)[borders.kind.values]
 
 
-def test_what_is_in_it(borders):
+def test_structure_of_dataset(borders):
     assert borders["curve"].dims == ("vertex",) and borders["kind"].dims == ("curve",)
     assert {"beta", "gamma"} <= set(borders.data_vars)
     assert borders["start"].dims == borders["delta"].dims == ("curve",)
@@ -50,8 +50,8 @@ def test_what_is_in_it(borders):
     assert borders["curve"].values.max() == borders.sizes["curve"] - 1
 
 
-def test_vertices_are_special_points_of_families(sweep, borders):
-    """Along a line of the grid `follow` finds the same point, begun with two grid points away from it."""
+def test_vertices_match_special_points_of_continuation(sweep, borders):
+    """`follow`, started two grid points away, finds the same point along a line of the grid."""
     checked = 0
     for curve in np.flatnonzero(np.isin(kinds(borders), BY_ORBITS) & (borders["start"].values == "any")):
         vertices = borders.isel(vertex=borders["curve"].values == curve)
@@ -71,11 +71,11 @@ def test_vertices_are_special_points_of_families(sweep, borders):
 
 
 def cells_away_from_curves(sweep, borders, delta, start):
-    """Of the points at the border of the region of a start, those farther than a cell from its curves."""
+    """Return the cells at the border of a region that are farther than one cell from its curves."""
     regimes = sweep.regime.sel(delta=delta, start=start).transpose("beta", "gamma").values
-    mine = (borders["delta"].values == delta) & (borders["start"].values == start)
-    some = np.isin(borders["curve"].values, np.flatnonzero(mine))
-    x, y = borders.beta.values[some], borders.gamma.values[some]
+    of_region = (borders["delta"].values == delta) & (borders["start"].values == start)
+    on_curve = np.isin(borders["curve"].values, np.flatnonzero(of_region))
+    x, y = borders.beta.values[on_curve], borders.gamma.values[on_curve]
     inside = regimes == SINGLE_IMPACT
     assert inside.any() and not inside.all()
     padded = np.pad(inside, 1, mode="edge")
@@ -85,25 +85,25 @@ def cells_away_from_curves(sweep, borders, delta, start):
     away = [
         np.maximum(np.abs(x - sweep.beta.values[i]) / wide, np.abs(y - sweep.gamma.values[j]) / high) for i, j in cells
     ]
-    return [cell for cell, one in zip(cells.tolist(), away, strict=True) if one.min() > 1 + 1e-9]
+    return [cell for cell, distance in zip(cells.tolist(), away, strict=True) if distance.min() > 1 + 1e-9]
 
 
 @pytest.mark.parametrize("delta", [-0.005, 0.005])
-def test_every_cell_at_a_border_is_beside_a_curve(sweep, borders, delta):
+def test_cells_at_borders_are_next_to_a_curve(sweep, borders, delta):
     assert cells_away_from_curves(sweep, borders, delta, "stuck") == []
 
 
 @pytest.mark.long
-def test_the_default_map():
-    """What the README says of it; and where the source's best region ends."""
+def test_default_map_matches_documented_values():
+    """Compare with the README's areas, and with the border of the source's best region."""
     sweep = vj.run_sweep(vj.read_sweep("regime-map", ["run.orbits=true"]), progress=False)
     borders = vj.borders(sweep, progress=False)
     names = zip(borders["region_delta"].values.tolist(), borders["region_start"].values.tolist(), strict=True)
     area = dict(zip(names, 100 * borders.region_area.values, strict=True))
-    said = {(-0.005, "drive"): 56.6, (-0.005, "stuck"): 55.1, (-0.005, "any"): 68.5}
-    said |= {(0.005, "drive"): 18.2, (0.005, "stuck"): 39.1, (0.005, "any"): 50.8}
-    # A lane more or less at the border of a basin is 0.05 % of a plane.
-    assert {at: abs(area[at] - percent) < 0.25 for at, percent in said.items()} == dict.fromkeys(said, True)
+    documented = {(-0.005, "drive"): 56.6, (-0.005, "stuck"): 55.1, (-0.005, "any"): 68.5}
+    documented |= {(0.005, "drive"): 18.2, (0.005, "stuck"): 39.1, (0.005, "any"): 50.8}
+    # One lane at the border of a basin is 0.05 % of a plane.
+    assert {at: abs(area[at] - percent) < 0.25 for at, percent in documented.items()} == dict.fromkeys(documented, True)
     for delta in (-0.005, 0.005):
         for start in ("drive", "stuck"):
             assert cells_away_from_curves(sweep, borders, delta, start) == []
@@ -113,38 +113,38 @@ def test_the_default_map():
     with_gap = (borders["delta"].values > 0)[borders["curve"].values]
     assert not (best & ~with_gap).any()
     assert set(kind[best & with_gap]) == {"torus", "stick"}
-    # Their curves meet between lines of the grid. Lanes from "stuck" that settle for 120 s keep a single impact over
-    # gamma at beta 0.378, and are irregular around gamma 0.61 at 0.384.
+    # The curves meet between lines of the grid. Lanes from "stuck" that settle for 120 s keep a single impact at all
+    # gamma for beta 0.378. They are irregular around gamma 0.61 for beta 0.384.
     assert 0.378 < beta[best & with_gap].min() < 0.384
 
 
 def test_continued_borders_do_not_depend_on_the_grid():
-    """Borders from two grids that share no inner line pass lines of the plane at the same points, and join there."""
-    crossed, begun = [], []
+    """Two grids without a common inner line give borders that cross lines of the plane at the same points."""
+    crossings, origins = [], []
     for count in (4, 5):
         grid = {"gamma": {"start": 0.38, "stop": 0.52, "num": count}, "beta": {"start": 0.4, "stop": 0.8, "num": count}}
         ds = vj.borders(SWEEP | {"parameters": {"delta": 0.005}, "grid": grid}, at={"beta": 0.57}, progress=False)
-        mask = ds.start.values[ds.crossing_curve.values] == "any"
+        of_any_start = ds.start.values[ds.crossing_curve.values] == "any"
         assert (ds.continued.values[ds.crossing_curve.values] == 1).all() and set(ds.crossing_beta.values) == {0.57}
         points = zip(kinds(ds)[ds.crossing_curve.values], ds.crossing_gamma.values, strict=True)
-        crossed.append(sorted(point for point, own in zip(points, mask, strict=True) if own))
-        begun.append(ds.attrs["begun_from"])
+        crossings.append(sorted(point for point, is_any in zip(points, of_any_start, strict=True) if is_any))
+        origins.append(ds.attrs["begun_from"])
         assert (np.isnan(ds.seed_gamma.values) == (ds.continued.values == 0)).all()
         basins = np.isin(kinds(ds), ("basin", "not-settled"))
         assert not ds.continued.values[basins].any()
-    assert [kind for kind, _ in crossed[0]] == [kind for kind, _ in crossed[1]] and crossed[0]
-    np.testing.assert_allclose([x for _, x in crossed[0]], [x for _, x in crossed[1]], rtol=1e-8)
-    assert "grid of 4 x 4" in begun[0] and "grid of 5 x 5" in begun[1]
+    assert [kind for kind, _ in crossings[0]] == [kind for kind, _ in crossings[1]] and crossings[0]
+    np.testing.assert_allclose([x for _, x in crossings[0]], [x for _, x in crossings[1]], rtol=1e-8)
+    assert "grid of 4 x 4" in origins[0] and "grid of 5 x 5" in origins[1]
 
 
-def test_areas(borders):
+def test_areas_of_regions(borders):
     for delta in (-0.005, 0.005):
-        here = borders.isel(region=borders["region_delta"].values == delta)
-        area = dict(zip(here["region_start"].values.tolist(), here.region_area.values.tolist(), strict=True))
+        of_delta = borders.isel(region=borders["region_delta"].values == delta)
+        area = dict(zip(of_delta["region_start"].values.tolist(), of_delta.region_area.values.tolist(), strict=True))
         assert 0 < area["stuck"] <= area["any"] + 1e-12 < 1
 
 
-def test_a_circle():
+def test_circle():
     x, y = np.linspace(-1.0, 1.0, 41), np.linspace(-1.5, 1.5, 61)
     inside = x[:, None] ** 2 + y**2 < 0.64
 
@@ -157,7 +157,7 @@ def test_a_circle():
     chains, area = around_region(inside, x, y, ends)
     joined = ContinuedBorders(OrbitGrid(vj.SCENES["vibro-impact"](), ("x", "y"), (x, y), {}, 0.0))
     pieces = [piece for chain in chains for piece in joined.cut(chain)]
-    # Chords of length h leave out h^2/12 of a circle.
+    # Chords of length h reduce the area of a circle by h^2/12.
     assert abs(area * 6 / (np.pi * 0.64) - 1) < 2e-3
     assert {piece.kind for piece in pieces} == {"rim", "keel"}
     radius = np.concatenate([np.hypot(*piece.points.T) for piece in pieces])
@@ -168,7 +168,7 @@ def test_a_circle():
         assert np.sum(np.abs(ends_of - end).max(axis=1) < 1e-12) == 2
 
 
-def test_regions_that_touch_at_a_corner_stay_apart():
+def test_regions_that_touch_at_a_corner_are_separate():
     inside = np.array([[True, False], [False, True]])
     x = y = np.array([0.0, 1.0])
 
@@ -177,11 +177,11 @@ def test_regions_that_touch_at_a_corner_stay_apart():
 
     chains, area = around_region(inside, x, y, middle)
     assert len(chains) == 2 and area == 0.25
-    # Values of an axis may fall.
+    # The values of an axis may decrease.
     assert around_region(inside[::-1], x[::-1], y, middle)[1] == 0.25
 
 
-def test_a_lone_line_of_the_grid_in_or_out():
+def test_grid_entirely_inside_or_outside_has_no_border():
     def never(here, there):
         raise AssertionError
 
@@ -191,16 +191,16 @@ def test_a_lone_line_of_the_grid_in_or_out():
 
 
 @pytest.mark.parametrize(
-    ("at", "says"),
+    ("at", "message"),
     [({"delta": 0.0}, "is not gamma or beta with a value"), ({"beta": 0.6}, "is not between 0.3 and 0.5")],
 )
-def test_lines_outside_the_plane_are_refused(sweep, at, says):
-    with pytest.raises(InputError, match=says):
+def test_lines_outside_the_plane_are_refused(sweep, at, message):
+    with pytest.raises(InputError, match=message):
         vj.borders(sweep, at=at, progress=False)
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"scene": "rotary", "grid": {"beta": [0.3, 0.4], "gamma": [0.5, 0.6]}}, "no impacts"),
         ({"grid": {"beta": [0.3, 0.4]}}, "no two axes"),
@@ -211,37 +211,37 @@ def test_lines_outside_the_plane_are_refused(sweep, at, says):
         ),
     ],
 )
-def test_what_has_no_plane_is_refused(change, says):
-    with pytest.raises(InputError, match=says):
+def test_sweep_without_plane_is_refused(change, message):
+    with pytest.raises(InputError, match=message):
         vj.borders(SWEEP | change, progress=False)
 
 
-def test_axes_that_are_none_are_refused(sweep):
+def test_unknown_axis_is_refused(sweep):
     with pytest.raises(InputError, match="choose from"):
         vj.borders(sweep, axes=("beta", "nu"), progress=False)
 
 
-def test_the_command(sweep, borders, tmp_path, capsys, monkeypatch):
+def test_command(sweep, borders, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     vj.write_dataset(sweep, tmp_path / "map.nc")
     assert main(["borders", "map.nc"]) == 0
-    said = capsys.readouterr().out
-    assert "any start" in said and "period-doubling" in said
+    printed = capsys.readouterr().out
+    assert "any start" in printed and "period-doubling" in printed
     again = vj.open_dataset(tmp_path / "map-borders.nc")
     np.testing.assert_array_equal(again.gamma, borders.gamma)
-    with monkeypatch.context() as changed:  # the finished result is not computed again
+    with monkeypatch.context() as changed:  # reuses the finished result
         changed.setattr(Borders, "of_lanes", None)
         assert main(["borders", "map.nc"]) == 0
     line = f"map-borders.nc: is there already ({source()}); it is not computed again without --fresh"
-    stored = [f"{line}; picture map-borders.png", *said.splitlines()[1:]]
+    stored = [f"{line}; picture map-borders.png", *printed.splitlines()[1:]]
     assert capsys.readouterr().out.splitlines() == stored
     with monkeypatch.context() as changed:
         changed.setattr(Borders, "of_lanes", lambda *_: again)
         assert main(["borders", "map.nc", "--fresh"]) == 0
-    assert capsys.readouterr().out == said
+    assert capsys.readouterr().out == printed
     assert main(["info", "map-borders.nc"]) == 0
-    told = capsys.readouterr().out
-    assert "any start" in told and "% of the plane" in told
+    info = capsys.readouterr().out
+    assert "any start" in info and "% of the plane" in info
     assert main(["borders", "map.nc", "--axes", "gamma"]) == 2
     assert "not a pair" in capsys.readouterr().err
     assert main(["borders", "map.nc", "--axes", "gamma,delta"]) == 2

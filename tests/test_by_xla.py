@@ -1,4 +1,4 @@
-"""Lanes compiled by XLA, as on an accelerator or where no kernel can be made, come out as lanes of kernels do."""
+"""Test lanes compiled by XLA, as on an accelerator or where kernels are not available, against lanes of kernels."""
 
 import json
 
@@ -27,8 +27,8 @@ def no_kernels(monkeypatch):
 
 
 @pytest.mark.parametrize("scene", [pytest.param("vibro-impact", marks=pytest.mark.long), "penetration"])
-def test_as_by_kernels(scene, request):
-    """Every label, and what repeats to the roundings' growth."""
+def test_xla_matches_kernels(scene, request):
+    """Compare all labels, and the features of lanes that repeat within the growth of rounding errors."""
     sweep = {"scene": scene, "grid": SWEEPS[scene], "run": RUN if scene == "vibro-impact" else {}}
     kernels = vj.run_sweep(sweep, progress=False)
     request.getfixturevalue("no_kernels")
@@ -43,5 +43,7 @@ def test_as_by_kernels(scene, request):
     else:
         repeats, names = np.ones(kernels.rate_of_penetration.shape, bool), ["rate_of_penetration", "slip_per_impact"]
     for name in names:
-        one, other = (dataset[name].values[repeats] for dataset in (kernels, xla))
-        np.testing.assert_allclose(one, other, rtol=WITHIN[scene], atol=WITHIN[scene] * np.nanmax(np.abs(one)))
+        by_kernels, by_xla = (dataset[name].values[repeats] for dataset in (kernels, xla))
+        np.testing.assert_allclose(
+            by_kernels, by_xla, rtol=WITHIN[scene], atol=WITHIN[scene] * np.nanmax(np.abs(by_kernels))
+        )
