@@ -1,4 +1,4 @@
-"""Calibrations: planted parameters, coverage of standard errors, what the data do not determine, and bad input."""
+"""Test calibrations: recovery of known parameters, coverage of standard errors, undetermined parameters, bad input."""
 
 import numpy as np
 import pytest
@@ -10,15 +10,15 @@ from vibrojax.cli import main
 from vibrojax.errors import InputError
 
 SPEEDS = np.linspace(1.1, 2.0, 6)
-PLANTED = {"mu": 0.4, "v_cr": 3.0}
-OF = ("period", "impact_velocity", "drive_power")
-ABOUT = {"scene": "vibro-impact", "start": "stuck", "parameters": {"delta": 0.005}}
+TRUE_VALUES = {"mu": 0.4, "v_cr": 3.0}
+OBSERVED = ("period", "impact_velocity", "drive_power")
+FIXED = {"scene": "vibro-impact", "start": "stuck", "parameters": {"delta": 0.005}}
 UNKNOWN = {"mu": [0.25, 0.6], "v_cr": [1.5, 6.0]}
 
 
 @pytest.fixture(scope="module")
 def motion():
-    points = {"points": {"v": SPEEDS.tolist()}, "parameters": {"delta": 0.005, **PLANTED}}
+    points = {"points": {"v": SPEEDS.tolist()}, "parameters": {"delta": 0.005, **TRUE_VALUES}}
     sweep = {"scene": "vibro-impact", "starts": ["stuck"], "run": {"orbits": True}, **points}
     return vj.run_sweep(sweep, progress=False)
 
@@ -26,50 +26,54 @@ def motion():
 def _runs(motion, noise=0.0, seed=0):
     rng = np.random.default_rng(seed)
     return {"v": SPEEDS} | {
-        name: motion[name].values[:, 0] * (1 + noise * rng.standard_normal(len(SPEEDS))) for name in OF
+        name: motion[name].values[:, 0] * (1 + noise * rng.standard_normal(len(SPEEDS))) for name in OBSERVED
     }
 
 
 def _calibrated(data, **settings):
-    return vj.calibrate({**ABOUT, "data": data, "unknown": UNKNOWN, "searches": 1, **settings}, progress=False)
+    return vj.calibrate({**FIXED, "data": data, "unknown": UNKNOWN, "searches": 1, **settings}, progress=False)
 
 
-def test_planted_parameters_are_recovered_exactly_without_noise(motion):
+def test_true_parameters_are_recovered_without_noise(motion):
     fit = _calibrated(_runs(motion), searches=2)
-    assert fit.estimate.values == pytest.approx([*PLANTED.values()], rel=1e-7)
+    assert fit.estimate.values == pytest.approx([*TRUE_VALUES.values()], rel=1e-7)
     assert not fit.reason.any() and fit.freedom == 3 * len(SPEEDS) - 2
     assert fit.attrs["kind"] == "calibration"
 
 
-def test_standard_errors_cover_planted_parameters(motion):
-    """The distance from the truth, in standard errors, has the chi-squared distribution of two degrees of freedom."""
+def test_standard_errors_cover_true_parameters(motion):
+    """The squared distance from the truth, in standard errors, has the chi-squared distribution of two degrees of
+    freedom.
+    """
     noise, distances = 2e-3, []
-    truth = np.array([*PLANTED.values()])
-    errors = {name: noise * float(np.abs(motion[name]).mean()) for name in OF}
+    truth = np.array([*TRUE_VALUES.values()])
+    errors = {name: noise * float(np.abs(motion[name]).mean()) for name in OBSERVED}
     rng = np.random.default_rng(1)
     for _ in range(10):
         exact = _runs(motion)
-        data = {"v": SPEEDS} | {name: exact[name] + errors[name] * rng.standard_normal(len(SPEEDS)) for name in OF}
+        data = {"v": SPEEDS} | {
+            name: exact[name] + errors[name] * rng.standard_normal(len(SPEEDS)) for name in OBSERVED
+        }
         fit = _calibrated(data, error=errors, draws=2)
         stderr = fit.estimate_stderr.values
         covariance = fit.correlation.values * np.outer(stderr, stderr)
-        off = fit.estimate.values - truth
-        distances.append(off @ np.linalg.solve(covariance, off))
-    # Mean 2 with a standard error of sqrt(4/10); four of these are allowed.
+        deviation = fit.estimate.values - truth
+        distances.append(deviation @ np.linalg.solve(covariance, deviation))
+    # The mean is 2 and its standard error is sqrt(4/10). The test allows four standard errors.
     assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 10)
 
 
-def test_the_posterior_has_the_estimates_covariance(motion):
+def test_posterior_has_covariance_of_estimate(motion):
     fit = _calibrated(_runs(motion, 1e-3), draws=20_000)
-    logs = np.log(fit.posterior.values)
+    log_samples = np.log(fit.posterior.values)
     freedom = int(fit.freedom)
-    relative = fit.estimate_stderr.values / fit.estimate.values * np.sqrt(freedom / (freedom - 2))  # Student's t
-    assert logs.std(axis=0) == pytest.approx(relative, rel=0.03)
-    assert np.corrcoef(logs.T)[0, 1] == pytest.approx(float(fit.correlation[0, 1]), abs=0.03)
+    relative_stderr = fit.estimate_stderr.values / fit.estimate.values * np.sqrt(freedom / (freedom - 2))  # Student's t
+    assert log_samples.std(axis=0) == pytest.approx(relative_stderr, rel=0.03)
+    assert np.corrcoef(log_samples.T)[0, 1] == pytest.approx(float(fit.correlation[0, 1]), abs=0.03)
     assert float(fit.nonlinearity) < 0.1
 
 
-def test_the_period_determines_only_the_ratio_of_stiffness_and_mass(motion):
+def test_period_determines_only_ratio_of_stiffness_and_mass(motion):
     """With friction proportional to m1 g, x1 scales with m1 g/k1 and time with sqrt(m1/k1)."""
     data = {name: _runs(motion, 5e-3)[name] for name in ("v", "period")}
     fit = _calibrated(data, unknown={"m1": [150.0, 400.0], "k1": [1e5, 2.5e5]})
@@ -84,34 +88,35 @@ def test_the_period_determines_only_the_ratio_of_stiffness_and_mass(motion):
     assert not prior.reason.any() and float(prior.estimate[0]) == pytest.approx(250, abs=15)
 
 
-def test_an_estimate_at_a_bound_is_named(motion):
+def test_estimate_at_a_bound_is_flagged(motion):
     fit = _calibrated(_runs(motion), unknown={"mu": [0.5, 0.6]})
     assert REASONS[int(fit.reason[0])] == "at-bound" and float(fit.estimate[0]) == pytest.approx(0.5, abs=2e-3)
     assert "an estimate at a bound has no standard error" in "\n".join(analysis_of(fit).summary(fit)[0].lines)
 
 
-def test_few_observations_have_a_wider_posterior(motion):
-    """The residuals give the error with one degree of freedom: the posterior is Cauchy's, far wider than the normal."""
+def test_posterior_widens_with_few_observations(motion):
+    """The residuals give the error with one degree of freedom, so the posterior is a Cauchy distribution."""
     rows = {name: x[:2] for name, x in _runs(motion, 1e-3).items() if name in ("v", "period")}
     fit = _calibrated(rows, unknown={"mu": [0.25, 0.6]}, draws=20_000)
     logs = np.log(fit.posterior.values[:, 0] / float(fit.estimate[0]))
-    quarter = float(fit.estimate_stderr[0] / fit.estimate[0])  # the quartiles of Cauchy's are at one scale
+    # the quartiles of a Cauchy distribution are one scale from its centre
+    quarter = float(fit.estimate_stderr[0] / fit.estimate[0])
     assert fit.freedom == 1 and np.mean(np.abs(logs) < quarter) == pytest.approx(0.5, abs=0.02)
 
 
-def test_the_laws_coefficient_is_calibrated_with_the_drill():
+def test_coefficient_of_law_is_calibrated_with_the_drill():
     speeds = np.linspace(1.6, 2.0, 4)
     sweep = {"scene": "drilling", "starts": ["stuck"], "points": {"v": speeds.tolist()}, "run": {"orbits": True}}
     motion = vj.run_sweep(sweep, progress=False)
     relief = motion.relief.values[:, 0]
     data = {"v": speeds, "period": motion.period.values[:, 0], "rate_of_penetration (mm/s)": 2.0 * np.log(relief)}
-    about = {"scene": "drilling", "start": "stuck", "data": data, "searches": 1}
-    fit = vj.calibrate(about | {"unknown": {"C": [1e-4, 1e-1], "mu": [0.2, 0.6]}}, progress=False)
+    settings = {"scene": "drilling", "start": "stuck", "data": data, "searches": 1}
+    fit = vj.calibrate(settings | {"unknown": {"C": [1e-4, 1e-1], "mu": [0.2, 0.6]}}, progress=False)
     assert float(fit.estimate.sel(parameter="C")) == pytest.approx(2e-3, rel=1e-6)
     assert float(fit.estimate.sel(parameter="mu")) == pytest.approx(0.4, rel=1e-6)
 
 
-def test_the_command_writes_dataset_and_picture(motion, tmp_path, capsys):
+def test_command_writes_dataset_and_picture(motion, tmp_path, capsys):
     rows = _runs(motion, 1e-3)
     table = np.column_stack([*rows.values()])
     np.savetxt(tmp_path / "runs.csv", table, delimiter=",", header=",".join(rows), comments="", fmt="%.10g")
@@ -130,7 +135,7 @@ def test_the_command_writes_dataset_and_picture(motion, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"unknown": {}}, "unknown: missing"),
         ({"unknown": {"mu": [0.6, 0.2]}}, "unknown.mu"),
@@ -150,8 +155,8 @@ def test_the_command_writes_dataset_and_picture(motion, tmp_path, capsys):
         ({"unknwn": 1}, "unknwn: unknown key"),
     ],
 )
-def test_bad_input_is_refused_in_one_line(change, said):
+def test_bad_input_is_refused_in_one_line(change, message):
     data = {"v": [1.0, 1.5], "period": [0.23, 0.23]}
     with pytest.raises(InputError) as caught:
-        vj.calibrate({**ABOUT, "data": data, "unknown": UNKNOWN, **change}, progress=False)
-    assert said.replace("'", '"') in str(caught.value).replace("'", '"') and "\n" not in str(caught.value)
+        vj.calibrate({**FIXED, "data": data, "unknown": UNKNOWN, **change}, progress=False)
+    assert message.replace("'", '"') in str(caught.value).replace("'", '"') and "\n" not in str(caught.value)

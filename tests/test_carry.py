@@ -1,4 +1,4 @@
-"""Lanes carried along an axis, up and down: each from where the last one ended."""
+"""Test lanes carried along an axis, up and down: each starts from the final state of the previous lane."""
 
 import numpy as np
 import pytest
@@ -33,78 +33,78 @@ def carried():
     return vj.run_sweep(sweep(), progress=False)
 
 
-def test_each_lane_goes_on_from_where_the_last_one_ended():
-    """As trajectories, each of which starts from the end of the one before."""
+def test_lane_starts_from_final_state_of_previous_lane():
+    """Compare with trajectories, each of which starts from the end of the previous one."""
     run = {"settle": 0.7, "observe": 0.5, "end_early": False}
-    found = vj.run_sweep(sweep(**run), progress=False)
+    lanes = vj.run_sweep(sweep(**run), progress=False)
     for direction, gammas in (("up", GAMMAS), ("down", GAMMAS[::-1])):
         start: object = "stuck"
         for gamma in gammas:
-            lane = found.sel(beta=0.4, gamma=gamma, v=1.5, direction=direction)
+            lane = lanes.sel(beta=0.4, gamma=gamma, v=1.5, direction=direction)
             motion = vj.simulate(
                 "vibro-impact", beta=0.4, gamma=gamma, delta=0.005, start=start, duration=1.2, progress=False
             )
             late = motion.sel(time=slice(0.7, None))
             for name, state in (("bit_amplitude", "x1"), ("striker_amplitude", "x2")):
-                swing = float(late[state].max() - late[state].min()) / 2  # of samples, not of the turns
+                swing = float(late[state].max() - late[state].min()) / 2  # of samples, not of turning points
                 assert abs(float(lane[name]) - swing) < 2e-3 * swing, (direction, gamma, name)
             start = [float(motion[name][-1]) for name in STATES]
 
 
-def test_the_ways_have_no_starts_and_a_direction(carried):
+def test_carried_sweep_has_directions_but_no_starts(carried):
     assert carried.regime.dims == ("beta", "gamma", "v", "direction")
     assert carried.direction.values.tolist() == ["up", "down"] and "start" not in carried.dims
     assert "gamma" in carried.direction.attrs["long_name"]
 
 
-def test_a_motion_that_is_there_already_is_held(carried):
-    """At beta 0.4 and gap 5 mm the single impact from above coexists with an irregular motion from below."""
-    at = carried.sel(beta=0.4, gamma=[0.7, 0.75], v=1.5)
-    assert (at.regime.sel(direction="up") == IRREGULAR).all()
-    assert (at.regime.sel(direction="down") == SINGLE_IMPACT).all()
+def test_hysteresis_between_directions(carried):
+    """At beta 0.4 and a gap of 5 mm, a single impact (carried down) coexists with an irregular motion (carried up)."""
+    at_gap = carried.sel(beta=0.4, gamma=[0.7, 0.75], v=1.5)
+    assert (at_gap.regime.sel(direction="up") == IRREGULAR).all()
+    assert (at_gap.regime.sel(direction="down") == SINGLE_IMPACT).all()
 
 
-def test_other_axes_change_nothing(carried):
-    alone = vj.run_sweep(sweep() | {"grid": {"beta": [0.3], "gamma": GAMMAS, "v": [2.0]}}, progress=False)
+def test_lanes_do_not_depend_on_other_axes(carried):
+    subset = vj.run_sweep(sweep() | {"grid": {"beta": [0.3], "gamma": GAMMAS, "v": [2.0]}}, progress=False)
     for name in ("regime", "period", "impact_velocity", "error_estimate"):
-        np.testing.assert_array_equal(alone[name].squeeze(), carried[name].sel(beta=0.3, v=2.0), err_msg=name)
+        np.testing.assert_array_equal(subset[name].squeeze(), carried[name].sel(beta=0.3, v=2.0), err_msg=name)
 
 
-def test_chunks_are_whole_ways_and_are_gone_on_with(tmp_path, carried, monkeypatch):
+def test_chunks_hold_whole_paths_and_resume_after_an_interrupt(tmp_path, carried, monkeypatch):
     def interrupted(shards, index, features):
         if len(stored) == 2:
             raise KeyboardInterrupt
         stored.append(index)
-        was(shards, index, features)
+        write(shards, index, features)
 
-    was, stored = Shards.write, []
+    write, stored = Shards.write, []
     monkeypatch.setattr(Shards, "write", interrupted)
-    out, chunked = tmp_path / "out.nc", read_sweep(sweep(chunk=13))  # two ways of five lanes
+    out, chunked = tmp_path / "out.nc", read_sweep(sweep(chunk=13))  # two paths of five lanes
     with pytest.raises(KeyboardInterrupt):
         run_to_file(chunked, out, progress=False)
     assert len(list((tmp_path / "out.nc.chunks").glob("chunk-*"))) == 2
-    monkeypatch.setattr(Shards, "write", was)
+    monkeypatch.setattr(Shards, "write", write)
     run_to_file(chunked, out, progress=False)
     xr.testing.assert_equal(open_dataset(out), carried)
 
 
-def test_a_lane_that_fails_does_not_end_the_way():
-    """Where nothing is left to go on from, the way begins anew: beyond the refused lane it is the first lane's."""
+def test_carrying_continues_after_a_failed_lane():
+    """After a failed lane there is no final state, so the next lane begins at the start."""
     stiff = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"k0": [5e7, 1e300]}, "run": sweep()["run"]}
-    found = vj.run_sweep(stiff | {"run": stiff["run"] | {"carry": "k0"}, "unusual": True}, progress=False)
+    carried_lanes = vj.run_sweep(stiff | {"run": stiff["run"] | {"carry": "k0"}, "unusual": True}, progress=False)
     alone = vj.run_sweep(stiff | {"grid": {"k0": [5e7]}, "run": {"settle": 10.0, "observe": 4.0}}, progress=False)
-    assert (found.regime.sel(k0=1e300) == FAILED).all()
-    np.testing.assert_array_equal(found.period.sel(k0=5e7), [alone.period.item()] * 2)
+    assert (carried_lanes.regime.sel(k0=1e300) == FAILED).all()
+    np.testing.assert_array_equal(carried_lanes.period.sel(k0=5e7), [alone.period.item()] * 2)
 
 
-def test_orbits_are_found_of_carried_lanes():
-    found = vj.run_sweep(sweep(orbits=True) | {"grid": {"gamma": GAMMAS}, "parameters": {"beta": 0.3}}, progress=False)
-    assert (found.stable == 1).all() and found.multiplier_abs.dims == ("gamma", "direction", "multiplier")
+def test_carried_lanes_have_orbits():
+    lanes = vj.run_sweep(sweep(orbits=True) | {"grid": {"gamma": GAMMAS}, "parameters": {"beta": 0.3}}, progress=False)
+    assert (lanes.stable == 1).all() and lanes.multiplier_abs.dims == ("gamma", "direction", "multiplier")
 
 
-def test_the_picture_marks_where_a_way_leaves_the_other(carried):
-    one = carried.sel(beta=0.4, v=1.5, drop=True).rename(direction="start")
-    up, down = jumps(one, "gamma")
+def test_picture_marks_jumps(carried):
+    lanes = carried.sel(beta=0.4, v=1.5, drop=True).rename(direction="start")
+    up, down = jumps(lanes, "gamma")
     assert up.tolist() == [] and down.tolist() == [1]
     figure = vj.picture(carried)
     titles = [axes.get_title(loc="left") for axes in figure.axes]
@@ -112,29 +112,31 @@ def test_the_picture_marks_where_a_way_leaves_the_other(carried):
     assert any("0.4" in title for title in titles) and marked
 
 
-def test_both_ways_jump_where_the_families_say():
-    """Over the gap at beta 0.4, gamma 0.6 the strong single impact and the weak one take turns: the strong one ends
-    where it meets an unstable orbit in a corner, the weak one where the bit no longer falls behind the drive."""
+def test_jumps_agree_with_continuation():
+    """At beta 0.4 and gamma 0.6, the gap leads to hysteresis between the strong and the weak single impact. The strong
+    one ends where it meets an unstable orbit in a corner. The weak one ends where the bit no longer falls behind the
+    drive.
+    """
     point, gap = {"beta": 0.4, "gamma": 0.6}, {"start": -0.006, "stop": 0.008, "num": 29}
     run = {"carry": "delta", "keep_returns": 4}
     tables = {"scene": "vibro-impact", "starts": ["drive"], "parameters": point, "grid": {"delta": gap}, "run": run}
     loop = vj.run_sweep(tables, progress=False)
-    ends = [(at, "drive", (-0.004, 0.004)) for at in (-0.003, 0.003)]
+    branches = [(at, "drive", (-0.004, 0.004)) for at in (-0.003, 0.003)]
     strong, weak = (
         vj.follow("vibro-impact", along="delta", at=at, span=span, start=start, progress=False, **point)
-        for at, start, span in ends
+        for at, start, span in branches
     )
     step = float(loop.delta[1] - loop.delta[0])
-    ways = jumps(loop.rename(direction="start"), "delta")
-    between = [(loop.delta.values[place] + loop.delta.values[place + 1]) / 2 for place in ways]
-    for family, (found,), kind in ((strong, between[0], "stick"), (weak, between[1], "section")):
-        special = [value for one, value in special_points(family) if one == kind]
-        assert min(abs(found - value) for value in special) < step
-    # The corner is one: beyond it there is no orbit of the family, and from it on it is unstable.
+    jump_indices = jumps(loop.rename(direction="start"), "delta")
+    brackets = [(loop.delta.values[index] + loop.delta.values[index + 1]) / 2 for index in jump_indices]
+    for family, (jump,), kind in ((strong, brackets[0], "stick"), (weak, brackets[1], "section")):
+        special = [value for name, value in special_points(family) if name == kind]
+        assert min(abs(jump - value) for value in special) < step
+    # The corner is a fold: the branch does not exist beyond it, and is unstable after it.
     corner = float(strong.delta.max())
     unstable = strong.delta.values[strong.stable.values == 0]
-    assert between[0][0] == pytest.approx(corner, abs=step) and unstable.max() == pytest.approx(corner, abs=1e-6)
-    # Up it is held until it jumps, down the other one.
+    assert brackets[0][0] == pytest.approx(corner, abs=step) and unstable.max() == pytest.approx(corner, abs=1e-6)
+    # Carried up, the strong orbit persists until it jumps; carried down, the weak one.
     velocity = loop.impact_velocity.sel(delta=0.0, method="nearest")
     assert velocity.sel(direction="up") > 2.5 and velocity.sel(direction="down") < 1.0
     figure = vj.picture(loop, over=[strong, weak])
@@ -152,7 +154,7 @@ def test_both_ways_jump_where_the_families_say():
         ({"carry": "beta"}, {"grid": {"beta": [0.4]}}, "run.carry: the values of beta do not rise"),
     ],
 )
-def test_what_cannot_be_carried_is_refused_in_one_line(run, tables, line):
+def test_unsuitable_axis_is_refused_in_one_line(run, tables, line):
     with pytest.raises(InputError) as caught:
         read_sweep(MAP | tables | {"run": run})
     assert line in str(caught.value) and "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""Values set over a sweep: `--set NAME=VALUE`."""
+"""Test the option `--set NAME=VALUE`, which changes values of a sweep."""
 
 import pytest
 
@@ -12,32 +12,32 @@ def changed(*words):
     return vj.read_sweep(BASE, words)
 
 
-def test_parameters_are_fixed_or_become_axes():
+def test_parameters_become_fixed_values_or_axes():
     sweep = changed("k1=312500", "v = 2", "beta=0.5", "friction=coulomb", "delta={start=-0.005, stop=0.005, num=3}")
     assert sweep.parameters["k1"] == 312500 and sweep.parameters["v"] == 2.0 and sweep.parameters["beta"] == 0.5
     assert sweep.friction == "coulomb" and list(sweep.axes) == ["gamma", "delta"] and len(sweep.axes["delta"]) == 3
     assert list(changed("k1=[2e5, 3e5]").axes) == ["beta", "gamma", "k1"]
 
 
-def test_objects_stay_themselves():
+def test_objects_are_kept():
     law = vj.FRICTION_LAWS["coulomb"]
     sweep = vj.read_sweep({**BASE, "parameters": {"friction": law}}, ["v=2"])
     assert sweep.system.friction is law and 'friction = "coulomb"' in sweep.text
 
 
-def test_settings_and_the_rest():
+def test_other_tables_are_changed():
     sweep = changed("run.settle=200", "observe=4", "end_early=false", 'starts=["stuck"]', "title=over night")
     assert (sweep.run.settle, sweep.run.observe, sweep.run.end_early) == (200.0, 4.0, False)
     assert list(sweep.starts) == ["stuck"] and sweep.title == "over night"
     assert changed("scene=rotary", "grid.m1=[200.0]").scene == "rotary"
 
 
-def test_the_text_is_that_of_what_is_run():
+def test_text_is_that_of_changed_sweep():
     sweep = changed("k1=312500", "settle=5", "beta=0.5")
     again = changed("k1=312500", "settle=5", "beta=0.5")
     assert "k1 = 312500" in sweep.text and "settle = 5" in sweep.text and "beta = 0.5" in sweep.text
     assert sweep.identity() == again.identity() != vj.read_sweep(BASE).identity()
-    assert "k1" not in str(BASE["grid"]) and BASE["parameters"] == {"k1": 2e5}  # what was given stays as it is
+    assert "k1" not in str(BASE["grid"]) and BASE["parameters"] == {"k1": 2e5}  # the input is not modified
 
 
 @pytest.mark.parametrize(
@@ -49,13 +49,13 @@ def test_the_text_is_that_of_what_is_run():
         ("settle=long", 'run.settle: "long" is text'),
     ],
 )
-def test_bad_words(word, line):
+def test_bad_words_are_refused(word, line):
     with pytest.raises(vj.InputError) as refused:
         changed(word)
     assert line in str(refused.value)
 
 
-def test_the_command(tmp_path, monkeypatch, capsys):
+def test_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["run.settle=0.5", "observe=0.5", "beta=0.4", "gamma=[0.6,0.7]", "delta=0.005"]
     words = [part for word in words for part in ("--set", word)]

@@ -1,4 +1,4 @@
-"""The annotations of the package are checked in tests: a wrong type or shape is an error where it is passed."""
+"""Test that the package's annotations are checked: an argument or result of wrong type or shape is an error."""
 
 import numpy as np
 import pytest
@@ -17,20 +17,20 @@ SEGMENTS = Segments(SCENES["rotary"]())
     [
         lambda: in_calls(3, "many", 5),
         lambda: SEGMENTS({}, np.zeros(3)),
-        lambda: _means(np.zeros((3, 4)), None, np.zeros(5, int), np.zeros((2, 4), int)),  # 4 lanes and 5
+        lambda: _means(np.zeros((3, 4)), None, np.zeros(5, int), np.zeros((2, 4), int)),  # 4 lanes, then 5
     ],
     ids=["function", "method", "dimension"],
 )
-def test_a_wrong_argument_is_an_error(call):
+def test_wrong_argument_is_an_error(call):
     with pytest.raises(Exception, match="violates type hint"):
         call()
 
 
-def test_a_wrong_result_is_an_error():
+def test_wrong_result_is_an_error():
     def doubled(x: Float[np.ndarray, " lanes"]) -> Float[np.ndarray, " lanes"]:
         return np.concatenate([x, x])
 
-    doubled.__qualname__ = "doubled"  # functions within functions are not checked
+    doubled.__qualname__ = "doubled"  # functions defined within functions are not checked
     with pytest.raises(Exception, match="violates type hint"):
         checked(doubled)(np.zeros(3))
     assert checked(doubled)(np.zeros(0)).shape == (0,)

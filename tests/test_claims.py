@@ -1,6 +1,7 @@
-"""Every figure of the README and of the site's pages is kept true by a test, or has the command that measures it anew.
+"""Check that each figure of the README and of the site has a claim, and that cheap claims hold.
 
-The lines are in `claims.toml` and, of the site, in `claims_site.toml` (any `claims*.toml`).
+Claims are listed in `claims.toml` and, for the site, in `claims_site.toml` (any `claims*.toml`). A claim names a test
+that keeps the figure true, or the command that measures it again.
 """
 
 import ast
@@ -26,8 +27,8 @@ from vibrojax.sweep.input.source import bundled_names
 ROOT = Path(__file__).parents[1]
 
 
-def flowing(text: str) -> str:
-    """The text with its line breaks as blanks."""
+def unwrapped(text: str) -> str:
+    """Return the text with line breaks replaced by spaces."""
     return " ".join(text.split())
 
 
@@ -36,12 +37,12 @@ ASIDE = re.compile(
     r"|<svg.*?</svg>|</?[a-zA-Z][^>\n]*>|\$\$.*?\$\$|\$[^$]*\$",
     flags=re.MULTILINE | re.DOTALL,
 )
-"""What is no prose: code and directives, front matter, options, numbers of lists, comments, tags, equations, labels."""
+"""Parts of a page that are not prose: code, front matter, options, list numbers, comments, tags, equations, labels."""
 
 
 def prose(path: Path) -> str:
-    """The text of a page, in which every figure needs a line."""
-    return flowing(ASIDE.sub(" ", path.read_text()))
+    """Return the prose of a page, in which each figure needs a claim."""
+    return unwrapped(ASIDE.sub(" ", path.read_text()))
 
 
 PAGES = {
@@ -57,7 +58,7 @@ CLAIMS = [
     for claim in tomllib.loads(file.read_text()).get("claim", [])
 ]
 
-NO_FIGURES = (
+NOT_FIGURES = (
     r"`[^`]*`",
     r"\(\.?[\w/.-]+\)",  # the target of a link
     r"Python 3\.\d+",
@@ -68,34 +69,34 @@ NO_FIGURES = (
     r"\b[A-Za-z]+\d\w*\b",
     r"\bAVX-\d+|\b0-1 test\b",
 )
-"""What has digits and is no figure: names, numbers of equations, symbols, versions."""
+"""Digits that are not figures: names, numbers of equations, symbols, versions."""
 
 
-def figures_without_a_line(page: str) -> list[str]:
-    """Figures of a page that no line covers, each with the words around it."""
+def figures_without_claim(page: str) -> list[str]:
+    """Return the figures of a page that no claim covers, each with the surrounding words."""
     rest = page
     for claim in sorted(CLAIMS, key=lambda claim: -len(claim["text"])):
-        rest = rest.replace(flowing(claim["text"]), " ")
-    for pattern in NO_FIGURES:
+        rest = rest.replace(unwrapped(claim["text"]), " ")
+    for pattern in NOT_FIGURES:
         rest = re.sub(pattern, " ", rest)
-    return [rest[max(found.start() - 60, 0) : found.end() + 30] for found in re.finditer(r"\d[\d.,]*", rest)]
+    return [rest[max(match.start() - 60, 0) : match.end() + 30] for match in re.finditer(r"\d[\d.,]*", rest)]
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_every_figure_has_its_line(name):
-    left = figures_without_a_line(PAGES[name])
-    assert not left, f"figures of {name} without a line in tests/claims.toml or tests/claims_site.toml: {left}"
+def test_each_figure_has_a_claim(name):
+    missing = figures_without_claim(PAGES[name])
+    assert not missing, f"figures of {name} without a line in tests/claims.toml or tests/claims_site.toml: {missing}"
 
 
-def test_a_figure_without_a_line_is_told(tmp_path):
+def test_figure_without_claim_is_reported(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("---\na: 1\n---\n# A\n1. `x = 3` and $y = 4$\n```{code-cell}\n5\n```\n<b id='6'>in 7.5 s</b>\n")
-    assert [flowing(told) for told in figures_without_a_line(prose(page))] == ["# A and in 7.5 s"]
+    assert [unwrapped(figure) for figure in figures_without_claim(prose(page))] == ["# A and in 7.5 s"]
 
 
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim["text"][:40])
-def test_a_line_holds(claim):
-    assert any(flowing(claim["text"]) in page for page in PAGES.values()), "not, or no longer, in README or site"
+def test_claim_holds(claim):
+    assert any(unwrapped(claim["text"]) in page for page in PAGES.values()), "not, or no longer, in README or site"
     assert claim.keys() <= {"text", "test", "holds", "refresh", "kept", "cited"}
     assert claim.keys() & {"test", "refresh", "cited"}
     for test in claim.get("test", []):
@@ -108,14 +109,14 @@ def test_a_line_holds(claim):
         assert (ROOT / script).is_file(), script
     if "holds" in claim:
         kept = claim["kept"] if "kept" in claim else claim["test"][0].partition("::")[0]
-        text = flowing((ROOT / kept).read_text())
+        text = unwrapped((ROOT / kept).read_text())
         assert [part for part in claim["holds"] if part not in text] == [], f"not in {kept}"
 
 
-# What is cheap enough to be worked out again
+# Claims that are cheap to check
 
 
-def test_the_map_on_top_is_that_of_the_bundled_sweep():
+def test_first_map_of_readme_is_bundled_sweep():
     sweep = vj.read_sweep("regime-map")
     seconds = sweep.run.settle + sweep.run.observe
     assert f"{sweep.lanes:,} lanes, each with {seconds:g} s of simulated time" in README
@@ -123,9 +124,9 @@ def test_the_map_on_top_is_that_of_the_bundled_sweep():
     assert "for a preload and a gap of 5 mm, from two starts" in README
 
 
-def test_the_bundled_sweeps_are_all_named():
-    told = README.partition("runs a bundled sweep (")[2].partition(")")[0]
-    assert sorted(re.findall(r"`([\w-]+)`", told)) == bundled_names()
+def test_readme_names_all_bundled_sweeps():
+    names = README.partition("runs a bundled sweep (")[2].partition(")")[0]
+    assert sorted(re.findall(r"`([\w-]+)`", names)) == bundled_names()
 
 
 def test_counts_of_cases():
@@ -143,9 +144,9 @@ def test_settings_of_the_stepper():
     assert stepper.coarser_by == 10 and "ten times coarser" in METHODS
 
 
-def test_the_table_of_hard_cases():
-    """As in `tests/hard/README.md`, which `tests/hard/check.py` refreshes; each row sums up to its lanes."""
-    told = flowing((ROOT / "tests" / "hard" / "README.md").read_text())
+def test_table_of_hard_cases():
+    """Compare with `tests/hard/README.md`, which `tests/hard/check.py` refreshes. Each row adds up to its lanes."""
+    hard_cases = unwrapped((ROOT / "tests" / "hard" / "README.md").read_text())
     rows = [
         [int(x) for x in re.findall(r"\d+", cells)]
         for cells in re.findall(r"\| drill, float\d\d \|((?: \d+ \|)+)", PAGES["notebooks/reliability.md"])
@@ -155,15 +156,15 @@ def test_the_table_of_hard_cases():
     single = ", ".join(map(str, rows[1][1:3])) + f" and {rows[1][3]}"
     assert (
         f"of {lanes} lanes {double[0]} are exact, {double[1]} refused and {double[2]} flagged (float32: {single})"
-        in told
+        in hard_cases
     )
     rock = re.search(r"\| rock, three scenes \| (\d+) \| (\d+), and one to 2e-5 \|", PAGES["notebooks/reliability.md"])
-    assert f"Of {rock[1]} on rock {rock[2]} are exact" in told and int(rock[2]) == int(rock[1]) - 1
-    assert "within 1e-5 (float32: 3e-3)" in told
+    assert f"Of {rock[1]} on rock {rock[2]} are exact" in hard_cases and int(rock[2]) == int(rock[1]) - 1
+    assert "within 1e-5 (float32: 3e-3)" in hard_cases
 
 
-def test_the_score_counts_every_result():
-    """The verdicts themselves take a minute: `vibrojax reproduce`."""
+def test_score_counts_all_results():
+    """`vibrojax reproduce` computes the verdicts themselves, which takes a minute."""
     results = sum(len(group.entries) for group in GROUPS)
     score = re.search(
         r"of (\d+) results: (\d+) agree, (\d+) agree in trend, (\d+) cannot be compared, (\d+) differ", README
@@ -179,12 +180,12 @@ def test_defaults():
 
 
 def row(start: str) -> list[float]:
-    """The numbers of a row of the table of times: on Python 3.13 and on 3.11, each without its spread."""
+    """Return the numbers of a row of the table of times, without their spreads: on Python 3.13, then on 3.11."""
     line = next(line for line in BENCHMARKS.splitlines() if line.startswith(f"| {start}"))
     return [float(cell.split("±")[0]) for cell in line.split("|")[2:4]]
 
 
-def test_times_are_those_of_the_benchmarks():
+def test_times_match_benchmarks():
     new, old = row("`vibrojax sweep regime-map` from a fresh process")
     assert round(new) == round(old)
     assert f"takes {new:.0f} s from nothing on two cores, on Python 3.11 as on 3.13" in README
@@ -199,14 +200,14 @@ def test_times_are_those_of_the_benchmarks():
 
 
 def peers() -> dict[str, tuple[float, float]]:
-    """Microseconds per lane-second at 1e-4, and the ratio to ours, of each way in the table of the race."""
+    """Return microseconds per lane-second at 1e-4, and the ratio to ours, for each peer in the table of the race."""
     cells = [
         [cell.strip() for cell in line.split("|")] for line in BENCHMARKS.splitlines() if line.startswith("| 1e-04")
     ]
-    return {one[2]: (float(one[3]), float(one[5])) for one in cells if one[3] != "–"}
+    return {row[2]: (float(row[3]), float(row[5])) for row in cells if row[3] != "–"}
 
 
-def test_ratios_are_those_of_the_race():
+def test_ratios_match_race():
     ratio = {name: ratio for name, (_, ratio) in peers().items()}
     for name, text in {
         "SciPy, solve_ivp with events": "{:.0f} times faster than SciPy with events",

@@ -1,4 +1,4 @@
-"""Claims of several processes in a folder: one has each, and what a dead one held is taken over."""
+"""Test claims by several processes in a folder: one process holds each, and claims of dead processes are taken over."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from vibrojax.io import claims as module
 from vibrojax.io.claims import STALE, Claims, this_process
 
 ROOT = Path(__file__).parents[1]
-HOLDS = """
+HOLD_CLAIM = """
 import sys, time
 from pathlib import Path
 from vibrojax.io.claims import Claims
@@ -25,30 +25,30 @@ time.sleep(60)
 
 @pytest.fixture
 def another(tmp_path):
-    """Another process, which holds the claim "chunk"."""
-    with subprocess.Popen([sys.executable, "-c", HOLDS, tmp_path], stdout=subprocess.PIPE, cwd=ROOT) as process:
+    """Return another process, which holds the claim "chunk"."""
+    with subprocess.Popen([sys.executable, "-c", HOLD_CLAIM, tmp_path], stdout=subprocess.PIPE, cwd=ROOT) as process:
         assert process.stdout.readline() == b"True\n"
         yield process
         process.kill()
 
 
 def claim_of(folder, **changes) -> Path:
-    """A claim as a process on another machine has made it."""
+    """Write a claim as if by a process on another machine, and return its path."""
     owner = vars(this_process()) | {"host": "far", "process": 7, "place": "elsewhere", "since": "2026-01-01T00:00:00Z"}
     path = folder / "chunk.claim"
     path.write_text(json.dumps(owner | changes))
     return path
 
 
-def aged(path, seconds):
+def set_age(path, seconds):
     then = time.time() - seconds
     os.utime(path, (then, then))
 
 
-def test_one_has_it(tmp_path):
+def test_only_one_process_holds_a_claim(tmp_path):
     mine, other = Claims(tmp_path), Claims(tmp_path)
     assert mine.take("chunk") and not other.take("chunk") and not mine.take("chunk") and other.take("dataset")
-    assert [(one.name, one.owner, one.stale) for one in mine.held()] == [
+    assert [(claim.name, claim.owner, claim.stale) for claim in mine.held()] == [
         ("chunk", this_process(), False),
         ("dataset", this_process(), False),
     ]
@@ -59,32 +59,32 @@ def test_one_has_it(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_of_many_at_once_one_gets_it(tmp_path):
-    many, got = 16, []
+def test_at_most_one_of_many_threads_takes_a_claim(tmp_path):
+    many, takers = 16, []
     together = Barrier(many)
 
     def take():
         claims = Claims(tmp_path)
         together.wait()
         if claims.take("chunk"):
-            got.append(claims)
+            takers.append(claims)
 
     for _ in range(5):
-        aged(claim_of(tmp_path), 2 * STALE)  # which they all find stale
-        got.clear()
+        set_age(claim_of(tmp_path), 2 * STALE)  # stale for all threads
+        takers.clear()
         threads = [Thread(target=take) for _ in range(many)]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-        assert len(got) <= 1
-        assert got or Claims(tmp_path).take(
+        assert len(takers) <= 1
+        assert takers or Claims(tmp_path).take(
             "chunk"
-        )  # where each saw another at it, nobody has it, and the next gets it
+        )  # if each saw another attempt, nobody holds it and the next attempt succeeds
         (tmp_path / "chunk.claim").unlink()
 
 
-def test_what_a_killed_process_held_is_taken_over_at_once(tmp_path, another):
+def test_claim_of_killed_process_is_taken_over_at_once(tmp_path, another):
     claims = Claims(tmp_path)
     assert not claims.take("chunk") and not claims.held()[0].stale
     another.kill()
@@ -93,26 +93,26 @@ def test_what_a_killed_process_held_is_taken_over_at_once(tmp_path, another):
     assert claims.take("chunk") and claims.held()[0].owner == this_process()
 
 
-def test_another_process_of_the_same_number_is_not_it(tmp_path):
+def test_reused_process_number_is_another_process(tmp_path):
     us = this_process()
     claim_of(tmp_path, process=us.process, place=us.place, start="1")
     assert Claims(tmp_path).take("chunk")
 
 
 @pytest.mark.parametrize("age, stale", [(0.0, False), (STALE - 20.0, False), (STALE + 20.0, True)])
-def test_of_another_machine_the_last_touch_tells(tmp_path, age, stale):
-    aged(claim_of(tmp_path), age)
+def test_claim_from_another_machine_is_stale_by_age(tmp_path, age, stale):
+    set_age(claim_of(tmp_path), age)
     claims = Claims(tmp_path)
     assert claims.held()[0].stale == stale and claims.held()[0].owner.text == "far, process 7"
     assert claims.take("chunk") == stale
 
 
-def test_who_works_touches_his_claims(tmp_path, monkeypatch):
+def test_working_process_touches_its_claims(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "BEAT", 0.05)
     claims = Claims(tmp_path)
     assert claims.take("chunk")
     path = tmp_path / "chunk.claim"
-    aged(path, 1000.0)
+    set_age(path, 1000.0)
     end = time.monotonic() + 100.0
     while time.time() - path.stat().st_mtime > 500.0:
         assert time.monotonic() < end
@@ -120,29 +120,29 @@ def test_who_works_touches_his_claims(tmp_path, monkeypatch):
     claims.close()
 
 
-def test_one_that_is_taken_over_by_another_meanwhile_stays(tmp_path):
-    """Between the look at a stale claim and its removal another process may have taken it."""
+def test_claim_taken_over_meanwhile_is_not_removed(tmp_path):
+    """Another process may take a stale claim between the check and the removal."""
     claims, stale = Claims(tmp_path), claim_of(tmp_path)
-    now = stale.read_bytes()  # as old as a fresh one
-    assert not claims._remove_stale(stale) and stale.read_bytes() == now
+    content = stale.read_bytes()  # age of a fresh claim
+    assert not claims._remove_stale(stale) and stale.read_bytes() == content
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"host": 1}'])
-def test_a_claim_that_says_nothing_goes_by_its_age(tmp_path, content):
+def test_unreadable_claim_is_stale_by_age(tmp_path, content):
     path = tmp_path / "chunk.claim"
     path.write_bytes(content)
     assert not Claims(tmp_path).take("chunk")
-    aged(path, 2 * STALE)
+    set_age(path, 2 * STALE)
     assert Claims(tmp_path).take("chunk")
 
 
-def test_a_folder_that_is_gone_has_nothing_to_take(tmp_path):
+def test_missing_folder_has_no_claims(tmp_path):
     claims = Claims(tmp_path / "gone")
     assert not claims.take("chunk") and claims.held() == []
     claims.release("chunk")
 
 
-def test_a_file_system_without_links(tmp_path, monkeypatch):
+def test_file_system_without_links(tmp_path, monkeypatch):
     def refuse(*_):
         raise PermissionError(1, "Operation not permitted")
 

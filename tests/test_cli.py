@@ -1,4 +1,4 @@
-"""The command: statuses, one-line messages, and nothing heavy before there is work."""
+"""Test the command: exit statuses, one-line messages, and no heavy imports before they are needed."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ MAP = 'scene = "vibro-impact"\n[grid]\nbeta = [0.3, 0.4]\n'
 
 
 class Calls(list):
-    """What the commands asked the rest of the package to do: tuples (name, arguments)."""
+    """Calls from the commands to the rest of the package: tuples (name, arguments)."""
 
     def names(self):
         return [name for name, *_ in self]
@@ -31,7 +31,7 @@ class Calls(list):
 
 @pytest.fixture
 def calls(monkeypatch, tmp_path):
-    """Stand-ins for the working rooms, in an empty current folder."""
+    """Replace the working modules by stand-ins, in an empty current folder, and return their calls."""
     made = Calls()
 
     def module(name, **functions):
@@ -69,7 +69,7 @@ def failing(name, function, error, monkeypatch):
 
 
 def refused(capsys, *argv) -> str:
-    """The one line with which the command refuses its input."""
+    """Return the only line with which the command refuses its input."""
     assert main(argv) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1 and captured.err.startswith("vibrojax: ")
@@ -80,8 +80,10 @@ def test_help_imports_nothing_heavy():
     code = "import sys; from vibrojax.cli import main; status = main(sys.argv[1:]); "
     code += "print(status, sorted({'jax', 'numpy', 'xarray', 'matplotlib'} & set(sys.modules)))"
     for argv in (["--help"], ["sweep", "--help"], ["simulate", "--help"], ["sweep"], ["--version"]):
-        done = subprocess.run([sys.executable, "-c", code, *argv], capture_output=True, text=True, cwd=ROOT)
-        assert done.stdout.splitlines()[-1] == f"{2 if argv == ['sweep'] else 0} []", done.stdout + done.stderr
+        completed = subprocess.run([sys.executable, "-c", code, *argv], capture_output=True, text=True, cwd=ROOT)
+        assert completed.stdout.splitlines()[-1] == f"{2 if argv == ['sweep'] else 0} []", (
+            completed.stdout + completed.stderr
+        )
 
 
 @pytest.mark.parametrize(
@@ -91,12 +93,12 @@ def test_help_imports_nothing_heavy():
         (["simulate", "rotery"], 'vibrojax: simulate: scene: "rotery" is unknown; did you mean "rotary"?\n'),
     ],
 )
-def test_python_m_is_the_same(argv, line, tmp_path):
-    done = subprocess.run([sys.executable, "-m", "vibrojax", *argv], capture_output=True, text=True, cwd=tmp_path)
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
+def test_python_m_matches_command(argv, line, tmp_path):
+    completed = subprocess.run([sys.executable, "-m", "vibrojax", *argv], capture_output=True, text=True, cwd=tmp_path)
+    assert (completed.returncode, completed.stdout, completed.stderr) == (2, "", line)
 
 
-def test_sweep_runs_then_draws(calls, capsys):
+def test_sweep_runs_and_draws(calls, capsys):
     assert main(["sweep", "map.toml"]) == 0
     assert calls.names() == ["run_to_file", "save_picture"]
     (sweep, out), named = calls.of("run_to_file")
@@ -113,7 +115,7 @@ def test_sweep_options(calls, capsys, tmp_path):
     assert capsys.readouterr().out == ""
 
 
-def test_a_dry_run_only_tells(calls, capsys):
+def test_dry_run_only_prints_estimate(calls, capsys):
     assert main(["sweep", "map.toml", "--dry-run"]) == 0
     assert calls.names() == ["estimate", "check_size"]
     expected = [
@@ -125,7 +127,7 @@ def test_a_dry_run_only_tells(calls, capsys):
     assert capsys.readouterr().out.splitlines() == expected
 
 
-def test_an_interrupted_sweep_says_how_to_resume(calls, capsys, monkeypatch):
+def test_interrupted_sweep_prints_command_to_resume(calls, capsys, monkeypatch):
     failing("vibrojax.analyses.sweep.run", "run_to_file", KeyboardInterrupt(), monkeypatch)
     assert main(["sweep", "map.toml", "-o", "my map.nc"]) == 130
     line = "vibrojax: interrupted; finished chunks are kept; to go on: vibrojax sweep map.toml -o 'my map.nc'\n"
@@ -133,22 +135,22 @@ def test_an_interrupted_sweep_says_how_to_resume(calls, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize("argv", [["sweep", "map.toml", "-o", "a b.nc"], ["simulate", "rotary", "-o", "a b.nc"]])
-def test_an_interrupted_picture_costs_no_more_than_itself(calls, capsys, monkeypatch, argv):
-    """The dataset is whole by then, and no chunk is left."""
+def test_interrupted_picture_keeps_dataset(calls, capsys, monkeypatch, argv):
+    """The dataset is complete by then, and all chunks are removed."""
     failing("vibrojax.analyses.pictures", "save_picture", KeyboardInterrupt(), monkeypatch)
     assert main(argv) == 130
     line = "vibrojax: interrupted; a b.nc is whole; for its picture: vibrojax plot 'a b.nc'\n"
     assert capsys.readouterr().err == line
 
 
-def test_a_full_disk_is_one_line(calls, capsys, monkeypatch):
+def test_full_disk_is_reported_in_one_line(calls, capsys, monkeypatch):
     failing("vibrojax.analyses.sweep.run", "run_to_file", OSError(28, "No space left on device", "map.nc"), monkeypatch)
     assert main(["sweep", "map.toml"]) == 1
     line = "vibrojax: map.nc: No space left on device; finished chunks are kept; to go on: vibrojax sweep map.toml"
     assert capsys.readouterr().err == f"{line} -o map.nc\n"
 
 
-def test_bad_input_found_late_is_one_line(calls, capsys, monkeypatch):
+def test_bad_input_detected_late_is_refused_in_one_line(calls, capsys, monkeypatch):
     failing("vibrojax.io.dataset", "open_dataset", InputError("a.nc: not\nours"), monkeypatch)
     assert refused(capsys, "plot", "a.nc") == "vibrojax: a.nc: not ours\n"
     assert refused(capsys, "info", "a.nc") == "vibrojax: a.nc: not ours\n"
@@ -203,7 +205,7 @@ def test_bad_input_is_refused_before_any_work(calls, capsys, tmp_path, argv, lin
     assert set(calls.names()) <= {"open_dataset"}
 
 
-def test_a_folder_that_cannot_be_written_is_refused(calls, capsys, monkeypatch):
+def test_folder_without_write_permission_is_refused(calls, capsys, monkeypatch):
     def refuse(**_):
         raise PermissionError(13, "Permission denied")
 
@@ -212,7 +214,7 @@ def test_a_folder_that_cannot_be_written_is_refused(calls, capsys, monkeypatch):
     assert calls == []
 
 
-def test_simulate_passes_a_checked_point(calls, capsys):
+def test_simulate_passes_checked_point(calls, capsys):
     words = [
         "beta=0.3",
         "rpm=60",
@@ -233,20 +235,20 @@ def test_simulate_passes_a_checked_point(calls, capsys):
     assert capsys.readouterr().out == "vibro-impact.nc; picture vibro-impact.png\n"
 
 
-def test_plot_draws_beside(calls, capsys, tmp_path):
+def test_plot_writes_next_to_dataset(calls, capsys, tmp_path):
     assert main(["plot", "map.nc"]) == 0
     assert calls.of("save_picture")[0][1] == Path("map.png")
     assert main(["plot", "map.nc", "-o", "other.svg"]) == 0
     assert capsys.readouterr().out.split() == ["map.png", "other.svg"]
 
 
-def test_a_reader_that_goes_away_is_quiet():
+def test_closed_pipe_prints_no_error():
     code = "import sys; from vibrojax.cli import main; sys.exit(main(['--version']))"
     reader, writer = os.pipe()
     os.close(reader)
-    told = subprocess.run([sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    completed = subprocess.run([sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True, cwd=ROOT)
     os.close(writer)
-    assert told.stderr == "" and told.returncode == 141
+    assert completed.stderr == "" and completed.returncode == 141
 
 
 FLAGS = {"flag_values": np.arange(4, dtype=np.int8), "flag_meanings": "undecided equilibrium single-impact failed"}
@@ -271,7 +273,7 @@ def labelled() -> xr.Dataset:
     )
 
 
-def test_info_tells_what_is_there():
+def test_info_summarises_dataset():
     text = "\n".join(summary_lines(summarise(labelled())))
     for line in (
         "scene     rotary",
@@ -288,8 +290,10 @@ def test_info_tells_what_is_there():
         assert line in text, text
 
 
-def test_info_tells_of_what_is_not_sure():
-    """Lanes without a bound on their error count as outside; labels that flip are counted."""
+def test_info_reports_uncertain_lanes():
+    """Lanes without an error bound count as outside the accepted error. Regimes that differ in the check run are
+    counted.
+    """
     dataset = labelled()
     dataset["error_estimate"][2, 0] = np.inf
     dataset["check_regime"] = dataset["regime"].copy(data=np.array([[2, 2], [3, 2], [2, 3]], np.int8))
@@ -299,14 +303,14 @@ def test_info_tells_of_what_is_not_sure():
 
 
 @pytest.mark.parametrize("dropped", ["regime", "reason", "error_estimate", "beta"])
-def test_info_does_without(dropped):
+def test_info_accepts_missing_variables(dropped):
     dataset = labelled().drop_vars(dropped)
     dataset.attrs = {}
     assert summary_lines(summarise(dataset))
     assert summary_lines(summarise(xr.Dataset({"x1": ("time", [0.0, 1.0])}, coords={"time": [0.0, 1.0]})))
 
 
-def test_sizes_and_times_are_for_people():
+def test_sizes_and_times_are_readable():
     assert [size_text(size) for size in (0, 999, 1e6, 2.345e12, 1e19)] == [
         "0 B",
         "999 B",

@@ -1,4 +1,4 @@
-"""What commands print for programs and for quiet or curious people: --json, --quiet, --verbose, completion."""
+"""Test the output options of commands: --json, --quiet, --verbose, and completion."""
 
 import json
 import os
@@ -28,7 +28,7 @@ observe = 0.3
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with a sweep's dataset and a trajectory."""
+    """Return a folder with a sweep file and its dataset."""
     path = tmp_path_factory.mktemp("outputs")
     (path / "map.toml").write_text(SWEEP)
     vj.write_dataset(vj.run_sweep(path / "map.toml", progress=False), path / "map.nc")
@@ -42,12 +42,12 @@ def here(folder, monkeypatch):
 
 
 def printed(capsys, *argv):
-    """The one JSON object on stdout."""
+    """Return the only JSON object on stdout."""
     assert main(argv) == 0
     return json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
 
 
-def test_simulate_prints_what_it_found_as_json(here, capsys):
+def test_simulate_prints_facts_as_json(here, capsys):
     facts = printed(capsys, "simulate", "vibro-impact", "duration=1", "beta=0.4", "--json", "-o", "a.nc")
     assert set(facts) == {
         *("scene", "friction", "start", "parameters", "duration", "run"),
@@ -63,7 +63,7 @@ def test_simulate_prints_what_it_found_as_json(here, capsys):
     assert motion["dimensions"]["time"]["last"] == 1.0 and motion["regimes"] == {}
 
 
-def test_info_prints_a_sweep_as_json(here, capsys):
+def test_info_prints_sweep_as_json(here, capsys):
     facts = printed(capsys, "info", "map.nc", "--json")
     assert facts["scene"] == "penetration" and facts["lanes"] == 12 and facts["file"] == "map.nc"
     assert facts["dimensions"]["force"] == {"size": 2, "units": "N", "first": 10e3, "last": 300e3}
@@ -77,7 +77,7 @@ def test_info_prints_a_sweep_as_json(here, capsys):
     }
 
 
-def test_fit_prints_every_group_as_json(here, capsys):
+def test_fit_prints_groups_as_json(here, capsys):
     facts = printed(capsys, "fit", "map.nc", "--json")
     weak, strong = facts["groups"]
     assert weak["coordinates"]["force"] == 10e3 and weak["forms"]["line"]["C"] is None  # nothing penetrates
@@ -87,13 +87,13 @@ def test_fit_prints_every_group_as_json(here, capsys):
     assert any("log law" in line for line in facts["verdict"])
 
 
-def test_bad_input_is_one_line_with_json_too(here, capsys):
+def test_json_keeps_one_line_refusals(here, capsys):
     assert main(["info", "no.nc", "--json"]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err == "vibrojax: no.nc: there is no such file\n"
 
 
-def test_quiet_prints_the_result_alone(here, capsys):
+def test_quiet_prints_only_the_result(here, capsys):
     for argv in (
         ["simulate", "penetration", "duration=0.1", "--fresh"],
         ["sweep", "map.toml", "--fresh"],
@@ -110,7 +110,7 @@ def test_quiet_prints_the_result_alone(here, capsys):
     assert text.startswith("all lanes: 8 lanes") and "log law" in text and "rig-fit.nc" not in text
 
 
-def test_verbose_tells_what_was_chosen_and_how_long_it_took(here, capsys):
+def test_verbose_prints_choices_and_times(here, capsys):
     for argv, parts in (
         (["simulate", "penetration", "duration=0.1", "--fresh"], ("step", "measure", "write", "draw")),
         (["sweep", "map.toml", "--fresh"], ("compile", "compile and step", "write", "draw")),
@@ -125,10 +125,10 @@ def test_verbose_tells_what_was_chosen_and_how_long_it_took(here, capsys):
             assert any(line.startswith(f"vibrojax: {part}: ") and line.endswith(" s") for line in lines), part
         assert argv[0] not in ("simulate", "sweep", "fit") or any("vibrojax: chosen: " in line for line in lines)
     assert main(["info", "map.nc"]) == 0
-    assert capsys.readouterr().err == ""  # and not the next time
+    assert capsys.readouterr().err == ""  # not verbose on the next call
 
 
-def test_every_command_explains_both(capsys):
+def test_help_explains_quiet_and_verbose(capsys):
     for command in ("sweep", "simulate", "plot", "info", "fit", "accuracy", "reproduce", "scenes"):
         assert main([command, "--help"]) == 0
         text = " ".join(capsys.readouterr().out.split())
@@ -136,7 +136,7 @@ def test_every_command_explains_both(capsys):
     assert main(["info", "map.nc", "--quiet", "--verbose"]) == 2
 
 
-def test_words_are_explained_where_they_are_printed(here, capsys):
+def test_output_explains_its_words(here, capsys):
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
     assert all(f"  {word}: {meaning}\n" in text + "\n" for word, meaning in WORDS.items())
@@ -152,7 +152,7 @@ def test_words_are_explained_where_they_are_printed(here, capsys):
 # completion
 
 
-def test_what_may_stand_there_is_told(here):
+def test_completions(here):
     parsed = Namespace(scene="vibro-impact", values=["beta=0.4"])
     assert (
         scene_names("vi") == ["vibro-impact"]
@@ -162,7 +162,7 @@ def test_what_may_stand_there_is_told(here):
     assert files(".nc")("map.") == ["map.nc"] and files(".nc")(f"{here}/map.") == [f"{here}/map.nc"]
     assert files(".nc")("/no/such/folder/") == []
     values = values_with(SIMULATE_SETTINGS)
-    assert values("b", parsed) == ["bit_radius=", "bit_frequency="]  # beta is there already
+    assert values("b", parsed) == ["bit_radius=", "bit_frequency="]  # beta already has a value
     assert values("start=", parsed) == ["start=drive", "start=stuck", "start=touching"]
     assert values("friction=cou", parsed) == ["friction=coulomb"]
     parsed.scene = "nothing"
@@ -173,10 +173,10 @@ def test_what_may_stand_there_is_told(here):
     ("line", "word"),
     [("vibrojax sim", "simulate"), ("vibrojax simulate rot", "rotary"), ("vibrojax simulate rotary gam", "gamma=")],
 )
-def test_the_shell_is_answered(tmp_path, line, word):
+def test_shell_completion(tmp_path, line, word):
     pytest.importorskip("argcomplete")
     answer = tmp_path / "answer"
-    asked = {
+    completion = {
         "COMP_LINE": line,
         "COMP_POINT": str(len(line)),
         "_ARGCOMPLETE": "1",
@@ -184,11 +184,11 @@ def test_the_shell_is_answered(tmp_path, line, word):
         "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
         "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
     }
-    subprocess.run([sys.executable, "-m", "vibrojax"], env=os.environ | asked, check=True, capture_output=True)
+    subprocess.run([sys.executable, "-m", "vibrojax"], env=os.environ | completion, check=True, capture_output=True)
     assert answer.read_text().strip() == word
 
 
-def test_without_the_extra_nothing_is_completed(monkeypatch, capsys):
+def test_command_runs_without_completion_extra(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "argcomplete", None)
     monkeypatch.setenv("_ARGCOMPLETE", "1")
     assert main(["--version"]) == 0

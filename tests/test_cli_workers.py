@@ -1,4 +1,4 @@
-"""What is said of workers: one line for what is wrong, and how far a sweep is."""
+"""Test the options for workers: one-line refusals, and the progress of a sweep."""
 
 import json
 import sys
@@ -58,7 +58,7 @@ def refused(capsys, *argv) -> str:
         (["--measure"], "--measure: has no use without --dry-run"),
     ],
 )
-def test_what_is_wrong_is_said_before_any_work(words, problem, capsys, folder, monkeypatch):
+def test_bad_options_are_refused_before_any_work(words, problem, capsys, folder, monkeypatch):
     monkeypatch.setenv("PATH", str(folder))
     assert problem in refused(capsys, "sweep", "map.toml", *words)
     assert [path.name for path in folder.iterdir()] == ["map.toml"]
@@ -72,19 +72,19 @@ def test_what_is_wrong_is_said_before_any_work(words, problem, capsys, folder, m
         (["-o", "map.zarr"], "zarr", "zarr"),
     ],
 )
-def test_extras_that_are_not_installed(words, module, extra, capsys, monkeypatch):
+def test_missing_extra_is_named(words, module, extra, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     assert f'not installed; pip install "vibrojax[{extra}]"' in refused(capsys, "sweep", "map.toml", *words)
 
 
-def test_a_scheduler_that_does_not_answer(capsys, monkeypatch):
+def test_unreachable_scheduler_is_reported(capsys, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("vibrojax.cli.sweeps.SCHEDULER_TIMEOUT", "0.3 s")
     line = refused(capsys, "sweep", "map.toml", "--workers", "dask://127.0.0.1:1")
     assert "--workers dask://127.0.0.1:1: no scheduler of dask answers there" in line
 
 
-def test_how_far_it_is(capsys, folder):
+def test_progress_of_shared_sweep(capsys, folder):
     assert main(["sweep", "map.toml", "--only", "1/3"]) == 0
     assert capsys.readouterr().out == "map.nc: share 1/3 is done; 3 of 5 chunks are left to others\n"
     (folder / "map.nc.chunks" / "chunk-00000002.failed").write_text(
@@ -97,9 +97,9 @@ def test_how_far_it_is(capsys, folder):
         assert "failed    chunk 2: MemoryError: too much (far, process 7)" in lines
         assert "at work   none" in lines
     assert main(["info", "map.nc", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["chunks"] == {"finished": 2, "all": 5, "size": 4} and found["lanes"] == {"finished": 8, "all": 20}
-    assert [one["chunk"] for one in found["failures"]] == [2]
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["chunks"] == {"finished": 2, "all": 5, "size": 4} and facts["lanes"] == {"finished": 8, "all": 20}
+    assert [failure["chunk"] for failure in facts["failures"]] == [2]
     assert main(["sweep", "map.toml", "--only", "2/3", "--quiet"]) == 0
     assert main(["sweep", "map.toml", "--only", "3/3"]) == 0
     assert capsys.readouterr().out.startswith("map.nc: 20 lanes (a point from one start each); picture map.png")
@@ -112,11 +112,11 @@ def test_shares_of_another_sweep_are_refused(capsys):
     assert "holds chunks of another sweep: parameters.mu was 0.4, is 0.3" in line
 
 
-def test_a_chunk_that_fails_is_known(capsys, monkeypatch, folder):
+def test_failed_chunk_is_reported(capsys, monkeypatch, folder):
     from vibrojax.sweep.engine.chunks import Chunks
     from vibrojax.sweep.input.read import read_sweep
 
-    def compute(self, index, *told):
+    def compute(self, index, *rest):
         raise MemoryError("too much")
 
     monkeypatch.setattr(Chunks, "compute", compute)
@@ -126,13 +126,13 @@ def test_a_chunk_that_fails_is_known(capsys, monkeypatch, folder):
     assert "failed    chunk 1: MemoryError: too much (" in capsys.readouterr().out
 
 
-def test_a_folder_that_is_none(capsys, folder):
+def test_folder_without_chunks_is_refused(capsys, folder):
     (folder / "other.nc.chunks").mkdir()
     assert "other.nc.chunks: is not a folder of a sweep's chunks" in refused(capsys, "info", "other.nc.chunks")
     assert "none.nc: there is no such file" in refused(capsys, "info", "none.nc")
 
 
-def test_a_dry_run_that_measures(capsys):
+def test_dry_run_with_measurement(capsys):
     assert main(["sweep", "map.toml", "--dry-run", "--measure"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["lanes", "memory", "disk", "time"]
     assert main(["sweep", "map.toml", "--dry-run", "--set", "v=[1.0,2.0]", "--set", "run.settle=1e9"]) == 0
@@ -145,21 +145,21 @@ MANY = TEXT.replace("chunk = 4", "").replace(
 MANY_CHUNKS = -(-(10**8) // CHUNK)
 
 
-@pytest.mark.parametrize("free, enough", [(10**10, False), (10**11, True)])
-def test_a_hundred_million_lanes_are_a_matter_of_disk_alone(free, enough, capsys, folder, monkeypatch):
-    """Nothing grows with them but what lies on the disk: not what a plan takes, nor the memory that it says."""
+@pytest.mark.parametrize("free, fits", [(10**10, False), (10**11, True)])
+def test_hundred_million_lanes_need_only_disk(free, fits, capsys, folder, monkeypatch):
+    """Neither the memory of the plan nor that of the estimate grows with the number of lanes."""
     (folder / "map.toml").write_text(MANY)
     monkeypatch.setattr("vibrojax.sweep.engine.costs.shutil.disk_usage", lambda _: SimpleNamespace(free=free))
     tracemalloc.start()
     status = main(["sweep", "map.toml", "--dry-run"])
-    _, most = tracemalloc.get_traced_memory()
+    _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     captured = capsys.readouterr()
-    assert status == (0 if enough else 2) and most < 50e6
+    assert status == (0 if fits else 2) and peak < 50e6
     lines = dict(line.split(maxsplit=1) for line in captured.out.splitlines())
     assert lines["lanes"].startswith(f"100000000 (10000 v x 10000 c2 x 1 start) in {MANY_CHUNKS} chunks")
     assert float(lines["memory"].removesuffix(" MB")) < 1500
-    if not enough:
+    if not fits:
         assert (
             "grid: 100000000 lanes need about" in captured.err
             and "; there is 10 GB of disk: give shorter axes" in captured.err
@@ -167,8 +167,8 @@ def test_a_hundred_million_lanes_are_a_matter_of_disk_alone(free, enough, capsys
         assert main(["sweep", "map.toml"]) == 2 and not (folder / "map.nc.chunks").exists()
 
 
-def test_chunks_of_a_hundred_million_lanes_are_ordered(folder):
-    """By their cost, looked at a few thousand at once."""
+def test_chunks_of_hundred_million_lanes_are_ordered(folder):
+    """Order by cost, a few thousand chunks at a time."""
     (folder / "map.toml").write_text(MANY)
     chunks = Chunks(read_sweep("map.toml"))
     order = by_cost(chunks, range(chunks.count))

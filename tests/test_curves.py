@@ -1,4 +1,4 @@
-"""Curves of special points in two parameters, against closed forms of the impact oscillator."""
+"""Test curves of special points in two parameters against closed forms of the impact oscillator."""
 
 import json
 
@@ -26,13 +26,13 @@ DRILL = json.dumps(
     {"m1": 250, "beta": 0.4, "k1": 156250, "c2": 250, "g": 9.81, "v": 1.5, "k0": 5e7, "c0": 0.1, "delta": -0.005}
     | {"mu": 0.4, "v_cr": 3}
 )
-NATURAL = np.sqrt(1 - 0.05**2)  # of the damped oscillator [rad/s]
+NATURAL = np.sqrt(1 - 0.05**2)  # natural frequency of the damped oscillator [rad/s]
 
 
-def fold(w):
-    """Amplitude at which the two orbits with one impact per period of the force meet.
+def fold_amplitude(w):
+    """Return the amplitude at which the two orbits with one impact per forcing period meet.
 
-    The speeds V at the impact are the roots of c0 V² + c1 V + 1 - (a G)², where G is the gain without stop.
+    The impact speeds V are the roots of c0 V² + c1 V + 1 - (a G)², where G is the gain without stop.
     """
     gain = 1 / abs(complex(1 - w**2, 0.1 * w))
     speeds = [oscillator_orbits(a / gain, R, w, **FIXED)[-1].speed for a in (2.0, 3.0)]
@@ -40,18 +40,18 @@ def fold(w):
     return float(np.sqrt(1 - c1**2 / (4 * c0)) / gain)
 
 
-def of_kind(ds, kind):
+def curves_of_kind(ds, kind):
     return np.flatnonzero(ds.kind.values == ds.kind.attrs["flag_meanings"].split().index(kind))
 
 
-def points(ds, kind):
-    mask = np.isin(ds.point_curve.values, of_kind(ds, kind))
+def points_of_kind(ds, kind):
+    mask = np.isin(ds.point_curve.values, curves_of_kind(ds, kind))
     assert mask.sum() > 20
     return ds.isel(point=mask)
 
 
 def family(kind, a, w, section, span=(0.05, 0.65)):
-    """The dataset of a family with one special point, as `follow` writes it."""
+    """Return the dataset of a branch with one special point, as `follow` writes it."""
     x, v = section
     points = {"a": a, "orbit_x": x, "orbit_v": v, "branch": 0, "cycles": 1, "stable": 0, "period": 2 * np.pi / w}
     points |= {"grazing_margin": 0.0}
@@ -64,88 +64,88 @@ def family(kind, a, w, section, span=(0.05, 0.65)):
     return xr.Dataset(variables, attrs=about)
 
 
-def test_grazing_follows_the_closed_form():
+def test_grazing_follows_closed_form():
     a = oscillator_grazes(W, **FIXED)
     forced = a / complex(1 - W**2, 0.1 * W)
-    rest = family("grazing", a, W, (forced.real, -W * forced.imag), (0.15, 0.25))
-    ds = vj.curves(rest, by="w", span=W_SPAN, at={"w": 0.88}, progress=False)
-    own = points(ds, "grazing")
-    exact = np.array([oscillator_grazes(float(w), **FIXED) for w in own.w])
-    assert np.abs(own.a.values - exact).max() < 1e-9
+    grazing_branch = family("grazing", a, W, (forced.real, -W * forced.imag), (0.15, 0.25))
+    ds = vj.curves(grazing_branch, by="w", span=W_SPAN, at={"w": 0.88}, progress=False)
+    curve = points_of_kind(ds, "grazing")
+    exact = np.array([oscillator_grazes(float(w), **FIXED) for w in curve.w])
+    assert np.abs(curve.a.values - exact).max() < 1e-9
     assert float(ds.crossing_w[0]) == 0.88
     assert abs(float(ds.crossing_a[0]) - oscillator_grazes(0.88, **FIXED)) < 1e-10
     assert ds.curve_note.values.tolist() == ["the last value of a is reached; the first value of a is reached"]
 
 
-def test_doubling_follows_the_closed_form_to_where_it_grazes():
+def test_doubling_follows_closed_form_up_to_grazing():
     a = oscillator_doubles((0.4, 0.63), R, W, **FIXED)
-    begin = family("period-doubling", a, W, oscillator_orbits(a, R, W, **FIXED)[-1].section)
-    ds = vj.curves(begin, by="w", span=(0.6, 1.3), at={"a": 0.5}, progress=False)
-    own = points(ds, "period-doubling")
-    for k in range(0, own.sizes["point"], 9):
-        a, w = float(own.a[k]), float(own.w[k])
-        if abs(a / oscillator_grazes(w, **FIXED) - 1) > 0.05:  # near the graze, the impact has no speed
+    doubling_branch = family("period-doubling", a, W, oscillator_orbits(a, R, W, **FIXED)[-1].section)
+    ds = vj.curves(doubling_branch, by="w", span=(0.6, 1.3), at={"a": 0.5}, progress=False)
+    curve = points_of_kind(ds, "period-doubling")
+    for k in range(0, curve.sizes["point"], 9):
+        a, w = float(curve.a[k]), float(curve.w[k])
+        if abs(a / oscillator_grazes(w, **FIXED) - 1) > 0.05:  # the impact speed vanishes near the graze
             assert abs(oscillator_doubles((0.99 * a, 1.01 * a), R, w, **FIXED) - a) < 1e-8
     doubles = ds.isel(crossing=np.flatnonzero(ds.crossing_curve.values == 0))
     for a, w in zip(doubles.crossing_a.values, doubles.crossing_w.values, strict=True):
         assert a == 0.5 and abs(oscillator_doubles((0.49, 0.51), R, float(w), **FIXED) - 0.5) < 1e-8
-    # An impact without speed, after which the free oscillation makes one and a half turns, or one.
+    # The impact speed is zero there. The free oscillation then makes one and a half turns, or one.
     corners = ds.codim2_w.values[ds.codim2_kind.values == "grazing-doubling"]
     assert np.sort(corners) == pytest.approx([2 * NATURAL / 3, NATURAL], abs=1e-6)
-    # The grazing curve begins at either corner, and is listed once.
-    grazing = points(ds, "grazing")
+    # The grazing curve starts from either corner, and is listed once.
+    grazing = points_of_kind(ds, "grazing")
     grazing = grazing.isel(point=grazing.cycles.values == 1)
     exact = np.array([oscillator_grazes(float(w), **FIXED) for w in grazing.w])
     assert np.abs(grazing.a.values - exact).max() < 1e-9
     first, *others = ds.special.values
     assert first == 0 and set(others) == {-1} and len(set(grazing.point_curve.values)) == 1
     assert "begins at the point grazing-doubling" in str(ds.curve_note.values[grazing.point_curve.values[0]])
-    # The folds of the doubled orbit end at the generalised flip; orbits of small amplitude are left out.
-    folds = points(ds, "fold")
+    # The folds of the doubled orbit end at the generalised flip. Orbits of small amplitude are omitted.
+    folds = points_of_kind(ds, "fold")
     assert set(folds.cycles.values) == {2}
-    # At the curve's end both multipliers come close to 1, where the errors of a double multiplier are of order 1/2.
+    # At the end of the curve both multipliers approach 1; a double multiplier has errors of order 1/2.
     assert np.quantile(np.abs(folds.multiplier_abs - 1).min("multiplier"), 0.8) < 1e-9
     flips = np.array([ds.codim2_w.values, ds.codim2_a.values])[:, ds.codim2_kind.values == "generalised flip"]
-    off = np.abs(flips[:, :, None] - np.array([folds.w.values, folds.a.values])[:, None]).max(axis=0)
-    assert off.min() < 1e-3
+    distance = np.abs(flips[:, :, None] - np.array([folds.w.values, folds.a.values])[:, None]).max(axis=0)
+    assert distance.min() < 1e-3
 
 
-def test_fold_follows_the_closed_form():
-    twice = {"special": [0, 0], "at": {"w": 1.15}, "progress": False}
-    ds = vj.curves(family("fold", *joined(FOLDING)), by="w", span=(1.05, 1.3), **twice)
+def test_fold_follows_closed_form():
+    options = {"special": [0, 0], "at": {"w": 1.15}, "progress": False}
+    ds = vj.curves(family("fold", *fold_point(FOLDING)), by="w", span=(1.05, 1.3), **options)
     assert ds.sizes["curve"] == 1
-    own = points(ds, "fold")
-    assert max(abs(fold(float(w)) - float(a)) for a, w in zip(own.a[::7], own.w[::7], strict=True)) < 1e-8
-    assert ds.crossing_a.values == pytest.approx([fold(1.15)], rel=1e-8)
+    curve = points_of_kind(ds, "fold")
+    assert max(abs(fold_amplitude(float(w)) - float(a)) for a, w in zip(curve.a[::7], curve.w[::7], strict=True)) < 1e-8
+    assert ds.crossing_a.values == pytest.approx([fold_amplitude(1.15)], rel=1e-8)
     assert ds.multiplier_abs.values[:, 0] == pytest.approx(1.0, abs=1e-7)
     assert len(vj.picture(ds).axes) == 1
 
 
-def joined(w):
-    """Amplitude, frequency and state at the section where two orbits meet."""
-    a = fold(w)
+def fold_point(w):
+    """Return amplitude, frequency and section state at which two orbits meet."""
+    a = fold_amplitude(w)
     return a, w, oscillator_orbits(a * (1 + 1e-12), R, w, **FIXED)[-1].section
 
 
 @pytest.mark.long
-def test_stops_against_friction_follow_the_published_boundary():
-    """The two-parameter diagram of Den Hartog (1931), with viscous damping of Shaw (1986)."""
-    begins = friction_stops(1.5, 0.1)
-    moving = vj.follow(SHAKEN, along="grip", at=0.9 * begins, span=(0.3, 0.85), cycles=1, progress=False)
+def test_stops_against_friction_follow_published_boundary():
+    """Compare with the diagram of Den Hartog (1931), and with viscous damping of Shaw (1986)."""
+    onset = friction_stops(1.5, 0.1)
+    moving = vj.follow(SHAKEN, along="grip", at=0.9 * onset, span=(0.3, 0.85), cycles=1, progress=False)
     kinds = moving.special_kind.values == SPECIAL_KINDS.index("stick")
-    # Both turning points begin to stop at once.
-    assert np.abs(moving.special_value.values[kinds] - begins).max() < 1e-9
+    # Both turning points begin to stick at the same value.
+    assert np.abs(moving.special_value.values[kinds] - onset).max() < 1e-9
     ds = vj.curves(moving, by="w", span=(1.0, 2.5), at={"w": 2.0}, progress=False)
-    own = points(ds, "stick")
-    exact = [friction_stops(float(w), 0.1) for w in own.w]
-    assert np.abs(own.grip.values - exact).max() < 1e-9
+    curve = points_of_kind(ds, "stick")
+    exact = [friction_stops(float(w), 0.1) for w in curve.w]
+    assert np.abs(curve.grip.values - exact).max() < 1e-9
     assert ds.crossing_grip.values == pytest.approx([friction_stops(2.0, 0.1)], abs=1e-10)
-    # Without damping, Den Hartog's closed form.
+    # Den Hartog's closed form has no damping.
     assert friction_stops(1.5, 0.0) == pytest.approx(0.8 / np.hypot(np.sqrt(3) / 1.5, 1 / 2.25), rel=1e-12)
 
 
 @pytest.mark.long
-def test_a_cascade_of_doublings_keeps_the_ratio_of_feigenbaum():
+def test_period_doubling_cascade_has_feigenbaum_ratio():
     cascade = vj.follow(
         IMPACT_OSCILLATOR,
         along="w",
@@ -166,7 +166,7 @@ def test_a_cascade_of_doublings_keeps_the_ratio_of_feigenbaum():
     assert ds.sizes["codim2"] == 0
 
 
-def test_wrong_arguments_are_one_line():
+def test_wrong_arguments_are_refused():
     for arguments, words in (
         ({"by": "k"}, "by"),
         ({"by": "a"}, "is the parameter of the family"),
@@ -175,26 +175,28 @@ def test_wrong_arguments_are_one_line():
         ({"at": {"damping": 0.1}}, "is not a or w with a value"),
     ):
         with pytest.raises(vj.InputError, match=words):
-            vj.curves(family("fold", *joined(FOLDING)), **{"by": "w", "span": W_SPAN, "progress": False} | arguments)
+            vj.curves(
+                family("fold", *fold_point(FOLDING)), **{"by": "w", "span": W_SPAN, "progress": False} | arguments
+            )
 
 
-def test_conditions_are_smooth_where_the_matrix_is_singular():
+def test_conditions_are_smooth_at_singular_matrices():
     random = np.random.default_rng(0)
-    start, way = random.normal(size=(2, 1, 3, 3))
+    start, direction = random.normal(size=(2, 1, 3, 3))
     step = 1e-6
-    # The compound's eigenvalues are products of two.
-    values = np.linalg.eigvals(start[0])
+    # The eigenvalues of the compound are products of two eigenvalues.
+    eigenvalues = np.linalg.eigvals(start[0])
     i, j = np.triu_indices(3, 1)
     assert np.sort_complex(np.linalg.eigvals(compound(start)[0])) == pytest.approx(
-        np.sort_complex(values[i] * values[j])
+        np.sort_complex(eigenvalues[i] * eigenvalues[j])
     )
-    slope = (compound(start + step * way) - compound(start - step * way)) / (2 * step)
-    assert compound_along(start, way[:, None])[:, 0] == pytest.approx(slope, abs=1e-8)
+    slope = (compound(start + step * direction) - compound(start - step * direction)) / (2 * step)
+    assert compound_along(start, direction[:, None])[:, 0] == pytest.approx(slope, abs=1e-8)
     left, _, right = np.linalg.svd(start)
     singular = left @ (np.array([1.0, 0.5, 0.0])[:, None] * right)
-    ahead, behind = (signed_singular(singular + sign * step * way)[0] for sign in (1, -1))
+    ahead, behind = (signed_singular(singular + sign * step * direction)[0] for sign in (1, -1))
     _, w, v = signed_singular(singular)
-    assert abs((ahead - behind)[0] / (2 * step)) == pytest.approx(abs(w[0] @ way[0] @ v[0]), rel=1e-6)
+    assert abs((ahead - behind)[0] / (2 * step)) == pytest.approx(abs(w[0] @ direction[0] @ v[0]), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -205,7 +207,7 @@ def test_conditions_are_smooth_where_the_matrix_is_singular():
         (("torus", "fold"), "fold and torus"),
     ],
 )
-def test_points_of_codimension_two_are_named(kinds, name):
+def test_names_of_codimension_two_points(kinds, name):
     assert name_of(*kinds) == name
 
 
@@ -222,42 +224,44 @@ def test_points_of_codimension_two_are_named(kinds, name):
         ("cusp", "fold", None),
     ],
 )
-def test_other_curves_meet_at_points_of_codimension_two(name, kind, other):
+def test_kinds_of_curves_that_meet_at_codimension_two_points(name, kind, other):
     assert other_kind(name, kind) == other
 
 
-def test_a_held_bit_slips_where_the_impact_force_ends():
-    """The stick limit is reached at the end of a contact: the orbit's events differ on the two sides of the curve."""
+def test_sticking_bit_slips_when_impact_force_ends():
+    """The bit reaches the stick limit at the end of a contact. The events of the orbit differ on the two sides of the
+    curve.
+    """
     states = {"orbit_x1": -0.074074041, "orbit_x2": -0.191995851, "orbit_v2": -1.502108456, "gamma": 0.598413726}
     fixed = {name: float(x) for name, x in json.loads(DRILL).items()}
-    begin = family("stick", 0.598413726, 1.0, (0.0, 0.0), (0.5, 0.7)).drop_vars(("a", "orbit_x", "orbit_v"))
-    begin = begin.assign({name: ("point", [x]) for name, x in states.items()})
-    about = {"scene": "vibro-impact", "along": "gamma", "parameters": DRILL}
-    ds = vj.curves(begin.assign_attrs(about), by="beta", span=(0.38, 0.42), progress=False)
-    own = ds.isel(point=np.flatnonzero(ds.point_curve.values == 0)[::2])
-    assert own.sizes["point"] > 4 and own.beta.values.min() < 0.39 and own.beta.values.max() > 0.41
-    assert np.hypot(np.diff(own.gamma), np.diff(own.beta)).min() > 1e-4
-    orbits = np.stack([own[f"orbit_{name}"].values for name in ("x1", "x2", "v2")])
-    go = Segments(SCENES["vibro-impact"](), ("gamma", "beta"), FAMILY_ACCURACY)
+    branch = family("stick", 0.598413726, 1.0, (0.0, 0.0), (0.5, 0.7)).drop_vars(("a", "orbit_x", "orbit_v"))
+    branch = branch.assign({name: ("point", [x]) for name, x in states.items()})
+    attributes = {"scene": "vibro-impact", "along": "gamma", "parameters": DRILL}
+    ds = vj.curves(branch.assign_attrs(attributes), by="beta", span=(0.38, 0.42), progress=False)
+    curve = ds.isel(point=np.flatnonzero(ds.point_curve.values == 0)[::2])
+    assert curve.sizes["point"] > 4 and curve.beta.values.min() < 0.39 and curve.beta.values.max() > 0.41
+    assert np.hypot(np.diff(curve.gamma), np.diff(curve.beta)).min() > 1e-4
+    orbits = np.stack([curve[f"orbit_{name}"].values for name in ("x1", "x2", "v2")])
+    return_map = Segments(SCENES["vibro-impact"](), ("gamma", "beta"), FAMILY_ACCURACY)
     counts = []
     for step in (-1e-6, 1e-6):
-        parameters = {name: np.full(own.sizes["point"], x) for name, x in fixed.items()}
-        parameters |= {"beta": own.beta.values, "gamma": own.gamma.values + step}
-        counts.append(go(parameters, orbits).seen.mode_changes)
+        parameters = {name: np.full(curve.sizes["point"], x) for name, x in fixed.items()}
+        parameters |= {"beta": curve.beta.values, "gamma": curve.gamma.values + step}
+        counts.append(return_map(parameters, orbits).seen.mode_changes)
     assert (counts[0] != counts[1]).any(axis=(0, 1)).all()
 
 
-def test_hopf_points_follow_the_linear_stability_of_sliding():
+def test_hopf_points_follow_linear_stability_of_sliding():
     v, beta = 1.5, 0.4
     low, high = 0.89, 1.0
     gamma = brentq(lambda gamma: eigenvalue(gamma, beta, v).real, low, high, xtol=1e-15)
     force = 250 * 9.81 * 0.4 * (1 - v / 3 + v**3 / 81)
     states = {f"orbit_{name}": -force / 156250 for name in ("x1", "x2")} | {"orbit_v2": 0.0}
     parameters = {name: float(x) for name, x in vj.list_parameters("rotary").default[:9].items()}
-    begin = family("hopf", gamma, 1.0, (0.0, 0.0), (low, high)).drop_vars(("a", "orbit_x", "orbit_v"))
-    begin = begin.assign({name: ("point", [x]) for name, x in (states | {"gamma": gamma}).items()})
-    about = {"scene": "rotary", "along": "gamma", "parameters": json.dumps(parameters | {"beta": beta, "v": v})}
-    ds = vj.curves(begin.assign_attrs(about), by="beta", span=(0.3, 0.5), at={"beta": 0.45}, progress=False)
+    branch = family("hopf", gamma, 1.0, (0.0, 0.0), (low, high)).drop_vars(("a", "orbit_x", "orbit_v"))
+    branch = branch.assign({name: ("point", [x]) for name, x in (states | {"gamma": gamma}).items()})
+    attributes = {"scene": "rotary", "along": "gamma", "parameters": json.dumps(parameters | {"beta": beta, "v": v})}
+    ds = vj.curves(branch.assign_attrs(attributes), by="beta", span=(0.3, 0.5), at={"beta": 0.45}, progress=False)
     rates = [eigenvalue(float(x), float(y), v).real for x, y in zip(ds.gamma, ds.beta, strict=True)]
     assert len(rates) > 10 and np.abs(rates).max() < 1e-8
     exact = brentq(lambda gamma: eigenvalue(gamma, 0.45, v).real, 0.8, high, xtol=1e-15)

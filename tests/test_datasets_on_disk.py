@@ -1,4 +1,4 @@
-"""Datasets on disk: those of released versions stay readable, what is none of ours is refused, and all keep to CF."""
+"""Test stored datasets: released versions stay readable, foreign files are refused, and all follow CF."""
 
 import os
 import re
@@ -18,10 +18,10 @@ from vibrojax.cli import main
 from vibrojax.io.threads import in_own_thread
 from vibrojax.io.variables import VARIABLES
 
-KEPT = sorted((Path(__file__).parent / "data" / "versions").glob("*/*.nc"))
-RATES = next(path for path in KEPT if path.name == "rates.nc")
+SAMPLES = sorted((Path(__file__).parent / "data" / "versions").glob("*/*.nc"))
+RATES = next(path for path in SAMPLES if path.name == "rates.nc")
 NAMES = {"regimes.nc", "rates.nc", "points.nc", "law.nc", "motion.nc"}
-TELLS = {
+EXPECTED_LINES = {
     "regimes.nc": ["scene     vibro-impact", "beta: 0.3 to 0.5 (2)", "start: drive, stuck (2)", "lanes     12"],
     "rates.nc": ["rock: sandstone, granite (2)", "frequency: 10 to 40 s-1 (4)", "failures  0"],
     "points.nc": ["failures  1", "gamma=1e+160", ": not-finite"],
@@ -30,8 +30,8 @@ TELLS = {
 }
 
 
-def told(capsys, *argv) -> str:
-    """What a command prints that ends well."""
+def printed(capsys, *argv) -> str:
+    """Return what a successful command prints."""
     assert main(list(map(str, argv))) == 0
     return capsys.readouterr().out
 
@@ -43,28 +43,30 @@ def refused(capsys, *argv) -> str:
     return line
 
 
-def test_every_release_has_kept_its_samples():
-    assert {path.parent.name for path in KEPT} >= {"0.1.0"}
-    assert all({path.name for path in folder.iterdir()} >= NAMES for folder in {path.parent for path in KEPT})
+def test_samples_of_each_release_exist():
+    assert {path.parent.name for path in SAMPLES} >= {"0.1.0"}
+    assert all({path.name for path in folder.iterdir()} >= NAMES for folder in {path.parent for path in SAMPLES})
 
 
-@pytest.mark.parametrize("path", KEPT, ids=lambda path: f"{path.parent.name}-{path.stem}")
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: f"{path.parent.name}-{path.stem}")
 def test_datasets_of_earlier_versions_stay_readable(path, capsys, tmp_path):
-    text = told(capsys, "info", path)
-    assert all(line in text for line in TELLS[path.name]), text
+    text = printed(capsys, "info", path)
+    assert all(line in text for line in EXPECTED_LINES[path.name]), text
     picture = tmp_path / "picture.png"
-    told(capsys, "plot", path, "-o", picture)
+    printed(capsys, "plot", path, "-o", picture)
     assert picture.stat().st_size > 10_000
     if path.name == "rates.nc":
         with jax.numpy_dtype_promotion("standard"):
-            assert "rock=granite" in told(capsys, "fit", path, "-o", tmp_path / "law.nc")
+            assert "rock=granite" in printed(capsys, "fit", path, "-o", tmp_path / "law.nc")
         with xr.open_dataset(tmp_path / "law.nc") as fit, xr.open_dataset(path.with_name("law.nc")) as kept:
             np.testing.assert_allclose(fit.C.sel(form=kept.form).values, kept.C.values, rtol=1e-6)
 
 
-@pytest.mark.parametrize("path", KEPT, ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_cf(path):
-    """The rules of CF 1.11 that a dataset without places and dates can break; .ci/run has all of them checked."""
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_samples_follow_cf(path):
+    """Check the rules of CF 1.11 that apply to datasets without positions and dates. The script .ci/run checks all
+    rules.
+    """
     with netCDF4.Dataset(path) as dataset:
         assert dataset.Conventions == "CF-1.11" and dataset.title and dataset.source and dataset.history
         for name, variable in dataset.variables.items():
@@ -79,13 +81,13 @@ def test_cf(path):
             assert set(np.unique(variable[:])) <= set(flags), name
 
 
-def test_all_flags_are_words_of_cf():
+def test_flag_meanings_follow_cf():
     for name, variable in VARIABLES.items():
         meanings = variable.attributes().get("flag_meanings", "none").split()
         assert all(re.fullmatch(r"[A-Za-z0-9_.+@-]+", meaning) for meaning in meanings), name
 
 
-def test_files_of_others_are_refused(tmp_path, capsys):
+def test_foreign_files_are_refused(tmp_path, capsys):
     foreign, text, garbage, folder = (tmp_path / f"{name}.nc" for name in ("foreign", "text", "garbage", "folder"))
     xr.Dataset({"x": ("t", [1.0])}, attrs={"source": "somebody's"}).to_netcdf(foreign)
     text.write_text("scene = 'rotary'\n")
@@ -118,8 +120,8 @@ def test_truncated_files_are_refused(tmp_path, capsys, share):
         assert f"{path}: cannot be read as netCDF" in refused(capsys, command, path)
 
 
-def test_a_file_without_an_end_is_not_waited_for(tmp_path, capsys):
-    """A pipe into which nobody writes; and files in which HDF5 goes round for ever, for which a thread waits."""
+def test_endless_files_time_out(tmp_path, capsys):
+    """One is a pipe without a writer. In others HDF5 loops forever, so a thread reads them with a time limit."""
     os.mkfifo(tmp_path / "pipe.nc")
     for command in ("info", "plot", "fit"):
         assert "pipe.nc: is not a regular file" in refused(capsys, command, tmp_path / "pipe.nc")
@@ -127,36 +129,36 @@ def test_a_file_without_an_end_is_not_waited_for(tmp_path, capsys):
         in_own_thread(lambda: time.sleep(3), seconds=0.1)
 
 
-def test_a_dataset_without_what_a_command_needs(tmp_path, capsys):
-    """Of ours, but bare: info tells what there is, the others say what is missing."""
+def test_commands_name_missing_variables(tmp_path, capsys):
+    """`info` summarises a bare dataset of ours, the other commands name the missing variables."""
     path = tmp_path / "bare.nc"
     xr.Dataset({"x": ("lane", [1.0])}, attrs={"source": "vibrojax 0.0.1"}).to_netcdf(path)
-    assert "variables x" in told(capsys, "info", path)
+    assert "variables x" in printed(capsys, "info", path)
     assert "nothing to draw" in refused(capsys, "plot", path)
     assert "rate_of_penetration: missing" in refused(capsys, "fit", path)
 
 
-def test_what_a_killed_writer_left_is_cleared(tmp_path):
-    """Of a process that is gone; what one that still runs is writing stays."""
+def test_temporary_files_of_dead_writers_are_removed(tmp_path):
+    """Temporary files of running processes stay."""
     from vibrojax.io.dataset import write_dataset
 
-    gone = subprocess.Popen(["true"])
-    gone.wait()
-    (tmp_path / f".out.nc.{gone.pid}.tmp").write_text("half")
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    (tmp_path / f".out.nc.{dead.pid}.tmp").write_text("half")
     (tmp_path / f".out.nc.{os.getppid()}.tmp").write_text("half")
     (tmp_path / ".out.nc.tmp").write_text("somebody's")
     write_dataset(xr.Dataset({"x": 1.0}), tmp_path / "out.nc")
-    left = {path.name for path in tmp_path.iterdir()}
-    assert left == {"out.nc", f".out.nc.{os.getppid()}.tmp", ".out.nc.tmp"}
+    remaining = {path.name for path in tmp_path.iterdir()}
+    assert remaining == {"out.nc", f".out.nc.{os.getppid()}.tmp", ".out.nc.tmp"}
 
 
 @pytest.mark.parametrize("before", ["nothing", "a file", "a store"])
-def test_a_name_that_ends_in_zarr_is_a_zarr_store(before, tmp_path):
+def test_name_with_zarr_suffix_is_a_zarr_store(before, tmp_path):
     pytest.importorskip("zarr")
     store, file = tmp_path / "motion.zarr", tmp_path / "motion.nc"
     motion = vj.simulate("vibro-impact", duration=0.5, progress=False)
     vj.write_dataset(motion, file)
-    if before == "a file":  # as earlier versions wrote
+    if before == "a file":  # written by earlier versions
         store.write_bytes(file.read_bytes())
     elif before == "a store":
         vj.write_dataset(motion.isel(time=slice(2)), store)
@@ -165,7 +167,7 @@ def test_a_name_that_ends_in_zarr_is_a_zarr_store(before, tmp_path):
     xr.testing.assert_identical(vj.open_dataset(store), vj.open_dataset(file))
 
 
-def test_a_zarr_store_that_cannot_be_written(tmp_path, monkeypatch):
+def test_zarr_store_that_cannot_be_written(tmp_path, monkeypatch):
     dataset = xr.Dataset({"x": 1.0})
     monkeypatch.setitem(sys.modules, "zarr", None)
     with pytest.raises(vj.InputError, match=r'^\S+x\.zarr: zarr is not installed; pip install "vibrojax\[zarr\]"'):

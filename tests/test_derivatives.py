@@ -1,8 +1,7 @@
-"""Derivatives through the events: against central differences of the exact reference, which shares no code with them,
-and against those of the same converged, located motion.
+"""Test derivatives through events against central differences of the exact reference, which shares no code with them.
 
-Finite differences of a fixed-step motion would not do: it loses the derivative of the impact time, and so agree with a
-wrong derivative.
+Some tests compare with central differences of the same converged, located motion instead. Differences of a fixed-step
+motion are no reference: they lose the derivative of the impact time, and agree with a wrong derivative.
 """
 
 import exact
@@ -28,15 +27,15 @@ def derivatives(scene, **given):
 
 
 def reasons(found):
-    """The reasons in words, an array like the derivatives."""
+    """Return the reasons as text, in the shape of the derivatives."""
     return np.array(found.reason.attrs["flag_meanings"].split())[found.reason.values]
 
 
-# What they are
+# Values
 
 
 def exact_slopes(scene, of, by, point, share=1e-5, **times):
-    """Central differences of the exact motion, (variables, parameters)."""
+    """Return central differences of the exact motion (variables, parameters)."""
 
     def measured(name, value):
         return np.array([exact.measure(exact.run(scene, **point | {name: value}, **times))[one] for one in of])
@@ -59,15 +58,17 @@ CASES = {
 
 
 @pytest.mark.parametrize("scene", CASES)
-def test_of_each_kind_of_drill_they_are_the_exact_slopes(scene):
+def test_derivatives_match_exact_reference(scene):
     of, by, point = CASES[scene]
     times = {"settle": 4.0, "observe": 2.0}
     found = derivatives(scene, of=of, by=by, **point, **times)
     np.testing.assert_allclose(found.derivative, exact_slopes(scene, of, by, point, **times), rtol=1e-6)
 
 
-def test_at_random_points_they_are_the_exact_slopes():
-    """With a gap and with preload, where the motion repeats: on a long transient differences are no slopes."""
+def test_derivatives_match_exact_reference_at_random_points():
+    """Compare with a gap and with a preload, where the motion repeats. Differences are not reliable on long
+    transients.
+    """
     rng = np.random.default_rng(5)
     size = 4
     points = {
@@ -83,14 +84,14 @@ def test_at_random_points_they_are_the_exact_slopes():
     for index, name in ((gap, "beta"), (preload, "gamma")):  # the exact motion takes most of the time
         point = {name: float(column[index]) for name, column in points.items()}
         slopes = exact_slopes("vibro-impact", DRILL, (name,), point, **times)[:, 0]
-        known = found.measured.values[index] != 0  # one never sticks
+        known = found.measured.values[index] != 0  # one lane never sticks
         derivative = found.derivative.sel(parameter=name).values[index]
         np.testing.assert_allclose(derivative[known], slopes[known], rtol=2e-6)
 
 
 @pytest.mark.long
-def test_the_pure_function_is_differentiable():
-    """Its derivative along one direction, for the scene and the measures that XLA compiles soonest."""
+def test_pure_function_is_differentiable():
+    """Compare one directional derivative, for the scene and the measures that XLA compiles fastest."""
     scene, recorder = SCENES["rotary"](), Recorder((Swings(), KeptReturns(RETURNS_FOR_DRIFT)))
     defaults = {name: parameter.default for name, parameter in scene.parameters().items()}
     wrt, of = ("beta", "gamma", "v", "mu"), ("period", "bit_amplitude")
@@ -126,11 +127,11 @@ def test_units_and_elasticities():
     found = derivatives("penetration", **RATE, **SHORT)
     assert found.derivative_unit.values.tolist() == [["m s-1 (N)-1", "m s-1 (N)-1", "m s-1 (N m-1)-1", "m s-1"]]
     assert found.unit.values.tolist() == ["m s-1"]
-    # At one stiffness, force and threshold together only scale all lengths.
+    # With constant stiffness, scaling force and threshold together scales all lengths.
     assert float(found.elasticity.sel(parameter=["force", "threshold"]).sum()) == pytest.approx(1, abs=1e-9)
 
 
-def test_points_in_lists_are_the_points_one_by_one():
+def test_lists_of_points_match_single_points():
     lists = {"beta": [0.35, 0.4, 0.45], "v": [1.2, 1.5, 1.8]}
     rest = {"of": ("period", "impact_velocity"), "by": ("gamma",), "settle": 3.0, "observe": 3.0}
     together = derivatives("vibro-impact", **lists, **rest)
@@ -143,12 +144,13 @@ def test_points_in_lists_are_the_points_one_by_one():
             np.testing.assert_array_equal(alone[name], together[name].isel(point=index), name)
 
 
-# Where they hold
+# Validity
 
 
-def test_they_settle_after_the_motion():
-    """Over random points: the derivative comes closer to the orbit's with the time to settle, and where it is called
-    valid it is within the accepted error of it."""
+def test_derivatives_converge_with_settling_time():
+    """Check at random points. The derivative approaches that of the orbit as the settling time grows. Where it is
+    valid, its error is at most the accepted error.
+    """
     rng = np.random.default_rng(3)
     size = 12
     points = {
@@ -172,30 +174,30 @@ def test_they_settle_after_the_motion():
     assert worst[0] > 10 * worst[-1]
 
 
-def test_a_motion_that_does_not_repeat_has_none():
+def test_motion_that_does_not_repeat_has_no_derivative():
     found = derivatives("vibro-impact", of="period", by="beta", delta=0.005, start="drive")  # a weak rattle
     assert reasons(found).tolist() == [["not-repeating"]] and found.valid.values.tolist() == [[0]]
 
 
-def test_there_is_nothing_to_differentiate_without_a_value():
+def test_undefined_values_have_no_derivative():
     found = derivatives("vibro-impact", of=("period", "impact_velocity"), by="beta", delta=0.5)  # out of reach
     assert reasons(found).tolist() == [["none"], ["zero-or-undefined"]]
     assert set(reasons(derivatives("penetration", **RATE, **SHORT, force=50e3)).ravel()) == {"zero-or-undefined"}
 
 
-def test_what_cannot_be_run_is_refused():
+def test_refused_lanes_are_flagged():
     found = derivatives("penetration", **RATE, pulse_width=0.2, frequency=[4.0, 10.0])
     assert set(reasons(found)[1].ravel()) == {"refused"} and "refused" not in reasons(found)[0]
 
 
-def test_short_of_settling_they_are_flagged():
+def test_derivatives_during_settling_are_flagged():
     given = {"of": "period", "by": "gamma", "delta": 0.005, "start": "stuck"}
     assert reasons(derivatives("vibro-impact", settle=5.0, observe=4.0, **given)).tolist() == [["still-settling"]]
     assert reasons(derivatives("vibro-impact", settle=40.0, **given)).tolist() == [["none"]]
 
 
-def test_at_a_threshold_the_order_of_events_changes():
-    # At the force whose peak just reaches D the count of yields changes.
+def test_order_of_events_changes_at_a_threshold():
+    # The number of yields changes at the force whose peak just reaches D.
     low, high = 50e3, 250e3
     for _ in range(8):
         forces = np.linspace(low, high, 16)
@@ -206,8 +208,8 @@ def test_at_a_threshold_the_order_of_events_changes():
     assert set(reasons(at).ravel()) == {"order-of-events-changes-nearby"}
 
 
-def test_at_a_graze_the_order_of_events_changes():
-    """The gap at which the striker, having swung free, just reaches the bit."""
+def test_order_of_events_changes_at_a_graze():
+    """At this gap the free striker just reaches the bit."""
     given = {"of": "striker_amplitude", "by": "delta", "start": "stuck"}
     reach = float(derivatives("vibro-impact", delta=0.5, **given).measured[0])
     low, high = 0.0, 2 * reach
@@ -220,7 +222,7 @@ def test_at_a_graze_the_order_of_events_changes():
     assert reasons(found).ravel().tolist() == ["order-of-events-changes-nearby", "none"]
 
 
-# What is refused
+# Refusals
 
 
 @pytest.mark.parametrize(
@@ -237,13 +239,13 @@ def test_at_a_graze_the_order_of_events_changes():
         ({"bta": 0.4}, "bta: .* did you mean"),
     ],
 )
-def test_wrong_input_is_one_line(given, message):
+def test_wrong_input_is_refused(given, message):
     with pytest.raises(InputError, match=message):
         derivatives("vibro-impact", **{"of": "period", "by": "beta"} | given)
 
 
 @pytest.mark.parametrize("transform", [jax.grad, jax.jit, jax.jacfwd])
-def test_transformations_of_jax_are_refused_with_what_to_do(transform):
+def test_jax_transformations_are_refused_with_advice(transform):
     def period(beta):
         return derivatives("vibro-impact", of="period", by="beta", beta=beta).measured.values[0]
 
@@ -253,7 +255,7 @@ def test_transformations_of_jax_are_refused_with_what_to_do(transform):
         transform(lambda beta: vj.simulate("vibro-impact", beta=beta))(0.4)
 
 
-def test_arrays_of_jax_are_numbers():
+def test_jax_arrays_are_accepted():
     given = {"of": "rate_of_penetration", "by": "force", **SHORT}
     found = [derivatives("penetration", force=x, **given).derivative.values for x in (250e3, jnp.asarray(250e3))]
     np.testing.assert_array_equal(*found)

@@ -1,4 +1,6 @@
-"""Designs: against maps and draws simulated again, multipliers, fronts, the chart, the command, refusals."""
+"""Test designs against finer maps, repeated simulations, and slopes; test fronts, the chart, the command, and
+refusals.
+"""
 
 import json
 
@@ -41,7 +43,7 @@ def lanes(gamma, **parameters):
 
 @pytest.fixture(scope="module", autouse=True)
 def few_seeds():
-    """Search from two points: the designs here have one parameter."""
+    """Search from two points, since the designs here have one parameter."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "SEEDS", 1)
         yield
@@ -52,7 +54,7 @@ def designed(few_seeds):
     return vj.design(DESIGN, progress=False)
 
 
-def test_no_cell_of_a_finer_map_is_better(designed):
+def test_no_cell_of_finer_map_is_better(designed):
     gamma = np.linspace(0.7, 0.9, 331)
     shifts = np.array([0.0, -WIDTH, WIDTH])
     ds = lanes((gamma[:, None] + shifts).ravel())
@@ -63,7 +65,7 @@ def test_no_cell_of_a_finer_map_is_better(designed):
     assert float(designed.objective[0]) >= float(designed.map_objective.max()) * 0.9
 
 
-def test_draws_within_the_tolerance_keep_the_constraints(designed):
+def test_draws_within_tolerance_satisfy_constraints(designed):
     rng = np.random.default_rng(5)
     for candidate in range(designed.sizes["candidate"]):
         ds = lanes(float(designed.gamma[candidate]) + WIDTH * rng.uniform(-1, 1, 100))
@@ -79,12 +81,12 @@ def test_gradient_and_multiplier_are_slopes(designed):
     assert float(best.gradient[0]) == pytest.approx(float(-ds.impact_power.diff("point")[0]) / (2 * step), rel=1e-5)
     assert best.binds.sel(limit="peak_impact_force most") == 1 and float(best.unexplained) < 1e-6
     below, same, above = designed.front_objective.values
-    assert same == pytest.approx(float(best.objective), rel=3e-4)  # several times the least gain of the search
+    assert same == pytest.approx(float(best.objective), rel=3e-4)  # several times the smallest gain of the search
     relaxation = float(best.relaxation.sel(limit="peak_impact_force most"))
     assert above - below == pytest.approx(0.02 * FORCE * relaxation, rel=0.1)
 
 
-def test_points_of_the_front_are_simulated(designed):
+def test_points_of_front_match_simulations(designed):
     assert (designed.front_feasible == 1).all() and (np.diff(designed.front_objective) > 0).all()
     ds = lanes(designed.front_gamma.values)
     np.testing.assert_allclose(ds.impact_power, designed.front_objective, rtol=1e-6)
@@ -96,7 +98,7 @@ def test_points_of_the_front_are_simulated(designed):
         assert (lanes(designed.front_gamma.values + end).peak_impact_force.values <= designed.front_limit.values).all()
 
 
-def test_a_front_begins_at_the_least_limit_of_the_map_and_ends_at_the_optimum():
+def test_front_spans_smallest_limit_of_map_to_optimum():
     spec = read_design({**DESIGN, "front": {"against": "peak_impact_force", "points": 3}})
     coarse = coarse_map(Simulator(spec))
     best = ranked(spec, coarse, without_limit(spec))[0]
@@ -107,7 +109,7 @@ def test_a_front_begins_at_the_least_limit_of_the_map_and_ends_at_the_optimum():
     assert limits[-1] == forces[best] and np.ptp(np.diff(limits)) == pytest.approx(0, abs=1e-6)
 
 
-def test_the_chart_is_one_page(designed, monkeypatch):
+def test_chart_fits_one_page(designed, monkeypatch):
     monkeypatch.setattr(chart, "CELLS", 8)
     ds = chart.charted(designed, read_design(DESIGN), progress=False)
     assert tuple(chart_page(ds).get_size_inches()) == A4
@@ -118,7 +120,7 @@ def test_the_chart_is_one_page(designed, monkeypatch):
     assert ds.chart_impact_energy.where(robust).isnull().equals(~robust.rename(None)) or robust.sum() == 0
 
 
-def test_the_command_writes_draws_and_is_read_again(tmp_path, monkeypatch, capsys):
+def test_command_writes_dataset_and_picture(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text(
         'scene = "vibro-impact"\nmaximise = "impact_power"\nstarts = ["stuck"]\nparameters = { delta = 0.005 }\n'
@@ -172,13 +174,13 @@ GRANITE = {"parameters": {"rock": "granite", "beta": 0.4, "delta": 0.005}}
         ),
     }.values(),
 )  # fmt: skip
-def test_what_cannot_be_met_is_one_line(change, line, monkeypatch):
+def test_infeasible_requirements_are_refused_in_one_line(change, line, monkeypatch):
     monkeypatch.setitem(evaluation.AXIS_POINTS, 1, 5)
     monkeypatch.setattr(search, "MAX_ITERATIONS", 0)
     monkeypatch.setattr(robustness, "MAX_REPAIRS", 0)
     table = {key: x for key, x in DESIGN.items() if key not in ("tolerance", "front")}
     table |= {"vary": {"gamma": [0.7, 0.72]}} | change
-    if table["scene"] != "penetration":  # the search from the map's points is tested elsewhere
+    if table["scene"] != "penetration":  # other tests cover the search from the points of the map
         monkeypatch.setattr(orbit_search, "orbit_path", lambda simulator, candidate: [])
     with pytest.raises(vj.InputError, match=r"^design: (subject|maximise)") as error:
         vj.design({key: x for key, x in table.items() if x is not None}, progress=False)
@@ -207,13 +209,13 @@ def test_what_cannot_be_met_is_one_line(change, line, monkeypatch):
         "key": ({"minimise": "period"}, "minimise: unknown key"),
     }.values(),
 )
-def test_bad_input_is_one_line(change, line):
+def test_bad_input_is_refused_in_one_line(change, line):
     with pytest.raises(vj.InputError) as error:
         read_design(DESIGN | change)
     assert line in str(error.value) and "\n" not in str(error.value)
 
 
-def test_samples_of_the_tolerance_box():
+def test_samples_of_tolerance_box():
     spec = read_design({**DESIGN, "tolerance": {name: 1e-3 for name in ("gamma", "beta", "v", "mu")}})
     samples, few = box_samples(spec), search_offsets(spec)
     assert samples.shape == (1 + 16 + DRAWS, 4) and (samples[0] == 0).all() and np.abs(samples).max() > 1
@@ -222,8 +224,8 @@ def test_samples_of_the_tolerance_box():
     assert columns["gamma"][0] == pytest.approx(0.8 + 1e-3) and columns["beta"][0] == pytest.approx(0.399)
 
 
-def test_substituted_parameters_are_differentiated():
-    """v = 2 pi rpm/60 bit_radius, k1 = m1 (2 pi f)²."""
+def test_derivatives_of_substituted_parameters():
+    """The substitutions are v = 2 pi rpm/60 bit_radius and k1 = m1 (2 pi f)²."""
     vary = {"rpm": [100.0, 200.0], "bit_frequency": [3.0, 5.0]}
     spec = read_design({**DESIGN, "vary": vary, "tolerance": {}, "parameters": {"bit_radius": 0.1}})
     values, chain = scene_parameters(spec, np.array([[0.5, 0.5]]))

@@ -1,14 +1,14 @@
-"""The drift of a lane, estimated from its last returns: exact where the return map is linear."""
+"""Test the drift of a lane, which is estimated from its last returns, against linear return maps."""
 
 import numpy as np
 import pytest
 
 from vibrojax.models.scenes import SCENES
-from vibrojax.sweep.engine import drift as drift_of
+from vibrojax.sweep.engine import drift as drift_module
 
 
 def drift(features, precision, tolerance):
-    return drift_of.drift(features, SCENES["rotary"].section, precision, tolerance)
+    return drift_module.drift(features, SCENES["rotary"].section, precision, tolerance)
 
 
 PERIOD, VELOCITY = 0.23, 1.4
@@ -17,35 +17,36 @@ ORBIT = np.array([0.5, -0.3, 0.8])
 BASIS = np.array([[1.0, 0.2, -0.4], [0.3, 1.0, 0.5], [-0.2, 0.1, 1.0]])
 
 
-def spiral(modulus, angle):
-    """A return map with a pair of multipliers, and a third near zero."""
+def spiral_map(modulus, angle):
+    """Return a return map with a complex pair of multipliers, and a third near zero."""
     c, s = modulus * np.cos(angle), modulus * np.sin(angle)
     return BASIS @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 0.07]]) @ np.linalg.inv(BASIS)
 
 
-def two(first, second):
-    """A return map with two real multipliers, and a third near zero."""
+def two_real_map(first, second):
+    """Return a return map with two real multipliers, and a third near zero."""
     return BASIS @ np.diag([first, second, 0.07]) @ np.linalg.inv(BASIS)
 
 
 def lane(return_map, away, cycles=1, returns=25, seen=25, alternating=0.0, impacts=True):
-    """Return features of one lane whose first return is `away` from its orbit, relative, and its true drift.
+    """Return the features and the true drift of a lane whose first return has a relative distance `away` from its
+    orbit.
 
-    `alternating`: how much its returns differ in turn, on the orbit.
+    On the orbit, returns alternate by `alternating`.
     """
     states, period, velocity = [], [], []
     state = ORBIT + away * np.array([0.4, -1.0, 0.7])
     for k in range(returns):
-        by = alternating * (-1) ** k
-        states.append(state + by)
-        period.append(PERIOD * (1 + OF_PERIOD @ (state - ORBIT) + by))
-        velocity.append(VELOCITY * (1 + OF_VELOCITY @ (state - ORBIT) - by))
+        swing = alternating * (-1) ** k
+        states.append(state + swing)
+        period.append(PERIOD * (1 + OF_PERIOD @ (state - ORBIT) + swing))
+        velocity.append(VELOCITY * (1 + OF_VELOCITY @ (state - ORBIT) - swing))
         state = ORBIT + return_map @ (state - ORBIT)
-    whole = (returns - 1) // cycles * cycles
+    whole_cycles = (returns - 1) // cycles * cycles
     features = {
         "cycles": np.array([float(cycles)]),
-        "period": np.array([np.mean(period[-whole:])]),
-        "impact_velocity": np.array([np.mean(velocity[-whole:])]),
+        "period": np.array([np.mean(period[-whole_cycles:])]),
+        "impact_velocity": np.array([np.mean(velocity[-whole_cycles:])]),
         "bit_amplitude": np.array([1.0]),
         "striker_amplitude": np.array([1.0]),
         "return_time": np.cumsum(period)[None],
@@ -66,76 +67,86 @@ def lane(return_map, away, cycles=1, returns=25, seen=25, alternating=0.0, impac
 
 @pytest.mark.parametrize(
     "return_map",
-    [spiral(0.95, 0.3), spiral(0.985, 0.9), spiral(0.7, 0.1), two(0.99, 0.6), two(0.9, -0.8), two(-0.97, 0.3)],
+    [
+        spiral_map(0.95, 0.3),
+        spiral_map(0.985, 0.9),
+        spiral_map(0.7, 0.1),
+        two_real_map(0.99, 0.6),
+        two_real_map(0.9, -0.8),
+        two_real_map(-0.97, 0.3),
+    ],
 )
 @pytest.mark.parametrize("returns", [9, 12, 25])
-def test_a_linear_map(return_map, returns):
-    """The distance of means and section states from where they settle. With few returns, to some of which the third
-    multiplier contributes, the estimate is up to two and a half times that."""
+def test_linear_map(return_map, returns):
+    """Drift is the distance of means and section states from their limits. With few returns, the third multiplier still
+    contributes, and the estimate is up to two and a half times too large.
+    """
     features, true = lane(return_map, 1e-3, returns=returns)
     assert true > 5e-5
     assert 0.99 * true <= drift(features, "float64", 1e-7)[0] <= (1.01 if returns == 25 else 2.5) * true
 
 
 @pytest.mark.parametrize("cycles, returns", [(2, 25), (2, 10), (3, 25), (8, 25)])
-def test_longer_repeats(cycles, returns):
-    """By every `cycles`-th return; of eight there are few."""
-    features, true = lane(two(0.99, 0.9), 1e-3, cycles=cycles, returns=returns, alternating=0.1 if cycles == 2 else 0.0)
-    found = drift(features, "float64", 1e-7)
+def test_drift_of_longer_repeats(cycles, returns):
+    """The estimate uses each `cycles`-th return, of which there are few for eight cycles."""
+    features, true = lane(
+        two_real_map(0.99, 0.9), 1e-3, cycles=cycles, returns=returns, alternating=0.1 if cycles == 2 else 0.0
+    )
+    estimate = drift(features, "float64", 1e-7)
     if cycles == 2:
-        assert 0.99 * true <= found[0] <= 3 * true
+        assert 0.99 * true <= estimate[0] <= 3 * true
     else:
-        assert np.isinf(found)  # it comes closer to a repeat of one return
+        assert np.isinf(estimate)  # the returns are closer to a repeat after one return
 
 
-def test_settled():
-    """What rounding does to returns is no drift."""
+def test_settled_lane_has_no_drift():
+    """Rounding errors of returns do not count as drift."""
     rng = np.random.default_rng(1)
-    features, _ = lane(two(0.5, 0.1), 0.0)
+    features, _ = lane(two_real_map(0.5, 0.1), 0.0)
     for name in ("return_x1", "return_x2", "return_v2", "return_interval", "return_impact_velocity"):
         features[name] = features[name] * (1 + 1e-15 * rng.standard_normal(features[name].shape))
     assert drift(features, "float64", 1e-7) < 1e-13
 
 
-def test_a_lane_that_leaves():
-    assert np.isinf(drift(lane(spiral(1.02, 0.5), 1e-4)[0], "float64", 1e-7))
-    assert np.isinf(drift(lane(two(1.05, 0.3), 1e-5)[0], "float64", 1e-7))
+def test_diverging_lane_has_infinite_drift():
+    assert np.isinf(drift(lane(spiral_map(1.02, 0.5), 1e-4)[0], "float64", 1e-7))
+    assert np.isinf(drift(lane(two_real_map(1.05, 0.3), 1e-5)[0], "float64", 1e-7))
 
 
-def test_returns_that_tell_nothing():
-    """Differences that obey no linear map: not told, where they are no noise of the steps."""
+def test_drift_of_noisy_returns_is_unknown():
+    """Differences between returns follow no linear map. The drift is finite only if the step noise explains them."""
     rng = np.random.default_rng(3)
-    features, _ = lane(two(0.5, 0.1), 0.0)
+    features, _ = lane(two_real_map(0.5, 0.1), 0.0)
     for name in ("return_x1", "return_x2", "return_v2"):
         features[name] = features[name] + 3e-4 * rng.standard_normal(features[name].shape)
     assert np.isinf(drift(features, "float64", 1e-7))
     assert np.isfinite(drift(features, "float64", 1e-2))
 
 
-def test_lanes_that_do_not_repeat_have_none():
-    features, _ = lane(two(0.5, 0.1), 1e-3)
+def test_lanes_that_do_not_repeat_have_no_drift():
+    features, _ = lane(two_real_map(0.5, 0.1), 1e-3)
     assert np.isnan(drift(features | {"cycles": np.array([0.0])}, "float64", 1e-7))
 
 
-def test_without_impacts():
-    features, true = lane(spiral(0.9, 0.4), 1e-3, impacts=False)
+def test_drift_without_impacts():
+    features, true = lane(spiral_map(0.9, 0.4), 1e-3, impacts=False)
     np.testing.assert_allclose(drift(features, "float64", 1e-7), true, rtol=1e-3)
 
 
-def test_a_lane_has_the_same_bits_alone():
-    """Chunks end anywhere, so that the last lanes of a chunk may be fitted alone."""
-    maps = [spiral(0.95, 0.3), spiral(0.985, 0.9), two(0.99, 0.6), two(0.9, -0.8)]
+def test_drift_of_single_lane_is_bitwise_that_in_batch():
+    """Chunks end anywhere, so the last lanes of a chunk may be fitted alone."""
+    maps = [spiral_map(0.95, 0.3), spiral_map(0.985, 0.9), two_real_map(0.99, 0.6), two_real_map(0.9, -0.8)]
     lanes = [lane(x, away)[0] for x in maps for away in (1e-2, 1e-4, 1e-6)]
     together = {name: np.concatenate([x[name] for x in lanes]) for name in lanes[0]}
     alone = [drift(x, "float64", 1e-7)[0] for x in lanes]
     np.testing.assert_array_equal(drift(together, "float64", 1e-7), alone)
 
 
-def test_swings_that_grow_slowly():
-    """The period of a motion without impact does not depend on its swing, so that it has no drift itself."""
+def test_slowly_growing_amplitude_has_drift():
+    """Without impacts, the period does not depend on the amplitude and has no drift itself."""
     growth = 1 + 4e-5
     swing = 1e-2 * growth ** np.arange(25)
-    features, _ = lane(spiral(0.5, 0.4), 0.0)
+    features, _ = lane(spiral_map(0.5, 0.4), 0.0)
     features["return_x1"] = ORBIT[0] - swing[None]
     for name in ("return_interval", "return_impact_velocity"):
         features[name] = np.full((1, 25), features[name][0, 0])
