@@ -1,8 +1,8 @@
 """Steps of one mode, y' = A y + G f(t, y), as polynomials that satisfy the equations at the nodes to rounding.
 
-The linear part is solved outright, once per mode and length of step; what is left, the friction force or a given force,
-is iterated to its fixed point. Lengths of steps are powers of two; a step is halved until the last coefficients of its
-polynomial are rounding of what the state has swung so far.
+The linear part is solved directly, once per mode and step length. Only the friction force or a given force remains, and
+is iterated to its fixed point. Step lengths are powers of two. A step is halved until the last coefficients of its
+polynomial are at the rounding level of the state's largest size so far.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,9 +20,9 @@ SHORTEST = 2.0**-60
 class Mode:
     """One mode: its equations, and the linear forms that stay positive while it lasts.
 
-    `A` [d, d] acts on the state, whose last entry is 1; `force(t, Y)` gives the one force that is not linear (None:
-    there is none) and `G` [d] the accelerations per newton of it. `velocities` [d] marks the entries that are
-    rates. `surfaces` [s, d] are the linear forms, `names` what happens when each falls through zero.
+    `A` [d, d] acts on the state, whose last entry is 1. `force(t, Y)` is the only nonlinear force (None: there is
+    none), and `G` [d] the acceleration per newton of it. `velocities` [d] marks the entries that are rates. `surfaces`
+    [s, d] are the linear forms, and `names` the events at which they fall through zero.
     """
 
     A: np.ndarray
@@ -35,10 +35,10 @@ class Mode:
     maps: dict = field(default_factory=dict)
 
     def solution(self, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """P [nodes, d, d] and R [nodes, d, nodes]: the states at the nodes are P y + R forces."""
+        """Return P [nodes, d, d] and R [nodes, d, nodes], such that the states at the nodes are P y + R forces."""
         if h not in self.maps:
             d = len(self.A)
-            scale = np.where(self.velocities, h, 1.0)  # velocities times h, so that all are lengths
+            scale = np.where(self.velocities, h, 1.0)  # scale velocities by h, so that all entries are lengths
             A = h * scale[:, None] * self.A / scale
             inverse = np.linalg.inv(np.eye((N + 1) * d) - np.kron(INTEGRAL, A)).reshape(N + 1, d, N + 1, d)
             P = inverse.sum(axis=2) * scale / scale[:, None]
@@ -47,7 +47,9 @@ class Mode:
         return self.maps[h]
 
     def step(self, t: float, y: np.ndarray, swing: np.ndarray) -> tuple[float, np.ndarray]:
-        """The length of a step from y at t and its coefficients [N + 1, d]; `swing` [d] is the size of each entry."""
+        """Return the length of a step from y at t, and its coefficients [N + 1, d]; `swing` [d] is the size of each
+        entry.
+        """
         while True:
             h = 2.0**self.power
             c = self._try(h, t, y)
@@ -67,18 +69,18 @@ class Mode:
         P, R = self.solution(h)
         Y = P @ y
         if self.force is not None:
-            free, times = Y, t + h * NODES
+            linear, times = Y, t + h * NODES
             with np.errstate(all="ignore"):
                 f = self.force(times, np.broadcast_to(y, Y.shape))
-                before = np.inf
+                previous_change = np.inf
                 for _ in range(60):
-                    Y = free + (R @ f).reshape(free.shape)
+                    Y = linear + (R @ f).reshape(linear.shape)
                     new = self.force(times, Y)
                     change = np.abs(new - f).max() / max(np.abs(new).max(), 1e-300)
                     f = new
-                    if change <= 1e-16 or (change <= 1e-13 and change >= before):
+                    if change <= 1e-16 or (change <= 1e-13 and change >= previous_change):
                         break
-                    before = change
+                    previous_change = change
                 else:
                     return None
             if not change <= 1e-13:

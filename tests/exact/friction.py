@@ -1,13 +1,13 @@
-"""The friction laws of chapter 3 and 5.9, as plain formulas of the sliding speed w = |u|, w > 0.
+"""The friction laws of chapter 3 and section 5.9, as formulas of the sliding speed w = |u|, w > 0.
 
-In a step that runs over w = 0 they are asked for slightly negative w, where they go on smoothly.
+A step across w = 0 evaluates them at slightly negative w, where they continue smoothly.
 """
 
 import numpy as np
 
 
 def stribeck(w, p):
-    """(5.9) over mu m1 g."""
+    """Return (5.9), relative to mu m1 g."""
     return p.mu * (1 - w / p.v_cr + w**3 / (3 * p.v_cr**3))
 
 
@@ -17,7 +17,7 @@ def coulomb(w, p):
 
 
 def popp_exponential(w, p):
-    """(2.14), the exponent of its second factor read as that of its first; flat at w = 0."""
+    """Return (2.14), with the exponent of the second factor read as that of the first; flat at w = 0."""
     w = np.asarray(w, float)
     rise = np.exp(p.popp_c1 / np.where(w > 0, w, 1)) * (w > 0)
     return 0.165 * (1 + rise) * (1 + np.exp(p.popp_c2 * w))
@@ -49,7 +49,7 @@ LAWS = {
 
 
 def force(w, J, p):
-    """|F| while the bit slides at the speed w and the striker presses with J (5.9, 5.12, R2; section 3)."""
+    """Return |F| while the bit slides at speed w and the striker presses with J (5.9, 5.12, R2; section 3)."""
     mu = LAWS[p.friction](w, p)
     if p.friction == "stribeck":
         return mu * p.m1 * p.g + p.mu * J
@@ -57,5 +57,5 @@ def force(w, J, p):
 
 
 def stick_coefficient(p) -> float:
-    """mu(0+): the bit sticks while the pull is at most mu(0+) (m1 g + J) (5.11)."""
+    """Return mu(0+). The bit sticks while the pull is at most mu(0+) (m1 g + J) (5.11)."""
     return float(LAWS[p.friction](0.0, p))

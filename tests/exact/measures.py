@@ -1,4 +1,4 @@
-"""Measures of a motion and its regime, from the contract's text: one function for the drill, one for the rock."""
+"""Measures and regime of a motion, written from the contract: one function for the drill, one for the rock."""
 
 import math
 from itertools import pairwise
@@ -12,17 +12,17 @@ MOST_CYCLES = 8
 
 
 def instants(motion: Motion, piece: Piece, row: np.ndarray) -> list[float]:
-    """The times in the piece at which a linear form falls through zero."""
+    """Return the times in the piece at which a linear form falls through zero."""
     return _times(piece, piece.c @ row, np.abs(row) @ motion.swing)
 
 
 def _times(piece, c, size):
-    found = (x for x in falls(c, min(piece.x(piece.end), 1.0), size) if x > piece.x(piece.begin))
-    return [piece.origin + piece.h * (1 + x) / 2 for x in found]
+    roots = (x for x in falls(c, min(piece.x(piece.end), 1.0), size) if x > piece.x(piece.begin))
+    return [piece.origin + piece.h * (1 + x) / 2 for x in roots]
 
 
 def extremes(motion: Motion, piece: Piece, row: np.ndarray) -> tuple[float, float]:
-    """The least and the greatest value of a linear form in the piece."""
+    """Return the smallest and the largest value of a linear form in the piece."""
     c, size = piece.c @ row, N**2 * (np.abs(row) @ motion.swing)
     turns = _times(piece, DERIVATIVE @ c, size) + _times(piece, -DERIVATIVE @ c, size)
     values = [value(c, piece.x(t)) for t in (piece.begin, piece.end, *turns)]
@@ -35,29 +35,29 @@ def swing(motion: Motion, row) -> tuple[float, float]:
 
 
 def total(motion: Motion, begin, end, function):
-    """The integral of function(piece, t, states) from begin to end."""
+    """Return the integral of function(piece, t, states) from begin to end."""
     parts = (piece.between(begin, end) for piece in motion.pieces)
     return sum(part.integral(lambda t, Y, part=part: function(part, t, Y)) for part in parts if part)
 
 
 def sections(motion: Motion) -> list[float]:
-    """The times at which x1' rises through zero, having been below -0.05 v since the last return."""
+    """Return the times at which x1' rises through zero after it was below -0.05 v since the last return."""
     row, p = motion.scene.row, motion.scene.p
     below = row["v1"] + 0.05 * p.v * row["one"]
-    found, armed = [], False
+    returns, armed = [], False
     for piece in motion.pieces:
         armed = armed or value(piece.c @ below, piece.x(piece.begin)) < 0
-        passed = [(t, False) for t in instants(motion, piece, below)]
-        passed += [(t, True) for t in instants(motion, piece, -row["v1"])]
-        for t, rises in sorted(passed):
+        crossings = [(t, False) for t in instants(motion, piece, below)]
+        crossings += [(t, True) for t in instants(motion, piece, -row["v1"])]
+        for t, rises in sorted(crossings):
             if rises and armed:
-                found.append(t)
+                returns.append(t)
             armed = not rises
-    return found
+    return returns
 
 
 def repeats(motion: Motion, returns, amplitudes) -> int:
-    """After how many returns the motion repeats, 1 to 8, or 0."""
+    """Return the number of returns after which the motion repeats, 1 to 8, or 0."""
     if len(returns) < 2:
         return 0
     period = (returns[-1] - returns[0]) / (len(returns) - 1)
@@ -70,35 +70,35 @@ def repeats(motion: Motion, returns, amplitudes) -> int:
 
 
 def measure(motion: Motion) -> dict[str, float]:
-    """Every measure of the contract that the scene has a use for, but for settling time and error estimate."""
+    """Return all measures of the contract that apply to the scene, except settling time and error estimate."""
     return of_drill(motion) if motion.scene.drill else of_penetration(motion)
 
 
 def of_drill(motion: Motion) -> dict[str, float]:
     scene, row = motion.scene, motion.scene.row
-    half = {name: (high - low) / 2 for name in ("x1", "x2") for low, high in [swing(motion, row[name])]}
-    found = {"bit_amplitude": half["x1"], "striker_amplitude": half["x2"]}
+    amplitudes = {name: (high - low) / 2 for name in ("x1", "x2") for low, high in [swing(motion, row[name])]}
+    measures = {"bit_amplitude": amplitudes["x1"], "striker_amplitude": amplitudes["x2"]}
     returns = sections(motion)
-    cycles = repeats(motion, returns, (half["x1"], half["x2"]))
+    cycles = repeats(motion, returns, (amplitudes["x1"], amplitudes["x2"]))
     window = returns[: 1 + (len(returns) - 1) // cycles * cycles] if cycles else returns
-    found["cycles"] = cycles
+    measures["cycles"] = cycles
     if scene.contact:
-        found["peak_impact_force"] = peak_force(motion)
+        measures["peak_impact_force"] = peak_force(motion)
     if len(window) >= 2:
-        found |= over_returns(motion, window, cycles)
+        measures |= over_returns(motion, window, cycles)
     if scene.rock:
-        found["deepest_gap"] = swing(motion, row["e"])[0]
-    return found
+        measures["deepest_gap"] = swing(motion, row["e"])[0]
+    return measures
 
 
 def peak_force(motion: Motion) -> float:
-    """The greatest J in the observation."""
+    """Return the largest J in the observation."""
     touching = [piece for piece in motion.pieces if piece.phase.striker == "touching"]
     return max((extremes(motion, piece, motion.scene.press(piece.phase))[1] for piece in touching), default=0.0)
 
 
 def over_returns(motion: Motion, window, cycles) -> dict[str, float]:
-    """Means, shares, rates and counts over whole returns."""
+    """Return means, shares, rates and counts over whole returns."""
     scene, row, p = motion.scene, motion.scene.row, motion.scene.p
     begin, end = window[0], window[-1]
     returns, time = len(window) - 1, end - begin
@@ -113,7 +113,7 @@ def over_returns(motion: Motion, window, cycles) -> dict[str, float]:
     w = 2 * math.pi * returns / time
     tones = mean(lambda part, t, Y: Y[:, [0, 2]] * np.exp(-1j * w * (t[:, None] - begin)))
     turns = sum(begin < t <= end for piece in motion.pieces for t in instants(motion, piece, row["v2"]))
-    found = {
+    measures = {
         "period": time / returns,
         "stick_fraction": share(0),
         "reverse_fraction": share(-1),
@@ -122,27 +122,27 @@ def over_returns(motion: Motion, window, cycles) -> dict[str, float]:
         "drive_power": mean(lambda part, t, Y: scene.friction_force(part.phase, Y) * p.v),
     }
     if not scene.contact:
-        return found
-    found["mean_impact_force"] = mean(lambda part, t, Y: Y @ scene.J(part.phase))
-    begun = [event for event in motion.events if event.name == "strikes" and begin < event.time <= end]
-    found["impacts"] = len(begun) * cycles / returns if cycles else len(begun) / returns
-    if begun:
-        speed = np.array([scene.rate(event.before) @ event.state for event in begun])
-        struck = np.array([event.time for event in begun])
-        since = np.searchsorted(window, struck, side="left")
-        phase = 2 * math.pi * (struck - np.array(window)[since - 1]) / np.diff(window)[since - 1]
-        found |= {
+        return measures
+    measures["mean_impact_force"] = mean(lambda part, t, Y: Y @ scene.J(part.phase))
+    impacts = [event for event in motion.events if event.name == "strikes" and begin < event.time <= end]
+    measures["impacts"] = len(impacts) * cycles / returns if cycles else len(impacts) / returns
+    if impacts:
+        speed = np.array([scene.rate(event.before) @ event.state for event in impacts])
+        impact_times = np.array([event.time for event in impacts])
+        next_return = np.searchsorted(window, impact_times, side="left")
+        phase = 2 * math.pi * (impact_times - np.array(window)[next_return - 1]) / np.diff(window)[next_return - 1]
+        measures |= {
             "impact_velocity": speed.mean(),
             "impact_velocity_min": speed.min(),
             "impact_velocity_max": speed.max(),
             "impact_energy": (p.m2 * speed**2 / 2).mean(),
-            "bit_velocity_at_impact": np.mean([event.state[1] + p.v for event in begun]),
+            "bit_velocity_at_impact": np.mean([event.state[1] + p.v for event in impacts]),
             "impact_phase": phase.mean(),
         }
     if scene.rock:
         growth = np.diff(motion.at([begin, end]) @ row["x4"])[0]
-        found |= of_rock(growth, time, len(begun), found["mean_impact_force"], p)
-    return found
+        measures |= of_rock(growth, time, len(impacts), measures["mean_impact_force"], p)
+    return measures
 
 
 def of_rock(growth, time, impacts, mean_force, p) -> dict[str, float]:
@@ -155,7 +155,7 @@ def of_rock(growth, time, impacts, mean_force, p) -> dict[str, float]:
 
 
 def of_penetration(motion: Motion) -> dict[str, float]:
-    """Over the whole pulses in the observation; over all of it in a sweep."""
+    """Return the measures over the whole pulses in the observation; for a sweep, over all of the observation."""
     scene, row, p = motion.scene, motion.scene.row, motion.scene.p
     begin, end, pulses = motion.observed, motion.end, 0
     frequency = getattr(scene.pulses, "frequency", None)
@@ -164,25 +164,29 @@ def of_penetration(motion: Motion) -> dict[str, float]:
         begin, end, pulses = first / frequency, last / frequency, last - first
     force = total(motion, begin, end, lambda part, t, Y: part.given(t) if part.given else 0 * t)
     growth = np.diff(motion.at([begin, end]) @ row["x4"])[0]
-    found = of_rock(growth, end - begin, pulses, force / (end - begin), p)
-    return found | {"deepest_gap": swing(motion, row["e"])[0]}
+    measures = of_rock(growth, end - begin, pulses, force / (end - begin), p)
+    return measures | {"deepest_gap": swing(motion, row["e"])[0]}
 
 
-def label(motion: Motion, found: dict) -> str:
-    """The regime, its rules in the contract's order."""
+def label(motion: Motion, measures: dict) -> str:
+    """Return the regime. The rules have the contract's order."""
     p, returns = motion.scene.p, sections(motion)
-    if found["bit_amplitude"] < 1e-3 * max(motion.scene.mu0, 0.01) * p.m1 * p.g / p.k1:
+    if measures["bit_amplitude"] < 1e-3 * max(motion.scene.mu0, 0.01) * p.m1 * p.g / p.k1:
         return "equilibrium"
     if len(returns) < 9 or drifts(motion, returns):
         return "undecided"
-    impacts = found.get("impacts", 0)
-    if found["cycles"] == 1:
+    impacts = measures.get("impacts", 0)
+    if measures["cycles"] == 1:
         return ("impact-free", "single-impact", "multi-impact")[min(round(impacts), 2)]
-    return "subharmonic" if found["cycles"] else "irregular"
+    return "subharmonic" if measures["cycles"] else "irregular"
 
 
 def drifts(motion: Motion, returns) -> bool:
-    """Eight equal times, each with its greatest swing of x1 within one return, strictly rise or fall by over 1 %."""
+    """Return whether the amplitude of x1 drifts over eight equal intervals.
+
+    It drifts if the largest swing within one return strictly rises or falls from interval to interval, by over 1 % in
+    total.
+    """
     greatest = np.full(8, np.nan)
     for begin, end in pairwise(returns):
         parts = [part for piece in motion.pieces if (part := piece.between(begin, end))]

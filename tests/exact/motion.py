@@ -1,4 +1,4 @@
-"""A motion as pieces: polynomials over the time between one step or switch and the next."""
+"""Motions as pieces: each is a polynomial between one step or switch and the next."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -14,12 +14,14 @@ from exact.pulses import Pulses, Sweep
 from exact.scenes import Phase, Scene
 
 MOST_AT_ONCE = 50
-"""Switches in a row without time between them: more is an endless loop."""
+"""Limit of consecutive switches without time between them; more form an endless loop."""
 
 
 @dataclass
 class Piece:
-    """From `begin` to `end` in one phase; `c` [N + 1, d] are coefficients over [origin, origin + h]."""
+    """A part of a motion from `begin` to `end` in one phase; `c` [N + 1, d] are coefficients over [origin, origin +
+    h].
+    """
 
     begin: float
     end: float
@@ -30,22 +32,22 @@ class Piece:
     given: Callable | None = None
 
     def x(self, t):
-        """The polynomial's variable."""
+        """Return the variable of the polynomial at time t."""
         return 2 * (t - self.origin) / self.h - 1
 
     def states(self, t) -> np.ndarray:
-        """[..., d]"""
+        """Return the states [..., d] at times t."""
         x = np.asarray(self.x(t))
         return (chebyshev.chebvander(x, N) @ self.c).reshape(*x.shape, -1)
 
     def integral(self, function):
-        """Of function(t, states) over the piece, exactly for polynomials up to degree 47."""
+        """Return the integral of function(t, states) over the piece, which is exact for polynomials up to degree 47."""
         half = (self.end - self.begin) / 2
         t = self.begin + half * (GAUSS + 1)
         return half * np.tensordot(WEIGHTS, function(t, self.states(t)), axes=(0, 0))
 
     def between(self, begin, end) -> "Piece | None":
-        """What of the piece lies between two times."""
+        """Return the part of the piece between two times."""
         begin, end = max(begin, self.begin), min(end, self.end)
         return replace(self, begin=begin, end=end) if begin < end else None
 
@@ -60,9 +62,9 @@ class Event(NamedTuple):
 
 @dataclass
 class Motion:
-    """Pieces from `observed` on (all, if it is 0), and the events among them.
+    """The pieces of a motion from `observed` on (all, if it is 0), and the events among them.
 
-    `swing` [d] is the greatest size of each entry so far, or what it is small against.
+    `swing` [d] is the largest size of each entry so far, or at least its reference size.
     """
 
     scene: Scene
@@ -73,7 +75,7 @@ class Motion:
     events: list[Event] = field(default_factory=list)
 
     def at(self, times) -> np.ndarray:
-        """States [times, entries]."""
+        """Return the states [times, entries]."""
         times = np.asarray(times, float)
         ends = np.array([piece.end for piece in self.pieces])
         index = np.minimum(np.searchsorted(ends, times, side="left"), len(ends) - 1)
@@ -83,7 +85,7 @@ class Motion:
         return states
 
     def column(self, name, times) -> np.ndarray:
-        """x1, v1, x2, v2, x4, v3; x3 = e + x4."""
+        """Return x1, v1, x2, v2, x3, x4 or v3 at the times."""
         states = self.at(times)
         if name == "x3":
             return states @ (self.scene.row["e"] + self.scene.row["x4"])
@@ -91,7 +93,11 @@ class Motion:
 
 
 def initial(scene: Scene, start) -> np.ndarray:
-    """R5, R13, or a vector [x1, x1', x2, x2'], or [..., x3 - x4, x3'] with rock, which else begins at rest at zero."""
+    """Return the initial state.
+
+    `start` is a name (R5, R13) or a vector [x1, x1', x2, x2'], with rock [..., x3 - x4, x3']. Otherwise the rock begins
+    at rest at zero.
+    """
     y = np.zeros(len(scene.entries))
     y[-1] = 1.0
     if scene.drill:
@@ -101,13 +107,13 @@ def initial(scene: Scene, start) -> np.ndarray:
             "stuck": (0.0, -p.v, 0.0, 0.0),
             "touching": (0.0, 0.0, min(0.0, getattr(p, "delta", 0.0)), 0.0),
         }
-        given = named[start] if isinstance(start, str) else start
-        y[: len(given)] = given
+        values = named[start] if isinstance(start, str) else start
+        y[: len(values)] = values
     return y
 
 
 def run(name, *, start="drive", settle=0.0, observe, pulses=None, **given) -> Motion:
-    """A motion of the scene from t = 0 to settle + observe; what lies before settle is not kept."""
+    """Return a motion of the scene from t = 0 to settle + observe. Pieces before settle are not kept."""
     p = parameters(name, **given)
     if name == "penetration" and pulses is None:
         if p.pulse_shape == "sweep":
@@ -119,15 +125,16 @@ def run(name, *, start="drive", settle=0.0, observe, pulses=None, **given) -> Mo
     t, y = 0.0, initial(scene, start)
     held, until = pulses.since(t) if pulses else (None, np.inf)
     phase = scene.first(y, held)
-    stood = 0
+    repeats = 0
     while t < motion.end:
         limit = min(until, motion.end, settle if t < settle else np.inf)
         piece, last, event = _advance(scene.mode(phase, held), phase, t, y, motion.swing, limit, held)
-        y = chebyshev.chebvander([last], N)[0] @ piece.c  # by its share of the step: times are rounded to 1e-15 s
+        # uses the fraction of the step, since times are rounded to 1e-15 s
+        y = chebyshev.chebvander([last], N)[0] @ piece.c
         y[-1] = 1.0
         motion.swing = swung(motion.swing, piece.c)
-        stood = stood + 1 if piece.end - t < 1e-14 else 0
-        if stood > MOST_AT_ONCE:
+        repeats = repeats + 1 if piece.end - t < 1e-14 else 0
+        if repeats > MOST_AT_ONCE:
             raise ArithmeticError(
                 f"{event} and no time passes: t = {t}, {phase}, {dict(zip(scene.entries, y, strict=True))}"
             )
@@ -144,7 +151,7 @@ def run(name, *, start="drive", settle=0.0, observe, pulses=None, **given) -> Mo
 
 
 def _advance(mode, phase, t, y, swing, limit, held):
-    """The next piece, up to the first switch, the limit or the step's end, and what happens there."""
+    """Return the next piece, up to the first switch, the limit or the end of the step, and the event there."""
     h, c = mode.step(t, y, swing)
     end = min(t + h, limit)
     latest = min(2 * (end - t) / h - 1, 1.0)

@@ -1,8 +1,8 @@
-"""Multipliers of periodic orbits, by two roads that need no derivative of an event.
+"""Multipliers of periodic orbits, by two methods that need no derivative of an event.
 
-By central differences of the return map; and their product, by what the flow does to volumes: within a mode exp of the
-divergence, integrated, and at a switch the determinant of the saltation, n f+ / n f- for a state that is continuous and
-a surface with the normal n (Leine and Nijmeijer, chapter 7).
+The first uses central differences of the return map. The second gives the product of the multipliers from the change of
+volumes along the flow. Within a mode, this is exp of the integrated divergence. At a switch it is the determinant of
+the saltation matrix, n f+ / n f-, for a continuous state and a surface with normal n (Leine and Nijmeijer, chapter 7).
 """
 
 import numpy as np
@@ -12,11 +12,11 @@ from exact.measures import sections
 from exact.motion import Motion, run
 
 SIZES = {"x1": 0.05, "x2": 0.05, "v2": 1.0, "e": 5e-3, "v3": 0.1}
-"""Typical states at the section, where x1' = 0 [m, m/s]; the last two only where the rock acts back."""
+"""Typical states at the section, where x1' = 0 [m, m/s]. The last two apply only if the rock acts back."""
 
 
 def returns(scene: str, point: dict, section, span: float) -> tuple[list[float], np.ndarray]:
-    """(times [s] of the returns within the `span` [s] after that at the `section`; the states there, as many)."""
+    """Return the times [s] of the returns within `span` [s] after the one at `section`, and the states there."""
     motion = _from(scene, point, section, span)
     times = sections(motion)
     names = [motion.scene.entries.index(name) for name in list(SIZES)[: len(section)]]
@@ -24,9 +24,10 @@ def returns(scene: str, point: dict, section, span: float) -> tuple[list[float],
 
 
 def multipliers(scene: str, point: dict, section, span: float, cycles: int = 1) -> np.ndarray:
-    """Eigenvalues of the map's derivative over `cycles` returns, by falling modulus, by central differences.
+    """Return the eigenvalues of the map's derivative over `cycles` returns, by decreasing modulus.
 
-    Return by return, so that what bends is never followed for long; steps are 1e-6 of the sizes.
+    Central differences are taken return by return, so that nonlinear effects do not grow. The steps are 1e-6 of the
+    sizes.
     """
     product = np.eye(len(section))
     times, states = returns(scene, point, section, 1.01 * span)
@@ -34,7 +35,7 @@ def multipliers(scene: str, point: dict, section, span: float, cycles: int = 1) 
         columns = []
         for k, size in enumerate(list(SIZES.values())[: len(section)]):
             moved = 1e-6 * size * np.eye(len(section))[k]
-            (_, after), (_, before) = (returns(scene, point, state + way * moved, 1.01 * time) for way in (1, -1))
+            (_, after), (_, before) = (returns(scene, point, state + sign * moved, 1.01 * time) for sign in (1, -1))
             columns.append((after[0] - before[0]) / (2 * moved[k]))
         product = np.array(columns).T @ product
     values = np.linalg.eigvals(product)
@@ -42,9 +43,9 @@ def multipliers(scene: str, point: dict, section, span: float, cycles: int = 1) 
 
 
 def product(scene: str, point: dict, section, span: float) -> tuple[float, float]:
-    """(the product of the multipliers of an orbit that takes `span` [s]; the part of it that saltations are).
+    """Return the product of the multipliers of an orbit with period `span` [s], and the part of it due to saltations.
 
-    For orbits that do not stick, of which a multiplier is zero.
+    It applies to orbits that do not stick; sticking makes one multiplier zero.
     """
     motion = _from(scene, point, section, span)
     exponent = sum(piece.integral(lambda t, Y, p=piece.phase: _divergence(motion, p, Y)) for piece in motion.pieces)
@@ -58,7 +59,7 @@ def _from(scene: str, point: dict, section, observe: float) -> Motion:
 
 
 def _divergence(motion: Motion, phase, states) -> np.ndarray:
-    """Of the field of a phase: its linear part's trace, and what friction's slope gives to it."""
+    """Return the divergence of the vector field of a phase: the trace of its linear part, and the slope of friction."""
     assert phase.bit, "it sticks"
     scene, p, h = motion.scene, motion.scene.p, 2e-5
     mode = scene.mode(phase)

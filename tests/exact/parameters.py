@@ -51,7 +51,7 @@ DEFAULTS = {
 
 
 def parameters(scene: str, **given) -> SimpleNamespace:
-    """The parameters of a scene with those derived from them: `m2`, `k2` (= beta m1 (gamma w1)^2) and `c3` (6.1)."""
+    """Return the parameters of a scene and the derived `m2`, `k2` (= beta m1 (gamma w1)^2) and `c3` (6.1)."""
     unknown = set(given) - set(DEFAULTS[scene])
     if unknown:
         raise ValueError(f"the scene {scene} has no {', '.join(sorted(unknown))}")

@@ -1,85 +1,87 @@
-"""Polynomials of degree N over a step, by their Chebyshev coefficients, and where they fall through zero."""
+"""Polynomials of degree N over a step, given by Chebyshev coefficients, and their falls through zero."""
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 N = 24
 X = -np.cos(np.pi * np.arange(N + 1) / N)
-"""Chebyshev-Lobatto nodes in [-1, 1], rising."""
+"""Chebyshev-Lobatto nodes in [-1, 1], in increasing order."""
 NODES = (1 + X) / 2
-"""The same as shares of the step."""
+"""The nodes as fractions of the step."""
 NODES[0], NODES[-1] = 0.0, 1.0
 COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(X, N))
 """Coefficients = COEFFICIENTS @ values at the nodes."""
 INTEGRAL = np.stack(
     [chebyshev.chebval(X, chebyshev.chebint(c, lbnd=-1)) / 2 for c in COEFFICIENTS.T], axis=1
-)  # integrals from 0 to each node of the polynomial that is 1 at one node, 0 at the others; the step is 1 long
+)  # integrals over a step of length 1, from 0 to each node, of the polynomial that is 1 at one node and 0 at the others
 DERIVATIVE = np.stack([np.append(chebyshev.chebder(e), 0.0) for e in np.eye(N + 1)], axis=1)
-"""Coefficients of the derivative by x = those of the polynomial times this."""
+"""Coefficients of the derivative by x = DERIVATIVE @ coefficients of the polynomial."""
 
 LEFT, RIGHT = (COEFFICIENTS @ chebyshev.chebvander((X + side) / 2, N) for side in (-1, 1))
-"""Coefficients over a half of [-1, 1] = LEFT or RIGHT @ those over all of it."""
+"""Coefficients over a half of [-1, 1] = LEFT or RIGHT @ coefficients over all of it."""
 NOISE = 1e-14
-"""Rounding of a polynomial's values, with a margin, relative to the size of what it is made of."""
+"""Rounding error of a polynomial's values, with a margin, relative to the size of its terms."""
 GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(N)
 
 
 def value(c: np.ndarray, x: float) -> float:
-    """Clenshaw's sum."""
-    one, two = 0.0, 0.0
+    """Return the value of the polynomial by Clenshaw's algorithm."""
+    b1, b2 = 0.0, 0.0
     for coefficient in c[:0:-1].tolist():
-        one, two = coefficient + 2 * x * one - two, one
-    return c[0] + x * one - two
+        b1, b2 = coefficient + 2 * x * b1 - b2, b1
+    return c[0] + x * b1 - b2
 
 
 def falls(c: np.ndarray, end: float, size: float) -> list[float]:
-    """Every x in [-1, end] at which the polynomial falls through zero, in order; being below it at -1 counts too.
+    """Return all x in [-1, end] at which the polynomial falls through zero, in order; a negative value at -1 counts.
 
-    None is missed: a part of the interval is passed over only where its coefficients show that the polynomial has no
-    zero in it, and is searched only where they show that it is monotone; else it is halved. A dip below zero no deeper
-    than rounding of the given size is none.
+    No fall is missed. A part of the interval is skipped only if its coefficients prove that it has no zero, and
+    searched only if they prove that the polynomial is monotone there. Otherwise it is halved. Dips below zero within
+    the rounding error of the given size do not count.
     """
     lifted = c.copy()
     lifted[0] += NOISE * size
     if lifted[0] >= np.abs(c[1:]).sum():
         return []
     low, high = value(lifted, -1.0), value(lifted, 1.0)
-    found = [-1.0] if low < 0 else []
-    _search(lifted, -1.0, 1.0, low, high, found)
+    roots = [-1.0] if low < 0 else []
+    _search(lifted, -1.0, 1.0, low, high, roots)
     slope = DERIVATIVE @ c
-    return [x for x in (_polished(c, slope, x) for x in found) if x <= end]
+    return [x for x in (_polished(c, slope, x) for x in roots) if x <= end]
 
 
 def first_fall(c: np.ndarray, end: float, size: float) -> float | None:
     return min(falls(c, end, size), default=None)
 
 
-def _search(c, a, b, low, high, found):
-    """Adds the falls in [a, b], over which c are the coefficients; low and high are the values at its ends."""
+def _search(c, a, b, low, high, roots):
+    """Append the falls in [a, b] to `roots`; c are the coefficients over [a, b], low and high the values at its
+    ends.
+    """
     if abs(c[0]) > np.abs(c[1:]).sum():
         return
     slope = DERIVATIVE @ c
     if abs(slope[0]) > np.abs(slope[1:]).sum() or b - a < 1e-13:
         if low > 0 >= high:
-            found.append(a + (b - a) * (1 + _root(c, slope)) / 2)
+            roots.append(a + (b - a) * (1 + _root(c, slope)) / 2)
         return
     middle = (a + b) / 2
     left = LEFT @ c
     height = left.sum()
-    _search(left, a, middle, low, height, found)
-    _search(RIGHT @ c, middle, b, height, high, found)
+    _search(left, a, middle, low, height, roots)
+    _search(RIGHT @ c, middle, b, height, high, roots)
 
 
 def _root(c, slope):
-    """The zero in [-1, 1] of what falls there, by Newton's steps kept within what is still in question."""
+    """Return the zero in [-1, 1] of a decreasing polynomial, by Newton's method within a shrinking bracket."""
     a, b, x = -1.0, 1.0, 0.0
     for _ in range(100):
-        height, steep = value(c, x), value(slope, x)
+        height, derivative = value(c, x), value(slope, x)
         if height > 0:
             a = x
         else:
             b = x
-        new = x - height / steep if steep < 0 else (a + b) / 2
+        new = x - height / derivative if derivative < 0 else (a + b) / 2
         if not a < new < b:
             new = (a + b) / 2
         if abs(new - x) <= 1e-16:
@@ -89,13 +91,13 @@ def _root(c, slope):
 
 
 def _polished(c, slope, x):
-    """The zero of c beside x, a zero of c lifted by its rounding; x itself where c is too flat to have one to tell."""
+    """Return the zero of c near x, a zero of c lifted by its rounding error; x itself if c is too flat there."""
     new = x
     for _ in range(4):
-        steep = value(slope, new)
-        if steep >= 0:
+        derivative = value(slope, new)
+        if derivative >= 0:
             return x
-        new = new - value(c, new) / steep
+        new = new - value(c, new) / derivative
         if abs(new - x) > 1e-6 or new < -1:
             return x
     return new

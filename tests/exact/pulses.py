@@ -1,4 +1,4 @@
-"""Forces on the bit in the penetration scene: functions that are smooth between given instants."""
+"""Forces on the bit in the penetration scene: smooth functions between given times."""
 
 import math
 from collections.abc import Callable
@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass
 class Pulses:
-    """A pulse begins at each t = n/frequency: rectangular, or half-sine force sin(pi t/w)."""
+    """A pulse at each t = n/frequency: rectangular, or half-sine force sin(pi t/w)."""
 
     force: float
     frequency: float
@@ -17,7 +17,7 @@ class Pulses:
     pulse_shape: str = "rectangular"
 
     def since(self, t: float) -> tuple[Callable | None, float]:
-        """The force from t on, smooth for all times, and until when it holds; None is no force."""
+        """Return the force from t on, smooth for all times (None: no force), and the time until which it holds."""
         n = math.floor(t * self.frequency + 1e-9)
         begin, end = n / self.frequency, n / self.frequency + self.pulse_width
         if t >= end - 1e-12:
@@ -27,13 +27,13 @@ class Pulses:
         return lambda times: self.force * np.sin(np.pi * (times - begin) / self.pulse_width), end
 
     def impulse(self) -> float:
-        """[N s] of one pulse."""
+        """Return the impulse of one pulse [N s]."""
         return self.force * self.pulse_width * (1 if self.pulse_shape == "rectangular" else 2 / math.pi)
 
 
 @dataclass
 class Sweep:
-    """bias + force sin 2 pi (sweep_start t + sweep_rate t^2/2)."""
+    """The force bias + force sin 2 pi (sweep_start t + sweep_rate t^2/2)."""
 
     force: float
     sweep_start: float

@@ -1,4 +1,4 @@
-"""Rig data with names and units of their own: what is taken for what, in which unit, what is refused or warned of."""
+"""Test rig data with their own column names and units: conversion, refusals and warnings."""
 
 import subprocess
 import sys
@@ -29,7 +29,7 @@ def rig(path, header, *columns):
 
 
 def onset(path, **named):
-    """C and eta0 of the form that the data were made with."""
+    """Return C and eta0 of the onset form, which generated the data."""
     form = fit_rop(path, progress=False, **named).sel(form="onset")
     return float(form.C), float(form.eta0)
 
@@ -45,12 +45,12 @@ def onset(path, **named):
         ("rate_of_penetration (m/h),mean_force (kN)", {}),
     ],
 )
-def test_columns_are_converted_whatever_they_are_called(tmp_path, header, columns):
+def test_columns_with_any_names_are_converted(tmp_path, header, columns):
     path = rig(tmp_path / "rig.csv", header, 3600 * RATE, FORCE / 1e3)
     assert onset(path, columns={**columns, "threshold": "150 kN"}) == pytest.approx((C, ETA0), rel=1e-6)
 
 
-def test_a_fit_says_what_it_took_and_in_which_unit(tmp_path, capsys, monkeypatch):
+def test_fit_prints_columns_and_units(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     rig(tmp_path / "rig.csv", "ROP [m/h],WOB_kN,D", 3600 * RATE, FORCE / 1e3, D)
     words = ["rate_of_penetration=ROP (m/h)", "mean_force=WOB", "threshold=D"]
@@ -66,12 +66,12 @@ def test_a_fit_says_what_it_took_and_in_which_unit(tmp_path, capsys, monkeypatch
     assert 'mean_force: column "WOB_kN", in kN' in capsys.readouterr().err
 
 
-def test_parameters_are_converted_too_and_stay_coordinates(tmp_path):
+def test_parameters_are_converted_and_stay_coordinates(tmp_path):
     path = rig(tmp_path / "rig.csv", "ROP (m/h),P/D,k (MN/m)", 3600 * RATE, FORCE / D, 300.0)
-    said = {"rate_of_penetration": "ROP", "relief": "P/D", "k3": "k (MN/m)"}
-    fit = fit_rop(path, along="k3", columns=said, progress=False)
+    columns = {"rate_of_penetration": "ROP", "relief": "P/D", "k3": "k (MN/m)"}
+    fit = fit_rop(path, along="k3", columns=columns, progress=False)
     assert float(fit.sel(form="onset").C.squeeze()) == pytest.approx(C, rel=1e-6)
-    joint = fit_joint(path, over=("k3",), columns=said)
+    joint = fit_joint(path, over=("k3",), columns=columns)
     assert float(joint.reference.item()) == pytest.approx(300e6, rel=1e-9)
 
 
@@ -128,24 +128,24 @@ def test_wrong_columns_are_refused_in_one_line(tmp_path, header, columns, line):
     assert "\n" not in str(caught.value) and line in str(caught.value)
 
 
-def test_what_is_no_table_of_columns_is_refused(tmp_path):
+def test_invalid_tables_are_refused(tmp_path):
     path = tmp_path / "rig.csv"
-    said = {"rate_of_penetration": "ROP (m/h)", "mean_force": "WOB (kN)", "threshold": "150 kN"}
+    columns = {"rate_of_penetration": "ROP (m/h)", "mean_force": "WOB (kN)", "threshold": "150 kN"}
     for text, line in (
         ("ROP,WOB\n", "no rows; add a line for each measurement"),
         ("", "empty; a line of column names"),
     ):
         path.write_text(text)
         with pytest.raises(InputError, match="rig") as caught:
-            fit_rop(path, columns=said)
+            fit_rop(path, columns=columns)
         assert line in str(caught.value)
     with pytest.raises(InputError, match="fit_rop: has its names and units already"):
-        fit_rop(xr.Dataset(), columns=said)
+        fit_rop(xr.Dataset(), columns=columns)
     with pytest.raises(InputError, match="does not name columns; give a dict"):
         fit_rop(path, columns="ROP")
 
 
-def test_words_of_the_command_are_refused_in_one_line(capsys):
+def test_wrong_words_of_command_are_refused_in_one_line(capsys):
     for argv, line in (
         (
             ["rig.csv", "--columns", "ROP"],
@@ -157,7 +157,7 @@ def test_words_of_the_command_are_refused_in_one_line(capsys):
         assert line in capsys.readouterr().err
 
 
-def test_a_column_in_another_unit_is_refused_with_the_likely_one_or_warned_of_where_the_unit_is_given(tmp_path):
+def test_implausible_values_are_refused_or_warned_of_if_a_unit_is_given(tmp_path):
     path = rig(tmp_path / "rig.csv", "rate_of_penetration,mean_force,threshold", 3600 * RATE, FORCE, D)
     with pytest.raises(InputError, match=r"column: no unit is given, and .* m/s is far .* likely in m/h") as caught:
         fit_rop(path, progress=False)
@@ -177,7 +177,7 @@ def test_a_column_in_another_unit_is_refused_with_the_likely_one_or_warned_of_wh
         fit_rop(path, progress=False)
 
 
-def test_rig_data_with_decimal_commas_are_read_and_it_is_said(tmp_path):
+def test_decimal_commas_are_read_with_a_warning(tmp_path):
     path = rig(tmp_path / "rig.csv", "ROP (m/h),WOB (kN)", 3600 * RATE, FORCE / 1e3)
     columns = {"rate_of_penetration": "ROP", "mean_force": "WOB", "threshold": "150 kN"}
     own = onset(path, columns=columns)
@@ -186,7 +186,7 @@ def test_rig_data_with_decimal_commas_are_read_and_it_is_said(tmp_path):
         assert onset(path, columns=columns) == own
 
 
-def test_the_threshold_may_be_that_of_a_rock(tmp_path, capsys, monkeypatch):
+def test_rock_gives_the_threshold(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = rig(tmp_path / "rig.csv", "rate_of_penetration,mean_force", RATE, FORCE)
     own = fit_rop(path, columns={"threshold": "204.5 kN"}, progress=False)  # Table 4.5
@@ -202,7 +202,7 @@ def test_the_threshold_may_be_that_of_a_rock(tmp_path, capsys, monkeypatch):
         assert line in str(caught.value)
 
 
-def test_a_recommended_constant_is_in_the_unit_of_the_data_too(tmp_path):
+def test_recommended_constant_is_also_in_unit_of_data(tmp_path):
     noisy = RATE * (1 + 0.02 * np.cos(7 * np.arange(RATE.size)))
     path = rig(tmp_path / "rig.csv", "ROP (ft/h),mean_force", noisy * 3600 / 0.3048, FORCE)
     fit = fit_rop(path, columns={"rate_of_penetration": "ROP", "threshold": "150 kN"}, progress=False)
@@ -215,13 +215,13 @@ def test_a_recommended_constant_is_in_the_unit_of_the_data_too(tmp_path):
     )
 
 
-def test_units_are_what_they_are():
+def test_unit_factors():
     assert factor("m/h", "m s-1") * 3600 == factor("m/s", "m s-1") == factor("m s-1", "m s-1") == 1.0
     assert factor("ft/hr", "m s-1") == pytest.approx(0.3048 / 3600)
     assert factor("klbf", "N") == pytest.approx(4448.2216)  # of 9.80665 m/s2 and 0.45359237 kg
     assert factor("t", "N") == pytest.approx(9806.65) and factor("t", "kg") == 1000.0
     assert factor("KN", "N") == 1e3 and factor("MN", "N") == 1e6 and factor("mN", "N") is None
-    assert factor("lb", "N") == pytest.approx(4.4482216) and factor("kN", "kg") is None  # a weight, but no mass
+    assert factor("lb", "N") == pytest.approx(4.4482216) and factor("kN", "kg") is None  # a weight, not a mass
     assert factor("rpm", "s-1") == factor("1/min", "s-1") and factor("rad/s", "min-1") == pytest.approx(30 / np.pi)
     assert factor("µm", "m") == 1e-6 and factor("kN*s/m", "N s m-1") == 1e3 and factor("cm/s2", "m s-2") == 1e-2
     assert not any(is_unit(text) for text in ("point", "bit", "3 m", "9**9**9**9", "m/", "", "mph"))
@@ -231,11 +231,11 @@ def test_units_are_what_they_are():
 
 def test_units_are_imported_only_to_parse_them():
     code = "import sys, vibrojax as vj; vj.fit_rop; vj.read_sweep('regime-map'); print('pint' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stdout == "False\n", done.stderr
+    completed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert completed.stdout == "False\n", completed.stderr
 
 
-# what was wrong before
+# regressions
 
 
 def groups_of_points(**coordinates):
@@ -245,7 +245,7 @@ def groups_of_points(**coordinates):
     return xr.Dataset(rates, {"point": np.arange(8), "start": ["drive", "stuck"]} | coordinates)
 
 
-def test_a_joint_fit_keeps_parameters_that_vary_where_the_relief_does_not():
+def test_joint_fit_keeps_parameters_along_axes_without_relief():
     relief, k3 = np.linspace(0.2, 1.0, 8), np.array([100e6, 300e6, 500e6])
     rate = 1e-3 * (k3 / 300e6)[:, None] ** -0.5 * np.log(relief / ETA0)
     rates = {"rate_of_penetration": (("rock", "frequency"), rate), "relief": ("frequency", relief)}
@@ -253,7 +253,7 @@ def test_a_joint_fit_keeps_parameters_that_vary_where_the_relief_does_not():
     assert float(joint.C_exponent.item()) == pytest.approx(-0.5, abs=1e-6)
 
 
-def test_points_that_no_parameter_tells_apart_are_fitted_and_not_drawn(tmp_path, monkeypatch, capsys):
+def test_points_without_parameters_are_fitted_but_not_drawn(tmp_path, monkeypatch, capsys):
     with pytest.raises(InputError, match="nothing to draw over: no parameter varies along the 8 points"):
         vj.picture(fit_rop(groups_of_points(), along="start", progress=False))
     monkeypatch.chdir(tmp_path)

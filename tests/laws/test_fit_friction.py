@@ -1,4 +1,4 @@
-"""mu and v_cr from a velocity: the derivatives behind the fit, against those of the sharp motion, and the recovery."""
+"""Test the fit of mu and v_cr to a velocity: its derivatives against the sharp motion, and recovered parameters."""
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ INTERVAL = 4e-3
 
 
 def measured(duration=0.5, start="stuck", error=1e-6, **parameters):
-    """The located, event-exact motion."""
+    """Return the located, event-exact motion."""
     given = TRUTH | parameters
     return vj.simulate(
         "rotary", start=start, duration=duration, sampling=INTERVAL, error=error, progress=False, **given
@@ -37,7 +37,7 @@ def noise():
 
 
 def sharp_derivatives(duration):
-    """d x1'/d ln mu and d x1'/d ln v_cr by central differences of the converged motion, (samples, 2)."""
+    """Return d x1'/d ln mu and d x1'/d ln v_cr (samples, 2) by central differences of the converged motion."""
     share = 1e-5
     columns = []
     for name, value in TRUTH.items():
@@ -47,68 +47,69 @@ def sharp_derivatives(duration):
 
 
 def smoothed_derivatives(duration, width, substeps=20):
-    fixed = {name: jnp.asarray(one.default) for name, one in Rotary().parameters().items()}
+    fixed = {name: jnp.asarray(parameter.default) for name, parameter in Rotary().parameters().items()}
     fixed["state"] = jnp.asarray([0.0, -fixed["v"].item(), 0.0, 0.0])
     fixed |= {"interval": jnp.asarray(INTERVAL), "width": jnp.asarray(width)}
-    at = jnp.log(jnp.asarray(list(TRUTH.values())))
+    log_parameters = jnp.log(jnp.asarray(list(TRUTH.values())))
     samples = round(duration / INTERVAL) + 1
-    return np.asarray(jax.jacfwd(lambda theta: _velocity(theta, fixed, substeps, samples))(at))
+    return np.asarray(jax.jacfwd(lambda theta: _velocity(theta, fixed, substeps, samples))(log_parameters))
 
 
-def test_derivatives_are_those_of_the_sharp_motion_over_a_short_window():
-    """They come nearer in proportion to the smoothing, to under 1 %; over four times the window they are far off."""
+def test_derivatives_match_sharp_motion_over_short_window():
+    """The error is proportional to the smoothing, and falls below 1 %. Over a window four times as long it is large."""
 
     short = round(0.5 / INTERVAL) + 1
     expected = sharp_derivatives(2.0)
 
-    def off(found):
-        first = expected[: len(found)]
-        return np.linalg.norm(found - first, axis=0) / np.linalg.norm(first, axis=0)
+    def relative_error(derivatives):
+        first = expected[: len(derivatives)]
+        return np.linalg.norm(derivatives - first, axis=0) / np.linalg.norm(first, axis=0)
 
     long = smoothed_derivatives(2.0, 0.001, substeps=40)
-    wide, narrow = off(smoothed_derivatives(0.5, 0.004, substeps=10)), off(long[:short])
+    wide, narrow = relative_error(smoothed_derivatives(0.5, 0.004, substeps=10)), relative_error(long[:short])
     assert (narrow < 0.01).all() and (narrow < 0.4 * wide).all()
-    assert (off(long) > 3 * narrow).all()
+    assert (relative_error(long) > 3 * narrow).all()
 
 
-def test_without_noise_what_is_left_is_the_smoothing(history):
-    """Of the order of what halving it changed; half the smoothing, half of that."""
+def test_smoothing_is_the_only_error_without_noise(history):
+    """The error is of the order of the change from halving the smoothing, and falls by about half with it."""
     fits = [fit_friction(history, (0.0, 0.5), "stuck", width) for width in (0.008, 0.004)]
     for name, truth in TRUTH.items():
-        off = [abs(fit[name].item() - truth) for fit in fits]
-        assert off[1] < 0.02 * truth and off[1] < 0.75 * off[0]
-        assert off[1] < 4 * abs(fits[1][f"{name}_change"].item())
+        errors = [abs(fit[name].item() - truth) for fit in fits]
+        assert errors[1] < 0.02 * truth and errors[1] < 0.75 * errors[0]
+        assert errors[1] < 4 * abs(fits[1][f"{name}_change"].item())
     assert fits[1].rms.item() < 3e-3 and REASONS[fits[1].reason.item()] == "identified"
 
 
 @pytest.mark.parametrize(("start", "window"), [("stuck", (0.0, 0.5)), (None, (0.0, 1.0))], ids=["known", "sought"])
-def test_mu_and_v_cr_come_back_from_a_noisy_velocity(history, noise, start, window):
-    """Noise of 0.02 m/s, twelve times over: within their errors, which are about as large as they say.
+def test_parameters_are_recovered_from_noisy_velocity(history, noise, start, window):
+    """In twelve draws with noise of 0.02 m/s, the deviations are about as large as the standard errors.
 
-    The smoothing is wide, which is fast; its effect is small beside these errors.
+    The wide smoothing is fast, and its effect is small compared with these errors.
     """
-    away = []
+    deviations = []
     for _ in range(12):
         noisy = history[["v1"]].assign(v1=history.v1 + 0.02 * noise.standard_normal(history.sizes["time"]))
         fit = fit_friction(noisy, window, start, smoothing=0.008)
         assert fit.rms.item() == pytest.approx(0.02, rel=0.3) and fit.mu_stderr.item() < 0.05
-        away.append([(fit[name].item() - truth) / fit[f"{name}_stderr"].item() for name, truth in TRUTH.items()])
-    spread = np.sqrt(np.mean(np.square(away), axis=0))
+        deviations.append([(fit[name].item() - truth) / fit[f"{name}_stderr"].item() for name, truth in TRUTH.items()])
+    spread = np.sqrt(np.mean(np.square(deviations), axis=0))
     assert (spread > 0.5).all() and (spread < 1.6).all()
 
 
-def test_the_search_begins_away_from_the_answer_and_parameters_are_the_users(history):
-    other = measured(m1=300.0, beta=0.3)
+def test_search_converges_from_other_values_and_uses_given_parameters(history):
+    heavier = measured(m1=300.0, beta=0.3)
     named = {"start": "stuck", "mu": 0.5, "v_cr": 4.0}
-    fit = fit_friction(other, **named)
+    fit = fit_friction(heavier, **named)
     assert fit.mu.item() == pytest.approx(0.35, rel=0.01) and fit.v_cr.item() == pytest.approx(2.5, rel=0.02)
-    bare = other[["v1"]].drop_attrs()
+    bare = heavier[["v1"]].drop_attrs()
     given = fit_friction(bare, **named, m1=300.0, beta=0.3)
     assert given.mu.item() == fit.mu.item()
-    assert not abs(fit_friction(bare, **named).mu.item() - 0.35) < 0.05  # of another drill; perhaps there is no fit
+    # parameters of another drill; the fit may not exist
+    assert not abs(fit_friction(bare, **named).mu.item() - 0.35) < 0.05
 
 
-def test_a_window_later_on_and_samples_without_a_value(history):
+def test_later_window_and_missing_samples(history):
     later = history.copy(deep=True)
     later["v1"][200:210] = np.nan
     fit = fit_friction(later, window=(0.5, 1.0))
@@ -117,8 +118,8 @@ def test_a_window_later_on_and_samples_without_a_value(history):
     np.testing.assert_allclose(fit.state, [later[name].values[125] for name in ("x1", "v1", "x2", "v2")], atol=0.02)
 
 
-def test_what_a_window_cannot_tell_is_nan_with_a_reason(history, noise):
-    """A bit that sticks slides at no speed, so nothing tells how friction falls with it."""
+def test_undetermined_parameters_are_nan_with_a_reason(history, noise):
+    """A sticking bit does not slide, so the velocity does not determine how friction falls with speed."""
     stuck = measured(v=0.0)
     fit = fit_friction(stuck, start="stuck")
     assert REASONS[fit.reason.item()] in ("confounded", "not-converged")
@@ -170,8 +171,8 @@ def as_csv(path, history, separator):
 
 
 @pytest.mark.filterwarnings("ignore:.*semicolons separate the columns, commas are decimal marks")
-def test_a_recording_has_many_forms(history, tmp_path):
-    """Arrays, a dict, DataFrames with columns or an index, and CSV files, in other units."""
+def test_recordings_of_all_forms_are_read(history, tmp_path):
+    """Read arrays, a dict, DataFrames with columns or an index, and CSV files, in other units."""
     time, v1 = history.time.values, history.v1.values
     rows = np.stack([time, v1], axis=1).tolist()
     forms = (
@@ -206,19 +207,19 @@ KINDS = {"flag_values": np.arange(6), "flag_meanings": "none stick slip impact r
         (None, "events", [(1, 3), (5, 8)]),
     ],
 )
-def test_parts_lie_between_contacts(force, contacts, parts):
+def test_parts_are_between_contacts(force, contacts, parts):
     ds = xr.Dataset(coords={"time": np.arange(8.0)})
     if force is not None:
         ds["impact_force"] = ("time", np.array(force, float))
-    if contacts == "events":  # a contact that lasts until 0.5, one from 2.5 to 4.4, in which a second begins
+    if contacts == "events":  # one contact lasts until 0.5, another from 2.5 to 4.4; a second begins within that
         ds, contacts = ds.assign(EVENTS), []
         ds["event_kind"].attrs.update(KINDS)
     result = contact_free_parts(Place("fit"), ds, np.ones(8, bool), contacts)
     assert [(part.start, part.stop) for part in result] == parts
 
 
-def test_mu_and_v_cr_come_back_from_a_window_with_impacts():
-    """The states after impacts are fitted too, so mu is less certain than from one part."""
+def test_parameters_are_recovered_from_window_with_impacts():
+    """The states after impacts are fitted too, so mu is less certain than from a single part."""
     motion = vj.simulate(
         "vibro-impact",
         **TRUTH,

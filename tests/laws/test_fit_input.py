@@ -1,4 +1,4 @@
-"""Data for a fit: datasets, files and rig data, the command, and what is refused."""
+"""Test the input of a fit: datasets, files, rig data, the command, and refusals."""
 
 import subprocess
 import sys
@@ -24,7 +24,7 @@ RATE = C * np.log(RELIEF / ETA0)
 
 
 def sweep(**more):
-    """What a sweep of penetration writes, with a rate of the onset form along frequency."""
+    """Return a dataset like that of a penetration sweep, with a rate of the onset form along frequency."""
     force = np.array([2e5, 3e5])
     variables = {
         "rate_of_penetration": (("force", "frequency"), np.outer([1.0, 2.0], RATE)),
@@ -37,7 +37,7 @@ def sweep(**more):
 
 
 def rows(*names, **columns):
-    """The text of a CSV."""
+    """Return the text of a CSV file."""
     lines = zip(*(np.broadcast_to(columns[name], RELIEF.shape) for name in names), strict=True)
     return "\n".join([",".join(names), *(",".join(str(cell) for cell in line) for line in lines)]) + "\n"
 
@@ -53,7 +53,7 @@ def refused(data, *arguments, fit=fit_rop, **named) -> str:
 # datasets
 
 
-def test_a_fit_has_variables_with_units_and_attributes():
+def test_fit_has_variables_with_units_and_attributes():
     fit = vj.fit_rop(sweep(), progress=False)
     assert list(fit.form.values) == ["literal", "percent", "onset", "line", "power", "constant"]
     names = ["C", "C_stderr", "eta0", "eta0_stderr", "exponent", "r_squared", "aic", "used", "left_out"]
@@ -69,7 +69,7 @@ def test_a_fit_has_variables_with_units_and_attributes():
     np.testing.assert_allclose(fit.sel(form="onset").C, [C, 2 * C], rtol=1e-10)
 
 
-def test_the_axis_is_frequency_or_v_or_what_is_asked():
+def test_axis_is_frequency_or_v_by_default():
     assert fit_rop(sweep(), progress=False).attrs["along"] == "frequency"
     drill = sweep().rename(frequency="v")
     assert fit_rop(drill, progress=False).attrs["along"] == "v"
@@ -81,13 +81,13 @@ def test_the_axis_is_frequency_or_v_or_what_is_asked():
     )
 
 
-def test_relief_may_lack_an_axis_and_dimensions_any_order():
+def test_relief_may_lack_an_axis_and_dimensions_may_be_transposed():
     data = sweep()
-    once = data.assign(relief=("frequency", RELIEF)).transpose("frequency", "force")
-    np.testing.assert_allclose(fit_rop(once, progress=False).C, fit_rop(data, progress=False).C)
+    reduced = data.assign(relief=("frequency", RELIEF)).transpose("frequency", "force")
+    np.testing.assert_allclose(fit_rop(reduced, progress=False).C, fit_rop(data, progress=False).C)
 
 
-def test_lanes_of_a_status_that_failed_are_left_out():
+def test_failed_lanes_are_omitted():
     data = sweep()
     data["rate_of_penetration"][0, 2] = 1.0
     data["status"][0, 2] = 1
@@ -145,7 +145,7 @@ def test_wrong_joint_fits_are_refused(data, named, line):
 # rig data
 
 
-def test_rig_data_give_what_a_dataset_gives(tmp_path):
+def test_rig_data_match_dataset(tmp_path):
     path = tmp_path / "rig.csv"
     path.write_text(
         rows("depth", "relief", "rate_of_penetration", depth="3 m", relief=RELIEF, rate_of_penetration=RATE)
@@ -156,7 +156,7 @@ def test_rig_data_give_what_a_dataset_gives(tmp_path):
     np.testing.assert_allclose(fit.C, expected.C, rtol=1e-12)
 
 
-def test_a_data_frame_gives_what_its_csv_gives(tmp_path):
+def test_data_frame_matches_its_csv(tmp_path):
     table = {"ROP (m/h)": 3600 * RATE, "WOB (kN)": 150 * RELIEF, "rock": ["a"] * 4 + ["b"] * 4}
     (tmp_path / "rig.csv").write_text(rows(*table, **table))
     columns = {"rate_of_penetration": "ROP", "mean_force": "WOB", "threshold": "150 kN"}
@@ -171,14 +171,14 @@ def test_a_data_frame_gives_what_its_csv_gives(tmp_path):
     assert refused(np.zeros((2, 2))) == "fit_rop: a ndarray is not data; give a dataset or a path"
 
 
-def test_relief_comes_from_force_and_threshold_where_it_is_not_there(tmp_path):
+def test_missing_relief_is_computed_from_force_and_threshold(tmp_path):
     path = tmp_path / "rig.csv"
     columns = {"mean_force": RELIEF * 1.5e5, "threshold": 1.5e5, "rate_of_penetration": RATE}
     path.write_bytes(b"\xef\xbb\xbf" + rows(*columns, **columns).replace("\n", "\r\n").encode())
     assert fit_rop(path, progress=False).sel(form="onset").eta0.item() == pytest.approx(ETA0)
 
 
-def test_cells_without_a_value_are_left_out(tmp_path):
+def test_empty_cells_are_omitted(tmp_path):
     path = tmp_path / "rig.csv"
     path.write_text(
         rows("relief", "rate_of_penetration", relief=RELIEF, rate_of_penetration=RATE) + ",1\n0.3,nan\n-1,1\n"
@@ -187,7 +187,7 @@ def test_cells_without_a_value_are_left_out(tmp_path):
     assert fit.left_out.item() == 3 and fit.C.item() == pytest.approx(C)
 
 
-def test_a_joint_law_takes_its_parameters_from_columns(tmp_path):
+def test_joint_law_takes_parameters_from_columns(tmp_path):
     path = tmp_path / "rig.csv"
     texts = [
         rows(
@@ -206,8 +206,8 @@ def test_a_joint_law_takes_its_parameters_from_columns(tmp_path):
     assert fit.C_exponent[0].item() == pytest.approx(1.2) and fit.C.item() == pytest.approx(C)
 
 
-def test_columns_tell_groups_apart(tmp_path):
-    """Rows of two forces and rocks, of unequal numbers; each group is fitted as alone."""
+def test_columns_define_groups(tmp_path):
+    """The rows have two forces and rocks in unequal numbers. Each group gives the same fit as alone."""
     path = tmp_path / "rig.csv"
     lines = [f"{f:.17g},{e:.17g},{r:.17g},granite,1e5" for f, e, r in zip(range(8), RELIEF, RATE, strict=True)]
     lines += [f"{f},{e:.17g},{2 * r:.17g},chalk,2e5" for f, e, r in zip(range(6), RELIEF, RATE, strict=False)]
@@ -255,7 +255,7 @@ def test_wrong_rig_data_are_refused(tmp_path, text, line):
 # the command
 
 
-def test_the_command_prints_tables_and_writes_the_fit(tmp_path, monkeypatch, capsys):
+def test_command_prints_tables_and_writes_fit(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_dataset(sweep(), "map.nc")
     assert main(["fit", "map.nc"]) == 0
@@ -276,7 +276,7 @@ def test_the_command_prints_tables_and_writes_the_fit(tmp_path, monkeypatch, cap
     assert "a sweep" in capsys.readouterr().out
 
 
-def test_another_fit_is_not_overwritten(tmp_path, monkeypatch, capsys):
+def test_different_fit_is_not_overwritten(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     rig = tmp_path / "rig.csv"
     table = {"relief": RELIEF, "rate_of_penetration": RATE, "rock": "granite"}
@@ -290,7 +290,7 @@ def test_another_fit_is_not_overwritten(tmp_path, monkeypatch, capsys):
             ["--columns", "rate_of_penetration=rate_of_penetration (m/s)"],
             "another result: columns.rate_of_penetration was",
         ),
-        # Wrong columns are wrong whatever the file holds.
+        # Wrong columns are refused whatever the file holds.
         (["--columns", "mean_force=wob"], "columns: mean_force: the file has no column"),
         (["--by", "Rock"], 'by: "Rock" is not a column of the data; did you mean "rock"?'),
     ):
@@ -304,7 +304,7 @@ def test_another_fit_is_not_overwritten(tmp_path, monkeypatch, capsys):
     )
 
 
-def test_the_command_takes_an_axis_and_an_output(tmp_path, capsys):
+def test_command_accepts_axis_and_output(tmp_path, capsys):
     write_dataset(sweep(), tmp_path / "map.nc")
     out = tmp_path / "f.nc"
     assert main(["fit", str(tmp_path / "map.nc"), "--along", "force", "-o", str(out)]) == 0
@@ -313,7 +313,7 @@ def test_the_command_takes_an_axis_and_an_output(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("rate", "penetrates"), [(0.0, False), ([0.0, 1.0], True)])
-def test_where_nothing_penetrates_one_sentence_says_so(tmp_path, monkeypatch, capsys, rate, penetrates):
+def test_fit_without_penetration_is_reported(tmp_path, monkeypatch, capsys, rate, penetrates):
     """A group without a rate takes one line of the table."""
     monkeypatch.chdir(tmp_path)
     rates = np.outer(np.atleast_1d(rate) * np.ones(2), RATE)
@@ -330,7 +330,7 @@ def test_where_nothing_penetrates_one_sentence_says_so(tmp_path, monkeypatch, ca
         assert err == f"vibrojax: {reason}; vibrojax info map.nc says what would give a rate\n"
 
 
-def test_a_table_is_shown_for_the_first_groups_alone():
+def test_only_first_groups_have_a_table():
     data = xr.concat([sweep().isel(force=0, drop=True)] * 15, xr.Variable("group", np.arange(15)))
     lines = law_table(law_facts(fit_rop(data, progress=False)))
     assert sum(line.startswith("group=") for line in lines) == 12 and lines[-1] == "and 3 groups more"
@@ -347,7 +347,7 @@ def test_a_table_is_shown_for_the_first_groups_alone():
         (["fit", "other.nc"], "other.nc: rate_of_penetration: missing"),
     ],
 )
-def test_the_command_refuses_bad_input_in_one_line(tmp_path, monkeypatch, capsys, argv, line):
+def test_command_refuses_bad_input_in_one_line(tmp_path, monkeypatch, capsys, argv, line):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "rig.csv").write_text("relief,depth\n1,2\n")
     write_dataset(sweep(), "map.nc")
@@ -358,12 +358,12 @@ def test_the_command_refuses_bad_input_in_one_line(tmp_path, monkeypatch, capsys
     assert not list(tmp_path.glob("*-fit.nc"))
 
 
-def test_fitting_needs_no_global_precision(tmp_path):
-    """Outside, JAX computes in float32; the fit does not."""
+def test_fit_does_not_require_global_precision(tmp_path):
+    """The fit uses double precision, although JAX computes in float32 by default."""
     write_dataset(sweep(), tmp_path / "map.nc")
     code = "import sys, vibrojax as vj; fit = vj.fit_rop(sys.argv[1], progress=False); print(float(fit.C[0, 2]))"
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-W", "error", "-c", code, str(tmp_path / "map.nc")], capture_output=True, text=True
     )
-    assert done.returncode == 0, done.stderr
-    assert float(done.stdout) == pytest.approx(C, rel=1e-10)
+    assert completed.returncode == 0, completed.stderr
+    assert float(completed.stdout) == pytest.approx(C, rel=1e-10)

@@ -1,4 +1,4 @@
-"""The coefficient of eq. 5.17: planted ones come back, closed forms of it, and a real map of the rotary scene."""
+"""Test the coefficient of eq. 5.17 against known values, a closed form, and a simulated map of the rotary scene."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def rotary_map(w, **more):
 
 
 @pytest.mark.parametrize("share", [0.25, 0.31])
-def test_a_planted_coefficient_comes_back(share):
+def test_known_coefficient_is_recovered(share):
     fit = refit_frequency(rotary_map(empirical_frequency(parameters(), share)))
     assert fit.share.item() == pytest.approx(share, rel=1e-12) and fit.share_stderr.item() < 1e-12
     np.testing.assert_allclose(fit.share_of_lane, share, rtol=1e-12)
@@ -35,8 +35,8 @@ def test_a_planted_coefficient_comes_back(share):
         assert (fit.holds == 1).all() and fit.attrs["region"].startswith("90 of 90 lanes; beta 0.1: gamma 0.3 to 1.1; ")
 
 
-def test_the_upper_natural_mode_gives_the_closed_form():
-    """The a that meets the upper root of eq. 5.16.
+def test_upper_natural_mode_gives_closed_form():
+    """Compare with the coefficient a that satisfies the upper root of eq. 5.16.
 
     With g = gamma² and w1 = 1: w² = (T + root(T² − 4 g))/2, T = 1 + g (1 + beta), and a = (w² − 1 − beta g)/g.
     """
@@ -49,7 +49,7 @@ def test_the_upper_natural_mode_gives_the_closed_form():
     error = np.sqrt((1 + beta * g + 0.25 * g) / (1 + beta * g + share * g)) - 1
     np.testing.assert_allclose(fit.error, error, atol=1e-12)
     assert ((fit.holds == 1) == (abs(error) <= 0.01)).all() and 0 < (fit.holds == 1).sum() < 90
-    # Least squares: a change of the coefficient either way makes the sum of squares greater.
+    # At the least-squares coefficient, any change increases the sum of squares.
     w = np.asarray(natural_frequencies(p)[..., 1])
 
     def loss(a):
@@ -58,18 +58,18 @@ def test_the_upper_natural_mode_gives_the_closed_form():
     assert loss(fit.share.item()) < min(loss(fit.share.item() + step) for step in (-1e-4, 1e-4))
 
 
-def test_the_region_is_where_every_lane_that_counts_holds():
-    """Two drive speeds, one of which is off at gamma 0.5 and does not count at 0.6."""
-    one = rotary_map(empirical_frequency(parameters()))
-    both = xr.concat([one, one], xr.Variable("v", [0.5, 1.5]), data_vars=["period"])
+def test_region_has_only_lanes_that_hold():
+    """One of two drive speeds deviates at gamma 0.5, and does not count at gamma 0.6."""
+    slow = rotary_map(empirical_frequency(parameters()))
+    both = xr.concat([slow, slow], xr.Variable("v", [0.5, 1.5]), data_vars=["period"])
     both["period"][1, :, 2] *= 1.02
     both["period"][1, :, 3] = np.nan
     region = refit_frequency(both).attrs["region"]
     assert region.startswith("160 of 170 lanes; beta 0.1: gamma 0.3 to 0.4, 0.6 to 1.1; beta 0.2: ")
 
 
-def test_lanes_that_do_not_count_are_left_out():
-    """Of other regimes, in the lower mode, without a period."""
+def test_unsuitable_lanes_are_omitted():
+    """Lanes of other regimes, in the lower mode, or without a period do not count."""
     p = parameters()
     w = np.array(empirical_frequency(p, 0.3))
     regime = np.full(w.shape, IMPACT_FREE, np.int8)
@@ -83,10 +83,10 @@ def test_lanes_that_do_not_count_are_left_out():
     assert np.isnan(nothing.share.item()) and REASONS[nothing.reason.item()] == "too-few-lanes"
 
 
-def test_over_a_swept_map_the_quarter_holds_along_a_band():
-    """Motion as simulated: its frequency is about the undamped upper mode's, so 1/4 fits where that does.
+def test_quarter_holds_along_a_band_of_swept_map():
+    """The simulated frequency is close to that of the undamped upper mode, so 1/4 fits where it fits that mode.
 
-    At beta 0.4, gamma 1 the motion without impact decays.
+    At beta 0.4 and gamma 1, the motion without impacts decays.
     """
     grid = {"beta": [0.4, 0.6], "gamma": [0.4, 0.6, 0.7, 1.0], "v": [0.5]}
     swept = vj.run_sweep(

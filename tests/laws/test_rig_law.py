@@ -1,4 +1,4 @@
-"""The law that a rig log supports: planted laws in correlated noise, by trials; segments; an unknown threshold."""
+"""Test the law that a rig log supports: trials of known laws in correlated noise, segments, and unknown thresholds."""
 
 import json
 import sys
@@ -34,13 +34,13 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*semicolons separate the column
 fit_quietly = partial(fit_rop, progress=False)
 TRIALS, ROWS, CORRELATION = 200, 400, 0.7
 C, ETA0, EXPONENT, D = (rig_logs.PLANTED[name] for name in ("C", "eta0", "exponent", "threshold"))
-TRUE = {"C": C, "eta0": ETA0, "exponent": EXPONENT}
-HAS = {"onset": ("C", "eta0"), "line": ("C", "eta0"), "power": ("C", "exponent")}
+TRUTH = {"C": C, "eta0": ETA0, "exponent": EXPONENT}
+COEFFICIENTS = {"onset": ("C", "eta0"), "line": ("C", "eta0"), "power": ("C", "exponent")}
 NAMES = [form.name for form in FORMS]
 
 
 def trial_data(law, noise, low=60e3, high=180e3, count=TRIALS, seed=20261124):
-    """`count` logs of 400 rows with the planted `law`; noise in parts of the mean rate."""
+    """Return `count` logs of 400 rows that follow `law`; noise is relative to the mean rate."""
     rng = np.random.default_rng(seed)
     eta = rig_logs.weights((count, ROWS), rng, low, high) / D + (law == "literal")
     rate = rig_logs.LAWS[law](eta, C, ETA0, EXPONENT)
@@ -51,21 +51,21 @@ def trial_data(law, noise, low=60e3, high=180e3, count=TRIALS, seed=20261124):
 
 
 def trials(*planted, **more):
-    """The fits of `trial_data`."""
+    """Return the fits of `trial_data`."""
     data = trial_data(*planted, **more)
     with unchecked():
         return fit_quietly(data)
 
 
 @pytest.mark.parametrize("law", NAMES)
-def test_planted_laws_are_recovered_and_chosen(law):
-    """At 3 % noise whose neighbours are correlated by 0.7, over 200 logs of 400 rows."""
+def test_known_laws_are_recovered_and_chosen(law):
+    """Use 200 logs of 400 rows, with 3 % noise whose neighbours have a correlation of 0.7."""
     fit = trials(law, 0.03)
     form = fit.sel(form=law)
-    for name in HAS.get(law, ("C",)):
-        hits = abs(form[name] - TRUE[name]) <= 2 * form[f"{name}_stderr"]
-        assert hits.mean() >= 0.95, (name, float(hits.mean()))
-        spread = form[name].std(ddof=1)  # the errors are those of the trials, not just wide
+    for name in COEFFICIENTS.get(law, ("C",)):
+        covered = abs(form[name] - TRUTH[name]) <= 2 * form[f"{name}_stderr"]
+        assert covered.mean() >= 0.95, (name, float(covered.mean()))
+        spread = form[name].std(ddof=1)  # the errors match the spread of the trials, they are not merely wide
         assert 0.8 <= np.sqrt((form[f"{name}_stderr"] ** 2).mean()) / spread <= 1.3
     chosen = (fit.standing == Standing.CHOSEN).sel(form=law)
     assert chosen.mean() >= 0.9, float(chosen.mean())
@@ -75,8 +75,8 @@ def test_planted_laws_are_recovered_and_chosen(law):
 
 
 @pytest.mark.parametrize("law", ["onset", "line", "power"])
-def test_forms_that_differ_by_less_than_the_noise_cannot_be_told_apart(law):
-    """Over weights of 110 to 130 kN the three are the same within 0.5 %; the noise is 5 %."""
+def test_forms_that_differ_by_less_than_noise_are_undecided(law):
+    """Between 110 and 130 kN, the three forms agree within 0.5 %; the noise is 5 %."""
     fit = trials(law, 0.05, 110e3, 130e3, count=60)
     eta = np.linspace(110e3, 130e3, 50) / D
     line = np.polyval(np.polyfit(eta, rig_logs.LAWS[law](eta, C, ETA0, EXPONENT), 1), eta)
@@ -84,12 +84,12 @@ def test_forms_that_differ_by_less_than_the_noise_cannot_be_told_apart(law):
     standing = fit.standing.sel(form=["onset", "line", "power"])
     undecided = (standing >= Standing.UNDECIDED).all("form")
     assert undecided.mean() >= 0.9, float(undecided.mean())
-    said = verdict(fit.isel(trial=slice(10)))
-    assert sum("these data cannot tell" in text for text in said) >= 9
+    verdicts = verdict(fit.isel(trial=slice(10)))
+    assert sum("these data cannot tell" in text for text in verdicts) >= 9
 
 
-def test_independent_rows_would_give_errors_that_are_too_small():
-    """The reason for the blocks: errors that take rows for independent hold the truth far too rarely."""
+def test_errors_without_blocks_are_too_small():
+    """Errors that treat rows as independent cover the truth far too rarely, which is why blocks are used."""
     fit = trials("onset", 0.03, count=40)
     plain = fit_quietly(trial_data("onset", 0.03, count=40).drop_attrs())
     form = plain.sel(form="onset")
@@ -98,8 +98,8 @@ def test_independent_rows_would_give_errors_that_are_too_small():
     assert (plain.standing == Standing.NOT_COMPARED).all() and plain.cv_error.isnull().all()
 
 
-def test_one_step_from_the_fit_is_a_refit_for_linear_forms():
-    """Leaving out blocks one by one, and the bootstrap's covariance for blocks of one row."""
+def test_one_newton_step_is_exact_for_linear_forms():
+    """Check the omission of each block, and the bootstrap covariance for blocks of one row."""
     rng = np.random.default_rng(5)
     x = np.column_stack([np.ones(120), rng.standard_normal(120)])
     y = x @ [1.0, 0.5] + 0.1 * rng.standard_normal(120)
@@ -123,7 +123,7 @@ def logs(tmp_path_factory):
     return rig_logs.write_all(tmp_path_factory.mktemp("logs"))
 
 
-def test_the_same_rows_give_the_same_fit_in_every_dialect(logs):
+def test_all_dialects_give_the_same_fit(logs):
     columns = {"rock": "granite"}
     fits = {name: fit_quietly(path, columns=columns) for name, path in logs.items()}
     first = fits.pop("pason")
@@ -134,15 +134,15 @@ def test_the_same_rows_give_the_same_fit_in_every_dialect(logs):
         assert (fit.standing == first.standing).all()
 
 
-def test_a_log_of_7310_rows(tmp_path):
-    """`tests/benchmarks/rig_log.py` measures the time that it takes."""
+def test_log_of_7310_rows(tmp_path):
+    """`tests/benchmarks/rig_log.py` measures its time."""
     path = rig_logs.write(tmp_path / "long.csv", "pason-processed", rig_logs.with_traps(rig_logs.drilling(7304))[0])
     fit = fit_quietly(path)
     assert fit.rows_read == 7310
     assert float(fit.standing.sel(form="onset")) == Standing.CHOSEN
 
 
-def test_the_recommended_constant_is_in_the_unit_of_the_log(logs):
+def test_recommended_constant_is_in_unit_of_log(logs):
     fit = fit_quietly(logs["pason"], columns={"rock": "granite"})
     [choice] = recommended(fit)
     assert choice["form"] == "onset" and choice["low"] < C < choice["high"] and choice["unit"] == "ft_per_hr"
@@ -151,7 +151,7 @@ def test_the_recommended_constant_is_in_the_unit_of_the_log(logs):
     assert choice["high"] - choice["low"] == pytest.approx(2 * 1.966 * error, rel=1e-3)
 
 
-def test_an_unknown_threshold_leaves_what_the_data_determine(logs):
+def test_unknown_threshold_keeps_determined_quantities(logs):
     known = fit_quietly(logs["rigcloud"], columns={"threshold": f"{D} N"})
     for columns in ({}, {"threshold": "unknown"}):
         fit = fit_quietly(logs["rigcloud"], columns=columns)
@@ -174,7 +174,7 @@ def test_an_unknown_threshold_leaves_what_the_data_determine(logs):
 
 
 def layers(path, planted=(6e-3, 3.5e-3, 7e-3), noise=0.05):
-    """A log through three formations of 200 rows with a C each."""
+    """Write a log through three formations of 200 rows, each with its own C, and return its path."""
     rows = rig_logs.drilling(600, noise=0.0)
     rows["formation"] = np.repeat(["a", "b", "c"], 200)
     noisy = noise * correlated_noise(600) * rows["rate"].mean()
@@ -186,13 +186,13 @@ def correlated_noise(count):
     return rig_logs.correlated((count,), CORRELATION, np.random.default_rng(9))
 
 
-def test_formations_have_laws_of_their_own_by_column_or_by_the_data(tmp_path):
+def test_formations_are_separated_by_column_or_by_segmentation(tmp_path):
     path, columns = layers(tmp_path / "layers.csv"), {"rock": "granite"}
     named = fit_quietly(path, by="Formation", columns=columns).sel(form="onset")
-    found = fit_quietly(path, segments=True, columns=columns).sel(form="onset")
-    assert list(named.Formation.values) == ["a", "b", "c"] and list(found.segment.values) == [0, 1, 2]
-    np.testing.assert_allclose(found.depth_from, named.depth_from, atol=3.0)  # of 10 rows of 0.3 m
-    for fit in (named, found):
+    segmented = fit_quietly(path, segments=True, columns=columns).sel(form="onset")
+    assert list(named.Formation.values) == ["a", "b", "c"] and list(segmented.segment.values) == [0, 1, 2]
+    np.testing.assert_allclose(segmented.depth_from, named.depth_from, atol=3.0)  # of 10 rows of 0.3 m
+    for fit in (named, segmented):
         assert (abs(fit.C - [6e-3, 3.5e-3, 7e-3]) < 3 * fit.C_stderr).all()
         assert (fit.depth_to[:-1].values < fit.depth_from[1:].values).all()
     with pytest.raises(InputError, match="segments: makes the groups; leave out along and by"):
@@ -201,41 +201,41 @@ def test_formations_have_laws_of_their_own_by_column_or_by_the_data(tmp_path):
         fit_quietly(trial_data("onset", 0.03, count=2).drop_attrs(), segments=True)
 
 
-def test_segments_are_found_where_the_law_changes_and_nowhere_else():
+def test_segments_change_only_with_the_law():
     rng = np.random.default_rng(3)
-    alone, hits = 0, 0
+    correct_single, correct_three = 0, 0
     for _ in range(20):
         eta = rig_logs.weights((600,), rng) / D
         law = rig_logs.LAWS["onset"](eta, C, ETA0, 0)
         noise = 0.05 * law.mean() * rig_logs.correlated((600,), CORRELATION, rng)
-        alone += segments(eta, np.maximum(law + noise, 0)).max() == 0
+        correct_single += segments(eta, np.maximum(law + noise, 0)).max() == 0
         changes = np.flatnonzero(np.diff(segments(eta, np.maximum(law * np.repeat([1, 0.6, 1.2], 200) + noise, 0)))) + 1
-        hits += changes.size == 2 and bool((abs(changes - [200, 400]) <= 10).all())
-    assert alone >= 19 and hits >= 19
+        correct_three += changes.size == 2 and bool((abs(changes - [200, 400]) <= 10).all())
+    assert correct_single >= 19 and correct_three >= 19
     assert segments(np.ones(20), np.ones(20)).max() == 0 and segments(np.ones(200), np.zeros(200)).max() == 0
 
 
-def test_few_rows_are_compared_by_aic_alone(tmp_path):
+def test_few_rows_are_compared_only_by_aic(tmp_path):
     few = rig_logs.write(tmp_path / "few.csv", "witsml", rig_logs.drilling(LEAST_ROWS - 1))
     fit = fit_quietly(few, columns={"rock": "granite"})
     assert (fit.standing == Standing.NOT_COMPARED).all() and fit.cv_error.isnull().all()
     assert any("lowest AIC" in line for line in verdict(fit))
 
 
-def test_the_picture_of_a_log_has_c_of_every_form_that_is_not_rejected(tmp_path):
+def test_picture_shows_only_forms_that_are_not_rejected(tmp_path):
     rows = rig_logs.drilling(noise=0.01, law="line")
     fit = fit_quietly(rig_logs.write(tmp_path / "line.csv", "usrop", rows), columns={"rock": "granite"})
     figure = vj.picture(fit)
     coefficient, _, data = figure.axes
     assert [text.get_text() for text in coefficient.get_xticklabels()] == ["line"]
-    assert len(data.collections) == 1  # the band of the line, and none of the rejected forms
+    assert len(data.collections) == 1  # the band of the line only
     assert "not percussive data" in " ".join(text.get_text().replace("\n", " ") for text in figure.texts)
 
 
 # the command
 
 
-def test_the_command_says_what_it_read_dropped_and_chose(logs, tmp_path, monkeypatch, capsys):
+def test_command_reports_rows_and_chosen_form(logs, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["fit", str(logs["las"]), "--columns", "rock=granite"]) == 0
     out = capsys.readouterr().out

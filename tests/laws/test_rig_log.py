@@ -1,4 +1,4 @@
-"""Rig logs as they are: dialects with their traps, what is dropped and why, and bad files, refused in one line."""
+"""Test reading of rig logs: dialects, dropped rows with reasons, and one-line refusals of bad files."""
 
 import sys
 from pathlib import Path
@@ -22,7 +22,7 @@ def logs(tmp_path_factory):
 
 
 def pason(folder, **changes):
-    """A log of 12 rows without traps, with columns replaced by `changes` (a dict of header: cells)."""
+    """Write a log of 12 rows without traps, with columns replaced by `changes` (header: cells), and return its path."""
     path = rig_logs.write(folder / "log.csv", "pason", rig_logs.drilling(12))
     header, *lines = (line.split(",") for line in path.read_text().splitlines())
     for name, cells in changes.items():
@@ -33,12 +33,12 @@ def pason(folder, **changes):
 
 
 @pytest.mark.parametrize("name", list(rig_logs.DIALECTS))
-def test_a_dialect_is_detected_and_its_traps_are_dropped(logs, name):
-    """All that remains is the drilling, in SI units; what was dropped is counted by reason."""
+def test_dialect_is_detected_and_its_traps_are_dropped(logs, name):
+    """Only drilling rows remain, in SI units. Dropped rows are counted by reason."""
     planted, (_, traps) = rig_logs.drilling(), rig_logs.with_traps(rig_logs.drilling())
     log = read_log(logs[name])
     assert log.dialect == name.partition("-")[0] and log.rows_read == len(planted["depth"]) + sum(traps.values())
-    assert {reason: about["rows"] for reason, about in table_of(log, "dropped").items()} == traps
+    assert {reason: entry["rows"] for reason, entry in table_of(log, "dropped").items()} == traps
     names = {"depth": "depth", "rate_of_penetration": "rate", "weight_on_bit": "weight"}
     for quantity, column in names.items():
         np.testing.assert_allclose(log[quantity], planted[column], rtol=1e-12)
@@ -46,10 +46,10 @@ def test_a_dialect_is_detected_and_its_traps_are_dropped(logs, name):
     for quantity in ("torque", "flow", "pressure"):
         if quantity in log:
             np.testing.assert_allclose(log[quantity], planted[quantity], rtol=1e-12)
-    assert ("torque" in log) == (name != "pason-processed")  # there it is a pressure
-    said = "\n".join(log_lines(log))
-    assert f"dialect {log.dialect}: " in said and "dropped 6 of 406 rows" in said
-    assert "missing weight: 2 (line" in said and ("is left out" in said) == (name == "pason-processed")
+    assert ("torque" in log) == (name != "pason-processed")  # the column is a pressure there
+    lines = "\n".join(log_lines(log))
+    assert f"dialect {log.dialect}: " in lines and "dropped 6 of 406 rows" in lines
+    assert "missing weight: 2 (line" in lines and ("is left out" in lines) == (name == "pason-processed")
     last = logs[name].read_text().splitlines()[int(log.line[-1]) - 1]
     assert last == logs[name].read_text().splitlines()[-1]
 
@@ -65,26 +65,26 @@ def test_times_are_seconds_since_the_first_row(logs, tmp_path):
 
 
 def test_units_and_columns_and_dialects_can_be_overridden(logs, tmp_path):
-    own = read_log(logs["rigcloud"])
+    rigcloud = read_log(logs["rigcloud"])
     metric = read_log(logs["rigcloud"], units={"weight_on_bit": "t"})
-    ratio = (metric.weight_on_bit / own.weight_on_bit).values
+    ratio = (metric.weight_on_bit / rigcloud.weight_on_bit).values
     np.testing.assert_allclose(ratio, 9806.65 / 4448.2216152605)
     assert table_of(metric, "columns")["weight_on_bit"] == {"column": "Weight on Bit", "unit": "t", "assumed": False}
     given = {"bit_diameter": "8.5 in", "rate_of_penetration": "ROP(1 m) (m/h)"}
     log = read_log(logs["pason-processed"], columns=given)
     np.testing.assert_allclose(log.bit_diameter, 0.2159)
-    np.testing.assert_allclose(log.rate_of_penetration, own.rate_of_penetration, rtol=1e-12)
+    np.testing.assert_allclose(log.rate_of_penetration, rigcloud.rate_of_penetration, rtol=1e-12)
     with pytest.raises(InputError, match='dialect: "pasen" is unknown; did you mean "pason"'):
         read_log(logs["pason"], dialect="pasen")
-    forced = read_log(logs["witsml"], dialect="rigcloud")  # the same names in other units
-    np.testing.assert_allclose(forced.weight_on_bit[:100], 4448.2216152605 * own.weight_on_bit[:100])
+    forced = read_log(logs["witsml"], dialect="rigcloud")  # same names, other units
+    np.testing.assert_allclose(forced.weight_on_bit[:100], 4448.2216152605 * rigcloud.weight_on_bit[:100])
     assert forced.detected == "as the user says"
     fast = read_log(logs["pason"], fastest="3000 ft/h")
-    assert fast.sizes["row"] == own.sizes["row"] + 1 and "rate beyond reason" not in table_of(fast, "dropped")
+    assert fast.sizes["row"] == rigcloud.sizes["row"] + 1 and "rate beyond reason" not in table_of(fast, "dropped")
 
 
-def test_a_bit_off_the_bottom_and_outliers_of_depth_are_no_drilling(tmp_path):
-    """One outlier costs one row, not all rows behind it."""
+def test_rows_off_bottom_and_depth_outliers_are_dropped(tmp_path):
+    """An outlier costs only its own row, not the rows after it."""
     depths = (rig_logs.drilling(12)["depth"] / rig_logs.FOOT).tolist()
     path = pason(tmp_path, **{"Hole Depth (feet)": [*depths[:4], 9e4], "Bit Depth (feet)": [*depths[:4], 9e4, 0.0]})
     dropped = table_of(read_log(path), "dropped")
@@ -98,7 +98,7 @@ ROWS = "10,20,30,120\n11,22,33,121\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("Depth (m),WOB (kN),ROP (m/h),RPM (rpm)\n" + ROWS, "dialect generic"),
         ('\ufeffDepth (m),"WOB (kN)",ROP (M_PER_HR),RPM (rpm)\r\n' + ROWS + "\r\n\r\n", "dialect generic"),
@@ -109,17 +109,17 @@ ROWS = "10,20,30,120\n11,22,33,121\n"
     ],
     ids=["plain", "byte-order-mark", "row-of-units", "commas-in-names", "german-thousands", "us-thousands"],
 )
-def test_exports_are_read_without_editing(tmp_path, text, said):
+def test_exports_are_read_without_editing(tmp_path, text, expected):
     (tmp_path / "log.csv").write_bytes(text.encode())
     log = read_log(tmp_path / "log.csv")
     np.testing.assert_allclose(log.depth, [10, 11])
     np.testing.assert_allclose(log.weight_on_bit, [20e3, 22e3])
     np.testing.assert_allclose(log.rate_of_penetration, np.array([30, 33]) / 3600)
     np.testing.assert_allclose(log.rotary_speed, np.array([120, 121]) * 2 * np.pi / 60)
-    assert said in "\n".join(log_lines(log))
+    assert expected in "\n".join(log_lines(log))
 
 
-def test_a_log_in_windows_1252_is_read_and_it_is_said(tmp_path):
+def test_windows_1252_is_read_with_a_warning(tmp_path):
     (tmp_path / "log.csv").write_bytes("Depth (m),WOB (kN),Temp (\xb0C)\n1,2,3\n".encode("cp1252"))
     with pytest.warns(UserWarning, match=r"log.csv: not UTF-8 \(byte 25\), read as Windows-1252"):
         assert "Temp (\xb0C)" in read_log(tmp_path / "log.csv").coords
@@ -138,7 +138,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("kind", list(BAD))
-def test_bad_cells_are_refused_by_column_and_line(tmp_path, kind):
+def test_bad_cells_are_refused_with_column_and_line(tmp_path, kind):
     changes, line = BAD[kind]
     with pytest.raises(InputError) as caught:
         read_log(pason(tmp_path, **changes))
@@ -202,7 +202,7 @@ def test_wrong_arguments_are_refused(logs):
         read_log(logs["rigcloud"], units={"rate_of_penetration": "kN"})
 
 
-def test_las_needs_lasio(logs, monkeypatch):
+def test_las_requires_lasio(logs, monkeypatch):
     monkeypatch.setitem(sys.modules, "lasio", None)
     with pytest.raises(InputError, match=r'lasio, which is not installed; pip install "vibrojax\[las\]"'):
         read_log(logs["las"])

@@ -1,4 +1,4 @@
-"""The source's own question: C over force and stiffness, from pulses that are simulated (the reproduction's R8)."""
+"""Test the source's dependence of C on force and stiffness with simulated pulses (R8 of the reproduction)."""
 
 import numpy as np
 import pytest
@@ -19,14 +19,14 @@ def fit():
     return vj.fit_rop(vj.run_sweep(SWEEP, progress=False), progress=False)
 
 
-def test_c_in_the_listings_rate(fit):
-    """The listing's rate is slip times 2 pi f; in true units C is 2 pi times less."""
+def test_c_matches_listing(fit):
+    """The listing's rate is slip times 2 pi f, so its C is larger by a factor of 2 pi."""
     listed = 2 * np.pi * fit.C.sel(form="onset")
     np.testing.assert_allclose(listed, [[0.0605, 0.121, 0.1865], [0.0507, 0.1009, 0.1541]], rtol=2e-3)
 
 
-def test_along_frequency_the_law_is_a_line_through_zero(fit):
-    """Each blow slips as far, however often it falls: the rate is in proportion to the relief, and the log a chord."""
+def test_law_along_frequency_is_a_line_through_zero(fit):
+    """Each impact slips equally far at any frequency, so the rate is proportional to the relief and not logarithmic."""
     assert abs(fit.eta0.sel(form="line")).max() < 1e-9
     np.testing.assert_allclose(fit.exponent.sel(form="power"), 1, rtol=1e-9)
     np.testing.assert_allclose(fit.C.sel(form="power"), fit.C.sel(form="line"), rtol=1e-9)

@@ -1,4 +1,4 @@
-"""Fits of many sets of data without checks of types, which take longer than the fits; single fits are checked."""
+"""Context without run-time type checks, which take longer than the fits of many data sets. Single fits are checked."""
 
 from contextlib import contextmanager
 
