@@ -1,10 +1,12 @@
-"""What a start costs, in processor time, of bSTAB's friction oscillator: `python tests/benchmarks/basin_shares.py`.
+"""Measure the processor time per start of bSTAB's friction oscillator: `python tests/benchmarks/basin_shares.py`.
 
-5,000 starts in the box of Stender and Hoffmann (Nonlinear Dynamics 2021), 500 s each, at a belt speed of 1.5: the share
-that ends in steady sliding. Here with exact switches, steps for an error of 1e-4, and labels, measures and error
-estimates of every lane. With `pybasin` as an argument, in an environment that has pybasin and jax (vibrojax is not
-needed there), by its solver alone: with the settings of its own case study, whose friction is smoothed by tanh(200 u),
-without its features and its classifier. Processor time of the process: user and system, all cores.
+It computes the share of steady sliding for 5,000 starts in the box of Stender and Hoffmann (Nonlinear Dynamics 2021),
+500 s each, at a belt speed of 1.5. vibrojax uses exact switches and steps for an error of 1e-4, and gives labels,
+measures and error estimates of every lane.
+
+With the argument `pybasin`, pybasin's solver computes the share. Its environment needs pybasin and jax, but not
+vibrojax. The settings are those of pybasin's own case study, whose friction is smoothed by tanh(200 u), without its
+features and its classifier. The time is the processor time of the process: user and system, all cores.
 """
 
 import sys
@@ -18,13 +20,13 @@ STARTS, SETTLE, OBSERVE, SPEED = 5000, 400.0, 100.0, 1.5
 
 
 def ours(end_early: bool = True) -> float:
-    """Share of starts that end without sticking; settled lanes end early, or every lane is stepped to its end."""
+    """Return the share of starts that end without sticking; settled lanes may end early."""
     sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
     from known_scenes import BeltOscillator
 
     import vibrojax as vj
 
-    box = {"x1": [-2.0, 2.0], "v1": [-2.0, 0.0]}  # the belt goes the other way, so the box is mirrored
+    box = {"x1": [-2.0, 2.0], "v1": [-2.0, 0.0]}  # the belt moves in the other direction, so the box is mirrored
     starts = {"sample": "random", "count": STARTS, "seed": 1, "box": box}
     run = {"settle": SETTLE, "observe": OBSERVE, "end_early": end_early}
     tables = {"scene": BeltOscillator(), "starts": starts, "parameters": {"v": SPEED}, "run": run}
@@ -33,7 +35,7 @@ def ours(end_early: bool = True) -> float:
 
 
 def pybasin() -> float:
-    """The same share by pybasin's solver: starts whose velocity stays small in the end."""
+    """Return the same share by pybasin's solver: starts whose velocity is small at the end."""
     import jax.numpy as jnp
     import torch
     from pybasin.solvers import JaxSolver

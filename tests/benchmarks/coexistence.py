@@ -1,11 +1,11 @@
-"""How many attractors coexist over the default map, what `drive` and `stuck` miss, and what is irregular there.
+"""Count the attractors over the default map, those that `drive` and `stuck` miss, and the natures of irregular lanes.
 
     python tests/benchmarks/coexistence.py FOLDER [EVERY]     # attractors from 64 starts at a point: 264,960 lanes
-    python tests/benchmarks/coexistence.py FOLDER natures     # of the irregular lanes, and when run four times as long
+    python tests/benchmarks/coexistence.py FOLDER natures     # irregular lanes, also when run four times as long
 
-EVERY takes every so many values of either axis, from the second on: 4 makes 16,896 lanes. A printout, not a test: some
-ten minutes of processor time each, and a minute or two with EVERY 4. The lanes stay in FOLDER, so that it goes on
-where it was interrupted. What it last said stands in tests/benchmarks/README.md.
+EVERY takes every EVERY-th value of either axis, from the second on: 4 gives 16,896 lanes. A printout, not a test. Each
+run takes about ten minutes of processor time, or one to two minutes with EVERY 4. The lanes stay in FOLDER, so that an
+interrupted run resumes. The latest results are in tests/benchmarks/README.md.
 """
 
 import sys
@@ -29,7 +29,7 @@ MAP = {"scene": "vibro-impact", "parameters": {"v": 1.5}, "grid": GRID}
 
 
 def attractors(folder: Path, every: int = 1) -> None:
-    """Print the attractors at points, and how often the scene's own starts miss that of the greatest share."""
+    """Print the attractors at points, and how often the named starts miss the one with the largest share."""
     axes = {"beta": BETA, "gamma": GAMMA}
     grid = {name: np.linspace(*axis.values())[every > 1 :: every].tolist() for name, axis in axes.items()}
     tables = MAP | {"grid": grid | {"delta": GRID["delta"]}, "starts": STARTS}
@@ -53,7 +53,7 @@ def attractors(folder: Path, every: int = 1) -> None:
 
 
 def what_is_irregular() -> None:
-    """The natures of the irregular lanes from `drive` and `stuck`, and which change on every fourth point."""
+    """Print the natures of the irregular lanes from `drive` and `stuck`, and the changes on every fourth point."""
     run = {"lyapunov": True}
     one = vj.run_sweep(MAP | {"run": run})
     irregular = one.regime.values == IRREGULAR

@@ -2,7 +2,7 @@
 
     python tests/benchmarks/compilers.py
 
-A printout, not a test. Each run is a process of its own; jax's persistent cache is on for both compilers.
+A printout, not a test. Each run is a separate process; jax's persistent cache is on for both compilers.
 """
 
 import os

@@ -2,8 +2,8 @@
 
     python tests/benchmarks/curves.py
 
-Families along one parameter are followed on several lines of the other one. The special points of each family are
-continued across all lines. A crossing counts if a family on that line has a special point of its kind nearby.
+`follow` continues branches along one parameter on several lines of the other one. The special points of each branch are
+continued across all lines. A crossing counts if a branch on that line has a special point of its kind nearby.
 """
 
 import time
@@ -28,11 +28,11 @@ CASES = [
     ("gamma", 0.75, (0.3, 1.6), "v", (0.3, 3.0), np.linspace(0.8, 2.0, 7), "stuck", STRONG | {"beta": 0.4}),
     ("beta", 0.4, (0.1, 1.2), "delta", (-0.01, 0.01), np.linspace(-0.006, 0.006, 7), "stuck", {"gamma": 0.75}),
 ]
-"""Parameter of the families, its first value and bounds; second parameter, its bounds and lines; start; parameters."""
+"""Parameter of the branches, its first value and bounds; second parameter, its bounds and lines; start; parameters."""
 
 
 def compare(case: tuple) -> tuple[dict[str, list[float]], int, float]:
-    """Return the differences by kind, the number of curves, and the time that the curves took [s]."""
+    """Return the differences by kind, the number of curves, and their computing time [s]."""
     along, at, span, by, bounds, lines, start, fixed = case
     common = {"along": along, "at": at, "span": span, "start": start, "cycles": 2, "progress": False}
     family = vj.follow("vibro-impact", **common, **fixed, **{by: lines.tolist()})
@@ -47,7 +47,7 @@ def compare(case: tuple) -> tuple[dict[str, list[float]], int, float]:
         kind = str(problem.kinds[curve.number])
         for line, value in enumerate(lines):
             if value == spec.parameters[by][curve.number]:
-                continue  # the curve began there
+                continue  # the curve began on this line
             for part in curve.parts:
                 for point in crossings(problem, part, 1, float(value)):
                     place = problem.values(point.family, point.u)[0, 0]

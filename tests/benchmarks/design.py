@@ -1,10 +1,11 @@
-"""Designs against maps ten times as fine per axis, and against CMA-ES and random search.
+"""Compare designs with maps ten times as fine per axis, and with CMA-ES and random search.
 
     python tests/benchmarks/design.py [maps] [draws] [search]
 
-`maps`: of the three bundled designs, objective and lanes of the design, and of the best cell of a map ten times as fine
-per axis whose corners hold as well. `draws`: how many of 200 random draws within the tolerances keep the constraints.
-`search`: lanes of CMA-ES (package cma) and of random search until they reach 99.9 % of a design of six parameters.
+`maps`: for the three bundled designs, compare objective and number of lanes with the best cell of a finer map whose
+corners are feasible as well. `draws`: count the random draws within the tolerances, of 200, that satisfy the
+constraints. `search`: count the lanes of CMA-ES (package cma) and of random search until they reach 99.9 % of a design
+of six parameters.
 """
 
 import sys
@@ -49,7 +50,7 @@ def maps(name: str) -> None:
     fine = time.process_time() - began
     order = sorted((k for k, a in enumerate(found) if a.feasible), key=lambda k: -found[k].objective)
     print(f"  map {FINE} x {FINE}: {simulator.lanes} lanes, {fine:.1f} s; best cell {found[order[0]].objective:.6g}")
-    for k in order:  # the corners only of cells that may be the best
+    for k in order:  # corners are needed only for candidates for the best cell
         lanes = simulator(np.repeat(unit[k][None], len(corners), axis=0), corners)
         if assess(lanes, spec, spec.constraints).feasible:
             print(f"  best cell whose corners hold: {found[k].objective:.6g}; corners of all cells: "
@@ -86,7 +87,7 @@ def search() -> None:
 
 
 def costs(spec: DesignSpec, simulator: Simulator, unit: np.ndarray) -> np.ndarray:
-    """Return what is minimised: minus the objective of feasible points, else a penalty."""
+    """Return the quantity to minimise: minus the objective of feasible points, else a penalty."""
     lanes = simulator(unit, np.zeros((len(unit), 0)))
     found = [assess(lanes.part(slice(k, k + 1)), spec, spec.constraints) for k in range(len(unit))]
     return np.array([-a.objective if a.feasible else 1e3 * a.badness for a in found])

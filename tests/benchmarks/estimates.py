@@ -1,10 +1,10 @@
-"""What `--dry-run` says of every bundled sweep beside what it takes, in seconds of processor time.
+"""Compare the estimates of `--dry-run` with measurements for each bundled sweep, in seconds of processor time.
 
     python tests/benchmarks/estimates.py [NAME ...]
 
-A printout, not a test: a table with the ratios, and the constants of `vibrojax/sweep/engine/costs.py` as
-they are on this machine and with this jax. Each sweep runs in a process of its own, with nothing compiled before. It
-takes five minutes; other work on the machine disturbs little, since only the process's own time counts.
+A printout, not a test: a table with the ratios, and the constants of `vibrojax/sweep/engine/costs.py` on this machine
+with this version of jax. Each sweep runs in a separate process with an empty cache. The benchmark takes five minutes.
+Other work on the machine has little effect, since only the processor time of the process counts.
 """
 
 import json
@@ -24,17 +24,17 @@ from vibrojax.sweep.input.read import read_sweep
 from vibrojax.sweep.input.source import bundled_names
 
 WITHIN = 2.0
-"""Factor within which the estimates are meant to be."""
+"""Factor within which the estimates should be."""
 
 
 def processor() -> float:
-    """Seconds of processor time of this process."""
+    """Return the processor time of this process [s]."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
 
 
 def timed(kind: type, method: str, spent: dict[str, float]) -> None:
-    """Have the time that a method takes added up in `spent`."""
+    """Add up the time of a method in `spent`."""
     plain = getattr(kind, method)
 
     def call(*given: object) -> object:
@@ -48,7 +48,7 @@ def timed(kind: type, method: str, spent: dict[str, float]) -> None:
 
 
 def one(name: str) -> None:
-    """Run a sweep in this process, as the command does, and print what it was said to take and what it took."""
+    """Run a sweep in this process, as the command does, and print estimated and measured times."""
     chunks = Chunks(read_sweep(name))
     said = processor_time(chunks)
     spent: dict[str, float] = {}
@@ -63,7 +63,7 @@ def one(name: str) -> None:
 
 
 def in_its_own_process(name: str) -> dict:
-    """What `one` prints, from a process that finds nothing compiled."""
+    """Return the output of `one` from a process with an empty cache."""
     with tempfile.TemporaryDirectory() as cache:
         environment = os.environ | {"VIBROJAX_CACHE": cache, "MPLBACKEND": "agg"}
         command = [sys.executable, __file__, "--one", name]
@@ -72,7 +72,7 @@ def in_its_own_process(name: str) -> dict:
 
 
 def table(names: list[str]) -> None:
-    """Run them, and print what there is to say."""
+    """Run the sweeps and print the table."""
     print(f"jax {jax.__version__}; seconds of processor time: said, took\n")
     print(f"{'':24}{'start':>14}{'compile':>14}{'step':>14}{'all':>14}  said/took")
     ratios, rows = [], []
@@ -89,7 +89,7 @@ def table(names: list[str]) -> None:
 
 
 def fitted(rows: list[dict]) -> None:
-    """Print the constants that would have been right: means over the scenes' sweeps."""
+    """Print the constants that match the measurements: means over the sweeps of each scene."""
     slower = sum(row["slowness"] for row in rows) / len(rows)
     start, compiling = (sum(row["took"][i] / row["slowness"] for row in rows) / len(rows) for i in (0, 1))
     step = STEP_SECONDS * sum(row["took"][2] for row in rows) / sum(row["said"][2] for row in rows)

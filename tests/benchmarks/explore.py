@@ -1,9 +1,9 @@
-"""How long a page takes to show its first map, and a click to show a cell's motion, in a Chromium of this machine.
+"""Measure the time until a page shows its first map, and from a click to a cell's motion, in a local Chromium.
 
     python tests/benchmarks/explore.py PAGE.html
 
-By the clock: the first map from the navigation's beginning, a click from the event to the drawn plots, of cells all
-over the page. And in processor time of the page's main thread, which other work on the machine does not lengthen much.
+Wall times are from the start of the navigation to the first map, and from a click to the drawn plots, for cells across
+the page. Processor times are those of the page's main thread, on which other work on the machine has little effect.
 """
 
 import sys
@@ -55,7 +55,7 @@ def main(path: Path) -> None:
 
 
 def busy(session: Any) -> float:
-    """Processor time [ms] that the page's main thread has spent in tasks."""
+    """Return the processor time [ms] of the page's main thread in tasks."""
     metrics = {one["name"]: one["value"] for one in session.send("Performance.getMetrics")["metrics"]}
     return 1e3 * metrics["TaskDuration"]
 

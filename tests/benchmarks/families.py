@@ -1,8 +1,8 @@
-"""How fast families are followed, and borders found: `python tests/benchmarks/families.py`, a minute.
+"""Measure the speed of continuation and of borders: `python tests/benchmarks/families.py`, a minute.
 
-Families of the usual drill over gamma, 0.3 to 1.6, from the strong single impact at as many mass ratios: 10, 100 and
-400 at once, without doubled branches and with those of two returns; warm. Then the borders of the default map, the map
-given.
+Branches of the default drill over gamma, 0.3 to 1.6, start from the strong single impact at 10, 100 and 400 mass ratios
+at once. They run without doubled branches and with those of two returns, after compilation. Then come the borders of
+the given default map.
 """
 
 import time
@@ -18,7 +18,7 @@ SPAN = (0.3, 1.6)
 
 
 def problem(count: int) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
-    """The equations of so many families, and where they begin."""
+    """Return the equations of `count` branches, and their initial points."""
     betas = np.linspace(0.26, 0.6, count).tolist()
     asked = family_spec("vibro-impact", "gamma", 0.72, SPAN, "stuck", 40.0, 8.0, 8, {"beta": betas})
     return problem_of(asked, vj.run_sweep(asked.sweep, progress=False))

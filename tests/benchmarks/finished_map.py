@@ -1,4 +1,4 @@
-"""Time to the finished map: from a fresh process, with the compile cache, and of the lanes alone, early ends and none.
+"""Time the finished map: from a fresh process, with the compile cache, and the lanes alone with and without early ends.
 
     python tests/benchmarks/finished_map.py
 
@@ -29,7 +29,7 @@ REPEATS = 5
 
 
 def process(*command: str, cache: str | None = None) -> float:
-    """Seconds of a fresh process."""
+    """Return the wall time of a fresh process [s]."""
     environment = os.environ | {"VIBROJAX_CACHE": cache or "off"}
     began = time.perf_counter()
     subprocess.run(command, env=environment, check=True, capture_output=True)

@@ -1,11 +1,13 @@
-"""How fast finished chunks become a dataset, beside writing the same bytes and nothing else.
+"""Compare the time to join finished chunks into a dataset with that of writing the same bytes alone.
 
     python tests/benchmarks/joining.py [LANES [FOLDER]]
 
-The chunks of a map of so many lanes (2,000,000) are laid out in FOLDER (the current one), its first ones over and over.
-Then, three times in turns: the bytes of the dataset are written to a file, as `dd conv=fsync` does; the chunks are
-joined. A printout, not a test: bytes per second by the clock, and the processor time that it took. Nothing else should
-run meanwhile; the system should have the chunks in its memory still, as after a sweep, or they are read from the disk.
+The chunks of a map of LANES lanes (2,000,000) are written to FOLDER (the current one), as repeated copies of the first
+ones. Then, three times in turn, the bytes of the dataset are written to a file as `dd conv=fsync` does, and the chunks
+are joined. A printout, not a test: bytes per second of wall time, and the processor time.
+
+Nothing else should run meanwhile. The chunks should still be in the file cache, as after a sweep; otherwise they are
+read from disk.
 """
 
 import os
@@ -21,18 +23,18 @@ from vibrojax.io.targets import file_target
 from vibrojax.sweep.input.read import read_sweep
 
 COMPUTED = 16
-"""Chunks that are really computed."""
+"""Number of chunks that are computed."""
 
 
 def taken(what, *given) -> tuple[float, float]:
-    """Seconds by the clock, and of processor time."""
+    """Return the wall time and the processor time of a call [s]."""
     clock, processor = time.monotonic(), time.process_time()
     what(*given)
     return time.monotonic() - clock, time.process_time() - processor
 
 
 def written(path: Path, size: int) -> None:
-    """So many bytes, that no disk packs, on the disk."""
+    """Write `size` bytes that no disk can compress."""
     block = os.urandom(1 << 20)
     with open(path, "wb") as file:
         for _ in range(size >> 20):
@@ -64,7 +66,7 @@ def main(lanes: int = 2_000_000, at: str = ".") -> None:
                 features = {name: x[:width] if x.ndim else x for name, x in some[index % len(some)].items()}
                 shards.write(index, features)
             read = sum(path.stat().st_size for path in shards.folder.iterdir())
-            joined()  # what is compiled is no part of it
+            joined()  # the first call compiles
             size = out.stat().st_size
             print(f"{lanes} lanes, {count} chunks of {read / 1e6:.0f} MB together; dataset {size / 1e6:.0f} MB")
             for _ in range(3):

@@ -1,10 +1,11 @@
-"""What a step of a lane costs: ns per lane-step and lane-seconds per second, of both steppers, on one core and on two.
+"""Measure the cost of a lane-step: ns per lane-step and lane-seconds per second, for both steppers, on one and two
+cores.
 
     python tests/benchmarks/lane_steps.py [--platform NAME]
 
-A printout, not a test: nothing is asserted. The lanes lie over the regime map. With `--platform`, XLA compiles the
-lanes for jax's devices of that platform, such as gpu, with the settings for accelerators. `--platform cpu` thus shows
-on a CPU what an accelerator would run.
+A printout, not a test. The lanes cover the regime map. With `--platform`, XLA compiles the lanes for jax's devices of
+that platform, such as gpu, with the settings for accelerators. `--platform cpu` thus shows on a CPU what an accelerator
+would run.
 """
 
 import argparse
@@ -58,7 +59,7 @@ ROTARY = vj.System(
 
 
 def sweep(lanes: int, run: dict):
-    """`lanes` points over the regime map, from both starts in turn."""
+    """Return a sweep of `lanes` points over the regime map, with the two starts in turn."""
     rows = 16
     columns = lanes // rows
     beta, gamma = np.meshgrid(np.linspace(0.1, 1.2, rows), np.linspace(0.3, 1.2, columns), indexing="ij")
@@ -69,14 +70,14 @@ def sweep(lanes: int, run: dict):
 
 
 def once(chunks: Chunks) -> tuple[float, float]:
-    """Seconds of one run of the lanes, without a check run, and the lane-steps it took."""
+    """Return the time of one run of the lanes [s], without a check run, and its number of lane-steps."""
     began = time.perf_counter()
     found = chunks.at(chunks.accuracy)
     return time.perf_counter() - began, float(found["steps"].sum())
 
 
 def as_on_accelerator(chunks: Chunks) -> Chunks:
-    """Chunks whose lanes XLA compiles, with the settings for accelerators, for all devices of jax's platform."""
+    """Return the chunks, set up for XLA with the settings for accelerators, on all devices of jax's platform."""
     engine, devices = chunks.engine, jax.local_devices()
     engine.workers, engine.accelerated = devices, True
     engine.programs = Programs(engine.programs.kind, np.dtype(chunks.sweep.run.precision), "accelerator")
@@ -84,7 +85,7 @@ def as_on_accelerator(chunks: Chunks) -> Chunks:
 
 
 def rotary(scene, lanes: int = 3000):
-    """Lanes of `rotary`, or of the same equations as a system."""
+    """Return a sweep of `rotary`, or of the same equations as a system."""
     grid = {
         "gamma": {"start": 0.4, "stop": 1.2, "num": 60},
         "beta": {"start": 0.2, "stop": 0.8, "num": lanes // 60},
@@ -94,7 +95,7 @@ def rotary(scene, lanes: int = 3000):
 
 
 def measured(definition, cores: int, accelerator: bool = False) -> dict:
-    """Compile time, and by the median run, what a lane-step costs and how many lane-seconds a second gives."""
+    """Return the compile time, and the cost of a lane-step and the lane-seconds per second of the median run."""
     chunks, lanes = Chunks(definition), definition.lanes
     if accelerator:
         as_on_accelerator(chunks)
@@ -117,7 +118,7 @@ def measured(definition, cores: int, accelerator: bool = False) -> dict:
 
 
 def processor() -> str:
-    """The name of the processor."""
+    """Return the name of the processor."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]

@@ -1,8 +1,8 @@
-"""How many labels change between 40 and 300 s of settling, and how many of these the orbits nearby foretell.
+"""Count the labels that change between 40 and 300 s of settling, and those that nearby orbits predict.
 
     python tests/benchmarks/long_transients.py
 
-A printout, not a test; some 20 s. What it last said stands in tests/hard/README.md.
+A printout, not a test; about 20 s. The latest results are in tests/hard/README.md.
 """
 
 import numpy as np

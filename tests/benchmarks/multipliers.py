@@ -1,4 +1,4 @@
-"""Multipliers of random orbits beside the exact motion's (tests/exact), a line per friction law.
+"""Compare the multipliers of random orbits with those of the exact motion (tests/exact), one line per friction law.
 
 python tests/benchmarks/multipliers.py [ORBITS]
 """

@@ -2,7 +2,7 @@
 
     python tests/benchmarks/peers.py [--quick] [-o FILE] [--only NAME ...]
 
-Nothing else should run meanwhile. It takes about eight minutes on two cores; --quick, under one, shows that it works.
+Nothing else should run meanwhile. It takes about eight minutes on two cores; --quick is a trial run under one minute.
 """
 
 import argparse
@@ -35,7 +35,7 @@ def main() -> None:
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:CORES])
     settle, observe = (4.0, 2.0) if asked.quick else (12.0, 4.0)
-    ours = Ours()  # compiled first: the reference uses the same program
+    ours = Ours()  # compiled first, since the reference uses the same program
     known = judged(32, 8, settle, observe, settled=1e-2) if asked.quick else judged(192, 32, settle, observe)
     peers = [ours] + [peer() for peer in PEERS if any(name in peer.name for name in asked.only)]
     results = [raced(peer, known, settle, observe, asked.quick) for peer in peers]

@@ -1,9 +1,10 @@
-"""What limits a time step: operations and accesses of the compiled loops, waiting lanes, and the bound they give.
+"""Find the limits of a time step: operations and accesses of the compiled loops, waiting lanes, and the resulting
+bound.
 
     python tests/benchmarks/roofline.py
 
-A printout, not a test: nothing is asserted. It needs objdump. With numba, it also runs the loop that is compiled for
-this one scene, on the same lanes in turns. All times are processor times of one thread.
+A printout, not a test. It needs objdump. With numba, it also runs the loop that is compiled for this scene alone, on
+the same lanes in turn. All times are processor times of one thread.
 """
 
 import os
@@ -101,7 +102,8 @@ def kernels() -> None:
     rows: dict[str, list[tuple[float, float, float]]] = {"settle": [], "observe": []}
     group = max(KERNEL_REGISTERS.values()) * native.vector_bytes() // 8
     for _ in range(REPEATS):
-        batch = engine.settle([engine.start(0, LANES, chunks.accuracy)], SETTLE / 4)[0]  # lanes are then sorted by pace
+        # lanes are then sorted by speed
+        batch = engine.settle([engine.start(0, LANES, chunks.accuracy)], SETTLE / 4)[0]
         order, before = np.argsort(-batch.recent, kind="stable"), batch.underway.steps.sum()
         seconds, [batch] = timed(lambda batch=batch: engine.settle([batch]))
         rows["settle"].append((seconds, batch.underway.steps.sum() - before, waiting(batch.recent, order, group)))
@@ -130,7 +132,7 @@ def kernels() -> None:
 
 
 def loop() -> None:
-    """Print the time of the loop compiled for this scene and ours, without certificate, on the same lanes."""
+    """Print the times of the loop compiled for this scene and of ours, without certificate, on the same lanes."""
     points = box()[np.arange(LANES)]
     run = {"error": 1e-1, "settle": SETTLE, "observe": OBSERVE, "chunk": LANES}
     chunks = Chunks(read_sweep({"scene": "vibro-impact", "points": columns(points), "run": run}))

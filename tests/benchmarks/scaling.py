@@ -1,13 +1,13 @@
-"""Where the processor time of a sweep goes, and what it leaves for more threads.
+"""Measure the processor time of the parts of a sweep, and the limits of using more threads.
 
     python tests/benchmarks/scaling.py [SCALE [THREADS ...]]
 
 SCALE multiplies the number of lanes.
 
-A printout, not a test: nothing is asserted. It takes a minute. Native code runs without the interpreter lock. All
-other processor time is an upper bound of the time with the lock, because numpy releases it in large operations. The
-time with the lock itself is sampled: a thread without the lock reads the interpreter's flag 20,000 times a second. This
-needs a C compiler, and works with the versions of Python that keep the flag where it is expected.
+A printout, not a test. It takes a minute. Native code runs without the interpreter lock. All other processor time is an
+upper bound of the time with the lock, because numpy releases it in large operations. The time with the lock itself is
+sampled: a thread without the lock reads the interpreter's flag 20,000 times a second. This needs a C compiler, and
+works with the versions of Python that keep the flag where it is expected.
 """
 
 import ctypes
@@ -47,10 +47,10 @@ INTERVAL, SEARCHED = 4321, 20000  # microseconds; words
 
 
 class HeldLock:
-    """A context that samples how much of the time some thread has the interpreter lock; `share` is NaN if unknown."""
+    """A context that samples the share of the time in which some thread has the interpreter lock; NaN if unknown."""
 
     def __init__(self) -> None:
-        """Find the flag beside the switch interval, to which an unusual number is written for the search."""
+        """Find the flag beside the switch interval, which is set to an unusual number for the search."""
         usual, self.share, self._address = sys.getswitchinterval(), float("nan"), 0
         sys.setswitchinterval(INTERVAL * 1e-6)
         runtime = ctypes.addressof(ctypes.c_char.in_dll(ctypes.pythonapi, "_PyRuntime"))
@@ -98,7 +98,7 @@ class TimedKernel(native.Kernel):
 
 
 def once(definition, threads: int, lock: HeldLock) -> tuple[float, float, float, float]:
-    """Processor time, of it in native code, time by the clock [s], and in another run the share with the lock."""
+    """Return processor time, its part in native code, wall time [s], and the share with the lock from another run."""
     spent.clear()
     with with_threads(threads):
         processor, clock = time.process_time(), time.perf_counter()
@@ -120,7 +120,7 @@ def main() -> None:
         definition = sweep(lanes, run)
         vj.run_sweep(sweep(240, run), progress=False)  # compiles
         time.sleep(1.0)  # the last program compiles in the background
-        for threads in asked or [1]:  # the share with the lock is a serial fraction only of one thread
+        for threads in asked or [1]:  # the share with the lock is a serial fraction for one thread only
             runs = [once(definition, threads, lock) for _ in range(REPEATS)]
             processor, code, clock, serial = (median(run[k] for run in runs) for k in range(4))
             other, share = 1e6 * (processor - code) / lanes, 1 - code / processor

@@ -1,9 +1,9 @@
-"""Smallest pushes out of the working cycle against a scan four times as fine, at random points.
+"""Compare the smallest pushes out of the working cycle with a scan four times as fine, at random points.
 
     python tests/benchmarks/smallest_push.py [POINTS]
 
-Of 100 points: how many directions leave within the bound, in how many of them both find the same push, where the fine
-scan finds a smaller one, through a hole in the basin that the other missed, and what both take.
+For 100 points, the benchmark counts the directions that leave the basin within the bound, and those in which both scans
+agree. It also counts the holes in the basin that only the fine scan finds, and gives both times.
 """
 
 import sys

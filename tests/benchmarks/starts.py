@@ -1,9 +1,9 @@
-"""What a start costs where a point has many: processor time to their attractors, orbits shared and not.
+"""Measure the processor time per start at a point with many starts, with and without shared orbits.
 
     python tests/benchmarks/starts.py [STARTS]
 
-The start-up, to import, trace and compile, is told apart: it is that of a few starts. What it last said stands in
-README.md beside.
+The start-up (import, trace and compile) is listed separately, as the time of a few starts. The latest results are in
+tests/benchmarks/README.md.
 """
 
 import sys

@@ -1,15 +1,14 @@
-"""What workers cost over the plain run, and how long they are idle at the end.
+"""Measure the overhead of workers over a plain run, and their idle time at the end.
 
     python tests/benchmarks/workers.py overhead [MINUTES [ROUNDS]]     5 minutes of a plain run, 3 rounds: half an hour
     python tests/benchmarks/workers.py idle                            a minute
 
-*overhead*: a plain run, which uses all cores by threads, and one by as many workers as there are cores, of the same
-sweep, in turns: seconds by the clock, and of processor time, of the whole command with its workers. The sweep has as
-many lanes as it takes for MINUTES. Nothing else should run meanwhile; where something does, only the processor time
-says anything.
+*overhead*: compare a plain run, whose threads use all cores, with one of as many workers as cores, on the same sweep in
+turn. The times are wall time and processor time of the whole command with its workers. The number of lanes is chosen to
+take MINUTES. Nothing else should run meanwhile; otherwise only the processor time is meaningful.
 
-*idle*: lanes whose cost differs by a hundred, because their contacts' dampers are stiff, by 2 and by 4 workers: how
-long each computed, and how long it had nothing left to do.
+*idle*: run lanes whose costs differ by a factor of a hundred, because their contact dampers are stiff, with 2 and with
+4 workers. The output gives the computing and the idle time of each worker.
 """
 
 import os
@@ -46,7 +45,7 @@ chunk = 256
 
 
 def taken(*words: str) -> tuple[float, float, str]:
-    """Seconds by the clock and of processor time that a command takes, its workers' too; and what it said."""
+    """Return wall time and processor time [s] of a command and its workers, and its output."""
     before, clock = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     command = [sys.executable, "-m", "vibrojax", "sweep", *words]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
@@ -56,7 +55,7 @@ def taken(*words: str) -> tuple[float, float, str]:
 
 
 def overhead(folder: Path, minutes: float, rounds: int) -> None:
-    """Print what a plain run and one by workers take, in turns."""
+    """Print the times of a plain run and of one with workers, in turn."""
     file, out, cores = folder / "map.toml", folder / "out.nc", usable_cores()
     file.write_text(MAP.format(rows=1000))
     rows = max(8, round(1000 * 60 * minutes / estimate(read_sweep(file), to_file=True)["step_s"]))
@@ -73,7 +72,7 @@ def overhead(folder: Path, minutes: float, rounds: int) -> None:
 
 
 def idle(folder: Path) -> None:
-    """Print how long each of some workers was idle."""
+    """Print the idle time of each worker."""
     file = folder / "stiff.toml"
     file.write_text(STIFF)
     for count in ("2", "4"):

@@ -1,1 +1,1 @@
-"""Other ways to compute the same lanes, each as good as its kind can be made."""
+"""Other methods for the same lanes, each tuned as well as its kind allows."""

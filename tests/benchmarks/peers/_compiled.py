@@ -1,8 +1,8 @@
 """A drill stepped from switch to switch, for numba: scalar code per lane, a state machine over polynomial steps.
 
-A stepper gives the four states as polynomials of the time since the step began, by the equations of the mode that the
-step begins in. The first switching surface that they cross ends the step there: the root of a polynomial, by Newton's
-steps within a bracket. Without numba it is plain Python, slow and the same.
+A stepper gives the four states as polynomials of the time since the step began, by the equations of the mode at that
+time. The first switching surface that they cross ends the step. Newton's method within a bracket finds this root.
+Without numba, the code runs as plain Python, slowly but with the same results.
 """
 
 import math
@@ -17,16 +17,16 @@ except ImportError:
     numba = None
 
 FAST = {"contract", "nsz", "arcp", "reassoc"}
-"""What of fast mathematics is safe here: infinities and NaN keep their meaning."""
+"""The part of fast mathematics that is safe here: infinities and NaN keep their meaning."""
 
 LATER = 1e-7
-"""s after its start from which on a step looks for switches: it begins on the surface of the last one."""
+"""Time [s] after the start of a step from which it looks for switches; it begins on the surface of the last one."""
 
 ROWS = 6
 
 
 def compiled(function, **options):
-    """The function compiled by numba, or as it is where there is none."""
+    """Return the function compiled by numba, or unchanged if numba is missing."""
     return numba.njit(fastmath=FAST, error_model="numpy", **options)(function) if numba else function
 
 
@@ -34,15 +34,15 @@ lanes_of = numba.prange if numba else range
 
 
 def program(step, n: int, both):
-    """run(beta, gamma, v, delta, settle, observe, setting) -> (lanes, 3): period, impact velocity, steps.
+    """Return run(beta, gamma, v, delta, settle, observe, setting) -> (lanes, 3): period, impact velocity, steps.
 
     `step(slip, touching, state.., lane.., h, limit, setting, coefficients) -> (length, next h)` fills the coefficients
-    (degree `n`) of x1, x1', x2, x2'; `both(c, t)` is the value and the slope of such a polynomial.
+    (degree `n`) of x1, x1', x2, x2'. `both(c, t)` is the value and the slope of such a polynomial.
     """
 
     @compiled
     def turn(c, low, high, rises):
-        """Where the slope passes through zero, from below if it `rises`."""
+        """Return where the slope passes through zero, from below if it `rises`."""
         x = 0.5 * (low + high)
         for _ in range(60):
             first, second = n * c[n], 0.0
@@ -63,7 +63,7 @@ def program(step, n: int, both):
 
     @compiled
     def root(c, low, high, x):
-        """Where the polynomial falls through zero between `low` and `high`; x is a guess."""
+        """Return where the polynomial falls through zero between `low` and `high`; x is a guess."""
         for _ in range(60):
             height, steep = both(c, x)
             if height > 0:
@@ -80,7 +80,7 @@ def program(step, n: int, both):
 
     @compiled
     def fall(c, h):
-        """The first time up to h at which the polynomial falls through zero, infinite if it does not."""
+        """Return the first time up to h at which the polynomial falls through zero, or infinity."""
         height, steep = both(c, h)
         top = h
         if height >= 0:
@@ -135,7 +135,7 @@ def program(step, n: int, both):
             else:
                 h_apart = following
             capped = h >= stop - t
-            # The first switch
+            # Find the first switch
             what = 0
             if touching:
                 for k in range(n + 1):
@@ -170,7 +170,7 @@ def program(step, n: int, both):
                 v1 = v1 * h + v1c[k]
                 x2 = x2 * h + x2c[k]
                 v2 = v2 * h + v2c[k]
-            # The section: x1' has at most one turn in a step
+            # Check the section: x1' has at most one turning point in a step
             if slip == 0:
                 armed = True
             elif v1c[0] <= 0 or v1 > 0 or not armed:
@@ -199,7 +199,7 @@ def program(step, n: int, both):
                         break
                     low, before = high, after
             t = stop if capped and what == 0 else t + h
-            # What follows
+            # Change the mode
             if what == 1:
                 touching = not touching
                 if touching:

@@ -9,7 +9,7 @@ SHORTEST = 1e-9  # s
 
 @compiled
 def _rates(slip, on, x1, v1, x2, v2, m2, k2, v, delta):
-    """x1'' and x2'' in the mode of the step: slip is 1, 0 or -1, on is 1 while they touch."""
+    """Return x1'' and x2'' in the mode of the step: slip is 1, 0 or -1, on is 1 in contact."""
     press = on * (K0 * (x2 - delta) + C0 * v2)
     striker = (-C2 * v2 - k2 * (x2 - x1) - press) / m2
     if slip == 0:
@@ -22,7 +22,9 @@ def _rates(slip, on, x1, v1, x2, v2, m2, k2, v, delta):
 
 @compiled
 def step(slip, touching, x1, v1, x2, v2, m2, k2, v, delta, rate, h, limit, setting, a, b, c, d):
-    """One accepted step of at most `limit`; its dense output as coefficients of x1, x1', x2, x2' in the time since."""
+    """Take one accepted step of at most `limit`, with dense output as coefficients of x1, x1', x2, x2' in the elapsed
+    time.
+    """
     on = 1.0 if touching else 0.0
     small_v = 1 / (setting * v)
     small_x = small_v * rate
@@ -84,7 +86,9 @@ def step(slip, touching, x1, v1, x2, v2, m2, k2, v, delta, rate, h, limit, setti
 
 @compiled
 def _dense(h, begins, ends, k1, k3, k4, k5, k6, k7, c):
-    """Hairer, Norsett and Wanner, Solving ordinary differential equations I, section II.6."""
+    """Fill the coefficients of the dense output (Hairer, Norsett and Wanner, Solving ordinary differential equations I,
+    II.6).
+    """
     change = ends - begins
     bend = h * k1 - change
     again = change - h * k7 - bend
@@ -96,7 +100,7 @@ def _dense(h, begins, ends, k1, k3, k4, k5, k6, k7, c):
         + (-1453857185 / 822651844) * k6
         + (69997945 / 29380423) * k7
     )
-    # begins + s (change + (1 - s) (bend + s (again + (1 - s) last))), s the share of the step
+    # begins + s (change + (1 - s) (bend + s (again + (1 - s) last))), where s is the fraction of the step
     inverse = 1 / h
     c[0] = begins
     c[1] = k1
@@ -107,6 +111,6 @@ def _dense(h, begins, ends, k1, k3, k4, k5, k6, k7, c):
 
 @compiled
 def both(c, x):
-    """Value and slope of a polynomial of degree 4."""
+    """Return value and slope of a polynomial of degree 4."""
     value = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * c[4])))
     return value, c[1] + x * (2 * c[2] + x * (3 * c[3] + x * 4 * c[4]))

@@ -1,4 +1,4 @@
-"""What every peer is: a ladder of settings, and a run of some lanes at one of them."""
+"""Interface of the peers: ladders of settings, and runs of lanes at one setting."""
 
 import os
 from abc import ABC, abstractmethod
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 CORES = min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
-"""Cores that every peer may use."""
+"""Number of cores that each peer may use."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Points:
 
 @dataclass(frozen=True)
 class Ran:
-    """`period` [s] and `impact_velocity` [m/s] of the first lanes at least, NaN where a lane has none.
+    """`period` [s] and `impact_velocity` [m/s] of at least the first lanes, NaN for lanes without one.
 
-    `seconds`: what the run of all lanes took, without compiling. `compiling` [s]: what that took, where it had to be.
+    `seconds` is the time of a run of all lanes without compilation. `compiling` [s] is the compile time, if any.
     """
 
     period: np.ndarray
@@ -44,9 +44,9 @@ class Ran:
 
 
 class Peer(ABC):
-    """One way to compute period and impact velocity of many lanes.
+    """One method for the period and the impact velocity of many lanes.
 
-    `name` and `about` for the table; `lanes`: how many it is timed on; `settings` are any objects with a `str`.
+    `name` and `about` are for the table. `lanes` is the number of timed lanes. `settings` are any objects with a `str`.
     """
 
     name: str
@@ -54,24 +54,24 @@ class Peer(ABC):
     lanes: int
 
     def missing(self) -> str | None:
-        """Why it cannot run here, or None."""
+        """Return why the peer cannot run here, or None."""
         return None
 
     @abstractmethod
     def ladders(self, quick: bool) -> list[list]:
-        """Settings, in each list from coarse to fine."""
+        """Return lists of settings, each from coarse to fine."""
 
     @abstractmethod
     def run(self, points: Points, setting, settle: float, observe: float, judged: int) -> Ran:
         """Run all lanes from t = 0 to `settle` + `observe` [s]; the first `judged` are measured in the observation."""
 
     def close(self) -> None:
-        """Let go of what it holds."""
+        """Release resources."""
         return
 
 
 class Returns:
-    """Period and impact velocity over whole returns to the section, taken in as they come."""
+    """Period and impact velocity over whole returns to the section, updated event by event."""
 
     def __init__(self):
         self.first = self.last = 0.0
@@ -79,7 +79,7 @@ class Returns:
         self.total = self.pending_total = 0.0
 
     def section(self, t: float) -> None:
-        """The bit overtakes the drive at t [s]: what has come since the return before counts."""
+        """Record that the bit overtakes the drive at t [s]; impacts since the previous return now count."""
         if self.number == 0:
             self.first = t
         else:
@@ -90,12 +90,12 @@ class Returns:
         self.pending, self.pending_total = 0, 0.0
 
     def impact(self, velocity: float) -> None:
-        """The striker touches the bit at `velocity` [m/s]; before the first return it does not count."""
+        """Record that the striker touches the bit at `velocity` [m/s]; impacts before the first return do not count."""
         if self.number:
             self.pending += 1
             self.pending_total += velocity
 
     def read(self) -> tuple[float, float]:
-        """Period [s] and mean impact velocity [m/s]."""
+        """Return period [s] and mean impact velocity [m/s]."""
         period = (self.last - self.first) / (self.number - 1) if self.number > 1 else np.nan
         return period, self.total / self.impacts if self.impacts else np.nan

@@ -1,7 +1,7 @@
 """Taylor steps for the compiled loop: the recurrences of the series written out for one order, as scalars.
 
-Between switches the equations are polynomials, so a coefficient follows from those before it; written out, without
-loops and arrays, a step of order 8 is some 250 operations. Steps have a fixed part of the mode's time scale.
+Between switches the equations are polynomials, so a coefficient follows from the previous ones. Written out, without
+loops and arrays, a step of order 8 has about 250 operations. Steps are a fixed fraction of the mode's time scale.
 """
 
 from peers._compiled import compiled
@@ -9,7 +9,7 @@ from peers._machine import C0, C2, K0, K1, M1, MU, STICK_LIMIT, V_CR
 
 
 def stepper(order: int):
-    """`step` and `both` for [peers._compiled.program][]."""
+    """Return `step` and `both` for [peers._compiled.program][]."""
     names = {"M1": M1, "K1": K1, "C2": C2, "MU": MU, "K0": K0, "C0": C0, "LIMIT": STICK_LIMIT}
     names |= {"FALL": STICK_LIMIT / V_CR, "RISE": STICK_LIMIT / (3 * V_CR**3)}
     exec(_step(order), names)

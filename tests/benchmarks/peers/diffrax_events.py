@@ -15,10 +15,10 @@ from peers._peer import CORES, Peer, Points, Ran
 from vibrojax.compile.xla import precision
 from vibrojax.sweep.engine.parallel import in_parallel
 
-LATER = 1e-7  # s after its start from which on a segment may end: it begins on a surface
+LATER = 1e-7  # s after its start from which on a segment may end, since it begins on a surface
 MOST_SEGMENTS = 5_000
 HOLDS, LETS_GO = 1e-9, 2e-9
-"""Relative excess over the stick limit up to which a bit that stops sticks, and from which on one that sticks slips."""
+"""Relative excess over the stick limit up to which a stopping bit sticks, and from which a sticking bit slips."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class DiffraxEvents(Peer):
 
 
 def _solved(points: Points, setting: Tolerance, settle: float, observe: float) -> np.ndarray:
-    """Period and impact velocity (2, lanes)."""
+    """Return period and impact velocity (2, lanes)."""
     with precision("float64"):
         numbers = (jnp.asarray(x) for x in (setting.tolerance, setting.longest, settle, observe))
         return np.asarray(_run(setting.solver, *map(jnp.asarray, points.columns), *numbers))
@@ -101,7 +101,9 @@ def _lane(solver, beta, gamma, v, delta, tolerance, longest, settle, observe):
         return v1, bit, v2, (-C2 * v2 - k2 * (x2 - x1) - J) / m2
 
     def surfaces(y, args):
-        """Positive while the mode lasts and the section is not reached, in m/s."""
+        """Return the smallest surface, which is positive while the mode lasts and the section is not reached, in
+        m/s.
+        """
         slip, touching, watched, _ = args
         J = press(y, touching)
         held = (STICK_LIMIT + MU * J) * (1 + LETS_GO) - jnp.abs(pull(y))
@@ -111,11 +113,11 @@ def _lane(solver, beta, gamma, v, delta, tolerance, longest, settle, observe):
 
     def ahead(t, y, args, **_):
         friction, contact, section = surfaces(y, args)
-        # One event, of whatever comes first: of several diffrax would take the first in the list, not in time.
+        # Combine the surfaces into one event: of several, diffrax takes the first in the list, not in time.
         lowest = jnp.minimum(jnp.minimum(friction, contact), section)
         return jnp.where(t > args[3] + LATER, lowest, 1.0)
 
-    # Newton's steps fail where the lowest surface changes within the step. The function falls: `flip` says so.
+    # Newton's method fails if the lowest surface changes within the step. `flip` says that the function decreases.
     finder = optimistix.Bisection(rtol=1e-14, atol=1e-11, flip=True)
     event = diffrax.Event(ahead, finder, direction=False)
 
@@ -168,7 +170,7 @@ def _lane(solver, beta, gamma, v, delta, tolerance, longest, settle, observe):
 
 
 def _norm(sizes):
-    """The greatest of the errors over what is allowed."""
+    """Return a norm: the largest ratio of error to tolerance."""
 
     def norm(errors):
         return jnp.max(jnp.stack([jnp.abs(e) / size for e, size in zip(errors, sizes, strict=True)]))
@@ -177,8 +179,11 @@ def _norm(sizes):
 
 
 def _taken(returns, at_section, strikes, t, velocity):
-    """The sums over whole returns after an event: first and last return [s], their number, impacts, sum of velocities,
-    and the last two of what came since the last return."""
+    """Return the sums over whole returns after an event.
+
+    They are first and last return [s], number of returns, impacts and sum of velocities, and the last two since the
+    last return.
+    """
     first, last, number, impacts, total, pending, pending_total = returns
     counted = at_section & (number > 0)
     struck = strikes & (number > 0)

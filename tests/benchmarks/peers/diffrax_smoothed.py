@@ -16,7 +16,7 @@ from vibrojax.compile.xla import precision
 from vibrojax.sweep.engine.parallel import in_parallel
 from vibrojax.sweep.input.read import read_sweep
 
-SAMPLING = 2e-4  # s: of a second run, untimed, whose samples the features are read off
+SAMPLING = 2e-4  # s: features are read off the samples of a second run, which is not timed
 MOST_STEPS = 2_000_000
 
 
@@ -66,7 +66,8 @@ class DiffraxAdaptive(_Smoothed):
     def ladders(self, quick):
         if quick:
             return [[Width("Tsit5", 3e-3, 3e-5)]]
-        # Dopri8 takes minutes for some lanes of the box (at friction's kinks, it seems), and is slower on the others.
+        # Dopri8 takes minutes for some lanes of the box (apparently at the kinks of friction), and is slower on the
+        # others.
         return [[Width("Tsit5", width, 1e-2 * width) for width in (1e-3, 2e-4, 1e-4, 4e-5, 2e-5)]]
 
 
@@ -81,7 +82,7 @@ class DiffraxFixed(_Smoothed):
 
 
 def _solved(points: Points, setting: Width, end: float, times=None):
-    """States at the end, or at `times` [s], each (lanes,) or (lanes, times)."""
+    """Return the states at the end, or at `times` [s], each (lanes,) or (lanes, times)."""
     with precision("float64"):
         rest = (setting.width, setting.tolerance or 0.0, setting.step or 0.0, float(end))
         columns = [jnp.asarray(column) for column in points.columns]

@@ -1,4 +1,4 @@
-"""The lanes of the race: a grid over the box, shuffled; first come those that errors are told on."""
+"""The lanes of the race: a shuffled grid over the box, which begins with the lanes whose errors are judged."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -12,17 +12,18 @@ from vibrojax.sweep.input.read import read_sweep
 
 BOX = {"beta": (0.25, 0.6), "gamma": (0.6, 0.8), "v": (0.5, 2.0), "delta": (-0.005, 0.01)}
 AXIS = 8
-"""Values of each parameter: 4096 points."""
+"""Number of values of each parameter: 4096 points."""
 
 SETTLED = 1e-9
-"""Relative difference between the observation and the one that follows it, below which a lane has settled."""
+"""Largest relative difference between the observation and the next one at which a lane counts as settled."""
 
 
 @dataclass(frozen=True)
 class Judged:
-    """`points`: all lanes, the judged ones first; `period`, `impact_velocity` (judged,): the reference's.
+    """Lanes with their reference values.
 
-    `spread`: by how much two references differ, the worst lane; `settled`: share of candidates that had settled.
+    `points` are all lanes, the judged ones first; `period` and `impact_velocity` (judged,) are the reference's.
+    `spread` is the largest difference between two references. `settled` is the share of candidates that had settled.
     """
 
     points: Points
@@ -32,29 +33,29 @@ class Judged:
     settled: float
 
     def errors(self, period: np.ndarray, impact_velocity: np.ndarray) -> np.ndarray:
-        """Relative errors (judged,) of both, the larger; infinite where there is none."""
+        """Return the larger of both relative errors (judged,), infinite for missing values."""
         pairs = ((period, self.period), (impact_velocity, self.impact_velocity))
         both = [np.abs(found[: len(known)] / known - 1) for found, known in pairs]
         return np.nan_to_num(np.maximum(*both), nan=np.inf)
 
 
 def box() -> Points:
-    """The box's grid in a fixed random order."""
+    """Return the box's grid in a fixed random order."""
     grid = np.array(list(product(*(np.linspace(*ends, AXIS) for ends in BOX.values()))))
     return Points(*np.random.default_rng(1).permutation(grid).T)
 
 
 def columns(points: Points) -> dict[str, list]:
-    """The points as a sweep takes them."""
+    """Return the points in the form of a sweep."""
     names = zip(BOX, points.columns, strict=True)
     return {name: column.tolist() for name, column in names} | {"start": ["stuck"] * len(points)}
 
 
 def judged(candidates: int, number: int, settle: float, observe: float, settled: float = SETTLED) -> Judged:
-    """The lanes, and what is right on the first `number`.
+    """Return the lanes, and the reference values of the first `number`.
 
-    They are the first ones among the `candidates` that repeat after one return, strike, have settled long before the
-    observation (to `settled`), and that two references agree on.
+    These are the first of the `candidates` that repeat after one return and impact. They have settled long before the
+    observation (to `settled`), and two references agree on them.
     """
     points = box()
     some = points[np.arange(candidates)]

@@ -1,4 +1,4 @@
-"""Compiled per-lane loops from switch to switch (numba), a lane at a time on each core."""
+"""Compiled loops from switch to switch (numba), one lane at a time on each core."""
 
 import time
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from peers._peer import CORES, Peer, Ran
 
 @dataclass(frozen=True)
 class Series:
-    """The order of the steps, and their length in units of the mode's time scale."""
+    """Order of the steps, and their length in units of the mode's time scale."""
 
     order: int
     stride: float
@@ -23,7 +23,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The tolerance of the steps, relative to v in velocities and to v over the mode's rate in positions."""
+    """Tolerance of the steps, relative to v for velocities and to v over the mode's rate for positions."""
 
     tolerance: float
 
@@ -32,7 +32,7 @@ class Tolerance:
 
 
 class Loop(Peer):
-    """What both share: the state machine in `_compiled`, and threads over the lanes."""
+    """Common part of both loops: the state machine in `_compiled`, and threads over the lanes."""
 
     lanes = 4096
 
@@ -43,7 +43,7 @@ class Loop(Peer):
         return None if numba else "numba is not installed"
 
     def program_of(self, setting):
-        """The program of a setting and the number that it takes."""
+        """Return the program of a setting and its numeric argument."""
         raise NotImplementedError
 
     def run(self, points, setting, settle, observe, judged):

@@ -1,4 +1,4 @@
-"""Our own sweep, its check run included."""
+"""Our own sweep, including its check run."""
 
 import time
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from peers.lanes import box, columns
 
 @dataclass(frozen=True)
 class Error:
-    """The error that is asked for."""
+    """The requested error."""
 
     error: float
 

@@ -1,4 +1,4 @@
-"""The race: every peer up its ladders, then the best setting for each error run again."""
+"""The race: run each peer's ladders, then repeat the best setting for each error."""
 
 import statistics
 import sys
@@ -10,16 +10,18 @@ from peers._peer import Peer
 from peers.lanes import Judged
 
 TARGETS = (1e-3, 1e-4, 1e-6)
-"""Relative errors of period and impact velocity, the larger, of the worst judged lane."""
+"""Targets for the larger relative error of period and impact velocity in the worst judged lane."""
 
 REPEATS = 3
-LONG = 8.0  # s, from which on a run is not repeated
-TOO_LONG = 40.0  # s, from which on a ladder is not climbed further
+LONG = 8.0  # s: longer runs are not repeated
+TOO_LONG = 40.0  # s: a ladder is not climbed further after a longer run
 
 
 @dataclass
 class Run:
-    """A setting of a peer: `times` [s per lane-second], errors of the judged lanes, and how many lanes were timed."""
+    """A run of a peer at one setting: `times` [s per lane-second], errors of the judged lanes, and number of timed
+    lanes.
+    """
 
     setting: object
     lanes: int
@@ -29,18 +31,18 @@ class Run:
 
     @property
     def time(self) -> float:
-        """The median of the repeats [s per lane-second]."""
+        """Return the median of the repeats [s per lane-second]."""
         return statistics.median(self.times)
 
     @property
     def spread(self) -> float:
-        """Half the range of the repeats [s per lane-second]."""
+        """Return half the range of the repeats [s per lane-second]."""
         return (max(self.times) - min(self.times)) / 2
 
 
 @dataclass
 class Result:
-    """A peer's runs; `compiling` [s]; `remark`: why there are none, or not all."""
+    """A peer's runs; `compiling` [s]; `remark` says why runs are missing."""
 
     peer: Peer
     runs: list[Run] = field(default_factory=list)
@@ -48,16 +50,16 @@ class Result:
     remark: str = ""
 
     def best(self, target: float) -> Run | None:
-        """The fastest run within the error."""
+        """Return the fastest run within the error."""
         return min((run for run in self.runs if run.worst <= target), key=lambda run: run.time, default=None)
 
     def nearest(self) -> Run | None:
-        """The most exact run."""
+        """Return the most exact run."""
         return min(self.runs, key=lambda run: run.worst, default=None)
 
 
 def raced(peer: Peer, judged: Judged, settle: float, observe: float, quick: bool = False) -> Result:
-    """What a peer can do."""
+    """Return the results of a peer."""
     result = Result(peer, remark=peer.missing() or "")
     if result.remark:
         return result
@@ -79,12 +81,12 @@ def raced(peer: Peer, judged: Judged, settle: float, observe: float, quick: bool
                 _tell(peer, found)
                 if found.worst <= TARGETS[-1] or ran.seconds > TOO_LONG:
                     break
-        # A run that was lucky once is run again before it is believed, and so is what takes its place.
+        # A run may be fast by chance, so the best run is repeated, and so is its replacement.
         while again := [
             one for target in TARGETS if (one := result.best(target)) and _wants_more(one, settle + observe, quick)
         ]:
             again[0].times.append(run(again[0].setting)[1])
-    except Exception as error:  # a peer that breaks stays in the table, and the others go on
+    except Exception as error:  # a peer that fails stays in the table, and the others continue
         result.remark = f"failed: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"
     finally:
         peer.close()
@@ -92,7 +94,7 @@ def raced(peer: Peer, judged: Judged, settle: float, observe: float, quick: bool
 
 
 def _wants_more(run: Run, seconds: float, quick: bool) -> bool:
-    """Whether it has too few repeats and they are not long."""
+    """Return whether the run has too few repeats and is short enough for more."""
     return len(run.times) < (1 if quick else REPEATS) and run.time * run.lanes * seconds < LONG
 
 

@@ -1,4 +1,4 @@
-"""SciPy: solve_ivp from event to event, lanes spread over processes."""
+"""SciPy: solve_ivp from event to event, with lanes spread over processes."""
 
 import importlib.util
 import math
@@ -12,14 +12,14 @@ import numpy as np
 from peers._machine import ARMED_BELOW, C0, C2, K0, K1, M1, MU, STICK_LIMIT, V_CR, striker
 from peers._peer import CORES, Peer, Ran, Returns
 
-SIZES = np.array([1e-2, 1.0, 1e-2, 1.0])  # m, m/s: what absolute tolerances are relative to
+SIZES = np.array([1e-2, 1.0, 1e-2, 1.0])  # m, m/s: scales of the absolute tolerances
 
 SMALL = 1e-300
 LATER = 1e-7  # s after its start from which on a slip may end
 HOLDS, LETS_GO = 1e-9, 2e-9
-"""Relative excess over the stick limit up to which a bit that stops sticks, and from which on one that sticks slips.
+"""Relative excess over the stick limit up to which a stopping bit sticks, and from which a sticking bit slips.
 
-The gap keeps it from going to and fro without time passing."""
+The gap prevents alternation without progress in time."""
 
 MOST_SEGMENTS = 5_000
 
@@ -28,7 +28,7 @@ MOST_SEGMENTS = 5_000
 class Solver:
     """A method of solve_ivp, its tolerance, and its longest step in units of the mode's time scale.
 
-    Without a longest one, events that come in pairs within a step are not seen.
+    Without a longest step, pairs of events within a step are missed.
     """
 
     method: str
@@ -62,7 +62,7 @@ class Scipy(Peer):
 
     def run(self, points, setting, settle, observe, judged):
         if self._pool is None:
-            # Processes that are forked would share locks with the threads of this one.
+            # Forked processes would share locks with the threads of this one.
             self._pool = ProcessPoolExecutor(CORES, multiprocessing.get_context("spawn"))
             list(self._pool.map(_ready, range(CORES)))
         lanes = [(*lane, setting, settle, observe) for lane in zip(*points.columns, strict=True)]
@@ -81,7 +81,7 @@ def _ready(_) -> None:
 
 
 def lane(given) -> tuple[float, float]:
-    """Period [s] and impact velocity [m/s] of one lane."""
+    """Return period [s] and impact velocity [m/s] of one lane."""
     beta, gamma, v, delta, setting, settle, observe = (x if isinstance(x, Solver) else float(x) for x in given)
     m2, k2 = striker(beta, gamma)
     t, y, end = 0.0, [0.0, -v, 0.0, 0.0], settle + observe
@@ -121,7 +121,9 @@ def lane(given) -> tuple[float, float]:
 
 
 def _segment(setting, begin, end, y, slip, touching, p):
-    """The motion from `begin` to `end` [s], or to the first switch, in one mode; events: section, contact, friction."""
+    """Return the motion in one mode from `begin` to `end` [s], or to the first switch; events: section, contact,
+    friction.
+    """
     from scipy.integrate import solve_ivp
 
     m2, k2, v, delta = p
@@ -145,7 +147,7 @@ def _segment(setting, begin, end, y, slip, touching, p):
 
     def friction(t, y):
         if slip:
-            # It begins on the surface, and may be shorter than the first step.
+            # The segment begins on the surface, and may be shorter than the first step.
             return -slip * (y[1] + v) if t > begin + LATER else -SMALL
         held = STICK_LIMIT + MU * on * (K0 * (y[2] - delta) + C0 * y[3])
         return abs(k2 * (y[2] - y[0]) - K1 * y[0]) - held * (1 + LETS_GO)

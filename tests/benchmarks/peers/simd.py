@@ -1,4 +1,4 @@
-"""The smoothed loop in C++, vectorised over lanes: compiled here and now for this processor, called by ctypes."""
+"""The smoothed loop in C++, vectorised over lanes: compiled at run time for this processor, and called by ctypes."""
 
 import ctypes
 import shutil
@@ -13,9 +13,9 @@ import numpy as np
 from peers._peer import CORES, Peer, Ran
 
 LANES = 8
-"""Abreast: one register of AVX-512, two of AVX. Sixteen are no faster, and wait for one another longer."""
+"""Lanes per vector: one register of AVX-512, two of AVX. Sixteen are not faster, and wait longer for one another."""
 
-# Not -ffast-math: a library linked with it sets the whole process to flush subnormal numbers.
+# -ffast-math would make a library that sets the whole process to flush subnormal numbers.
 FLAGS = (
     *("-O3", "-march=native", "-mprefer-vector-width=512", "-fno-math-errno", "-fno-trapping-math"),
     *("-fno-signed-zeros", "-freciprocal-math", "-fassociative-math", "-fopenmp", "-shared", "-fPIC"),
@@ -24,8 +24,10 @@ FLAGS = (
 
 @dataclass(frozen=True)
 class Steps:
-    """Width of the friction switch [m/s]; steps where friction is steep in units of its time scale; longest steps [s]
-    in flight and in contact."""
+    """Settings: width of the friction switch [m/s], steps where friction is steep, and longest steps.
+
+    The steps are in units of the time scale of friction; the longest steps [s] are those in flight and in contact.
+    """
 
     width: float
     steep: float

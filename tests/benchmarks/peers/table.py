@@ -1,4 +1,4 @@
-"""The race as one table in Markdown."""
+"""The race as a table in Markdown."""
 
 from peers.lanes import Judged
 from peers.race import TARGETS, Result
@@ -7,7 +7,7 @@ COLUMNS = ("error", "", "µs per lane-s", "spread", "ratio", "best setting", "wo
 
 
 def table(results: list[Result], judged: Judged, settle: float, observe: float, machine: dict, cores: int) -> str:
-    """The whole text; the first result is ours, to which the ratios are."""
+    """Return the whole text. Ratios are relative to the first result, which is ours."""
     about = ", ".join(f"{name} {value}" for name, value in machine.items() if name not in ("processor", "cores"))
     lines = [
         "# Time per simulated second of a lane, at the same error",
