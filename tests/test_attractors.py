@@ -195,12 +195,12 @@ def groups(dataset, starts=None):
 
 
 def test_irregular_lanes_are_grouped_by_statistics():
-    """Lanes within a quarter of the next form a chain, which is one motion. Lanes without impacts are another."""
+    """A chain of lanes, each within a quarter of the next, is one motion. Lanes without impacts are another one."""
     assert groups(irregular(impact_velocity=[1.0, 1.4, 1.2, 2.0, np.nan, 2.2, 2.1])) == [0, 0, 0, 1, 2, 1, 1]
 
 
 def test_few_irregular_lanes_near_many_are_unassigned():
-    """They may be the tail of the larger group's scatter. A lane far from all others is another motion."""
+    """They may be the tail of the larger group's scatter. A lane far from all others is a separate motion."""
     assert groups(irregular(impact_velocity=[1.0, 1.1, 1.2, 2.0, 5.0])) == [0, 0, 0, -1, 1]
 
 

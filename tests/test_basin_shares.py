@@ -50,8 +50,10 @@ def test_shares_match_pybasin_over_belt_speed():
 
 
 def test_smoothed_switch_does_not_change_basins():
-    """The border between the basins is an unstable cycle that only slides. Its velocity relative to the belt is about
-    0.6, where tanh(u/width) is 1. Neither bSTAB's slope of 200 nor a slope of 25 therefore shifts the border.
+    """The border between the basins is an unstable cycle that only slides.
+
+    Its velocity relative to the belt is about 0.6, where tanh(u/width) is 1. Neither bSTAB's slope of 200 nor a slope
+    of 25 therefore shifts the border.
     """
     few = {"scene": BeltOscillator(), "starts": STARTS | {"count": 256}, "grid": {"v": [1.55]}}
     exact, smooth = (

@@ -24,7 +24,7 @@ from peers.table import table
 SETTLE, OBSERVE = 1.2, 1.0  # s
 pytestmark = pytest.mark.long
 POINTS = Points(*np.array([(0.4, 0.7, 1.2, -0.004), (0.25, 0.6, 0.7, 0.0015)]).T)
-"""Both strike, stick and slip; the first one starts inside the contact, the second one lets go within contact."""
+"""Both lanes impact, stick and slip. The first one starts in contact, the second one starts to slip in contact."""
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_box_contains_all_points():
 
 
 class _Scripted(Peer):
-    """A peer with given errors, whose time per lane is inversely proportional to the error."""
+    """A peer with given errors, whose run time is inversely proportional to the error."""
 
     about = "-"
     lanes = 2

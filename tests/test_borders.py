@@ -163,7 +163,7 @@ def test_circle():
     radius = np.concatenate([np.hypot(*piece.points.T) for piece in pieces])
     assert radius.max() < 0.8 + 1e-12 and radius.min() > 0.798
     ends_of = np.array([[piece.points[0], piece.points[-1]] for piece in pieces]).reshape(-1, 2)
-    # Every piece ends where another begins.
+    # Each piece ends where another one begins.
     for end in ends_of:
         assert np.sum(np.abs(ends_of - end).max(axis=1) < 1e-12) == 2
 

@@ -15,7 +15,7 @@ SWEEPS = {
     "penetration": {"force": [200e3, 300e3], "frequency": [20.0, 40.0]},
 }
 WITHIN = {"vibro-impact": 1e-8, "penetration": 1e-9}
-"""Roundings grow along twenty seconds of impacts before the motion repeats, and shrink after."""
+"""Rounding errors grow over twenty seconds of impacts before the motion repeats, and shrink afterwards."""
 
 
 @pytest.fixture

@@ -42,9 +42,7 @@ def test_true_parameters_are_recovered_without_noise(motion):
 
 
 def test_standard_errors_cover_true_parameters(motion):
-    """The squared distance from the truth, in standard errors, has the chi-squared distribution of two degrees of
-    freedom.
-    """
+    """In standard errors, the squared distance from the truth is chi-squared with two degrees of freedom."""
     noise, distances = 2e-3, []
     truth = np.array([*TRUE_VALUES.values()])
     errors = {name: noise * float(np.abs(motion[name]).mean()) for name in OBSERVED}

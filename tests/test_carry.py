@@ -113,9 +113,10 @@ def test_picture_marks_jumps(carried):
 
 
 def test_jumps_agree_with_continuation():
-    """At beta 0.4 and gamma 0.6, the gap leads to hysteresis between the strong and the weak single impact. The strong
-    one ends where it meets an unstable orbit in a corner. The weak one ends where the bit no longer falls behind the
-    drive.
+    """At beta 0.4 and gamma 0.6, the gap leads to hysteresis between the strong and the weak single impact.
+
+    The strong one ends where it meets an unstable orbit in a corner. The weak one ends where the bit no longer falls
+    behind the drive.
     """
     point, gap = {"beta": 0.4, "gamma": 0.6}, {"start": -0.006, "stop": 0.008, "num": 29}
     run = {"carry": "delta", "keep_returns": 4}
@@ -128,14 +129,14 @@ def test_jumps_agree_with_continuation():
     )
     step = float(loop.delta[1] - loop.delta[0])
     jump_indices = jumps(loop.rename(direction="start"), "delta")
-    brackets = [(loop.delta.values[index] + loop.delta.values[index + 1]) / 2 for index in jump_indices]
-    for family, (jump,), kind in ((strong, brackets[0], "stick"), (weak, brackets[1], "section")):
+    midpoints = [(loop.delta.values[index] + loop.delta.values[index + 1]) / 2 for index in jump_indices]
+    for family, (jump,), kind in ((strong, midpoints[0], "stick"), (weak, midpoints[1], "section")):
         special = [value for name, value in special_points(family) if name == kind]
         assert min(abs(jump - value) for value in special) < step
-    # The corner is a fold: the branch does not exist beyond it, and is unstable after it.
+    # The corner is a fold: no orbit of the branch exists beyond it, and the branch is unstable after it.
     corner = float(strong.delta.max())
     unstable = strong.delta.values[strong.stable.values == 0]
-    assert brackets[0][0] == pytest.approx(corner, abs=step) and unstable.max() == pytest.approx(corner, abs=1e-6)
+    assert midpoints[0][0] == pytest.approx(corner, abs=step) and unstable.max() == pytest.approx(corner, abs=1e-6)
     # Carried up, the strong orbit persists until it jumps; carried down, the weak one.
     velocity = loop.impact_velocity.sel(delta=0.0, method="nearest")
     assert velocity.sel(direction="up") > 2.5 and velocity.sel(direction="down") < 1.0

@@ -291,8 +291,9 @@ def test_info_summarises_dataset():
 
 
 def test_info_reports_uncertain_lanes():
-    """Lanes without an error bound count as outside the accepted error. Regimes that differ in the check run are
-    counted.
+    """Lanes without an error bound count as outside the accepted error.
+
+    Regimes that differ in the check run are counted.
     """
     dataset = labelled()
     dataset["error_estimate"][2, 0] = np.inf

@@ -229,8 +229,9 @@ def test_kinds_of_curves_that_meet_at_codimension_two_points(name, kind, other):
 
 
 def test_sticking_bit_slips_when_impact_force_ends():
-    """The bit reaches the stick limit at the end of a contact. The events of the orbit differ on the two sides of the
-    curve.
+    """The bit reaches the stick limit at the end of a contact.
+
+    The events of the orbit differ on the two sides of the curve.
     """
     states = {"orbit_x1": -0.074074041, "orbit_x2": -0.191995851, "orbit_v2": -1.502108456, "gamma": 0.598413726}
     fixed = {name: float(x) for name, x in json.loads(DRILL).items()}

@@ -64,8 +64,9 @@ def test_datasets_of_earlier_versions_stay_readable(path, capsys, tmp_path):
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: f"{path.parent.name}-{path.stem}")
 def test_samples_follow_cf(path):
-    """Check the rules of CF 1.11 that apply to datasets without positions and dates. The script .ci/run checks all
-    rules.
+    """Check the rules of CF 1.11 that apply to datasets without positions and dates.
+
+    The script .ci/run checks all rules.
     """
     with netCDF4.Dataset(path) as dataset:
         assert dataset.Conventions == "CF-1.11" and dataset.title and dataset.source and dataset.history

@@ -66,8 +66,9 @@ def test_derivatives_match_exact_reference(scene):
 
 
 def test_derivatives_match_exact_reference_at_random_points():
-    """Compare with a gap and with a preload, where the motion repeats. Differences are not reliable on long
-    transients.
+    """Compare with a gap and with a preload, where the motion repeats.
+
+    Differences are not reliable on long transients.
     """
     rng = np.random.default_rng(5)
     size = 4
@@ -148,8 +149,10 @@ def test_lists_of_points_match_single_points():
 
 
 def test_derivatives_converge_with_settling_time():
-    """Check at random points. The derivative approaches that of the orbit as the settling time grows. Where it is
-    valid, its error is at most the accepted error.
+    """Check at random points.
+
+    The derivative approaches that of the orbit as the settling time grows. Where it is valid, its error is at most the
+    accepted error.
     """
     rng = np.random.default_rng(3)
     size = 12

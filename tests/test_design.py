@@ -1,6 +1,4 @@
-"""Test designs against finer maps, repeated simulations, and slopes; test fronts, the chart, the command, and
-refusals.
-"""
+"""Test designs against finer maps, repeated simulations and slopes; also the chart, the command, and refusals."""
 
 import json
 

@@ -23,24 +23,23 @@ def spiral_map(modulus, angle):
     return BASIS @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 0.07]]) @ np.linalg.inv(BASIS)
 
 
-def two_real_map(first, second):
+def real_map(first, second):
     """Return a return map with two real multipliers, and a third near zero."""
     return BASIS @ np.diag([first, second, 0.07]) @ np.linalg.inv(BASIS)
 
 
 def lane(return_map, away, cycles=1, returns=25, seen=25, alternating=0.0, impacts=True):
-    """Return the features and the true drift of a lane whose first return has a relative distance `away` from its
-    orbit.
+    """Return features and true drift of a lane whose first return has the relative distance `away` from its orbit.
 
-    On the orbit, returns alternate by `alternating`.
+    `alternating` is the amplitude by which successive returns on the orbit alternate.
     """
     states, period, velocity = [], [], []
     state = ORBIT + away * np.array([0.4, -1.0, 0.7])
     for k in range(returns):
-        swing = alternating * (-1) ** k
-        states.append(state + swing)
-        period.append(PERIOD * (1 + OF_PERIOD @ (state - ORBIT) + swing))
-        velocity.append(VELOCITY * (1 + OF_VELOCITY @ (state - ORBIT) - swing))
+        alternation = alternating * (-1) ** k
+        states.append(state + alternation)
+        period.append(PERIOD * (1 + OF_PERIOD @ (state - ORBIT) + alternation))
+        velocity.append(VELOCITY * (1 + OF_VELOCITY @ (state - ORBIT) - alternation))
         state = ORBIT + return_map @ (state - ORBIT)
     whole_cycles = (returns - 1) // cycles * cycles
     features = {
@@ -71,15 +70,16 @@ def lane(return_map, away, cycles=1, returns=25, seen=25, alternating=0.0, impac
         spiral_map(0.95, 0.3),
         spiral_map(0.985, 0.9),
         spiral_map(0.7, 0.1),
-        two_real_map(0.99, 0.6),
-        two_real_map(0.9, -0.8),
-        two_real_map(-0.97, 0.3),
+        real_map(0.99, 0.6),
+        real_map(0.9, -0.8),
+        real_map(-0.97, 0.3),
     ],
 )
 @pytest.mark.parametrize("returns", [9, 12, 25])
 def test_linear_map(return_map, returns):
-    """Drift is the distance of means and section states from their limits. With few returns, the third multiplier still
-    contributes, and the estimate is up to two and a half times too large.
+    """Drift is the distance of means and section states from their limits.
+
+    With few returns, the third multiplier still contributes, and the estimate is up to two and a half times too large.
     """
     features, true = lane(return_map, 1e-3, returns=returns)
     assert true > 5e-5
@@ -90,7 +90,7 @@ def test_linear_map(return_map, returns):
 def test_drift_of_longer_repeats(cycles, returns):
     """The estimate uses each `cycles`-th return, of which there are few for eight cycles."""
     features, true = lane(
-        two_real_map(0.99, 0.9), 1e-3, cycles=cycles, returns=returns, alternating=0.1 if cycles == 2 else 0.0
+        real_map(0.99, 0.9), 1e-3, cycles=cycles, returns=returns, alternating=0.1 if cycles == 2 else 0.0
     )
     estimate = drift(features, "float64", 1e-7)
     if cycles == 2:
@@ -102,7 +102,7 @@ def test_drift_of_longer_repeats(cycles, returns):
 def test_settled_lane_has_no_drift():
     """Rounding errors of returns do not count as drift."""
     rng = np.random.default_rng(1)
-    features, _ = lane(two_real_map(0.5, 0.1), 0.0)
+    features, _ = lane(real_map(0.5, 0.1), 0.0)
     for name in ("return_x1", "return_x2", "return_v2", "return_interval", "return_impact_velocity"):
         features[name] = features[name] * (1 + 1e-15 * rng.standard_normal(features[name].shape))
     assert drift(features, "float64", 1e-7) < 1e-13
@@ -110,13 +110,13 @@ def test_settled_lane_has_no_drift():
 
 def test_diverging_lane_has_infinite_drift():
     assert np.isinf(drift(lane(spiral_map(1.02, 0.5), 1e-4)[0], "float64", 1e-7))
-    assert np.isinf(drift(lane(two_real_map(1.05, 0.3), 1e-5)[0], "float64", 1e-7))
+    assert np.isinf(drift(lane(real_map(1.05, 0.3), 1e-5)[0], "float64", 1e-7))
 
 
 def test_drift_of_noisy_returns_is_unknown():
     """Differences between returns follow no linear map. The drift is finite only if the step noise explains them."""
     rng = np.random.default_rng(3)
-    features, _ = lane(two_real_map(0.5, 0.1), 0.0)
+    features, _ = lane(real_map(0.5, 0.1), 0.0)
     for name in ("return_x1", "return_x2", "return_v2"):
         features[name] = features[name] + 3e-4 * rng.standard_normal(features[name].shape)
     assert np.isinf(drift(features, "float64", 1e-7))
@@ -124,7 +124,7 @@ def test_drift_of_noisy_returns_is_unknown():
 
 
 def test_lanes_that_do_not_repeat_have_no_drift():
-    features, _ = lane(two_real_map(0.5, 0.1), 1e-3)
+    features, _ = lane(real_map(0.5, 0.1), 1e-3)
     assert np.isnan(drift(features | {"cycles": np.array([0.0])}, "float64", 1e-7))
 
 
@@ -135,7 +135,7 @@ def test_drift_without_impacts():
 
 def test_drift_of_single_lane_is_bitwise_that_in_batch():
     """Chunks end anywhere, so the last lanes of a chunk may be fitted alone."""
-    maps = [spiral_map(0.95, 0.3), spiral_map(0.985, 0.9), two_real_map(0.99, 0.6), two_real_map(0.9, -0.8)]
+    maps = [spiral_map(0.95, 0.3), spiral_map(0.985, 0.9), real_map(0.99, 0.6), real_map(0.9, -0.8)]
     lanes = [lane(x, away)[0] for x in maps for away in (1e-2, 1e-4, 1e-6)]
     together = {name: np.concatenate([x[name] for x in lanes]) for name in lanes[0]}
     alone = [drift(x, "float64", 1e-7)[0] for x in lanes]

@@ -3,7 +3,7 @@
     python tests/benchmarks/explore.py PAGE.html
 
 Wall times are from the start of the navigation to the first map, and from a click to the drawn plots, for cells across
-the page. Processor times are those of the page's main thread, on which other work on the machine has little effect.
+the page. Processor times are for the page's main thread, on which other work on the machine has little effect.
 """
 
 import sys

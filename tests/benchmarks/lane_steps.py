@@ -1,5 +1,4 @@
-"""Measure the cost of a lane-step: ns per lane-step and lane-seconds per second, for both steppers, on one and two
-cores.
+"""Measure ns per lane-step and lane-seconds per second, for both steppers, on one and two cores.
 
     python tests/benchmarks/lane_steps.py [--platform NAME]
 

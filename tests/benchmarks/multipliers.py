@@ -1,4 +1,4 @@
-"""Compare the multipliers of random orbits with those of the exact motion (tests/exact), one line per friction law.
+"""Compare the multipliers of random orbits with the exact reference (tests/exact), one line per friction law.
 
 python tests/benchmarks/multipliers.py [ORBITS]
 """

@@ -1,5 +1,4 @@
-"""Find the limits of a time step: operations and accesses of the compiled loops, waiting lanes, and the resulting
-bound.
+"""Print the operations and memory accesses of the compiled loops, waiting lanes, and the resulting bound.
 
     python tests/benchmarks/roofline.py
 

@@ -47,9 +47,7 @@ class Mode:
         return self.maps[h]
 
     def step(self, t: float, y: np.ndarray, swing: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the length of a step from y at t, and its coefficients [N + 1, d]; `swing` [d] is the size of each
-        entry.
-        """
+        """Return length and coefficients [N + 1, d] of a step from y at t; `swing` [d] is the size of each entry."""
         while True:
             h = 2.0**self.power
             c = self._try(h, t, y)

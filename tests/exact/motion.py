@@ -19,8 +19,9 @@ MOST_AT_ONCE = 50
 
 @dataclass
 class Piece:
-    """A part of a motion from `begin` to `end` in one phase; `c` [N + 1, d] are coefficients over [origin, origin +
-    h].
+    """A part of a motion in one phase.
+
+    It lasts from `begin` to `end`, and `c` [N + 1, d] are its coefficients over [origin, origin + h].
     """
 
     begin: float

@@ -55,8 +55,9 @@ def first_fall(c: np.ndarray, end: float, size: float) -> float | None:
 
 
 def _search(c, a, b, low, high, roots):
-    """Append the falls in [a, b] to `roots`; c are the coefficients over [a, b], low and high the values at its
-    ends.
+    """Append the falls in [a, b] to `roots`.
+
+    `c` are the coefficients over [a, b], `low` and `high` the values at its ends.
     """
     if abs(c[0]) > np.abs(c[1:]).sum():
         return

@@ -122,9 +122,7 @@ class Scene:
         return self.modes[key]
 
     def surfaces(self, phase):
-        """Return the linear forms that stay positive in a phase, by the name of the event at which each falls through
-        zero.
-        """
+        """Return the linear forms that stay positive in a phase, by the event when each falls through zero."""
         r, p, surfaces = self.row, self.p, {}
         if phase.bit:
             surfaces["stops"] = phase.bit * (r["v1"] + p.v * r["one"])

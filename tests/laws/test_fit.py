@@ -1,6 +1,4 @@
-"""Test the fits of the law: recovery of known coefficients, coverage of intervals, and reasons for missing
-estimates.
-"""
+"""Test the fits of the law: recovery of coefficients, coverage of intervals, and reasons for missing estimates."""
 
 from functools import partial
 from unittest import mock
@@ -171,8 +169,9 @@ def jackknife_errors(jacobian, residual):
 
 
 def test_standard_errors_of_line_match_jackknife(noise):
-    """Each lane is really omitted. For a linear form the moves are exact, and the sum of their squares is the
-    variance.
+    """Each lane is really omitted.
+
+    For a linear form the moves are exact, and the sum of their squares is the variance.
     """
     rate = TRUTH["line"](RELIEF) * (1 + 0.1 * noise.standard_normal(RELIEF.size))
     fit = fitted(rate, form="line")
@@ -282,11 +281,12 @@ def test_censored_lanes_below_onset_do_not_change_fit():
 
 
 def test_dropping_zero_rates_biases_fit(noise):
-    """Near the onset, noise turns rates into zeros. Dropping these keeps only lanes with positive noise, so C is too
-    low.
+    """Near the onset, noise turns rates into zeros.
 
-    The fit with censored lanes has a bias of 13 % for 20 %, or 27 % with zeros as rates. It comes from lanes below the
-    onset that noise lifts above zero.
+    Dropping these keeps only lanes with positive noise, so C is too low.
+
+    The bias is 20 % with dropped zeros, 27 % with zeros as rates, and 13 % with censored lanes. The last comes from
+    lanes below the onset that noise lifts above zero.
     """
     relief = np.linspace(0.15, 0.4, 30)
     noisy = TRUTH["onset"](relief) + 2e-4 * noise.standard_normal((300, 30))
@@ -525,8 +525,9 @@ def test_joint_law_accepts_points_and_skips_constant_parameters(tmp_path):
 
 
 def test_confounded_parameters_do_not_affect_others():
-    """With k3 proportional to the force, neither exponent is determined. That of zeta is, and C and eta0 at the
-    reference.
+    """With k3 proportional to the force, neither exponent is determined.
+
+    That of zeta is, and C and eta0 at the reference.
     """
     data = xr.concat([joint_data(a=(1.1, 0.0)) * 1.0, joint_data(a=(1.1, 0.0))], xr.Variable("zeta", [0.5, 1.0]))
     data["rate_of_penetration"] = data.rate_of_penetration * xr.DataArray([1.0, 3.0], dims="zeta")

@@ -1,6 +1,4 @@
-"""Test measures of rig logs: specific energies in field units, known founder points, the stick-slip index, the
-command.
-"""
+"""Test measures of rig logs: specific energies, known founder points, the stick-slip index, and the command."""
 
 import numpy as np
 import pytest

@@ -22,9 +22,7 @@ def _rates(slip, on, x1, v1, x2, v2, m2, k2, v, delta):
 
 @compiled
 def step(slip, touching, x1, v1, x2, v2, m2, k2, v, delta, rate, h, limit, setting, a, b, c, d):
-    """Take one accepted step of at most `limit`, with dense output as coefficients of x1, x1', x2, x2' in the elapsed
-    time.
-    """
+    """Take one accepted step of at most `limit`, and fill `a` to `d` with the dense output of x1, x1', x2, x2'."""
     on = 1.0 if touching else 0.0
     small_v = 1 / (setting * v)
     small_x = small_v * rate
@@ -86,9 +84,7 @@ def step(slip, touching, x1, v1, x2, v2, m2, k2, v, delta, rate, h, limit, setti
 
 @compiled
 def _dense(h, begins, ends, k1, k3, k4, k5, k6, k7, c):
-    """Fill the coefficients of the dense output (Hairer, Norsett and Wanner, Solving ordinary differential equations I,
-    II.6).
-    """
+    """Fill in the dense output (Hairer, Norsett and Wanner, Solving ordinary differential equations I, II.6)."""
     change = ends - begins
     bend = h * k1 - change
     again = change - h * k7 - bend

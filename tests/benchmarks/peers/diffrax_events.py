@@ -101,9 +101,7 @@ def _lane(solver, beta, gamma, v, delta, tolerance, longest, settle, observe):
         return v1, bit, v2, (-C2 * v2 - k2 * (x2 - x1) - J) / m2
 
     def surfaces(y, args):
-        """Return the smallest surface, which is positive while the mode lasts and the section is not reached, in
-        m/s.
-        """
+        """Return the surfaces, in m/s; they are positive while the mode lasts and the section is not reached."""
         slip, touching, watched, _ = args
         J = press(y, touching)
         held = (STICK_LIMIT + MU * J) * (1 + LETS_GO) - jnp.abs(pull(y))

@@ -19,8 +19,9 @@ TOO_LONG = 40.0  # s: a ladder is not climbed further after a longer run
 
 @dataclass
 class Run:
-    """A run of a peer at one setting: `times` [s per lane-second], errors of the judged lanes, and number of timed
-    lanes.
+    """A run of a peer at one setting.
+
+    It has `times` [s per lane-second], the errors of the judged lanes, and the number of timed lanes.
     """
 
     setting: object

@@ -121,8 +121,9 @@ def lane(given) -> tuple[float, float]:
 
 
 def _segment(setting, begin, end, y, slip, touching, p):
-    """Return the motion in one mode from `begin` to `end` [s], or to the first switch; events: section, contact,
-    friction.
+    """Return the motion in one mode from `begin` to `end` [s], or to the first switch.
+
+    The events are section, contact and friction.
     """
     from scipy.integrate import solve_ivp
 

@@ -24,9 +24,9 @@ FLAGS = (
 
 @dataclass(frozen=True)
 class Steps:
-    """Settings: width of the friction switch [m/s], steps where friction is steep, and longest steps.
+    """Width of the friction switch [m/s], and step lengths.
 
-    The steps are in units of the time scale of friction; the longest steps [s] are those in flight and in contact.
+    Where friction is steep, steps are in units of its time scale. The longest steps [s] are in flight and in contact.
     """
 
     width: float
