@@ -1,6 +1,6 @@
 """The five scenes: the equations of each mode, and the mode that follows at each switch.
 
-Quantities are linear forms: rows over the state, whose last entry is 1. The equations therefore look as in the model.
+Quantities are linear forms: rows over the state, whose last entry is 1. The equations therefore read as in the model.
 The rock's state is its compression e = x3 - x4, x3' and x4, so that small differences keep their own precision.
 """
 
@@ -17,9 +17,9 @@ SCENES = ("rotary", "vibro-impact", "penetration", "drilling", "coupled-drilling
 class Phase(NamedTuple):
     """The mode of each part; None if the scene lacks the part.
 
-    bit: 1 slides forwards, 0 sticks, -1 slides backwards. striker: "apart" (x2 < delta), "touching" (J > 0), "leaving"
-    (x2 >= delta, but J would pull). rock: "off" (x3 < x4), "elastic" (0 <= k3 (x3 - x4) <= D), "yielding" (x4' = x3' >
-    0).
+    bit: 1 slides forwards, 0 sticks, -1 slides backwards.
+    striker: "apart" (x2 < delta), "touching" (J > 0), "leaving" (x2 >= delta, but J would pull).
+    rock: "off" (x3 < x4), "elastic" (0 <= k3 (x3 - x4) <= D), "yielding" (x4' = x3' > 0).
     """
 
     bit: int | None = None

@@ -15,7 +15,7 @@ from peers._peer import CORES, Peer, Ran
 LANES = 8
 """Lanes per vector: one register of AVX-512, two of AVX. Sixteen are not faster, and wait longer for one another."""
 
-# -ffast-math would make a library that sets the whole process to flush subnormal numbers.
+# Without -ffast-math, since a library linked with it makes the whole process flush subnormal numbers.
 FLAGS = (
     *("-O3", "-march=native", "-mprefer-vector-width=512", "-fno-math-errno", "-fno-trapping-math"),
     *("-fno-signed-zeros", "-freciprocal-math", "-fassociative-math", "-fopenmp", "-shared", "-fPIC"),
