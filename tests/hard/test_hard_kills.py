@@ -1,4 +1,4 @@
-"""A sweep that is killed loses no finished chunk; `python tests/hard/kills.py` kills it two hundred times."""
+"""Tests that a killed sweep loses no finished chunk; `python tests/hard/kills.py` kills it two hundred times."""
 
 from kills import Kills
 
