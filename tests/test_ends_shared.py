@@ -39,7 +39,7 @@ def search_log(monkeypatch):
     return tried, ended
 
 
-def test_labels_and_values_of_the_full_run(search_log):
+def test_labels_and_values_match_full_run(search_log):
     """Nearly every label agrees (here all do). Values agree within the accepted error, which the estimate bounds."""
     tried, ended = search_log
     early, full = (vj.run_sweep(sweep(orbits=True, end_early=flag), progress=False) for flag in (True, False))

@@ -35,11 +35,11 @@ def docstring(name: str) -> str:
 def complaint(name: str) -> str:
     """Return what is wrong with the example of a public name, or an empty string."""
     text = docstring(name).partition("**Example:**")[2]
-    doctest_ = PARSER.get_doctest(text, {"vj": vj}, f"vibrojax.{name}", None, 0)
-    if not doctest_.examples:
+    parsed = PARSER.get_doctest(text, {"vj": vj}, f"vibrojax.{name}", None, 0)
+    if not parsed.examples:
         return f"vibrojax.{name} has no example: write one below **Example:** in its docstring"
     messages: list[str] = []
-    doctest.DocTestRunner(verbose=False).run(doctest_, out=messages.append)
+    doctest.DocTestRunner(verbose=False).run(parsed, out=messages.append)
     return "".join(messages)
 
 

@@ -22,7 +22,7 @@ class SlowAnswers:
     """A source of answers that repeats the parameters after a delay, unless a newer request arrives."""
 
     def __init__(self, seconds=0.0):
-        self.seconds, self.answered, self.left, self.warmed = seconds, [], 0, threading.Event()
+        self.seconds, self.answered, self.superseded, self.warmed = seconds, [], 0, threading.Event()
 
     def warm(self):
         self.warmed.set()
@@ -38,7 +38,7 @@ class SlowAnswers:
             try:
                 check()
             except RefusedRequest as refusal:
-                self.left += refusal.status == 409
+                self.superseded += refusal.status == 409
                 raise
         self.answered.append(message["parameters"])
         return json.dumps(message["parameters"]).encode()
@@ -288,7 +288,7 @@ def test_thousand_quick_clicks_are_answered_or_refused_in_order():
         assert statuses[999] == 200
         assert answers.answered == sorted(answers.answered)
         assert set(answers.answered) >= {number for number, status in statuses.items() if status == 200}
-        assert answers.left > 0 and len(live.queue._newest) <= 2 and not live.queue._waiting
+        assert answers.superseded > 0 and len(live.queue._newest) <= 2 and not live.queue._waiting
     assert request_fails(live)
 
 

@@ -94,7 +94,7 @@ def test_every_scene_answers(scene):
 
 
 @pytest.mark.parametrize(
-    ("asked", "line"),
+    ("question", "line"),
     [
         ({"parameters": None}, "explore: parameters: "),
         ({"parameters": [1]}, "explore: parameters: "),
@@ -115,9 +115,9 @@ def test_every_scene_answers(scene):
         ({"lane": None}, "explore: lane: "),
     ],
 )
-def test_wrong_requests_are_refused_in_one_line(motions, asked, line):
+def test_wrong_requests_are_refused_in_one_line(motions, question, line):
     with pytest.raises(InputError) as error:
-        motions.answer(asked, no_newer_request)
+        motions.answer(question, no_newer_request)
     assert line in str(error.value) and "\n" not in str(error.value)
 
 

@@ -482,13 +482,13 @@ def test_fit_is_named_by_its_groups_and_has_no_motions(browser: Any, tmp_path: P
         assert opened.heard == []
 
 
-@pytest.mark.parametrize(("value", "said"), [(0.0, "0 everywhere"), (np.nan, "no value")])
-def test_zeros_and_missing_values_have_no_colour_scale(browser: Any, tmp_path: Path, value: float, said: str) -> None:
+@pytest.mark.parametrize(("value", "text"), [(0.0, "0 everywhere"), (np.nan, "no value")])
+def test_zeros_and_missing_values_have_no_colour_scale(browser: Any, tmp_path: Path, value: float, text: str) -> None:
     axes = {"a": [1.0, 2.0, 3.0], "b": [1.0, 2.0]}
     rate = (("a", "b"), np.full((3, 2), value), {"units": "m s-1", "long_name": "rate"})
     ds = xr.Dataset({"rate": rate}, axes, {"source": "vibrojax 0"})
     with _open(browser, ds, tmp_path / "page.html") as opened:
-        assert f": {said} here" in opened.page.locator(".vx-legend").inner_text()
+        assert f": {text} here" in opened.page.locator(".vx-legend").inner_text()
         assert opened.page.locator(".vx-bar").count() == 0
 
 

@@ -44,9 +44,9 @@ def running_command(*arguments):
 
 
 @pytest.mark.parametrize(
-    ("sent", "status", "said"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "term")]
+    ("sent", "status", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "term")]
 )
-def test_command_serves_until_interrupted(file, sent, status, said):
+def test_command_serves_until_interrupted(file, sent, status, word):
     with running_command("explore", file, "--live", "--no-browser") as process:
         url = process.stdout.readline().strip()
         port = int(re.fullmatch(r"http://127\.0\.0\.1:(\d+)/[\w-]{43,}/", url)[1])
@@ -55,7 +55,7 @@ def test_command_serves_until_interrupted(file, sent, status, said):
         out, err = process.communicate(timeout=200)
     assert process.returncode == status and out == ""
     last = err.splitlines()[-1]
-    assert last.startswith(f"vibrojax: {said}") and last.endswith(f"explore {file} --live") and "Traceback" not in err
+    assert last.startswith(f"vibrojax: {word}") and last.endswith(f"explore {file} --live") and "Traceback" not in err
     with pytest.raises(OSError):
         socket.create_connection(("127.0.0.1", port), 1).close()
 
@@ -182,7 +182,7 @@ def test_stopped_server_is_reported():
 
 
 def test_quick_requests_are_sent_one_at_a_time():
-    """Of many simultaneous requests the page sends only the first and the last; it refuses those between."""
+    """The page sends only the first and the last of many simultaneous requests, and refuses those between."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("no node here")

@@ -172,7 +172,7 @@ def test_sticking_changes_at_special_points(family):
     for value in specials(family, "stick"):
         k = np.abs(branch.gamma.values - value).argmin()
         around = branch.isel(point=slice(max(k - 1, 0), k + 2))
-        # At each of these points, sticking or backward sliding begins or ends.
+        # The number of sticking or backward-sliding phases changes there, and so do the slopes of their shares of time.
         assert float(around.stick_fraction.min()) < 0.2
     assert len(specials(family, "stick")) == 10
 

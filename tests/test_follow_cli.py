@@ -102,7 +102,7 @@ def test_info_shows_the_same_lines(here, capsys):
     assert facts["special"][0].keys() == {"kind", "value", "family", "branch", "note"}
 
 
-def test_json(here, capsys):
+def test_json_output(here, capsys):
     assert main(["follow", "vibro-impact", *ARGUMENTS, "-o", "one.nc", "--json"]) == 0  # the same result again
     facts = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert facts["scene"] == "vibro-impact" and facts["start"] == "drive" and facts["parameters"]["beta"] == 0.4
@@ -210,11 +210,11 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("scene", "changes", "said"), WRONG, ids=lambda part: str(part)[:50])
-def test_wrong_input_is_refused_in_one_line(here, capsys, scene, changes, said):
+@pytest.mark.parametrize(("scene", "changes", "message"), WRONG, ids=lambda part: str(part)[:50])
+def test_wrong_input_is_refused_in_one_line(here, capsys, scene, changes, message):
     arguments = [f"{name}={value}" for name, value in (BASE | changes).items() if value is not None]
     line = refusal_line(capsys, "follow", scene, *arguments, "-o", "wrong.nc")
-    assert line.startswith("follow: ") and said in line
+    assert line.startswith("follow: ") and message in line
     assert not (here / "wrong.nc").exists()
 
 

@@ -1,4 +1,4 @@
-"""Tests of the features that `simulate` reports: they equal those of a sweep of the same point, as does their text."""
+"""Tests of the features that `simulate` reports, against a sweep of the same point, and of their text."""
 
 import json
 

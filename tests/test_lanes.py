@@ -102,9 +102,9 @@ def test_memory_does_not_grow_with_time(tiled):
     """The program returns numbers per lane. A run ten times as long uses the same program, so it holds no more."""
     compiled = programs_compiled()
     chunks = Chunks(read_sweep(sweep(PERIODIC[:4], settle=1.0, observe=60.0)))
-    values_ = chunks.compute(0)
+    result = chunks.compute(0)
     assert programs_compiled() == compiled
-    assert {values.shape for values in values_.values()} == {(4,)}
+    assert {values.shape for values in result.values()} == {(4,)}
 
 
 @pytest.mark.parametrize("run", [SHORT, {"settle": 0.0, "observe": 2.0}, {"settle": 24.0, "observe": 8.0}])

@@ -9,7 +9,7 @@ import vibrojax as vj
 
 
 @pytest.mark.parametrize(("law", "seed"), [("stribeck", 2), pytest.param("hyperbolic", 3, marks=pytest.mark.long)])
-def test_at_random_points(law, seed):
+def test_multipliers_at_random_points(law, seed):
     """Compare with central differences, which have errors of about 1e-8 themselves, and with volumes.
 
     Most saltations that change volumes are of a bit that turns without sticking, where friction changes its sign.
@@ -24,7 +24,7 @@ def test_at_random_points(law, seed):
     assert sum(jumps < 0.9 for _, jumps in sliding) >= 2
 
 
-def test_without_impacts():
+def test_multipliers_without_impacts():
     points = {"beta": [0.3, 0.45], "gamma": [0.65, 0.75], "v": [1.0, 1.3]}
     ds = vj.run_sweep(
         {"scene": "rotary", "points": points, "starts": ["stuck"], "run": {"orbits": True}}, progress=False

@@ -3,9 +3,10 @@
         python tests/hard/kills.py [KILLS [SEED [DOOR ...]]]        200 kills of a single process, some 15 minutes
     python tests/hard/kills.py 200 0 all                        200 kills over all doors
 
-A sweep continues in one folder, each time through a random door: this process alone, two spawned workers, three shares
-at once, a dask cluster, a pool of Python's, submitit's local jobs as an executor and as an array. After a random time,
-a random process of it is killed (SIGKILL, which cannot be caught). If it was the driver, the sweep starts again.
+A sweep continues in one folder, each time through a random door. The doors are this process alone, two spawned
+workers, three shares at once, a dask cluster, a pool of Python's, and submitit's local jobs as an executor and as an
+array. After a random time, a random process of the sweep is killed (SIGKILL, which cannot be caught). If it was the
+driver, the sweep starts again.
 
 All finished chunks are watched: one that vanishes was lost, one that is replaced was computed twice. At the end the
 dataset equals that of an undisturbed sweep bit for bit, and no other file remains.
@@ -95,12 +96,12 @@ class Watch:
 
     def __init__(self, folder: Path, out: Path):
         self.folder, self.out, self.seen, self.lost, self.twice = folder, out, {}, 0, 0
-        self.over = threading.Event()
+        self.stopped = threading.Event()
         self.thread = threading.Thread(target=self._look, daemon=True)
         self.thread.start()
 
     def _look(self) -> None:
-        while not self.over.wait(0.02):
+        while not self.stopped.wait(0.02):
             self.look()
 
     def look(self) -> None:
@@ -117,16 +118,16 @@ class Watch:
         self.seen |= finished
 
     def close(self) -> None:
-        self.over.set()
+        self.stopped.set()
         self.thread.join()
 
 
 class Kills:
-    """A series of kills of one sweep in `folder`; `counted` holds the counts of kills and of their effects."""
+    """A series of kills of one sweep in `folder`; `counts` holds the counts of kills and of their effects."""
 
     def __init__(self, folder: Path, seed: int = 0, doors: tuple[str, ...] = ("plain",)):
-        self.folder, self.random, self.counted, self.doors = folder, random.Random(seed), Counter(), doors
-        self.out, self.wanted = folder / OUT, ""
+        self.folder, self.random, self.counts, self.doors = folder, random.Random(seed), Counter(), doors
+        self.out, self.victim_kind = folder / OUT, ""
         (folder / "sweep.toml").write_text(SWEEP)
         for name, text in SCRIPTS.items():
             (folder / f"by_{name}.py").write_text(_SCRIPT + text)
@@ -136,8 +137,8 @@ class Kills:
             whole = self._command("sweep.toml", "-o", self.whole.name)
             errors = whole.communicate()[1]
             assert whole.returncode == 0, errors
-            self.longest = time.monotonic() - began
-        self.cluster, self.seen_all = None, time.monotonic()
+            self.duration = time.monotonic() - began
+        self.cluster, self.workers_seen_at = None, time.monotonic()
         if "dask" in doors:
             self.cluster = self._cluster()
 
@@ -145,39 +146,39 @@ class Kills:
         if self.cluster is not None:
             self.cluster.close()
 
-    def one_run(self, most: int) -> int:
+    def run_once(self, most: int) -> int:
         """Start over, kill at most `most` times, then let the sweep finish."""
         self.out.unlink(missing_ok=True)
         watch, kills = Watch(self.folder / f"{OUT}.chunks", self.out), 0
         while not self.out.exists():
             [door] = self.random.choices(self.doors, [DOORS[name] for name in self.doors])
-            processes = self._started(door)
-            self.seen_all = began = time.monotonic()
-            wait = self.random.uniform(0.0, 0.9 * self.longest)
+            processes = self._start(door)
+            self.workers_seen_at = began = time.monotonic()
+            wait = self.random.uniform(0.0, 0.9 * self.duration)
             while any(process.poll() is None for process in processes):
                 time.sleep(0.02)
-                self.wanted = self.wanted or self.random.choice(["driver", "worker", "worker"])
+                self.victim_kind = self.victim_kind or self.random.choice(["driver", "worker", "worker"])
                 if door == "only":
-                    self.wanted = "driver"
-                if door == "dask" and not self._dask_workers() and time.monotonic() - self.seen_all > 30.0:
-                    self._begun_anew(processes)
+                    self.victim_kind = "driver"
+                if door == "dask" and not self._dask_workers() and time.monotonic() - self.workers_seen_at > 30.0:
+                    self._restart_cluster(processes)
                 if kills < most and time.monotonic() - began > wait and (victim := self._victim(door, processes)):
                     self._kill(door, victim, processes)
-                    kills, self.wanted = kills + 1, ""
+                    kills, self.victim_kind = kills + 1, ""
                     began, wait = time.monotonic(), self.random.uniform(0.3, 4.0)
             for process in processes:
                 errors = process.communicate()[1].decode()
                 status = process.returncode
                 busy = status == 2 and "another process is at work there" in errors
-                # All jobs were killed, or so many workers in a row that the sweep gave up: finished chunks are kept.
+                # If all jobs or too many workers in a row are killed, the sweep gives up and keeps its finished chunks.
                 ended = status == 1 and ("the jobs ended, and" in errors or "workers die before they finish" in errors)
-                self.counted["given up after kills in a row"] += ended
+                self.counts["given up after kills in a row"] += ended
                 assert status in (0, -signal.SIGKILL) or busy or ended, (door, status, errors)
                 if busy:  # jobs may outlive the process that started them
                     time.sleep(0.5)
         watch.close()
-        self.counted["chunks lost"] += watch.lost
-        self.counted["chunks computed twice"] += watch.twice
+        self.counts["chunks lost"] += watch.lost
+        self.counts["chunks computed twice"] += watch.twice
         self._compare()
         return kills
 
@@ -186,24 +187,24 @@ class Kills:
         below = [process for driver in drivers for process in children(driver)]
         if door == "dask" and self.cluster is not None:
             below += self._dask_workers()
-        choice = drivers if self.wanted == "driver" or door == "plain" else computing_chunks(below)
+        choice = drivers if self.victim_kind == "driver" or door == "plain" else computing_chunks(below)
         return self.random.choice(choice) if choice else None
 
     def _dask_workers(self) -> list[int]:
         """Return dask's workers once all of them run: a nanny may give up if its worker is killed while it starts."""
         nannies = list(self.cluster.workers.values())
         if len(nannies) == 2 and all(nanny.status.name == "running" and nanny.pid for nanny in nannies):
-            self.seen_all = time.monotonic()
+            self.workers_seen_at = time.monotonic()
             return [nanny.pid for nanny in nannies]
         return []
 
-    def _begun_anew(self, processes: list[subprocess.Popen]) -> None:
+    def _restart_cluster(self, processes: list[subprocess.Popen]) -> None:
         """Start a new cluster if dask has given up its workers: a sweep would wait for them, as it should."""
         for process in processes:
             process.kill()
-        self.counted["clusters of dask begun anew"] += 1
+        self.counts["clusters of dask begun anew"] += 1
         self.cluster.close(timeout=10)
-        self.cluster, self.seen_all = self._cluster(), time.monotonic()
+        self.cluster, self.workers_seen_at = self._cluster(), time.monotonic()
 
     def _cluster(self):
         from distributed import LocalCluster
@@ -215,24 +216,24 @@ class Kills:
         descendants = children(victim) if driver else []
         with contextlib.suppress(ProcessLookupError):
             os.kill(victim, signal.SIGKILL)
-        self.counted[f"{door}: {'driver' if driver else 'worker'} killed"] += 1
+        self.counts[f"{door}: {'driver' if driver else 'worker'} killed"] += 1
         if driver is None:
             return
         driver.wait()
         if door in ("processes", "pool"):
-            self._no_orphans(descendants, strict=door == "processes")
+            self._check_orphans(descendants, strict=door == "processes")
 
-    def _no_orphans(self, descendants: list[int], strict: bool) -> None:
+    def _check_orphans(self, descendants: list[int], strict: bool) -> None:
         end = time.monotonic() + 5.0
         while (orphans := computing_chunks(descendants)) and time.monotonic() < end:
             time.sleep(0.02)
         if strict:
-            self.counted["orphans"] += len(orphans)
+            self.counts["orphans"] += len(orphans)
         for process in orphans:  # Python's own pool waits for ever
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
 
-    def _started(self, door: str) -> list[subprocess.Popen]:
+    def _start(self, door: str) -> list[subprocess.Popen]:
         if door == "plain":
             return [self._command("sweep.toml", "-o", OUT)]
         if door == "processes":
@@ -258,14 +259,14 @@ class Kills:
             for name in expected.variables:
                 np.testing.assert_array_equal(result[name].values, expected[name].values, err_msg=name)
             assert list(result.variables) == list(expected.variables)
-        self.counted["datasets the same, bit for bit"] += 1
+        self.counts["datasets the same, bit for bit"] += 1
         chunks = self.folder / f"{OUT}.chunks"
         if chunks.exists():  # left by a process that was killed while it removed them
-            self.counted["folders left by a kill after the end"] += 1
+            self.counts["folders left by a kill after the end"] += 1
             for path in chunks.iterdir():
                 path.unlink()
             chunks.rmdir()
-        self.counted["half-written files left"] += len([p for p in self.folder.iterdir() if p.name.endswith(".part")])
+        self.counts["half-written files left"] += len([p for p in self.folder.iterdir() if p.name.endswith(".part")])
 
 
 def main(most: str = "200", seed: str = "0", *doors: str) -> None:
@@ -273,10 +274,8 @@ def main(most: str = "200", seed: str = "0", *doors: str) -> None:
         kills, done = Kills(Path(folder), int(seed), tuple(DOORS) if doors == ("all",) else doors or ("plain",)), 0
         try:
             while done < int(most):
-                done += kills.one_run(min(10, int(most) - done))
-                print(
-                    f"{done} kills: " + ", ".join(f"{effect}: {n}" for effect, n in kills.counted.items()), flush=True
-                )
+                done += kills.run_once(min(10, int(most) - done))
+                print(f"{done} kills: " + ", ".join(f"{effect}: {n}" for effect, n in kills.counts.items()), flush=True)
         finally:
             kills.close()
 

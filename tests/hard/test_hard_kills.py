@@ -5,5 +5,5 @@ from kills import Kills
 
 def test_three_kills(tmp_path):
     kills = Kills(tmp_path)
-    assert kills.one_run(most=3) >= 1
-    assert kills.counted["chunks lost"] == kills.counted["chunks computed twice"] == 0
+    assert kills.run_once(most=3) >= 1
+    assert kills.counts["chunks lost"] == kills.counts["chunks computed twice"] == 0

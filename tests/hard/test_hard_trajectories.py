@@ -13,7 +13,7 @@ TOO_LONG = r"simulate: duration: \S+ s need about \S+ steps.*; there is room for
 
 
 @pytest.mark.parametrize(
-    ("scene", "asked", "told"),
+    ("scene", "settings", "message"),
     [
         ("vibro-impact", {"duration": 1e12}, TOO_LONG),
         ("vibro-impact", {"duration": 1e300}, TOO_LONG),
@@ -34,11 +34,11 @@ TOO_LONG = r"simulate: duration: \S+ s need about \S+ steps.*; there is room for
         ("vibro-impact", {"c0": 1e300}, "simulate: the point cannot be run: too stiff, "),
     ],
 )
-def test_refused_before_any_work(scene, asked, told, monkeypatch):
+def test_refused_before_any_work(scene, settings, message, monkeypatch):
     monkeypatch.setattr(_record, "record_batch", None)
     with pytest.raises(InputError) as refusal:
-        vj.simulate(scene, **asked, progress=False)
-    assert re.match(told, str(refusal.value)), refusal.value
+        vj.simulate(scene, **settings, progress=False)
+    assert re.match(message, str(refusal.value)), refusal.value
 
 
 def test_command_refuses_in_one_line(capsys, tmp_path, monkeypatch):

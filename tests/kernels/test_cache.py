@@ -130,10 +130,10 @@ def test_file_writable_by_others(file, compilations, refusals, mode):
     assert len(compilations) == 2
 
 
-@pytest.mark.parametrize("of", ["folder", "file"])
-def test_path_of_another_user(file, compilations, refusals, monkeypatch, of):
+@pytest.mark.parametrize("part", ["folder", "file"])
+def test_path_of_another_user(file, compilations, refusals, monkeypatch, part):
     """A path that belongs, or seems to belong, to another user is refused, also for root."""
-    path = file if of == "file" else file.parent
+    path = file if part == "file" else file.parent
     if os.geteuid() == 0:
         os.chown(path, STRANGER, -1)
     else:
@@ -150,16 +150,16 @@ def test_path_of_another_user(file, compilations, refusals, monkeypatch, of):
     assert len(compilations) == 2 and refusals() == refusal_lines(path, "belongs to another user")
 
 
-@pytest.mark.parametrize("of", ["folder", "file"])
-def test_link(file, compilations, refusals, tmp_path, of):
+@pytest.mark.parametrize("part", ["folder", "file"])
+def test_link(file, compilations, refusals, tmp_path, part):
     """A link is not followed, even if its target is undamaged and belongs to the user."""
-    path, target = file if of == "file" else file.parent, tmp_path / "planted"
+    path, target = file if part == "file" else file.parent, tmp_path / "planted"
     path.rename(target)
     path.symlink_to(target)
     use()
     [line] = refusals()
     assert len(compilations) == 2 and line.startswith(f"cache refused: {path}: ")
-    assert target.exists() and path.is_symlink() == (of == "folder")
+    assert target.exists() and path.is_symlink() == (part == "folder")
 
 
 def test_pipe_in_place_of_file(file, compilations, refusals):
@@ -169,7 +169,7 @@ def test_pipe_in_place_of_file(file, compilations, refusals):
     assert len(compilations) == 2 and refusals() == refusal_lines(file, "is not a regular file")
 
 
-def test_swapped_contents(compilations, refusals):
+def test_swapped_files_are_detected(compilations, refusals):
     """Code of another kernel under this key once ended the process (signal 11)."""
     use(3.0)
     use(4.0)

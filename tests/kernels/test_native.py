@@ -40,8 +40,8 @@ def test_references_are_whole_addresses(monkeypatch):
     assert references(code) and set(references(code)) == {WHOLE_ADDRESS}
 
 
-def test_no_lanes():
-    """A kernel that gets no lanes writes nothing; it once wrote a group of lanes behind its empty results."""
+def test_kernel_without_lanes_writes_nothing():
+    """It once wrote a group of lanes behind its empty results."""
     x = np.linspace(0.1, 2.0, 9)
     kernel = Kernel(lambda x: x + 1.0, x)
     assert kernel(np.empty(0)).shape == (0,)
