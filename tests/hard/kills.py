@@ -1,6 +1,6 @@
 """Kill a sweep, its workers and drivers at random instants: no finished chunk may be lost or computed twice.
 
-        python tests/hard/kills.py [KILLS [SEED [DOOR ...]]]        200 kills of a single process, some 15 minutes
+    python tests/hard/kills.py [KILLS [SEED [DOOR ...]]]        200 kills of a single process, some 15 minutes
     python tests/hard/kills.py 200 0 all                        200 kills over all doors
 
 A sweep continues in one folder, each time through a random door. The doors are this process alone, two spawned
