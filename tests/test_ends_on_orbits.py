@@ -1,4 +1,4 @@
-"""Lanes within the linear reach of a stable orbit end there: labels as if run in full, values those of the orbit."""
+"""Tests of ending lanes on stable orbits: labels are those of the full run, values those of the orbit."""
 
 import numpy as np
 import pytest
@@ -11,19 +11,19 @@ from vibrojax.sweep.input.read import read_sweep
 
 LANES = 384
 WIDE = {"beta": (0.1, 1.2), "gamma": (0.3, 1.2), "v": (0.3, 3.0), "delta": (-0.006, 0.012)}
-"""The vibro-impact scene's wide box. On 4,096 lanes of it, and of two boxes within, of 6,749 lanes that repeat all have
-the label of the full run, 5,829 of which end on orbits; in float32 of 6,758 lanes all, 5,789 of which do."""
+"""Wide box of the vibro-impact scene. In 4,096 lanes of it and of two boxes within, all 6,749 periodic lanes have the
+label of the full run; 5,829 of them end on orbits. In float32 all 6,758 do; 5,789 of them end on orbits."""
 
 
 @pytest.fixture(autouse=True)
-def however_few(monkeypatch):
-    """Also where to compile the return map takes longer than it spares."""
+def allow_any_cost(monkeypatch):
+    """End lanes on orbits even where compiling the return map takes longer than it saves."""
     monkeypatch.setattr(ends, "EARLY_END_MIN_SECONDS", 0.0)
 
 
 def sweep(scene="vibro-impact", lanes=LANES, **run):
     rng = np.random.default_rng(7)
-    points = {name: rng.uniform(*ends, lanes).tolist() for name, ends in WIDE.items()}
+    points = {name: rng.uniform(*bounds, lanes).tolist() for name, bounds in WIDE.items()}
     if scene == "rotary":
         del points["delta"]
     points["start"] = [("stuck", "drive")[lane % 2] for lane in range(lanes)]
@@ -31,16 +31,16 @@ def sweep(scene="vibro-impact", lanes=LANES, **run):
 
 
 @pytest.fixture
-def ended(monkeypatch):
-    """Counts the lanes that end on orbits."""
-    counts, look = [], ends.EarlyEnds.__call__
+def lanes_on_orbits(monkeypatch):
+    """Count the lanes that end on orbits."""
+    counts, original = [], ends.EarlyEnds.__call__
 
-    def counted(self, batch):
-        found = look(self, batch)
-        counts.extend(len(one.lanes) for one in found)
-        return found
+    def count_lanes(self, batch):
+        endings = original(self, batch)
+        counts.extend(len(ending.lanes) for ending in endings)
+        return endings
 
-    monkeypatch.setattr(ends.EarlyEnds, "__call__", counted)
+    monkeypatch.setattr(ends.EarlyEnds, "__call__", count_lanes)
     return counts
 
 
@@ -53,14 +53,14 @@ def ended(monkeypatch):
         ("coupled-drilling", "float64", 128, 0.5),
     ],
 )
-def test_labels_and_values_of_the_full_run(ended, scene, precision, lanes, share):
-    """Every label, count and settling time; values within the accepted error. Most lanes that repeat end on orbits."""
-    asked = sweep(scene, lanes, precision=precision)
+def test_labels_and_values_match_full_run(lanes_on_orbits, scene, precision, lanes, share):
+    """Labels, counts and settling times agree, values within the accepted error. Most periodic lanes end on orbits."""
+    spec = sweep(scene, lanes, precision=precision)
     early_, full = (
-        vj.run_sweep(asked | {"run": asked["run"] | {"end_early": one}}, progress=False) for one in (True, False)
+        vj.run_sweep(spec | {"run": spec["run"] | {"end_early": early}}, progress=False) for early in (True, False)
     )
     repeats = (full.cycles > 0).values
-    assert share * repeats.sum() < sum(ended) <= repeats.sum()
+    assert share * repeats.sum() < sum(lanes_on_orbits) <= repeats.sum()
     assert early_.dtypes == full.dtypes
     np.testing.assert_array_equal(early_.regime, full.regime)
     for name in {"cycles", "impacts", "check_regime"} & set(full):
@@ -69,14 +69,14 @@ def test_labels_and_values_of_the_full_run(ended, scene, precision, lanes, share
         np.testing.assert_allclose(early_[name].values[repeats], full[name].values[repeats], rtol=1e-4, err_msg=name)
 
 
-def test_the_same_bits_by_any_chunks():
-    """A lane's orbit does not depend on the lanes beside it."""
+def test_result_does_not_depend_on_chunk_size():
+    """The orbit of a lane does not depend on its neighbours."""
     whole, parts = (vj.run_sweep(sweep(lanes=96, chunk=chunk), progress=False) for chunk in (96, 40))
     for name in whole.data_vars:
         np.testing.assert_array_equal(whole[name], parts[name], err_msg=name)
 
 
-def test_not_where_it_is_not_worth_its_while(monkeypatch):
+def test_no_search_where_it_costs_more_than_it_saves(monkeypatch):
     monkeypatch.undo()
     assert ends.EARLY_END_MIN_SECONDS == 5e6
     few, many = read_sweep(sweep(lanes=8)), sweep(lanes=8, settle=1e6)
@@ -89,62 +89,64 @@ def test_not_where_it_is_not_worth_its_while(monkeypatch):
 BASIS = np.array([[1.0, 0.2, -0.4], [0.3, 1.0, 0.5], [-0.2, 0.1, 1.0]])
 
 
-def lane(multipliers, away, repeats=100, bend=0.0, error=1e-4):
-    """Whether a lane is taken to end on the orbit at zero, its last returns by a map with such `multipliers`, which
-    `bend` of a distance's square is no linear one."""
+def reaches_orbit(multipliers, away, repeats=100, bend=0.0, error=1e-4):
+    """Return whether a lane is predicted to reach the orbit at zero.
+
+    Its last returns follow a map with these `multipliers` and a quadratic term of size `bend`.
+    """
     derivative = BASIS @ np.diag(multipliers) @ np.linalg.inv(BASIS)
     returns = [away * np.array([0.4, -1.0, 0.7])]
     for _ in range(7):
         returns.append(derivative @ returns[-1] + bend * returns[-1] ** 2)
-    near = Approach(np.arange(1), np.ones((1, 3)), np.stack(returns[::-1])[..., None], np.zeros((1, 1, 3)))
-    one = np.ones(1)
+    approach = Approach(np.arange(1), np.ones((1, 3)), np.stack(returns[::-1])[..., None], np.zeros((1, 1, 3)))
+    ones = np.ones(1)
     orbit = PeriodicOrbits(
         scales=np.ones((1, 3)),
         states=np.zeros((1, 1, 3)),
         times=np.ones((1, 1)),
-        residual=0 * one,
+        residual=0 * ones,
         product=derivative[None],
         step=np.zeros((1, 1, 3)),
-        moved=0 * one,
-        impacts=one,
-        margin=one,
-        reach=one,
-        steps=one,
+        moved=0 * ones,
+        impacts=ones,
+        margin=ones,
+        reach=ones,
+        steps=ones,
     )
-    return will_reach(near, orbit, np.array([float(repeats)]), 1e-7, error)[0]
+    return will_reach(approach, orbit, np.array([float(repeats)]), 1e-7, error)[0]
 
 
 @pytest.mark.parametrize(
     "multipliers, away, more, ends",
     [
         ((0.8, 0.3, 0.05), 1e-2, {}, True),
-        ((-0.8, 0.3, 0.05), 2.2e-2, {}, False),  # turns over: its returns still differ by over 1 %
+        ((-0.8, 0.3, 0.05), 2.2e-2, {}, False),  # alternates: its returns still differ by more than 1 %
         ((-0.8, 0.3, 0.05), 3e-3, {}, True),
         ((0.8, 0.3, 0.05), 1e-1, {}, False),  # too far away
-        ((0.8, 0.3, 0.05), 1e-2, {"repeats": 8}, False),  # observed before it is there
+        ((0.8, 0.3, 0.05), 1e-2, {"repeats": 8}, False),  # is observed before it arrives
         ((0.99, 0.3, 0.05), 1e-3, {}, False),  # slow
         ((1.0, 0.3, 0.05), 1e-6, {}, False),  # neutral
-        ((1.01, 0.3, 0.05), 1e-9, {}, False),  # leaves, if by next to nothing yet
+        ((1.01, 0.3, 0.05), 1e-9, {}, False),  # diverges, if only slightly so far
         ((0.8, 0.3, 0.05), 5e-3, {"bend": 200.0}, False),  # does not follow the derivative
     ],
 )
-def test_which_lanes_are_where_they_will_be(multipliers, away, more, ends):
-    assert lane(multipliers, away, **more) == ends
+def test_predicted_end_on_orbit(multipliers, away, more, ends):
+    assert reaches_orbit(multipliers, away, **more) == ends
 
 
 def test_extrapolation_of_a_linear_map():
-    """Three multipliers and four differences: the fixed point itself."""
+    """Three multipliers and four differences determine the fixed point exactly."""
     derivative = BASIS @ np.diag([0.9, -0.5, 0.2]) @ np.linalg.inv(BASIS)
     fixed, state = np.array([0.5, -0.3, 0.8]), np.array([0.501, -0.299, 0.8])
     series = [state]
     for _ in range(7):
         series.append(fixed + derivative @ (series[-1] - fixed))
-    found = extrapolate(np.stack(series[::-1])[..., None], np.ones((3, 1)), 1e-12)[:, 0]
-    np.testing.assert_allclose(found, fixed, atol=1e-9)
+    extrapolated = extrapolate(np.stack(series[::-1])[..., None], np.ones((3, 1)), 1e-12)[:, 0]
+    np.testing.assert_allclose(extrapolated, fixed, atol=1e-9)
 
 
-def test_where_a_long_transient_leads():
-    """Lanes that do not repeat after 40 s, and the stable orbits near them: on those they are after 300 s."""
+def test_nearby_orbit_predicts_end_of_long_transient():
+    """Most lanes that are not periodic after 40 s but have a stable orbit nearby are on it after 300 s."""
     rng = np.random.default_rng(14)
     box = {"beta": rng.uniform(0.1, 1.2, 256).tolist(), "gamma": rng.uniform(0.3, 1.2, 256).tolist()}
     soon, late = (
@@ -154,7 +156,7 @@ def test_where_a_long_transient_leads():
     near = (soon.nearby_cycles > 0).values
     assert near.sum() >= 5
     assert not near[(soon.regime.isin([2, 3, 4, 5])).values].any()
-    there = (soon.nearby_cycles == late.cycles).values & (soon.nearby_impacts == late.impacts).values
-    assert there[near].mean() >= 0.9
+    reached = (soon.nearby_cycles == late.cycles).values & (soon.nearby_impacts == late.impacts).values
+    assert reached[near].mean() >= 0.9
     assert (soon.nearby_distance.values[near] < 0.5).all()
     assert np.isnan(soon.nearby_distance.values[~near]).all()

@@ -1,4 +1,4 @@
-"""What engineers read: impact power, blows per minute, stick-slip index, specific energy, and two diagrams."""
+"""Tests of engineering quantities: impact power, blows per minute, stick-slip index, specific energy, two diagrams."""
 
 import numpy as np
 import pytest
@@ -14,11 +14,11 @@ DRILL = {"scene": "drilling", "parameters": {"k1": 625000.0}, "run": RUN}
 
 @pytest.fixture(scope="module")
 def drilling():
-    """Lanes that repeat after one return and after several, and one that does not repeat; some do not penetrate."""
+    """Return lanes that repeat after one return, after several, and not at all; some do not penetrate."""
     return vj.run_sweep(DRILL | {"grid": {"gamma": [0.6, 0.75, 1.1, 1.2]}}, progress=False)
 
 
-def test_power_and_energy_are_those_of_their_definitions(drilling):
+def test_power_and_energy_match_their_definitions(drilling):
     ds = drilling
     assert {0, 1} < set(ds.cycles.values.ravel().tolist()) and (ds.rate_of_penetration == 0).any()
     repeats = ds.cycles > 0
@@ -33,8 +33,8 @@ def test_power_and_energy_are_those_of_their_definitions(drilling):
     assert all(ds[name].attrs.get("definition") for name in names if name != "blow_frequency")
 
 
-def test_a_wider_hole_takes_less_energy_per_volume():
-    """The radius may be given alone, on an axis, and with a rotation; the energy is that of its area."""
+def test_wider_hole_takes_less_energy_per_volume():
+    """The radius may be given alone, on an axis, or with a rotation. The energy refers to the area of that radius."""
     shared, values = DRILL | {"starts": ["stuck"]}, {"k1": 625000.0, "delta": 0.0}
     rotation = {**values, "bit_radius": 0.05, "rpm": 120 / (np.pi * 0.1)}
     runs = [
@@ -57,7 +57,7 @@ def test_stick_slip_index_of_a_harmonic_motion():
     m1, beta, gamma, k1, v, a = 250.0, 0.4, 0.75, 156250.0, 1.5, 0.02
     m2, k2 = beta * m1, beta * gamma**2 * k1
     squares, shapes = np.linalg.eig(np.array([[(k1 + k2) / m1, -k2 / m1], [-k2 / m2, k2 / m2]]))
-    squares, shapes = squares.real, shapes.real  # of some versions of numpy, complex
+    squares, shapes = squares.real, shapes.real  # some versions of numpy return complex numbers
     upper = int(np.argmax(squares))
     x1, x2 = a * shapes[:, upper] / shapes[0, upper]
     sweep = {"scene": "rotary", "parameters": {"c2": 0.0, "g": 0.0}, "starts": [[x1, 0.0, x2, 0.0]], "grid": {"v": [v]}}
@@ -67,14 +67,14 @@ def test_stick_slip_index_of_a_harmonic_motion():
     assert not {"impact_power", "blow_frequency", "specific_energy"} & set(ds.data_vars)
 
 
-def test_scenes_have_the_variables_that_mean_something_for_them():
-    held = {scene: set(vj.list_variables(scene).index) for scene in ("rotary", "penetration", "coupled-drilling")}
+def test_scenes_have_only_meaningful_variables():
+    names = {scene: set(vj.list_variables(scene).index) for scene in ("rotary", "penetration", "coupled-drilling")}
     new = {"impact_power", "blow_frequency", "stick_slip_index", "specific_energy"}
-    assert held["rotary"] & new == {"stick_slip_index"} and not held["penetration"] & new
-    assert new <= held["coupled-drilling"]
+    assert names["rotary"] & new == {"stick_slip_index"} and not names["penetration"] & new
+    assert new <= names["coupled-drilling"]
 
 
-def test_campbell_diagram_over_the_rotation():
+def test_campbell_diagram_over_rotation():
     grid = {"rpm": [60.0, 90.0, 120.0, 150.0]}
     sweep = DRILL | {"starts": ["stuck"], "grid": grid, "parameters": {"bit_radius": 0.12, "delta": 0.005}}
     ds = vj.run_sweep(sweep, progress=False)
@@ -90,17 +90,17 @@ def test_campbell_diagram_over_the_rotation():
     assert "2n" in [text.get_text() for text in axes.texts] and axes.get_xlabel() == "rotation [1/min]"
 
 
-def test_rate_over_force_shows_the_onset():
-    """Twice as many pulses per second: twice the mean force at the onset."""
+def test_rate_over_force_shows_onset():
+    """Twice as many pulses per second need twice the mean force at the onset."""
     grid = {"force": np.linspace(40e3, 300e3, 8).tolist(), "frequency": [10.0, 20.0]}
     sweep = {"scene": "penetration", "parameters": {"rock": "sandstone"}, "grid": grid}
     ds = vj.run_sweep(sweep, progress=False)
     figure = vj.picture(ds, diagram="rate-over-force")
-    none = ds.mean_force.where(ds.rate_of_penetration == 0).max("force").values / 1e3
-    some = ds.mean_force.where(ds.rate_of_penetration > 0).min("force").values / 1e3
-    np.testing.assert_allclose(some[1] / some[0], 2.0, rtol=1e-6)
+    below = ds.mean_force.where(ds.rate_of_penetration == 0).max("force").values / 1e3
+    above = ds.mean_force.where(ds.rate_of_penetration > 0).min("force").values / 1e3
+    np.testing.assert_allclose(above[1] / above[0], 2.0, rtol=1e-6)
     texts = " ".join(legend(figure))
-    for low, high in zip(none, some, strict=True):
+    for low, high in zip(below, above, strict=True):
         assert f"onset at {low:.4g} to {high:.4g} kN" in texts
     assert figure.axes[0].get_xlabel() == "mean force P [kN]"
 
@@ -117,7 +117,7 @@ def test_rate_over_force_shows_the_onset():
         ({"diagram": "rate-over-force", "where": {"gamma": 0.6}}, "rate-over-force: no number varies"),
     ],
 )
-def test_diagrams_that_cannot_be_drawn(drilling, call, line):
-    with pytest.raises(InputError) as caught:
+def test_undrawable_diagrams_are_refused(drilling, call, line):
+    with pytest.raises(InputError) as error:
         vj.picture(drilling, **call)
-    assert line in str(caught.value) and "\n" not in str(caught.value)
+    assert line in str(error.value) and "\n" not in str(error.value)

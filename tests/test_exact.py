@@ -1,4 +1,4 @@
-"""The exact reference (tests/exact): right by itself, and what the package gives is what it gives."""
+"""Tests of the exact reference (tests/exact) by itself, and of the package against it."""
 
 import json
 from itertools import pairwise
@@ -45,7 +45,7 @@ SCENES = DRILLS | {"penetration": {"zeta": 0.5, "force": 250e3, "pulse_shape": "
 """A point of each scene; both drilling scenes yield, lift off and land at theirs."""
 
 
-# By itself
+# The reference by itself
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ SCENES = DRILLS | {"penetration": {"zeta": 0.5, "force": 250e3, "pulse_shape": "
     + [("penetration_cases", 6), ("penetration_cases", 11), ("penetration_cases", 19)],
 )
 def test_reference_cases(name, index):
-    """All of them, and the hard ones, run in tests/exact/check.py."""
+    """`tests/exact/check.py` runs all of them, and the hard ones."""
     case = json.loads((DATA / f"{name}.json").read_text())[index]
     for quantity, deviation in deviations(case["expected"], found_for(name, case)).items():
         assert deviation <= BOUNDS.get(quantity, 1e-5), quantity
@@ -64,13 +64,13 @@ def test_reference_cases(name, index):
 def test_hard_cases(index):
     case = json.loads((DATA / "hard_cases.json").read_text())[index]
     motion = run("vibro-impact", **case["point"], settle=30.0, observe=8.0)
-    found = measure(motion) | {"regime": label(motion, measure(motion))}
-    assert max(deviations(case["expected"], found).values()) < HARD_BOUND
+    measured = measure(motion) | {"regime": label(motion, measure(motion))}
+    assert max(deviations(case["expected"], measured).values()) < HARD_BOUND
 
 
 @pytest.mark.parametrize("law", friction.LAWS)
-def test_slips_by_runge_kutta(law):
-    """Every slip forwards from one switch to the next, integrated again by DOP853 from equations written out here."""
+def test_slips_match_runge_kutta(law):
+    """DOP853 reproduces every forward slip between two switches, from equations written out here."""
     motion = run("vibro-impact", gamma=0.6, v=0.8, friction=law, start="stuck", observe=0.6)
     p = motion.scene.p
 
@@ -98,7 +98,7 @@ def test_energy_ledger(scene):
     scene, p, row = motion.scene, motion.scene.p, motion.scene.row
     J = scene.J if scene.contact else lambda phase: 0 * row["one"]
 
-    def lost(part, t, Y):
+    def energy_rate(part, t, Y):
         F, v1, v2 = scene.friction_force(part.phase, Y), Y @ row["v1"], Y @ row["v2"]
         return F * p.v - F * (v1 + p.v) - p.c2 * v2**2 - (Y @ J(part.phase)) * v2
 
@@ -107,36 +107,36 @@ def test_energy_ledger(scene):
         return (p.m1 * v1**2 + p.m2 * v2**2 + p.k1 * x1**2 + p.k2 * (x1 - x2) ** 2) / 2
 
     begin, end = motion.at([0.0, 1.0])
-    worked = total(motion, 0.0, 1.0, lambda part, t, Y: np.abs(lost(part, t, Y)))
-    change = total(motion, 0.0, 1.0, lost)
-    np.testing.assert_allclose(change, energy(end) - energy(begin), atol=1e-11 * worked)
+    work = total(motion, 0.0, 1.0, lambda part, t, Y: np.abs(energy_rate(part, t, Y)))
+    change = total(motion, 0.0, 1.0, energy_rate)
+    np.testing.assert_allclose(change, energy(end) - energy(begin), atol=1e-11 * work)
     if scene.rock:
 
-        def kept(part, t, Y):
+        def rock_energy_rate(part, t, Y):
             v3 = Y @ row["v3"]
             return v3 * (Y @ (J(part.phase) - scene.N(part.phase))) - p.c3 * v3**2
 
         v3 = end @ row["v3"]
-        blows = total(motion, 0.0, 1.0, lambda part, t, Y: np.abs(kept(part, t, Y)))
-        np.testing.assert_allclose(total(motion, 0.0, 1.0, kept), p.m1 * v3**2 / 2, atol=1e-11 * blows)
+        rock_work = total(motion, 0.0, 1.0, lambda part, t, Y: np.abs(rock_energy_rate(part, t, Y)))
+        np.testing.assert_allclose(total(motion, 0.0, 1.0, rock_energy_rate), p.m1 * v3**2 / 2, atol=1e-11 * rock_work)
 
 
-def test_coupled_on_a_wall_is_vibro_impact():
-    """Rock that neither yields nor gives: what is left of the coupling falls as 1/k3."""
+def test_coupled_drilling_on_rigid_rock_is_vibro_impact():
+    """On rock that neither yields nor deforms, the effect of the coupling falls as 1/k3."""
     point = {"beta": 0.4, "gamma": 0.6, "observe": 0.5}
-    alone = run("vibro-impact", **point)
+    rigid = run("vibro-impact", **point)
     times = np.linspace(0.01, 0.49, 40)
-    far = []
+    errors = []
     for k3 in (1e11, 1e12):
         on_rock = run("coupled-drilling", **point, k3=k3, threshold=1e12, zeta=1.0)
         assert not np.any(on_rock.column("x4", times))
-        far.append(np.abs(on_rock.column("x2", times) - alone.column("x2", times)).max())
-    assert far[0] < 1e-3
-    assert far[1] < 0.4 * far[0]  # c3 falls with the root of k3 only
+        errors.append(np.abs(on_rock.column("x2", times) - rigid.column("x2", times)).max())
+    assert errors[0] < 1e-3
+    assert errors[1] < 0.4 * errors[0]  # c3 falls only with the root of k3
 
 
-class Recorded:
-    """The blows of a drilling motion as a given force."""
+class RecordedImpacts:
+    """The impact force of a drilling motion as a prescribed force."""
 
     def __init__(self, motion):
         self.motion, self.ends = motion, np.array([piece.end for piece in motion.pieces])
@@ -147,30 +147,30 @@ class Recorded:
         return lambda times: piece.states(times) @ J, piece.end if t < piece.end else np.inf
 
 
-def test_drilling_is_penetration_by_its_blows():
+def test_drilling_is_penetration_driven_by_its_impacts():
     drilling = run("drilling", **DRILLS["drilling"], observe=1.0)
     rock = {name: getattr(drilling.scene.p, name) for name in ("threshold", "k3", "zeta")}
-    driven = run("penetration", **rock, pulses=Recorded(drilling), observe=1.0)
+    driven = run("penetration", **rock, pulses=RecordedImpacts(drilling), observe=1.0)
     times = np.linspace(0.0, 1.0, 500)
     assert drilling.column("x4", times)[-1] > 1e-3
     for name in ("x3", "x4"):
         np.testing.assert_allclose(driven.column(name, times), drilling.column(name, times), rtol=0, atol=1e-14)
 
 
-def test_falls_finds_every_fall():
-    """cos 7x falls at -3 pi/14 and pi/14; a rise 1e-6 after a fall hides neither; a touch from above is no fall."""
+def test_falls_finds_every_downward_crossing():
+    """cos 7x falls at -3 pi/14 and pi/14. A rise 1e-6 after a fall hides neither. A touch from above is not a fall."""
 
-    def found(function):
+    def find_falls(function):
         return falls(COEFFICIENTS @ function(X), 1.0, 1.0)
 
-    np.testing.assert_allclose(found(lambda x: np.cos(7 * x)), [-3 * np.pi / 14, np.pi / 14], rtol=1e-12)
-    np.testing.assert_allclose(found(lambda x: -(x - 0.3) * (x - 0.3 - 1e-6) * (x - 0.7)), [0.3, 0.7], rtol=1e-8)
-    assert found(lambda x: (x - 0.2) ** 2) == []
-    assert found(lambda x: -1 - x / 10) == [-1.0]
-    assert found(np.cos) == []
+    np.testing.assert_allclose(find_falls(lambda x: np.cos(7 * x)), [-3 * np.pi / 14, np.pi / 14], rtol=1e-12)
+    np.testing.assert_allclose(find_falls(lambda x: -(x - 0.3) * (x - 0.3 - 1e-6) * (x - 0.7)), [0.3, 0.7], rtol=1e-8)
+    assert find_falls(lambda x: (x - 0.2) ** 2) == []
+    assert find_falls(lambda x: -1 - x / 10) == [-1.0]
+    assert find_falls(np.cos) == []
 
 
-# The package against it
+# The package against the reference
 
 
 def differences(motion, dataset):
@@ -182,50 +182,50 @@ def differences(motion, dataset):
     }
 
 
-def compared(scene, **point):
+def run_both(scene, **point):
     dataset = vj.simulate(scene, duration=1.0, error=1e-6, progress=False, **point)
     return run(scene, observe=1.0, **point), dataset
 
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_simulate(scene):
-    """Places to 1e-10 m, velocities to 1e-8 m/s, every impact, stick and slip to 1e-9 s."""
-    motion, dataset = compared(scene, **SCENES[scene])
+    """Positions agree to 1e-10 m, velocities to 1e-8 m/s, and times of impacts, sticks and slips to 1e-9 s."""
+    motion, dataset = run_both(scene, **SCENES[scene])
     for name, difference in differences(motion, dataset).items():
         assert difference < (1e-10 if name[0] == "x" else 1e-8), name
     kinds = dataset.event_kind.attrs["flag_meanings"].split()
-    begun = {
+    is_start = {
         "impact": lambda event: event.name == "strikes",
         "stick": lambda event: event.name == "stops" and event.after.bit == 0,
         "slip": lambda event: event.before.bit != event.after.bit and event.after.bit != 0,
     }
-    for kind, is_one in begun.items():
-        found = dataset.event_time.values[dataset.event_kind.values == kinds.index(kind)]
-        exact_times = [event.time for event in motion.events if is_one(event)]
-        np.testing.assert_allclose(found, exact_times, rtol=0, atol=1e-9, err_msg=kind)
+    for kind, matches in is_start.items():
+        event_times = dataset.event_time.values[dataset.event_kind.values == kinds.index(kind)]
+        exact_times = [event.time for event in motion.events if matches(event)]
+        np.testing.assert_allclose(event_times, exact_times, rtol=0, atol=1e-9, err_msg=kind)
 
 
 @pytest.mark.parametrize("law", ["popp-exponential", "popp-arctan", "hyperbolic-quadratic"])
 def test_simulate_friction_laws(law):
-    motion, dataset = compared("vibro-impact", beta=0.4, gamma=0.6, v=0.8, start="stuck", friction=law)
-    found = differences(motion, dataset)
-    assert max(found["x1"], found["x2"]) < 1e-9
+    motion, dataset = run_both("vibro-impact", beta=0.4, gamma=0.6, v=0.8, start="stuck", friction=law)
+    errors = differences(motion, dataset)
+    assert max(errors["x1"], errors["x2"]) < 1e-9
 
 
-def test_pressing_again_as_the_rock_yields():
-    """Released but still compressed, the contact presses again as x4' sets in: no impact, and x2 does not jump."""
+def test_contact_closes_again_when_rock_yields():
+    """A released but still compressed contact closes again when x4' sets in: no impact occurs, and x2 does not jump."""
     point = {"beta": 0.08, "gamma": 1.9, "v": 2.0, "c0": 1e5, "c2": 50.0, "mu": 1.0, "start": "stuck"}
     rock = {"zeta": 0.1, "threshold": 5e3, "k3": 100e6}
     motion = run("coupled-drilling", observe=0.3, **point, **rock)
-    again = [event for event in motion.events if event.name == "yields" and event.before.striker == "leaving"]
-    assert again
-    assert again[0].after.striker == "touching"
+    closings = [event for event in motion.events if event.name == "yields" and event.before.striker == "leaving"]
+    assert closings
+    assert closings[0].after.striker == "touching"
     dataset = vj.simulate("coupled-drilling", duration=0.3, error=1e-6, progress=False, **point, **rock)
     assert differences(motion, dataset)["x2"] < 1e-9
 
 
 def test_sweep_of_coupled_drilling():
-    """Settled lanes that drill: labels, and measures to 1e-7."""
+    """Settled drilling lanes have the labels of the reference, and its measures to 1e-7."""
     run_for = {"settle": 10.0, "observe": 6.0}
     sweep = {
         "scene": "coupled-drilling",
@@ -236,13 +236,13 @@ def test_sweep_of_coupled_drilling():
     dataset = vj.run_sweep(sweep | {"run": run_for}, progress=False).squeeze()
     for zeta in (0.5, 0.7):
         motion = run("coupled-drilling", gamma=0.6, zeta=zeta, **run_for)
-        found, lane = measure(motion), dataset.sel(zeta=zeta)
-        assert label(motion, found) == lane.regime.attrs["flag_meanings"].split()[int(lane.regime)]
+        expected, lane = measure(motion), dataset.sel(zeta=zeta)
+        assert label(motion, expected) == lane.regime.attrs["flag_meanings"].split()[int(lane.regime)]
         for name in ("period", "impact_velocity", "rate_of_penetration", "mean_force", "stick_fraction", "drive_power"):
-            np.testing.assert_allclose(lane[name], found[name], rtol=1e-7, atol=1e-9, err_msg=name)
+            np.testing.assert_allclose(lane[name], expected[name], rtol=1e-7, atol=1e-9, err_msg=name)
 
 
-def test_defaults_are_the_models():
+def test_defaults_follow_the_model():
     """k2 = beta m1 (gamma w1)^2 and c3 = 2 zeta sqrt(m1 k3)."""
     p = parameters("drilling")
     np.testing.assert_allclose((p.k2, p.c3), (0.4 * 250 * (0.75 * 25) ** 2, 3 * np.sqrt(250 * 100.68e6)))

@@ -1,6 +1,6 @@
-"""Every public name has an example in its docstring, and every example runs and says what stands below it.
+"""Tests of docstring examples: every public name has one, and every example prints the output below it.
 
-They run as users have them, in a process without the strictness of the whole run: `python tests/test_examples.py NAME`
+They run in a process of their own, without the strict settings of the test run: `python tests/test_examples.py NAME`
 """
 
 import ast
@@ -21,7 +21,7 @@ PARSER = doctest.DocTestParser()
 
 
 def docstring(name: str) -> str:
-    """What `help` and the site show of a public name; of a constant, the string below its assignment."""
+    """Return the docstring that `help` and the site show; for a constant, the string below its assignment."""
     value = getattr(vj, name)
     if inspect.isclass(value) or inspect.isroutine(value) or inspect.ismodule(value):
         return inspect.getdoc(value) or ""
@@ -33,36 +33,36 @@ def docstring(name: str) -> str:
 
 
 def complaint(name: str) -> str:
-    """What is wrong with the example of a public name; empty where nothing is."""
+    """Return what is wrong with the example of a public name, or an empty string."""
     text = docstring(name).partition("**Example:**")[2]
-    found = PARSER.get_doctest(text, {"vj": vj}, f"vibrojax.{name}", None, 0)
-    if not found.examples:
+    parsed = PARSER.get_doctest(text, {"vj": vj}, f"vibrojax.{name}", None, 0)
+    if not parsed.examples:
         return f"vibrojax.{name} has no example: write one below **Example:** in its docstring"
-    said: list[str] = []
-    doctest.DocTestRunner(verbose=False).run(found, out=said.append)
-    return "".join(said)
+    messages: list[str] = []
+    doctest.DocTestRunner(verbose=False).run(parsed, out=messages.append)
+    return "".join(messages)
 
 
 @pytest.fixture(scope="module")
 def complaints(tmp_path_factory):
-    """What is wrong, by name, from one process for all."""
+    """Return the complaint of each name, from one process for all."""
     command = [sys.executable, "-W", "error", __file__]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path_factory.mktemp("examples"))
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    process = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path_factory.mktemp("examples"))
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout)
 
 
 @pytest.mark.parametrize("name", vj.__all__)
 @pytest.mark.long
-def test_the_example_runs(name, complaints):
+def test_example_runs(name, complaints):
     assert not complaints[name], complaints[name]
 
 
-def test_a_wrong_example_is_told(monkeypatch):
-    def without():
+def test_wrong_example_is_reported(monkeypatch):
+    def no_example():
         """Nothing."""
 
-    def wrong():
+    def wrong_example():
         """One.
 
         **Example:**
@@ -71,8 +71,8 @@ def test_a_wrong_example_is_told(monkeypatch):
         0
         """
 
-    monkeypatch.setattr(vj, "read_sweep", without)
-    monkeypatch.setattr(vj, "picture", wrong)
+    monkeypatch.setattr(vj, "read_sweep", no_example)
+    monkeypatch.setattr(vj, "picture", wrong_example)
     assert "has no example" in complaint("read_sweep")
     assert "Expected:" in complaint("picture")
 

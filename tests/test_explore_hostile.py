@@ -1,4 +1,4 @@
-"""A page of a dataset from others, in a browser: it runs only its own script, and the calls to copy are harmless."""
+"""Browser tests of pages of untrusted datasets: only the page's script runs, and the calls to copy are harmless."""
 
 import ast
 import json
@@ -52,38 +52,38 @@ WORDS = (
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium() as one:
-        yield one
+    with chromium() as instance:
+        yield instance
 
 
-def opened(browser: Any, text: str, folder: Path, fragment: str = "", width: int = 1280) -> tuple[Any, Any, Any]:
-    """(The page of this text in the browser, what its console says, what it requests)."""
+def open_page(browser: Any, text: str, folder: Path, fragment: str = "", width: int = 1280) -> tuple[Any, Any, Any]:
+    """Return the page of this text in the browser, its console messages and its requests."""
     path = folder / "page.html"
     path.write_text(text, encoding="utf-8")
-    page, heard, asked = new_page(browser, viewport={"width": width, "height": 900})
+    page, messages, requests = new_page(browser, viewport={"width": width, "height": 900})
     page.goto(path.as_uri() + fragment)
     page.wait_for_selector("[data-ready]")
-    return page, heard, asked
+    return page, messages, requests
 
 
 def check_calls(calls: dict[str, str]) -> dict[str, object]:
     """Check that a Python call is plain and a command line is made of words; return the call's arguments."""
     tree = ast.parse(calls["python"], mode="eval").body
     assert isinstance(tree, ast.Call) and ast.unparse(tree.func) == "vj.simulate"
-    assert [type(one) for one in tree.args] == [ast.Constant]
-    given = {str(one.arg): ast.literal_eval(one.value) for one in tree.keywords}
-    assert None not in [one.arg for one in tree.keywords]  # no **
+    assert [type(node) for node in tree.args] == [ast.Constant]
+    arguments = {str(keyword.arg): ast.literal_eval(keyword.value) for keyword in tree.keywords}
+    assert None not in [keyword.arg for keyword in tree.keywords]  # no **
     known = {*VibroImpact().parameters(), "start", "duration", "friction"}
-    assert set(given) <= known, given
+    assert set(arguments) <= known, arguments
     words = shlex.split(calls["command"])
     assert words[:3] == ["vibrojax", "simulate", "vibro-impact"]
-    assert [word.partition("=")[0] for word in words[3:]] == list(given)
+    assert [word.partition("=")[0] for word in words[3:]] == list(arguments)
     assert not set(calls["command"].replace("'", "")) & set('$`;&|<>\\\n"(){}*?!#~')
-    return given
+    return arguments
 
 
 def hostile_runs() -> list[dict[str, Any]]:
-    """What a page would hold as its `run` if nothing in Python checked it."""
+    """Return values that a page would hold as its `run` if Python checked nothing."""
     plain = run_document(small_map())
     runs = [plain | {"parameters": {name: 1.0}} for name in NAMES]
     runs += [plain | {"parameters": {"v": word}} for word in WORDS]
@@ -96,9 +96,9 @@ def hostile_runs() -> list[dict[str, Any]]:
 
 
 def test_calls_of_hostile_documents_are_plain(browser: Any, tmp_path: Path) -> None:
-    """What is checked in Python is checked in the page again."""
+    """The page repeats the checks that Python makes."""
     document = document_of(small_map())
-    page, heard, _ = opened(browser, page_text(document), tmp_path)
+    page, messages, _ = open_page(browser, page_text(document), tmp_path)
     call = """([runs, own]) => runs.map((run) => {
         Object.assign(vibrojax.data, { run });
         vibrojax.coordinates = () => own;
@@ -107,18 +107,18 @@ def test_calls_of_hostile_documents_are_plain(browser: Any, tmp_path: Path) -> N
     runs = hostile_runs()
     own: dict[str, object] = {"beta": 0.4, "gamma": 0.7, "start": "stuck"}
     for calls in page.evaluate(call, [runs, own]):
-        given = check_calls(calls)
-        assert given["beta"] == 0.4 and given["start"] == "stuck"
+        arguments = check_calls(calls)
+        assert arguments["beta"] == 0.4 and arguments["start"] == "stuck"
     for word in (*WORDS, *NAMES):
         [calls] = page.evaluate(call, [[run_document(small_map())], own | {"start": word, "rock": word, word: 1.0}])
         assert "start" not in check_calls(calls)
     scenes = [run_document(small_map()) | {"scene": word} for word in WORDS]
     assert page.evaluate(call, [scenes, own]) == [None] * len(scenes)
-    assert not heard
+    assert not messages
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_run_holds_names_of_the_scene_alone(name: str) -> None:
+def test_run_holds_only_names_of_the_scene(name: str) -> None:
     about = [{"name": name, "symbol": "", "units": "1", "value": 1.0, "default": 0.0}]
     ds = small_map().assign_attrs(differing=json.dumps(about))
     try:
@@ -130,7 +130,7 @@ def test_a_run_holds_names_of_the_scene_alone(name: str) -> None:
 
 
 @pytest.mark.parametrize("word", WORDS)
-def test_a_run_holds_words_of_the_scene_alone(word: str) -> None:
+def test_run_holds_only_words_of_the_scene(word: str) -> None:
     assert run_document(small_map().assign_attrs(start=word))["start"] is None
     assert run_document(small_map().assign_attrs(friction=word)) == {"own_scene": True}
     assert run_document(small_map().assign_attrs(scene=word)) == {"own_scene": True}
@@ -138,7 +138,7 @@ def test_a_run_holds_words_of_the_scene_alone(word: str) -> None:
     assert vector == (0.0, -1.5, 0.0, 0.0)
 
 
-def test_a_run_of_30_years_is_shortened_and_the_page_says_so() -> None:
+def test_run_of_30_years_is_shortened_with_a_note() -> None:
     ds = small_map().assign_attrs(run='{"settle": 1e9, "observe": 8.0}')
     document = document_of(ds)
     assert document["run"]["duration"] == 10_000.0
@@ -146,7 +146,7 @@ def test_a_run_of_30_years_is_shortened_and_the_page_says_so() -> None:
 
 
 def hostile_map() -> xr.Dataset:
-    """A map whose texts are markup; those of starts too."""
+    """Return a map whose texts are markup, including those of the starts."""
     ds = each_variable(long_name=MARKUP, units=MARKUP, symbol=MARKUP)(small_map())
     ds = attribute("title", f"{MARKUP} {STEERING} {HUGE}")(ds)
     ds = ds.assign_coords(start=[f"$(x){MARKUP}", f'"), x, ("{MARKUP}'])
@@ -157,32 +157,32 @@ def hostile_map() -> xr.Dataset:
 
 
 @pytest.mark.parametrize("width", [1280, 390])
-def test_a_hostile_dataset_runs_nothing(browser: Any, tmp_path: Path, width: int) -> None:
+def test_hostile_dataset_runs_no_code(browser: Any, tmp_path: Path, width: int) -> None:
     text = page_text(document_of(hostile_map()))
     assert len(text) < 500_000
-    page, heard, asked = opened(browser, text, tmp_path, width=width)
+    page, messages, requests = open_page(browser, text, tmp_path, width=width)
     for variable in ("regime", "period", "stick_fraction"):
         page.get_by_label("Variable").select_option(variable)
         page.locator(".vx-over").press("ArrowRight")
     assert page.evaluate("[window.hacked, document.images.length, document.scripts.length]") == [None, 0, 3]
     assert page.evaluate("document.scrollingElement.scrollWidth") <= width
     assert len(page.locator("h1").inner_text()) <= 200
-    given = check_calls(page.evaluate("vibrojax.calls()"))
-    assert "start" not in given and {"beta", "gamma"} <= set(given)
-    assert len(asked) == 1 and not heard
+    arguments = check_calls(page.evaluate("vibrojax.calls()"))
+    assert "start" not in arguments and {"beta", "gamma"} <= set(arguments)
+    assert len(requests) == 1 and not messages
 
 
-def test_the_policy_of_the_page_holds(browser: Any, tmp_path: Path) -> None:
-    """Whatever would get into the page could neither run, nor load, nor send anything."""
-    page, heard, _ = opened(browser, page_text(document_of(small_map())), tmp_path)
+def test_page_policy_blocks_injected_code(browser: Any, tmp_path: Path) -> None:
+    """Injected code can neither run, nor load, nor send anything."""
+    page, messages, _ = open_page(browser, page_text(document_of(small_map())), tmp_path)
     policy = page.locator("meta[http-equiv]").get_attribute("content")
     assert "unsafe" not in policy and "default-src 'none'" in policy and "connect-src 'none'" in policy
-    assert not heard
-    with counting() as (address, hits):
+    assert not messages
+    with counting_server() as (address, hits):
         page.evaluate(ATTEMPTS, address)
     assert page.evaluate("window.hacked") is None
     assert hits == []
-    assert len([text for text in wrong(heard) if "Content Security Policy" in text or "violates" in text]) >= 6
+    assert len([text for text in wrong(messages) if "Content Security Policy" in text or "violates" in text]) >= 6
 
 
 ATTEMPTS = """async (address) => {
@@ -198,12 +198,12 @@ ATTEMPTS = """async (address) => {
     await fetch(`${address}/x`).catch(() => 0);
     navigator.sendBeacon(`${address}/x`, "x");
 }"""
-"""What code would try that got into the page, by which way ever."""
+"""Script that tries each way in which injected code could run, load or send."""
 
 
 @contextmanager
-def counting() -> Iterator[tuple[str, list[str]]]:
-    """(The address of a server on this machine, the paths that it was asked for)."""
+def counting_server() -> Iterator[tuple[str, list[str]]]:
+    """Serve on this machine; yield the address and the paths of the requests."""
     hits: list[str] = []
 
     class Handler(BaseHTTPRequestHandler):
@@ -223,30 +223,30 @@ def counting() -> Iterator[tuple[str, list[str]]]:
 
 
 def test_copying_works_under_the_policy(browser: Any, tmp_path: Path) -> None:
-    page, heard, _ = opened(browser, page_text(document_of(small_map())), tmp_path)
+    page, messages, _ = open_page(browser, page_text(document_of(small_map())), tmp_path)
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     page.get_by_label("Copy the Python call").click()
     page.get_by_text("copied").wait_for()
     assert page.evaluate("navigator.clipboard.readText()") == page.evaluate("vibrojax.calls().python")
     swatch = page.locator(".vx-legend .vx-swatch").first
     assert swatch.evaluate("one => getComputedStyle(one).backgroundColor") != "rgba(0, 0, 0, 0)"
-    assert not heard
+    assert not messages
 
 
-def test_a_page_of_a_scene_without_a_name_has_no_commands(browser: Any, tmp_path: Path) -> None:
-    page, _, _ = opened(browser, page_text(document_of(small_map().assign_attrs(scene="mine", sweep=""))), tmp_path)
+def test_page_of_unnamed_scene_has_no_commands(browser: Any, tmp_path: Path) -> None:
+    page, _, _ = open_page(browser, page_text(document_of(small_map().assign_attrs(scene="mine", sweep=""))), tmp_path)
     assert page.evaluate("vibrojax.calls()") is None
     assert page.get_by_text("This system is known only to the Python session").count() == 1
 
 
-def test_the_policy_allows_what_is_in_the_page_alone() -> None:
+def test_policy_allows_only_content_of_the_page() -> None:
     policy = content_policy(["a()"], [])
     assert "script-src 'sha256-" in policy and "style-src 'none'" in policy and "connect-src 'none'" in policy
     assert "connect-src 'self'" in content_policy([], [], asks=True) and "unsafe" not in policy
 
 
 def curves_over(change: dict[str, Any]) -> xr.Dataset:
-    """Two curves over the small map, with variables or attributes changed."""
+    """Return two curves over the small map, with changed variables."""
     kinds = {"flag_meanings": " ".join(SPECIAL_KINDS), "flag_values": range(len(SPECIAL_KINDS))}
     about = {"kind": "curves", "source": "vibrojax 0", "scene": "vibro-impact", "axes": ["gamma", "beta"]}
     about |= {name: small_map().attrs[name] for name in ("friction",) if name in small_map().attrs}
@@ -282,16 +282,18 @@ def test_hostile_curves_are_refused(change: dict[str, Any], says: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_curves_lie_over_the_map_with_their_names(browser: Any, tmp_path: Path, scheme: str) -> None:
+def test_curves_are_drawn_over_the_map_with_their_names(browser: Any, tmp_path: Path, scheme: str) -> None:
     document = document_of(small_map(), curves_over({}))
-    page, heard, asked = opened(browser, page_text(document), tmp_path, f"#scheme={scheme}&at.beta=0.35&at.gamma=0.7")
+    page, messages, requests = open_page(
+        browser, page_text(document), tmp_path, f"#scheme={scheme}&at.beta=0.35&at.gamma=0.7"
+    )
     legend = page.locator(".vx-legend").inner_text()
     assert "fold" in legend and "grazing" in legend and MARKUP[:20] in legend
-    assert MARKUP[:20] in page.locator(".vx-live").inner_text()  # the chosen cell holds the point
+    assert MARKUP[:20] in page.locator(".vx-live").inner_text()  # the selected cell contains the point
     x, y = page.evaluate("(() => { const { frame } = vibrojax.view; return [frame.x(0.7), frame.y(0.35)]; })()")
     page.locator(".vx-over").hover(position={"x": x, "y": y})
     tip = page.locator(".vx-tip").inner_text()
     assert MARKUP[:20] in tip and "fold: A stable and an unstable orbit meet" in tip
     page.locator('[data-control="borders"]').uncheck()
     assert "grazing" not in page.locator(".vx-legend").inner_text()
-    assert not heard and len(asked) == 1
+    assert not messages and len(requests) == 1

@@ -1,4 +1,4 @@
-"""The server of the live page: whom it refuses, in which order it answers, and that it leaves nothing behind."""
+"""Tests of the live server: which requests it refuses, in which order it answers, and that it leaves nothing behind."""
 
 import http.client
 import json
@@ -18,19 +18,19 @@ from vibrojax.explorer.live import Live, RequestQueue
 HTML = "<!doctype html><title>page</title><script type=module>export const a = 1;</script>"
 
 
-class Slow:
-    """Answers with what was asked, after a while, if nobody asks for something newer."""
+class SlowAnswers:
+    """A source of answers that repeats the parameters after a delay, unless a newer request arrives."""
 
     def __init__(self, seconds=0.0):
-        self.seconds, self.answered, self.left, self.warmed = seconds, [], 0, threading.Event()
+        self.seconds, self.answered, self.superseded, self.warmed = seconds, [], 0, threading.Event()
 
     def warm(self):
         self.warmed.set()
 
-    def answer(self, asked, check):
-        if asked.get("parameters") == "wrong":
+    def answer(self, message, check):
+        if message.get("parameters") == "wrong":
             raise InputError("explore: beta: is -1; it must be above 0\nsecond line")
-        if asked.get("parameters") == "broken":
+        if message.get("parameters") == "broken":
             raise ZeroDivisionError("secret of the inside")
         end = time.monotonic() + self.seconds
         while time.monotonic() < end:
@@ -38,15 +38,15 @@ class Slow:
             try:
                 check()
             except RefusedRequest as refusal:
-                self.left += refusal.status == 409
+                self.superseded += refusal.status == 409
                 raise
-        self.answered.append(asked["parameters"])
-        return json.dumps(asked["parameters"]).encode()
+        self.answered.append(message["parameters"])
+        return json.dumps(message["parameters"]).encode()
 
 
 @contextmanager
-def served(answers):
-    """A server, and afterwards: no thread and no port is left of it."""
+def running_server(answers):
+    """Run a server, then check that it leaves no thread and no port behind."""
     before = set(threading.enumerate())
     live = Live(HTML, answers.answer, answers.warm)
     try:
@@ -61,24 +61,26 @@ def served(answers):
 
 @pytest.fixture(scope="module")
 def live():
-    with served(Slow()) as live:
+    with running_server(SlowAnswers()) as live:
         yield live
 
 
 NUMBERS = iter(range(1, 10**6))
 
 
-def asked(**changes):
+def request_body(**changes):
     return json.dumps({"client": "a", "number": next(NUMBERS), "parameters": {"beta": 0.4}, **changes})
 
 
 def request(live, method="POST", path="motion", body=None, token=None, **headers):
-    """Status, headers and body of an answer."""
+    """Return status, headers and body of an answer."""
     connection = http.client.HTTPConnection("127.0.0.1", live.port, timeout=100)
-    named = {"Content-Type": "application/json"} | {name.replace("_", "-"): text for name, text in headers.items()}
+    all_headers = {"Content-Type": "application/json"} | {
+        name.replace("_", "-"): text for name, text in headers.items()
+    }
     try:
-        where = f"/{live.token if token is None else token}/{path}"
-        connection.request(method, where, body, {name: text for name, text in named.items() if text is not None})
+        url = f"/{live.token if token is None else token}/{path}"
+        connection.request(method, url, body, {name: text for name, text in all_headers.items() if text is not None})
         answer = connection.getresponse()
         return answer.status, answer.headers, answer.read()
     finally:
@@ -86,7 +88,7 @@ def request(live, method="POST", path="motion", body=None, token=None, **headers
 
 
 def refusal(live, *args, **kwargs):
-    """Status and line of a refusal; every answer has the headers that keep a browser from harm, and shows no inside."""
+    """Return status and line of a refusal; check that its headers protect the browser and that no internals show."""
     status, headers, body = request(live, *args, **kwargs)
     assert headers["X-Content-Type-Options"] == "nosniff" and headers["Referrer-Policy"] == "no-referrer"
     assert headers["Cache-Control"] == "no-store" and "default-src 'none'" in headers["Content-Security-Policy"]
@@ -97,35 +99,35 @@ def refusal(live, *args, **kwargs):
     return status, line
 
 
-def raw(live, content, end=False):
-    """All that comes back for some bytes."""
-    with socket.create_connection(("127.0.0.1", live.port), 10) as one:
-        one.sendall(content)
+def send_raw(live, content, end=False):
+    """Return all bytes that the server sends back for `content`."""
+    with socket.create_connection(("127.0.0.1", live.port), 10) as connection:
+        connection.sendall(content)
         if end:
-            one.shutdown(socket.SHUT_WR)
-        found = b""
-        while part := one.recv(65536):
-            found += part
-        return found
+            connection.shutdown(socket.SHUT_WR)
+        received = b""
+        while part := connection.recv(65536):
+            received += part
+        return received
 
 
-def test_the_page_and_a_motion_are_answered(live):
+def test_page_and_motion_are_answered(live):
     status, headers, body = request(live, "GET", "")
     assert status == 200 and body.decode() == HTML and headers["Content-Type"] == "text/html; charset=utf-8"
     assert live.url == f"http://127.0.0.1:{live.port}/{live.token}/" and len(live.token) >= 43
-    status, headers, body = request(live, body=asked())
+    status, headers, body = request(live, body=request_body())
     assert (status, json.loads(body)) == (200, {"beta": 0.4})
     assert headers["Connection"] == "close"
     status, headers, body = request(live, "HEAD", "")
     assert (status, body, int(headers["Content-Length"])) == (200, b"", len(HTML))
 
 
-def test_the_server_is_found_on_the_loopback_alone_and_framed_by_nobody(live):
+def test_server_listens_on_loopback_only_and_cannot_be_framed(live):
     assert live._server.server_address[0] == "127.0.0.1"
     assert "frame-ancestors 'none'" in request(live, "GET", "")[1]["Content-Security-Policy"]
     for name in ("127.0.0.1", "localhost", "LOCALHOST"):
         own = f"{name}:{live.port}"
-        assert request(live, body=asked(), Host=own, Origin=f"http://{own.lower()}")[0] == 200
+        assert request(live, body=request_body(), Host=own, Origin=f"http://{own.lower()}")[0] == 200
 
 
 HOSTS = ("evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "", "[::1]:{port}")
@@ -135,10 +137,10 @@ PATHS = ("nowhere", "motion/", "../../etc/passwd", "motion?x=1", "?x=1")
 BODIES = ("", "{", "[]", "3", "null", '{"client": 3}', '{"client": "", "number": 1}', '{"client": "a", "number": true}')
 BODIES += ('{"client": "a", "number": -1}', '{"client": "a", "number": 1e9}', '{"client": "a"}', "\xff", "[" * 9000)
 REFUSED = [
-    *((403, "Host", host) for host in HOSTS),  # a name that leads to the loopback (DNS rebinding) is another host
+    *((403, "Host", host) for host in HOSTS),  # DNS rebinding: another name for the loopback is another host
     *((403, "Origin", origin) for origin in ORIGINS),
     (403, "Sec-Fetch-Site", "cross-site"),
-    (415, "Content-Type", "text/plain"),  # what forms of other pages may send
+    (415, "Content-Type", "text/plain"),  # forms of other pages may send this type
     *((403, "token", token) for token in TOKENS),
     *((404, "path", path) for path in PATHS),
     (405, "path", ""),
@@ -147,13 +149,13 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("status", "what", "given"), REFUSED, ids=lambda one: str(one)[:20])
+@pytest.mark.parametrize(("status", "what", "given"), REFUSED, ids=lambda value: str(value)[:20])
 def test_wrong_requests_are_refused(live, status, what, given):
     given = given.format(port=live.port, token=live.token) if "{" not in given[:1] else given
     named = {what: given.encode("latin-1") if what == "body" else given} if what in ("token", "path", "body") else {}
     headers = {} if named else {what.replace("-", "_"): given}
-    found, line = refusal(live, **{"body": asked()} | named, **headers)
-    assert found == status and line and live.token not in line
+    code, line = refusal(live, **{"body": request_body()} | named, **headers)
+    assert code == status and line and live.token not in line
     if what in ("Host", "token", "path") and given:
         assert refusal(live, "GET", **{"path": ""} | named, **headers)[0] == status
 
@@ -183,55 +185,55 @@ RAW = [
 ]
 
 
-@pytest.mark.parametrize(("content", "status"), RAW, ids=lambda one: str(one)[-20:])
+@pytest.mark.parametrize(("content", "status"), RAW, ids=lambda value: str(value)[-20:])
 def test_malformed_requests_are_refused(live, content, status):
-    answer = raw(live, content.format(port=live.port, token=live.token).encode("latin-1"), end=True)
+    answer = send_raw(live, content.format(port=live.port, token=live.token).encode("latin-1"), end=True)
     assert b"200 OK" not in answer
     assert status is None or answer.startswith(f"HTTP/1.1 {status}".encode())
 
 
-def test_who_keeps_silent_is_let_go(live, monkeypatch):
+def test_silent_client_is_disconnected(live, monkeypatch):
     monkeypatch.setattr(server._Handler, "timeout", 0.1)
     begin = POST.format(port=live.port, token=live.token) + "Content-Length: 9\r\n\r\n{"
-    assert raw(live, begin.encode()).startswith(b"HTTP/1.1 408")
-    assert raw(live, b"GET / HT") == b""
+    assert send_raw(live, begin.encode()).startswith(b"HTTP/1.1 408")
+    assert send_raw(live, b"GET / HT") == b""
 
 
 @pytest.mark.parametrize(
     ("limit", "begin"),
     [("HEADER_MAX_SECONDS", "GET /"), ("REQUEST_MAX_SECONDS", POST + "Content-Length: 9999\r\n\r\n")],
 )
-def test_who_comes_byte_by_byte_is_let_go(live, monkeypatch, limit, begin):
-    """Before the token is shown after one time, after it after another."""
+def test_byte_by_byte_client_is_disconnected(live, monkeypatch, limit, begin):
+    """One time limit applies until the token has arrived, another one after that."""
     monkeypatch.setattr(server, limit, 0.3)
-    with socket.create_connection(("127.0.0.1", live.port), 10) as one, pytest.raises(OSError):
-        one.sendall(begin.format(token=live.token, port=live.port).encode())
+    with socket.create_connection(("127.0.0.1", live.port), 10) as connection, pytest.raises(OSError):
+        connection.sendall(begin.format(token=live.token, port=live.port).encode())
         for _ in range(200):
-            one.sendall(b"x")
+            connection.sendall(b"x")
             time.sleep(0.02)
 
 
-def test_a_new_connection_takes_the_place_of_one_without_the_token(live, monkeypatch):
+def test_new_connection_replaces_one_without_token(live, monkeypatch):
     monkeypatch.setattr(server, "CONNECTIONS_MAX", 3)
     silent = [socket.create_connection(("127.0.0.1", live.port)) for _ in range(4)]
     silent[0].settimeout(2.0)
-    assert silent[0].recv(1) == b""  # long before its own limit
+    assert silent[0].recv(1) == b""  # disconnected long before its own time limit
     assert request(live, "GET", path="")[0] == 200
-    for one in silent:
-        one.close()
+    for connection in silent:
+        connection.close()
 
 
-def test_the_page_is_answered_beside_many_slow_connections(live):
-    """Connections without a token, each of which sends a byte now and then, keep nobody out."""
+def test_page_is_answered_despite_many_slow_connections(live):
+    """Connections without a token that send a byte now and then do not block other clients."""
     slow, end = [], threading.Event()
 
     def trickle():
         while not end.wait(0.1):
-            for one in list(slow):
+            for connection in list(slow):
                 try:
-                    one.send(b"x")
-                except OSError:  # hung up on
-                    slow.remove(one)
+                    connection.send(b"x")
+                except OSError:  # the server has disconnected it
+                    slow.remove(connection)
 
     trickling = threading.Thread(target=trickle)
     trickling.start()
@@ -239,20 +241,20 @@ def test_the_page_is_answered_beside_many_slow_connections(live):
         for _ in range(60):
             slow.append(socket.create_connection(("127.0.0.1", live.port), 10))
         assert request(live, "GET", "")[0] == 200  # within the 10 s of the request's timeout
-        assert request(live, body=asked())[0] == 200
+        assert request(live, body=request_body())[0] == 200
     finally:
         end.set()
         trickling.join()
-        for one in slow:
-            one.close()
+        for connection in slow:
+            connection.close()
 
 
-def test_wrong_values_are_said_in_one_line_and_faults_are_not_shown(live):
+def test_wrong_values_give_one_line_and_faults_stay_hidden(live):
     line = "explore: beta: is -1; it must be above 0 second line"
-    assert refusal(live, body=asked(parameters="wrong")) == (400, line)
-    status, line = refusal(live, body=asked(parameters="broken"))
+    assert refusal(live, body=request_body(parameters="wrong")) == (400, line)
+    status, line = refusal(live, body=request_body(parameters="broken"))
     assert status == 500 and "secret" not in line and "ZeroDivision" not in line
-    assert request(live, body=asked())[0] == 200
+    assert request(live, body=request_body())[0] == 200
 
 
 def wait_until(condition):
@@ -262,11 +264,11 @@ def wait_until(condition):
         time.sleep(0.01)
 
 
-def test_a_thousand_quick_clicks_are_answered_or_refused_in_order():
-    """Six at a time, as browsers do: who was overtaken is told so, the last is answered, nothing is out of order."""
-    answers = Slow(0.01)
-    with served(answers) as live:
-        next_number, lock, found = iter(range(1000)), threading.Lock(), {}
+def test_thousand_quick_clicks_are_answered_or_refused_in_order():
+    """Browsers send six at a time. Superseded requests are refused, the last one is answered, and the order is kept."""
+    answers = SlowAnswers(0.01)
+    with running_server(answers) as live:
+        next_number, lock, statuses = iter(range(1000)), threading.Lock(), {}
 
         def click():
             while True:
@@ -274,77 +276,77 @@ def test_a_thousand_quick_clicks_are_answered_or_refused_in_order():
                     number = next(next_number, None)
                 if number is None:
                     return
-                body = asked(number=number, parameters=number)
-                found[number] = request(live, body=body)[0]
+                body = request_body(number=number, parameters=number)
+                statuses[number] = request(live, body=body)[0]
 
         clickers = [threading.Thread(target=click) for _ in range(6)]
-        for one in clickers:
-            one.start()
-        for one in clickers:
-            one.join()
-        assert len(found) == 1000 and set(found.values()) == {200, 409}
-        assert found[999] == 200
+        for clicker in clickers:
+            clicker.start()
+        for clicker in clickers:
+            clicker.join()
+        assert len(statuses) == 1000 and set(statuses.values()) == {200, 409}
+        assert statuses[999] == 200
         assert answers.answered == sorted(answers.answered)
-        assert set(answers.answered) >= {number for number, status in found.items() if status == 200}
-        assert answers.left > 0 and len(live.queue._newest) <= 2 and not live.queue._waiting
+        assert set(answers.answered) >= {number for number, status in statuses.items() if status == 200}
+        assert answers.superseded > 0 and len(live.queue._newest) <= 2 and not live.queue._waiting
     assert request_fails(live)
 
 
 def request_fails(live):
     try:
-        request(live, body=asked())
+        request(live, body=request_body())
     except OSError:
         return True
     return False
 
 
-def test_clients_wait_for_one_another_and_too_many_are_sent_away():
-    answers = Slow(0.3)
-    with served(answers) as live:
-        found = []
+def test_clients_queue_and_excess_clients_are_refused():
+    answers = SlowAnswers(0.3)
+    with running_server(answers) as live:
+        replies = []
 
         def ask(client):
-            found.append(request(live, body=asked(client=client, number=1, parameters=client)))
+            replies.append(request(live, body=request_body(client=client, number=1, parameters=client)))
 
         threads = [threading.Thread(target=ask, args=(str(k),)) for k in range(12)]
-        for one in threads:
-            one.start()
+        for thread in threads:
+            thread.start()
             time.sleep(0.01)
-        for one in threads:
-            one.join()
-    statuses = [status for status, *_ in found]
-    assert statuses.count(503) == 3 and statuses.count(200) == 9  # one at work, eight that wait
-    assert {headers["Retry-After"] for status, headers, _ in found if status == 503} == {"1"}
+        for thread in threads:
+            thread.join()
+    statuses = [status for status, *_ in replies]
+    assert statuses.count(503) == 3 and statuses.count(200) == 9  # one is computed, eight wait
+    assert {headers["Retry-After"] for status, headers, _ in replies if status == 503} == {"1"}
     assert answers.answered == [str(k) for k in range(9)]
 
 
-def test_closing_lets_everybody_go():
-    """Also while a motion is being computed, one waits, and a connection says nothing."""
-    answers = Slow(30.0)
-    found = []
-    with served(answers) as live:
+def test_closing_releases_all_clients():
+    """One motion is being computed, another request waits, and a third connection is silent."""
+    answers = SlowAnswers(30.0)
+    outcomes = []
+    with running_server(answers) as live:
         idle = socket.create_connection(("127.0.0.1", live.port), 10)
-        ask = [threading.Thread(target=lambda k=k: found.append(attempt(live, str(k)))) for k in range(2)]
-        for one in ask:
-            one.start()
+        threads = [threading.Thread(target=lambda k=k: outcomes.append(attempt(live, str(k)))) for k in range(2)]
+        for thread in threads:
+            thread.start()
         time.sleep(0.2)
         began = time.monotonic()
         live.close()
         assert time.monotonic() - began < 25  # a motion takes 30
-        for one in ask:
-            one.join()
+        for thread in threads:
+            thread.join()
         idle.close()
-    assert len(found) == 2 and set(found) <= {503, "broken"}
+    assert len(outcomes) == 2 and set(outcomes) <= {503, "broken"}
 
 
 def attempt(live, client):
     try:
-        return request(live, body=asked(client=client))[0]
+        return request(live, body=request_body(client=client))[0]
     except (OSError, http.client.HTTPException):
         return "broken"
 
 
-def test_turns_keep_their_order():
+def test_queue_keeps_its_order():
     queue, done = RequestQueue(waiting=1), []
     begun, go = threading.Event(), threading.Event()
 
@@ -365,9 +367,9 @@ def test_turns_keep_their_order():
     with pytest.raises(RefusedRequest, match="too many"):
         queue.ask("c", 1, long)
     go.set()
-    for one in threads:
-        one.join()
-    assert queue.ask("c", 1, lambda check: "c") == "c"  # the same number again: it was sent away, not answered
+    for thread in threads:
+        thread.join()
+    assert queue.ask("c", 1, lambda check: "c") == "c"  # the number may come again: it was refused, not answered
     assert done == ["long", "b"]
     queue.close()
     with pytest.raises(RefusedRequest, match="closed"):

@@ -1,4 +1,4 @@
-"""What a click is answered with is what `simulate` finds, and costs no more than it says."""
+"""Tests of live motions: answers agree with `simulate`, wrong requests are refused, and new values compile nothing."""
 
 import json
 import time
@@ -33,60 +33,60 @@ def motions():
     return motions_of(vj.read_sweep(SWEEP))
 
 
-def never(*_):
-    """Nobody asks for anything newer."""
+def no_newer_request(*_):
+    """Stand for a client that sends no newer request."""
 
 
-def one(block):
+def decode_single(block):
     [cell] = decode(block)
     return cell
 
 
 @pytest.mark.parametrize("start", [None, "stuck", [0.0, 0.5, 0.01, -1.0]])
-def test_a_motion_has_the_numbers_of_simulate(motions, start):
+def test_motion_has_numbers_of_simulate(motions, start):
     changed = {"beta": 0.37, "delta": 0.002}
-    cell = one(motions.answer({"parameters": changed, "start": start}, never))
-    given = {"v": 1.2, "gamma": 0.65} | changed
-    motion = vj.simulate("vibro-impact", **given, start=start or "drive", duration=14.0, progress=False)
+    cell = decode_single(motions.answer({"parameters": changed, "start": start}, no_newer_request))
+    values = {"v": 1.2, "gamma": 0.65} | changed
+    motion = vj.simulate("vibro-impact", **values, start=start or "drive", duration=14.0, progress=False)
     assert {"regime", "period", "impact_velocity", "stick_fraction"} <= set(cell.numbers)
     for name, value in cell.numbers.items():
         np.testing.assert_equal(np.nan if value is None else value, motion[name].item(), err_msg=name)
     assert set(cell.numbers) == {name for name, data in motion.data_vars.items() if data.ndim == 0}
 
 
-def test_what_is_shown_lies_on_the_motion(motions):
-    """The repeat, read at its times from the trajectory of `simulate`, to a level of the cell's columns."""
-    cell = one(motions.answer({"parameters": {"beta": 0.4, "gamma": 0.75, "v": 1.5}}, never))
+def test_cell_lies_on_trajectory(motions):
+    """At the cell's times, the trajectory of `simulate` agrees to a level of the cell's columns."""
+    cell = decode_single(motions.answer({"parameters": {"beta": 0.4, "gamma": 0.75, "v": 1.5}}, no_newer_request))
     motion = vj.simulate("vibro-impact", duration=14.0, sampling=1e-4, progress=False)
     sections = motion["event_time"].values[motion["event_kind"].values == 5]
     assert cell.kind == "orbit" and cell.duration == pytest.approx(sections[-1] - sections[-1 - cell.returns], rel=1e-6)
     for name in ("x1", "v1", "x2", "v2"):
-        at = sections[-1 - cell.returns] + cell.time
-        there = np.interp(at, motion["time"], motion[name])
+        times = sections[-1 - cell.returns] + cell.time
+        expected = np.interp(times, motion["time"], motion[name])
         rate = np.abs(np.gradient(motion[name], motion["time"])).max()
-        # A state is as exact as its levels, at a time that is as exact as its own.
-        within = 0.6 * np.ptp(there) / encoding.STATE_LEVELS + 0.6 * rate * cell.duration / encoding.TIME_LEVELS
-        np.testing.assert_allclose(cell.states[name], there, atol=within)
+        # States and times are both rounded to their levels.
+        tolerance = 0.6 * np.ptp(expected) / encoding.STATE_LEVELS + 0.6 * rate * cell.duration / encoding.TIME_LEVELS
+        np.testing.assert_allclose(cell.states[name], expected, atol=tolerance)
 
 
-def test_lanes_are_the_sweeps(dataset, motions):
-    """By number: at the lane's parameters, from its start, named or a vector."""
+def test_lanes_match_sweep(dataset, motions):
+    """A lane number selects the parameters and the start of that lane, be it named or a vector."""
     for number in range(12):
-        cell = one(motions.answer({"lane": number}, never))
-        at = dataset.stack(lane=("beta", "gamma", "start")).isel(lane=number)
+        cell = decode_single(motions.answer({"lane": number}, no_newer_request))
+        lane = dataset.stack(lane=("beta", "gamma", "start")).isel(lane=number)
         assert cell.lane == number and cell.numbers is None
-        if int(at["cycles"]) > 0:
-            repeat = int(at["cycles"]) * float(at["period"])
+        if int(lane["cycles"]) > 0:
+            repeat = int(lane["cycles"]) * float(lane["period"])
             assert cell.kind == "orbit" and cell.duration == pytest.approx(repeat, rel=5e-3)
 
 
 @pytest.mark.parametrize("scene", ["rotary", "penetration", "drilling", "coupled-drilling"])
 def test_every_scene_answers(scene):
     motions = LiveMotions(scene, {}, None, 2.0 if scene == "penetration" else 12.0)
-    cell = one(motions.answer({"parameters": {}}, never))
+    cell = decode_single(motions.answer({"parameters": {}}, no_newer_request))
     assert cell.kind != "none" and len(cell.time) > 50 and cell.numbers
     offered = motions.offered()
-    assert {one["name"] for one in offered["parameters"]} == set(motions.point.parameters) == set(offered["values"])
+    assert {entry["name"] for entry in offered["parameters"]} == set(motions.point.parameters) == set(offered["values"])
     for slider in offered["parameters"]:
         assert slider["low"] <= offered["values"][slider["name"]] <= slider["high"]
         assert motions.names.parameters[slider["name"]].problem(slider["low"]) is None
@@ -94,7 +94,7 @@ def test_every_scene_answers(scene):
 
 
 @pytest.mark.parametrize(
-    ("asked", "line"),
+    ("question", "line"),
     [
         ({"parameters": None}, "explore: parameters: "),
         ({"parameters": [1]}, "explore: parameters: "),
@@ -115,32 +115,32 @@ def test_every_scene_answers(scene):
         ({"lane": None}, "explore: lane: "),
     ],
 )
-def test_wrong_questions_are_refused_in_one_line(motions, asked, line):
-    with pytest.raises(InputError) as refused:
-        motions.answer(asked, never)
-    assert line in str(refused.value) and "\n" not in str(refused.value)
+def test_wrong_requests_are_refused_in_one_line(motions, question, line):
+    with pytest.raises(InputError) as error:
+        motions.answer(question, no_newer_request)
+    assert line in str(error.value) and "\n" not in str(error.value)
 
 
-def test_a_motion_of_too_many_steps_is_given_up(motions, monkeypatch):
+def test_motion_with_too_many_steps_is_abandoned(motions, monkeypatch):
     monkeypatch.setattr(live_motions, "MOTION_MAX_STEPS", 512)
     with pytest.raises(InputError, match=r"explore: over 512 steps led to .* s of 14 s; give a softer contact"):
-        motions.answer({"parameters": {"k0": 300e6}}, never)
+        motions.answer({"parameters": {"k0": 300e6}}, no_newer_request)
 
 
 def test_pulses_repeat():
-    """The bit under equal pulses is after each where it was after the one before, but deeper."""
-    cell = one(LiveMotions("penetration", {"frequency": 25.0}, None, 2.0).answer({}, never))
+    """Under equal pulses, each pulse leaves the bit in the same state as the one before, only deeper."""
+    cell = decode_single(LiveMotions("penetration", {"frequency": 25.0}, None, 2.0).answer({}, no_newer_request))
     assert (cell.kind, cell.returns, cell.duration) == ("orbit", 1, pytest.approx(0.04, rel=1e-6))
     swept = LiveMotions("penetration", {"pulse_shape": "sweep", "bias": 60e3}, None, 2.0)
-    assert one(swept.answer({}, never)).kind == "motion"
+    assert decode_single(swept.answer({}, no_newer_request)).kind == "motion"
 
 
 def test_unusual_values_are_noted(motions):
-    cell = one(motions.answer({"parameters": {"delta": 1.0}}, never))
+    cell = decode_single(motions.answer({"parameters": {"delta": 1.0}}, no_newer_request))
     assert "far outside what the source and rigs have" in cell.note
 
 
-def test_what_is_not_awaited_any_more_ends(motions):
+def test_superseded_motion_is_interrupted(motions):
     calls = []
 
     def check(*_):
@@ -154,7 +154,7 @@ def test_what_is_not_awaited_any_more_ends(motions):
 
 
 def test_values_compile_nothing():
-    """A first motion compiles; parameters and starts are values. Fast enough for a slider: under 0.3 s of one core."""
+    """Only the first motion compiles. An answer takes under 0.3 s of one core, fast enough for a slider."""
     motions = LiveMotions("vibro-impact", {})
     assert motions.duration == 48.0
     motions.warm()
@@ -164,14 +164,14 @@ def test_values_compile_nothing():
         for _ in range(3):
             beta, delta, k0 = random.uniform(0.3, 0.5), random.uniform(-0.01, 0.01), random.uniform(10e6, 100e6)
             began = time.thread_time()
-            motions.answer({"parameters": {"beta": beta, "delta": delta, "k0": k0}, "start": start}, never)
+            motions.answer({"parameters": {"beta": beta, "delta": delta, "k0": k0}, "start": start}, no_newer_request)
             taken.append(time.thread_time() - began)
     assert len(kernels) == before
     assert np.median(taken) < 0.3
 
 
-def test_around_other_datasets():
-    """A trajectory's own point is where its page's sliders stand."""
+def test_motions_for_other_datasets():
+    """The sliders of a trajectory's page start at the trajectory's own point."""
     motion = vj.simulate("rotary", v=0.7, friction="coulomb", mu=0.3, duration=1.0, start="stuck", progress=False)
     motions = motions_for(motion)
     assert motions.point.parameters["v"] == 0.7 and motions.point.parameters["mu"] == 0.3
@@ -185,21 +185,21 @@ def test_around_other_datasets():
 def test_sliders_reach_all_values_of_the_sweep():
     axes = {"delta": {"start": -0.2, "stop": 0.1, "num": 3}, "gamma": [0.01, 0.7]}
     motions = motions_of(vj.read_sweep({"scene": "vibro-impact", "grid": axes}))
-    sliders = {one["name"]: one for one in motions.offered()["parameters"]}
+    sliders = {entry["name"]: entry for entry in motions.offered()["parameters"]}
     assert sliders["delta"]["low"] == -0.2 and sliders["delta"]["high"] == 0.1 and not sliders["delta"]["log"]
     assert sliders["gamma"]["low"] == 0.01 and sliders["gamma"]["log"]
     assert sliders["delta"]["units"] == "mm" and sliders["delta"]["factor"] == 1e3
 
 
-def test_a_box_is_the_sweep_of_its_cells(motions):
+def test_box_is_the_sweep_of_its_cells(motions):
     """The part that a user zooms into has the labels and numbers of a sweep over the same values."""
     box = {"beta": [0.31, 0.39], "gamma": [0.66, 0.78]}
-    answer = json.loads(motions.answer({"box": box, "lane": 1}, never))
+    answer = json.loads(motions.answer({"box": box, "lane": 1}, no_newer_request))
     grid = {"beta": [0.31, 0.39], "gamma": np.linspace(0.66, 0.78, 3).tolist()}
-    alone = vj.run_sweep({**SWEEP, "grid": grid, "starts": [[0.0, 0.0, 0.01, 0.0]]}, progress=False)
+    expected = vj.run_sweep({**SWEEP, "grid": grid, "starts": [[0.0, 0.0, 0.01, 0.0]]}, progress=False)
     assert answer["axes"] == grid
     for name in ("regime", "period", "impact_velocity"):
-        assert answer["variables"][name] == encoding.pack(alone[name].isel(start=0).values), name
+        assert answer["variables"][name] == encoding.pack(expected[name].isel(start=0).values), name
     for wrong in ([1], {"beta": [0.3, 0.4]}, {**box, "gamma": [0.78, 0.66]}, {**box, "beta": ["a", 1]}):
         with pytest.raises(InputError, match="explore: box"):
-            motions.answer({"box": wrong, "lane": 1}, never)
+            motions.answer({"box": wrong, "lane": 1}, no_newer_request)

@@ -1,4 +1,4 @@
-"""The page in a browser: what it says against the dataset, by pointer, by keyboard and by link, without any request."""
+"""Browser tests of the page: it shows the values of the dataset, by pointer, keyboard and link, without any request."""
 
 import base64
 import json
@@ -18,7 +18,7 @@ from cell_blocks import decode
 import vibrojax as vj
 from vibrojax.explorer import document_of, page_text, write_page
 
-# Short lanes serve for what a page says; the motions of the others are those that lanes settle on.
+# Short lanes are enough to test what a page shows; motions need lanes that settle.
 MANY = {
     "scene": "vibro-impact",
     "starts": ["drive", "stuck"],
@@ -71,12 +71,12 @@ def files(many: xr.Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[st
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium() as one:
-        yield one
+    with chromium() as instance:
+        yield instance
 
 
-class Opened:
-    """A page that is open: `heard` has what its console said, `asked` what it requested."""
+class OpenPage:
+    """An open page, with the messages of its console (`heard`) and its requests (`asked`)."""
 
     def __init__(self, browser: Any, path: Path, fragment: str = "", width: int = 1280, scheme: str = "light") -> None:
         viewport = {"width": width, "height": 900}
@@ -84,27 +84,27 @@ class Opened:
         self.page.goto(path.as_uri() + fragment)
         self.page.wait_for_selector("[data-ready]")
 
-    def __enter__(self) -> "Opened":
+    def __enter__(self) -> "OpenPage":
         return self
 
     def __exit__(self, *_: object) -> None:
         self.page.context.close()
 
-    def evaluate(self, script: str, *given: object) -> Any:
-        return self.page.evaluate(script, *given)
+    def evaluate(self, script: str, *arguments: object) -> Any:
+        return self.page.evaluate(script, *arguments)
 
     @property
     def cell(self) -> dict[str, int]:
         return self.evaluate("vibrojax.cell")
 
     def settled(self) -> None:
-        """Wait until what was picked last is shown."""
+        """Wait until the page shows the last selection."""
         wait_for(self.page, "Number(document.querySelector('[data-ready]').dataset.ready) === vibrojax.asked")
 
 
 def test_no_request_and_nothing_on_the_console(browser: Any, files: dict[str, Path]) -> None:
     for scheme in ("light", "dark"):
-        with Opened(browser, files["few"], scheme=scheme) as opened:
+        with OpenPage(browser, files["few"], scheme=scheme) as opened:
             for key in ("ArrowRight", "ArrowUp", "End", "Home"):
                 opened.page.locator(".vx-over").press(key)
                 opened.settled()
@@ -115,9 +115,7 @@ def test_no_request_and_nothing_on_the_console(browser: Any, files: dict[str, Pa
             assert opened.heard == []
 
 
-def test_numbers_of_a_thousand_cells_are_those_of_the_dataset(
-    browser: Any, files: dict[str, Path], many: xr.Dataset
-) -> None:
+def test_numbers_of_thousand_cells_match_dataset(browser: Any, files: dict[str, Path], many: xr.Dataset) -> None:
     random = np.random.default_rng(0)
     dims = ("beta", "gamma", "delta", "start")
     picked = [{name: int(random.integers(many.sizes[name])) for name in dims} for _ in range(1000)]
@@ -125,7 +123,7 @@ def test_numbers_of_a_thousand_cells_are_those_of_the_dataset(
         vibrojax.cell = cell;
         return [...vibrojax.numbers(null).querySelectorAll("td")].map(td => [td.dataset.name, td.textContent]);
     })"""
-    with Opened(browser, files["many"]) as opened:
+    with OpenPage(browser, files["many"]) as opened:
         shown = opened.evaluate(rows, picked)
         factors = opened.evaluate(
             "Object.fromEntries([...vibrojax.grid.variables].map(([name, v]) => [name, v.factor]))"
@@ -142,7 +140,7 @@ def test_numbers_of_a_thousand_cells_are_those_of_the_dataset(
             elif not np.isfinite(value):
                 assert text in ("no value", "∞") or text.startswith("∞"), (name, text)
             else:
-                # The mean of a motion that does not repeat has two digits.
+                # The mean of an irregular motion has two digits.
                 number = float(re.split(r"[\s,]", text.replace("\u2212", "-").removeprefix("≈ "))[0])
                 rel = 0.06 if text[0] == "≈" else 5e-4
                 assert number == pytest.approx(value * factors[name], rel=rel, abs=1e-300), (name, cell)
@@ -150,10 +148,10 @@ def test_numbers_of_a_thousand_cells_are_those_of_the_dataset(
     assert compared > 10_000
 
 
-def test_a_click_picks_the_cell_under_it_and_hovering_says_its_value(
+def test_click_selects_cell_and_hovering_shows_its_value(
     browser: Any, files: dict[str, Path], many: xr.Dataset
 ) -> None:
-    with Opened(browser, files["many"], "#variable=impact_velocity&at.delta=0.005&at.start=1") as opened:
+    with OpenPage(browser, files["many"], "#variable=impact_velocity&at.delta=0.005&at.start=1") as opened:
         frame = "({left: vibrojax.view.frame.box.left, top: vibrojax.view.frame.box.top})"
         corner = opened.evaluate(frame)
         size = opened.evaluate("(b => [b.right - b.left, b.bottom - b.top])(vibrojax.view.frame.box)")
@@ -171,8 +169,8 @@ def test_a_click_picks_the_cell_under_it_and_hovering_says_its_value(
         assert opened.cell["beta"] == 16
 
 
-def test_everything_by_keyboard(browser: Any, files: dict[str, Path]) -> None:
-    with Opened(browser, files["few"]) as opened:
+def test_keyboard_reaches_everything(browser: Any, files: dict[str, Path]) -> None:
+    with OpenPage(browser, files["few"]) as opened:
         page = opened.page
         page.evaluate("document.activeElement.blur()")
         reached: dict[str, int] = {}
@@ -216,15 +214,15 @@ def test_everything_by_keyboard(browser: Any, files: dict[str, Path]) -> None:
         )
         page.locator(".vx-call .vx-copy").first.focus()
         page.keyboard.press("Enter")
-        wait_for(page, "labels.includes('copied')")  # it says so for a moment only
+        wait_for(page, "labels.includes('copied')")  # the label appears for a moment only
         page.locator(".vx-numbers summary").focus()
         page.keyboard.press("Enter")
         assert not page.locator(".vx-numbers").evaluate("e => e.open")
         assert opened.heard == []
 
 
-def test_every_picture_has_words(browser: Any, files: dict[str, Path]) -> None:
-    with Opened(browser, files["few"]) as opened:
+def test_every_picture_has_description(browser: Any, files: dict[str, Path]) -> None:
+    with OpenPage(browser, files["few"]) as opened:
         pictures = opened.page.locator("canvas[role='img']")
         texts = [pictures.nth(k).get_attribute("aria-label") for k in range(pictures.count())]
         assert len(texts) >= 9 and all(texts)
@@ -235,8 +233,8 @@ def test_every_picture_has_words(browser: Any, files: dict[str, Path]) -> None:
         assert labels
 
 
-def test_a_link_restores_what_is_chosen(browser: Any, files: dict[str, Path]) -> None:
-    with Opened(browser, files["few"]) as opened:
+def test_link_restores_selection(browser: Any, files: dict[str, Path]) -> None:
+    with OpenPage(browser, files["few"]) as opened:
         opened.page.get_by_label("Variable").select_option("impact_velocity")
         opened.page.locator("[data-control='x']").select_option("beta")
         opened.page.locator(".vx-over").press("ArrowRight")
@@ -246,27 +244,27 @@ def test_a_link_restores_what_is_chosen(browser: Any, files: dict[str, Path]) ->
         opened.settled()
         before = opened.evaluate("[vibrojax.cell, vibrojax.shown, vibrojax.state]")
         link = opened.evaluate("location.hash")
-    with Opened(browser, files["few"], link) as again:
-        assert again.evaluate("[vibrojax.cell, vibrojax.shown, vibrojax.state]") == before
-        assert again.page.locator("#vibrojax").get_attribute("data-scheme") == "dark"
-        # A link to another cell that is opened in the same window.
-        again.evaluate("location.hash = '#variable=regime&at.beta=0.5&at.gamma=0.8&at.start=0'")
-        wait_for(again.page, "vibrojax.shown.variable === 'regime' && vibrojax.cell.beta === 2")
-        assert again.cell == {"beta": 2, "gamma": 2, "start": 0}
+    with OpenPage(browser, files["few"], link) as reopened:
+        assert reopened.evaluate("[vibrojax.cell, vibrojax.shown, vibrojax.state]") == before
+        assert reopened.page.locator("#vibrojax").get_attribute("data-scheme") == "dark"
+        # The same window opens a link to another cell.
+        reopened.evaluate("location.hash = '#variable=regime&at.beta=0.5&at.gamma=0.8&at.start=0'")
+        wait_for(reopened.page, "vibrojax.shown.variable === 'regime' && vibrojax.cell.beta === 2")
+        assert reopened.cell == {"beta": 2, "gamma": 2, "start": 0}
 
 
-def test_the_command_of_a_cell_simulates_it(browser: Any, files: dict[str, Path]) -> None:
-    with Opened(browser, files["few"], "#at.beta=0.4&at.gamma=0.7&at.start=1") as opened:
+def test_command_of_cell_simulates_it(browser: Any, files: dict[str, Path]) -> None:
+    with OpenPage(browser, files["few"], "#at.beta=0.4&at.gamma=0.7&at.start=1") as opened:
         calls = opened.evaluate("vibrojax.calls()")
         period = opened.evaluate("vibrojax.grid.value('period', vibrojax.cell)")
     assert calls["command"] == "vibrojax simulate vibro-impact beta=0.4 gamma=0.7 start=stuck duration=48"
     call = calls["python"].replace(")", ", progress=False)")
-    motion = eval(call, {"vj": vj})  # what the page gives to copy, as it stands
+    motion = eval(call, {"vj": vj})  # the call that the page offers to copy, unchanged
     assert float(motion["period"]) == pytest.approx(period, rel=1e-4)
 
 
-def test_it_reads_at_390_pixels(browser: Any, files: dict[str, Path]) -> None:
-    with Opened(browser, files["few"], width=390) as opened:
+def test_page_is_readable_at_390_pixels(browser: Any, files: dict[str, Path]) -> None:
+    with OpenPage(browser, files["few"], width=390) as opened:
         assert opened.evaluate("document.scrollingElement.scrollWidth") <= 390
         order = opened.evaluate(
             "['.vx-left', '.vx-side', '.vx-table'].map(s => document.querySelector(s).getBoundingClientRect().top)"
@@ -274,15 +272,15 @@ def test_it_reads_at_390_pixels(browser: Any, files: dict[str, Path]) -> None:
         assert order == sorted(order)
 
 
-def test_cells_that_a_page_shows_are_those_that_were_written(browser: Any, files: dict[str, Path]) -> None:
-    """The page's decoder against Python's."""
+def test_page_decodes_the_written_cells(browser: Any, files: dict[str, Path]) -> None:
+    """Compare the page's decoder with Python's."""
     text = files["few"].read_text(encoding="utf-8")
-    found = re.search(r'id="vibrojax-cells">(.*?)</script>', text, re.DOTALL)
-    assert found
-    cells = decode(zlib.decompress(base64.b64decode(found[1].strip().split("\n")[0])))
+    match = re.search(r'id="vibrojax-cells">(.*?)</script>', text, re.DOTALL)
+    assert match
+    cells = decode(zlib.decompress(base64.b64decode(match[1].strip().split("\n")[0])))
     read = """lane => vibrojax.source.cell(lane).then(one => ({...one, time: [...one.time], flags: [...one.flags],
         states: Object.fromEntries(Object.entries(one.states).map(([name, x]) => [name, [...x]]))}))"""
-    with Opened(browser, files["few"]) as opened:
+    with OpenPage(browser, files["few"]) as opened:
         for cell in cells[::5]:
             shown = opened.evaluate(read, cell.lane)
             np.testing.assert_allclose(shown["time"], cell.time, rtol=1e-12)
@@ -291,13 +289,13 @@ def test_cells_that_a_page_shows_are_those_that_were_written(browser: Any, files
                 np.testing.assert_allclose(shown["states"][name], values, rtol=1e-9, atol=1e-15)
 
 
-def test_the_strongest_single_impact_is_found(browser: Any, tmp_path: Path) -> None:
-    """The map shows one regime, and goes to the cells with its greatest value, here and on all maps."""
+def test_strongest_single_impact_is_selected(browser: Any, tmp_path: Path) -> None:
+    """The map shows one regime, and goes to the cells with its greatest value, on this map and on all maps."""
     settled = vj.run_sweep(SETTLED, progress=False)
     single = settled["impact_velocity"].where(settled["regime"] == 3).transpose("beta", "gamma", "delta", "start")
     assert single.notnull().any() and single.isnull().any()
     (tmp_path / "settled.html").write_text(page_text(document_of(settled)), encoding="utf-8")
-    with Opened(browser, tmp_path / "settled.html", "#variable=impact_velocity&at.delta=0.005&at.start=1") as opened:
+    with OpenPage(browser, tmp_path / "settled.html", "#variable=impact_velocity&at.delta=0.005&at.start=1") as opened:
         page = opened.page
         page.locator("[data-control='only']").select_option("3")
         page.get_by_role("button", name="greatest here").click()
@@ -311,9 +309,9 @@ def test_the_strongest_single_impact_is_found(browser: Any, tmp_path: Path) -> N
         assert opened.heard == []
 
 
-def test_a_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[str, Path]) -> None:
-    """The cursor goes through the plots, pins compare numbers, files hold what is shown, and Back leads back."""
-    with Opened(browser, files["few"]) as opened:
+def test_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[str, Path]) -> None:
+    """The cursor moves through the plots, pins compare numbers, files hold what is shown, and Back returns."""
+    with OpenPage(browser, files["few"]) as opened:
         page = opened.page
         regime = "vibrojax.grid.valueText(vibrojax.variable, vibrojax.grid.value('regime', vibrojax.cell))"
         assert opened.evaluate(regime) == "single\u2011impact"
@@ -331,7 +329,7 @@ def test_a_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[
         page.mouse.move(box["x"] + box["width"] * 0.4, box["y"] + 60, steps=4)
         page.mouse.up()
         assert opened.evaluate("vibrojax.player.time") != before  # scrubbed
-        # Pins: the numbers of another cell, with their differences.
+        # Pins show the numbers of another cell, with their differences.
         opened.evaluate("vibrojax.pick({beta: 1, gamma: 1, start: 1})")
         opened.settled()
         page.locator(".vx-pinbutton").click()
@@ -357,13 +355,13 @@ def test_a_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[
             content = Path(saved.value.path()).read_bytes()
             assert content.startswith(begins)
             if kind == "SVG":
-                texts = [one.text for one in fromstring(content).iter("{http://www.w3.org/2000/svg}text")]
+                texts = [element.text for element in fromstring(content).iter("{http://www.w3.org/2000/svg}text")]
                 assert any("ω₂/ω₁" in str(text) for text in texts) and "single-impact" in " ".join(map(str, texts))
         with page.expect_download() as saved:
             page.get_by_role("button", name="JSON").click()
         cell = json.loads(Path(saved.value.path()).read_text())
         assert cell["coordinates"]["gamma"] == 0.8 and cell["numbers"]["impact_velocity"] == pytest.approx(values[1])
-        # A box to zoom into, and back.
+        # Zoom into a box, and reset.
         over = page.locator(".vx-over").bounding_box()
         page.mouse.move(over["x"] + 0.3 * over["width"], over["y"] + 0.3 * over["height"])
         page.mouse.down()
@@ -374,7 +372,7 @@ def test_a_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[
         page.locator(".vx-map .vx-reset").click()
         assert opened.evaluate("vibrojax.map.zoom") is None
         assert opened.evaluate("vibrojax.cell") == {"beta": 1, "gamma": 2, "start": 1}
-        # A regime is explained beside its name, and in the legend where it has the focus.
+        # A regime is explained beside its name, and in the legend on focus.
         assert "The motion repeats after one return" in page.locator(".vx-meaning").inner_text()
         page.locator(".vx-legend .vx-why").first.focus()
         assert page.locator(".vx-legend .vx-sentence").first.is_visible()
@@ -386,84 +384,86 @@ def test_a_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[
         assert opened.heard == []
 
 
-def test_calm_steps_and_axe_finds_nothing_serious(browser: Any, files: dict[str, Path]) -> None:
-    """Where motion is unwanted the machine steps, and an independent checker finds no barrier in any view."""
+def test_reduced_motion_steps_and_axe_finds_nothing_serious(browser: Any, files: dict[str, Path]) -> None:
+    """With reduced motion the machine steps, and an independent checker finds no barrier in any view."""
     axe = pytest.importorskip("axe_playwright_python", reason='axe is missing: pip install ".[browser]"')
     script = (Path(axe.__file__).parent / "axe.min.js").read_text(encoding="utf-8")
     for width, scheme in ((1280, "light"), (390, "dark")):
-        with Opened(browser, files["few"], width=width, scheme=scheme) as opened:
+        with OpenPage(browser, files["few"], width=width, scheme=scheme) as opened:
             opened.page.emulate_media(reduced_motion="reduce")
             wait_for(opened.page, "document.querySelector('.vx-play').textContent === 'Step'")
             opened.page.locator(".vx-play").click()
             assert opened.evaluate("vibrojax.player.time > 0 && !vibrojax.player.playing")
             opened.evaluate("vibrojax.pins.toggle()")
             opened.evaluate(script)
-            found = opened.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+            violations = opened.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
             assert [
-                (one["id"], one["nodes"][0]["html"]) for one in found if one["impact"] in ("serious", "critical")
+                (violation["id"], violation["nodes"][0]["html"])
+                for violation in violations
+                if violation["impact"] in ("serious", "critical")
             ] == []
             if width == 390:  # the sheet shows the motion without scrolling
                 assert opened.page.locator(".vx-panels canvas[role=img]").first.bounding_box()["y"] < 900
 
 
-def _numbers(opened: Opened) -> dict[str, str]:
-    """The numbers of the chosen cell, by name."""
+def _numbers(opened: OpenPage) -> dict[str, str]:
+    """Return the numbers of the selected cell, by name."""
     rows = "[...document.querySelectorAll('.vx-numbers td')].map(td => [td.dataset.name, td.dataset.value])"
     return dict(opened.evaluate(rows))
 
 
-def test_an_attractor_is_shown_with_a_start_that_ends_in_it(browser: Any, tmp_path: Path) -> None:
-    """Heading, share, regime and motion belong together, whichever of attractor and start is chosen."""
+def test_attractor_is_shown_with_a_start_that_ends_in_it(browser: Any, tmp_path: Path) -> None:
+    """Heading, share, regime and motion belong together, whether an attractor or a start is selected."""
     ds = vj.attractors(COEXISTING, progress=False)
     assert ds.sizes["attractor"] == 3
     lanes = ds["lane_attractor"].transpose("gamma", "start").values
     ds["lane_attractor"][{"start": (free := int(np.flatnonzero(lanes[1] == lanes[1, 0])[1]))}] = -1
     page = write_page(ds, tmp_path / "attractors.html", progress=False)
 
-    def check(opened: Opened) -> None:
+    def check(opened: OpenPage) -> None:
         opened.settled()
-        cell, told = opened.cell, _numbers(opened)
-        heading, said = opened.page.locator("h2").inner_text(), opened.page.locator(".vx-motion").first.inner_text()
+        cell, numbers = opened.cell, _numbers(opened)
+        heading, text = opened.page.locator("h2").inner_text(), opened.page.locator(".vx-motion").first.inner_text()
         own = int(ds["lane_attractor"].isel(gamma=cell["gamma"], start=cell["start"]))
         number = cell["attractor"]
         ends = (ds["lane_attractor"].isel(gamma=cell["gamma"]) == number).any()
         if own == -1 and opened.evaluate("vibrojax.apart") == "start":
-            assert "attractor" not in heading and "share" not in told and told["lane_attractor"] == "-1"
+            assert "attractor" not in heading and "share" not in numbers and numbers["lane_attractor"] == "-1"
             return
         assert f"attractor = {number}" in heading
-        assert float(told["share"]) == float(ds["share"].isel(gamma=cell["gamma"], attractor=number))
+        assert float(numbers["share"]) == float(ds["share"].isel(gamma=cell["gamma"], attractor=number))
         if ends:
-            assert own == number == int(told["lane_attractor"]) and "no start" not in said
-            assert int(told["regime"]) == int(ds["regime"].isel(gamma=cell["gamma"], attractor=number))
-            written = re.search(r"x₁\(0\) = (\S+) mm", heading)
-            assert written and float(written[1].replace("−", "-")) == pytest.approx(
+            assert own == number == int(numbers["lane_attractor"]) and "no start" not in text
+            assert int(numbers["regime"]) == int(ds["regime"].isel(gamma=cell["gamma"], attractor=number))
+            match = re.search(r"x₁\(0\) = (\S+) mm", heading)
+            assert match and float(match[1].replace("−", "-")) == pytest.approx(
                 1e3 * float(ds["start_x1"][cell["start"]]), rel=1e-4
             )
         else:
-            assert said == f"no start here ends in attractor {number}" and float(told["share"]) == 0
-            assert not {"lane_attractor", "regime", "period"} & set(told) and "x₁(0)" not in heading
+            assert text == f"no start here ends in attractor {number}" and float(numbers["share"]) == 0
+            assert not {"lane_attractor", "regime", "period"} & set(numbers) and "x₁(0)" not in heading
             assert opened.page.locator(".vx-call").count() == 0
 
     for y in ("attractor", ""):
-        with Opened(browser, page, f"#variable=share&x=gamma&y={y}") as opened:
+        with OpenPage(browser, page, f"#variable=share&x=gamma&y={y}") as opened:
             check(opened)
             for key in ("Home", "PageDown", "ArrowUp", "End", "ArrowUp"):
                 opened.page.locator(".vx-over").press(key)
                 check(opened)
-            chosen = [("attractor", number) for number in range(0 if y else 3)]
-            for axis, index in [*chosen, ("start", 0), ("start", 5), ("start", free)]:
+            selections = [("attractor", number) for number in range(0 if y else 3)]
+            for axis, index in [*selections, ("start", 0), ("start", 5), ("start", free)]:
                 opened.page.locator(f'[data-control="at-{axis}"]').select_option(str(index))
                 check(opened)
                 assert opened.cell[axis] == index
             assert opened.evaluate("vibrojax.apart") == "start" and opened.heard == []
 
 
-def _open(browser: Any, ds: xr.Dataset, path: Path, fragment: str = "", scheme: str = "light") -> Opened:
+def _open(browser: Any, ds: xr.Dataset, path: Path, fragment: str = "", scheme: str = "light") -> OpenPage:
     path.write_text(page_text(document_of(ds)), encoding="utf-8")
-    return Opened(browser, path, fragment, scheme=scheme)
+    return OpenPage(browser, path, fragment, scheme=scheme)
 
 
-def test_a_fit_is_named_by_its_groups_and_has_no_motions(browser: Any, tmp_path: Path) -> None:
+def test_fit_is_named_by_its_groups_and_has_no_motions(browser: Any, tmp_path: Path) -> None:
     rows = [f"{p:.6g},9e3,{4e-3 * np.log(p / 9e3)},{rock}" for p in np.linspace(12e3, 4e4, 6) for rock in ("a", "b")]
     (tmp_path / "rig.csv").write_text("\n".join(["mean_force,threshold,rate_of_penetration,rock", *rows]))
     fit = vj.fit_rop(tmp_path / "rig.csv", by=["rock"], progress=False)
@@ -482,17 +482,17 @@ def test_a_fit_is_named_by_its_groups_and_has_no_motions(browser: Any, tmp_path:
         assert opened.heard == []
 
 
-@pytest.mark.parametrize(("value", "said"), [(0.0, "0 everywhere"), (np.nan, "no value")])
-def test_no_scale_is_made_up_for_zeros_or_nothing(browser: Any, tmp_path: Path, value: float, said: str) -> None:
+@pytest.mark.parametrize(("value", "text"), [(0.0, "0 everywhere"), (np.nan, "no value")])
+def test_zeros_and_missing_values_have_no_colour_scale(browser: Any, tmp_path: Path, value: float, text: str) -> None:
     axes = {"a": [1.0, 2.0, 3.0], "b": [1.0, 2.0]}
     rate = (("a", "b"), np.full((3, 2), value), {"units": "m s-1", "long_name": "rate"})
     ds = xr.Dataset({"rate": rate}, axes, {"source": "vibrojax 0"})
     with _open(browser, ds, tmp_path / "page.html") as opened:
-        assert f": {said} here" in opened.page.locator(".vx-legend").inner_text()
+        assert f": {text} here" in opened.page.locator(".vx-legend").inner_text()
         assert opened.page.locator(".vx-bar").count() == 0
 
 
-def test_the_legend_of_a_family_has_what_occurs_in_colours_that_are_seen(browser: Any, tmp_path: Path) -> None:
+def test_legend_of_family_lists_what_occurs_in_visible_colours(browser: Any, tmp_path: Path) -> None:
     family = vj.follow("rotary", along="v", at=1.0, span=(0.9, 1.1), progress=False)
     kinds = {family["special_kind"].attrs["flag_meanings"].split()[k] for k in family["special_kind"].values}
     runs = {"stable" if flag == 1 else "not stable" for flag in family["stable"].values}
@@ -502,10 +502,10 @@ def test_the_legend_of_a_family_has_what_occurs_in_colours_that_are_seen(browser
         ground = "getComputedStyle(document.querySelector('.vx-map')).backgroundColor"
         colours = opened.evaluate("[...document.querySelectorAll('.vx-glyph')].map(one => getComputedStyle(one).color)")
         brightness = [sum(map(int, re.findall(r"\d+", colour)[:3])) for colour in (opened.evaluate(ground), *colours)]
-        assert len(colours) == len(kinds) and all(abs(one - brightness[0]) > 100 for one in brightness[1:])
+        assert len(colours) == len(kinds) and all(abs(value - brightness[0]) > 100 for value in brightness[1:])
 
 
-def test_it_works_in_firefox(files: dict[str, Path]) -> None:
+def test_page_works_in_firefox(files: dict[str, Path]) -> None:
     pytest.importorskip("tornado", reason='tornado is missing, which distributed brings: pip install ".[test]"')
     from firefox import binary, in_firefox
 
@@ -532,7 +532,7 @@ def test_it_works_in_firefox(files: dict[str, Path]) -> None:
         assert len(shown) >= 6 and all(shown)
         await firefox.open(files["few"].as_uri(), width=500)  # Firefox's windows are no narrower
         assert await firefox.evaluate("document.scrollingElement.scrollWidth <= innerWidth")
-        # It reads its own pictures for open details as data, besides the page's empty icon.
+        # Besides the page's empty icon, Firefox reads its own pictures for open details as data.
         assert {address for address in firefox.asked if not address.startswith("data:")} <= {
             files["few"].as_uri(),
             files["few"].as_uri() + "#variable=impact_velocity&at.beta=0.3&at.gamma=0.6&at.start=1",

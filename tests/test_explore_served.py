@@ -1,4 +1,4 @@
-"""`vibrojax explore OUT.nc --live`: what it prints, how it ends, and the page in a browser."""
+"""Tests of `vibrojax explore OUT.nc --live`: its output, how it ends, and the page in a browser."""
 
 import re
 import shutil
@@ -32,30 +32,30 @@ def file(dataset, tmp_path_factory):
 
 
 @contextmanager
-def command(*words):
-    """The command, running; what it has said is in its pipes."""
-    running = start(*words)
+def running_command(*arguments):
+    """Run the command; its output stays in its pipes."""
+    process = start(*arguments)
     try:
-        yield running
+        yield process
     finally:
-        if running.poll() is None:
-            running.kill()
-        running.communicate()
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
 
 
 @pytest.mark.parametrize(
-    ("sent", "status", "said"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "term")]
+    ("sent", "status", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "term")]
 )
-def test_the_command_serves_until_it_is_interrupted(file, sent, status, said):
-    with command("explore", file, "--live", "--no-browser") as running:
-        url = running.stdout.readline().strip()
+def test_command_serves_until_interrupted(file, sent, status, word):
+    with running_command("explore", file, "--live", "--no-browser") as process:
+        url = process.stdout.readline().strip()
         port = int(re.fullmatch(r"http://127\.0\.0\.1:(\d+)/[\w-]{43,}/", url)[1])
         assert "<title>" in urllib.request.urlopen(url, timeout=100).read().decode()
-        running.send_signal(sent)
-        out, err = running.communicate(timeout=200)
-    assert running.returncode == status and out == ""
+        process.send_signal(sent)
+        out, err = process.communicate(timeout=200)
+    assert process.returncode == status and out == ""
     last = err.splitlines()[-1]
-    assert last.startswith(f"vibrojax: {said}") and last.endswith(f"explore {file} --live") and "Traceback" not in err
+    assert last.startswith(f"vibrojax: {word}") and last.endswith(f"explore {file} --live") and "Traceback" not in err
     with pytest.raises(OSError):
         socket.create_connection(("127.0.0.1", port), 1).close()
 
@@ -68,14 +68,14 @@ def test_the_command_serves_until_it_is_interrupted(file, sent, status, said):
         (["--no-browser"], "--no-browser: there is no browser to open without --live"),
     ],
 )
-def test_options_that_do_not_go_together(file, capsys, words, line):
+def test_contradictory_options_are_refused(file, capsys, words, line):
     assert main(["explore", str(file), *words]) == 2
-    said = capsys.readouterr().err
-    assert line in said and said.count("\n") == 1
+    error = capsys.readouterr().err
+    assert line in error and error.count("\n") == 1
 
 
-def test_a_browser_is_opened_where_there_is_a_display(file, monkeypatch, capsys):
-    """And not without one: some browsers would open in the terminal."""
+def test_browser_opens_only_with_a_display(file, monkeypatch, capsys):
+    """Without a display, some browsers would open in the terminal."""
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
     monkeypatch.setattr("vibrojax.explorer.live.Live.wait", lambda self: None)
@@ -90,13 +90,13 @@ def test_a_browser_is_opened_where_there_is_a_display(file, monkeypatch, capsys)
     assert opened == [capsys.readouterr().out.strip()]
 
 
-def test_a_scene_without_a_dataset(monkeypatch, capsys):
-    """Its sliders stand where NAME=VALUE say."""
-    served = []
-    monkeypatch.setattr("vibrojax.explorer.motions.LiveMotions.warm", lambda self: served.append(self))
+def test_scene_without_dataset(monkeypatch, capsys):
+    """NAME=VALUE arguments set its sliders."""
+    warmed = []
+    monkeypatch.setattr("vibrojax.explorer.motions.LiveMotions.warm", lambda self: warmed.append(self))
     monkeypatch.setattr("vibrojax.explorer.live.Live.wait", lambda self: self._threads[1].join())
     assert main(["explore", "rotary", "v=0.7", "start=stuck", "duration=2", "--live", "--no-browser", "--quiet"]) == 0
-    [motions] = served
+    [motions] = warmed
     assert motions.point.parameters["v"] == 0.7 and motions.point.start == "stuck"
     assert main(["explore", "rotary", "v=-1", "--live"]) == 2
     assert "v: is -1" in capsys.readouterr().err
@@ -106,15 +106,15 @@ def test_a_scene_without_a_dataset(monkeypatch, capsys):
 
 @contextmanager
 def browser_page(live, width=1280, height=900):
-    """The page in Chromium; no error in its console, and no request to anywhere else."""
+    """Open the page in Chromium; check that its console has no error and that it requests nothing from elsewhere."""
     with chromium() as browser:
-        page, heard, asked = new_page(browser, viewport={"width": width, "height": height})
+        page, messages, requests = new_page(browser, viewport={"width": width, "height": height})
         page.goto(live.url)
         page.wait_for_selector("[data-ready]")
         yield page
-    # What it refuses for its values, a browser tells its console whatever the page does with the answer.
-    assert not [line for line in wrong(heard) if "400 (Bad Request)" not in line]
-    assert all(url.startswith((live.url, "data:")) for url in asked)
+    # A browser logs refused values as errors, whatever the page does with the answer.
+    assert not [line for line in wrong(messages) if "400 (Bad Request)" not in line]
+    assert all(url.startswith((live.url, "data:")) for url in requests)
 
 
 PICTURE = "() => document.querySelector('.vx-panels canvas[role=img]').toDataURL()"
@@ -125,8 +125,8 @@ def numbers(page):
     return {name: float(value) for name, value in cells if value not in ("", "NaN")}
 
 
-def test_dragging_a_slider_changes_the_motion(dataset):
-    """The phase plane is another, the numbers are those of `simulate`, and so is the command line to copy."""
+def test_dragging_slider_changes_motion(dataset):
+    """The phase plane changes; the numbers and the command line to copy are those of `simulate`."""
     with serve(dataset) as live, browser_page(live) as page:
         before = page.evaluate(PICTURE)
         slider = page.locator("input[data-parameter=delta]")
@@ -140,7 +140,7 @@ def test_dragging_a_slider_changes_the_motion(dataset):
         page.locator("h2", has_text="With Δ = ").wait_for()
         value = 1e-3 * float(page.locator("input[name=delta]").input_value())
         assert 0.005 < value < 0.012
-        # Motions of the places on the way may be shown before that of the last.
+        # The page may show motions of intermediate positions before the last one.
         page.locator(".vx-call code", has_text=re.compile(rf"delta={value:g}\b")).first.wait_for()
         assert page.evaluate(PICTURE) != before
         code = page.locator(".vx-call code").all_text_contents()
@@ -169,8 +169,8 @@ def test_numbers_starts_and_wrong_values(dataset):
         assert page.locator("input[name=beta]").input_value() != "0.44"
 
 
-def test_a_stopped_server_is_said():
-    """In a line beside the sliders, and the page goes on showing what it has."""
+def test_stopped_server_is_reported():
+    """A line beside the sliders reports it, and the page keeps what it shows."""
     motion = vj.simulate("rotary", duration=2.0, progress=False)
     with serve(motion) as live, chromium() as browser:
         page, _, _ = new_page(browser)
@@ -181,8 +181,8 @@ def test_a_stopped_server_is_said():
         page.locator(".vx-wrong", has_text="the server does not answer; it may have been stopped").wait_for()
 
 
-def test_quick_questions_are_asked_one_at_a_time():
-    """Of many at once the page asks the first and the last; those between are refused without being sent."""
+def test_quick_requests_are_sent_one_at_a_time():
+    """The page sends only the first and the last of many simultaneous requests, and refuses those between."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("no node here")
@@ -202,5 +202,5 @@ def test_quick_questions_are_asked_one_at_a_time():
     """
     call = [node, "--input-type=module", "-e", script]
     page = ROOT / "vibrojax" / "explorer" / "page"
-    done = subprocess.run(call, capture_output=True, text=True, cwd=page, timeout=300)
-    assert done.stdout.strip() == "[[[0,1],[999,2]],[0,999]]", done.stderr
+    process = subprocess.run(call, capture_output=True, text=True, cwd=page, timeout=300)
+    assert process.stdout.strip() == "[[[0,1],[999,2]],[0,999]]", process.stderr

@@ -1,4 +1,4 @@
-"""The page as a widget: what is picked is Python's, what Python picks is shown, and the kernel computes motions."""
+"""Tests of the widget: selections in the page and in Python follow each other, and the kernel computes motions."""
 
 import builtins
 import json
@@ -27,28 +27,28 @@ def widget(dataset):
 
 @pytest.fixture
 def sent(widget, monkeypatch):
-    """What the widget sends to the page."""
+    """Return the messages that the widget sends to the page."""
     messages = []
     monkeypatch.setattr(type(widget), "send", lambda self, content, buffers=None: messages.append((content, buffers)))
     return messages
 
 
-def test_a_picked_cell_is_pythons(widget, dataset):
+def test_cell_selected_in_page_is_known_to_python(widget, dataset):
     seen = []
     widget.observe(lambda change: seen.append(change["new"]), "point")
-    widget.set_state({"cell": {"beta": 2, "gamma": 1, "start": 1}})  # as the page says it
+    widget.set_state({"cell": {"beta": 2, "gamma": 1, "start": 1}})  # as the page sends it
     assert widget.point == {"beta": 0.4, "gamma": 0.7, "start": "stuck"} and seen == [widget.point]
     assert widget.cell == {"beta": 2, "gamma": 1, "start": 1}
     assert widget.lane.identical(dataset.isel(beta=2, gamma=1, start=1))
 
 
-def test_python_picks_the_nearest_cell(widget):
+def test_python_selects_nearest_cell(widget):
     seen = []
     widget.observe(lambda change: seen.append(change["new"]), "cell")
     widget.point = {"beta": 0.31, "gamma": 0.79, "start": "stuck"}
     assert widget.cell == {"beta": 0, "gamma": 3, "start": 1} and seen == [widget.cell]
     assert widget.point == {"beta": 0.3, "gamma": 0.8, "start": "stuck"}
-    widget.point = {"gamma": np.float64(0.0)}  # what is not named stays
+    widget.point = {"gamma": np.float64(0.0)}  # the other axes keep their values
     assert widget.cell == {"beta": 0, "gamma": 0, "start": 1}
     widget.cell = {"beta": 99}
     assert widget.point == {"beta": 0.4, "gamma": 0.65, "start": "stuck"}
@@ -65,15 +65,15 @@ def test_python_picks_the_nearest_cell(widget):
 )
 def test_wrong_points_are_refused(widget, point, line):
     before = widget.point
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as error:
         widget.point = point
-    assert str(refused.value) == line
+    assert str(error.value) == line
     assert widget.point == before
     with pytest.raises(InputError, match="a cell has an index for each of beta, gamma, start"):
         widget.cell = {"nowhere": 1}
 
 
-def test_the_kernel_computes_what_the_page_asks_for(widget, sent, dataset):
+def test_kernel_computes_requested_motions(widget, sent, dataset):
     widget._handle_custom_msg({"id": "a", "parameters": {"beta": 0.37}, "start": "stuck"}, [])
     motion = vj.simulate("vibro-impact", beta=0.37, gamma=0.65, start="stuck", duration=10.0, progress=False)
     [(content, [block])] = sent
@@ -85,7 +85,7 @@ def test_the_kernel_computes_what_the_page_asks_for(widget, sent, dataset):
     assert cell.lane == 3 and widget.simulated == {}
 
 
-def test_what_cannot_be_computed_is_said(widget, sent, monkeypatch):
+def test_failed_computations_are_reported(widget, sent, monkeypatch):
     widget._handle_custom_msg({"id": "a", "parameters": {"beta": -1}}, [])
     assert sent[0] == ({"id": "a", "error": "explore: beta: is -1; it must be above 0"}, None)
     monkeypatch.setattr(widget.motions, "answer", lambda *_: 1 / 0)
@@ -96,13 +96,13 @@ def test_what_cannot_be_computed_is_said(widget, sent, monkeypatch):
     assert len(sent) == 2
 
 
-def test_without_a_kernel_it_holds_the_motions(dataset):
-    held = vj.explore(dataset, live=False)
-    assert held.offered is None and held.document["cells"] == {"size": 256, "blocks": 1} and len(held.blocks) == 1
+def test_widget_without_kernel_holds_motions(dataset):
+    static = vj.explore(dataset, live=False)
+    assert static.offered is None and static.document["cells"] == {"size": 256, "blocks": 1} and len(static.blocks) == 1
 
 
-def test_a_part_of_a_sweep(dataset):
-    """Its cells have no numbers of lanes any more, and are computed by their coordinates."""
+def test_part_of_sweep(dataset):
+    """Its cells have no lane numbers any more, so their motions are computed from their coordinates."""
     part = dataset.isel(beta=[0, 2], start=0)
     widget = vj.explore(part)
     assert widget.blocks == [] and widget.document["lanes"] is None and widget.offered["lanes"] == 24
@@ -110,7 +110,7 @@ def test_a_part_of_a_sweep(dataset):
     assert widget.lane.identical(part.isel(beta=1, gamma=widget.cell["gamma"]))
 
 
-def test_a_trajectory_and_a_plane_of_starts():
+def test_trajectory_and_plane_of_starts():
     motion = vj.simulate("rotary", duration=2.0, v=0.7, progress=False)
     widget = vj.explore(motion)
     assert widget.offered["values"]["v"] == 0.7 and len(widget.blocks) == 1
@@ -123,27 +123,26 @@ def test_a_trajectory_and_a_plane_of_starts():
     assert widget.point == {"start_x2": 0.02, "start_v2": -1.0} and widget.lane["regime"].ndim == 0
 
 
-def test_a_dataset_of_an_unknown_scene(dataset):
-    """It is shown, and nothing is simulated."""
+def test_unknown_scene_is_shown_but_not_simulated(dataset):
     foreign = dataset.drop_attrs().assign_attrs(scene="mine")
     assert vj.explore(foreign).offered is None
     with pytest.raises(InputError, match="explore: "):
         vj.explore(foreign, live=True)
 
 
-def test_without_anywidget_it_says_what_to_install(dataset, monkeypatch):
-    really = builtins.__import__
+def test_missing_anywidget_error_says_what_to_install(dataset, monkeypatch):
+    original_import = builtins.__import__
 
-    def without(name, *rest):
+    def import_without_anywidget(name, *rest):
         if name.partition(".")[0] == "anywidget":
             raise ModuleNotFoundError("No module named 'anywidget'", name="anywidget")
-        return really(name, *rest)
+        return original_import(name, *rest)
 
     monkeypatch.delitem(__import__("sys").modules, "vibrojax.explorer.widget", raising=False)
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(InputError) as refused:
+    monkeypatch.setattr(builtins, "__import__", import_without_anywidget)
+    with pytest.raises(InputError) as error:
         vj.explore(dataset)
-    assert str(refused.value) == 'explore: anywidget is not installed; pip install "vibrojax[widget]"'
+    assert str(error.value) == 'explore: anywidget is not installed; pip install "vibrojax[widget]"'
 
 
 HOST = """
@@ -169,14 +168,14 @@ window.cleanup = await module.default.render({ model, el: document.getElementByI
 """
 
 
-def test_the_module_in_a_browser(widget, sent):
-    """A model that stands for the notebook's: a click is the model's cell, a cell from Python is shown, sliders ask."""
+def test_module_in_browser(widget, sent):
+    """In a stand-in for a notebook, clicks set the cell, cells from Python are shown, and sliders request motions."""
     import base64
 
     with chromium() as browser:
-        page, heard, requests = new_page(browser, viewport={"width": 1000, "height": 900})
+        page, messages, requests = new_page(browser, viewport={"width": 1000, "height": 900})
 
-        def asked(text):
+        def answer_request(text):
             widget._handle_custom_msg(json.loads(text), [])
             content, buffers = sent.pop()
             page.evaluate(
@@ -187,7 +186,7 @@ def test_the_module_in_a_browser(widget, sent):
         page.expose_function("getModule", lambda: widget._esm)
         page.expose_function("getState", lambda: json.dumps(widget.get_state(), default=str))
         page.expose_function("saved", lambda cell: widget.set_state({"cell": json.loads(cell)}))
-        page.expose_function("asked", asked)
+        page.expose_function("asked", answer_request)
         widget.point = {"beta": 0.3, "gamma": 0.8, "start": "stuck"}
         page.set_content(HOST)
         page.locator("h2", has_text="β = 0.3, γ = 0.8, start stuck").wait_for()
@@ -203,5 +202,5 @@ def test_the_module_in_a_browser(widget, sent):
         assert widget.simulated["parameters"]["v"] == 1.1 and widget.simulated["parameters"]["beta"] == 0.4
         page.evaluate("() => cleanup()")
         assert page.locator(".vx-map").count() == 0
-    assert not wrong(heard)
+    assert not wrong(messages)
     assert all(url.startswith(("blob:", "about:", "data:")) for url in requests)

@@ -1,4 +1,4 @@
-"""An interrupted sweep goes on where it was; a finished result of another is not replaced without `--fresh`."""
+"""Tests of finished results: interrupted sweeps continue, and other results are replaced only with `--fresh`."""
 
 import json
 import os
@@ -29,51 +29,51 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def swept(folder, gamma, *argv, title="a"):
+def sweep_status(folder, gamma, *argv, title="a"):
     (folder / "map.toml").write_text(SWEEP.format(gamma=gamma, title=title))
     return main(["sweep", "map.toml", "--quiet", *argv])
 
 
-def test_another_sweep(folder, capsys):
-    assert swept(folder, 0.6) == 0
-    kept = (folder / "map.nc").read_bytes()
-    assert swept(folder, 0.7) == 2
+def test_other_result_is_replaced_only_with_fresh(folder, capsys):
+    assert sweep_status(folder, 0.6) == 0
+    content = (folder / "map.nc").read_bytes()
+    assert sweep_status(folder, 0.7) == 2
     assert capsys.readouterr().err == (
         "vibrojax: map.nc: holds another result: grid.gamma was [0.6], is [0.7]; "
         "--fresh replaces it, or give another output with -o\n"
     )
-    assert (folder / "map.nc").read_bytes() == kept and not (folder / "map.nc.chunks").exists()
-    assert swept(folder, 0.7, "--fresh") == 0
+    assert (folder / "map.nc").read_bytes() == content and not (folder / "map.nc.chunks").exists()
+    assert sweep_status(folder, 0.7, "--fresh") == 0
     np.testing.assert_array_equal(vj.open_dataset(folder / "map.nc").gamma, [0.7])
-    assert swept(folder, 0.7, title="said otherwise") == 0
+    assert sweep_status(folder, 0.7, title="said otherwise") == 0
 
 
 @pytest.mark.parametrize("command", ["sweep", "orbits"])
-def test_a_finished_sweep_is_not_computed_again(folder, capsys, monkeypatch, command):
+def test_finished_sweep_is_not_recomputed(folder, capsys, monkeypatch, command):
     (folder / "map.toml").write_text(SWEEP.format(gamma=0.6, title="a"))
     argv = [command, "map.toml", "-o", "map.nc"]
     assert main(argv) == 0
-    kept, lines = (folder / "map.nc").stat().st_mtime_ns, capsys.readouterr().out.splitlines()
+    written_at, lines = (folder / "map.nc").stat().st_mtime_ns, capsys.readouterr().out.splitlines()
     compute = Chunks.compute
-    with monkeypatch.context() as changed:
-        changed.setattr(Chunks, "compute", None)
+    with monkeypatch.context() as patch:
+        patch.setattr(Chunks, "compute", None)
         assert main(argv) == 0
-        said = f"map.nc: is there already ({source()}); it is not computed again without --fresh; picture map.png"
-        assert capsys.readouterr() == ("\n".join([said, *lines[1:], ""]), "")
+        line = f"map.nc: is there already ({source()}); it is not computed again without --fresh; picture map.png"
+        assert capsys.readouterr() == ("\n".join([line, *lines[1:], ""]), "")
         (folder / "map.png").unlink()
         assert main([*argv, "--quiet"]) == 0 and (folder / "map.png").exists()
-        assert (folder / "map.nc").stat().st_mtime_ns == kept and capsys.readouterr() == ("", "")
+        assert (folder / "map.nc").stat().st_mtime_ns == written_at and capsys.readouterr() == ("", "")
     computed = []
     monkeypatch.setattr(Chunks, "compute", lambda self, *words: computed.append(1) or compute(self, *words))
     assert main([*argv, "--fresh"]) == 0 and computed
-    assert (folder / "map.nc").stat().st_mtime_ns > kept and "is there already" not in capsys.readouterr().out
+    assert (folder / "map.nc").stat().st_mtime_ns > written_at and "is there already" not in capsys.readouterr().out
 
 
-def test_a_finished_share_is_not_computed_again(folder, capsys):
-    assert swept(folder, 0.6, "--only", "1/1") == 0
+def test_finished_share_is_not_recomputed(folder, capsys):
+    assert sweep_status(folder, 0.6, "--only", "1/1") == 0
     assert main(["sweep", "map.toml", "--only", "1/1"]) == 0
     assert capsys.readouterr().out.startswith("map.nc: is there already")
-    (folder / "map.nc.chunks").mkdir()  # of a run that was ended before it removed them
+    (folder / "map.nc.chunks").mkdir()  # left by a run that ended before it removed them
     assert main(["sweep", "map.toml"]) == 0
     assert "is there already" not in capsys.readouterr().out and not (folder / "map.nc.chunks").exists()
 
@@ -82,7 +82,7 @@ POINT = ["simulate", "rotary", "duration=0.2"]
 
 
 def test_single_motions_are_numbered(folder, capsys, monkeypatch):
-    """The next free number, the number of an equal result, and no file of something else."""
+    """A motion takes the next free number, or the number of an equal result, and replaces no other file."""
     (folder / "rotary-3.nc").write_bytes(b"no netCDF at all")
     (folder / "rotary-x.nc").mkdir()
     lines = {}
@@ -92,22 +92,22 @@ def test_single_motions_are_numbered(folder, capsys, monkeypatch):
         assert lines[gamma][-1] == f"{name}.nc; picture {name}.png" and (folder / f"{name}.png").exists()
         assert vj.open_dataset(folder / f"{name}.nc").attrs["parameters"].count(f'"gamma": {gamma}') == 1
     (folder / "rotary.nc").unlink()
-    with monkeypatch.context() as changed:
-        changed.setattr("vibrojax.sweep.simulation.simulate", None)
+    with monkeypatch.context() as patch:
+        patch.setattr("vibrojax.sweep.simulation.simulate", None)
         assert main([*POINT, "gamma=0.8"]) == 0
-        said = f"rotary-4.nc: is there already ({source()}); it is not computed again without --fresh"
-        assert capsys.readouterr().out.splitlines() == [*lines[0.8][:-1], f"{said}; picture rotary-4.png"]
+        line = f"rotary-4.nc: is there already ({source()}); it is not computed again without --fresh"
+        assert capsys.readouterr().out.splitlines() == [*lines[0.8][:-1], f"{line}; picture rotary-4.png"]
         assert main([*POINT, "gamma=0.8", "--json"]) == 0
         stored = json.loads(capsys.readouterr().out)
-    kept = {name: (folder / name).stat().st_mtime_ns for name in ("rotary-2.nc", "rotary-4.nc")}
+    written_at = {name: (folder / name).stat().st_mtime_ns for name in ("rotary-2.nc", "rotary-4.nc")}
     assert main([*POINT, "gamma=0.8", "--fresh", "--json"]) == 0
     computed = json.loads(capsys.readouterr().out)
     assert stored == computed and stored["dataset"] == "rotary-4.nc" and stored["picture"] == "rotary-4.png"
-    assert [(folder / name).stat().st_mtime_ns > time for name, time in kept.items()] == [False, True]
+    assert [(folder / name).stat().st_mtime_ns > time for name, time in written_at.items()] == [False, True]
     assert main([*POINT, "gamma=0.6"]) == 0 and "rotary.nc; picture" in capsys.readouterr().out
 
 
-def test_a_number_that_another_process_has_taken_is_not_used(folder, monkeypatch):
+def test_number_taken_by_another_process_is_not_used(folder, monkeypatch):
     def simulate(*_, **__):
         (folder / "rotary.nc").write_bytes(b"of another process")
         return motion
@@ -118,7 +118,7 @@ def test_a_number_that_another_process_has_taken_is_not_used(folder, monkeypatch
     assert (folder / "rotary.nc").read_bytes() == b"of another process" and (folder / "rotary-2.nc").exists()
 
 
-def test_another_point_in_a_file_that_is_given(folder, capsys):
+def test_other_point_in_given_file_is_refused(folder, capsys):
     out = ["-o", "rotary.nc"]
     assert main([*POINT, "gamma=0.6", *out]) == 0 and main([*POINT, "gamma=0.6", *out]) == 0
     capsys.readouterr()
@@ -129,8 +129,8 @@ def test_another_point_in_a_file_that_is_given(folder, capsys):
 
 
 @pytest.mark.parametrize("content", [b"", b"no netCDF at all", None])
-def test_what_is_none_of_ours_stays(folder, content):
-    """A damaged file, a file of something else, a dataset of an earlier version."""
+def test_unknown_content_is_not_replaced(folder, content):
+    """The content is a damaged file, a file of something else, or a dataset of an earlier version."""
     path = folder / "map.nc"
     if content is None:
         vj.write_dataset(vj.open_dataset(vj.__path__[0] + "/../tests/data/versions/0.1.0/rates.nc"), path)
@@ -149,44 +149,44 @@ CHUNKED = {
 }
 
 
-def test_goes_on_where_it_was(tmp_path, monkeypatch):
+def test_interrupted_sweep_continues(tmp_path, monkeypatch):
     sweep, whole, out = read_sweep(CHUNKED), tmp_path / "whole.nc", tmp_path / "parts.nc"
     run_to_file(sweep, whole, progress=False)
     compute, computed, write, stored = Chunks.compute, [], Shards.write, []
 
-    def interrupted(self, index, features):
+    def interrupted_write(self, index, features):
         if len(stored) == 2:
             raise KeyboardInterrupt
         stored.append(index)
         write(self, index, features)
 
-    def slow(self, index, *told):
+    def slow_compute(self, index, *report):
         time.sleep(0.7)
-        return compute(self, index, *told)
+        return compute(self, index, *report)
 
     monkeypatch.setenv("VIBROJAX_THREADS", "2")
-    with monkeypatch.context() as during:
-        during.setattr(Chunks, "compute", slow)
-        during.setattr(Shards, "write", interrupted)
+    with monkeypatch.context() as patch:
+        patch.setattr(Chunks, "compute", slow_compute)
+        patch.setattr(Shards, "write", interrupted_write)
         with pytest.raises(KeyboardInterrupt):
             run_to_file(sweep, out, progress=False)
     assert not out.exists()
 
-    def counted(self, index, *told):
+    def counting_compute(self, index, *report):
         computed.append(index)
-        return compute(self, index, *told)
+        return compute(self, index, *report)
 
-    monkeypatch.setattr(Chunks, "compute", counted)
+    monkeypatch.setattr(Chunks, "compute", counting_compute)
     run_to_file(sweep, out, progress=False)
     assert sorted(stored + computed) == [0, 1, 2, 3] and len(computed) == 2
     assert not out.with_name("parts.nc.chunks").exists()
-    with xr.open_dataset(whole) as expected, xr.open_dataset(out) as found:
-        xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
-        assert found.wall_time_s > 0.6  # what the interrupted run took counts
-        assert np.all(found.status == 0)
+    with xr.open_dataset(whole) as expected, xr.open_dataset(out) as resumed:
+        xr.testing.assert_identical(resumed.drop_attrs(), expected.drop_attrs())
+        assert resumed.wall_time_s > 0.6  # the time of the interrupted run is included
+        assert np.all(resumed.status == 0)
 
 
-# The code of a user's own scene or law is part of what a result depends on.
+# The identity of a result includes the code of a user's own scene or law.
 
 OWN = {
     "aid.py": "def share(u):\n    return 0.9 + 0.1 / (1.0 + u)\n",
@@ -235,21 +235,21 @@ def own_code(folder, old="", new=""):
 
 
 def digests(folder, monkeypatch):
-    """The digests of the user's code in the identity of a sweep."""
-    with monkeypatch.context() as changed:
-        changed.syspath_prepend(folder)
+    """Return the digests of the user's code in the identity of a sweep."""
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(folder)
         for name in OWN:
-            changed.delitem(sys.modules, name.removesuffix(".py"), raising=False)
-        held = {}
-        exec(DIGESTS, held)
-        return held["digests"]
+            patch.delitem(sys.modules, name.removesuffix(".py"), raising=False)
+        namespace = {}
+        exec(DIGESTS, namespace)
+        return namespace["digests"]
 
 
-def test_the_identity_follows_the_code_of_own_scenes_and_laws(tmp_path, monkeypatch, capsys):
+def test_identity_follows_code_of_own_scenes_and_laws(tmp_path, monkeypatch, capsys):
     before = digests(own_code(tmp_path / "before"), monkeypatch)
     assert set(before) == {"code.scene", "code.friction"}
     edits = (
-        ("return 1", "return 2", set()),  # a function that neither uses
+        ("return 1", "return 2", set()),  # a function that neither of them uses
         ("+ 0.1\n", "+ 0.2\n", {"code.friction"}),  # the last line of the lambda
         ("LEAST = 0.2", "LEAST = 0.3", {"code.friction"}),
         ("0.9 + 0.1", "0.8 + 0.2", {"code.friction"}),  # in another module
@@ -261,11 +261,11 @@ def test_the_identity_follows_the_code_of_own_scenes_and_laws(tmp_path, monkeypa
         assert {name for name in before if after[name] != before[name]} == expected, old
     environment = {**os.environ, "PYTHONHASHSEED": "7"}  # another process agrees
     argv = [sys.executable, "-c", DIGESTS]
-    done = subprocess.run(argv, capture_output=True, text=True, cwd=tmp_path / "before", env=environment, check=True)
-    assert json.loads(done.stdout) == before
+    process = subprocess.run(argv, capture_output=True, text=True, cwd=tmp_path / "before", env=environment, check=True)
+    assert json.loads(process.stdout) == before
 
 
-def test_a_result_of_other_code_is_not_taken_for_the_same(folder):
+def test_result_of_other_code_is_not_reused(folder):
     def sweep(share):
         law = vj.FrictionLaw("own", "mine", {}, mu=lambda u, p: share + 0.0 * u)
         tables = {"scene": "rotary", "parameters": {"friction": law}, "grid": {"gamma": [0.6]}}
@@ -295,5 +295,5 @@ def test_a_result_of_other_code_is_not_taken_for_the_same(folder):
     ],
 )  # fmt: skip
 def test_differences_are_readable(before, now, line):
-    """Digests are not shown, and a value that is cut ends in its quote."""
+    """Digests are not shown, and a truncated value ends with its quote."""
     assert changes(before, now) == line

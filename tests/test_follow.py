@@ -1,4 +1,4 @@
-"""Families of orbits: against reference cases, the exact motion, and what folds and doublings are by theory."""
+"""Tests of continuation: against reference cases, the exact motion, and the theory of folds and doublings."""
 
 import json
 from pathlib import Path
@@ -18,83 +18,85 @@ ENDS = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_tex
 STATES = ("orbit_x1", "orbit_x2", "orbit_v2")
 
 
-def followed(**more):
+def follow_drill(**more):
     return vj.follow("vibro-impact", progress=False, **more)
 
 
 def specials(family, kind, branch=0):
-    """Where special points of a kind lie on a branch."""
-    here = (family.special_kind.values == SPECIAL_KINDS.index(kind)) & (family.special_branch.values == branch)
-    return np.sort(family.special_value.values[here])
+    """Return the parameter values of the special points of a kind on a branch."""
+    mask = (family.special_kind.values == SPECIAL_KINDS.index(kind)) & (family.special_branch.values == branch)
+    return np.sort(family.special_value.values[mask])
 
 
 @pytest.fixture(scope="module")
 def family():
-    """Over gamma, from the usual single impact down to its doubling and on to both ends."""
-    return followed(along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4, cycles=2)
+    """Return a family over gamma, from the usual single impact down to its doubling and on to both ends."""
+    return follow_drill(along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4, cycles=2)
 
 
 def branch_of(family, number):
     return family.isel(point=family.branch.values == number)
 
 
-# Against others
+# Against references
 
 
 @pytest.mark.parametrize(("case", "kind"), [(ENDS[0], "torus"), (ENDS[1], "fold")])
 def test_ends_of_families(case, kind):
-    """The reference is good to some 1e-8."""
+    """The reference is accurate to about 1e-8."""
     low, high = sorted((case["at"], case["end_value"] + 0.1 * np.sign(case["end_value"] - case["at"])))
-    family = followed(
+    family = follow_drill(
         along=case["along"], at=case["at"], span=(low, high), start=case["start"], cycles=1, **case["fixed"]
     )
-    found = specials(family, kind)
-    assert np.abs(found - case["end_value"]).min() < 3e-9
-    at = np.abs(family[case["along"]].values - case["end_value"]).argmin()
+    values = specials(family, kind)
+    assert np.abs(values - case["end_value"]).min() < 3e-9
+    index = np.abs(family[case["along"]].values - case["end_value"]).argmin()
     exact = abs(complex(*case["largest_multiplier"]))
-    # At the reference's own end the fold's multiplier is still 3e-6 from 1: it goes as the root of the distance.
-    assert abs(family.multiplier_abs.values[at, 0] - exact) < 1e-5
+    # At the reference's own end the fold's multiplier differs from 1 by 3e-6: it follows the root of the distance.
+    assert abs(family.multiplier_abs.values[index, 0] - exact) < 1e-5
 
 
-def returned(at, section):
+def return_map(parameters, section):
     start = [section[0], 0.0, section[1], section[2]]
-    motion = run("vibro-impact", start=start, observe=1.0, **at)
+    motion = run("vibro-impact", start=start, observe=1.0, **parameters)
     return motion.at(sections(motion)[:1])[0][[0, 2, 3]]
 
 
 @pytest.mark.parametrize("gamma", [0.33, 0.37, 1.5])
-def test_unstable_orbits_are_orbits_of_the_exact_motion(family, gamma):
+def test_unstable_orbits_match_exact_motion(family, gamma):
     branch = branch_of(family, 0)
     point = branch.isel(point=np.abs(branch.gamma.values - gamma).argmin())
-    at = {"beta": 0.4, "gamma": float(point.gamma)}
+    parameters = {"beta": 0.4, "gamma": float(point.gamma)}
     section = np.array([float(point[name]) for name in STATES])
-    np.testing.assert_allclose(returned(at, section), section, atol=1e-9)
+    np.testing.assert_allclose(return_map(parameters, section), section, atol=1e-9)
     columns = []
     for k, size in enumerate((0.05, 0.05, 1.0)):
-        moved = 1e-6 * size * np.eye(3)[k]
-        columns.append((returned(at, section + moved) - returned(at, section - moved)) / (2 * moved[k]))
+        step = 1e-6 * size * np.eye(3)[k]
+        columns.append(
+            (return_map(parameters, section + step) - return_map(parameters, section - step)) / (2 * step[k])
+        )
     exact = np.sort(np.abs(np.linalg.eigvals(np.array(columns).T)))[::-1]
     np.testing.assert_allclose(point.multiplier_abs.values, exact, atol=1e-6 * max(1, exact[0]))
     assert (point.stable == 1) == (exact[0] < 1)
 
 
-# What theory says of special points
+# Theory of special points
 
 
-def test_the_stability_changes_at_special_points_only(family):
+def test_stability_changes_only_at_special_points(family):
     branch = branch_of(family, 0)
     changes = np.flatnonzero(np.diff(branch.stable.values))
     assert {0, 1} <= set(branch.stable.values.tolist())
-    turning = np.concatenate(
+    bifurcations = np.concatenate(
         [specials(family, kind) for kind in ("fold", "period-doubling", "torus", "grazing", "stick")]
     )
     for k in changes:
         low, high = sorted(branch.gamma.values[k : k + 2])
-        assert ((turning >= low - 1e-9) & (turning <= high + 1e-9)).any()
+        assert ((bifurcations >= low - 1e-9) & (bifurcations <= high + 1e-9)).any()
 
 
 def eigenvalue(gamma, beta, v, m1=250.0, k1=156250.0, c2=250.0, g=9.81, mu=0.4, v_cr=3.0):
-    """The rightmost eigenvalue of steady sliding under Stribeck's law, from its characteristic polynomial."""
+    """Return the rightmost eigenvalue of steady sliding under Stribeck's law, from its characteristic polynomial."""
     m2, k2 = beta * m1, beta * gamma**2 * k1
     slope = m1 * g * mu * (-1 / v_cr + v**2 / v_cr**3)
     roots = np.roots(np.polysub(np.polymul([m1, slope, k1 + k2], [m2, c2, k2]), [k2**2]))
@@ -106,10 +108,10 @@ def eigenvalue(gamma, beta, v, m1=250.0, k1=156250.0, c2=250.0, g=9.81, mu=0.4, 
     [
         ("gamma", 0.90, (0.89, 1.0), {"beta": 0.4, "v": 1.5}),
         ("gamma", 0.81, (0.80, 1.0), {"beta": 0.4, "v": 2.0}),
-        ("beta", 0.45, (0.2, 0.5), {"gamma": 0.9, "v": 1.5}),  # backwards
+        ("beta", 0.45, (0.2, 0.5), {"gamma": 0.9, "v": 1.5}),  # in the negative direction
     ],
 )
-def test_a_branch_ends_at_a_hopf_point_where_sliding_gets_stable(along, at, span, fixed):
+def test_branch_ends_at_hopf_point_where_sliding_becomes_stable(along, at, span, fixed):
     family = vj.follow("rotary", along=along, at=at, span=span, start="stuck", settle=60.0, progress=False, **fixed)
     [hopf] = specials(family, "hopf")
     exact = brentq(lambda value: eigenvalue(**{along: value}, **fixed).real, *span, xtol=1e-14)
@@ -119,80 +121,80 @@ def test_a_branch_ends_at_a_hopf_point_where_sliding_gets_stable(along, at, span
     period = 2 * np.pi / eigenvalue(**{along: hopf}, **fixed).imag
     assert point.period.item() == pytest.approx(period, rel=1e-12)
     assert (point.impacts.item() if "impacts" in point else 0, point.bit_amplitude.item()) == (0, 0)
-    # The largest multiplier belongs to the amplitude; the others are those of the orbits just before.
+    # The largest multiplier belongs to the amplitude; the others are those of the neighbouring orbit.
     before = family.isel(point=np.argsort(np.abs(family[along].values - hopf))[1])
     np.testing.assert_allclose(point.multiplier_abs, before.multiplier_abs, atol=1e-3)
     assert point.multiplier_abs.values[0] == pytest.approx(1, abs=1e-12)
 
 
-def test_a_doubled_branch_leaves_as_the_root_of_the_distance(family):
+def test_doubled_branch_leaves_as_root_of_distance(family):
     [doubling] = specials(family, "period-doubling")
     single, double = branch_of(family, 0), branch_of(family, 1)
     assert (double.cycles == 2).all() and double.impacts[0] == 2
-    # It begins with the orbit gone round twice: multipliers are squared, and the one at -1 becomes 1.
+    # The branch begins with two rounds of the single orbit: multipliers are squared, and -1 becomes 1.
     begin = np.abs(single.gamma.values - doubling).argmin()
     np.testing.assert_allclose(double.multiplier_abs[0], single.multiplier_abs[begin] ** 2, atol=1e-6)
-    away = double.gamma.values - doubling
-    near = np.flatnonzero((np.abs(away) > 1e-7) & (np.abs(away) < 2e-3))
+    distance = double.gamma.values - doubling
+    near = np.flatnonzero((np.abs(distance) > 1e-7) & (np.abs(distance) < 2e-3))
     order = np.argsort(single.gamma.values)
-    between = np.interp(double.gamma.values[near], single.gamma.values[order], single.orbit_x1.values[order])
-    apart = (double.orbit_x1.values[near] - between) / np.sqrt(np.abs(away[near]))
+    on_single = np.interp(double.gamma.values[near], single.gamma.values[order], single.orbit_x1.values[order])
+    ratio = (double.orbit_x1.values[near] - on_single) / np.sqrt(np.abs(distance[near]))
     assert len(near) >= 3
-    np.testing.assert_allclose(apart, apart[0], rtol=0.1)
+    np.testing.assert_allclose(ratio, ratio[0], rtol=0.1)
     np.testing.assert_allclose(double.period.values[0], single.period.values[begin], rtol=1e-9)
 
 
-def test_a_branch_that_doubles_at_both_ends_is_listed_once():
-    here = {"start": "stuck", "beta": 0.268, "v": 0.82, "delta": 0.005}
-    family = followed(along="gamma", at=0.72, span=(0.32, 0.73), cycles=2, **here)
+def test_branch_that_doubles_at_both_ends_is_listed_once():
+    settings = {"start": "stuck", "beta": 0.268, "v": 0.82, "delta": 0.005}
+    family = follow_drill(along="gamma", at=0.72, span=(0.32, 0.73), cycles=2, **settings)
     doublings = specials(family, "period-doubling")
     assert len(doublings) == 2 and set(family.branch.values.tolist()) == {0, 1}
     [end] = specials(family, "end", branch=1)
     begin = branch_of(family, 1).gamma.values[0]
-    [elsewhere] = doublings[np.abs(doublings - begin) > 1e-9]
-    assert abs(end - elsewhere) < 5e-3
+    [other] = doublings[np.abs(doublings - begin) > 1e-9]
+    assert abs(end - other) < 5e-3
 
 
-def test_multipliers_at_a_fold_go_as_the_root_of_the_distance():
-    family = followed(along="v", at=2.6, span=(2.6, 3.0), beta=0.3, gamma=0.8, start="drive", cycles=1)
+def test_multipliers_at_fold_follow_root_of_distance():
+    family = follow_drill(along="v", at=2.6, span=(2.6, 3.0), beta=0.3, gamma=0.8, start="drive", cycles=1)
     [fold] = specials(family, "fold")
-    near = np.abs(family.v.values - fold)
-    some = (near > 1e-6) & (near < 5e-3)
-    assert some.sum() >= 4
-    nearest = np.abs(family.multiplier_abs.values * np.exp(1j * family.multiplier_arg.values) - 1).min(axis=1)[some]
-    rate = nearest / np.sqrt(near[some])
+    distance = np.abs(family.v.values - fold)
+    near = (distance > 1e-6) & (distance < 5e-3)
+    assert near.sum() >= 4
+    nearest = np.abs(family.multiplier_abs.values * np.exp(1j * family.multiplier_arg.values) - 1).min(axis=1)[near]
+    rate = nearest / np.sqrt(distance[near])
     np.testing.assert_allclose(rate, rate.mean(), rtol=0.2)
-    assert {0, 1} <= set(family.stable.values[some].tolist())
+    assert {0, 1} <= set(family.stable.values[near].tolist())
 
 
-def test_what_begins_at_special_points(family):
+def test_sticking_changes_at_special_points(family):
     branch = branch_of(family, 0)
     for value in specials(family, "stick"):
         k = np.abs(branch.gamma.values - value).argmin()
         around = branch.isel(point=slice(max(k - 1, 0), k + 2))
-        # A share of time that sticks or slides backwards changes its rate; another number of each is met.
+        # The number of sticking or backward-sliding phases changes there, and so do the slopes of their shares of time.
         assert float(around.stick_fraction.min()) < 0.2
     assert len(specials(family, "stick")) == 10
 
 
-def test_a_family_is_the_same_followed_from_elsewhere(family):
-    other = followed(along="gamma", at=0.68, span=(0.3, 1.6), start="stuck", beta=0.4, cycles=1)
+def test_family_does_not_depend_on_initial_value(family):
+    other = follow_drill(along="gamma", at=0.68, span=(0.3, 1.6), start="stuck", beta=0.4, cycles=1)
     for kind in ("period-doubling", "stick"):
         np.testing.assert_allclose(specials(other, kind), specials(family, kind), atol=1e-9)
 
 
-def test_many_at_once_are_as_each_alone():
-    both = followed(along="gamma", at=0.72, span=(0.6, 0.8), start="stuck", beta=[0.35, 0.5], cycles=1)
-    assert both.beta.dims == ("family",)
+def test_several_families_equal_single_ones():
+    families = follow_drill(along="gamma", at=0.72, span=(0.6, 0.8), start="stuck", beta=[0.35, 0.5], cycles=1)
+    assert families.beta.dims == ("family",)
     for number, beta in enumerate((0.35, 0.5)):
-        alone = followed(along="gamma", at=0.72, span=(0.6, 0.8), start="stuck", beta=beta, cycles=1)
-        mine = both.isel(special=both.special_family.values == number)
-        np.testing.assert_array_equal(mine.special_kind, alone.special_kind)
-        np.testing.assert_allclose(mine.special_value, alone.special_value, atol=1e-9)
+        single = follow_drill(along="gamma", at=0.72, span=(0.6, 0.8), start="stuck", beta=beta, cycles=1)
+        part = families.isel(special=families.special_family.values == number)
+        np.testing.assert_array_equal(part.special_kind, single.special_kind)
+        np.testing.assert_allclose(part.special_value, single.special_value, atol=1e-9)
 
 
 @pytest.mark.long
-def test_other_scenes_are_followed_too():
+def test_continuation_of_other_scenes():
     rotary = vj.follow("rotary", along="v", at=1.0, span=(0.6, 1.4), beta=0.3, gamma=0.5, progress=False)
     assert "impacts" not in rotary and (rotary.stable == 1).all()
     soft = {"beta": 0.3, "gamma": 0.7, "threshold": 2e4, "start": "stuck", "cycles": 1}
@@ -202,40 +204,43 @@ def test_other_scenes_are_followed_too():
 
 
 def random_lines(seed, count):
-    """Lines through the box along one parameter each: what is fixed, the parameter, where it begins, and its bounds."""
+    """Yield random lines through the box: the fixed values, the varied parameter, its initial value and its bounds."""
     random = np.random.default_rng(seed)
     wide = {"beta": (0.1, 1.2), "gamma": (0.3, 1.2), "v": (0.5, 3.0), "delta": (-0.01, 0.02)}
     for _ in range(count):
-        at = {
+        fixed = {
             "beta": random.uniform(0.25, 0.6),
             "gamma": random.uniform(0.6, 0.8),
             "v": random.uniform(0.6, 2.0),
             "delta": -0.005,
         }
         along = str(random.choice(list(wide)))
-        begin = at.pop(along)
-        yield at, along, begin, wide[along]
+        begin = fixed.pop(along)
+        yield fixed, along, begin, wide[along]
 
 
 @pytest.mark.parametrize("line", list(random_lines(11, 5)), ids=lambda line: line[1])
-def test_lanes_begun_beside_orbits_stay_where_these_are_stable_and_leave_where_not(line):
-    """Along random lines: the sweep knows nothing of multipliers or special points."""
-    at, along, begin, span = line
-    family = followed(along=along, at=begin, span=span, start="drive", cycles=1, **at)
-    some = family.isel(point=np.abs(family.multiplier_abs[:, 0].values - 1) > 0.03)
-    count = some.sizes["point"]
-    points = {name: [value] * count for name, value in at.items()} | {along: some[along].values.tolist()}
-    points |= {"start_x1": some.orbit_x1.values.tolist(), "start_v1": [0.0] * count}
-    points |= {"start_x2": (some.orbit_x2.values + 1e-6).tolist(), "start_v2": some.orbit_v2.values.tolist()}
+def test_lanes_near_orbits_stay_only_if_orbits_are_stable(line):
+    """The sweeps along random lines know nothing of multipliers or special points."""
+    fixed, along, begin, span = line
+    family = follow_drill(along=along, at=begin, span=span, start="drive", cycles=1, **fixed)
+    hyperbolic = family.isel(point=np.abs(family.multiplier_abs[:, 0].values - 1) > 0.03)
+    count = hyperbolic.sizes["point"]
+    points = {name: [value] * count for name, value in fixed.items()} | {along: hyperbolic[along].values.tolist()}
+    points |= {"start_x1": hyperbolic.orbit_x1.values.tolist(), "start_v1": [0.0] * count}
+    points |= {
+        "start_x2": (hyperbolic.orbit_x2.values + 1e-6).tolist(),
+        "start_v2": hyperbolic.orbit_v2.values.tolist(),
+    }
     run = {"settle": 120.0, "end_early": False}
     lanes = vj.run_sweep({"scene": "vibro-impact", "points": points, "run": run, "unusual": True}, progress=False)
-    stays = np.abs(lanes.period.values / some.period.values - 1) < 1e-6
-    stays &= (lanes.cycles.values == 1) & (lanes.impacts.values == some.impacts.values)
-    np.testing.assert_array_equal(stays, some.stable.values == 1)
+    stays = np.abs(lanes.period.values / hyperbolic.period.values - 1) < 1e-6
+    stays &= (lanes.cycles.values == 1) & (lanes.impacts.values == hyperbolic.impacts.values)
+    np.testing.assert_array_equal(stays, hyperbolic.stable.values == 1)
     assert stays.any()
 
 
-# What is refused
+# Refused input
 
 
 @pytest.mark.parametrize(
@@ -252,21 +257,21 @@ def test_lanes_begun_beside_orbits_stay_where_these_are_stable_and_leave_where_n
         ({"beta": 0.3, "at": 0.3}, "irregular"),
     ],
 )
-def test_what_is_not_right_is_refused(more, says):
+def test_wrong_input_is_refused(more, says):
     with pytest.raises(InputError, match=says) as error:
-        followed(**({"along": "gamma", "at": 0.75, "span": (0.3, 1.6)} | more))
+        follow_drill(**({"along": "gamma", "at": 0.75, "span": (0.3, 1.6)} | more))
     assert "\n" not in str(error.value)
 
 
-def test_rock_begins_to_yield_at_the_force_of_the_linear_answer():
-    """Until it yields, rock and bit are linear: the greatest compression is in proportion to the force."""
+def test_rock_begins_to_yield_at_force_of_linear_response():
+    """Until it yields, rock and bit are linear: the greatest compression is proportional to the force."""
     width, frequency, m1, k3, zeta, threshold = 4e-3, 20.0, 250.0, 3e8, 1.1, 150e3
     family = vj.follow("penetration", along="force", at=1e5, span=(1e5, 2.5e5), zeta=zeta, progress=False)
     w0 = np.sqrt(k3 / m1)
     field = np.array([[0.0, 1.0], [-(w0**2), -2 * zeta * w0]])
     still = np.array([1 / k3, 0.0])  # under 1 N
     within, after = expm(field * width), expm(field * (1 / frequency - width))
-    # The state x at the beginning of a pulse is there again after it and the pause.
+    # The state at the beginning of a pulse recurs after the pulse and the pause.
     begin = np.linalg.solve(np.eye(2) - after @ within, after @ (still - within @ still))
     end = still + within @ (begin - still)
     peak = max((expm(field * t) @ end)[0] for t in np.linspace(0, 4e-3, 4001))

@@ -1,4 +1,4 @@
-"""`vibrojax follow`: what it writes and says, what it refuses, and what `info` and `plot` make of its files."""
+"""Tests of `vibrojax follow`: its files and output, refused input, and `info` and `plot` of its files."""
 
 import json
 from argparse import Namespace
@@ -17,18 +17,18 @@ from vibrojax.cli.command import values_with
 from vibrojax.cli.points import FOLLOW_SETTINGS
 from vibrojax.io.dataset import open_dataset
 
-ASKED = ("along=gamma", "at=0.45", "from=0.36", "to=0.5", "beta=0.4", "settle=30", "cycles=2")
+ARGUMENTS = ("along=gamma", "at=0.45", "from=0.36", "to=0.5", "beta=0.4", "settle=30", "cycles=2")
 DOUBLING = 0.392500037
-"""Where the single impact doubles: see `test_the_doubling_is_one_of_the_exact_motion`."""
+"""The value at which the single impact doubles; see `test_doubling_matches_exact_motion`."""
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with a family, what the command says of it, and with three families over a second parameter."""
+    """Return a folder with a family, the output of its command, and three families over a second parameter."""
     folder = tmp_path_factory.mktemp("follow")
-    with (folder / "said.txt").open("w") as said, redirect_stdout(said):
-        assert main(["follow", "vibro-impact", *ASKED, "-o", str(folder / "one.nc")]) == 0
-    three = [word for word in ASKED if "beta" not in word]
+    with (folder / "said.txt").open("w") as output, redirect_stdout(output):
+        assert main(["follow", "vibro-impact", *ARGUMENTS, "-o", str(folder / "one.nc")]) == 0
+    three = [word for word in ARGUMENTS if "beta" not in word]
     assert (
         main(["follow", "vibro-impact", *three, "beta=0.38,0.4,0.42", "-o", str(folder / "three.nc"), "--quiet"]) == 0
     )
@@ -41,26 +41,26 @@ def here(folder, monkeypatch):
     return folder
 
 
-def refused(capsys, *argv):
-    """The one line on stderr of a command that is refused."""
+def refusal_line(capsys, *argv):
+    """Return the one line that a refused command prints on stderr."""
     assert main(list(argv)) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1
     return captured.err.removeprefix("vibrojax: ").strip()
 
 
-def test_the_command_writes_what_python_gives(here):
-    given = {"along": "gamma", "at": 0.45, "span": (0.36, 0.5), "beta": 0.4, "settle": 30.0, "cycles": 2}
-    expected, found = vj.follow("vibro-impact", progress=False, **given), open_dataset("one.nc")
+def test_command_writes_result_of_python(here):
+    settings = {"along": "gamma", "at": 0.45, "span": (0.36, 0.5), "beta": 0.4, "settle": 30.0, "cycles": 2}
+    expected, written = vj.follow("vibro-impact", progress=False, **settings), open_dataset("one.nc")
     assert (here / "one.png").exists()
-    assert set(found.variables) == set(expected.variables)
+    assert set(written.variables) == set(expected.variables)
     for name in expected.variables:
-        np.testing.assert_array_equal(found[name], expected[name], name)
-    assert found.attrs["start"] == "drive" and found.attrs["span"].tolist() == [0.36, 0.5]
+        np.testing.assert_array_equal(written[name], expected[name], name)
+    assert written.attrs["start"] == "drive" and written.attrs["span"].tolist() == [0.36, 0.5]
 
 
-def test_the_doubling_is_one_of_the_exact_motion(here):
-    """The derivative of the exact motion's return map, by central differences, has an eigenvalue -1 there."""
+def test_doubling_matches_exact_motion(here):
+    """The return map of the exact motion has an eigenvalue -1 there, by central differences."""
     ds = open_dataset("one.nc")
     on_first = (ds.special_kind == 1) & (ds.special_branch == 0)
     gamma = ds.special_value[on_first].item()
@@ -68,18 +68,18 @@ def test_the_doubling_is_one_of_the_exact_motion(here):
     orbit = ds.isel(point=np.flatnonzero((ds["gamma"] == gamma) & (ds["branch"] == 0))[0])
     section = np.array([orbit[f"orbit_{name}"].item() for name in ("x1", "x2", "v2")])
 
-    def returned(state):
+    def return_map(state):
         start = [state[0], 0.0, state[1], state[2]]
         motion = run("vibro-impact", start=start, observe=0.6, beta=0.4, gamma=gamma)
         return motion.at(sections(motion)[:1])[0][[0, 2, 3]]
 
-    np.testing.assert_allclose(returned(section), section, atol=1e-9)
-    moves = 1e-6 * np.diag([0.05, 0.05, 1.0])
-    columns = [(returned(section + one) - returned(section - one)) / (2 * one.sum()) for one in moves]
+    np.testing.assert_allclose(return_map(section), section, atol=1e-9)
+    steps = 1e-6 * np.diag([0.05, 0.05, 1.0])
+    columns = [(return_map(section + step) - return_map(section - step)) / (2 * step.sum()) for step in steps]
     assert abs(np.linalg.eigvals(np.array(columns).T) + 1).min() < 1e-5
 
 
-def test_what_it_says(here):
+def test_output_lists_special_points_and_stability(here):
     lines = (here / "said.txt").read_text().splitlines()
     assert "on 2 branches over gamma 0.36 to 0.5" in lines[0]
     (doubling,) = (line for line in lines if line.startswith("period-doubling"))
@@ -88,7 +88,7 @@ def test_what_it_says(here):
     assert lines[-1] == f"{here}/one.nc; picture {here}/one.png"
 
 
-def test_info_says_it_too(here, capsys):
+def test_info_shows_the_same_lines(here, capsys):
     dataset = open_dataset("one.nc")
     assert main(["info", "one.nc"]) == 0
     text = capsys.readouterr().out
@@ -97,25 +97,25 @@ def test_info_says_it_too(here, capsys):
     facts = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)["families"]
     assert (facts["along"], facts["families"], facts["branches"]) == ("gamma", 1, 2)
     assert facts["points"] == dataset.sizes["point"] and sum(facts["kinds"].values()) == dataset.sizes["special"]
-    (stable,) = (one for one in facts["stable"] if one["branch"] == 0)
+    (stable,) = (interval for interval in facts["stable"] if interval["branch"] == 0)
     assert (stable["from"], stable["to_kind"]) == (pytest.approx(DOUBLING, abs=1e-7), "end")
     assert facts["special"][0].keys() == {"kind", "value", "family", "branch", "note"}
 
 
-def test_json(here, capsys):
-    assert main(["follow", "vibro-impact", *ASKED, "-o", "one.nc", "--json"]) == 0  # the same again
+def test_json_output(here, capsys):
+    assert main(["follow", "vibro-impact", *ARGUMENTS, "-o", "one.nc", "--json"]) == 0  # the same result again
     facts = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert facts["scene"] == "vibro-impact" and facts["start"] == "drive" and facts["parameters"]["beta"] == 0.4
     assert (facts["dataset"], facts["picture"]) == ("one.nc", "one.png") and facts["branches"] == 2
 
 
-def test_a_list_is_as_many_families(here, capsys):
-    three, one = open_dataset("three.nc"), open_dataset("one.nc")
+def test_list_gives_as_many_families(here, capsys):
+    three, single = open_dataset("three.nc"), open_dataset("one.nc")
     assert three["beta"].values.tolist() == [0.38, 0.4, 0.42] and three["beta"].dims == ("family",)
-    # The one in the middle is what it is alone.
-    mine = three.isel(point=np.flatnonzero(three["point_family"] == 1))
-    np.testing.assert_allclose(mine["gamma"], one["gamma"], rtol=1e-9)
-    np.testing.assert_allclose(mine["impact_velocity"], one["impact_velocity"], rtol=1e-7)
+    # The family in the middle equals the single one.
+    middle = three.isel(point=np.flatnonzero(three["point_family"] == 1))
+    np.testing.assert_allclose(middle["gamma"], single["gamma"], rtol=1e-9)
+    np.testing.assert_allclose(middle["impact_velocity"], single["impact_velocity"], rtol=1e-7)
     text = "\n".join(family_lines(three))
     assert text.startswith("3 families, ") and "beta 0.4: 0.392500037 (period-doubling) to 0.5 (end)" in text
     assert main(["plot", "three.nc", "--where", "beta=0.4", "-o", "middle.png"]) == 0
@@ -129,21 +129,23 @@ def test_families_without_an_orbit_are_named(here):
     assert family_lines(part)[-1] == "no orbit to begin with: beta 0.42"
 
 
-def test_the_default_name_and_another_point(here, capsys):
-    asked = ["follow", "rotary", "along=v", "at=1.2", "from=1.1", "to=1.3", "settle=20"]
-    assert main([*asked, "--quiet"]) == 0 and (here / "rotary-v.nc").exists() and (here / "rotary-v.png").exists()
-    assert main([*asked, "--quiet"]) == 0
-    other = [*asked[:-1], "settle=21"]
-    said = refused(capsys, *other)
-    assert said.startswith("rotary-v.nc: holds another result: run.settle was 20.0, is 21.0; --fresh replaces it")
+def test_default_name_and_other_settings(here, capsys):
+    arguments = ["follow", "rotary", "along=v", "at=1.2", "from=1.1", "to=1.3", "settle=20"]
+    assert main([*arguments, "--quiet"]) == 0 and (here / "rotary-v.nc").exists() and (here / "rotary-v.png").exists()
+    assert main([*arguments, "--quiet"]) == 0
+    other = [*arguments[:-1], "settle=21"]
+    line = refusal_line(capsys, *other)
+    assert line.startswith("rotary-v.nc: holds another result: run.settle was 20.0, is 21.0; --fresh replaces it")
     for change in ("from=1.15", "cycles=1", "beta=0.6"):
         name = change.partition("=")[0]
-        assert "holds another result" in refused(capsys, *(word for word in asked if not word.startswith(name)), change)
+        assert "holds another result" in refusal_line(
+            capsys, *(word for word in arguments if not word.startswith(name)), change
+        )
     assert main([*other, "--fresh", "--quiet"]) == 0
     assert "impacts" not in open_dataset("rotary-v.nc")
 
 
-def test_a_family_over_the_returns_of_a_sweep(here, capsys):
+def test_family_is_drawn_over_returns_of_sweep(here, capsys):
     run = {"settle": 5.0, "observe": 3.0, "keep_returns": 6}
     sweep = {"scene": "vibro-impact", "grid": {"gamma": np.linspace(0.38, 0.48, 5).tolist()}, "run": run}
     vj.write_dataset(vj.run_sweep(sweep | {"parameters": {"beta": 0.4}}, progress=False), "returns.nc")
@@ -156,14 +158,14 @@ def test_a_family_over_the_returns_of_a_sweep(here, capsys):
         assert capsys.readouterr().out == "returns-over-one.png\n"
     assert (here / "returns.png").read_bytes() == b"the picture of the sweep"
     vj.write_dataset(vj.run_sweep(sweep | {"parameters": {"beta": 0.5}}, progress=False), "other.nc")
-    assert "the families are of beta = 0.4, the returns of 0.5" in refused(
+    assert "the families are of beta = 0.4, the returns of 0.5" in refusal_line(
         capsys, "plot", "other.nc", "--over", "one.nc"
     )
-    assert "no such file" in refused(capsys, "plot", "returns.nc", "--over", "no.nc")
-    assert "laid over the returns of a sweep" in refused(capsys, "plot", "one.nc", "--over", "one.nc")
+    assert "no such file" in refusal_line(capsys, "plot", "returns.nc", "--over", "no.nc")
+    assert "laid over the returns of a sweep" in refusal_line(capsys, "plot", "one.nc", "--over", "one.nc")
 
 
-# What is refused.
+# Refused input.
 
 BASE = {"along": "gamma", "at": "0.45", "from": "0.36", "to": "0.5"}
 WRONG = [
@@ -208,26 +210,26 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("scene", "changes", "said"), WRONG, ids=lambda part: str(part)[:50])
-def test_bad_input_is_one_line(here, capsys, scene, changes, said):
-    words = [f"{name}={value}" for name, value in (BASE | changes).items() if value is not None]
-    line = refused(capsys, "follow", scene, *words, "-o", "wrong.nc")
-    assert line.startswith("follow: ") and said in line
+@pytest.mark.parametrize(("scene", "changes", "message"), WRONG, ids=lambda part: str(part)[:50])
+def test_wrong_input_is_refused_in_one_line(here, capsys, scene, changes, message):
+    arguments = [f"{name}={value}" for name, value in (BASE | changes).items() if value is not None]
+    line = refusal_line(capsys, "follow", scene, *arguments, "-o", "wrong.nc")
+    assert line.startswith("follow: ") and message in line
     assert not (here / "wrong.nc").exists()
 
 
-def test_a_motion_that_does_not_repeat_says_what_it_does(here, capsys):
-    asked = ("along=gamma", "at=0.35", "from=0.3", "to=0.5", "beta=0.95", "settle=3", "-o", "none.nc", "--quiet")
-    said = refused(capsys, "follow", "vibro-impact", *asked)
-    assert said == "follow: at: the motion at gamma = 0.35 does not repeat (irregular after 3 s); begin where it does"
+def test_irregular_initial_motion_is_refused_with_its_regime(here, capsys):
+    arguments = ("along=gamma", "at=0.35", "from=0.3", "to=0.5", "beta=0.95", "settle=3", "-o", "none.nc", "--quiet")
+    line = refusal_line(capsys, "follow", "vibro-impact", *arguments)
+    assert line == "follow: at: the motion at gamma = 0.35 does not repeat (irregular after 3 s); begin where it does"
 
 
-def test_an_unusual_value_is_warned_of_by_its_own_name(here):
+def test_warning_of_unusual_value_has_its_name(here):
     with pytest.warns(vj.UnusualValue, match="follow: delta: 5 m is far outside"):
         vj.follow("vibro-impact", along="gamma", at=0.45, span=(0.44, 0.46), delta=5.0, settle=20.0, progress=False)
 
 
-def test_rocks_are_families_too():
+def test_rocks_form_families():
     ds = vj.follow(
         "drilling",
         along="gamma",
@@ -242,14 +244,14 @@ def test_rocks_are_families_too():
     assert (np.bincount(ds["point_family"].values) > 1).all()
 
 
-def test_what_may_stand_there_is_told():
+def test_completion_of_values():
     parsed = Namespace(scene="vibro-impact", values=["along=gamma"])
     follow_values = values_with(FOLLOW_SETTINGS)
     assert follow_values("a", parsed) == ["at="] and follow_values("f", parsed) == ["friction=", "from="]
     assert follow_values("along=b", parsed) == ["along=beta"]
 
 
-def test_the_words_are_explained(capsys):
+def test_help_explains_terms(capsys):
     assert main(["follow", "--help"]) == 0
     text = capsys.readouterr().out
     assert len(FAMILY_WORDS) > 12 and all(f"\n  {word}: " in text for word in FAMILY_WORDS)

@@ -1,4 +1,4 @@
-"""What `simulate` says it found: as a sweep of the same point says it, and in words."""
+"""Tests of the features that `simulate` reports, against a sweep of the same point, and of their text."""
 
 import json
 
@@ -21,32 +21,32 @@ POINTS = {
     "penetration": ({"force": 300e3}, 1.0),
 }
 ROUNDING = {"drift_estimate", "deepest_gap", "stick_fraction"}
-"""What is zero but for roundings here, or of them."""
+"""Features that are zero here up to rounding, or that measure rounding."""
 
 
-def swept(scene, parameters, run, **more):
-    """The one lane of a sweep that settles and is observed as `run` says."""
+def swept_lane(scene, parameters, run, **more):
+    """Return the only lane of a sweep that settles and is observed as `run` says."""
     starts = {} if scene == "penetration" else {"starts": ["stuck"]}
     sweep = {"scene": scene, "parameters": parameters, "grid": {"m1": [250.0]}, "run": run | more} | starts
     return vj.run_sweep(sweep, progress=False).squeeze()
 
 
 @pytest.mark.parametrize("scene", POINTS)
-def test_a_motion_is_measured_and_labelled_as_the_lane_of_a_sweep(scene):
+def test_motion_is_measured_and_labelled_like_lane_of_sweep(scene):
     parameters, duration = POINTS[scene]
     start = {} if scene == "penetration" else {"start": "stuck"}
     motion = vj.simulate(scene, duration=duration, progress=False, **parameters, **start)
-    lane = swept(scene, parameters, json.loads(motion.attrs["run"]), end_early=False)
-    besides = {"check_regime", "error_estimate", "sensitive", "status", "reason"}
-    assert set(lane.data_vars) - besides == {name for name in motion.data_vars if motion[name].ndim == 0}
-    for name in set(lane.data_vars) - besides:
+    lane = swept_lane(scene, parameters, json.loads(motion.attrs["run"]), end_early=False)
+    sweep_only = {"check_regime", "error_estimate", "sensitive", "status", "reason"}
+    assert set(lane.data_vars) - sweep_only == {name for name in motion.data_vars if motion[name].ndim == 0}
+    for name in set(lane.data_vars) - sweep_only:
         assert motion[name].attrs["units"] == lane[name].attrs["units"]
         assert motion[name].dtype == lane[name].dtype
         atol = 1e-7 if name in ROUNDING else 0.0
         np.testing.assert_allclose(motion[name], lane[name], rtol=1e-7, atol=atol, err_msg=name)
 
 
-def test_what_is_observed_by_default_is_what_sweeps_observe():
+def test_default_observation_is_that_of_sweeps():
     drill = vj.SCENES["vibro-impact"]()
     assert window(drill, 48.0) == (40.0, 8.0)
     assert window(drill, 20.0) == (12.0, 8.0)
@@ -54,7 +54,7 @@ def test_what_is_observed_by_default_is_what_sweeps_observe():
     assert window(drill, 120.0) == (100.0, 20.0)
 
 
-def test_a_motion_too_short_to_judge_says_so_and_how_long_would_do():
+def test_undecided_motion_names_a_sufficient_duration():
     motion = vj.simulate("vibro-impact", duration=1.0, progress=False)
     line = feature_lines(motion)[0]
     assert line.startswith("undecided: 2 returns to the section are too few to judge by, 9 are needed; give duration=")
@@ -63,7 +63,7 @@ def test_a_motion_too_short_to_judge_says_so_and_how_long_would_do():
     assert longer["returns"] >= 9
 
 
-def test_words_name_regime_period_velocity_and_energy():
+def test_text_names_regime_period_velocity_and_energy():
     motion = vj.simulate("vibro-impact", duration=20.0, progress=False)
     period, velocity, energy = (float(motion[name]) for name in ("period", "impact_velocity", "impact_energy"))
     assert energy == pytest.approx(0.4 * 250 / 2 * velocity**2, rel=1e-6)
@@ -71,7 +71,7 @@ def test_words_name_regime_period_velocity_and_energy():
     assert feature_lines(motion)[0] == text
 
 
-def test_rock_has_its_rate_relief_and_slip():
+def test_text_of_rock_has_rate_relief_and_slip():
     motion = vj.simulate("penetration", duration=1.0, force=300e3, progress=False)
     rate, slip = float(motion["rate_of_penetration"]), float(motion["slip_per_impact"])
     assert slip == pytest.approx(rate / 20, rel=1e-9)  # 20 pulses a second
@@ -89,12 +89,12 @@ def test_rock_has_its_rate_relief_and_slip():
     assert short == "no whole pulse was observed, so there is no rate of penetration; give a longer duration"
 
 
-def test_a_solver_of_diffrax_gives_the_motion_alone():
+def test_diffrax_solver_gives_only_the_motion():
     motion = vj.simulate("rotary", duration=0.2, solver="Tsit5", error=1e-2, progress=False)
     assert "regime" not in motion and feature_lines(motion) == []
 
 
-def test_it_is_said_that_programs_compile_once(capsys, monkeypatch):
+def test_compilation_is_reported_once(capsys, monkeypatch):
     monkeypatch.setattr(_recorded, "_compiled", set())
     vj.simulate("penetration", duration=0.1)
     assert "compiling the scene penetration" in capsys.readouterr().err
@@ -103,7 +103,7 @@ def test_it_is_said_that_programs_compile_once(capsys, monkeypatch):
 
 
 def test_frequencies_are_outputs():
-    """w1/2pi, w2/2pi, the roots of the frequency equation (by their sum and product), and 60 impacts over the time."""
+    """Compare with w1/2pi, w2/2pi, the roots of the frequency equation (sum and product), and impacts per minute."""
     motion = vj.simulate("vibro-impact", delta=0.005, start="stuck", striker_frequency=3.0, progress=False)
     outputs = vj.frequencies(motion)
     assert float(outputs["bit_frequency"]) == pytest.approx(25 / (2 * np.pi))

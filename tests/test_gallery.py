@@ -1,4 +1,4 @@
-"""The gallery: short scripts, each of which runs as it stands and leaves one picture, and the page that shows them."""
+"""Tests of the gallery: each short script runs as it is and saves one picture, and the page shows all of them."""
 
 import re
 import subprocess
@@ -13,7 +13,7 @@ GALLERY = ROOT / "notebooks" / "gallery"
 SCRIPTS = sorted(GALLERY.glob("*.py"))
 PAGE = (GALLERY.parent / "gallery.md").read_text()
 RUN = SCRIPTS[::6]
-"""The scripts that are run here; the build of the site runs all of them, and an error in one of them ends it."""
+"""The scripts that run here. The build of the site runs all of them, and an error in one of them ends it."""
 
 RUNS_ALL = """
 import os, runpy, sys, traceback
@@ -29,16 +29,16 @@ for script in sys.argv[2:]:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """A folder for each script, in which it was run; as users run it, in one process to compile once."""
+def output(tmp_path_factory):
+    """Run the scripts in one process, to compile once; return a folder with a folder of each script."""
     folder = tmp_path_factory.mktemp("gallery")
     command = [sys.executable, "-W", "error", "-c", RUNS_ALL, folder, *RUN]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0 and done.stdout == done.stderr == "", done.stdout + done.stderr
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert process.returncode == 0 and process.stdout == process.stderr == "", process.stdout + process.stderr
     return folder
 
 
-def test_the_page_shows_every_script_with_its_picture():
+def test_page_shows_every_script_with_its_picture():
     names = [script.stem for script in SCRIPTS]
     assert len(names) >= 12
     assert sorted(re.findall(r"\{literalinclude\} gallery/(\w+)\.py", PAGE)) == names
@@ -47,15 +47,15 @@ def test_the_page_shows_every_script_with_its_picture():
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
-def test_a_script_is_short(script):
+def test_script_is_short(script):
     lines = script.read_text().splitlines()
     assert len(lines) <= 15 and max(map(len, lines)) <= 120
 
 
 @pytest.mark.parametrize("script", RUN, ids=lambda script: script.stem)
 @pytest.mark.long
-def test_a_script_leaves_one_picture(script, made):
-    (picture,) = (made / script.stem).iterdir()
+def test_script_saves_one_picture(script, output):
+    (picture,) = (output / script.stem).iterdir()
     assert picture.name == f"{script.stem}.png"
     pixels = imread(picture)
-    assert min(pixels.shape[:2]) > 400 and pixels.std() > 0.05  # of one colour it would be 0
+    assert min(pixels.shape[:2]) > 400 and pixels.std() > 0.05  # 0 for a single colour

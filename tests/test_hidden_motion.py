@@ -1,4 +1,4 @@
-"""Where starts end in different motions under one label, the dataset says so and the map marks it."""
+"""Tests of hidden motions: if starts end in different motions with one label, dataset and map mark it."""
 
 import numpy as np
 import pytest
@@ -19,12 +19,12 @@ def hidden(velocity, error=1e-6, regime=SINGLE_IMPACT, cycles=1):
     return hides_another(features, np.full(lanes, regime, np.int8), lanes).tolist()
 
 
-def test_the_rule():
-    assert hidden([0.67, 3.03, 0.67]) == [1, 1, 1]  # each has one that differs
-    assert hidden([0.67, 0.675]) == [0, 0]  # one motion, within a hundredth
+def test_rule():
+    assert hidden([0.67, 3.03, 0.67]) == [1, 1, 1]  # each lane differs from another one
+    assert hidden([0.67, 0.675]) == [0, 0]  # one motion, equal to 1 %
     assert hidden([0.67, 0.69]) == [1, 1]
     assert hidden([0.67, 0.69], error=0.05) == [0, 0] and hidden([0.67, 3.0], error=np.inf) == [0, 0]
-    assert hidden([0.67, 3.03], cycles=0) == [0, 0]  # what does not repeat has no motion to compare
+    assert hidden([0.67, 3.03], cycles=0) == [0, 0]  # irregular lanes have no motion to compare
     assert hidden([np.nan, np.nan]) == [0, 0]
     features = {
         "impact_velocity": np.array([0.67, 3.03, 1.0, 1.0]),
@@ -32,7 +32,7 @@ def test_the_rule():
         "error_estimate": np.zeros(4),
     }
     labels = np.array([3, 5, 3, 3], np.int8)
-    assert hides_another(features, labels, 2).tolist() == [0, 0, 0, 0]  # the labels tell these apart already
+    assert hides_another(features, labels, 2).tolist() == [0, 0, 0, 0]  # the labels differ already
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +43,8 @@ def swept():
     )
 
 
-def test_three_starts_one_label(swept):
-    """The case that a plain map hid: 0.67, 3.03 and 0.67 m/s, all of them single impacts."""
+def test_three_starts_have_one_label(swept):
+    """A plain map would hide this case: 0.67, 3.03 and 0.67 m/s, all of them single impacts."""
     point = swept.sel(beta=0.4, gamma=0.6)
     assert (point.regime == SINGLE_IMPACT).all()
     np.testing.assert_allclose(point.impact_velocity, [0.67, 3.03, 0.67], atol=0.01)
@@ -56,11 +56,11 @@ def test_three_starts_one_label(swept):
     )
 
 
-def test_the_map_marks_it(swept):
+def test_map_marks_hidden_motions(swept):
     figure = picture(swept)
     panels = [axes for axes in figure.axes if axes.get_title().startswith("start:")]
     for axes, start in zip(panels, STARTS, strict=True):
-        marks = next(one for one in axes.collections if type(one).__name__ == "PathCollection")
+        marks = next(artist for artist in axes.collections if type(artist).__name__ == "PathCollection")
         beta, gamma = np.nonzero(swept.hidden_motion.sel(start=start).values)
         expected = sorted(zip(swept.gamma.values[gamma], swept.beta.values[beta], strict=True))
         assert sorted(map(tuple, marks.get_offsets().tolist())) == expected

@@ -1,4 +1,4 @@
-"""The certificate is honest: on random lanes the error estimate bounds the distance from where a lane settles."""
+"""Tests of the certificate: on random lanes the error estimate bounds the distance from the settled values."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from vibrojax.sweep.input.read import read_sweep
 LANES = 512
 SETTLED = 400.0  # s
 EXACT = Accuracy(tolerance=1e-12, stride=1.0, step=np.inf, smoothing=0.0)
-"""Far finer than what is measured; the exact reference agrees with such runs (test_exact)."""
+"""Far more accurate than the errors measured here; the exact reference agrees with such runs (test_exact)."""
 
 BOXES = {
     "the source's region": {"beta": (0.25, 0.6), "gamma": (0.6, 0.8), "v": (1.5, 1.5), "delta": (-0.005, 0.005)},
@@ -22,42 +22,44 @@ BOXES = {
 
 def sweep(box: str, **run):
     rng = np.random.default_rng(4)
-    points = {name: rng.uniform(*ends, LANES).tolist() for name, ends in BOXES[box].items()}
+    points = {name: rng.uniform(*bounds, LANES).tolist() for name, bounds in BOXES[box].items()}
     points["start"] = [("stuck", "drive", "touching")[lane % 3] for lane in range(LANES)]
     return read_sweep({"scene": "vibro-impact", "points": points, "run": run})
 
 
 @pytest.fixture(scope="module", params=BOXES)
 def settled(request):
-    """A box, and the values that its lanes settle on."""
+    """Return a box and the values on which its lanes settle."""
     return request.param, Chunks(sweep(request.param, settle=SETTLED)).at(EXACT)
 
 
 @pytest.mark.parametrize("error, end_early", [(1e-3, True), (1e-4, True), (1e-4, False), (1e-6, True)])
 @pytest.mark.long
 def test_error_estimate(settled, error, end_early):
-    """Of the lanes that repeat at 40 s, those on their way at 400 s included, at least 95 % are within their estimate
-    of the value there; the median estimate is at most ten times the true error."""
+    """At least 95 % of the lanes that are periodic at 40 s are within their estimate of the value at 400 s.
+
+    Lanes that are still settling at 400 s are included. The median estimate is at most ten times the true error.
+    """
     box, exact = settled
-    asked = sweep(box, error=error, end_early=end_early)
-    found = Chunks(asked, ends=EarlyEnds(asked)).compute(0)
-    repeats = found["cycles"] > 0
+    spec = sweep(box, error=error, end_early=end_early)
+    features = Chunks(spec, ends=EarlyEnds(spec)).compute(0)
+    repeats = features["cycles"] > 0
     assert repeats.sum() >= 200
     names = ("period", "impact_velocity")
-    apart = np.fmax.reduce([np.abs(found[name] / exact[name] - 1) for name in names])
-    # A repeat that is another one by then has no error but an infinite one.
-    same = (found["cycles"] == exact["cycles"]) & (found["impacts"] == exact["impacts"])
-    true, estimate = np.where(same, apart, np.inf)[repeats], found["error_estimate"][repeats]
+    deviation = np.fmax.reduce([np.abs(features[name] / exact[name] - 1) for name in names])
+    # The error is infinite if the lane is on another orbit by then.
+    same = (features["cycles"] == exact["cycles"]) & (features["impacts"] == exact["impacts"])
+    true, estimate = np.where(same, deviation, np.inf)[repeats], features["error_estimate"][repeats]
     within = true <= estimate
     ratio = np.median(estimate) / np.median(true)
     print(f"{box}: {len(true)} lanes repeat, {np.sum(within)} within their estimate, its median {ratio:.1f} times")
     assert np.mean(within) >= 0.95
     assert np.median(estimate) <= 10 * np.median(true)
-    # The slow ones by themselves, whose multipliers are 0.95 and more: what the steps leave is nothing beside.
+    # Slow lanes, with multipliers of 0.95 and more, on their own: the error of the steps is negligible there.
     slow = (true > 1e-6) & (true > error / 10) & np.isfinite(true)
     assert np.mean(within[slow]) >= 0.9 or slow.sum() < 10
-    # Of those that settle soon nearly all are certified; to 1e-6 some are still on their way, and say so.
-    soon = found["settling_time"][repeats] < 10
+    # Nearly all lanes that settle soon are certified; at 1e-6 some are still settling, and say so.
+    soon = features["settling_time"][repeats] < 10
     assert np.mean(estimate[soon] <= error) >= (0.93 if error < 1e-4 else 0.95)
-    # The others have not settled to that in 40 s.
+    # The others have not settled to that tolerance within 40 s.
     assert np.mean(estimate <= error) >= (0.75 if error < 1e-4 else 0.85)

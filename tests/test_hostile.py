@@ -1,4 +1,4 @@
-"""Datasets from others: every command ends in its result or in one line, soon, and prints nothing that steers."""
+"""Tests of untrusted datasets: each command soon gives its result or one line, without control characters."""
 
 import json
 import unicodedata
@@ -32,8 +32,8 @@ def sweep() -> xr.Dataset:
 
 
 @pytest.fixture
-def said(tmp_path, monkeypatch, capsys):
-    """Return what a command says of a dataset: its status, and its lines on stdout and stderr."""
+def run_command(tmp_path, monkeypatch, capsys):
+    """Return a function that runs a command on a dataset and returns its status, stdout and stderr."""
     monkeypatch.setattr(Live, "wait", lambda self: None)
     monkeypatch.setattr(LiveMotions, "warm", lambda self: None)
 
@@ -49,41 +49,45 @@ def said(tmp_path, monkeypatch, capsys):
     return run
 
 
-def steers(text):
-    """Return the characters of a text that steer a terminal or the direction of writing."""
-    return {one for one in text if one != "\n" and unicodedata.category(one) in ("Cc", "Cf", "Cs", "Zl", "Zp")}
+def control_characters(text):
+    """Return the characters of a text that control a terminal or the direction of writing."""
+    return {
+        character
+        for character in text
+        if character != "\n" and unicodedata.category(character) in ("Cc", "Cf", "Cs", "Zl", "Zp")
+    }
 
 
 @pytest.mark.parametrize(("number", "name"), list(enumerate(REFUSED)), ids=REFUSED)
-def test_what_is_malformed_is_refused_in_one_line(sweep, said, number, name):
-    """By every command in the same words: one reader checks what is opened, so that two commands at a time will do."""
+def test_malformed_dataset_is_refused_in_one_line(sweep, run_command, number, name):
+    """All commands refuse it in the same words. One reader checks every dataset, so two commands per case suffice."""
     change, about = REFUSED[name]
     ds = change(sweep)
     commands = (*READ, *RUN)
     for words in (commands[0], commands[number % len(commands)]):
-        status, out, err = said(words, ds)
+        status, out, err = run_command(words, ds)
         assert (status, out, err.count("\n")) == (2, "", 1), words
         assert f"sent.nc: {about}" in err or about in err, err
-        assert len(err) < 500 and not steers(err) and "does not fit together" not in err
+        assert len(err) < 500 and not control_characters(err) and "does not fit together" not in err
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_what_is_unusual_is_shown_or_refused(sweep, said, name):
-    """Shortened, without what steers a terminal; nothing is simulated for longer than it may."""
-    alone = sweep.copy()
-    del alone.attrs["sweep"]
-    ds = SHOWN[name](alone).assign_attrs(source=sweep.attrs["source"])
+def test_unusual_dataset_is_shown_or_refused(sweep, run_command, name):
+    """Texts are shortened and free of control characters, and no simulation exceeds its limit."""
+    without_sweep = sweep.copy()
+    del without_sweep.attrs["sweep"]
+    ds = SHOWN[name](without_sweep).assign_attrs(source=sweep.attrs["source"])
     for words in READ:
-        status, out, err = said(words, ds)
+        status, out, err = run_command(words, ds)
         assert status in (0, 2), (words, err)
         assert err.count("\n") <= 1 and len(err) < 5000, (words, err)
-        assert len(out) < 100_000 and not steers(out + err), words
+        assert len(out) < 100_000 and not control_characters(out + err), words
         assert "Traceback" not in err
 
 
 @pytest.mark.parametrize("words", [["explore"], *RUN], ids=lambda words: words[0])
-def test_a_sweep_that_hardly_ends_is_not_run_for_a_dataset(sweep, said, words, tmp_path):
-    status, _, err = said(words, longer_sweep(sweep))
+def test_overlong_sweep_is_not_run_for_dataset(sweep, run_command, words, tmp_path):
+    status, _, err = run_command(words, longer_sweep(sweep))
     why = "4 lanes of 1e+09 s, more than is run for a dataset"
     if words == ["explore"]:
         assert status == 0 and "lanes of 1e+09 s, more than is run" in (tmp_path / "out.html").read_text()
@@ -91,26 +95,26 @@ def test_a_sweep_that_hardly_ends_is_not_run_for_a_dataset(sweep, said, words, t
         assert status == 2 and err.count("\n") == 1 and why.removeprefix("4 ") in err
 
 
-def test_a_dataset_names_no_sweep_of_other_lanes(sweep, said, tmp_path):
-    """A small file has nobody compute a large sweep."""
+def test_dataset_cannot_name_sweep_of_other_lanes(sweep, run_command, tmp_path):
+    """A small file cannot make its reader compute a large sweep."""
     text = sweep.attrs["sweep"].replace("beta = [0.3, 0.35]", "beta = {start = 0.3, stop = 0.6, num = 1000}")
     assert text != sweep.attrs["sweep"]
     ds = sweep.assign_attrs(sweep=text, identity="{}")
-    assert said(["explore"], ds)[0] == 0
+    assert run_command(["explore"], ds)[0] == 0
     assert "other lanes than the sweep that it names" in (tmp_path / "out.html").read_text()
 
 
-def test_content_that_does_not_fit_together_is_refused_in_one_line(sweep, said):
-    """In ways that no check foresees, too."""
+def test_inconsistent_content_is_refused_in_one_line(sweep, run_command):
+    """No check foresees this kind of inconsistency."""
     ds = sweep.drop_vars("cycles").assign(share=1.0, share_stderr=1.0, lane_attractor=3)
     ds = ds.assign_attrs(kind="attractors")
-    status, _, err = said(["info"], ds)
+    status, _, err = run_command(["info"], ds)
     assert status == 2 and err.count("\n") == 1 and "sent.nc: its content does not fit together (" in err
 
 
 @pytest.mark.parametrize("words", READ[:3], ids=lambda words: words[-1])
-def test_sizes_that_are_only_claimed_are_refused(tmp_path, capsys, words):
-    """A file of some kilobytes with a dimension of 10^12."""
+def test_claimed_sizes_are_refused(tmp_path, capsys, words):
+    """A file of a few kilobytes claims 10^12 values."""
     path = tmp_path / "sent.nc"
     with netCDF4.Dataset(path, "w") as file:
         file.source = "vibrojax 0"
@@ -132,7 +136,7 @@ def test_checks_hold_for_datasets_in_memory(sweep):
         check_names(sweep.rename(period="__proto__"))
 
 
-def test_a_picture_leaves_the_dataset_as_it_is(sweep):
+def test_picture_does_not_change_dataset(sweep):
     ds = sweep.assign_attrs(title="costs $1, or $2")
     ds["period"].attrs["long_name"] = "a $ and a $"
     before = ds.copy(deep=True)
@@ -141,23 +145,23 @@ def test_a_picture_leaves_the_dataset_as_it_is(sweep):
     xr.testing.assert_identical(ds, before)
 
 
-def test_numbers_of_json_keep_their_kinds(sweep, said):
-    status, out, _ = said(["info", "--json"], sweep)
+def test_json_numbers_keep_their_types(sweep, run_command):
+    status, out, _ = run_command(["info", "--json"], sweep)
     facts = json.loads(out)
     assert status == 0 and facts["lanes"] == 8 and type(facts["certified"]["lanes"]) is int
     assert facts["parameters"]["delta"] == 0.005 and facts["run"]["settle"] == 1.0
 
 
-def test_texts():
-    assert not steers(printable(STEERING)) and printable(STEERING).endswith("b")
+def test_escaping_of_texts():
+    assert not control_characters(printable(STEERING)) and printable(STEERING).endswith("b")
     assert len(printable(HUGE, 200)) == 200 and printable(HUGE, 200).endswith("…")
     assert printable("  a \t b ") == "a b" and printable("β, Δ = 5 mm") == "β, Δ = 5 mm"
     text = json.dumps({"a": STEERING, "b": "\U000e0041 é"}, ensure_ascii=False)
-    assert json.loads(escape_json(text)) == json.loads(text) and not steers(escape_json(text))
+    assert json.loads(escape_json(text)) == json.loads(text) and not control_characters(escape_json(text))
 
 
 @pytest.mark.parametrize("value", ["ROP (m/h)", "$(touch x)", "`x`", 'a"b', "a'b", "a\\b", "$HOME", "a;b", "!x", ""])
-def test_a_value_is_one_word_of_a_shell(value):
+def test_value_is_one_shell_word(value):
     import shlex
 
     assert shlex.split(shell_assignment("mean_force", value)) == [f"mean_force={value}"]
@@ -165,8 +169,8 @@ def test_a_value_is_one_word_of_a_shell(value):
     assert "'" in word or not set(value) & set('$`"\\!')
 
 
-def test_columns_that_are_advised_are_one_word_of_a_shell(tmp_path, capsys):
-    """The names of a CSV's columns come from its author."""
+def test_suggested_columns_are_one_shell_word(tmp_path, capsys):
+    """The author of a CSV file chooses the names of its columns."""
     path = tmp_path / "rig.csv"
     path.write_text('"ROP $(touch hacked) [m/h]",relief\n1.0,0.5\n')
     assert main(["fit", str(path)]) == 2

@@ -1,4 +1,4 @@
-"""Chunks become a dataset region by region: the same values whatever the regions, in memory that they bound."""
+"""Tests of joining chunks region by region: regions do not change the values, and they bound the memory."""
 
 import os
 import subprocess
@@ -31,59 +31,59 @@ SWEEP = {
 
 
 @given(st.lists(st.integers(1, 6), min_size=1, max_size=4), st.integers(1, 90))
-def test_regions_are_whole_chunks_one_after_the_other(shape, most):
-    regions = Regions(tuple(shape), most)
-    found, at = np.full(shape, -1), 0
+def test_regions_are_consecutive_whole_chunks(shape, limit):
+    regions = Regions(tuple(shape), limit)
+    values, position = np.full(shape, -1), 0
     for region in regions:
-        assert region.first == at and 0 < region.end - region.first <= most
-        at = region.end
+        assert region.first == position and 0 < region.end - region.first <= limit
+        position = region.end
         assert all(part.start % size == 0 for part, size in zip(region.box, regions.chunk, strict=True))
         assert all(part.stop - part.start <= size for part, size in zip(region.box, regions.chunk, strict=True))
-        found[region.box] = np.arange(region.first, region.end).reshape(region.shape)
-    np.testing.assert_array_equal(found.ravel(), np.arange(prod(shape)))
+        values[region.box] = np.arange(region.first, region.end).reshape(region.shape)
+    np.testing.assert_array_equal(values.ravel(), np.arange(prod(shape)))
 
 
 @pytest.fixture(scope="module", params=[0, 3])
 def swept(request):
-    """A sweep with so many last returns, its dataset, and `Chunks.compute` with what was computed once."""
+    """Return a sweep with this many last returns, its dataset, and a `Chunks.compute` that computes each chunk once."""
     sweep, chunks, compute = read_sweep(SWEEP, [f"run.keep_returns={request.param}"]), {}, Chunks.compute
 
-    def once(self, index, *report):
+    def compute_once(self, index, *report):
         if index not in chunks:
             chunks[index] = compute(self, index)
         return dict(chunks[index])
 
-    return sweep, run_sweep(sweep, progress=False), once
+    return sweep, run_sweep(sweep, progress=False), compute_once
 
 
 @pytest.mark.parametrize("region", [1, 2, 7, 20])
-def test_regions_do_not_show(region, swept, tmp_path, monkeypatch):
-    """Points are cut by chunks and by regions: `hidden_motion` compares all of their starts nevertheless."""
-    sweep, expected, once = swept
-    monkeypatch.setattr(Chunks, "compute", once)
+def test_regions_do_not_change_result(region, swept, tmp_path, monkeypatch):
+    """Chunks and regions split points, but `hidden_motion` still compares all starts of a point."""
+    sweep, expected, compute_once = swept
+    monkeypatch.setattr(Chunks, "compute", compute_once)
     assert expected.hidden_motion.values.any()
     monkeypatch.setattr(joining, "REGION", region)
     monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
-    for found in (run_sweep(sweep, progress=False), run_to_file(sweep, tmp_path / "out.nc", progress=False)):
-        xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
-        assert found.attrs["certified"] == expected.attrs["certified"]
-        assert {name: one.attrs.keys() for name, one in found.variables.items()} == {
-            name: one.attrs.keys() for name, one in expected.variables.items()
+    for joined in (run_sweep(sweep, progress=False), run_to_file(sweep, tmp_path / "out.nc", progress=False)):
+        xr.testing.assert_identical(joined.drop_attrs(), expected.drop_attrs())
+        assert joined.attrs["certified"] == expected.attrs["certified"]
+        assert {name: variable.attrs.keys() for name, variable in joined.variables.items()} == {
+            name: variable.attrs.keys() for name, variable in expected.variables.items()
         }
     with netCDF4.Dataset(tmp_path / "out.nc") as file:
         assert file["period"].chunking() == list(Regions(sweep.shape, region).chunk)
         assert file["period"].filters()["zlib"] and file["period"].filters()["shuffle"]
 
 
-def test_large_datasets_pack_what_that_makes_half_as_large(tmp_path, monkeypatch):
-    """Flags and what repeats; measured numbers are written as they are, as fast as the disk takes them."""
+def test_large_datasets_pack_only_what_becomes_half_as_large(tmp_path, monkeypatch):
+    """Flags and repeated values are packed. Measured numbers are written as they are, at the speed of the disk."""
     many = {"starts": {"sample": "sobol", "count": 64, "box": {"x2": [-0.05, 0.05]}}}
     sweep = read_sweep(SWEEP | many | {"run": {"settle": 3.0, "observe": 2.0, "chunk": 100}})
     expected = run_sweep(sweep, progress=False)
     monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
     monkeypatch.setattr(joining, "COMPRESSED_BYTES", 0.0)
-    found = run_to_file(sweep, tmp_path / "out.nc", progress=False)
-    xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
+    joined = run_to_file(sweep, tmp_path / "out.nc", progress=False)
+    xr.testing.assert_identical(joined.drop_attrs(), expected.drop_attrs())
     with netCDF4.Dataset(tmp_path / "out.nc") as file:
         packed = {name for name in expected.data_vars if file[name].filters()["zlib"]}
         assert file["bit_amplitude"].chunking() == list(sweep.shape)
@@ -91,8 +91,8 @@ def test_large_datasets_pack_what_that_makes_half_as_large(tmp_path, monkeypatch
     assert not packed & {"bit_amplitude", "striker_amplitude", "drive_power"}
 
 
-def test_lanes_that_are_carried_come_to_their_places(tmp_path, monkeypatch):
-    """They are counted in another order than that of the dataset's dimensions."""
+def test_carried_lanes_reach_their_places(tmp_path, monkeypatch):
+    """The order of these lanes differs from that of the dataset's dimensions."""
     sweep = read_sweep(
         SWEEP | {"starts": ["stuck"]}, ["run.carry=beta", "run.settle=2.0", "run.observe=1.0", "run.chunk=4"]
     )
@@ -100,33 +100,35 @@ def test_lanes_that_are_carried_come_to_their_places(tmp_path, monkeypatch):
     assert expected.period.dims == ("beta", "gamma", "direction")
     monkeypatch.setattr(joining, "REGION", 3)
     monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
-    found = run_to_file(sweep, tmp_path / "out.nc", progress=False, processes=2)
-    xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
+    joined = run_to_file(sweep, tmp_path / "out.nc", progress=False, processes=2)
+    xr.testing.assert_identical(joined.drop_attrs(), expected.drop_attrs())
 
 
 def test_points_keep_their_parameters_as_coordinates(tmp_path):
     points = {"beta": [0.3, 0.4], "gamma": [0.7, 0.8], "start": ["stuck", "drive"]}
     sweep = read_sweep({"scene": "vibro-impact", "points": points, "run": {"settle": 3.0, "observe": 2.0}})
-    found = run_to_file(sweep, tmp_path / "out.nc", progress=False)
-    assert set(found.coords) == {"point", "beta", "gamma", "start"}
-    xr.testing.assert_identical(found.drop_attrs(), run_sweep(sweep, progress=False).drop_attrs())
+    ds = run_to_file(sweep, tmp_path / "out.nc", progress=False)
+    assert set(ds.coords) == {"point", "beta", "gamma", "start"}
+    xr.testing.assert_identical(ds.drop_attrs(), run_sweep(sweep, progress=False).drop_attrs())
 
 
 @pytest.mark.parametrize("dask", [True, False])
-def test_large_files_are_read_when_they_are_used(dask, tmp_path, monkeypatch):
+def test_large_files_are_read_lazily(dask, tmp_path, monkeypatch):
     expected = run_to_file(read_sweep(SWEEP), tmp_path / "out.nc", progress=False)
     monkeypatch.setattr(on_disk, "LAZY_FROM", 0)
     if dask:
         pytest.importorskip("dask")
     else:
         monkeypatch.setattr(on_disk, "find_spec", lambda _: None)
-    with open_dataset(tmp_path / "out.nc") as found:
-        assert all(one._in_memory is False for name, one in found.variables.items() if name in found.data_vars)
-        assert (found.chunks != {}) == dask
-        xr.testing.assert_identical(found.load(), expected)
+    with open_dataset(tmp_path / "out.nc") as opened:
+        assert all(
+            variable._in_memory is False for name, variable in opened.variables.items() if name in opened.data_vars
+        )
+        assert (opened.chunks != {}) == dask
+        xr.testing.assert_identical(opened.load(), expected)
 
 
-JOINED = """
+JOIN_SCRIPT = """
 import resource, sys
 from pathlib import Path
 import numpy as np
@@ -148,14 +150,14 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """  # noqa: E501
 
 
-def test_memory_is_bounded_by_a_region(tmp_path):
-    """Three times the lanes take as much memory: 75 MB of values more would show."""
+def test_memory_is_bounded_by_region(tmp_path):
+    """Three times as many lanes take no more memory; 75 MB of additional values would show."""
     root = Path(__file__).parents[1]
     peaks = []
     for rows in ("250", "750"):
-        command = [sys.executable, "-c", JOINED, str(tmp_path / "out.nc"), rows]
-        done = subprocess.run(
+        command = [sys.executable, "-c", JOIN_SCRIPT, str(tmp_path / "out.nc"), rows]
+        process = subprocess.run(
             command, capture_output=True, text=True, check=True, env=os.environ | {"PYTHONPATH": str(root)}
         )
-        peaks.append(int(done.stdout) / 1e3)
+        peaks.append(int(process.stdout) / 1e3)
     assert peaks[1] - peaks[0] < 40.0, peaks

@@ -1,4 +1,4 @@
-"""Each rule of `vibrojax.measures.labels`, on features made by hand, in its order: flags 7, 1, 0, 2 to 5, 6."""
+"""Tests of the rules of `vibrojax.measures.labels` on synthetic features, in order: flags 7, 1, 0, 2 to 5, 6."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,9 @@ import pytest
 from vibrojax.measures.labels import REGIMES, label
 
 MU, M1, G, K1 = 0.4, 250.0, 9.81, 156250.0
-SWING = 1e-3 * MU * M1 * G / K1  # m, below which it is at rest
+SWING = 1e-3 * MU * M1 * G / K1  # m, below which the bit is at rest
 
-# A lane that repeats after every return with one impact.
+# A lane that repeats after every return, with one impact.
 SINGLE = {
     "finite": True,
     "finished": True,
@@ -80,7 +80,7 @@ def test_rules(changes, expected):
         ({"trend": 1.0, "cycles": 0.0}, "undecided"),  # 0 before 6
     ],
 )
-def test_order_of_the_rules(changes, expected):
+def test_order_of_rules(changes, expected):
     assert regime(**changes) == expected
 
 
@@ -98,7 +98,7 @@ def test_least_friction():
     assert [REGIMES[flag] for flag in flags] == ["equilibrium", "single-impact"]
 
 
-def test_each_lane_on_its_own():
+def test_lanes_are_labelled_independently():
     lanes = [{}, {"impacts": 0.0}, {"trend": 1.0}, {"finite": False}, {"cycles": 0.0}]
     features = {name: np.array([(SINGLE | lane)[name] for lane in lanes]) for name in SINGLE}
     flags = label(features, np.full(5, MU), np.full(5, M1), np.full(5, G), np.full(5, K1))

@@ -1,4 +1,4 @@
-"""A lane's answer is its own: not of its chunk, its place, the cores, or of what was computed before."""
+"""Tests that a lane's result does not depend on its chunk, its position, the cores, or earlier computations."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]
 COPIES = 5
 SHORT = {"settle": 12.0, "observe": 6.0}
 
-# Every sweep begins with a stuck lane, so that the starts come up in one order, which the program depends on.
+# Every sweep begins with a stuck lane: the program depends on the order in which starts first occur.
 TILED = [PERIODIC[index % len(PERIODIC)] for index in range(COPIES * len(PERIODIC))]
 
 
@@ -28,57 +28,56 @@ def sweep(cases, **run):
 
 
 def features(dataset):
-    """The values of all variables, by name."""
+    """Return the values of all variables, by name."""
     return {name: variable.values for name, variable in dataset.data_vars.items()}
 
 
-def assert_identical(one, other):
-    """Bit for bit, NaN like NaN."""
-    assert one.keys() == other.keys()
-    for name in one:
-        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+def assert_identical(actual, expected):
+    """Check that all values are equal bit for bit, NaN included."""
+    assert actual.keys() == expected.keys()
+    for name in actual:
+        np.testing.assert_array_equal(actual[name], expected[name], err_msg=name)
 
 
 @pytest.fixture(scope="module")
 def tiled():
-    """Each lane five times, in two chunks of whole and short blocks: each time in another place."""
+    """Return lanes that each occur five times, at different positions, in two chunks of whole and short blocks."""
     return features(vj.run_sweep(sweep(TILED, chunk=100, **SHORT), progress=False))
 
 
-def test_place(tiled):
+def test_position_in_chunk(tiled):
     assert len(TILED) > 100
-    assert np.mean(tiled["cycles"] > 0) > 0.8  # the rest have not settled in 12 s
+    assert np.mean(tiled["cycles"] > 0) > 0.8  # the others have not settled within 12 s
     for name, values in tiled.items():
         copies = values.reshape(COPIES, len(PERIODIC))
         np.testing.assert_array_equal(copies, np.broadcast_to(copies[0], copies.shape), err_msg=name)
 
 
-def test_width_of_vectors(monkeypatch):
-    """Groups of 2, 4 or 8 lanes, and twice as many while they settle, give the same bits."""
-    found = []
+def test_vector_width(monkeypatch):
+    """Groups of 2, 4 or 8 lanes, and twice as many while lanes settle, give the same bits."""
+    results = []
     for width in (16, 32, 64):
         monkeypatch.setattr(native, "vector_bytes", lambda width=width: width)
         grid = {"beta": [0.3, 0.4, 0.5], "gamma": [0.6, 0.7, 0.8]}
-        found.append(features(vj.run_sweep({"scene": "rotary", "grid": grid, "run": SHORT}, progress=False)))
-    assert_identical(found[0], found[1])
-    assert_identical(found[0], found[2])
+        results.append(features(vj.run_sweep({"scene": "rotary", "grid": grid, "run": SHORT}, progress=False)))
+    assert_identical(results[0], results[1])
+    assert_identical(results[0], results[2])
 
 
-def test_order(tiled):
-    """Backwards, but for the first, with other neighbours in each block."""
+def test_order_of_lanes(tiled):
+    """All lanes but the first are in reverse order, so that each block has other neighbours."""
     order = [0, *range(len(TILED) - 1, 0, -1)]
     backwards = vj.run_sweep(sweep([TILED[index] for index in order], chunk=100, **SHORT), progress=False)
     assert_identical(features(backwards), {name: values[order] for name, values in tiled.items()})
 
 
 @pytest.mark.parametrize("chunk", [50, 512])
-def test_chunk(tiled, chunk):
+def test_chunk_size(tiled, chunk):
     assert_identical(features(vj.run_sweep(sweep(TILED, chunk=chunk, **SHORT), progress=False)), tiled)
 
 
 @pytest.mark.parametrize("cores", [1, 3])
-def test_cores(tiled, cores, monkeypatch):
-    """However many threads share the lanes."""
+def test_number_of_cores(tiled, cores, monkeypatch):
     monkeypatch.setattr(xla, "usable_cores", lambda: cores)
     assert len(xla.workers()) == cores
     assert_identical(features(vj.run_sweep(sweep(TILED, chunk=100, **SHORT), progress=False)), tiled)
@@ -88,8 +87,8 @@ def programs_compiled():
     return list(kernels)
 
 
-def test_nothing_compiles_again(tiled):
-    """Parameters, times, and the accuracy are values: another sweep of the scene runs in the same program."""
+def test_second_sweep_compiles_nothing(tiled):
+    """Parameters, times and accuracy are values, so another sweep of the scene runs in the same program."""
     compiled = programs_compiled()
     other = [{"point": case["point"] | {"beta": 0.33, "v": 1.1}} for case in PERIODIC]
     for run in ({"error": 1e-3}, {"settle": 3.0, "observe": 2.0}, {"step": 2e-3}):
@@ -100,33 +99,33 @@ def test_nothing_compiles_again(tiled):
 
 
 def test_memory_does_not_grow_with_time(tiled):
-    """The program returns numbers per lane, and a run of ten times the time runs in it: it holds no more."""
+    """The program returns numbers per lane. A run ten times as long uses the same program, so it holds no more."""
     compiled = programs_compiled()
     chunks = Chunks(read_sweep(sweep(PERIODIC[:4], settle=1.0, observe=60.0)))
-    found = chunks.compute(0)
+    result = chunks.compute(0)
     assert programs_compiled() == compiled
-    assert {values.shape for values in found.values()} == {(4,)}
+    assert {values.shape for values in result.values()} == {(4,)}
 
 
 @pytest.mark.parametrize("run", [SHORT, {"settle": 0.0, "observe": 2.0}, {"settle": 24.0, "observe": 8.0}])
-def test_lanes_are_told_as_work_goes_on(tiled, run):
-    """Each once, and not all when the last is done."""
-    told = []
+def test_finished_lanes_are_reported_during_the_run(tiled, run):
+    """Each lane is reported once, and not all of them at the end."""
+    reported = []
     chunks = Chunks(read_sweep(sweep(PERIODIC, **run)))
-    chunks.compute(0, told.append)
-    assert sum(told) == len(PERIODIC) and min(told) > 0
-    assert len(told) >= (3 if run["settle"] else 2)
+    chunks.compute(0, reported.append)
+    assert sum(reported) == len(PERIODIC) and min(reported) > 0
+    assert len(reported) >= (3 if run["settle"] else 2)
 
 
-def test_settle_0(tiled):
-    """Observed from t = 0: the returns are all that `simulate` passes."""
+def test_without_settling_time(tiled):
+    """Lanes are observed from t = 0, so their returns are all section crossings of `simulate`."""
     dataset = vj.run_sweep(sweep(PERIODIC[:8], settle=0.0, observe=6.0), progress=False)
     for index, case in enumerate(PERIODIC[:8]):
         times = section_times(case["point"], 6.0)
         assert dataset.returns[index] == len(times)
         if len(times) > 1:
             mean = np.mean(np.diff(times))
-            # Of a lane that repeats, whole repeats only: their mean is close to that of all returns.
+            # A periodic lane counts whole repeats only: their mean is close to that of all returns.
             np.testing.assert_allclose(dataset.period[index], mean, rtol=1e-8 if dataset.cycles[index] == 0 else 1e-2)
 
 
@@ -137,8 +136,7 @@ def section_times(point, duration):
 
 
 def test_keep_returns():
-    """The last ones, the newest last, each with the time at which `simulate` passes the section; NaN where there are
-    fewer."""
+    """The newest return is last. Each has the time of a section crossing of `simulate`; missing ones are NaN."""
     cases = [PERIODIC[0], PERIODIC[1], *[case for case in CASES if case["expected"]["regime"] == "equilibrium"]]
     keep = 5
     dataset = vj.run_sweep(sweep(cases, settle=2.0, observe=3.0, keep_returns=keep), progress=False)
@@ -161,10 +159,9 @@ def single():
 
 
 def test_float32(single):
-    """In single precision, at the full 48 s, the periodic cases have the right regime, and their period and impact
-    velocity to 3e-6.
+    """In single precision and at the full 48 s, periodic cases have the right regime.
 
-    No lane is given up, the irregular ones included.
+    Their period and impact velocity are right to 3e-6. No lane is abandoned, the irregular ones included.
     """
     assert np.all(single.status == 0)
     for index, case in enumerate(CASES):
@@ -179,14 +176,14 @@ def test_float32(single):
                 np.testing.assert_allclose(single[name][index], expected[name], rtol=3e-6, err_msg=f"{name} {index}")
 
 
-def test_float32_leaves_x64_as_it_was(single):
+def test_float32_does_not_change_x64(single):
     assert jax.config.jax_enable_x64
     assert single.period.dtype == np.float32
 
 
 @pytest.mark.parametrize("scene", ["rotary", "vibro-impact"])
-def test_hardly_driven(scene):
-    """A drive at rest and next to no friction: the start sets the scale, and steps do not run out."""
+def test_weakly_driven_lanes_finish(scene):
+    """With a drive at rest and almost no friction, the start sets the scale, and the steps do not run out."""
     grid = {"v": [0.0, 1e-6], "mu": [0.0, 1e-6], "c2": [0.0, 250.0], "g": [0.0, 9.81]}
     starts = ["drive", "stuck", [0.01, 0.0, 0.02, 0.0], [0.0, -1.0, 0.0, 2.0]]
     run = {"settle": 6.0, "observe": 4.0}

@@ -1,4 +1,4 @@
-"""The page on large sweeps: its commands are run as they stand there, and give what a plain run gives."""
+"""Tests of the page on large sweeps: its commands run as written, and give the result of a plain run."""
 
 import os
 import re
@@ -20,7 +20,7 @@ BLOCKS = {name: text for _, _, name, text in BLOCK.findall((ROOT / "notebooks/la
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with the files of the page."""
+    """Return a folder with the files of the page."""
     path = tmp_path_factory.mktemp("page")
     for name, text in BLOCKS.items():
         if "." in name:
@@ -39,51 +39,51 @@ def expected(folder):
     return vj.run_sweep(folder / "map.toml", progress=False)
 
 
-def started(folder, script, **environment) -> subprocess.Popen:
+def start_script(folder, script, **environment) -> subprocess.Popen:
     variables = os.environ | {"PYTHONPATH": str(ROOT), "PATH": f"{folder / 'bin'}:{os.environ['PATH']}"} | environment
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     return subprocess.Popen(["bash", "-e", *script], cwd=folder, env=variables, **pipes)
 
 
-def told(process) -> str:
-    out, said = process.communicate()
-    assert process.returncode == 0, said
+def output_of(process) -> str:
+    out, errors = process.communicate()
+    assert process.returncode == 0, errors
     return out
 
 
 def assert_same(path, expected):
-    found = vj.open_dataset(path)
+    result = vj.open_dataset(path)
     for name in expected.variables:
-        np.testing.assert_array_equal(found[name].values, expected[name].values, err_msg=name)
+        np.testing.assert_array_equal(result[name].values, expected[name].values, err_msg=name)
 
 
 def test_plan(folder):
-    lines = told(started(folder, ["-c", BLOCKS["plan"]])).splitlines()
+    lines = output_of(start_script(folder, ["-c", BLOCKS["plan"]])).splitlines()
     assert [line.split()[0] for line in lines] == ["lanes", "memory", "disk", "time"] * 2
     assert lines[0] == "lanes   60 (6 beta x 5 gamma x 2 start) in 8 chunks"
 
 
 def test_one_machine(folder, expected):
-    out = told(started(folder, ["-c", BLOCKS["single"]]))
+    out = output_of(start_script(folder, ["-c", BLOCKS["single"]]))
     assert "single.nc: 60 lanes" in out and "lanes     60" in out
     assert_same(folder / "single.nc", expected)
 
 
 def test_array_job(folder, expected):
-    """As SLURM runs the script: three times at once, each with its number."""
+    """Run the script as SLURM does: three times at once, each time with its number."""
     numbers = re.search(r"--array=1-(\d+)", BLOCKS["job.sh"])[1]
     tasks = [
-        started(
-            folder, ["job.sh"], SLURM_ARRAY_TASK_ID=str(one), SLURM_ARRAY_TASK_COUNT=numbers, SLURM_CPUS_PER_TASK="1"
+        start_script(
+            folder, ["job.sh"], SLURM_ARRAY_TASK_ID=str(number), SLURM_ARRAY_TASK_COUNT=numbers, SLURM_CPUS_PER_TASK="1"
         )
-        for one in range(1, int(numbers) + 1)
+        for number in range(1, int(numbers) + 1)
     ]
-    assert [told(task) for task in tasks] == [""] * int(numbers)
+    assert [output_of(task) for task in tasks] == [""] * int(numbers)
     assert_same(folder / "slurm.nc", expected)
     assert not (folder / "slurm.nc.chunks").exists()
 
 
 def test_dask(folder, expected):
     pytest.importorskip("distributed")
-    told(started(folder, ["-c", BLOCKS["dask"]]))
+    output_of(start_script(folder, ["-c", BLOCKS["dask"]]))
     assert_same(folder / "dask.nc", expected)

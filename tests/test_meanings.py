@@ -1,4 +1,4 @@
-"""Misnamed parameters are suggested by meaning, in every command and in Python."""
+"""Tests that misnamed parameters are suggested by meaning, in every command and in Python."""
 
 import numpy as np
 import pytest
@@ -44,9 +44,9 @@ PULSES = "frequency (pulses per second [1/s])"
     ],
 )
 def test_names_are_suggested_by_meaning(scene, word, meant):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error:
         vj.read_sweep({"scene": scene, "grid": {word: [1.0, 2.0]}})
-    assert str(caught.value).endswith(f"; did you mean {meant}?")
+    assert str(error.value).endswith(f"; did you mean {meant}?")
 
 
 @pytest.mark.parametrize(
@@ -61,14 +61,14 @@ def test_names_are_suggested_by_meaning(scene, word, meant):
         ("penetration", {"bit_frequency": 3}, 'bit_frequency: scene "penetration" has no such parameter'),
     ],
 )
-def test_what_determines_no_parameter_is_refused(scene, values, line):
+def test_values_that_determine_no_parameter_are_refused(scene, values, line):
     for call in (
         lambda: vj.simulate(scene, **values, progress=False),
         lambda: vj.read_sweep({"scene": scene, "parameters": values, "grid": {"m1": [250.0]}}),
     ):
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError) as error:
             call()
-        assert line in str(caught.value) and "\n" not in str(caught.value)
+        assert line in str(error.value) and "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("word", ["gama", "zzz", "", "_"])
@@ -89,9 +89,9 @@ def test_other_words_have_no_meaning(word):
 )
 def test_every_command_suggests_by_meaning(argv, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as caught:
+    with pytest.raises(SystemExit) as error:
         raise SystemExit(main(argv))
-    assert caught.value.code == 2
+    assert error.value.code == 2
     line = capsys.readouterr().err
     assert line.endswith("did you mean delta (gap [m])?\n") and line.count("\n") == 1
 

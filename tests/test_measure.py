@@ -1,4 +1,4 @@
-"""What is accumulated in the loop, against the exact reference, and its rules at their corners."""
+"""Tests of the measures that the time loop accumulates: against the exact reference, and at corners of their rules."""
 
 import exact
 import jax.numpy as jnp
@@ -10,10 +10,10 @@ import vibrojax as vj
 from vibrojax.measures.motion import _trend
 
 SETTLE, OBSERVE = 10.0, 4.0
-ERROR = 1e-5  # so small that periods of sweep and simulation agree to 1e-9
+ERROR = 1e-5  # so small that the periods of sweep and simulation agree to 1e-9
 USUAL = {"m1": 250.0, "beta": 0.4, "gamma": 0.75, "k1": 156250.0, "c2": 250.0, "v": 1.5, "g": 9.81, "mu": 0.4}
 CONTACT = {"delta": -0.005, "k0": 50e6, "c0": 1e3}
-# The gap first, from stuck: the starts come up as in the other tests, in whose program these lanes then run.
+# The stuck lane with a gap is first: starts then occur in the order of other tests, whose program these lanes share.
 LANES = {
     "gap": ("vibro-impact", USUAL | CONTACT | {"delta": 0.005}, "stuck"),
     "preload": ("vibro-impact", USUAL | CONTACT, "drive"),
@@ -22,14 +22,14 @@ LANES = {
     "in phase": ("rotary", USUAL | {"beta": 0.3, "gamma": 8.0, "v": 0.5, "c2": 75.0}, "drive"),
 }
 
-# Reference case 10, which repeats after returns of 15 and 179 ms.
+# Reference case 10, which repeats after two returns, of 15 and 179 ms.
 UNEQUAL = {"beta": 0.856, "gamma": 0.719, "v": 1.497, "delta": -0.0009}
 
 
 @pytest.fixture(scope="module")
 def features():
-    """Datasets of one lane each, by name."""
-    found = {}
+    """Return datasets of one lane each, by name."""
+    datasets = {}
     for scene in ("vibro-impact", "rotary"):
         lanes = {name: lane for name, lane in LANES.items() if lane[0] == scene}
         first = next(iter(lanes.values()))[1]
@@ -37,12 +37,12 @@ def features():
         points["start"] = [start for *_, start in lanes.values()]
         run = {"settle": SETTLE, "observe": OBSERVE, "error": ERROR}
         dataset = vj.run_sweep({"scene": scene, "points": points, "run": run}, progress=False)
-        found |= {name: dataset.isel(point=index) for index, name in enumerate(lanes)}
-    return found
+        datasets |= {name: dataset.isel(point=index) for index, name in enumerate(lanes)}
+    return datasets
 
 
-def close(found, expected, rtol=2e-4, atol=0.0):
-    np.testing.assert_allclose(float(found), expected, rtol=rtol, atol=atol)
+def assert_close(value, expected, rtol=2e-4, atol=0.0):
+    np.testing.assert_allclose(float(value), expected, rtol=rtol, atol=atol)
 
 
 ABSOLUTE = {"stick_fraction": 1e-8, "reverse_fraction": 1e-8, "phase_lag": 1e-6}
@@ -51,7 +51,7 @@ ABSOLUTE = {"stick_fraction": 1e-8, "reverse_fraction": 1e-8, "phase_lag": 1e-6}
 
 @pytest.mark.parametrize("name", LANES)
 def test_every_measure(features, name):
-    """Each is that of the exact reference, which shares no code with the package."""
+    """Every measure equals that of the exact reference, which shares no code with the package."""
     lane, (scene, values, start) = features[name], LANES[name]
     motion = exact.run(scene, **values, start=start, settle=SETTLE, observe=OBSERVE)
     expected = exact.measure(motion)
@@ -59,32 +59,34 @@ def test_every_measure(features, name):
     assert lane.returns == len(sections(motion))
     assert ("impacts" in expected) == (scene == "vibro-impact")
     for quantity, value in expected.items():
-        close(lane[quantity], value, 1e-8, ABSOLUTE.get(quantity, 0.0))
+        assert_close(lane[quantity], value, 1e-8, ABSOLUTE.get(quantity, 0.0))
     assert -np.pi < lane.phase_lag <= np.pi
 
 
-def phase_lag(point, **run):
+def run_lane(point, **run):
     sweep = {"scene": "vibro-impact", "points": {key: [value] for key, value in point.items()}, "starts": ["drive"]}
     return vj.run_sweep(sweep | {"run": run}, progress=False).isel(point=0, start=0)
 
 
 @pytest.mark.parametrize("observe", [7.0, 8.0])
 def test_phases_of_unequal_returns(observe):
-    """The harmonic of the mean period, wherever in a repeat the observation begins and ends; each impact counts by its
-    own return, whose duration differs from the mean."""
-    lane = phase_lag(UNEQUAL, observe=observe, error=ERROR)
+    """The phase is that of the mean period, wherever in a repeat the observation begins and ends.
+
+    Each impact counts by its own return, whose duration differs from the mean.
+    """
+    lane = run_lane(UNEQUAL, observe=observe, error=ERROR)
     assert lane.cycles == 2
     motion = exact.run("vibro-impact", **UNEQUAL, start="drive", settle=40.0, observe=observe)
     expected = exact.measure(motion)
     assert np.ptp(np.diff(sections(motion))) > 0.02
-    close(lane.phase_lag, expected["phase_lag"], 0, 1e-3)
-    close(lane.impact_phase, expected["impact_phase"], 1e-6)
+    assert_close(lane.phase_lag, expected["phase_lag"], 0, 1e-3)
+    assert_close(lane.impact_phase, expected["impact_phase"], 1e-6)
 
 
-def test_phase_lag_observed_from_the_start():
-    """The first return, before which the period is not known, is left out."""
-    settled = phase_lag(USUAL | CONTACT).phase_lag
-    close(phase_lag(USUAL | CONTACT, settle=0.0).phase_lag, settled, 0, 0.02)
+def test_phase_lag_without_settling_time():
+    """The first return is left out, because the period is not known before it."""
+    settled = run_lane(USUAL | CONTACT).phase_lag
+    assert_close(run_lane(USUAL | CONTACT, settle=0.0).phase_lag, settled, 0, 0.02)
 
 
 def test_phase_lag_of_known_cases(features):
@@ -95,7 +97,7 @@ def test_phase_lag_of_known_cases(features):
 
 @pytest.mark.parametrize("name", ["gap", "free"])
 def test_settling_time(features, name):
-    """The last return whose s differs by over 0.01 from the next one's, s scaled by the swings between the two."""
+    """The last return counts whose s differs from the next one by over 0.01; s is scaled by the swings between them."""
     lane = features[name]
     scene, values, start = LANES[name]
     motion = vj.simulate(
@@ -114,11 +116,11 @@ def test_settling_time(features, name):
         if np.max(np.abs(change)) > 0.01:
             last = crossings[k]
     assert 0 < last < SETTLE
-    close(lane.settling_time, last, 1e-9)
+    assert_close(lane.settling_time, last, 1e-9)
 
 
-def test_whole_repeats():
-    """A lane that repeats after four returns (k1 = 625000, gamma 1.1): its means are over a multiple of four."""
+def test_means_cover_whole_repeats():
+    """The means of a lane that repeats after four returns (k1 = 625000, gamma 1.1) cover a multiple of four."""
     points = {"gamma": [1.1, 1.1], "beta": [0.4, 0.4], "k1": [625000.0, 625000.0], "start": ["stuck", "drive"]}
     lane = vj.run_sweep({"scene": "vibro-impact", "points": points}, progress=False).isel(point=1)
     assert lane.cycles == 4
@@ -128,8 +130,8 @@ def test_whole_repeats():
     times = {kind: motion.event_time.values[motion.event_kind.values == kinds.index(kind)] for kind in kinds}
     sections = times["section"][times["section"] > 40.0]
     whole = (len(sections) - 1) // 4 * 4
-    assert whole < len(sections) - 1  # or there is nothing to see
-    close(lane.period, (sections[whole] - sections[0]) / whole, 1e-8)
+    assert whole < len(sections) - 1  # otherwise all returns are covered anyway
+    assert_close(lane.period, (sections[whole] - sections[0]) / whole, 1e-8)
 
 
 @pytest.mark.parametrize(
@@ -137,12 +139,12 @@ def test_whole_repeats():
     [
         ([1, 2, 3, 4, 5, 6, 7, 8], 1),
         ([8, 7, 6, 5, 4, 3, 2, 1], -1),
-        ([1, 2, 3, 4, 4, 6, 7, 8], 0),  # not strictly
+        ([1, 2, 3, 4, 4, 6, 7, 8], 0),  # not strictly monotonic
         ([1, 2, 3, 4, 3, 6, 7, 8], 0),
         ([100, 100.1, 100.2, 100.3, 100.4, 100.5, 100.6, 100.7], 0),  # by less than 1 %
         ([100, 100.1, 100.2, 100.3, 100.4, 100.5, 100.6, 101.1], 1),
-        ([1, 2, 3, np.nan, 5, 6, 7, 8], 0),  # an eighth without a return
+        ([1, 2, 3, np.nan, 5, 6, 7, 8], 0),  # one eighth has no return
     ],
 )
-def test_trend_of_the_eighths(greatest, trend):
+def test_trend_of_eighths(greatest, trend):
     assert _trend(jnp.array(greatest, float)[:, None])[0] == trend

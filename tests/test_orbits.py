@@ -1,4 +1,4 @@
-"""Periodic orbits: against reference cases, the exact integrator, closed forms, and with what must be refused."""
+"""Tests of periodic orbits: against reference cases, the exact integrator and closed forms, and what is refused."""
 
 import json
 from dataclasses import replace
@@ -32,7 +32,7 @@ def multipliers(point):
 
 @pytest.fixture(scope="module")
 def cases():
-    # At the usual error a path to one of several attractors may end on another one than the exact motion's.
+    # With several attractors, a lane at the default error may end on another one than the exact motion.
     points = {name: [case["point"][name] for case in CASES] for name in CASES[0]["point"]}
     return vj.run_sweep({"scene": "vibro-impact", "points": points, "run": ORBITS | {"error": 1e-6}}, progress=False)
 
@@ -47,17 +47,17 @@ def test_reference_cases(cases, index):
     values = in_upper_half([complex(*x) for x in expected["multipliers"]])
     np.testing.assert_allclose(multipliers(point), values, atol=1e-6)
     assert point.impacts == expected["impacts"]
-    for name, within in MEASURED.items():
-        assert abs(point[name].item() - expected[name]) < within, name
+    for name, tolerance in MEASURED.items():
+        assert abs(point[name].item() - expected[name]) < tolerance, name
     section = [point[f"orbit_{name}"].item() for name in ("x1", "x2", "v2")]
-    # A fixed point of the exact map, one of whose returns is the reference's, which itself is good to some 4e-9.
-    at = {name: x for name, x in CASES[index]["point"].items() if name != "start"}
-    _, states = exact.returns("vibro-impact", at, section, (point.cycles.item() + 0.1) * expected["period"])
+    # The section is a fixed point of the exact map. One of its returns is the reference's, which is good to some 4e-9.
+    parameters = {name: x for name, x in CASES[index]["point"].items() if name != "start"}
+    _, states = exact.returns("vibro-impact", parameters, section, (point.cycles.item() + 0.1) * expected["period"])
     np.testing.assert_allclose(states[-1], section, rtol=0, atol=1e-11)
     assert np.abs(states - expected["section"]).max(axis=1).min() < 1e-8
 
 
-def test_what_is_stored(cases):
+def test_stored_variables_and_attributes(cases):
     assert cases.multiplier_abs.dims == cases.multiplier_arg.dims == ("point", "multiplier")
     assert cases.stable.dtype == np.int8 and cases.stable.attrs["flag_values"].tolist() == [-1, 0, 1]
     assert (np.diff(cases.multiplier_abs.values) <= 0).all()
@@ -66,7 +66,7 @@ def test_what_is_stored(cases):
     assert about["states"] == ["x1", "x2", "v2"] and 0 < about["grazing_limit"] < 1e-3
 
 
-def test_a_bit_that_sticks_makes_a_multiplier_zero(cases):
+def test_sticking_makes_a_multiplier_zero(cases):
     sticks = cases.stick_fraction.values > 0
     assert sticks.any() and not sticks.all()
     assert (cases.multiplier_abs.values[sticks, -1] < 1e-12).all()
@@ -76,28 +76,30 @@ def test_a_bit_that_sticks_makes_a_multiplier_zero(cases):
 # Other scenes
 
 
-def test_what_the_rock_adds():
+def test_multipliers_of_rock():
     points, soft = {"beta": [0.3, 0.4], "gamma": [0.7, 0.75]}, {"threshold": [2e4, 2e4]}
     drill, one_way, coupled = (
         vj.run_sweep({"scene": scene, "points": points | rock, "starts": ["stuck"], "run": ORBITS}, progress=False)
         for scene, rock in (("vibro-impact", {}), ("drilling", soft), ("coupled-drilling", soft))
     )
-    for found in (one_way, coupled):
-        assert (found.orbit_reason == FOUND).all() and (found.stable == 1).all()
-        assert (found.rate_of_penetration > 0).all()
-    # The rock does not act back: the orbits are those of the drill without it.
+    for ds in (one_way, coupled):
+        assert (ds.orbit_reason == FOUND).all() and (ds.stable == 1).all()
+        assert (ds.rate_of_penetration > 0).all()
+    # One-way rock does not act back: the orbits are those of the drill without it.
     np.testing.assert_allclose(one_way.multiplier_abs, drill.multiplier_abs, atol=1e-9)
     np.testing.assert_allclose(one_way.period, drill.period, rtol=1e-12)
-    # It does here, and yields, and comes to rest before the next blow.
+    # Coupled rock acts back, yields, and comes to rest before the next impact.
     assert coupled.sizes["multiplier"] == 5
     assert (coupled.multiplier_abs.values[..., 3:] < 1e-9).all()
     assert (np.abs(coupled.multiplier_abs.values[..., :3] - drill.multiplier_abs.values) > 1e-3).any()
 
 
 @pytest.mark.long
-def test_rock_that_acts_back_against_the_exact_motion():
-    """Five states, by central differences; rock so light-damped that its motion has not died out by the next blow. It
-    yields in the second, which makes a multiplier zero."""
+def test_coupled_rock_matches_exact_motion():
+    """Compare five states by central differences. The rock is damped so lightly that it still moves at the next impact.
+
+    It yields in the second lane, which makes a multiplier zero.
+    """
     points = {
         "beta": [0.4626, 0.58],
         "gamma": [0.67, 0.6341],
@@ -107,82 +109,84 @@ def test_rock_that_acts_back_against_the_exact_motion():
         "k3": [9.912e6, 26.69e6],
     }
     sweep = {"scene": "coupled-drilling", "points": points, "starts": ["stuck"], "unusual": True}
-    found = vj.run_sweep(sweep | {"run": ORBITS | {"settle": 100.0}}, progress=False).squeeze("start")
-    assert (found.orbit_reason == FOUND).all() and (found.cycles == 1).all()
+    ds = vj.run_sweep(sweep | {"run": ORBITS | {"settle": 100.0}}, progress=False).squeeze("start")
+    assert (ds.orbit_reason == FOUND).all() and (ds.cycles == 1).all()
     for index in range(2):
-        lane, at = found.isel(point=index), {name: column[index] for name, column in points.items()}
+        lane, parameters = ds.isel(point=index), {name: column[index] for name, column in points.items()}
         section = np.array([lane[f"orbit_{name}"].item() for name in ("x1", "x2", "v2", "compression", "v3")])
         span = lane.period.item()
-        np.testing.assert_allclose(exact.returns(lane.scene, at, section, 1.01 * span)[1][0], section, atol=1e-10)
-        values = in_upper_half(exact.multipliers(lane.scene, at, section, span))
+        np.testing.assert_allclose(
+            exact.returns(lane.scene, parameters, section, 1.01 * span)[1][0], section, atol=1e-10
+        )
+        values = in_upper_half(exact.multipliers(lane.scene, parameters, section, span))
         np.testing.assert_allclose(multipliers(lane), values, atol=1e-6)
         assert (lane.rate_of_penetration > 0) == (index > 0)
         assert (lane.multiplier_abs[-1] < 1e-12) == (index > 0)
 
 
-# What an orbit replaces, and what is refused
+# Replaced features, and refused orbits
 
 
 @pytest.fixture(scope="module")
 def lanes():
-    """Lanes that repeat after one and two returns and their features, ready to be damaged."""
+    """Return lanes that repeat after one and two returns, and their features, which tests damage."""
     chosen = [CASES[0], CASES[4], CASES[8]]
     points = {name: [case["point"][name] for case in chosen] for name in CASES[0]["point"]}
     sweep = read_sweep({"scene": "vibro-impact", "points": points, "run": ORBITS})
-    kept = {}
-    chunks = Chunks(sweep, lambda first, end, features: kept.update(features) or {})
+    stored = {}
+    chunks = Chunks(sweep, lambda first, end, features: stored.update(features) or {})
     chunks.compute(0)
-    return sweep, kept
+    return sweep, stored
 
 
-def found_of(lanes, **damage):
+def find_orbits(lanes, **damage):
     sweep, features = lanes
     return Orbits(sweep)(0, sweep.lanes, {name: x.copy() for name, x in features.items()} | damage)
 
 
-def test_orbits_are_those_of_the_lanes(lanes):
-    found = found_of(lanes)
-    assert (found["orbit_reason"] == FOUND).all()
-    np.testing.assert_allclose(found["period"], lanes[1]["period"], rtol=1e-6)
+def test_orbits_match_lanes(lanes):
+    orbits = find_orbits(lanes)
+    assert (orbits["orbit_reason"] == FOUND).all()
+    np.testing.assert_allclose(orbits["period"], lanes[1]["period"], rtol=1e-6)
 
 
-def test_another_orbit_is_refused(lanes):
-    more = found_of(lanes, impacts=lanes[1]["impacts"] + 1)
-    assert (more["orbit_reason"] == ANOTHER).all() and (more["stable"] == -1).all()
-    assert np.isnan(more["multiplier_abs"]).all()
-    assert "period" not in more  # nothing is replaced
-    wrong = found_of(lanes, cycles=np.ones(3))  # the third repeats after two
-    assert wrong["orbit_reason"][:2].tolist() == [FOUND, FOUND] and wrong["orbit_reason"][2] != FOUND
-    away = found_of(lanes, return_x2=lanes[1]["return_x2"] + 0.3)
-    assert not (away["orbit_reason"] == FOUND).any()
+def test_other_orbit_is_refused(lanes):
+    more_impacts = find_orbits(lanes, impacts=lanes[1]["impacts"] + 1)
+    assert (more_impacts["orbit_reason"] == ANOTHER).all() and (more_impacts["stable"] == -1).all()
+    assert np.isnan(more_impacts["multiplier_abs"]).all()
+    assert "period" not in more_impacts  # nothing is replaced
+    wrong_cycles = find_orbits(lanes, cycles=np.ones(3))  # the third lane repeats after two returns
+    assert wrong_cycles["orbit_reason"][:2].tolist() == [FOUND, FOUND] and wrong_cycles["orbit_reason"][2] != FOUND
+    displaced = find_orbits(lanes, return_x2=lanes[1]["return_x2"] + 0.3)
+    assert not (displaced["orbit_reason"] == FOUND).any()
 
 
-def test_a_spiral_to_a_shorter_repeat_says_so(lanes):
+def test_shorter_repeat_is_reported(lanes):
     features = lanes[1]
-    twice = found_of(lanes, cycles=features["cycles"] * 2, impacts=features["impacts"] * 2)
-    once = found_of(lanes)
+    twice = find_orbits(lanes, cycles=features["cycles"] * 2, impacts=features["impacts"] * 2)
+    once = find_orbits(lanes)
     assert (twice["orbit_reason"] == FOUND).all()
     assert twice["orbit_cycles"].tolist() == [1, 1, 2]
     np.testing.assert_allclose(twice["multiplier_abs"], once["multiplier_abs"] ** 2, atol=1e-9)
 
 
-def test_what_does_not_repeat_and_what_fails():
-    none = vj.run_sweep(
+def test_irregular_and_failed_lanes_have_no_orbit():
+    irregular = vj.run_sweep(
         {"scene": "vibro-impact", "grid": {"beta": [0.95], "gamma": [0.35, 0.7]}, "run": ORBITS | SOON},
         progress=False,
     )
-    assert (none.orbit_reason == NOT_REPEATING).all() and (none.stable == -1).all()
+    assert (irregular.orbit_reason == NOT_REPEATING).all() and (irregular.stable == -1).all()
     stiff = SMALL | {"parameters": {"k0": 1e30}, "run": ORBITS | SOON, "unusual": True}
     refused = vj.run_sweep(stiff, progress=False)
     assert (refused.status != 0).all() and (refused.orbit_reason == REFUSED).all() and (refused.stable == -1).all()
 
 
-def test_the_margin_is_no_more_than_the_slowest_blow(cases):
-    """A blow that just touches is a graze: its velocity over a typical one bounds the margin."""
+def test_margin_is_bounded_by_slowest_impact(cases):
+    """An impact that just touches is a graze: its velocity, relative to a typical one, bounds the margin."""
     sweep = read_sweep({"scene": "vibro-impact", "points": {"beta": [case["point"]["beta"] for case in CASES]}})
     typical = []
     for index in range(len(CASES)):
-        p = {name: float(one.default) for name, one in sweep.system.parameters().items()}
+        p = {name: float(parameter.default) for name, parameter in sweep.system.parameters().items()}
         p |= {name: x for name, x in CASES[index]["point"].items() if name in p}
         c = sweep.system.constants({name: np.array([x]) for name, x in p.items()})
         rate = sweep.system.flight_rate(c)
@@ -207,23 +211,23 @@ def folder(tmp_path_factory):
 
 
 @pytest.mark.parametrize("given", ["without.toml", "without.nc", "with.nc"])
-def test_the_command_gives_what_the_sweep_does(folder, given, capsys):
+def test_command_gives_result_of_sweep(folder, given, capsys):
     out = folder / f"of-{given.replace('.', '-')}.nc"
     assert main(["orbits", str(folder / given), "-o", str(out)]) == 0
     assert "4 found of 4 lanes that repeat: 4 stable, 0 unstable" in capsys.readouterr().out
-    expected, found = open_dataset(folder / "with.nc"), open_dataset(out)
-    # The picture shows the orbits; that of the sweep shows regimes.
-    drawn = [folder / f"{name}.png" for name in ("orbits", "sweep")]
-    for path, variables in zip(drawn, (["stable", "multiplier_abs", "regime"], None), strict=True):
-        vj.save_picture(found, path, variables)
-    same = [path.read_bytes() == out.with_suffix(".png").read_bytes() for path in drawn]
+    expected, ds = open_dataset(folder / "with.nc"), open_dataset(out)
+    # The picture shows orbits; that of the sweep shows regimes.
+    pictures = [folder / f"{name}.png" for name in ("orbits", "sweep")]
+    for path, variables in zip(pictures, (["stable", "multiplier_abs", "regime"], None), strict=True):
+        vj.save_picture(ds, path, variables)
+    same = [path.read_bytes() == out.with_suffix(".png").read_bytes() for path in pictures]
     assert same == [True, False]
-    assert set(found.data_vars) == set(expected.data_vars)
+    assert set(ds.data_vars) == set(expected.data_vars)
     for name in expected.data_vars:
-        np.testing.assert_array_equal(found[name], expected[name], name)
+        np.testing.assert_array_equal(ds[name], expected[name], name)
 
 
-def test_info_says_what_was_found(folder, capsys):
+def test_info_reports_orbits(folder, capsys):
     assert main(["sweep", str(folder / "with.nc")]) == 2
     assert "with.nc: is a dataset, not a sweep; vibrojax info " in capsys.readouterr().err
     assert main(["info", str(folder / "with.nc")]) == 0
@@ -233,11 +237,11 @@ def test_info_says_what_was_found(folder, capsys):
     assert orbit_lines(open_dataset(folder / "without.nc")) == []
 
 
-def test_in_python(folder):
+def test_orbits_in_python(folder):
     without = open_dataset(folder / "without.nc")
-    found = vj.orbits(without, progress=False)
-    assert (found.orbit_reason == FOUND).all()
-    assert vj.orbits(found) is found
+    ds = vj.orbits(without, progress=False)
+    assert (ds.orbit_reason == FOUND).all()
+    assert vj.orbits(ds) is ds
     with pytest.raises(InputError, match="not the dataset of a sweep"):
         vj.orbits(vj.simulate("rotary", duration=1.0, progress=False), progress=False)
     changed = without.assign_attrs(identity=json.dumps(json.loads(without.attrs["identity"]) | {"scene": "rotary"}))
@@ -261,14 +265,14 @@ def test_in_python(folder):
         (SMALL | {"run": {"orbits": 1}}, "neither true nor false"),
     ],
 )
-def test_bad_settings_are_one_line(sweep, says):
+def test_wrong_settings_are_refused_in_one_line(sweep, says):
     with pytest.raises(InputError, match=says) as error:
         vj.run_sweep(sweep, progress=False)
     assert "\n" not in str(error.value)
 
 
-def test_nothing_else_changes(lanes):
-    """With orbits a sweep is the same but for what the orbits replace, and for their own variables."""
+def test_other_features_do_not_change(lanes):
+    """Orbits change only the features that they replace, and add their own variables."""
     sweep, _ = lanes
     without = vj.run_sweep(replace(sweep, run=replace(sweep.run, orbits=False)), progress=False)
     with_orbits = vj.run_sweep(sweep, progress=False)

@@ -1,4 +1,4 @@
-"""What a user writes outside the package stands where names stand: a friction law, a scene, a stepper, a measure."""
+"""Tests of user-defined objects in place of names: a friction law, a scene, a stepper, a measure."""
 
 import subprocess
 import sys
@@ -33,12 +33,12 @@ def usual():
 
 
 def my_law():
-    """Eq. 5.9 once more, under another name."""
+    """Return the law of eq. 5.9 under another name."""
     stribeck = FRICTION_LAWS["stribeck"]
     return FrictionLaw("mine", "eq. 5.9", stribeck.parameters, stribeck.mu, stribeck.mu_impact)
 
 
-def test_a_friction_law(usual):
+def test_own_friction_law(usual):
     own = sweep(parameters={"friction": my_law()})
     assert own.attrs["friction"] == "mine" and 'friction = "mine"' in own.attrs["sweep"]
     for name in usual.data_vars:
@@ -48,14 +48,14 @@ def test_a_friction_law(usual):
     np.testing.assert_array_equal(motion.x2, known.x2)
 
 
-def test_a_scene_with_its_law_chosen(usual):
+def test_scene_with_own_law(usual):
     own = sweep(VibroImpact(friction=my_law()))
     assert own.attrs["scene"] == "vibro-impact" and own.attrs["friction"] == "mine"
     np.testing.assert_array_equal(own.impact_velocity, usual.impact_velocity)
 
 
-def test_a_stepper(usual):
-    """One of a higher order: the same motion, within what either accepts."""
+def test_own_stepper(usual):
+    """A stepper of higher order gives the same motion, within the accepted errors of both."""
     finer = sweep(method=Located(order=12))
     assert '"order": 12' in finer.attrs["solver"]
     np.testing.assert_array_equal(finer.regime, usual.regime)
@@ -83,9 +83,11 @@ class Measured(VibroImpact):
     measures = (*VibroImpact.measures, MeanSpeed())
 
 
-def test_a_measured_quantity(usual):
-    """It is in the dataset with its unit; the striker goes up and down by its swing in a period, as steps end on its
-    turns."""
+def test_own_measure(usual):
+    """The measure is in the dataset with its unit.
+
+    In a period the striker goes up and down by its swing, because steps end at its turning points.
+    """
     own = sweep(Measured())
     assert own.striker_mean_speed.attrs["units"] == "m s-1"
     clean = (own.cycles == 1) & (own.striker_turns == 1)
@@ -96,20 +98,20 @@ def test_a_measured_quantity(usual):
 
 
 class Deflected(VibroImpact):
-    """Five states, of which a start vector gives three."""
+    """A scene of five states, three of which a start vector gives."""
 
     states = (*VibroImpact.states, vj.State("x5", "m", "a fifth"))
     start_states = ("x1", "v1", "x5")
 
 
-def test_a_start_vector_has_the_states_that_the_scene_says():
+def test_start_vector_has_the_states_of_the_scene():
     with pytest.raises(vj.InputError, match=r"has 4 numbers; 3 are needed: \[x1, v1, x5\]"):
         vj.read_sweep({"scene": Deflected(), "starts": [[0, 0, 0, 0]], "grid": {"gamma": [0.7]}})
     assert vj.read_sweep({"scene": Deflected(), "starts": [[0, 1, 2]], "grid": {"gamma": [0.7]}}).starts[0] == (0, 1, 2)
 
 
-def test_what_an_installed_package_offers(tmp_path):
-    """Its law, scene, stepper and gauge have names; what cannot be used is left out, with a line each that says why."""
+def test_objects_of_installed_package(tmp_path):
+    """Its law, scene, stepper and gauge have names. Unusable objects are left out, each with a line that says why."""
     (tmp_path / "mine.py").write_text(
         dedent("""
         import vibrojax as vj
@@ -170,11 +172,11 @@ def test_what_an_installed_package_offers(tmp_path):
         print(sweep.scene, sweep.friction, sweep.run.stepper.name, type(gauge).__name__, own.system.name)
         print(*(one.message for one in left_out), sep="\\n")
         """
-    done = subprocess.run([sys.executable, "-c", dedent(code)], capture_output=True, text=True, cwd=tmp_path)
-    assert done.stdout.splitlines() == [
+    process = subprocess.run([sys.executable, "-c", dedent(code)], capture_output=True, text=True, cwd=tmp_path)
+    assert process.stdout.splitlines() == [
         "my-scene mine my-stepper Gauge my-system",
         'mine: vibrojax.friction_laws: b: the name "coulomb" is taken; it is left out',
         "mine: vibrojax.friction_laws: c: mine:none cannot be imported (module 'mine' has no attribute 'none'); "
         "it is left out",
         "mine: vibrojax.scenes: b: mine:law is not a System or a subclass of Scene; it is left out",
-    ], done.stderr
+    ], process.stderr

@@ -1,4 +1,4 @@
-"""A scene that a user writes may compute with loops, booleans and unsigned integers: no-ops change nothing."""
+"""Tests that no-ops in a user's scene (loops, booleans, unsigned integers) change nothing."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from vibrojax.models.scenes.vibro_impact import VibroImpact
 
 
 def no_ops(x):
-    """A sum of 0 by an empty loop, a comparison of booleans, and one of unsigned integers beyond signed ones."""
+    """Return 0 from an empty loop, a comparison of booleans, and one of unsigned integers beyond the signed range."""
     looped = lax.fori_loop(0, 0, lambda turn, total: total + 1e-3, 0.0 * x)
     compared = jnp.where((x > -1.0) < (x > 1.0), 1e-3 + 0.0 * x, 0.0 * x)
     large = (0.0 * x + 4e9).astype(jnp.uint32) > jnp.uint32(10)
@@ -20,7 +20,7 @@ def no_ops(x):
 
 @dataclass(frozen=True)
 class Changed(VibroImpact):
-    """A scene whose gap is what it is, plus a sum that is 0."""
+    """A scene that adds a computed 0 to its gap."""
 
     changed: bool = True
 
@@ -30,7 +30,7 @@ class Changed(VibroImpact):
 
 
 def test_no_ops_change_nothing():
-    """The impact velocity stays, bit for bit."""
+    """The impact velocity is equal bit for bit."""
     axes, run = {"gamma": [0.7], "beta": [0.4]}, {"settle": 3.0, "observe": 3.0}
     changed, usual = (
         vj.run_sweep({"scene": Changed(changed=flag), "grid": axes, "run": run}, progress=False).impact_velocity.values

@@ -1,4 +1,4 @@
-"""The hard cases: lanes by name, and what each comes to beside the exact reference (tests/exact).
+"""Hard cases: lanes by name, and their comparison with the exact reference (tests/exact).
 
 The lanes of `DRILL` are those of sweeps/hard_cases.csv, in this order.
 """
@@ -19,7 +19,7 @@ USUAL = {
     "start": "stuck",
 }
 GRAZED = 0.06496005202147603
-"""The farthest that the usual striker comes in the first 1.2 s where nothing is in its way [m]."""
+"""The largest displacement of the usual striker in the first 1.2 s with nothing in its way [m]."""
 
 DRILL = {
     "contact stiffness": [{"k0": k0} for k0 in (1e6, 1e8, 1e10, 1e12)],
@@ -44,7 +44,7 @@ ROCK = {
     "damping of the rock": [{"zeta": zeta} for zeta in (0.01, 10.0)],
 }
 
-MEASURES = {  # scale [SI] beside the value itself: what is small against it is not told apart
+MEASURES = {  # scale [SI] added to the value itself: a deviation that is small against it does not count
     "bit_amplitude": 1e-6,
     "striker_amplitude": 1e-6,
     "peak_impact_force": 1.0,
@@ -61,12 +61,12 @@ MEASURES = {  # scale [SI] beside the value itself: what is small against it is 
 
 
 SAME_PLACE = {"float64": 3e-10, "float32": 1e-7}
-"""What a place may differ by [m], of a swing of 0.06 m. A grazing blow of depth d is known to half of that over d, and
-one that is not as deep as that may be missed."""
+"""Tolerance of a position [m], at a swing of 0.06 m. A grazing impact of depth d is known to half of that over d. A
+shallower impact than that may be missed."""
 
 
 def bound_of(case: str, changes: dict, bound: float, precision: str = "float64") -> float:
-    """The relative deviation up to which a lane of a case counts as exact."""
+    """Return the relative deviation up to which a lane of a case counts as exact."""
     if case != "grazing":
         return bound
     share = SAME_PLACE[precision] / 2 / abs(changes["delta"] - GRAZED)
@@ -74,38 +74,38 @@ def bound_of(case: str, changes: dict, bound: float, precision: str = "float64")
 
 
 def lanes(cases: dict) -> list[tuple[str, dict]]:
-    """The name of the case and the point of each lane."""
+    """Return the name of the case and the point of each lane."""
     return [(name, changes) for name, points in cases.items() for changes in points]
 
 
 def columns(cases: dict, usual: dict) -> dict[str, list]:
-    """The lanes as the points of a sweep."""
+    """Return the lanes as the points of a sweep."""
     points = [usual | changes for _, changes in lanes(cases)]
     names = dict.fromkeys(name for point in points for name in point)
     return {name: [point[name] for point in points] for name in names}
 
 
 def reference(scene: str, point: dict, observe: float, settle: float = 0.0) -> dict | None:
-    """What the exact reference measures from `settle` on; None where it does not come to an end of its own accord."""
+    """Return the measures of the exact reference from `settle` on, or None if it finds no end by itself."""
     try:
         return exact.measure(exact.run(scene, **point, settle=settle, observe=observe))
     except (ArithmeticError, ValueError, OverflowError):
         return None
 
 
-def deviation(lane, found: dict) -> tuple[float, str]:
-    """The greatest relative deviation of a sweep's lane from the reference, and of which measure."""
+def deviation(lane, measured: dict) -> tuple[float, str]:
+    """Return the greatest relative deviation of a sweep's lane from the reference, and its measure."""
     worst = (0.0, "")
     for name, scale in MEASURES.items():
         if name not in lane:
             continue
-        # Over whole repeats of what repeats: where the two do not agree on that, over other spans of time.
+        # Means are over whole repeats. If the two do not agree on the repeat, the means cover different spans of time.
         if name not in ("bit_amplitude", "striker_amplitude", "peak_impact_force", "deepest_gap") and (
-            "cycles" in lane and int(lane["cycles"]) != found["cycles"]
+            "cycles" in lane and int(lane["cycles"]) != measured["cycles"]
         ):
             continue
-        value, expected = float(lane[name]), found.get(name, math.nan)
-        if name == "deepest_gap":  # of a bit that never leaves the rock the reference tells the least compression
+        value, expected = float(lane[name]), measured.get(name, math.nan)
+        if name == "deepest_gap":  # for a bit that never leaves the rock the reference has the least compression
             expected = min(expected, 0.0)
         if math.isnan(value) != math.isnan(expected):
             return math.inf, name
@@ -114,13 +114,13 @@ def deviation(lane, found: dict) -> tuple[float, str]:
     return worst
 
 
-def verdict(lane, found: dict | None, bound: float) -> tuple[str, str]:
-    """exact, refused, flagged, WRONG or unchecked (the reference does not come to an end), and a remark."""
+def verdict(lane, measured: dict | None, bound: float) -> tuple[str, str]:
+    """Return exact, refused, flagged, WRONG or unchecked (the reference finds no end), and a remark."""
     status = lane["status"].attrs["flag_meanings"].split()[int(lane["status"])]
     if status != "done":
         reason = lane["reason"].attrs["flag_meanings"].split()[int(lane["reason"])]
         return {"refused": "refused", "failed": "flagged"}[status], reason
-    if found is None:
+    if measured is None:
         return "unchecked", "the exact reference finds no end"
-    worst, name = deviation(lane, found)
+    worst, name = deviation(lane, measured)
     return ("exact" if worst <= bound else "WRONG"), f"{worst:.1e} {name}".strip()

@@ -1,10 +1,10 @@
-"""Certified lanes of random machines, compared with the same lanes after a settling time 50 times as long.
+"""Compare certified lanes of random machines with the same lanes after a settling time 50 times as long.
 
     python tests/hard/certified.py [LANES] [SEED]
 
 A lane is certified if `error_estimate` is within the accepted error and `sensitive` is 0. The script prints the share
 of certified lanes that keep their label, cycles and impacts and lie within their estimate, and every lane that does
-not. A lane that fails at the long settling time is printed too, and not counted. Some 5 minutes for 2,000 lanes;
+not. A lane that fails at the long settling time is printed too, but not counted. 2,000 lanes take some 5 minutes;
 tests/hard/README.md has the last results.
 """
 
@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 import vibrojax as vj
 
 SOON, LATE = 40.0, 2000.0
-"""Settling times that are compared [s]."""
+"""Settling times to compare [s]."""
 
 BOX = {
     "beta": (0.1, 1.2),
@@ -43,8 +43,8 @@ STARTS = ("stuck", "drive", "touching")
 
 def points(law: str, lanes: int, rng: np.random.Generator) -> dict[str, list]:
     """Return random values of every parameter, and the starts in turn."""
-    columns = {name: rng.uniform(*ends, lanes).tolist() for name, ends in (BOX | LAWS[law]).items()}
-    columns |= {name: np.exp(rng.uniform(*np.log(ends), lanes)).tolist() for name, ends in LOGARITHMIC.items()}
+    columns = {name: rng.uniform(*bounds, lanes).tolist() for name, bounds in (BOX | LAWS[law]).items()}
+    columns |= {name: np.exp(rng.uniform(*np.log(bounds), lanes)).tolist() for name, bounds in LOGARITHMIC.items()}
     columns["c0"] = [CONTACT_DAMPING[lane % 3] for lane in range(lanes)]
     columns["start"] = [STARTS[lane // 3 % 3] for lane in range(lanes)]
     return columns
@@ -78,15 +78,18 @@ def main(lanes: int, seed: int) -> None:
         columns = points(law, -(-lanes // len(LAWS)), rng)
         soon, late = (sweep(law, columns, settle) for settle in (SOON, LATE))
         flagged = soon.sensitive.values == 1 if "sensitive" in soon else np.zeros(soon.sizes["point"], bool)
-        asked = (soon.error_estimate.values <= 1e-4) & ~flagged
+        is_certified = (soon.error_estimate.values <= 1e-4) & ~flagged
         same = np.all([soon[name].values == late[name].values for name in ("regime", "cycles", "impacts")], axis=0)
         changes = relative_changes(soon, late)
         good = same & ((changes <= soon.error_estimate.values) | np.isnan(changes))
         failed = late.status.values != 0
-        certified, kept = certified + (asked & ~failed).sum(), kept + (asked & good).sum()
+        certified, kept = certified + (is_certified & ~failed).sum(), kept + (is_certified & good).sum()
         sensitive += flagged.sum()
-        print(f"{law}: {asked.sum()} certified of {asked.size}, {(asked & good).sum()} hold", flush=True)
-        for lane in np.flatnonzero(asked & ~good):
+        print(
+            f"{law}: {is_certified.sum()} certified of {is_certified.size}, {(is_certified & good).sum()} hold",
+            flush=True,
+        )
+        for lane in np.flatnonzero(is_certified & ~good):
             values = {name: column[lane] for name, column in columns.items()}
             labels = "; ".join(
                 f"{ds.regime.values[lane]} cycles {ds.cycles.values[lane]} impacts {ds.impacts.values[lane]:.3g}"

@@ -1,7 +1,7 @@
-"""Every hard case, in every precision and scene, beside the exact reference: a table, and the counts.
+"""Compare every hard case, in every precision and scene, with the exact reference; print a table and the counts.
 
-python tests/hard/check.py                        some 5 minutes
-python tests/hard/check.py --error 1e-6           with the steps of another accepted error, 1e-4 if none is given
+python tests/hard/check.py                        about 5 minutes
+python tests/hard/check.py --error 1e-6           with the steps of another accepted error (default 1e-4)
 python tests/hard/check.py vibro-impact           one of the sets below
 """
 
@@ -33,9 +33,9 @@ SETS = {  # scene, cases, usual point, precision, seconds, bound on the relative
     "penetration": ("penetration", ROCK, {"zeta": 1.1, "threshold": 150e3, "k3": 300e6}, "float64", 0.5, 1e-5),
 }
 ERROR = 1e-4
-"""Accepted error of the runs, the default. The bounds above are tighter than what it promises; its steps keep them."""
+"""Default accepted error of the runs. The bounds above are tighter than what it promises; its steps keep them."""
 
-SETTLE = {"penetration": 0.1}  # s: the pulse at t = 0 is no return of the package's, so whole pulses differ by one
+SETTLE = {"penetration": 0.1}  # s: the package does not count the pulse at t = 0, so whole pulses would differ by one
 
 
 def main(names, error):
@@ -46,8 +46,8 @@ def main(names, error):
         dataset = vj.run_sweep({"scene": scene, "points": columns(cases, usual), "run": run}, progress=False)
         counts = Counter()
         for index, (case, changes) in enumerate(lanes(cases)):
-            found = reference(scene, usual | changes, observe, SETTLE.get(scene, 0.0))
-            kind, remark = verdict(dataset.isel(point=index), found, bound_of(case, changes, bound, precision))
+            measured = reference(scene, usual | changes, observe, SETTLE.get(scene, 0.0))
+            kind, remark = verdict(dataset.isel(point=index), measured, bound_of(case, changes, bound, precision))
             counts[kind] += 1
             print(f"{name:24}{case:22}{kind:10}{remark:34}{changes}", flush=True)
         print(f"{name}: {dict(counts)}, {time.perf_counter() - began:.0f} s\n", flush=True)
@@ -57,5 +57,5 @@ if __name__ == "__main__":
     parser = ArgumentParser()
     parser.add_argument("names", nargs="*", metavar="SET")
     parser.add_argument("--error", type=float, default=ERROR)
-    asked = parser.parse_args()
-    main(asked.names or SETS, asked.error)
+    arguments = parser.parse_args()
+    main(arguments.names or SETS, arguments.error)

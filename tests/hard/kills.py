@@ -1,14 +1,15 @@
-"""Kills a sweep, its workers and drivers at random instants: no finished chunk is lost or made twice.
+"""Kill a sweep, its workers and drivers at random instants: no finished chunk may be lost or computed twice.
 
-    python tests/hard/kills.py [KILLS [SEED [DOOR ...]]]        200 kills of a single process, some quarter of an hour
+    python tests/hard/kills.py [KILLS [SEED [DOOR ...]]]        200 kills of a single process, some 15 minutes
     python tests/hard/kills.py 200 0 all                        200 kills over all doors
 
-A sweep goes on in one folder, each time by a door chosen by chance: this process alone, two spawned workers, three
-shares at once, a dask cluster, a pool of Python's, submitit's local jobs as an executor and as an array. A process of
-it, chosen by chance, is killed (SIGKILL, which nothing can catch) a random time after; where it was the driver, the
-sweep is started again. All the while every finished chunk is looked at: one that vanishes was lost, one that is
-replaced was made twice. At the end the dataset is that of a sweep that nobody killed, bit for bit, and nothing lies
-about.
+A sweep continues in one folder, each time through a random door. The doors are this process alone, two spawned
+workers, three shares at once, a dask cluster, a pool of Python's, and submitit's local jobs as an executor and as an
+array. After a random time, a random process of the sweep is killed (SIGKILL, which cannot be caught). If it was the
+driver, the sweep starts again.
+
+All finished chunks are watched: one that vanishes was lost, one that is replaced was computed twice. At the end the
+dataset equals that of an undisturbed sweep bit for bit, and no other file remains.
 """
 
 import contextlib
@@ -63,81 +64,81 @@ _ARRAY = """
 """
 SCRIPTS = {"pool": _POOL, "submitit": _SUBMITIT, "array": _ARRAY}
 DOORS = {"plain": 1, "processes": 3, "only": 3, "dask": 2, "pool": 2, "array": 2, "submitit": 0.3}
-"""The doors, and how often each is taken: submitit starts a process for every chunk."""
+"""The doors and their weights: submitit starts a process for every chunk."""
 
 WORKERS = ("spawn_main", "submitit.core._submit")
-"""What stands in the commands of processes that compute chunks."""
+"""Words in the commands of processes that compute chunks."""
 
 
 def children(process: int) -> list[int]:
-    """All processes below one, by number."""
-    found = []
+    """Return the numbers of all processes below one."""
+    below = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
             if int(stat.read_text().rpartition(")")[2].split()[1]) == process:
-                found += [int(stat.parent.name), *children(int(stat.parent.name))]
-    return found
+                below += [int(stat.parent.name), *children(int(stat.parent.name))]
+    return below
 
 
-def computing(processes: list[int]) -> list[int]:
-    """Those of them that compute chunks: not what looks after their semaphores, nor what is not yet what it will be."""
-    found = []
+def computing_chunks(processes: list[int]) -> list[int]:
+    """Return those that compute chunks, without resource trackers and without processes that are still starting."""
+    workers = []
     for process in processes:
         with contextlib.suppress(OSError):
             command = Path(f"/proc/{process}/cmdline").read_text()
             if any(word in command for word in WORKERS) and "resource_tracker" not in command:
-                found.append(process)
-    return found
+                workers.append(process)
+    return workers
 
 
 class Watch:
-    """Looks at the finished chunks all the while; `lost` and `twice` are counted."""
+    """A watch over the finished chunks, which counts those that are `lost` and those that are made `twice`."""
 
     def __init__(self, folder: Path, out: Path):
         self.folder, self.out, self.seen, self.lost, self.twice = folder, out, {}, 0, 0
-        self.over = threading.Event()
+        self.stopped = threading.Event()
         self.thread = threading.Thread(target=self._look, daemon=True)
         self.thread.start()
 
     def _look(self) -> None:
-        while not self.over.wait(0.02):
+        while not self.stopped.wait(0.02):
             self.look()
 
     def look(self) -> None:
-        found = {}
+        finished = {}
         with contextlib.suppress(FileNotFoundError):
             for entry in os.scandir(self.folder):
                 if entry.name.endswith(".shard"):
                     with contextlib.suppress(FileNotFoundError):
-                        about = entry.stat()
-                        found[entry.name] = (about.st_ino, about.st_mtime_ns)
-        self.twice += sum(1 for name, one in found.items() if self.seen.get(name, one) != one)
-        if not self.out.exists():  # else they are being removed
-            self.lost += sum(1 for name in self.seen if name not in found)
-        self.seen |= found
+                        status = entry.stat()
+                        finished[entry.name] = (status.st_ino, status.st_mtime_ns)
+        self.twice += sum(1 for name, identity in finished.items() if self.seen.get(name, identity) != identity)
+        if not self.out.exists():  # otherwise the sweep is removing them
+            self.lost += sum(1 for name in self.seen if name not in finished)
+        self.seen |= finished
 
     def close(self) -> None:
-        self.over.set()
+        self.stopped.set()
         self.thread.join()
 
 
 class Kills:
-    """Kills of one sweep in `folder`; `counted` says where they fell and what was seen after them."""
+    """A series of kills of one sweep in `folder`; `counts` holds the counts of kills and of their effects."""
 
     def __init__(self, folder: Path, seed: int = 0, doors: tuple[str, ...] = ("plain",)):
-        self.folder, self.random, self.counted, self.doors = folder, random.Random(seed), Counter(), doors
-        self.out, self.wanted = folder / OUT, ""
+        self.folder, self.random, self.counts, self.doors = folder, random.Random(seed), Counter(), doors
+        self.out, self.victim_kind = folder / OUT, ""
         (folder / "sweep.toml").write_text(SWEEP)
         for name, text in SCRIPTS.items():
             (folder / f"by_{name}.py").write_text(_SCRIPT + text)
         self.whole = folder / "whole.nc"
-        for _ in range(2):  # the first one compiles
+        for _ in range(2):  # the first run compiles
             began = time.monotonic()
             whole = self._command("sweep.toml", "-o", self.whole.name)
-            said = whole.communicate()[1]
-            assert whole.returncode == 0, said
-            self.longest = time.monotonic() - began
-        self.cluster, self.seen_all = None, time.monotonic()
+            errors = whole.communicate()[1]
+            assert whole.returncode == 0, errors
+            self.duration = time.monotonic() - began
+        self.cluster, self.workers_seen_at = None, time.monotonic()
         if "dask" in doors:
             self.cluster = self._cluster()
 
@@ -145,94 +146,94 @@ class Kills:
         if self.cluster is not None:
             self.cluster.close()
 
-    def one_run(self, most: int) -> int:
-        """Start over, kill at most `most` times, then let it end."""
+    def run_once(self, most: int) -> int:
+        """Start over, kill at most `most` times, then let the sweep finish."""
         self.out.unlink(missing_ok=True)
         watch, kills = Watch(self.folder / f"{OUT}.chunks", self.out), 0
         while not self.out.exists():
-            [door] = self.random.choices(self.doors, [DOORS[one] for one in self.doors])
-            started = self._started(door)
-            self.seen_all = began = time.monotonic()
-            wait = self.random.uniform(0.0, 0.9 * self.longest)
-            while any(one.poll() is None for one in started):
+            [door] = self.random.choices(self.doors, [DOORS[name] for name in self.doors])
+            processes = self._start(door)
+            self.workers_seen_at = began = time.monotonic()
+            wait = self.random.uniform(0.0, 0.9 * self.duration)
+            while any(process.poll() is None for process in processes):
                 time.sleep(0.02)
-                self.wanted = self.wanted or self.random.choice(["driver", "worker", "worker"])
+                self.victim_kind = self.victim_kind or self.random.choice(["driver", "worker", "worker"])
                 if door == "only":
-                    self.wanted = "driver"
-                if door == "dask" and not self._dask_workers() and time.monotonic() - self.seen_all > 30.0:
-                    self._begun_anew(started)
-                if kills < most and time.monotonic() - began > wait and (victim := self._victim(door, started)):
-                    self._kill(door, victim, started)
-                    kills, self.wanted = kills + 1, ""
+                    self.victim_kind = "driver"
+                if door == "dask" and not self._dask_workers() and time.monotonic() - self.workers_seen_at > 30.0:
+                    self._restart_cluster(processes)
+                if kills < most and time.monotonic() - began > wait and (victim := self._victim(door, processes)):
+                    self._kill(door, victim, processes)
+                    kills, self.victim_kind = kills + 1, ""
                     began, wait = time.monotonic(), self.random.uniform(0.3, 4.0)
-            for one in started:
-                said = one.communicate()[1].decode()
-                status = one.returncode
-                busy = status == 2 and "another process is at work there" in said
-                # All jobs were killed, or so many workers in a row that it was given up: what is finished is kept.
-                ended = status == 1 and ("the jobs ended, and" in said or "workers die before they finish" in said)
-                self.counted["given up after kills in a row"] += ended
-                assert status in (0, -signal.SIGKILL) or busy or ended, (door, status, said)
-                if busy:  # jobs that outlive who began them
+            for process in processes:
+                errors = process.communicate()[1].decode()
+                status = process.returncode
+                busy = status == 2 and "another process is at work there" in errors
+                # If all jobs or too many workers in a row are killed, the sweep gives up and keeps its finished chunks.
+                ended = status == 1 and ("the jobs ended, and" in errors or "workers die before they finish" in errors)
+                self.counts["given up after kills in a row"] += ended
+                assert status in (0, -signal.SIGKILL) or busy or ended, (door, status, errors)
+                if busy:  # jobs may outlive the process that started them
                     time.sleep(0.5)
         watch.close()
-        self.counted["chunks lost"] += watch.lost
-        self.counted["chunks computed twice"] += watch.twice
+        self.counts["chunks lost"] += watch.lost
+        self.counts["chunks computed twice"] += watch.twice
         self._compare()
         return kills
 
-    def _victim(self, door: str, started: list[subprocess.Popen]) -> int | None:
-        drivers = [one.pid for one in started if one.poll() is None]
-        below = [process for one in drivers for process in children(one)]
+    def _victim(self, door: str, processes: list[subprocess.Popen]) -> int | None:
+        drivers = [process.pid for process in processes if process.poll() is None]
+        below = [process for driver in drivers for process in children(driver)]
         if door == "dask" and self.cluster is not None:
             below += self._dask_workers()
-        choice = drivers if self.wanted == "driver" or door == "plain" else computing(below)
+        choice = drivers if self.victim_kind == "driver" or door == "plain" else computing_chunks(below)
         return self.random.choice(choice) if choice else None
 
     def _dask_workers(self) -> list[int]:
-        """Those of dask, once all of them are there: one that is killed while it starts its nanny gives up at times."""
+        """Return dask's workers once all of them run: a nanny may give up if its worker is killed while it starts."""
         nannies = list(self.cluster.workers.values())
-        if len(nannies) == 2 and all(one.status.name == "running" and one.pid for one in nannies):
-            self.seen_all = time.monotonic()
-            return [one.pid for one in nannies]
+        if len(nannies) == 2 and all(nanny.status.name == "running" and nanny.pid for nanny in nannies):
+            self.workers_seen_at = time.monotonic()
+            return [nanny.pid for nanny in nannies]
         return []
 
-    def _begun_anew(self, started: list[subprocess.Popen]) -> None:
-        """A new cluster, where dask has given up its workers: a sweep would wait for them, as it should."""
-        for one in started:
-            one.kill()
-        self.counted["clusters of dask begun anew"] += 1
+    def _restart_cluster(self, processes: list[subprocess.Popen]) -> None:
+        """Start a new cluster if dask has given up its workers: a sweep would wait for them, as it should."""
+        for process in processes:
+            process.kill()
+        self.counts["clusters of dask begun anew"] += 1
         self.cluster.close(timeout=10)
-        self.cluster, self.seen_all = self._cluster(), time.monotonic()
+        self.cluster, self.workers_seen_at = self._cluster(), time.monotonic()
 
     def _cluster(self):
         from distributed import LocalCluster
 
         return LocalCluster(2, processes=True, threads_per_worker=1, dashboard_address=":0")
 
-    def _kill(self, door: str, victim: int, started: list[subprocess.Popen]) -> None:
-        driver = next((one for one in started if one.pid == victim), None)
-        left = children(victim) if driver else []
+    def _kill(self, door: str, victim: int, processes: list[subprocess.Popen]) -> None:
+        driver = next((process for process in processes if process.pid == victim), None)
+        descendants = children(victim) if driver else []
         with contextlib.suppress(ProcessLookupError):
             os.kill(victim, signal.SIGKILL)
-        self.counted[f"{door}: {'driver' if driver else 'worker'} killed"] += 1
+        self.counts[f"{door}: {'driver' if driver else 'worker'} killed"] += 1
         if driver is None:
             return
         driver.wait()
         if door in ("processes", "pool"):
-            self._no_orphans(left, strict=door == "processes")
+            self._check_orphans(descendants, strict=door == "processes")
 
-    def _no_orphans(self, left: list[int], strict: bool) -> None:
+    def _check_orphans(self, descendants: list[int], strict: bool) -> None:
         end = time.monotonic() + 5.0
-        while (still := computing(left)) and time.monotonic() < end:
+        while (orphans := computing_chunks(descendants)) and time.monotonic() < end:
             time.sleep(0.02)
         if strict:
-            self.counted["orphans"] += len(still)
-        for process in still:  # of Python's own pool, which waits for ever
+            self.counts["orphans"] += len(orphans)
+        for process in orphans:  # Python's own pool waits for ever
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
 
-    def _started(self, door: str) -> list[subprocess.Popen]:
+    def _start(self, door: str) -> list[subprocess.Popen]:
         if door == "plain":
             return [self._command("sweep.toml", "-o", OUT)]
         if door == "processes":
@@ -244,28 +245,28 @@ class Kills:
             return [self._command("sweep.toml", "-o", OUT, "--workers", address)]
         return [self._process(f"by_{door}.py", "sweep.toml", OUT)]
 
-    def _command(self, *words: str) -> subprocess.Popen:
-        return self._process("-m", "vibrojax", "sweep", *words, "--quiet")
+    def _command(self, *arguments: str) -> subprocess.Popen:
+        return self._process("-m", "vibrojax", "sweep", *arguments, "--quiet")
 
-    def _process(self, *words: str) -> subprocess.Popen:
+    def _process(self, *arguments: str) -> subprocess.Popen:
         environment = os.environ | {"PYTHONPATH": str(ROOT), "VIBROJAX_CACHE": str(self.folder / "cache")}
         pipe = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-        return subprocess.Popen([sys.executable, *words], cwd=self.folder, env=environment, **pipe)
+        return subprocess.Popen([sys.executable, *arguments], cwd=self.folder, env=environment, **pipe)
 
     def _compare(self) -> None:
-        """The dataset is the same, and nothing lies about."""
-        with xr.open_dataset(self.whole) as expected, xr.open_dataset(self.out) as found:
+        """Check that the dataset is the same and that no other file remains."""
+        with xr.open_dataset(self.whole) as expected, xr.open_dataset(self.out) as result:
             for name in expected.variables:
-                np.testing.assert_array_equal(found[name].values, expected[name].values, err_msg=name)
-            assert list(found.variables) == list(expected.variables)
-        self.counted["datasets the same, bit for bit"] += 1
+                np.testing.assert_array_equal(result[name].values, expected[name].values, err_msg=name)
+            assert list(result.variables) == list(expected.variables)
+        self.counts["datasets the same, bit for bit"] += 1
         chunks = self.folder / f"{OUT}.chunks"
-        if chunks.exists():  # of who was killed while it removed them
-            self.counted["folders left by a kill after the end"] += 1
+        if chunks.exists():  # left by a process that was killed while it removed them
+            self.counts["folders left by a kill after the end"] += 1
             for path in chunks.iterdir():
                 path.unlink()
             chunks.rmdir()
-        self.counted["half-written files left"] += len([p for p in self.folder.iterdir() if p.name.endswith(".part")])
+        self.counts["half-written files left"] += len([p for p in self.folder.iterdir() if p.name.endswith(".part")])
 
 
 def main(most: str = "200", seed: str = "0", *doors: str) -> None:
@@ -273,8 +274,8 @@ def main(most: str = "200", seed: str = "0", *doors: str) -> None:
         kills, done = Kills(Path(folder), int(seed), tuple(DOORS) if doors == ("all",) else doors or ("plain",)), 0
         try:
             while done < int(most):
-                done += kills.one_run(min(10, int(most) - done))
-                print(f"{done} kills: " + ", ".join(f"{what}: {n}" for what, n in kills.counted.items()), flush=True)
+                done += kills.run_once(min(10, int(most) - done))
+                print(f"{done} kills: " + ", ".join(f"{effect}: {n}" for effect, n in kills.counts.items()), flush=True)
         finally:
             kills.close()
 

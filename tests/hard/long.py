@@ -1,6 +1,6 @@
-"""10^5 cycles: what a lane of a periodic motion has become by then, beside what it was after a thousand.
+"""Compare lanes of periodic motion after 10^5 cycles with the same lanes after a thousand cycles.
 
-python tests/hard/long.py        some 2 minutes
+python tests/hard/long.py        about 2 minutes
 """
 
 import sys
@@ -23,14 +23,14 @@ SETTLE = {"short": 400.0, "twice": 800.0, "long": 4e4}  # s
 
 
 def main():
-    found = {}
+    results = {}
     for name, settle in SETTLE.items():
         began = time.perf_counter()
         run = {"settle": settle, "end_early": False, "error": ERROR}
         chunks = Chunks(read_sweep({"scene": "vibro-impact", "points": POINTS, "run": run}))
-        found[name] = chunks.at(chunks.accuracy)
+        results[name] = chunks.at(chunks.accuracy)
         print(f"{name:8}{settle:8g} s settled in {time.perf_counter() - began:.0f} s", flush=True)
-    short, long = found["short"], found["long"]
+    short, long = results["short"], results["long"]
     periodic = short["cycles"] > 0
     same = (long["cycles"] == short["cycles"])[periodic]
     fewest = (SETTLE["long"] / long["period"])[periodic].min()
@@ -39,8 +39,8 @@ def main():
     print(f"{steps:.3g} steps at most; all came to their end: {bool(long['finished'].all())}")
     for name in ("period", "impact_velocity"):
         for other in ("twice", "long"):
-            apart = np.abs(found[other][name] / short[name] - 1)[periodic]
-            print(f"{name:16}short to {other:6}{apart.max():.1e}")
+            deviation = np.abs(results[other][name] / short[name] - 1)[periodic]
+            print(f"{name:16}short to {other:6}{deviation.max():.1e}")
 
 
 if __name__ == "__main__":

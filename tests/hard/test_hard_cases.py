@@ -1,6 +1,6 @@
-"""Hard cases: each lane is what the exact reference says, or refused or flagged with a reason; none is silently wrong.
+"""Tests of hard cases: each lane is exact, or refused or flagged with a reason; none is silently wrong.
 
-Those that take long are in `python tests/hard/check.py`, whose table is in the README beside it.
+`python tests/hard/check.py` runs the slow ones; its table is in the README beside it.
 """
 
 import csv
@@ -33,53 +33,53 @@ SHORT = {
 }
 
 
-def swept(cases, **run):
+def run_cases(cases, **run):
     run = {"settle": 0.0, "observe": OBSERVE} | run
     return vj.run_sweep({"scene": "vibro-impact", "points": columns(cases, USUAL), "run": run}, progress=False)
 
 
 @pytest.fixture(scope="module")
 def short():
-    return swept(SHORT)
+    return run_cases(SHORT)
 
 
-def test_the_bundled_sweep_is_that_of_the_cases():
+def test_bundled_sweep_holds_the_cases():
     with open(SWEEPS / "hard_cases.csv", newline="") as file:
         rows = list(csv.reader(file))
-    found = dict(zip(rows[0], zip(*rows[1:], strict=True), strict=True))
+    file_columns = dict(zip(rows[0], zip(*rows[1:], strict=True), strict=True))
     expected = columns(DRILL, USUAL)
-    assert list(found) == list(expected)
-    for name, column in found.items():
+    assert list(file_columns) == list(expected)
+    for name, column in file_columns.items():
         assert [cell if name == "start" else float(cell) for cell in column] == expected[name]
     assert vj.read_sweep("hard-cases").lanes == len(lanes(DRILL))
 
 
-def test_exact_or_told(short):
+def test_exact_or_reported(short):
     seen = set()
     for index, (case, changes) in enumerate(lanes(SHORT)):
         bound = bound_of(case, changes, 1e-5)
         kind, remark = verdict(short.isel(point=index), reference("vibro-impact", USUAL | changes, OBSERVE), bound)
         assert kind in ("exact", "refused", "flagged"), (case, changes, remark)
-        told = {"flagged": {"gamma": 1e155}, "refused": {"v": 5e-324}}.get(kind)
-        assert told in (None, changes), (case, changes, kind, remark)
+        expected = {"flagged": {"gamma": 1e155}, "refused": {"v": 5e-324}}.get(kind)
+        assert expected in (None, changes), (case, changes, kind, remark)
         seen.add(kind)
     assert seen == {"exact", "flagged", "refused"}
 
 
-def test_the_file_says_how_long_lanes_settled(short):
-    """Labels depend on it; what the sweep leaves to defaults is there too."""
+def test_dataset_records_run_settings(short):
+    """Labels depend on the settling time. Settings that the sweep leaves to defaults are recorded too."""
     run = json.loads(short.attrs["run"])
     expected = {"settle": 0.0, "observe": OBSERVE, "error": 1e-4, "end_early": True, "precision": "float64"}
     assert expected.items() <= run.items()
 
 
-def test_a_lane_that_blows_up_leaves_its_neighbours_alone(short):
-    """Bit for bit, wherever it stands in the block."""
+def test_failed_lane_does_not_affect_neighbours(short):
+    """Neighbours are equal bit for bit, at any position in the block."""
     without = {name: [point for point in points if point != {"gamma": 1e155}] for name, points in SHORT.items()}
-    alone = swept(without)
+    undisturbed = run_cases(without)
     kept = [index for index, (_, changes) in enumerate(lanes(SHORT)) if changes != {"gamma": 1e155}]
-    for name in alone.data_vars:
-        np.testing.assert_array_equal(alone[name].values, short[name].values[kept], err_msg=name)
+    for name in undisturbed.data_vars:
+        np.testing.assert_array_equal(undisturbed[name].values, short[name].values[kept], err_msg=name)
     failed = short.isel(point=[index for index in range(short.sizes["point"]) if index not in kept])
     flags = short.regime.attrs["flag_meanings"].split()
     assert [flags[flag] for flag in failed.regime.values] == ["failed"]
@@ -87,8 +87,8 @@ def test_a_lane_that_blows_up_leaves_its_neighbours_alone(short):
 
 
 @pytest.mark.parametrize("changes", [{"c2": 1e10}, {"beta": 1e-12}, {"k1": 1e30}, {"c0": 1e300}])
-def test_what_is_too_stiff_is_refused(changes):
-    """Not labelled an equilibrium, because nothing moves in a step of 1e-12 s."""
+def test_too_stiff_lane_is_refused(changes):
+    """Nothing moves in a step of 1e-12 s, but the lane must not be labelled an equilibrium."""
     sweep = vj.read_sweep(
         {"scene": "vibro-impact", "starts": ["stuck"], "points": {n: [x] for n, x in changes.items()}}
     )
@@ -97,16 +97,16 @@ def test_what_is_too_stiff_is_refused(changes):
     assert not too_stiff_or_slow(usual, usual.lane_values(0, 3)[0])[0].any()
 
 
-def test_what_creeps_below_the_roundings_is_refused():
-    """In float32 a drive of 1e-6 m/s passes for being at rest; not so a drive at rest, or one in float64."""
+def test_motion_below_rounding_is_refused():
+    """In float32 a drive of 1e-6 m/s looks like one at rest. A drive at rest is accepted, as is one in float64."""
     grid = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"v": [0.0, 1e-6, 1.5]}}
     for precision, expected in (("float32", [False, True, False]), ("float64", [False] * 3)):
         sweep = vj.read_sweep(grid | {"run": {"precision": precision}})
         assert too_stiff_or_slow(sweep, sweep.lane_values(0, 3)[0])[1].tolist() == expected
 
 
-def test_a_lane_is_given_up_in_float32_too():
-    """After 1e6 steps and 1000 a second: in 2e4 s beyond 2^24, where a float32 plus one is itself."""
+def test_float32_lane_with_too_many_steps_is_abandoned():
+    """The limit is 1e6 steps plus 1000 per second: in 2e4 s it exceeds 2^24, where a float32 plus one is itself."""
     sweep = vj.read_sweep(
         {"scene": "rotary", "starts": ["stuck"], "grid": {"v": [1.5]}, "run": {"precision": "float32"}}
     )
@@ -120,9 +120,11 @@ def test_a_lane_is_given_up_in_float32_too():
 
 
 @pytest.mark.parametrize("changes", [{}, {"k0": 1e9, "c0": 1e3}, {"delta": -0.02, "start": "drive"}])
-def test_what_holds_at_every_instant(changes):
-    """Friction brakes; J is no less than k0 (x2 - delta) + c0 x2' in contact, and never pulls; the ledger of energy:
-    F v = F u + c2 x2'^2 + J x2' + change of energy."""
+def test_invariants_at_every_instant(changes):
+    """Friction brakes. In contact J is no less than k0 (x2 - delta) + c0 x2', and it never pulls.
+
+    The ledger of energy holds: F v = F u + c2 x2'^2 + J x2' + change of energy.
+    """
     point = USUAL | changes
     motion = vj.simulate("vibro-impact", **point, duration=0.5, sampling=5e-6, progress=False)
     m1, k1 = 250.0, 156250.0

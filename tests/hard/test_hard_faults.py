@@ -1,6 +1,6 @@
-"""Faults of the machine, made for real: a full disk, a folder that cannot be written, Ctrl-C, a clock that jumps.
+"""Tests of real faults of the machine: a full disk, a folder that cannot be written, Ctrl-C, a clock that jumps.
 
-Each ends in one line and a status, and what was computed is there.
+Each ends in one line and a status, and keeps what was computed.
 """
 
 import os
@@ -34,15 +34,15 @@ step = 1e-4
 """
 
 
-def started(folder, *words, before="", **environment) -> subprocess.Popen:
-    """`vibrojax WORDS` in a process of its own, at work in `folder`; the program `before` runs in it first.
+def start_command(folder, *arguments, before="", **environment) -> subprocess.Popen:
+    """Start `vibrojax ARGUMENTS` in `folder`, in a process of its own that first runs the program `before`.
 
-    By exec, not in a fork of this process, whose threads are jax's.
+    It replaces itself by exec, because this process must not fork: its threads are jax's.
     """
     first = "import os, signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
     then = "os.execv(sys.executable, [sys.executable, '-m', 'vibrojax', *sys.argv[1:]])"
     return subprocess.Popen(
-        [sys.executable, "-c", "\n".join([first, before, then]), *words],
+        [sys.executable, "-c", "\n".join([first, before, then]), *arguments],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
         stdout=subprocess.PIPE,
@@ -51,19 +51,19 @@ def started(folder, *words, before="", **environment) -> subprocess.Popen:
     )
 
 
-def ended(process) -> tuple[int, str]:
-    """Status, and what it said on stderr."""
-    _, said = process.communicate(timeout=120)
-    return process.returncode, said
+def wait_for_end(process) -> tuple[int, str]:
+    """Return the status and the text on stderr."""
+    _, errors = process.communicate(timeout=120)
+    return process.returncode, errors
 
 
-def run(folder, *words, **named) -> tuple[int, str]:
-    return ended(started(folder, *words, **named))
+def run(folder, *arguments, **options) -> tuple[int, str]:
+    return wait_for_end(start_command(folder, *arguments, **options))
 
 
-def one_line(said: str) -> str:
-    assert said.startswith("vibrojax: ") and said.count("\n") == 1, said
-    return said
+def one_line(text: str) -> str:
+    assert text.startswith("vibrojax: ") and text.count("\n") == 1, text
+    return text
 
 
 def chunks(folder) -> dict[str, bytes]:
@@ -87,28 +87,28 @@ def folder(tmp_path):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """The dataset of the sweep as a process makes it that nothing disturbs."""
+    """Return the dataset of a sweep that nothing disturbs."""
     folder = tmp_path_factory.mktemp("whole")
     (folder / "map.toml").write_text(SWEEP)
     assert run(folder, "sweep", "map.toml", "--quiet") == (0, "")
     return folder / "map.nc"
 
 
-def assert_same(one, other) -> None:
-    """Same variables and coordinates, bit for bit; of the attributes only times and dates may differ."""
-    with xr.open_dataset(one) as found, xr.open_dataset(other) as expected:
-        xr.testing.assert_identical(found.drop_attrs(deep=False), expected.drop_attrs(deep=False))
-        differing = {name for name in expected.attrs if found.attrs[name] != expected.attrs[name]}
+def assert_same(path, reference) -> None:
+    """Check that variables and coordinates are equal bit for bit; among attributes only times and dates may differ."""
+    with xr.open_dataset(path) as result, xr.open_dataset(reference) as expected:
+        xr.testing.assert_identical(result.drop_attrs(deep=False), expected.drop_attrs(deep=False))
+        differing = {name for name in expected.attrs if result.attrs[name] != expected.attrs[name]}
         assert differing <= {"history", "wall_time_s"}
 
 
-def limited(size: int) -> str:
-    """No file of this process grows beyond `size` bytes: the kernel refuses the rest, as of a full disk."""
+def limit_file_size(size: int) -> str:
+    """Return a program that limits its files to `size` bytes: the kernel refuses the rest, as on a full disk."""
     return f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, resource.RLIM_INFINITY))"
 
 
-def test_the_disk_fills_at_any_byte(tmp_path):
-    """A dataset that is written is there whole, or not at all and with the system's reason."""
+def test_disk_fills_at_any_byte(tmp_path):
+    """A dataset is written whole, or not at all and with the system's reason."""
     values = np.random.default_rng(0).random(2000)
     dataset = xr.Dataset({"x": ("lane", values)}, attrs={"source": "vibrojax 0"})
     out = tmp_path / "out.nc"
@@ -130,22 +130,22 @@ def test_the_disk_fills_at_any_byte(tmp_path):
     assert seen == {"File too large", "whole"}
 
 
-def test_a_full_disk(folder, whole):
-    """Full as the fourth chunk is written, then as the dataset is: what was computed is kept, and in the end used."""
-    process = started(folder, "sweep", "map.toml", "--quiet")
+def test_full_disk(folder, whole):
+    """The disk is full at the fourth chunk, then at the dataset: finished chunks are kept, and used in the end."""
+    process = start_command(folder, "sweep", "map.toml", "--quiet")
     wait_for(lambda: len(chunks(folder)) >= 1, process)
-    for index in range(3, CHUNKS):  # /dev/full takes nothing, ever
+    for index in range(3, CHUNKS):  # /dev/full accepts no byte
         path = folder / "map.nc.chunks" / f"chunk-{index:08d}.shard.{process.pid}.tmp"
         if not path.with_suffix("").with_suffix("").exists():
             path.symlink_to("/dev/full")
-    status, said = ended(process)
-    to_go_on = "finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
-    assert status == 1 and one_line(said).endswith(f".shard: No space left on device; {to_go_on}")
+    status, errors = wait_for_end(process)
+    advice = "finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
+    assert status == 1 and one_line(errors).endswith(f".shard: No space left on device; {advice}")
     kept = chunks(folder)
     assert kept
-    # No file may grow beyond that: a chunk does not, the dataset does.
-    status, said = run(folder, "sweep", "map.toml", "--quiet", before=limited(8000))
-    assert status == 1 and one_line(said) == f"vibrojax: map.nc: File too large; {to_go_on}"
+    # The chunks are smaller than this limit, the dataset is larger.
+    status, errors = run(folder, "sweep", "map.toml", "--quiet", before=limit_file_size(8000))
+    assert status == 1 and one_line(errors) == f"vibrojax: map.nc: File too large; {advice}"
     assert len(chunks(folder)) == CHUNKS and kept.items() <= chunks(folder).items()
     assert not (folder / "map.nc").exists()
     assert run(folder, "sweep", "map.toml", "--quiet") == (0, "")
@@ -160,25 +160,27 @@ if os.geteuid() == 0:  # root obeys the modes of files too, once it has dropped 
 """
 
 
-def test_a_folder_that_cannot_be_written(folder):
+def test_unwritable_folder(folder):
     folder.chmod(0o555)
     try:
-        status, said = run(folder, "sweep", "map.toml", before=BOUND_BY_MODES)
+        status, errors = run(folder, "sweep", "map.toml", before=BOUND_BY_MODES)
     finally:
         folder.chmod(0o755)
-    assert status == 2 and '-o: "map.nc": folder "." cannot be written (Permission denied)' in one_line(said)
+    assert status == 2 and '-o: "map.nc": folder "." cannot be written (Permission denied)' in one_line(errors)
 
 
-def test_chunks_closed_deleted_cut_and_flipped(folder, whole):
-    """The folder is closed while the sweep runs: what was there stays. Of what is damaged then each is told, and
-    computed again; the others are used."""
-    process = started(folder, "sweep", "map.toml", "--quiet", before=BOUND_BY_MODES)
+def test_chunks_closed_deleted_truncated_and_flipped(folder, whole):
+    """The folder is closed while the sweep runs, and its chunks stay.
+
+    Then each damaged chunk is reported and computed again; the others are used.
+    """
+    process = start_command(folder, "sweep", "map.toml", "--quiet", before=BOUND_BY_MODES)
     wait_for(lambda: len(chunks(folder)) >= 3, process)
     closed = folder / "map.nc.chunks"
     closed.chmod(0o555)
-    status, said = ended(process)
+    status, errors = wait_for_end(process)
     closed.chmod(0o755)
-    assert status == 1 and "Permission denied; finished chunks are kept; to go on" in one_line(said)
+    assert status == 1 and "Permission denied; finished chunks are kept; to go on" in one_line(errors)
     paths = sorted(closed.glob("*.shard"))
     assert len(paths) >= 3
     paths[0].unlink()
@@ -187,20 +189,20 @@ def test_chunks_closed_deleted_cut_and_flipped(folder, whole):
     flipped[len(flipped) // 2] ^= 16
     paths[2].write_bytes(flipped)
     (closed / "manifest.json").write_bytes(b"{")
-    status, said = run(folder, "sweep", "map.toml", "--quiet")
+    status, errors = run(folder, "sweep", "map.toml", "--quiet")
     lines = [f"vibrojax: warning: {path.relative_to(folder)}: damaged; computed again" for path in paths[1:3]]
-    assert (status, said.splitlines()) == (0, lines)
+    assert (status, errors.splitlines()) == (0, lines)
     assert_same(folder / "map.nc", whole)
 
 
 def test_two_processes_on_one_output(folder, whole):
-    """One does it, the other is sent away; at no time do both. Two fresh processes, so, give the same bits."""
-    processes = [started(folder, "sweep", "map.toml", "--quiet") for _ in range(2)]
-    found = sorted(ended(process) for process in processes)
-    assert found[0] == (0, "")
-    status, said = found[1]
-    if status:  # else it came when the other had ended
-        assert status == 2 and "map.nc.chunks: another process is at work there" in one_line(said)
+    """One process computes and the other is refused; never do both compute. Two fresh processes give the same bits."""
+    processes = [start_command(folder, "sweep", "map.toml", "--quiet") for _ in range(2)]
+    results = sorted(wait_for_end(process) for process in processes)
+    assert results[0] == (0, "")
+    status, errors = results[1]
+    if status:  # otherwise it came after the other one had ended
+        assert status == 2 and "map.nc.chunks: another process is at work there" in one_line(errors)
     assert_same(folder / "map.nc", whole)
 
 
@@ -210,21 +212,21 @@ def test_two_processes_on_one_output(folder, whole):
     + [(signal.SIGTERM, 3.0, (143, "terminated; "))],
 )
 def test_ctrl_c_is_answered_at_once(folder, sent, seconds, expected):
-    """Also while jax is imported and while lanes compile; with how to go on. SIGTERM does likewise.
+    """Ctrl-C is answered also while jax is imported and while lanes compile, with how to continue. So is SIGTERM.
 
-    Within a second, or, where other work slows the machine, twice what importing jax takes there: at the third try at
-    the latest, since what lies beside comes and goes (4 s were seen once).
+    The limit is a second or, if other work slows the machine, twice the time of importing jax there. It allows three
+    tries, because other work comes and goes (4 s were seen once).
     """
     for _ in range(3):
-        process = started(folder, "sweep", "map.toml", "--quiet", "--fresh")
+        process = start_command(folder, "sweep", "map.toml", "--quiet", "--fresh")
         time.sleep(seconds)
         began = time.monotonic()
         process.send_signal(sent)
-        status, said = ended(process)
+        status, errors = wait_for_end(process)
         took = time.monotonic() - began
-        if status == 0:  # on a fast machine it had ended
+        if status == 0:  # on a fast machine the sweep had ended
             return
-        assert status == expected[0] and expected[1] in one_line(said)
+        assert status == expected[0] and expected[1] in one_line(errors)
         began = time.monotonic()
         subprocess.run([sys.executable, "-c", "import jax"], check=True)
         if took < max(1.0, 2 * (time.monotonic() - began)):
@@ -232,16 +234,16 @@ def test_ctrl_c_is_answered_at_once(folder, sent, seconds, expected):
     raise AssertionError(f"{took:.3g} s")
 
 
-def test_sigterm_ends_as_cleanly_as_ctrl_c(folder, whole):
-    """What a shutdown or a batch system's limit sends: one line on how to go on, status 128 + 15, and it does go on."""
-    process = started(folder, "sweep", "map.toml", "--quiet")
+def test_sigterm_ends_like_ctrl_c(folder, whole):
+    """Shutdowns and batch systems send it. One line says how to continue, which works; the status is 128 + 15."""
+    process = start_command(folder, "sweep", "map.toml", "--quiet")
     wait_for(lambda: len(chunks(folder)) >= 2, process)
     process.send_signal(signal.SIGTERM)
-    status, said = ended(process)
+    status, errors = wait_for_end(process)
     kept = chunks(folder)
     line = "vibrojax: terminated; finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
-    if not (folder / "map.nc").exists():  # else a fast machine had come to its picture, or to its end
-        assert (status, said) == (143, line) and len(kept) >= 2
+    if not (folder / "map.nc").exists():  # otherwise a fast machine had reached its picture, or its end
+        assert (status, errors) == (143, line) and len(kept) >= 2
     assert run(folder, "sweep", "map.toml", "--quiet") == (0, "")
     assert_same(folder / "map.nc", whole)
 
@@ -263,56 +265,56 @@ int clock_gettime(clockid_t which, struct timespec *now) {
 
 
 @pytest.mark.skipif(not shutil.which("cc"), reason="the clock is bent by a small library, which a C compiler makes")
-def test_ctrl_c_and_a_clock_that_jumps(folder, whole):
-    """Back to before 1970 and on to 2100 at every second look at it; files bear the wrong dates too.
+def test_ctrl_c_and_jumping_clock(folder, whole):
+    """Readings of the clock alternate between before 1970 and 2100; files have the wrong dates too.
 
-    XLA says on stderr how slow its compiler must have been.
+    XLA reports on stderr how slow its compiler must have been.
     """
     (folder / "clock.c").write_text(CLOCK)
     subprocess.run(["cc", "-shared", "-fPIC", "-o", "clock.so", "clock.c", "-ldl"], cwd=folder, check=True)
-    bent = {"LD_PRELOAD": str(folder / "clock.so")}
-    process = started(folder, "sweep", "map.toml", "--quiet", **bent)
+    environment = {"LD_PRELOAD": str(folder / "clock.so")}
+    process = start_command(folder, "sweep", "map.toml", "--quiet", **environment)
     wait_for(lambda: len(chunks(folder)) >= 2, process)
     process.send_signal(signal.SIGINT)
-    status, said = ended(process)
+    status, errors = wait_for_end(process)
     kept = chunks(folder)
-    done = (folder / "map.nc").exists()  # a fast machine had come to its picture
-    lines = ["vibrojax: interrupted; map.nc is whole; for its picture: vibrojax plot map.nc\n"] * done
+    finished = (folder / "map.nc").exists()  # a fast machine had reached its picture
+    lines = ["vibrojax: interrupted; map.nc is whole; for its picture: vibrojax plot map.nc\n"] * finished
     lines.append("vibrojax: interrupted; finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n")
-    assert status == 130 and said.endswith(tuple(lines))
+    assert status == 130 and errors.endswith(tuple(lines))
     for index, name in enumerate(kept):
         os.utime(folder / "map.nc.chunks" / name, (0, 0) if index % 2 else (4102444800, 4102444800))
-    status, said = run(folder, "sweep", "map.toml", "--quiet", **bent)
-    assert status == 0 and (done or len(kept) >= 2) and "vibrojax" not in said and "Traceback" not in said
+    status, errors = run(folder, "sweep", "map.toml", "--quiet", **environment)
+    assert status == 0 and (finished or len(kept) >= 2) and "vibrojax" not in errors and "Traceback" not in errors
     assert_same(folder / "map.nc", whole)
     with xr.open_dataset(folder / "map.nc") as dataset:
         assert dataset.history[:4] in ("2100", "1969") and 0 < dataset.wall_time_s < 1000
 
 
-def test_chunks_deleted_while_it_runs(folder, whole):
-    """Even the whole folder: it is made again, and the dataset is whole."""
-    process = started(folder, "sweep", "map.toml", "--quiet")
+def test_chunks_deleted_during_run(folder, whole):
+    """Even if the whole folder is deleted, it is made again, and the dataset is whole."""
+    process = start_command(folder, "sweep", "map.toml", "--quiet")
     wait_for(lambda: len(chunks(folder)) >= 3, process)
     shutil.rmtree(folder / "map.nc.chunks", ignore_errors=True)
-    status, said = ended(process)
-    assert status == 0, said
+    status, errors = wait_for_end(process)
+    assert status == 0, errors
     assert_same(folder / "map.nc", whole)
 
 
-def test_a_disk_that_is_too_small_is_seen_before(tmp_path):
+def test_too_small_disk_is_detected_in_advance(tmp_path):
     sweep = 'scene = "rotary"\n[grid]\nbeta = { start = 0.1, stop = 1, num = 1000000 }\n'
     for axis in ("gamma", "v"):
         sweep += f"{axis} = {{ start = 0.1, stop = 1, num = 1000 }}\n"
     (tmp_path / "map.toml").write_text(sweep)
-    status, said = run(tmp_path, "sweep", "map.toml")
+    status, errors = run(tmp_path, "sweep", "map.toml")
     assert status == 2
-    line = one_line(said)
+    line = one_line(errors)
     assert "map.toml: grid: 2000000000000 lanes need about " in line and " TB of disk, " in line and " days of" in line
     assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]
 
 
-def test_a_folder_of_chunks_is_taken_from_one_who_just_left(tmp_path):
-    """Its maker removes it between this process's look at it and its lock."""
+def test_removed_folder_of_chunks_is_made_again(tmp_path):
+    """Its owner removes it between this process's check and its lock."""
     shards = Shards(tmp_path / "out.nc.chunks", {})
     shards.open(resume=True)
     shards.write(0, {"x": np.zeros(3)})

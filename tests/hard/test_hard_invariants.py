@@ -1,7 +1,7 @@
-"""What holds at every instant and over any time, whatever the parameters: on the hard lanes and on a random box.
+"""Tests of invariants, at every instant and over any time, for any parameters: on the hard lanes and on a random box.
 
-Energy and momenta are summed over every step by Gauss' rule of 12 points, exact for products of two of the steps'
-polynomials, with forces written down here from eqs. 5.9 to 5.18.
+Energy and momenta are summed over every step by Gauss' rule of 12 points, which is exact for products of two of the
+step's polynomials. The forces are written down here from eqs. 5.9 to 5.18.
 """
 
 import jax
@@ -24,7 +24,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
 def box(count, seed=20):
-    """Points of a wide box, from both starts in turn."""
+    """Return points of a wide box, from both starts in turn."""
     rng = np.random.default_rng(seed)
     spans = {"beta": (0.05, 2), "gamma": (0.2, 3), "v": (0.05, 5), "mu": (0.05, 1), "c2": (1, 1e4)}
     spans |= {"k0": (1e6, 1e9), "c0": (0.1, 1e5)}
@@ -38,7 +38,7 @@ POINTS += box(128 - len(POINTS))
 
 
 def forces(p, mode, y):
-    """F and J [N] in the mode, and k0 (x2 - delta) + c0 x2' (eqs. 5.9 to 5.12, 5.18)."""
+    """Return F and J [N] in the mode, and k0 (x2 - delta) + c0 x2' (eqs. 5.9 to 5.12, 5.18)."""
     x1, v1, x2, v2 = y
     slip, touching = mode
     raw = p["k0"] * (x2 - p["delta"]) + p["c0"] * v2
@@ -47,11 +47,14 @@ def forces(p, mode, y):
     return jnp.where(slip == 0, p["k2"] * (x2 - x1) - p["k1"] * x1, sliding), J, raw
 
 
-def summed(constants, state):
-    """The end state; sums over time of F, J, x1, x2, F v and what it is spent on; and the least of F u, J and J less
-    k0 (x2 - delta) + c0 x2' where x2 >= delta, each (lanes,)."""
+def integrate(constants, state):
+    """Return the end state, the remaining time, sums over time, and least values, each (lanes,).
 
-    def take_in(step, sums, least):
+    The sums are of F, J, x1, x2, F v and what F v is spent on. The least values are of F u, J, and J less
+    k0 (x2 - delta) + c0 x2' where x2 >= delta.
+    """
+
+    def add_step(step, sums, least):
         tau = step.tau[None] * (jnp.asarray(NODES)[:, None] + 1) / 2
         y = []
         for series in step.polynomials:
@@ -65,93 +68,104 @@ def summed(constants, state):
         F, J, raw = keep(forces(each, mode, y))
         u = v1 + each["v"]
         spent = F * u + each["c2"] * v2**2 + J * v2
-        over = {"F": F, "J": J, "x1": x1, "x2": x2, "given": F * each["v"], "spent": spent, "sizes": jnp.abs(spent)}
+        integrands = {
+            "F": F,
+            "J": J,
+            "x1": x1,
+            "x2": x2,
+            "given": F * each["v"],
+            "spent": spent,
+            "sizes": jnp.abs(spent),
+        }
         weights = jnp.asarray(WEIGHTS)[:, None] * (step.h * step.tau)[None] / 2
-        sums = {name: sums[name] + jnp.sum(weights * one, axis=0) for name, one in over.items()}
-        moved = (step.tau > 0)[None]
+        sums = {name: sums[name] + jnp.sum(weights * integrand, axis=0) for name, integrand in integrands.items()}
+        has_moved = (step.tau > 0)[None]
         lows = {"F u": F * u, "J": J, "J - raw": jnp.where(x2 >= each["delta"], J - raw, 0.0)}
-        lows = {name: jnp.min(jnp.where(moved, one, 0.0), axis=0) for name, one in lows.items()}
-        return sums, {name: jnp.minimum(least[name], one) for name, one in lows.items()}
+        lows = {name: jnp.min(jnp.where(has_moved, low, 0.0), axis=0) for name, low in lows.items()}
+        return sums, {name: jnp.minimum(least[name], low) for name, low in lows.items()}
 
-    def goes_on(carry):
+    def continues(carry):
         lane, *_, steps = carry
         return jnp.any(lane.clock.until(DURATION) > 0) & (steps < 50_000)
 
-    def one(carry):
+    def take_step(carry):
         lane, sums, least, steps = carry
         moving = lane.clock.until(DURATION) > 0
         goal = Goal(jnp.asarray(DURATION), moving)
         lane, step = Located().step(SCENE, constants, lane, SETTINGS, goal, marked=False)
-        return lane, *take_in(keep(step), sums, least), steps + 1
+        return lane, *add_step(keep(step), sums, least), steps + 1
 
-    none = jnp.zeros_like(state[0])
-    sums = dict.fromkeys(("F", "J", "x1", "x2", "given", "spent", "sizes"), none)
-    least = dict.fromkeys(("F u", "J", "J - raw"), none)
-    lane, sums, least, _ = jax.lax.while_loop(goes_on, one, (lane_at(SCENE, constants, state), sums, least, 0))
+    zeros = jnp.zeros_like(state[0])
+    sums = dict.fromkeys(("F", "J", "x1", "x2", "given", "spent", "sizes"), zeros)
+    least = dict.fromkeys(("F u", "J", "J - raw"), zeros)
+    lane, sums, least, _ = jax.lax.while_loop(continues, take_step, (lane_at(SCENE, constants, state), sums, least, 0))
     return lane.state, lane.clock.until(DURATION), sums, least
 
 
 @pytest.fixture(scope="module")
 def motions():
-    """Constants, first and last states, sums and least values of all lanes, numpy."""
+    """Return constants, first and last states, sums and least values of all lanes, as numpy arrays."""
     values = {name: q.default for name, q in SCENE.parameters().items()}
-    given = {name: jnp.asarray([float(point.get(name, x)) for point in POINTS]) for name, x in values.items()}
-    p = SCENE.constants(given)
+    parameters = {name: jnp.asarray([float(point.get(name, x)) for point in POINTS]) for name, x in values.items()}
+    p = SCENE.constants(parameters)
     stuck = jnp.asarray([point["start"] == "stuck" for point in POINTS])
     starts = [SCENE.start(p, name, stuck.shape) for name in ("stuck", "drive")]
     state = tuple(jnp.where(stuck, *both) for both in zip(*starts, strict=True))
     arguments = SCENE.scaled(p, state), state
-    end, left, sums, least = Kernel(summed, *arguments)(*arguments)
-    assert np.all(np.asarray(left) <= 0), [POINTS[i] for i in np.flatnonzero(np.asarray(left) > 0)]
+    end, remaining, sums, least = Kernel(integrate, *arguments)(*arguments)
+    assert np.all(np.asarray(remaining) <= 0), [POINTS[i] for i in np.flatnonzero(np.asarray(remaining) > 0)]
     return jax.tree.map(np.asarray, (dict(Flat(p)), state, end, sums, least))
 
 
-def told(wrong):
-    """The first of the lanes that are wrong."""
+def wrong_points(wrong):
+    """Return the points of the first lanes that are wrong."""
     return [POINTS[i] for i in np.flatnonzero(wrong)[:3]]
 
 
 def test_energy(motions):
-    """F v = F u + c2 x2'^2 + J x2' + change of energy; the contact's spring is not in it."""
+    """F v = F u + c2 x2'^2 + J x2' + change of energy, which does not include the contact's spring."""
     p, first, last, sums, _ = motions
 
     def energy(x1, v1, x2, v2):
         return (p["m1"] * v1**2 + p["m2"] * v2**2 + p["k1"] * x1**2 + p["k2"] * (x1 - x2) ** 2) / 2
 
-    lost = sums["given"] - sums["spent"] - energy(*last) + energy(*first)
+    defect = sums["given"] - sums["spent"] - energy(*last) + energy(*first)
     size = sums["sizes"] + np.abs(sums["given"]) + energy(*first) + energy(*last)
     assert np.sum(np.abs(sums["given"]) > 1.0) > 100
-    assert not told(np.abs(lost) > 1e-7 * size)
+    assert not wrong_points(np.abs(defect) > 1e-7 * size)
 
 
 def test_momenta(motions):
-    """m2 x2'' and m1 x1'' summed: over whole repeats, where the left sides vanish, mean J = k2 mean (x1 - x2), the mean
-    force of the striker's spring, and mean F = -k1 mean x1 - mean J."""
+    """The time integrals of m2 x2'' and m1 x1'' are right.
+
+    Over whole repeats, where the left sides vanish, mean J = k2 mean (x1 - x2), the mean force of the striker's spring,
+    and mean F = -k1 mean x1 - mean J.
+    """
     p, first, last, sums, _ = motions
     gain = [end - begin for begin, end in zip(first, last, strict=True)]
-    apart = p["k2"] * (sums["x1"] - sums["x2"])
-    striker = p["m2"] * gain[3] + p["c2"] * gain[2] - apart + sums["J"]
-    bit = p["m1"] * gain[1] + p["k1"] * sums["x1"] + apart + sums["F"]
-    size = np.abs(sums["J"]) + np.abs(apart) + np.abs(p["c2"] * gain[2]) + p["m2"] * np.abs(gain[3])
+    spring = p["k2"] * (sums["x1"] - sums["x2"])
+    striker = p["m2"] * gain[3] + p["c2"] * gain[2] - spring + sums["J"]
+    bit = p["m1"] * gain[1] + p["k1"] * sums["x1"] + spring + sums["F"]
+    size = np.abs(sums["J"]) + np.abs(spring) + np.abs(p["c2"] * gain[2]) + p["m2"] * np.abs(gain[3])
     assert np.sum(sums["J"] > 1.0) > 80
-    assert not told(np.abs(striker) > 1e-7 * size)
+    assert not wrong_points(np.abs(striker) > 1e-7 * size)
     size = np.abs(sums["F"]) + np.abs(p["k1"] * sums["x1"]) + p["m1"] * np.abs(gain[1])
-    assert not told(np.abs(bit) > 1e-7 * size)
+    assert not wrong_points(np.abs(bit) > 1e-7 * size)
 
 
-def test_friction_brakes_and_the_contact_pushes(motions):
+def test_friction_brakes_and_contact_pushes(motions):
     """F u >= 0 (5.9); J >= 0; and J is no less than k0 (x2 - delta) + c0 x2' while x2 >= delta (5.18)."""
     p, _, _, _, least = motions
     speed = p["speed_scale"] + np.sqrt(p["k0"] / p["m2"]) * np.abs(p["delta"])
     noise = 1e-11 * (p["k0"] * p["period"] + p["c0"]) * speed
-    assert not told(least["F u"] < -1e-11 * (p["mu"] * p["weight"] * speed + noise * speed))
-    assert not told(least["J"] < -noise)
-    assert not told(least["J - raw"] < -noise)
+    assert not wrong_points(least["F u"] < -1e-11 * (p["mu"] * p["weight"] * speed + noise * speed))
+    assert not wrong_points(least["J"] < -noise)
+    assert not wrong_points(least["J - raw"] < -noise)
 
 
 @pytest.mark.parametrize("scene", ["penetration", "coupled-drilling"])
-def test_the_hole_never_fills(scene):
-    """x4 is the running maximum of x3 - D/k3 and of 0 (6.3): it never falls, and nothing is left behind."""
+def test_hole_never_fills(scene):
+    """x4 is the running maximum of x3 - D/k3 and of 0 (6.3): it never falls and never lags."""
     usual = {"duration": 0.25, "sampling": 2.5e-4} | (
         {} if scene == "penetration" else {"gamma": 0.6, "start": "stuck"}
     )

@@ -1,9 +1,9 @@
-"""A sweep that is killed loses no finished chunk; `python tests/hard/kills.py` kills it two hundred times."""
+"""Tests that a killed sweep loses no finished chunk; `python tests/hard/kills.py` kills it two hundred times."""
 
 from kills import Kills
 
 
 def test_three_kills(tmp_path):
     kills = Kills(tmp_path)
-    assert kills.one_run(most=3) >= 1
-    assert kills.counted["chunks lost"] == kills.counted["chunks computed twice"] == 0
+    assert kills.run_once(most=3) >= 1
+    assert kills.counts["chunks lost"] == kills.counts["chunks computed twice"] == 0

@@ -1,4 +1,4 @@
-"""Trajectories that ask for too much: refused before any work, in one line that says how much, and what would do."""
+"""Tests of trajectories that need too much: one line refuses them before any work, with the amount and a remedy."""
 
 import re
 
@@ -13,7 +13,7 @@ TOO_LONG = r"simulate: duration: \S+ s need about \S+ steps.*; there is room for
 
 
 @pytest.mark.parametrize(
-    ("scene", "asked", "told"),
+    ("scene", "settings", "message"),
     [
         ("vibro-impact", {"duration": 1e12}, TOO_LONG),
         ("vibro-impact", {"duration": 1e300}, TOO_LONG),
@@ -34,31 +34,31 @@ TOO_LONG = r"simulate: duration: \S+ s need about \S+ steps.*; there is room for
         ("vibro-impact", {"c0": 1e300}, "simulate: the point cannot be run: too stiff, "),
     ],
 )
-def test_refused_before_any_work(scene, asked, told, monkeypatch):
+def test_refused_before_any_work(scene, settings, message, monkeypatch):
     monkeypatch.setattr(_record, "record_batch", None)
     with pytest.raises(InputError) as refusal:
-        vj.simulate(scene, **asked, progress=False)
-    assert re.match(told, str(refusal.value)), refusal.value
+        vj.simulate(scene, **settings, progress=False)
+    assert re.match(message, str(refusal.value)), refusal.value
 
 
-def test_the_command_says_it_in_one_line(capsys, tmp_path, monkeypatch):
+def test_command_refuses_in_one_line(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["simulate", "rotary", "duration=1e12"]) == 2
-    said = capsys.readouterr().err
-    assert re.fullmatch(f"vibrojax: {TOO_LONG}\n", said) and list(tmp_path.iterdir()) == []
+    errors = capsys.readouterr().err
+    assert re.fullmatch(f"vibrojax: {TOO_LONG}\n", errors) and list(tmp_path.iterdir()) == []
 
 
-def test_memory_counts(monkeypatch):
-    """Beforehand, and on the way: the bound is that of a motion without events, which are not known before."""
+def test_memory_is_limited(monkeypatch):
+    """It is checked before and during the run: the estimate before the run cannot include events."""
     monkeypatch.setattr(_record, "memory", lambda: 2e6)
-    told = r"duration: 10000 s need about 1.8e\+05 steps and 2\d\d MB of memory; .* and 2 MB of memory"
-    with pytest.raises(InputError, match=told):
+    message = r"duration: 10000 s need about 1.8e\+05 steps and 2\d\d MB of memory; .* and 2 MB of memory"
+    with pytest.raises(InputError, match=message):
         vj.simulate("rotary", duration=1e4, sampling=100.0, progress=False)
-    told = r"duration: \d{4} steps, all there is room for, led to \S+ s of 80 s; give a shorter duration"
-    with pytest.raises(InputError, match=told):
+    message = r"duration: \d{4} steps, all there is room for, led to \S+ s of 80 s; give a shorter duration"
+    with pytest.raises(InputError, match=message):
         vj.simulate("rotary", duration=80.0, sampling=1.0, progress=False)
 
 
-def test_a_trajectory_shorter_than_its_samples_has_two():
+def test_trajectory_shorter_than_its_samples_has_two():
     motion = vj.simulate("rotary", duration=1e-9, progress=False)
     assert motion.time.values.tolist() == [0.0, 1e-9]

@@ -1,4 +1,4 @@
-"""How loops, branches and functions within functions are written into a random function."""
+"""Writers of loops, branches and nested functions for random functions."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,7 +7,7 @@ from scopes import Scope, Value, tuple_of
 
 
 def write_for(scope: Scope) -> None:
-    """Write a loop whose number of turns is known, often none."""
+    """Write a loop with a known number of turns, often none."""
     (start, inside), name, turn = scope.carried(), scope.fresh(), scope.fresh()
     inner = scope.inner([*inside, Value(turn, "int64", lanes=False)])
     results = [inner.result(value) for value in inside]
@@ -18,7 +18,7 @@ def write_for(scope: Scope) -> None:
 
 
 def write_while(scope: Scope) -> None:
-    """Write a loop that goes on while a counter is too small: one for all lanes, or that of any lane."""
+    """Write a loop that runs while a counter is too small: one counter for all lanes, or that of any lane."""
     (start, inside), name, turn = scope.carried(), scope.fresh(), scope.fresh()
     limit = scope.value("int64", (), scope.pick([True, False]))
     limit = scope.let(f"short({limit.name})", limit)

@@ -1,4 +1,4 @@
-"""Faults that kernels once had, to plant again: the property test must find each of them."""
+"""Faults that kernels once had, which the property test plants again and must find."""
 
 from collections.abc import Callable
 from functools import partial
@@ -34,7 +34,7 @@ def _fill_value(patch: pytest.MonkeyPatch) -> None:
 
 
 def _wide_shift(patch: pytest.MonkeyPatch) -> None:
-    """As processors shift single numbers: by the lowest bits of the distance. LLVM leaves the result undefined."""
+    """Shift by the lowest bits of the distance, as processors shift single numbers. LLVM leaves it undefined."""
 
     def shifted(instruction: str, op: Application) -> str:
         lowest = op.asm.let(f"and {op.type} {op.x[1]}, {op.constant(8 * op.dtype.itemsize - 1)}")
@@ -77,4 +77,4 @@ FAULTS: dict[str, tuple[Callable[[pytest.MonkeyPatch], Any], tuple[str, ...]]] =
     "an integer as an exponent": (_power_by_an_integer, ("pow",)),
     "a square of integers": (_square_of_integers, ("square",)),
 }
-"""How each fault is planted, and the primitives that it is in."""
+"""How each fault is planted, and the primitives that contain it."""

@@ -1,4 +1,4 @@
-"""The processor's treatment of subnormal numbers: XLA takes them for 0, kernels count them."""
+"""The processor's treatment of subnormal numbers: XLA treats them as 0, kernels keep them."""
 
 import ctypes
 import platform
@@ -13,7 +13,7 @@ from vibrojax.compile.kernels import native
 IS_X86 = platform.machine() in ("x86_64", "AMD64")
 
 SUBNORMALS_ARE_ZERO = 0x8040
-"""Results and operands: bits 15 and 6 of MXCSR (Intel SDM, volume 1, section 10.2.3)."""
+"""Flags for results and operands: bits 15 and 6 of MXCSR (Intel SDM, volume 1, section 10.2.3)."""
 
 SWAP = """
 define i32 @swap(i32 %bits) {
@@ -31,14 +31,14 @@ declare void @llvm.x86.sse.ldmxcsr(ptr)
 
 @cache
 def _swap() -> tuple[Callable[[int], int], object]:
-    """Return the function that sets MXCSR and returns what it was, and what keeps the function's code."""
+    """Return the function that sets MXCSR and returns its old value, and the object that holds the function's code."""
     library = llvm.JITLibraryBuilder().add_ir(SWAP).export_symbol("swap").link(native._jit(), "mxcsr")
     return ctypes.CFUNCTYPE(ctypes.c_uint32, ctypes.c_uint32)(library["swap"]), library
 
 
 @contextmanager
 def as_xla() -> Iterator[None]:
-    """Take subnormal numbers for 0 in this thread, on processors that can be told to."""
+    """Treat subnormal numbers as 0 in this thread, on processors that can."""
     if not IS_X86:
         yield
         return

@@ -22,12 +22,12 @@ LANES = {16: 2, 32: 3, 64: 5}
 
 
 def normal(x: jax.Array) -> jax.Array:
-    """Return numbers with 0 for subnormal ones."""
+    """Return numbers with 0 in place of subnormal ones."""
     return jnp.where(jnp.abs(x) < jnp.finfo(x.dtype).tiny, jnp.zeros_like(x), x)
 
 
 def bits_kept(x: jax.Array) -> jax.Array:
-    """Return numbers with 0 for NaN, which has many bits, and for subnormal ones."""
+    """Return numbers with 0 in place of NaN, which has many bit patterns, and of subnormal ones."""
     return jnp.where(jnp.abs(x) >= jnp.finfo(x.dtype).tiny, x, jnp.zeros_like(x))
 
 
@@ -43,7 +43,7 @@ def whole(x: jax.Array) -> jax.Array:
 
 
 def put(rows: jax.Array, numbers: jax.Array, new: jax.Array, mode: str) -> jax.Array:
-    """Return rows of which each lane has replaced one."""
+    """Return rows in which each lane has replaced one."""
     return jax.vmap(lambda rows, number, new: rows.at[number].set(new, mode=mode), -1, -1)(rows, numbers, new)
 
 
@@ -61,7 +61,7 @@ def with_vjp(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """A function of lanes as source, what is known of its results, arguments for it, and the bytes of a vector."""
+    """A function of lanes as source, with its arguments, its results and the width of a vector in bytes."""
 
     source: str
     given: list[Value]
@@ -75,17 +75,17 @@ class Function:
         return names["function"](*arguments)
 
     def arguments(self) -> list[np.ndarray]:
-        """Return arguments for some lanes: mostly numbers at which rules tend to fail."""
+        """Return arguments for some lanes, mostly numbers at which rules tend to fail."""
         random = np.random.default_rng(self.seed)
-        found = []
+        arrays = []
         for value in self.given:
             shape = (*value.rows, *[LANES[self.width]] * value.lanes)
             numbers = random.choice(np.array(edges(value.dtype), value.dtype), shape)
             if value.kind == "f":
                 usual = random.normal(0, 10, shape).astype(value.dtype)
                 numbers = np.where(random.random(shape) < 0.3, usual, numbers)
-            found.append(np.asarray(numbers, value.dtype))
-        return found
+            arrays.append(np.asarray(numbers, value.dtype))
+        return arrays
 
     def __repr__(self) -> str:
         return f"{self.source}\n# vectors of {self.width} bytes, arguments: {self.arguments()}"
@@ -96,7 +96,7 @@ class Function:
 
 @st.composite
 def functions(draw: Callable[[Any], Any], along: bool = True) -> Function:
-    """Draw a function; `along`: some have a loop along an argument of its own."""
+    """Draw a function. With `along`, some functions have a loop along an argument of its own."""
     scope = Scope(draw, write, [], [0])
     given = [Value(scope.fresh(), scope.dtype("f"))]
     for _ in range(scope.pick([2, 3, 4, 5])):
@@ -114,14 +114,14 @@ def functions(draw: Callable[[Any], Any], along: bool = True) -> Function:
 
 
 def _along(scope: Scope) -> tuple[list[Value], Value]:
-    """Write a loop along an argument of its own, from either end; return that, and what the turns give."""
+    """Write a loop along an argument of its own, from either end; return the argument and the results of the turns."""
     (start, inside), name = scope.carried(), scope.fresh()
     row = Value(scope.fresh(), scope.dtype(ANY), scope.pick([(), (2,)])) if scope.often(3) else None
     inner = scope.inner([*inside, *([row] if row else [])])
     kept = inner.result(row or scope.any(apart=True, lanes=True))
     results = [inner.result(value) for value in inside]
     head = f"def {name}(carried, {row.name if row else '_'})"
-    # A row that comes back as it is would be the argument itself.
+    # An unchanged row would be the argument itself.
     returned = f"({tuple_of(results)}), jnp.copy({kept.name})"
     scope.define(head, [f"({tuple_of(inside)}) = carried", *inner.lines], returned)
     # Only loops whose iterations have an order reveal the planted fault.

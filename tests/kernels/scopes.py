@@ -1,4 +1,4 @@
-"""Blocks of source for random functions: the values that they have, and how a block chooses among them."""
+"""Blocks of source for random functions: their values, and how a block chooses among them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -17,9 +17,9 @@ ANY = "fiub"
 ROWS = ((), (), (1,), (2,), (3,))
 
 EXACT, PRODUCT, ROUNDED = 0, 1, 2
-"""How a kernel and XLA agree in a value: to the last bit; so, but a compiler may round it together with a sum that
-follows; to some roundings, because libraries round their functions differently. Only rules that move numbers may follow
-what is not exact."""
+"""Agreement of a kernel and XLA in a value. EXACT: to the last bit. PRODUCT: likewise, but a compiler may round it
+together with a sum that follows. ROUNDED: to some roundings, because libraries round their functions differently.
+Only rules that move numbers may follow an inexact value."""
 
 
 def edges(dtype: str) -> list[Any]:
@@ -38,15 +38,15 @@ def edges(dtype: str) -> list[Any]:
 def constants(dtype: str) -> list[Any]:
     """Return numbers for constants.
 
-    XLA computes with them in advance, so that none may lead to subnormal numbers, and takes x + 0 for x, even -0. For
-    sinh of a constant NaN it returns numbers of no meaning; arguments include NaN.
+    XLA computes with them in advance, so none may lead to subnormal numbers. It replaces x + 0 by x, even for -0. For
+    sinh of a constant NaN it returns meaningless numbers; arguments include NaN.
     """
     return [1.0, 0.5, -2.5, 3.0, -np.inf, np.inf] if dtype in DTYPES["f"] else edges(dtype)
 
 
 @dataclass(frozen=True)
 class Value:
-    """A name of the source, and what is known of its value. `lanes`: whether lanes are its last axis."""
+    """A name in the source, and the properties of its value. `lanes`: whether lanes are its last axis."""
 
     name: str
     dtype: str
@@ -66,7 +66,7 @@ class Value:
 
 @dataclass
 class Scope:
-    """A block of source that is being written. In a function within (`depth` > 0) all values are exact."""
+    """A block of source under construction. In a nested function (`depth` > 0) all values are exact."""
 
     draw: Callable[[Any], Any]
     write: Callable[["Scope"], None]
@@ -83,14 +83,14 @@ class Scope:
         return self.draw(st.sampled_from(list(options)))
 
     def often(self, parts: int) -> bool:
-        """Return True, but for one of so many times."""
+        """Return True, except once in `parts` times."""
         return self.pick([True] * (parts - 1) + [False])
 
     def dtype(self, kinds: str) -> str:
         return self.pick([dtype for kind in kinds for dtype in DTYPES[kind]])
 
     def let(self, source: str, like: Value, **changes: Any) -> Value:
-        """Write an assignment. The result is like another value, but exact, with changes."""
+        """Write an assignment. The result has the properties of `like`, but is exact, and has the changes."""
         value = replace(like, **({"name": self.fresh(), "accuracy": EXACT} | changes))
         self.lines.append(f"{value.name} = {source}")
         self.values.append(value)
@@ -103,9 +103,9 @@ class Scope:
         self.values += results
 
     def any(self, kinds: str = ANY, apart: bool = False, least: int = 0, lanes: bool | None = None) -> Value:
-        """Return a value of some kinds; most often one there is.
+        """Return a value of some kinds, most often an existing one.
 
-        `apart`: exact; `least`: with an axis of so many rows or more; `lanes`: with lanes, or without.
+        `apart`: exact; `least`: with an axis of at least this many rows; `lanes`: with lanes, or without.
         """
         fitting = [value for value in self.values if value.kind in kinds and lanes in (None, value.lanes)]
         fitting = [value for value in fitting if not apart or value.accuracy == EXACT]
@@ -117,14 +117,14 @@ class Scope:
         return self.value(self.dtype(kinds), rows, lanes, apart)
 
     def same(self, like: Value, apart: bool = False, **changes: Any) -> Value:
-        """Return a value of the same type and shape as another one, and rather not that."""
-        wanted = replace(like, **changes)
-        return self.value(wanted.dtype, wanted.rows, wanted.lanes, apart, unlike=like)
+        """Return a value of the same type and shape as another one, preferably not that one."""
+        target = replace(like, **changes)
+        return self.value(target.dtype, target.rows, target.lanes, apart, unlike=like)
 
     def value(
         self, dtype: str, rows: tuple[int, ...], lanes: bool, apart: bool = False, unlike: Value | None = None
     ) -> Value:
-        """Return a value of a type and shape: one there is, one made of another, or a constant."""
+        """Return a value of a type and shape: an existing one, one made of another, or a constant."""
         usable = [value for value in self.values if value != unlike and (value.accuracy == EXACT or not apart)]
         same = [value for value in usable if (value.dtype, value.rows, value.lanes) == (dtype, rows, lanes)]
         if same and self.often(10):
@@ -144,17 +144,17 @@ class Scope:
         return self.let(f"jnp.full({blank.shape}, {text}, jnp.{blank.dtype})", blank)
 
     def _reshaped(self, x: Value, target: Value) -> Value:
-        """Write one of the rows of a value as every row of another one."""
+        """Write one row of a value as every row of another one."""
         source = f"{x.name}[{self.pick(range(x.rows[0]))}]" if x.rows else x.name
         return self.let(f"lax.broadcast_in_dim({source}, {target.shape}, {(len(target.rows),) * x.lanes})", target)
 
     def carried(self) -> tuple[list[Value], list[Value]]:
-        """Return some exact values for a function within, and their like for its arguments."""
+        """Return some exact values for a nested function, and values like them for its arguments."""
         given = [self.any(apart=True) for _ in range(self.pick([1, 2, 3]))]
         return given, [replace(value, name=self.fresh()) for value in given]
 
     def inner(self, values: list[Value], closed: bool = False) -> "Scope":
-        """Return the scope of a function within; it sees the exact values around it, unless it is `closed`."""
+        """Return the scope of a nested function; it sees the exact values around it, unless it is `closed`."""
         seen = [] if closed else [value for value in self.values if value.accuracy == EXACT]
         inner = Scope(self.draw, self.write, [*seen, *values], self.names, self.depth + 1)
         for _ in range(self.pick([0, 1, 2, 3])):
@@ -162,7 +162,7 @@ class Scope:
         return inner
 
     def result(self, like: Value) -> Value:
-        """Return a result like an argument: most often a change of it."""
+        """Return a result like an argument, most often a change of it."""
         other = self.same(like, apart=True)
         if not self.often(4):
             return other
@@ -170,7 +170,7 @@ class Scope:
         return self.let(f"lax.{self.pick(calls)}({like.name}, {other.name})", like)
 
     def define(self, head: str, lines: list[str], result: str) -> None:
-        """Write a function within."""
+        """Write a nested function."""
         self.lines += [f"{head}:", *[f"    {line}" for line in [*lines, f"return {result}"]]]
 
 

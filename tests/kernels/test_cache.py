@@ -1,4 +1,4 @@
-"""The cache of kernels: it loads only what this user wrote; damage or refusal costs a compilation and nothing else."""
+"""Tests of the cache of kernels: it loads only files of this user; damage or refusal costs only a compilation."""
 
 import functools
 import logging
@@ -15,7 +15,7 @@ from vibrojax.compile.kernels import Kernel, cache, kernels, native
 
 X = np.linspace(0.0, 1.0, 5)
 STRANGER = 12345
-"""The number of another user."""
+"""The id of another user."""
 
 
 @pytest.fixture
@@ -31,9 +31,9 @@ def compilations(monkeypatch, tmp_path):
 
 @pytest.fixture
 def file(compilations):
-    """The cached file of one kernel."""
+    """Return the cached file of one kernel."""
     use()
-    [file] = kept()
+    [file] = cached_files()
     return file
 
 
@@ -49,23 +49,23 @@ def use(factor=3.0):
     np.testing.assert_array_equal(kernel(X), factor * X + 1)
 
 
-def kept():
+def cached_files():
     return sorted(path for path in cache.folder().iterdir() if cache.KEY.fullmatch(path.name))
 
 
-def refused(path, reason):
+def refusal_lines(path, reason):
     return [f"cache refused: {path}: {reason}; kernels are compiled again"]
 
 
-def test_compiled_once(compilations):
+def test_kernel_is_compiled_once(compilations):
     use()
     use()
-    assert len(compilations) == 1 and len(kept()) == 1
+    assert len(compilations) == 1 and len(cached_files()) == 1
     use(4.0)
-    assert len(compilations) == 2 and len(kept()) == 2
+    assert len(compilations) == 2 and len(cached_files()) == 2
 
 
-def test_another_processor_shares_nothing(file, monkeypatch):
+def test_other_processor_shares_nothing(file, monkeypatch):
     other = native.processor()._replace(features="+nothing")
     read, keys = cache.read, []
     monkeypatch.setattr(native, "processor", lambda: other)
@@ -77,8 +77,8 @@ def test_another_processor_shares_nothing(file, monkeypatch):
 
 
 @pytest.mark.parametrize("folder", ["off", "file"])
-def test_without_a_folder(compilations, monkeypatch, tmp_path, folder):
-    """Switched off, or where a file stands in place of the folder."""
+def test_without_folder(compilations, monkeypatch, tmp_path, folder):
+    """The cache is switched off, or a file is in place of the folder."""
     (tmp_path / "file").write_text("")
     monkeypatch.setenv(cache.CACHE_VARIABLE, folder if folder == "off" else str(tmp_path / folder))
     use()
@@ -86,14 +86,14 @@ def test_without_a_folder(compilations, monkeypatch, tmp_path, folder):
     assert (cache.folder() is None) == (folder == "off") and len(compilations) == 2
 
 
-def test_modes(compilations):
+def test_permissions(compilations):
     """New files and folders are private to the user, whatever the umask."""
     before = os.umask(0)
     try:
         use()
     finally:
         os.umask(before)
-    [file] = kept()
+    [file] = cached_files()
     modes = [stat.S_IMODE(path.stat().st_mode) for path in (file, file.parent, file.parent.parent)]
     assert modes == [0o600, 0o700, 0o700]
     use()
@@ -101,93 +101,92 @@ def test_modes(compilations):
 
 
 @pytest.mark.parametrize("mode", [0o770, 0o720, 0o702, 0o777, 0o1777])
-def test_a_folder_that_others_write_to(file, compilations, refusals, mode):
-    """The folder of the files itself: the sticky bit does not keep others from adding files."""
+def test_folder_writable_by_others(file, compilations, refusals, mode):
+    """The folder of the files is refused: the sticky bit does not keep others from adding files."""
     cache.folder().chmod(mode)
     use()
     use(5.0)
-    assert len(compilations) == 3 and kept() == [file]
-    assert refusals() == refused(cache.folder(), "others can write to it")
+    assert len(compilations) == 3 and cached_files() == [file]
+    assert refusals() == refusal_lines(cache.folder(), "others can write to it")
 
 
 @pytest.mark.parametrize("mode, unsafe", [(0o777, True), (0o773, True), (0o1777, False), (0o775, False)])
-def test_the_folder_above(file, compilations, refusals, mode, unsafe):
-    """In one like /tmp the folder of the files is safe; where all can replace it, it is refused."""
+def test_parent_folder(file, compilations, refusals, mode, unsafe):
+    """In a parent like /tmp the folder of the files is safe; a parent in which all can replace it is refused."""
     cache.folder().parent.chmod(mode)
     use()
     assert len(compilations) == 1 + unsafe
-    assert refusals() == refused(cache.folder().parent, "others can write to it") * unsafe
+    assert refusals() == refusal_lines(cache.folder().parent, "others can write to it") * unsafe
 
 
 @pytest.mark.parametrize("mode", [0o620, 0o602, 0o666])
-def test_a_file_that_others_write_to(file, compilations, refusals, mode):
-    """It is replaced by one that only the user writes to."""
+def test_file_writable_by_others(file, compilations, refusals, mode):
+    """It is replaced by one that only the user can write."""
     file.chmod(mode)
     use()
     assert len(compilations) == 2 and stat.S_IMODE(file.stat().st_mode) == 0o600
-    assert refusals() == refused(file, "others can write to it")
+    assert refusals() == refusal_lines(file, "others can write to it")
     use()
     assert len(compilations) == 2
 
 
-@pytest.mark.parametrize("of", ["folder", "file"])
-def test_another_user(file, compilations, refusals, monkeypatch, of):
-    """What belongs, or seems to belong, to another user is refused, also by root."""
-    path = file if of == "file" else file.parent
+@pytest.mark.parametrize("part", ["folder", "file"])
+def test_path_of_another_user(file, compilations, refusals, monkeypatch, part):
+    """A path that belongs, or seems to belong, to another user is refused, also for root."""
+    path = file if part == "file" else file.parent
     if os.geteuid() == 0:
         os.chown(path, STRANGER, -1)
     else:
         fstat, inode = os.fstat, os.stat(path).st_ino
 
-        def seems(descriptor):
-            about = fstat(descriptor)
-            changed = list(about)
-            changed[stat.ST_UID] = STRANGER if about.st_ino == inode else about.st_uid
+        def fake_fstat(descriptor):
+            status = fstat(descriptor)
+            changed = list(status)
+            changed[stat.ST_UID] = STRANGER if status.st_ino == inode else status.st_uid
             return os.stat_result(changed)
 
-        monkeypatch.setattr(os, "fstat", seems)
+        monkeypatch.setattr(os, "fstat", fake_fstat)
     use()
-    assert len(compilations) == 2 and refusals() == refused(path, "belongs to another user")
+    assert len(compilations) == 2 and refusals() == refusal_lines(path, "belongs to another user")
 
 
-@pytest.mark.parametrize("of", ["folder", "file"])
-def test_a_link(file, compilations, refusals, tmp_path, of):
-    """It is not followed, though what it points to is whole and belongs to the user."""
-    path, elsewhere = file if of == "file" else file.parent, tmp_path / "planted"
-    path.rename(elsewhere)
-    path.symlink_to(elsewhere)
+@pytest.mark.parametrize("part", ["folder", "file"])
+def test_link(file, compilations, refusals, tmp_path, part):
+    """A link is not followed, even if its target is undamaged and belongs to the user."""
+    path, target = file if part == "file" else file.parent, tmp_path / "planted"
+    path.rename(target)
+    path.symlink_to(target)
     use()
     [line] = refusals()
     assert len(compilations) == 2 and line.startswith(f"cache refused: {path}: ")
-    assert elsewhere.exists() and path.is_symlink() == (of == "folder")
+    assert target.exists() and path.is_symlink() == (part == "folder")
 
 
-def test_what_is_no_file(file, compilations, refusals):
-    """A pipe does not stop the sweep."""
+def test_pipe_in_place_of_file(file, compilations, refusals):
     file.unlink()
     os.mkfifo(file)
     use()
-    assert len(compilations) == 2 and refusals() == refused(file, "is not a regular file")
+    assert len(compilations) == 2 and refusals() == refusal_lines(file, "is not a regular file")
 
 
-def test_swapped_contents(compilations, refusals):
-    """Code of another kernel under this key ended the process (signal 11)."""
+def test_swapped_files_are_detected(compilations, refusals):
+    """Code of another kernel under this key once ended the process (signal 11)."""
     use(3.0)
     use(4.0)
-    first, second = kept()
-    one, other = first.read_bytes(), second.read_bytes()
-    first.write_bytes(other)
-    second.write_bytes(one)
+    first, second = cached_files()
+    first_code, second_code = first.read_bytes(), second.read_bytes()
+    first.write_bytes(second_code)
+    second.write_bytes(first_code)
     use(3.0)
     use(4.0)
     assert len(compilations) == 4 and len(refusals()) == 1
     assert "is damaged, or does not belong under this name" in refusals()[0]
-    assert (first.read_bytes(), second.read_bytes()) == (one, other)
+    assert (first.read_bytes(), second.read_bytes()) == (first_code, second_code)
 
 
 @pytest.mark.parametrize("length", [None, 0, 10, cache.HEADER - 1, cache.HEADER, cache.HEADER + 100])
-def test_damaged(file, compilations, refusals, length):
-    """Truncated, or with a flipped bit: compiled anew, and kept anew."""
+def test_damaged_file(file, compilations, refusals, length):
+    """A file that is truncated, or has a flipped bit, is compiled and stored again."""
     whole = file.read_bytes()
     flipped = whole[:200] + bytes([whole[200] ^ 1]) + whole[201:]
     file.write_bytes(flipped if length is None else whole[:length])
@@ -206,11 +205,11 @@ def test_old_files_are_deleted(file, monkeypatch):
     monkeypatch.setattr(cache, "KEPT_BYTES", 1.5 * newer.stat().st_size)
     os.utime(newer, (time.time() - 60,) * 2)
     use(6.0)
-    assert len(kept()) == 1 and kept() != [newer]
+    assert len(cached_files()) == 1 and cached_files() != [newer]
 
 
-def test_pruning_leaves_what_is_not_its_own(file, monkeypatch):
-    """The oldest file is deleted, and nothing of others, however old."""
+def test_pruning_deletes_only_its_own_files(file, monkeypatch):
+    """The oldest file is deleted, but no foreign file, however old."""
     folder = cache.folder()
     (folder / "thesis.txt").write_text("three years of work")
     (folder / ".hidden").write_text("")
@@ -231,18 +230,18 @@ def test_pruning_leaves_what_is_not_its_own(file, monkeypatch):
 
 
 def test_many_threads(compilations):
-    """Each gets its kernel, from the cache or compiled, and no file is left half-written."""
+    """Each thread gets its kernel, from the cache or compiled, and no file is left half-written."""
     for _ in range(2):
         threads = [threading.Thread(target=use, args=(float(factor % 3),)) for factor in range(12)]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-    assert len(kept()) == len(list(cache.folder().iterdir())) == 3
+    assert len(cached_files()) == len(list(cache.folder().iterdir())) == 3
 
 
-def test_a_refused_cache_is_named_once(compilations, monkeypatch, tmp_path, capsys):
-    """On stderr, with --verbose alone."""
+def test_refused_cache_is_reported_once(compilations, monkeypatch, tmp_path, capsys):
+    """The report is on stderr, and only with --verbose."""
     monkeypatch.setattr(native, "_object_code", functools.cache(native._object_code))
     cache.folder().mkdir(parents=True)
     cache.folder().chmod(0o777)

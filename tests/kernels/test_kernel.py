@@ -1,7 +1,7 @@
-"""A kernel gives what the function gives: against numpy and XLA, for any number of lanes, each lane by itself.
+"""Tests of kernels against numpy and XLA, for any number of lanes, each lane by itself.
 
-Random functions (test_random_functions.py) compare every primitive with XLA, for all types and at the ends of types.
-Here are exact references, and what random functions do not reach: more rows, all pairs of ends, refusals.
+Random functions (test_random_functions.py) compare every primitive with XLA, for all types and at their limits.
+The tests here have exact references, or reach further: more rows, all pairs of limits, refusals.
 """
 
 import jax
@@ -22,21 +22,21 @@ INTEGERS = ["int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uin
 BEYOND = [np.nan, np.inf, -np.inf, 1e30, -1e30, 300.0, -300.0, -0.5, 2.0**31, 2.0**63, -(2.0**63), 2.0**64, 255.7]
 
 
-def of_lanes(function, *arguments, **options):
+def run_kernel(function, *arguments, **options):
     return Kernel(function, *arguments, **options)(*arguments)
 
 
-def assert_as_jax(function, *arguments, roundings=4):
-    """To a few roundings of what XLA gives, NaN like NaN; whole numbers and truth values exactly."""
-    found, expected = of_lanes(function, *arguments), jax.jit(function)(*arguments)
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-        assert one.shape == other.shape and one.dtype == other.dtype
-        tolerance = roundings * np.finfo(one.dtype).eps if one.dtype.kind == "f" else 0
-        np.testing.assert_allclose(one, other, rtol=tolerance, atol=tolerance)
+def assert_matches_xla(function, *arguments, roundings=4):
+    """Check agreement with XLA to a few roundings, NaN included; integers and booleans must be equal."""
+    actual, expected = run_kernel(function, *arguments), jax.jit(function)(*arguments)
+    for result, correct in zip(jax.tree.leaves(actual), jax.tree.leaves(expected), strict=True):
+        assert result.shape == correct.shape and result.dtype == correct.dtype
+        tolerance = roundings * np.finfo(result.dtype).eps if result.dtype.kind == "f" else 0
+        np.testing.assert_allclose(result, correct, rtol=tolerance, atol=tolerance)
 
 
-def ends(dtype):
-    """Pairs of the least, the greatest and some numbers in between."""
+def limit_pairs(dtype):
+    """Return pairs of the least, the greatest and some numbers in between."""
     limits = np.iinfo(dtype)
     numbers = np.array([limits.min, limits.min + 1, 0, 1, 2, 7, limits.max // 2 + 1, limits.max - 1, limits.max], dtype)
     return tuple(grid.ravel() for grid in np.meshgrid(numbers, numbers))
@@ -55,16 +55,18 @@ FUNCTIONS = {
 @pytest.mark.parametrize("dtype", FLOATS)
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions(name, dtype):
-    """To twenty roundings; random functions allow XLA's larger errors at the ends of ranges."""
-    assert_as_jax(FUNCTIONS[name], X.astype(dtype), Y.astype(dtype), roundings=20)
+    """Functions agree to twenty roundings; random functions allow XLA's larger errors at the ends of ranges."""
+    assert_matches_xla(FUNCTIONS[name], X.astype(dtype), Y.astype(dtype), roundings=20)
 
 
 def test_powers_of_integer_exponents():
     n = np.arange(-3, 18)
-    assert_as_jax(lambda x, n: (lax.pow(x, n), lax.pow(x.astype(jnp.float32), n.astype(jnp.int8))), X, n, roundings=20)
+    assert_matches_xla(
+        lambda x, n: (lax.pow(x, n), lax.pow(x.astype(jnp.float32), n.astype(jnp.int8))), X, n, roundings=20
+    )
 
 
-ARRANGED = {
+ARRANGEMENTS = {
     "rows": lambda rows: (rows[2], rows[::2], rows[:, :], rows[::-1]),
     "stacked": lambda rows: jnp.stack([rows[0], rows[1]]) + jnp.concatenate([rows[3:4], rows[:1]]),
     "shapes": lambda rows: rows.reshape(7, 1, -1).transpose(1, 0, 2)[0] + rows[None, 0],
@@ -80,16 +82,16 @@ ARRANGED = {
 }
 
 
-@pytest.mark.parametrize("name", ARRANGED)
-def test_arranged(name):
+@pytest.mark.parametrize("name", ARRANGEMENTS)
+def test_arrangements(name):
     with jax.numpy_rank_promotion("allow"):
-        assert_as_jax(ARRANGED[name], ROWS, roundings=8)
+        assert_matches_xla(ARRANGEMENTS[name], ROWS, roundings=8)
 
 
 @pytest.mark.parametrize("dtype", INTEGERS)
 def test_integers(dtype):
-    """Unsigned ones have no sign; divided by 0, and shifted by any number, they give what jax gives."""
-    x, y = ends(dtype)
+    """Unsigned integers have no sign. Division by 0 and shifts by any number agree with jax."""
+    x, y = limit_pairs(dtype)
     low, high = np.array([2], dtype), np.array([100], dtype)
 
     def function(x, y):
@@ -103,11 +105,11 @@ def test_integers(dtype):
             "powers": (x**2, x**3, lax.square(x), lax.integer_pow(x, 7), lax.integer_pow(x, 0)),
         }
 
-    assert_as_jax(function, x, y)
+    assert_matches_xla(function, x, y)
     if dtype.startswith("i"):
-        assert_as_jax(lambda x: lax.abs(x), x)
+        assert_matches_xla(lambda x: lax.abs(x), x)
     rows = np.stack([x, y, np.roll(x, 5)])
-    assert_as_jax(lambda rows: (jnp.sort(rows, 0), rows.max(0), rows.min(0)), rows)
+    assert_matches_xla(lambda rows: (jnp.sort(rows, 0), rows.max(0), rows.min(0)), rows)
 
 
 ROW_NUMBERS = {
@@ -123,25 +125,27 @@ ROW_NUMBERS = {
 
 
 @pytest.mark.parametrize("dtype", [*INTEGERS, *FLOATS])
-def test_rows_that_do_not_exist(dtype):
-    """They are filled with the fill value, or with jax's own: NaN, the least or the greatest integer."""
+def test_missing_rows(dtype):
+    """Missing rows have the fill value, or jax's own: NaN, the least or the greatest integer."""
     rows, which = (ROWS * 10).astype(dtype), np.stack([WHICH, WHICH[::-1] * 3])
-    assert_as_jax(lambda rows, which: {name: of(rows, which) for name, of in ROW_NUMBERS.items()}, rows, which)
+    assert_matches_xla(lambda rows, which: {name: take(rows, which) for name, take in ROW_NUMBERS.items()}, rows, which)
 
 
 @pytest.mark.parametrize("given", FLOATS)
-def test_floats_become_integers(given):
-    """The nearest there is, and 0 for NaN."""
+def test_conversion_of_floats(given):
+    """A float becomes the nearest integer of the type, and NaN becomes 0."""
     x = np.array([*BEYOND, *X], given)
-    assert_as_jax(lambda x: [(x.astype(to), (x > 0).astype(to)) for to in [*INTEGERS, "bool"]], x)
+    assert_matches_xla(lambda x: [(x.astype(to), (x > 0).astype(to)) for to in [*INTEGERS, "bool"]], x)
 
 
 @pytest.mark.parametrize("dtype", INTEGERS)
-def test_integers_become_others(dtype):
-    assert_as_jax(lambda x: [x.astype(to) for to in [*INTEGERS, *FLOATS, "bool"]], ends(dtype)[0], roundings=1)
+def test_conversion_of_integers(dtype):
+    assert_matches_xla(
+        lambda x: [x.astype(to) for to in [*INTEGERS, *FLOATS, "bool"]], limit_pairs(dtype)[0], roundings=1
+    )
 
 
-def test_zeros_have_signs(width):
+def test_signs_of_zeros(width):
     """+0 is the maximum of +0 and -0."""
     zeros = np.array([0.0, -0.0, 0.0, -0.0, 1.0, np.nan]), np.array([-0.0, 0.0, 0.0, -0.0, np.nan, -1.0])
 
@@ -151,47 +155,49 @@ def test_zeros_have_signs(width):
         extremes += jnp.maximum(x, abs(y)), jnp.minimum(abs(x), y), jnp.minimum(abs(x), abs(y)), jnp.clip(x, -0.0, 1.0)
         return extremes, [jnp.signbit(x) for x in extremes]
 
-    found, expected = of_lanes(function, *zeros), jax.jit(function)(*zeros)
-    for x, (one, other) in enumerate(zip(*(jax.tree.leaves(given) for given in (found, expected)), strict=True)):
+    actual, expected = run_kernel(function, *zeros), jax.jit(function)(*zeros)
+    for x, (result, correct) in enumerate(
+        zip(*(jax.tree.leaves(outputs) for outputs in (actual, expected)), strict=True)
+    ):
         known = ~np.isnan(np.asarray(jax.tree.leaves(expected)[x % 13]))
-        np.testing.assert_array_equal(one[known], other[known])
+        np.testing.assert_array_equal(result[known], correct[known])
 
 
-def test_subnormal_numbers_count():
-    """Every rule takes them for what they are, as numpy does; XLA takes them for 0 (it sets the processor so)."""
+def test_subnormal_numbers_are_kept():
+    """Every rule keeps them, as numpy does. XLA sets the processor to treat them as 0."""
     x = np.array([5e-324, -1e-310, 2.2e-308, -0.0, 1e-300])
 
     def function(x, np=jnp):
         return x > 0, x == 0, x * 2, x * 0.5, x + x, abs(x), np.sign(x), np.maximum(x, 0.0), np.floor(x), -x
 
-    found, expected = of_lanes(function, x), function(x, np)
-    for one, other in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(one, other)
+    actual, expected = run_kernel(function, x), function(x, np)
+    for result, correct in zip(actual, expected, strict=True):
+        np.testing.assert_array_equal(result, correct)
 
 
-def test_a_row_is_replaced(width):
-    """Where there is one with that number (negative ones count from the end); what was there is left as it is."""
+def test_row_is_replaced(width):
+    """A row is replaced if its number exists (negative ones count from the end); the old rows do not change."""
 
     def function(rows, which, new):
-        found = put(rows, which, new, "drop")
-        return found, rows * 1.0
+        replaced = put(rows, which, new, "drop")
+        return replaced, rows * 1.0
 
-    found, before = of_lanes(function, ROWS, WHICH, X)
+    actual, before = run_kernel(function, ROWS, WHICH, X)
     expected = ROWS.copy()
     for lane, row in enumerate(WHICH):
         if row < len(ROWS):
             expected[row, lane] = X[lane]
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(actual, expected)
     np.testing.assert_array_equal(before, ROWS)
 
 
 def test_rows_are_replaced_in_a_loop(width):
-    """In place, where nothing else wants them; and not where something does."""
+    """Rows are replaced in place, unless something else needs them."""
 
-    def alone(rows, which, new):
+    def unshared(rows, which, new):
         return lax.fori_loop(0, 30, lambda k, rows: put(rows, (which + k) % 7, new + 1.0 * k, "drop"), rows)
 
-    def wanted(rows, which, new):
+    def shared(rows, which, new):
         def turn(k, carried):
             rows, total = carried
             after = put(rows, (which + k) % 7, new + 1.0 * k, "drop")
@@ -200,12 +206,12 @@ def test_rows_are_replaced_in_a_loop(width):
         return lax.fori_loop(0, 30, turn, (rows, new))
 
     which = np.abs(WHICH)
-    assert_as_jax(alone, ROWS, which, X)
-    assert_as_jax(wanted, ROWS, which, X)
+    assert_matches_xla(unshared, ROWS, which, X)
+    assert_matches_xla(shared, ROWS, which, X)
 
 
 def collatz(n):
-    """How many steps each number takes to 1; every lane goes on until the last is there."""
+    """Return how many steps each number takes to 1; every lane continues until the last is done."""
 
     def turn(now):
         n, steps = now
@@ -219,12 +225,12 @@ def collatz(n):
 def test_loops():
     n = np.arange(1, 98)
     expected = [0, 1, 7, 2, 5, 8, 16, 3, 19, 6]  # OEIS A006577
-    np.testing.assert_array_equal(of_lanes(collatz, n)[:10], expected)
-    assert_as_jax(collatz, n)
+    np.testing.assert_array_equal(run_kernel(collatz, n)[:10], expected)
+    assert_matches_xla(collatz, n)
 
 
-def test_loops_that_carry_much():
-    """More than registers hold, values that change places, and a loop within a loop."""
+def test_loops_with_large_carry():
+    """The loop carries more than registers hold, exchanges values, and contains a loop."""
 
     def function(rows, x):
         def inner(k, now):
@@ -239,7 +245,7 @@ def test_loops_that_carry_much():
         rows = jnp.concatenate([rows, 2 * rows, rows - 1, rows + 1, rows * rows])
         return lax.fori_loop(0, 5, turn, (rows, x))
 
-    assert_as_jax(function, ROWS, X, roundings=100)
+    assert_matches_xla(function, ROWS, X, roundings=100)
 
 
 def test_branches():
@@ -247,11 +253,11 @@ def test_branches():
         return lax.cond(jnp.any(x > limit), lambda: (x + y, y), lambda: (x - y, 2 * y))
 
     for limit in (0.0, 1e9):
-        assert_as_jax(function, X[:4], Y[:4], np.asarray(limit))
+        assert_matches_xla(function, X[:4], Y[:4], np.asarray(limit))
 
 
 def test_loops_along_arguments():
-    """And results of every turn: here running sums, and products of rows with what is carried."""
+    """Every turn also gives results: running sums, and products of rows with the carried value."""
 
     def function(rows, x):
         def turn(total, row):
@@ -260,51 +266,51 @@ def test_loops_along_arguments():
         total, (products, pairs) = lax.scan(turn, x, rows)
         return total, products, pairs, total * 2
 
-    assert_as_jax(function, ROWS, X)
+    assert_matches_xla(function, ROWS, X)
     with pytest.raises(Untranslatable, match="something else wants"):
         Kernel(lambda rows, x: lax.scan(lambda a, row: (a + row, None), x, rows)[0] + rows[0], ROWS, X)
 
 
-def test_one_for_all_lanes():
-    """An argument without axes; a result that depends on nothing else."""
-    assert_as_jax(lambda x, a, n: (x * a, x + n, jnp.where(n > 2, x, -x)), X, np.asarray(0.7), np.asarray(3.0))
-    np.testing.assert_array_equal(of_lanes(lambda x, a: jnp.zeros_like(x) + a, X, np.asarray(0.7)), 0.7)
+def test_values_shared_by_all_lanes():
+    """An argument has no axes, or a result depends on nothing else."""
+    assert_matches_xla(lambda x, a, n: (x * a, x + n, jnp.where(n > 2, x, -x)), X, np.asarray(0.7), np.asarray(3.0))
+    np.testing.assert_array_equal(run_kernel(lambda x, a: jnp.zeros_like(x) + a, X, np.asarray(0.7)), 0.7)
 
 
 @pytest.mark.parametrize("lanes", [1, 7, 16, 33, 1009])
 @pytest.mark.parametrize("registers", [1, 2])
 def test_any_number_of_lanes(lanes, registers, width):
-    """The same bits, however many there are and whatever the others do."""
+    """The bits do not depend on the number of lanes, nor on the other lanes."""
     n = (np.arange(lanes) * 7919) % 97 + 1
-    found = of_lanes(collatz, n, registers=registers)
-    alone = Kernel(collatz, n[:1])
-    np.testing.assert_array_equal(found, [alone(n[lane : lane + 1])[0] for lane in range(lanes)])
+    together = run_kernel(collatz, n, registers=registers)
+    single = Kernel(collatz, n[:1])
+    np.testing.assert_array_equal(together, [single(n[lane : lane + 1])[0] for lane in range(lanes)])
     x = np.linspace(-3, 3, lanes)
     function = lambda x: jnp.exp(jnp.sin(x)) * x**3 + jnp.sqrt(jnp.abs(x))  # noqa: E731
-    one = Kernel(function, x[:1])
+    single_lane = Kernel(function, x[:1])
     np.testing.assert_array_equal(
-        of_lanes(function, x, registers=registers), [one(x[lane : lane + 1])[0] for lane in range(lanes)]
+        run_kernel(function, x, registers=registers), [single_lane(x[lane : lane + 1])[0] for lane in range(lanes)]
     )
 
 
-def test_a_polynomial_and_its_derivative():
-    """Forward mode goes through, loops included: d/dx of x^12 by repeated multiplication."""
+def test_polynomial_and_its_derivative():
+    """Forward mode passes through loops: d/dx of x^12 by repeated multiplication."""
 
     def function(x):
         return jax.jvp(lambda x: lax.fori_loop(0, 11, lambda k, y: y * x, x), (x,), (jnp.ones_like(x),))
 
-    value, slope = of_lanes(function, X)
+    value, slope = run_kernel(function, X)
     np.testing.assert_allclose(value, X**12, rtol=1e-14)
     np.testing.assert_allclose(slope, 12 * X**11, rtol=1e-14)
 
 
-def test_tangents_of_whole_numbers():
-    """They say nothing, and take no room that is not theirs."""
+def test_tangents_of_integers():
+    """They have no content, and take no room of other values."""
 
     def function(x):
         return jax.jvp(lambda x: (x * x, jnp.floor(x).astype(jnp.int32), x > 0), (x,), (jnp.ones_like(x),))
 
-    (square, whole, sign), (slope, *_) = of_lanes(function, X)
+    (square, whole, sign), (slope, *_) = run_kernel(function, X)
     np.testing.assert_array_equal(square, X * X)
     np.testing.assert_array_equal(slope, 2 * X)
     np.testing.assert_array_equal(whole, np.floor(X))
@@ -343,8 +349,8 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_refused(name):
-    """What mixes lanes, or has no rule, is refused, with what it was."""
+def test_refusals(name):
+    """A function that mixes lanes, or has no rule, is refused with a reason."""
     with pytest.raises(Untranslatable, match=r"\w"):
         Kernel(REFUSED[name], X)
 
@@ -355,7 +361,7 @@ def test_without_lanes():
 
 
 def test_unknown_parameters():
-    """A later jax cannot change a meaning silently."""
+    """A later jax cannot change the meaning of a primitive silently."""
     with pytest.raises(Untranslatable, match="add with the unknown parameter saturating"):
         translation.check_parameters("add", {"saturating": True})
     with pytest.raises(Untranslatable, match="mul with out_dtype = float32"):
@@ -367,17 +373,17 @@ def test_unknown_parameters():
     assert set(translation.PARAMETERS) <= translation.primitives()
 
 
-def test_texts_of_refusals_are_written_only_for_refusals(monkeypatch):
-    """The text of a loop's body costs more than its translation."""
+def test_refusal_texts_are_written_only_for_refusals(monkeypatch):
+    """The text of a loop's body costs more than the translation of the body."""
     monkeypatch.setattr(type(jax.make_jaxpr(jnp.sin)(1.0)), "__str__", lambda _: pytest.fail("a body was printed"))
     monkeypatch.setattr(type(jax.make_jaxpr(jnp.sin)(1.0)), "__repr__", lambda _: pytest.fail("a body was printed"))
-    halved = of_lanes(lambda x: lax.while_loop(lambda x: jnp.any(x > 1), lambda x: x / 2, x), np.array([1.0, 3.0]))
+    halved = run_kernel(lambda x: lax.while_loop(lambda x: jnp.any(x > 1), lambda x: x / 2, x), np.array([1.0, 3.0]))
     assert halved.tolist() == [0.25, 0.75]
 
 
-def test_equations_that_nothing_reads_are_left_out():
+def test_unused_equations_are_left_out():
     def unused_sort(x):
         lax.sort((x, x, x), dimension=0, num_keys=2)  # kernels have no sort by two keys
         return 2 * x[0]
 
-    assert np.array_equal(of_lanes(unused_sort, ROWS), 2 * ROWS[0])
+    assert np.array_equal(run_kernel(unused_sort, ROWS), 2 * ROWS[0])

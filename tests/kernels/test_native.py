@@ -1,4 +1,4 @@
-"""Object code may lie anywhere: whatever it refers to, it refers to by whole addresses."""
+"""Tests that object code may lie anywhere: all its references are whole addresses."""
 
 import struct
 import sys
@@ -13,19 +13,19 @@ RELOCATIONS, WHOLE_ADDRESS = 4, 1  # SHT_RELA, R_X86_64_64 (ELF-64 and x86-64 ps
 
 
 def references(code: bytes) -> list[int]:
-    """Types of all references in an ELF object file."""
+    """Return the types of all references in an ELF object file."""
     start, size, count = struct.unpack_from("<Q", code, 40)[0], *struct.unpack_from("<HH", code, 58)
-    found = []
+    types = []
     for section in range(count):
         kind, offset, length = struct.unpack_from("<4xI16xQQ", code, start + section * size)
         if kind == RELOCATIONS:
-            found += [struct.unpack_from("<8xI", code, offset + at)[0] for at in range(0, length, 24)]
-    return found
+            types += [struct.unpack_from("<8xI", code, offset + entry)[0] for entry in range(0, length, 24)]
+    return types
 
 
 @pytest.mark.skipif(sys.platform != "linux" or "x86_64" not in native.processor().triple, reason="reads ELF for x86-64")
 def test_references_are_whole_addresses(monkeypatch):
-    """Shorter ones ended the process in one of some dozens of kernels, where its parts came to lie too far apart."""
+    """Shorter references once ended the process in one of some dozens of kernels, whose parts lay too far apart."""
     codes = []
     compiled = native._object_code
     monkeypatch.setattr(native, "_object_code", lambda text: codes.append(compiled(text)) or codes[-1])
@@ -40,8 +40,8 @@ def test_references_are_whole_addresses(monkeypatch):
     assert references(code) and set(references(code)) == {WHOLE_ADDRESS}
 
 
-def test_no_lanes():
-    """A kernel that is given no lanes writes nothing: it once wrote a group of them behind its empty results."""
+def test_kernel_without_lanes_writes_nothing():
+    """It once wrote a group of lanes behind its empty results."""
     x = np.linspace(0.1, 2.0, 9)
     kernel = Kernel(lambda x: x + 1.0, x)
     assert kernel(np.empty(0)).shape == (0,)
@@ -55,8 +55,8 @@ DTYPES = {"float64": 1.5, "float32": 1.5, "int8": 3, "int16": 3, "bool": True}
 
 
 @pytest.mark.parametrize("length", [0, 1, 7, 40])
-def test_some_lanes_in_place(length):
-    """Lanes anywhere, of numbers of every size: read and written at their own places, and nothing else is."""
+def test_selected_lanes_in_place(length):
+    """Lanes at any index, of numbers of every size, are read and written at their own places only."""
     random = np.random.default_rng(length)
     rows = {name: random.permutation(40 * 3).reshape(3, 40).astype(name) for name in DTYPES}
 
@@ -78,8 +78,8 @@ WRONG = [[0, 40], [-1], [2**62], np.array([2**63], np.uint64), [0.0], [[0]], [Tr
 
 
 @pytest.mark.parametrize("lanes", WRONG, ids=str)
-def test_a_wrong_index_writes_nothing(lanes, monkeypatch):
-    """It is refused before the machine code runs, whose memory it would overwrite."""
+def test_wrong_index_writes_nothing(lanes, monkeypatch):
+    """It is refused before the machine code runs, which would overwrite other memory."""
     x = np.linspace(0.1, 2.0, 40)
     bound = Kernel(lambda x: x + 1.0, x).bind(x)
     bound.results[...] = 7.0

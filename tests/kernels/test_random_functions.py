@@ -1,4 +1,4 @@
-"""Random functions over all accepted primitives give the same by a kernel and by XLA.
+"""Tests that random functions over all accepted primitives give the same by a kernel and by XLA.
 
 `VIBROJAX_FUNCTIONS` sets their number (400 in `.ci/run`), `VIBROJAX_FUNCTIONS_SEED` which ones are drawn.
 """
@@ -27,21 +27,21 @@ SEED = int(os.environ.get("VIBROJAX_FUNCTIONS_SEED", 0))
 QUICK: dict[str, Any] = {
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
-    # Rearranges sums and products, which rounds them otherwise.
+    # This pass rearranges sums and products, which changes their roundings.
     "xla_disable_hlo_passes": "algsimp",
 }
-"""XLA's options: compile fast, and write what the function says."""
+"""XLA's options: compile fast, and follow the function literally."""
 
 if jax.__version_info__ < (0, 11):
     QUICK["xla_cpu_use_fusion_emitters"] = False  # later versions have no choice
 
 ROUNDINGS = 512
-"""Roundings that functions of two libraries may differ by. XLA's exp2 is up to 321 off at ends of its range, atanh and
-log1p up to 115; those of kernels are within four of numpy's (test_compiler.py, test_kernel.py)."""
+"""Roundings by which functions of two libraries may differ. XLA's exp2 is up to 321 off at ends of its range, atanh
+and log1p up to 115; those of kernels are within four of numpy's (test_compiler.py, test_kernel.py)."""
 
 
 def disagreement(function: Function) -> str | None:
-    """Return which result of a function is not the same by a kernel and by XLA; None if all are."""
+    """Return which result of a function differs between a kernel and XLA, or None."""
     arguments = function.arguments()
     # One group holds all lanes, so that loops of a group are loops of all lanes.
     with patch.object(native, "vector_bytes", lambda: function.width):
@@ -77,7 +77,7 @@ def _agree(value: Value, result: Any, correct: Any, signs: bool) -> bool:
 
 
 def first_disagreement(count: int, number: int, drawn: Any = None, shrink: bool = False) -> str | None:
-    """Return the first of so many random functions that does not agree, and in what; None if all do."""
+    """Return the first of `count` random functions on which kernel and XLA disagree, and in what, or None."""
 
     @seed(number)
     @settings(
@@ -91,10 +91,10 @@ def first_disagreement(count: int, number: int, drawn: Any = None, shrink: bool 
     @given(functions() if drawn is None else drawn)
     def search(function: Function) -> None:
         try:
-            said = disagreement(function)
+            difference = disagreement(function)
         except Untranslatable as error:
-            said = f"refused: {error}"
-        assert said is None, f"{said}\n{function!r}"
+            difference = f"refused: {error}"
+        assert difference is None, f"{difference}\n{function!r}"
 
     try:
         search()
@@ -112,8 +112,8 @@ def test_random_functions():
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_planted_fault_is_found(fault, monkeypatch):
-    """Functions with more of the primitives that the fault is in; a tenth of the time of the functions above."""
+def test_planted_fault_is_found(fault, monkeypatch):
+    """The functions have more of the primitives with the fault, and take a tenth of the time of those above."""
     plant, primitives = FAULTS[fault]
     plant(monkeypatch)
     monkeypatch.setattr(writers, "FAVOURED", primitives)

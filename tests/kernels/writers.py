@@ -1,4 +1,4 @@
-"""How each primitive that the translation accepts is written into a random function."""
+"""Writers of the accepted primitives for random functions."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,11 +12,11 @@ Writer = Callable[[Scope], Any]
 
 
 FAVOURED: tuple[str, ...] = ()
-"""Primitives of which every other one is written, so that a planted fault in one of them is found sooner."""
+"""Primitives that make up half of those written, so that a planted fault in one of them is found sooner."""
 
 
 def write(scope: Scope) -> None:
-    """Write one primitive, any of those that fit."""
+    """Write one primitive, any that fits."""
     left_out = (INEXACT if scope.depth else set()) | (NESTED if scope.depth > 1 else set())
     favoured = [name for name in FAVOURED if name not in left_out]
     names = favoured if favoured and scope.often(2) else [name for name in WRITERS if name not in left_out]
@@ -24,7 +24,7 @@ def write(scope: Scope) -> None:
 
 
 def _comparable(name: str, value: Value) -> str:
-    """Return the source of a value with 0 for subnormal floats: XLA counts them as 0, and may select either of two."""
+    """Return the source of a value, without subnormal floats: XLA treats them as 0, and may select either of two."""
     return f"normal({name})" if value.kind == "f" else name
 
 
@@ -35,7 +35,7 @@ def _exact(call: str, kinds: str, arity: int, gives: str | None = None, accuracy
         first = scope.any(kinds, apart=True)
         names = [value.name for value in (first, *(scope.same(first, apart=True) for _ in range(arity - 1)))]
         if call in ("div", "rem"):
-            # Compilers know a number divided by itself, even 0.
+            # Compilers simplify a number divided by itself, even for 0.
             names[1] = f"lax.optimization_barrier({names[1]})"
         elif call in ("max", "min"):
             names = [_comparable(name, first) for name in names]
@@ -59,7 +59,7 @@ def _library(call: str, arity: int = 1) -> Writer:
 
 
 def _moved(source: str, kinds: str = ANY, least: int = 0, rows: tuple[int, ...] | None = None) -> Writer:
-    """Return the writer of a function that moves numbers: of a value of at least so many rows."""
+    """Return the writer of a function that moves numbers, of a value with at least this many rows."""
 
     def write(scope: Scope) -> None:
         x = scope.any(kinds, least=least)
@@ -103,7 +103,7 @@ def _round(scope: Scope) -> None:
 
 
 def _bitcast(scope: Scope) -> None:
-    """Write the bits of a number; of floats those that are normal, since a NaN has many bits."""
+    """Write the bits of a number; floats must be normal, since a NaN has many bit patterns."""
     x = scope.any("fiu", apart=True)
     sized = [name for kind in "fiu" for name in DTYPES[kind] if np.dtype(name).itemsize == np.dtype(x.dtype).itemsize]
     to, source = scope.pick(sized), f"bits_kept({x.name})" if x.kind == "f" else x.name
@@ -116,7 +116,7 @@ def _convert(scope: Scope) -> None:
 
 
 def _clamp(scope: Scope) -> None:
-    x = scope.any("fiu", apart=True)  # XLA has none of booleans
+    x = scope.any("fiu", apart=True)  # XLA does not clamp booleans
     ends = scope.pick([x, replace(x, rows=(), lanes=False)])
     low, high = (scope.same(x, apart=True, rows=ends.rows, lanes=ends.lanes) for _ in range(2))
     low, among, high = (_comparable(value.name, x) for value in (low, x, high))
@@ -136,7 +136,7 @@ def _add_any(scope: Scope) -> None:
 
 
 def _reduction(call: str, kinds: str) -> Writer:
-    """Return the writer of a reduction over rows; sums and products are of small whole numbers, exact in any order."""
+    """Return the writer of a reduction over rows. Sums and products are of small whole numbers, exact in any order."""
 
     def write(scope: Scope) -> None:
         x = scope.any(kinds, apart=True, least=1)
@@ -161,13 +161,13 @@ def _logical_reduction(call: str) -> Writer:
 
 
 def _row_numbers(scope: Scope, rows: tuple[int, ...], lanes: bool) -> str:
-    """Return numbers of rows: any, or such that many rows exist."""
+    """Return numbers of rows: any numbers, or such that many of the rows exist."""
     numbers = scope.value(scope.pick(["int32", "int64", "int8", "uint32"]), rows, lanes)
     return scope.pick([numbers.name, f"lax.rem({numbers.name}, jnp.full_like({numbers.name}, 5))"])
 
 
 def _gather(scope: Scope) -> None:
-    """Write rows that each lane chooses: of its own, or of an array that lanes share."""
+    """Write rows that each lane selects, of its own array or of one that lanes share."""
     mode = scope.pick(
         ["'clip'", "'promise_in_bounds'", "'fill'", "'fill'", "'fill', fill_value=1", "'fill', fill_value=9"]
     )
@@ -231,7 +231,7 @@ def _stack(scope: Scope) -> None:
 
 
 def _parts(source: str, rows: tuple[int, ...]) -> Writer:
-    """Return the writer of a function that takes an array of two rows apart."""
+    """Return the writer of a function that splits an array of two rows."""
 
     def write(scope: Scope) -> None:
         x = scope.value(scope.dtype(ANY), (2,), scope.often(4), apart=True)

@@ -1,4 +1,4 @@
-"""A Campbell diagram, as an analysis of a package of its own: the spectrum of the bit over a swept parameter."""
+"""A Campbell diagram as an analysis in a package of its own: the spectrum of the bit over a swept parameter."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -35,7 +35,7 @@ class Campbell(vj.Analysis):
         ((along, values),) = sweep.axes.items()
         columns = [self._spectrum(sweep, {**sweep.parameters, along: float(value)}) for value in values]
         frequency, amplitude, modes, fundamental = (np.array(column) for column in zip(*columns, strict=True))
-        about = sweep.system.parameters()[along]
+        parameter = sweep.system.parameters()[along]
         return self.dataset(
             {
                 "amplitude": ((along, "line"), amplitude),
@@ -43,7 +43,7 @@ class Campbell(vj.Analysis):
                 "fundamental": (along, fundamental),
             },
             {
-                along: (along, values, {"units": about.unit, "long_name": about.long_name}),
+                along: (along, values, {"units": parameter.unit, "long_name": parameter.long_name}),
                 "frequency": ("line", frequency[0], {"units": "Hz", "long_name": "frequency"}),
             },
             title=f"Campbell diagram over {along}",
@@ -57,11 +57,11 @@ class Campbell(vj.Analysis):
         window = np.hanning(SAMPLES)
         amplitude = 2 * np.abs(np.fft.rfft((x1 - x1.mean()) * window)) / window.sum()
         frequency = np.fft.rfftfreq(SAMPLES, time[1] - time[0])
-        kept = frequency <= self.highest
+        shown = frequency <= self.highest
         modes = (
             np.asarray(vj.modes.natural_frequencies(point)) / (2 * np.pi) if "gamma" in point else np.full(2, np.nan)
         )
-        return frequency[kept], amplitude[kept], modes, float(frequency[amplitude.argmax()])
+        return frequency[shown], amplitude[shown], modes, float(frequency[amplitude.argmax()])
 
     def picture(self, ds: xr.Dataset, over: Any = ()) -> Figure:
         (along,) = ds["fundamental"].dims
