@@ -19,9 +19,7 @@ class LorenzConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class Lorenz(vj.Scene[LorenzConstants]):
-    """The system of Lorenz, J. Atmospheric Sciences 20 (1963) 130. w is z - (r - 1), whose rising zero is the
-    section.
-    """
+    """The system of Lorenz, J. Atmospheric Sciences 20 (1963) 130. The section is where w = z - (r - 1) rises to 0."""
 
     name = "lorenz"
     states = (

@@ -30,8 +30,7 @@ class SwitchedConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class Switched(vj.Scene[SwitchedConstants]):
-    """A flow given in polar form, on the left r' = (1 - r) r, th' = 1, on the right r' = al (be - r) r, th' = ga + be -
-    r.
+    """A flow in polar form: left r' = (1 - r) r, th' = 1; right r' = al (be - r) r, th' = ga + be - r.
 
     The field jumps on the axis x = 0 and turns about the origin. The section is y = 0 on the right.
     """
@@ -269,10 +268,9 @@ def restitution(xi: float) -> float:
 
 
 class Rigid(NamedTuple):
-    """An orbit of one impact.
+    """An orbit of one impact, with the force's `phase` [rad] and the mass's `speed` [m/s] there.
 
-    `phase` [rad] and `speed` [m/s] are those of the force and of the mass at the impact. `multipliers` are sorted by
-    falling modulus. `section` is the state (x, v) at the section.
+    `multipliers` are sorted by falling modulus. `section` is the state (x, v) at the section.
     """
 
     phase: float
@@ -296,8 +294,11 @@ def ball_orbit(ratio: float, R: float, w: float, gravity: float) -> Rigid:
     above = np.arccos(np.pi * (1 - R) / (1 + R) / ratio)  # phase of the table's sine
     T, height = 2 * np.pi / w, ratio * gravity / w**2
     speed = gravity * T / (1 + R)
-    left = T - (above + np.pi / 2) / w  # from the impact to the next section
-    flown, rises = height * np.sin(above) + gravity * (T / 2) * left - gravity * left**2 / 2, gravity * (T / 2 - left)
+    remaining = T - (above + np.pi / 2) / w  # from the impact to the next section
+    flown, rises = (
+        height * np.sin(above) + gravity * (T / 2) * remaining - gravity * remaining**2 / 2,
+        gravity * (T / 2 - remaining),
+    )
     values = _multipliers(1 + R**2 - (1 + R) ** 2 * ratio * np.sin(above), R**2)
     return Rigid(above + np.pi / 2, speed, values, np.array([-height - flown, -rises]))
 
@@ -320,8 +321,7 @@ def oscillator_grazes(w: float, stiffness: float, damping: float, stop: float) -
 def oscillator_orbits(
     a: float, R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
 ) -> list[Rigid]:
-    """Return the orbits of one impact in `n` periods of the force, by speed at impact. Those that cross the stop are
-    included.
+    """Return the orbits of one impact in `n` periods, by impact speed, including those that cross the stop.
 
     With E the flow of the homogeneous equation over the time between impacts, the state relative to the forced motion,
     u = (stop - p, -q), obeys (E - 1) u = V (R E + 1) e2, and (p, q/w) lies on the circle of the forced motion: Shaw and
@@ -347,9 +347,7 @@ def oscillator_orbits(
 def oscillator_doubles(
     between: tuple[float, float], R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
 ) -> float:
-    """Return the amplitude `a` within `between` at which the period of the fastest orbit doubles: 1 + trace +
-    determinant = 0.
-    """
+    """Return the amplitude `a` at which the period of the fastest orbit doubles: 1 + trace + determinant = 0."""
 
     def product(a: float) -> float:
         return float(np.prod(1 + oscillator_orbits(a, R, w, stiffness, damping, stop, n)[-1].multipliers).real)

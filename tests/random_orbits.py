@@ -83,8 +83,7 @@ def off_by_differences(orbit: Orbit) -> float:
 
 
 def off_by_volumes(orbit: Orbit) -> tuple[float, float]:
-    """Return the error of the multipliers' product against the volume change of the exact flow, and the part of the
-    saltations.
+    """Return the relative error of the multipliers' product against the exact volume change, and the saltations' part.
 
     The error is relative to the product, or to 1e-6 if the product is smaller, because then the least multiplier is
     within rounding errors of the largest. Only for orbits that do not stick.

@@ -1,5 +1,4 @@
-"""Count the results of the source that turn red if one sign of the drill is wrong. The whole registry takes some
-minutes.
+"""Count the results of the source that turn red if one sign of the drill is wrong; this takes some minutes.
 
     python tests/reproduce_signs.py none|friction|contact|impact-friction TABLE.md
 

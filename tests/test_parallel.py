@@ -37,9 +37,7 @@ def test_inner_calls_run_once_in_same_threads(outer):
 
 
 def test_idle_thread_takes_inner_calls():
-    """Two inner calls that wait for each other run at the same time: one in the item's thread, one in an idle
-    thread.
-    """
+    """Two inner calls wait for each other. One runs in the item's thread, the other in an idle thread."""
     meeting = threading.Barrier(2, timeout=20)
     assert len(dict(in_parallel(nested(2, lambda *_: bool(meeting.wait() >= 0)), [0], ["a", "b"]))) == 1
 
@@ -60,9 +58,7 @@ def test_error_in_inner_call_is_raised_and_stops_threads():
 
 
 def test_number_of_free_threads():
-    """Outside a parallel call all threads are free. Inside, only idle ones are while items wait, and later all of
-    them.
-    """
+    """Outside a parallel call all threads are free. Inside, only idle ones are, and all once no item waits."""
     assert free_threads(3) == 3
     barrier, free_by_item = threading.Barrier(3), {}
 

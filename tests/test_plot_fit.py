@@ -17,9 +17,7 @@ FORMULAS = {form.name: form.rate for form in LAWS}
 
 
 def rig(path, columns=("rpm",), per_group=12, groups=3):
-    """Write noisy rig data and return the path: no rate below a relief of 1.1, then C ln(eta/1.1), C proportional to
-    rpm.
-    """
+    """Write noisy rig data and return the path: C ln(eta/1.1) above an onset of 1.1, with C proportional to rpm."""
     draw = np.random.default_rng(7)
     lines = [",".join([*columns, "relief", "rate_of_penetration"])]
     for group in range(groups):

@@ -55,9 +55,7 @@ def rock(grid, **fixed):
 
 
 def drill(grid, starts=("drive", "stuck")):
-    """Return a drilling sweep: single impacts up to a gap that depends on the start, then motion without
-    penetration.
-    """
+    """Return a drilling sweep with single impacts up to a gap that depends on the start, and no penetration beyond."""
     shape = (*(len(values) for values in grid.values()), len(starts))
     mesh = dict(zip([*grid, "start"], np.meshgrid(*grid.values(), range(len(starts)), indexing="ij"), strict=True))
     gap, k3, beta = (mesh.get(name, x) for name, x in (("delta", -0.005), ("k3", 1e8), ("beta", 0.4)))

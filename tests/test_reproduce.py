@@ -247,8 +247,7 @@ def test_invalid_output_folder_is_refused(tmp_path, capsys):
 
 @pytest.mark.parametrize("term", ["friction", pytest.param("contact", marks=pytest.mark.long)])
 def test_wrong_sign_is_detected(quick, monkeypatch, term):
-    """At least a third of the results with impact turn red. `tests/reproduce_signs.py` counts them over the whole
-    registry.
+    """At least a third of the results with impact turn red. `tests/reproduce_signs.py` counts all of them.
 
     Lanes with a wrong sign never end. The step limits are those of that script. With these limits, nothing turns red
     under the right signs.

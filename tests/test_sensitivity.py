@@ -32,9 +32,7 @@ MOTIONS = {  # by name: beta, gamma, v, delta, start, cycles
 
 @pytest.fixture(scope="module")
 def map_of_motions():
-    """Return the sweep and sensitivities of the motions, and of each with a parameter moved up and down: (change,
-    motion).
-    """
+    """Return the sweep and sensitivities of the motions and of copies with a parameter changed: (change, motion)."""
     moves = [np.array([0.0, 0.0, 0.0, 0.0])]
     moves += [sign * STEP * (np.arange(4) == 1 + place) for place in range(len(BY)) for sign in (1, -1)]
     rows = [np.array(motion[:4]) * (1 + move) for move in moves for motion in MOTIONS.values()]
@@ -109,9 +107,7 @@ def converged_lane(scene, values, returns=200):
 
 
 def test_derivatives_near_grazing_are_marked_invalid():
-    """The grazing margin of a striker that turns before the bit falls linearly with the gap. Its slope predicts the
-    graze.
-    """
+    """The grazing margin of a striker that turns before the bit is linear in the gap. Its slope predicts the graze."""
     scene, of = SCENES["vibro-impact"](), ("grazing_margin", "period")
     p, guess = converged_lane(scene, {"beta": 0.4, "gamma": 0.75, "delta": 0.034})
     far = orbit_features(scene, of, ("delta",), p, guess)

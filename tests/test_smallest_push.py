@@ -44,9 +44,7 @@ def test_variables_and_brackets(strong_cycle):
 
 
 def test_smallest_push_leaves_and_next_smaller_returns(strong_cycle):
-    """Only a push of the bit against the drive leaves the cycle, for the rattle. Full runs, three times as long,
-    confirm it.
-    """
+    """Only a push of the bit against the drive leaves the cycle, as full runs three times as long confirm."""
     has_push = {name: np.isfinite(strong_cycle[f"push_{name}"].values).tolist() for name in STATES}
     assert has_push == {"x1": [False, True], "v1": [False] * 2, "x2": [False] * 2, "v2": [False] * 2}
     push, bracket = float(strong_cycle.push_x1[1]), float(strong_cycle.bracket_x1[1])

@@ -94,9 +94,7 @@ def test_accumulating_bounces_end_at_rest():
 
 
 def test_orbit_with_rest_in_each_period_has_zero_multipliers():
-    """The table throws the ball where a w² cos(w t) = -g. The first impact ends the flight, and the bounces end at
-    rest.
-    """
+    """The table throws the ball where a w² cos(w t) = -g. After the first impact, bounces end at rest."""
     w, g, drives = 2 * np.pi, 9.81, np.linspace(1.1, 1.9, 9)
     ds = vj.run_sweep(
         {
@@ -107,8 +105,8 @@ def test_orbit_with_rest_in_each_period_has_zero_multipliers():
         },
         progress=False,
     )
-    found = ds.orbit_reason.attrs["flag_meanings"].split().index("found")
-    assert np.all(ds.orbit_reason == found)
+    found_flag = ds.orbit_reason.attrs["flag_meanings"].split().index("found")
+    assert np.all(ds.orbit_reason == found_flag)
     lanes = ds.where(ds.impacts > 4)  # with r = 0.4, some drives throw the ball so that it never rests
     assert float(np.isfinite(lanes.impacts).mean()) > 0.7
     assert float(lanes.multiplier_abs.max()) < 1e-9 and np.nanmin(lanes.grazing_margin) > 1e-4
@@ -339,9 +337,7 @@ def test_friction_with_switch():
 
 @pytest.mark.parametrize("a", [0.00249, 0.0026, 0.0045])
 def test_ball_thrown_up_slightly_stays_above_table(a):
-    """The amplitudes lie just above g/w² = 2.485 mm, where the ball leaves the table, and give slow bounces near the
-    section.
-    """
+    """The amplitudes lie just above g/w² = 2.485 mm, where the ball leaves the table with slow bounces."""
     motion = vj.simulate(BALL, a=a, w=20 * np.pi, start=[0.1, 0.0], duration=3.0, sampling=5e-4, progress=False)
     gap = motion.x.values + a * np.cos(20 * np.pi * motion.time.values)
     assert gap.min() > -1e-9
@@ -555,9 +551,7 @@ def test_section_during_sliding_has_multipliers_of_sliding_motion():
 
 
 def test_departures_along_a_tangent_are_not_grazes():
-    """Coulomb friction makes the mass stick in each period. The multiplier agrees with that of a map computed with
-    SciPy.
-    """
+    """Coulomb friction makes the mass stick in each period. The expected multiplier was computed with SciPy."""
     floor = vj.System(
         "floor",
         states={"x": "m", "v": "m s-1"},

@@ -337,7 +337,7 @@ class ForeignStepper(vj.Located):
     "scene, foreign",
     [
         *((scene(), False) for scene in vj.SCENES.values()),
-        *((VibroImpact(friction=one), False) for one in FRICTION_LAWS.values()),
+        *((VibroImpact(friction=friction_law), False) for friction_law in FRICTION_LAWS.values()),
         (VibroImpact(friction=FrictionLaw("mine", "eq. 5.9", STRIBECK.parameters, STRIBECK.mu)), False),
         (VibroImpact(friction=law_with_term(zero_unless_faulty)), True),
         (VibroImpact(friction=FrictionLaw("mine", "", {}, partial(STRIBECK.mu, extra=law_with_term))), True),
@@ -357,7 +357,7 @@ def test_foreign_code_is_recognised(scene, foreign):
 
 SOUND_SCENES = [
     *(vj.SCENES[name]() for name in vj.SCENES),
-    *(VibroImpact(friction=one) for one in FRICTION_LAWS.values() if one is not STRIBECK),
+    *(VibroImpact(friction=friction_law) for friction_law in FRICTION_LAWS.values() if friction_law is not STRIBECK),
     *(vj.SCENES["penetration"](pulse_shape=shape) for shape in PULSE_SHAPES[1:]),
     Switched(),
     Shaken(),

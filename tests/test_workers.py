@@ -38,13 +38,11 @@ def expected(tmp_path_factory):
     return vj.run_sweep(path, progress=False)
 
 
-def assert_same(found, expected):
-    """Check that the values are equal bit for bit, with names, order and units, and attributes that describe the
-    result.
-    """
-    assert list(found.data_vars) == list(expected.data_vars) and found.coords.keys() == expected.coords.keys()
+def assert_same(dataset, expected):
+    """Check that values are equal bit for bit, with names, order and units, and attributes of the result."""
+    assert list(dataset.data_vars) == list(expected.data_vars) and dataset.coords.keys() == expected.coords.keys()
     for name in expected.variables:
-        variable, reference = found[name], expected[name]
+        variable, reference = dataset[name], expected[name]
         assert (
             variable.dims == reference.dims
             and variable.dtype == reference.dtype
@@ -54,10 +52,10 @@ def assert_same(found, expected):
             variable.values.tolist() == reference.values.tolist()
             or variable.values.tobytes() == reference.values.tobytes()
         ), name
-    assert found.attrs.keys() == expected.attrs.keys()
+    assert dataset.attrs.keys() == expected.attrs.keys()
     for name in ("identity", "certified", "sweep", "lanes"):
-        assert found.attrs[name] == expected.attrs[name], name
-    assert json.loads(found.attrs["solver"])["steps"] == json.loads(expected.attrs["solver"])["steps"]
+        assert dataset.attrs[name] == expected.attrs[name], name
+    assert json.loads(dataset.attrs["solver"])["steps"] == json.loads(expected.attrs["solver"])["steps"]
 
 
 def test_spawned_pool_in_memory(file, expected):
@@ -116,8 +114,8 @@ def test_executors_of_other_libraries(file, expected, tmp_path, library):
     else:
         file.write_text(TEXT.replace("chunk = 5", "chunk = 12"))  # one process per chunk
         executor = module.LocalExecutor(folder=tmp_path / "jobs")
-    found = vj.run_sweep(file, progress=False, executor=executor)
-    assert_same(found.assign_attrs(sweep=expected.attrs["sweep"]), expected)
+    dataset = vj.run_sweep(file, progress=False, executor=executor)
+    assert_same(dataset.assign_attrs(sweep=expected.attrs["sweep"]), expected)
     if library == "loky":
         executor.shutdown()
 
@@ -150,8 +148,8 @@ def test_zarr_output(file, expected):
     pytest.importorskip("zarr")
     out = file.with_name("out.zarr")
     for _ in range(2):  # the second run replaces the first
-        found = run_to_file(read_sweep(file), out, progress=False)
-        assert_same(found, expected)
+        dataset = run_to_file(read_sweep(file), out, progress=False)
+        assert_same(dataset, expected)
     with pytest.raises(InputError, match=r"holds another result: parameters\.v was 1\.5, is 1\.2"):
         run_to_file(read_sweep(file, ["v=1.2"]), out, progress=False)
     assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.zarr"}
@@ -179,9 +177,9 @@ def test_most_expensive_chunks_come_first(file):
         TEXT.replace("beta = [0.3, 0.4, 0.5]", "c2 = [200.0, 1e6, 250.0, 1e5]").replace("chunk = 5", "chunk = 8")
     )
     executor = LocalExecutor(lambda self, fn, *arguments: fn(*arguments))
-    found = vj.run_sweep(file, progress=False, executor=executor)
+    dataset = vj.run_sweep(file, progress=False, executor=executor)
     assert executor.asked == [1, 3, 2, 0]
-    assert_same(found, vj.run_sweep(file, progress=False))
+    assert_same(dataset, vj.run_sweep(file, progress=False))
     steps = [work["steps"].sum() for work in map(Work(read_sweep(file)).compute, range(4))]
     assert steps[1] > 20 * steps[0] and np.argsort(steps)[::-1].tolist()[:2] == [1, 3]
 
@@ -189,8 +187,16 @@ def test_most_expensive_chunks_come_first(file):
 @pytest.mark.parametrize(
     ("fails", "error", "warning"),
     [
-        (lambda asked: asked[-1] == 3, MemoryError("too much"), "chunk 3 failed with a worker (MemoryError: too much)"),
-        (lambda asked: len(asked) > 2, BrokenExecutor("a worker died"), "(BrokenExecutor: a worker died); the rest is"),
+        (
+            lambda requested: requested[-1] == 3,
+            MemoryError("too much"),
+            "chunk 3 failed with a worker (MemoryError: too much)",
+        ),
+        (
+            lambda requested: len(requested) > 2,
+            BrokenExecutor("a worker died"),
+            "(BrokenExecutor: a worker died); the rest is",
+        ),
     ],
 )
 def test_failed_chunks_are_computed_locally(file, expected, capsys, fails, error, warning):

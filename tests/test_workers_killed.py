@@ -63,9 +63,9 @@ def command():
 def workers_of(process: int) -> list[int]:
     """Return the spawned workers of a process."""
     children = Path(f"/proc/{process}/task/{process}/children")
-    pids = [int(one) for path in children.parent.parent.glob("*/children") for one in path.read_text().split()]
-    commands = {one: Path(f"/proc/{one}/cmdline").read_bytes() for one in pids}
-    return [one for one, command in commands.items() if b"spawn_main" in command and b"resource_tracker" not in command]
+    pids = [int(pid) for path in children.parent.parent.glob("*/children") for pid in path.read_text().split()]
+    commands = {pid: Path(f"/proc/{pid}/cmdline").read_bytes() for pid in pids}
+    return [pid for pid, command in commands.items() if b"spawn_main" in command and b"resource_tracker" not in command]
 
 
 def claim_texts(folder: Path) -> list[str]:
@@ -102,9 +102,7 @@ def test_chunk_of_dead_worker_is_computed_by_another(file, command):
     out = file.with_name("out.nc")
     folder = out.with_name("out.nc.chunks")
     driver = command("sweep", file, "-o", out, "--workers", "2", "--quiet")
-    before = wait_for(
-        lambda: len(found := workers_of(driver.pid)) == 2 and list(folder.glob("chunk-*.claim")) and found
-    )
+    before = wait_for(lambda: len(pids := workers_of(driver.pid)) == 2 and list(folder.glob("chunk-*.claim")) and pids)
     os.kill(before[0], signal.SIGKILL)
     wait_for(
         lambda: driver.poll() is not None or set(workers_of(driver.pid)) - set(before)
@@ -113,14 +111,14 @@ def test_chunk_of_dead_worker_is_computed_by_another(file, command):
     assert driver.poll() is None  # chunks remain to be computed
     workers, finished = workers_of(driver.pid), {path: path.stat().st_mtime_ns for path in folder.glob("*.shard")}
     driver.kill()
-    wait_for(lambda: not any(Path(f"/proc/{one}").exists() for one in workers))
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
     resumed = command("sweep", file, "-o", out, "--workers", "2")
-    workers = wait_for(lambda: len(found := workers_of(resumed.pid)) == 2 and found)
+    workers = wait_for(lambda: len(pids := workers_of(resumed.pid)) == 2 and pids)
     resumed.send_signal(signal.SIGINT)
     assert resumed.wait() == 130
     message = resumed.stderr.read()
     assert f"to go on: vibrojax sweep {file} -o {out} --workers 2" in message and "Traceback" not in message
-    wait_for(lambda: not any(Path(f"/proc/{one}").exists() for one in workers))
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
     assert {path: path.stat().st_mtime_ns for path in finished} == finished
     run_to_file(read_sweep(file), out, progress=False)
     expected = vj.run_sweep(file, progress=False)

@@ -36,9 +36,7 @@ def test_natural_frequencies_are_eigenvalues(beta, gamma):
 
 
 def test_lower_mode_is_accurate_where_modes_are_far_apart():
-    """For gamma -> 0, the striker swings at w2 on a bit that does not give, and the bit alone at w1, to order
-    gamma².
-    """
+    """For gamma -> 0, the striker swings at w2 on a rigid bit, and the bit alone at w1, to order gamma²."""
     modes = natural_frequencies(drill(25.0, 0.4, 1e-5))
     np.testing.assert_allclose(modes, [25e-5, 25.0], rtol=1e-9)
 

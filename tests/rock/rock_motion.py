@@ -53,9 +53,7 @@ class Motion:
         return integrals * self.steps.h
 
     def resistance(self):
-        """Return the integral of N over time [N s] in each step: k3 e while elastic, D while yielding, else zero
-        (6.2).
-        """
+        """Return the integral of N over time [N s] in each step (6.2): k3 e while elastic, D while yielding."""
         elastic = self.p["k3"] * self.integral("compression")
         yielding = self.p["threshold"] * self.steps.dt
         return np.where(self.rock == ELASTIC, elastic, np.where(self.rock == YIELDING, yielding, 0.0))

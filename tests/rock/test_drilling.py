@@ -82,9 +82,7 @@ def test_no_hole_grows_below_threshold(sweeps):
 
 
 def test_feedback_reduces_rate(sweeps):
-    """The rock yields under the contact, so blows are softer, and ROP is lower wherever the one-way drill
-    penetrates.
-    """
+    """The rock yields under the contact, so blows are softer, and ROP is lower wherever the bit penetrates."""
     one_way, coupled = sweeps["drilling"], sweeps["coupled-drilling"]
     bores = (one_way.rate_of_penetration > 0).values
     assert np.all(coupled.rate_of_penetration.values[bores] < 0.7 * one_way.rate_of_penetration.values[bores])

@@ -47,9 +47,7 @@ def test_all_cases_run(datasets):
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_slip_per_pulse(datasets, shape):
-    """The required error is 1e-3 s_ref or 1e-7 m. The measured one is 1e-8 s_ref or 1e-12 m, and zero where nothing
-    slips.
-    """
+    """The required error is 1e-3 s_ref or 1e-7 m, the measured one 1e-8 s_ref or 1e-12 m, and 0 without slip."""
     slip, exact = datasets[shape].slip_per_impact.values, expected(shape, "slip_per_pulse")
     assert np.all(np.abs(slip - exact) <= np.maximum(1e-3 * exact, 1e-7))
     np.testing.assert_allclose(slip, exact, rtol=1e-8, atol=1e-12)

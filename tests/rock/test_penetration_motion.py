@@ -41,9 +41,7 @@ def test_half_sine_on_elastic_rock(zeta):
 
 
 def test_bit_leaves_rock_and_flies():
-    """N = 0 while x3 < x4. From x' = v0 at the surface, x = v0 m/c (1 - e^{-ct/m}). Lift-off is where x = 0 and x' <
-    0.
-    """
+    """While x3 < x4, N = 0. From x' = v0 at the surface, x = v0 m/c (1 - e^{-ct/m}). The bit lifts off with x' < 0."""
     motion = Motion(0.02, "rectangular", zeta=0.3, frequency=10.0, pulse_width=2e-3, threshold=ELASTIC_ONLY)
     p, flight = motion.p, np.flatnonzero(motion.rock == OFF)
     start = flight[0] - 1
@@ -123,9 +121,7 @@ def test_ratchet_is_running_maximum(train):
 
 
 def test_growth_is_integral_of_velocity_over_slips(train):
-    """x4' = x3' while the rock yields and 0 otherwise, so the growth is the integral of x3' over the slips, step by
-    step.
-    """
+    """x4' = x3' while the rock yields, else 0, so the growth in each step is the integral of x3' over slips."""
     slips = np.where(train.rock == YIELDING, train.integral("v3"), 0.0)
     np.testing.assert_allclose(train.growth, slips, atol=1e-13 * train.x4[-1])
     assert np.all(train.growth[train.rock != YIELDING] == 0)

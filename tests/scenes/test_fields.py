@@ -64,8 +64,8 @@ def arrays(*values):
 def test_field(law, slip, kind, touching):
     scene = kind(friction=FRICTION_LAWS[law])
     state = states(slip, seed=2)
-    found = scene.field(constants(scene), arrays(slip, *touching), arrays(*state))
-    for component, expected in zip(found, reference(law, slip, any(touching), state), strict=True):
+    field = scene.field(constants(scene), arrays(slip, *touching), arrays(*state))
+    for component, expected in zip(field, reference(law, slip, any(touching), state), strict=True):
         np.testing.assert_allclose(component, expected, rtol=1e-12, atol=1e-10 if touching else 1e-12)
 
 
@@ -75,8 +75,8 @@ def test_smoothed_field_converges_to_sliding_field(slip, touching):
     """u/sqrt(u² + w²) replaces sgn u. At |u| >= 0.05 and w = 1e-6 they differ by w²/(2 u²) < 1e-9."""
     scene = VibroImpact()
     state, mode = states(slip, seed=3), arrays(slip, touching)
-    found = scene.smoothed_field(constants(scene), mode, arrays(*state), 1e-6)
-    for component, expected in zip(found, reference("stribeck", slip, touching, state), strict=True):
+    field = scene.smoothed_field(constants(scene), mode, arrays(*state), 1e-6)
+    for component, expected in zip(field, reference("stribeck", slip, touching, state), strict=True):
         np.testing.assert_allclose(component, expected, rtol=1e-7, atol=1e-6)
 
 
@@ -98,9 +98,9 @@ def test_friction_opposes_sliding_and_grows_under_impact(law):
 def test_stick_holds_bit_on_rock():
     """R1: friction balances the pull, so u stays at 0, and the drive leaves the bit behind."""
     for scene, mode in ((Rotary(), arrays(0)), (VibroImpact(), arrays(0, 1))):
-        found = scene.field(constants(scene), mode, arrays(*states(0)))
-        np.testing.assert_array_equal(found[0], -DRILL["v"])
-        np.testing.assert_array_equal(found[1], 0.0)
+        field = scene.field(constants(scene), mode, arrays(*states(0)))
+        np.testing.assert_array_equal(field[0], -DRILL["v"])
+        np.testing.assert_array_equal(field[1], 0.0)
 
 
 def stick_limit(impact=0.0):
@@ -218,9 +218,7 @@ def test_contact_mode(over, v2, x1, touching):
 
 
 def test_starts():
-    """R5: `drive` is all zero, `stuck` has u = 0. R13: with delta < 0 both are in contact, and `touching` is on its
-    edge.
-    """
+    """R5: `drive` is zero, `stuck` has u = 0. R13: if delta < 0, both are in contact, and `touching` at its edge."""
     scene = VibroImpact()
     for delta, touching in ((-0.005, 1), (0.005, 0)):
         p = constants(scene, delta=delta)
@@ -274,9 +272,7 @@ def test_landing_under_impact_uses_raised_limit():
 
 
 def test_landings_on_contact():
-    """x2 = delta exactly where an impact begins, J = 0 where it ends. If contact resumes above delta, x2 is
-    unchanged.
-    """
+    """x2 = delta exactly where an impact begins, J = 0 where it ends. Renewed contact leaves x2 unchanged."""
     delta, relaxation = CONTACT["delta"], CONTACT["c0"] / CONTACT["k0"]
     contact = (False, True, False, False)
     begins = land(VibroImpact(), (1.0, 0.0), (0.01, 0.2, delta + 1e-16, 0.7), *contact)

@@ -34,9 +34,7 @@ class Constants(NamedTuple):
 
 @dataclass(frozen=True)
 class DrillWithString(VibroImpact):
-    """A drill whose bit hangs on k1 from a mass m0, which hangs on k4 from the drive. x0, x1, x2 are relative to the
-    drive.
-    """
+    """A drill whose bit hangs on k1 from a mass m0, on k4 below the drive. x0, x1, x2 are relative to the drive."""
 
     name = "with-string"
     states = (

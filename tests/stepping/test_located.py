@@ -52,18 +52,18 @@ def run_lane(start, duration, **values):
     """Return the constants and the record of one lane of the vibro-impact scene."""
     p = constants(DRILL, **values)
     settings = Accuracy(*map(jnp.asarray, FINE))
-    steps_ = record(DRILL, Located(), p, DRILL.start(p, start, (1,)), settings, float(duration))[0]
-    return Flat(p), steps_
+    steps = record(DRILL, Located(), p, DRILL.start(p, start, (1,)), settings, float(duration))[0]
+    return Flat(p), steps
 
 
-def hits(steps_):
+def hits(steps):
     """Return the events at the ends of steps, by name."""
-    return dict(zip(DRILL.event_names, steps_.hits.T, strict=True))
+    return dict(zip(DRILL.event_names, steps.hits.T, strict=True))
 
 
-def impact_begins(p, steps_):
+def impact_begins(p, steps):
     """Return the steps at whose end an impact begins."""
-    return np.asarray(DRILL.impact_begins(p.constants, tuple(steps_.mode.T), tuple(steps_.after.T), hits(steps_)))
+    return np.asarray(DRILL.impact_begins(p.constants, tuple(steps.mode.T), tuple(steps.after.T), hits(steps)))
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +81,7 @@ def fitted_order(errors, strides):
     ("order", "strides"), [(2, (0.08, 0.04, 0.02)), (4, (0.25, 0.12, 0.06)), (8, (1.0, 0.7, 0.5, 0.35))]
 )
 def test_order_through_stick_slip_and_impacts(order, strides):
-    """|y(h) - y| = C h^order at 0.5 s from `stuck`, with an infinite tolerance so that the series alone sets the
-    error.
-    """
+    """|y(h) - y| = C h^order at 0.5 s from `stuck`. At an infinite tolerance, only the series sets the error."""
     p = constants(DRILL, (len(strides),))
     exact, _ = final_states(DRILL, Located(8), p, "stuck", 0.5, tolerance=1e30, stride=np.full(len(strides), 0.08))
     states, _ = final_states(DRILL, Located(order), p, "stuck", 0.5, tolerance=1e30, stride=np.array(strides))
@@ -105,9 +103,7 @@ def test_order_with_laws_that_are_not_polynomials(law):
 
 
 def test_tolerance_controls_error():
-    """The tolerance bounds the last terms of each step. A tolerance a hundred times smaller gives at most a fiftieth of
-    the error.
-    """
+    """The tolerance bounds the last terms of each step. If it is 100 times smaller, the error is at least 50 times."""
     tolerances = np.array([1e-4, 1e-6, 1e-8, 1e-14])
     states, _ = final_states(DRILL, Located(), constants(DRILL, (4,)), "stuck", 0.5, stride=4.0, tolerance=tolerances)
     errors = np.max(np.abs(states / states[:, -1:] - 1), axis=0)[:-1]
@@ -116,21 +112,21 @@ def test_tolerance_controls_error():
 
 
 def test_motion_has_all_modes_and_impacts(motion):
-    p, steps_ = motion
-    slip, touching = steps_.mode.T
+    p, steps = motion
+    slip, touching = steps.mode.T
     assert {-1.0, 0.0, 1.0} == set(slip)
-    assert impact_begins(p, steps_).sum() >= 5
+    assert impact_begins(p, steps).sum() >= 5
     assert np.any((slip == 0) & (touching == 1))
 
 
 def test_steps_land_exactly_on_surfaces(motion):
     """u = 0 after friction events, x2 = delta as an impact begins, J = 0 as it ends, and x1', x2' = 0 at the turns."""
-    p, steps_ = motion
-    _, v1, x2, v2 = steps_.after.T
-    friction, contact, bit_turns, striker_turns = steps_.hits.T
+    p, steps = motion
+    _, v1, x2, v2 = steps.after.T
+    friction, contact, bit_turns, striker_turns = steps.hits.T
     assert np.all(v1[friction] + float(p["v"][0]) == 0)
-    assert np.all(x2[impact_begins(p, steps_)] == float(p["delta"][0]))
-    releases = contact & (steps_.mode[:, 1] == 1)
+    assert np.all(x2[impact_begins(p, steps)] == float(p["delta"][0]))
+    releases = contact & (steps.mode[:, 1] == 1)
     assert releases.sum() >= 5
     np.testing.assert_allclose(
         x2[releases] - float(p["delta"][0]), -float(p["relaxation"][0]) * v2[releases], atol=1e-17
@@ -141,22 +137,22 @@ def test_steps_land_exactly_on_surfaces(motion):
 
 def test_steps_are_contiguous(motion):
     """Each step starts where and when the last ended, so events are in order and none is missing."""
-    _, steps_ = motion
-    np.testing.assert_array_equal(steps_.polynomials[1:, :, 0], steps_.after[:-1])
-    np.testing.assert_allclose(steps_.start[1:], (steps_.start + steps_.dt)[:-1], rtol=0, atol=1e-15)
-    assert steps_.start[-1] + steps_.dt[-1] == pytest.approx(2.0, abs=1e-15)
+    _, steps = motion
+    np.testing.assert_array_equal(steps.polynomials[1:, :, 0], steps.after[:-1])
+    np.testing.assert_allclose(steps.start[1:], (steps.start + steps.dt)[:-1], rtol=0, atol=1e-15)
+    assert steps.start[-1] + steps.dt[-1] == pytest.approx(2.0, abs=1e-15)
 
 
 def test_no_surface_is_crossed_within_step(motion):
     """At 64 instants in each step, sliding keeps its sign, stick holds (5.11), and J > 0 exactly in contact."""
-    p, steps_ = motion
+    p, steps = motion
     p = {name: float(np.ravel(value)[0]) for name, value in p.items()}
-    moved = steps_.dt > 0
-    tau = (steps_.dt / steps_.h)[moved, None] * np.linspace(0, 1, 64)
+    moved = steps.dt > 0
+    tau = (steps.dt / steps.h)[moved, None] * np.linspace(0, 1, 64)
     x1, v1, x2, v2 = sum(
-        c[:, :, None] * tau[:, None] ** k for k, c in enumerate(np.moveaxis(steps_.polynomials[moved], 2, 0))
+        c[:, :, None] * tau[:, None] ** k for k, c in enumerate(np.moveaxis(steps.polynomials[moved], 2, 0))
     ).transpose(1, 0, 2)
-    slip, touching = (m[:, None] for m in steps_.mode[moved].T)
+    slip, touching = (m[:, None] for m in steps.mode[moved].T)
     force = touching * (p["k0"] * (x2 - p["delta"]) + p["c0"] * v2)
     pull = p["k2"] * (x2 - x1) - p["k1"] * x1
     reserve = p["mu"] * p["m1"] * p["g"] + p["mu"] * force - np.abs(pull)
@@ -169,21 +165,20 @@ def test_no_surface_is_crossed_within_step(motion):
 
 
 def test_energy_balance(motion):
-    """The work of the drive, the integral of F v, equals the integral of F u + c2 x2'² + J x2' plus the change of
-    energy.
+    """The work of the drive, F v, equals F u + c2 x2'² + J x2' plus the change of energy, integrated over time.
 
     The integrals use Gauss's rule on the steps' polynomials, with F from eqs. 5.9 and 5.12 in slip and the springs'
     pull in stick.
     """
-    p, steps_ = motion
+    p, steps = motion
     p = {name: float(np.ravel(value)[0]) for name, value in p.items()}
     nodes, weights = np.polynomial.legendre.leggauss(12)
-    tau = (steps_.dt / steps_.h)[:, None] * (nodes + 1) / 2
-    weights = steps_.dt[:, None] * weights / 2
+    tau = (steps.dt / steps.h)[:, None] * (nodes + 1) / 2
+    weights = steps.dt[:, None] * weights / 2
     x1, v1, x2, v2 = sum(
-        c[:, :, None] * tau[:, None] ** k for k, c in enumerate(np.moveaxis(steps_.polynomials, 2, 0))
+        c[:, :, None] * tau[:, None] ** k for k, c in enumerate(np.moveaxis(steps.polynomials, 2, 0))
     ).transpose(1, 0, 2)
-    slip, touching = (m[:, None] for m in steps_.mode.T)
+    slip, touching = (m[:, None] for m in steps.mode.T)
     u, weight = v1 + p["v"], p["m1"] * p["g"]
     force = touching * (p["k0"] * (x2 - p["delta"]) + p["c0"] * v2)
     ratio = np.abs(u) / p["v_cr"]
@@ -196,7 +191,7 @@ def test_energy_balance(motion):
         kinetic = p["m1"] * v1**2 + p["m2"] * v2**2
         return (kinetic + p["k1"] * x1**2 + p["k2"] * (x1 - x2) ** 2) / 2
 
-    change = energy(*steps_.after[-1]) - energy(*steps_.polynomials[0, :, 0])
+    change = energy(*steps.after[-1]) - energy(*steps.polynomials[0, :, 0])
     assert abs(supplied) > 100
     assert supplied == pytest.approx(dissipated + change, rel=1e-8)
 
@@ -204,47 +199,45 @@ def test_energy_balance(motion):
 @pytest.fixture(scope="module")
 def free_top():
     """Return the time of the striker's first turn at the top without contact, with x1 and x2 there."""
-    _, steps_ = run_lane("stuck", 2.0, delta=1.0)
-    first = np.flatnonzero(steps_.hits[:, 3] & steps_.falling[:, 1])[0]
-    x1, _, x2, _ = steps_.after[first]
-    return steps_.start[first] + steps_.dt[first], x1, x2
+    _, steps = run_lane("stuck", 2.0, delta=1.0)
+    first = np.flatnonzero(steps.hits[:, 3] & steps.falling[:, 1])[0]
+    x1, _, x2, _ = steps.after[first]
+    return steps.start[first] + steps.dt[first], x1, x2
 
 
 @pytest.mark.parametrize("above", [1e-9, 1e-12, 1e-15, 0.0, -1e-15, -1e-12, -1e-9])
 def test_impact_at_grazing(free_top, above):
     """The gap lies `above` the free striker's turn: no impact, or one at x2' = sqrt(2 a |above|), and no stall."""
     when, x1, top = free_top
-    p, steps_ = run_lane("stuck", when + 0.02, delta=top + above)
+    p, steps = run_lane("stuck", when + 0.02, delta=top + above)
     _, free = run_lane("stuck", when + 0.02, delta=1.0)
-    impacts = steps_.after[impact_begins(p, steps_)][:, 3]
+    impacts = steps.after[impact_begins(p, steps)][:, 3]
     deceleration = float(p["k2"][0] * p["inverse_m2"][0]) * (top - x1)
     expected = np.sqrt(2 * deceleration * max(-above, 0))
     if abs(above) >= 1e-12:
         assert len(impacts) == (above < 0)
     np.testing.assert_allclose(impacts, expected, rtol=1e-2, atol=1e-6)
-    assert len(steps_.dt) < len(free.dt) + 30
-    np.testing.assert_allclose(steps_.after[-1], free.after[-1], rtol=0, atol=20 * expected + 1e-6)
+    assert len(steps.dt) < len(free.dt) + 30
+    np.testing.assert_allclose(steps.after[-1], free.after[-1], rtol=0, atol=20 * expected + 1e-6)
 
 
 @pytest.mark.parametrize("c0", [0.0, 1e2, 1e4, 4e4, 5e4, 7e4, 1.4e5, 2e5])
 def test_chatter_comes_to_rest(c0):
     """At v = 0 the striker bounces on the bit until it rests, with restitution from 1 to almost 0."""
     for v in (0.0, 0.5):
-        _, steps_ = run_lane("drive", 2.0, c0=c0, v=v)
-        assert steps_.start[-1] + steps_.dt[-1] == pytest.approx(2.0)
-        assert len(steps_.dt) < 1500
+        _, steps = run_lane("drive", 2.0, c0=c0, v=v)
+        assert steps.start[-1] + steps.dt[-1] == pytest.approx(2.0)
+        assert len(steps.dt) < 1500
 
 
 def test_resting_striker_needs_few_steps():
-    """The preload presses the striker on the bit: k2 x2 = k0 (delta - x2). Steps at the contact rate would number
-    34,000.
-    """
+    """The preload presses the striker on the bit: k2 x2 = k0 (delta - x2). The contact rate would need 34,000 steps."""
     p = constants(DRILL)
     k0, k2, delta = (float(Flat(p)[name][0]) for name in ("k0", "k2", "delta"))
-    _, steps_ = run_lane((0.0, 0.0, k0 * delta / (k0 + k2), 0.0), 48.0, v=0.0)
-    assert len(steps_.dt) < 10
-    _, steps_ = run_lane("drive", 48.0, v=0.0, delta=0.005)
-    assert len(steps_.dt) == 1
+    _, steps = run_lane((0.0, 0.0, k0 * delta / (k0 + k2), 0.0), 48.0, v=0.0)
+    assert len(steps.dt) < 10
+    _, steps = run_lane("drive", 48.0, v=0.0, delta=0.005)
+    assert len(steps.dt) == 1
 
 
 @pytest.mark.parametrize(
@@ -269,11 +262,11 @@ def test_simultaneous_switches(start, shift):
     assert gap > 0
     assert free.after[stop, 3] > 0.5
     assert free.mode[stop + 1, 0] == (0 if start[0] < 0.01 else -1)
-    p, steps_ = run_lane(start, end, delta=gap + shift)
+    p, steps = run_lane(start, end, delta=gap + shift)
     nearby_p, nearby = run_lane(start, end, delta=gap + 1e-7)
-    assert impact_begins(p, steps_).sum() == impact_begins(nearby_p, nearby).sum() == 1
-    assert len(steps_.dt) < len(nearby.dt) + 20
-    np.testing.assert_allclose(steps_.after[-1], nearby.after[-1], rtol=0, atol=1e-5)
+    assert impact_begins(p, steps).sum() == impact_begins(nearby_p, nearby).sum() == 1
+    assert len(steps.dt) < len(nearby.dt) + 20
+    np.testing.assert_allclose(steps.after[-1], nearby.after[-1], rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("part", [0.999, 0.9, 0.5, 0.0])
@@ -285,11 +278,11 @@ def test_turns_within_a_step(part):
     p = constants(DRILL)
     behind, speed = 0.002, 1.0
     dip = float(p.drill.k2[0] * p.drill.inverse_m2[0]) * behind**2 / (2 * speed)
-    _, steps_ = run_lane((-behind, speed, 0.0, part * dip), 0.006, delta=1.0)
-    turns = np.flatnonzero(hits(steps_)["striker_turn"])
+    _, steps = run_lane((-behind, speed, 0.0, part * dip), 0.006, delta=1.0)
+    turns = np.flatnonzero(hits(steps)["striker_turn"])
     assert len(turns) == (2 if part > 0 else 1)
-    np.testing.assert_allclose(steps_.after[turns, 3], 0, atol=1e-15)
-    assert len(steps_.dt) < 10
+    np.testing.assert_allclose(steps.after[turns, 3], 0, atol=1e-15)
+    assert len(steps.dt) < 10
 
 
 V, DELTA = 1.5, -0.005
@@ -310,12 +303,12 @@ V, DELTA = 1.5, -0.005
     ],
 )
 def test_start_on_surface(start, slip, touching):
-    _, steps_ = run_lane(start, 0.05)
-    assert tuple(steps_.mode[0]) == (slip, touching)
-    assert len(steps_.dt) < 300
+    _, steps = run_lane(start, 0.05)
+    assert tuple(steps.mode[0]) == (slip, touching)
+    assert len(steps.dt) < 300
     nudged = tuple(y + 1e-10 * sign for y, sign in zip(start, (1, 1, -1, 1), strict=True))
     _, nearby = run_lane(nudged, 0.05)
-    np.testing.assert_allclose(steps_.after[-1], nearby.after[-1], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(steps.after[-1], nearby.after[-1], rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

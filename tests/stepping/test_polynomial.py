@@ -33,11 +33,9 @@ def find_root(c, zeros, guess, end):
     return root([c[k] for k in range(c.shape[0])], zeros, guess, end)
 
 
-def falling(at, shape, zeros=0):
-    """Return tau^zeros (at - tau) (1 + shape_1 tau + ...), padded to order 7, with one simple root in (0, 1] after
-    0.
-    """
-    c = (Polynomial([0, 1]) ** zeros * Polynomial([at, -1]) * Polynomial([1, *shape])).coef
+def falling(root_at, shape, zeros=0):
+    """Return tau^zeros (root_at - tau) (1 + shape_1 tau + ...), padded to order 7: one simple root in (0, 1]."""
+    c = (Polynomial([0, 1]) ** zeros * Polynomial([root_at, -1]) * Polynomial([1, *shape])).coef
     return np.pad(c, (0, 8 - len(c)))
 
 
@@ -45,22 +43,22 @@ SHAPE = st.lists(st.floats(-0.1, 0.1, allow_subnormal=False), min_size=3, max_si
 
 
 @settings(deadline=None, max_examples=200)
-@given(at=st.floats(0.05, 0.95), shape=SHAPE, off=st.floats(-0.2, 0.2), zeros=st.sampled_from([0, 1, 2]))
-def test_root(at, shape, off, zeros):
+@given(root_at=st.floats(0.05, 0.95), shape=SHAPE, off=st.floats(-0.2, 0.2), zeros=st.sampled_from([0, 1, 2]))
+def test_root(root_at, shape, off, zeros):
     """Five Newton iterations suffice from a guess as good as the parabola's. Zeros at the start are not found."""
-    guess = min(max(at + off, 0.02), 0.99)
-    c = jnp.asarray(falling(at, shape, zeros))[:, None]
+    guess = min(max(root_at + off, 0.02), 0.99)
+    c = jnp.asarray(falling(root_at, shape, zeros))[:, None]
     result = find_root(c, jnp.full(1, float(zeros)), jnp.full(1, guess), jnp.ones(1))
-    np.testing.assert_allclose(result, at, rtol=1e-12)
+    np.testing.assert_allclose(result, root_at, rtol=1e-12)
 
 
 @settings(deadline=None, max_examples=100)
-@given(at=st.floats(0.05, 0.95), shape=SHAPE, scale=st.floats(1e-9, 1e9), end=st.floats(0.96, 1.0))
-def test_root_from_exact_guess(at, shape, scale, end):
+@given(root_at=st.floats(0.05, 0.95), shape=SHAPE, scale=st.floats(1e-9, 1e9), end=st.floats(0.96, 1.0))
+def test_root_from_exact_guess(root_at, shape, scale, end):
     """A guess that is the root to the last digit is returned, whatever the unit of the polynomial."""
-    c = jnp.asarray(scale * falling(at, shape))[:, None]
-    result = find_root(c, jnp.zeros(1), jnp.full(1, at), jnp.full(1, end))
-    np.testing.assert_allclose(result, at, rtol=1e-12)
+    c = jnp.asarray(scale * falling(root_at, shape))[:, None]
+    result = find_root(c, jnp.zeros(1), jnp.full(1, root_at), jnp.full(1, end))
+    np.testing.assert_allclose(result, root_at, rtol=1e-12)
 
 
 @pytest.mark.parametrize("guess", [0.5, 0.25, 0.9, 0.5 + 1e-16])
@@ -79,11 +77,15 @@ def test_root_where_newton_leaves_the_bracket():
 
 def test_roots_of_several_lanes():
     """Lanes with different roots, starts and ends do not affect each other."""
-    at = np.array([0.2, 0.5, 0.7, 0.05])
+    root_at = np.array([0.2, 0.5, 0.7, 0.05])
     zeros = np.array([0, 1, 2, 1])
-    c = np.stack([falling(*each) for each in zip(at, RANDOM.uniform(-0.1, 0.1, (4, 3)), zeros, strict=True)], axis=1)
-    result = find_root(jnp.asarray(c), jnp.asarray(zeros, float), jnp.asarray(at * 1.1), jnp.asarray([0.4, 1, 1, 0.1]))
-    np.testing.assert_allclose(result, at, rtol=1e-12)
+    c = np.stack(
+        [falling(*each) for each in zip(root_at, RANDOM.uniform(-0.1, 0.1, (4, 3)), zeros, strict=True)], axis=1
+    )
+    result = find_root(
+        jnp.asarray(c), jnp.asarray(zeros, float), jnp.asarray(root_at * 1.1), jnp.asarray([0.4, 1, 1, 0.1])
+    )
+    np.testing.assert_allclose(result, root_at, rtol=1e-12)
 
 
 @settings(deadline=None, max_examples=100)

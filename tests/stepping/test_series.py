@@ -74,14 +74,14 @@ def test_arithmetic(function):
 def test_arithmetic_with_arrays_on_left():
     """Arrays of JAX must leave `array * series` to the series."""
     lane = jnp.asarray(LANE)
-    for found, expected in (
+    for product, expected in (
         (lane * series(A), lambda a, b: LANE * a),
         (lane + series(A), lambda a, b: LANE + a),
         (lane - series(A), lambda a, b: LANE - a),
         (lane / series(B), lambda a, b: LANE / b),
     ):
-        assert isinstance(found, Series)
-        np.testing.assert_allclose(coefficients(found), cauchy(expected), rtol=1e-9, atol=1e-12)
+        assert isinstance(product, Series)
+        np.testing.assert_allclose(coefficients(product), cauchy(expected), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -127,8 +127,8 @@ def test_functions(name):
     lanes = [np.array(INSIDE), np.array([1.7, 0.4, 0.0, -0.3, 0.2, 0.1])]
     series = of_series(known([jnp.asarray([lane[k] for lane in lanes]) for k in range(FUNCTION_ORDER + 1)]))
     expected = [cauchy_mean(lambda tau, a=lane: of_numbers(np.polyval(a[::-1], tau))) for lane in lanes]
-    found = np.array([np.asarray(series[k]) for k in range(FUNCTION_ORDER + 1)]).T
-    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12)
+    actual = np.array([np.asarray(series[k]) for k in range(FUNCTION_ORDER + 1)]).T
+    np.testing.assert_allclose(actual, expected, rtol=1e-11, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

@@ -93,9 +93,7 @@ DEFAULTS = {name: jnp.asarray(ROTARY.parameters()[name].default) for name in ("m
 
 @partial(jax.jit, static_argnums=(2,))
 def final_x2(values, h=1e-3, steps=60):
-    """Return x2 [m] after 60 ms of the rotary scene from a start in stick that breaks away. The switch is 0.1 m/s
-    wide.
-    """
+    """Return x2 [m] after 60 ms of the rotary scene, in which the bit breaks away. The switch is 0.1 m/s wide."""
     p = ROTARY.constants(
         {name: jnp.asarray(parameter.default) for name, parameter in ROTARY.parameters().items()} | values
     )
