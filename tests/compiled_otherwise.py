@@ -20,7 +20,7 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", True)
 
-from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, swept  # noqa: E402
+from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, run_points  # noqa: E402
 
 from vibrojax.compile import Untranslatable, agreement, xla  # noqa: E402
 from vibrojax.compile.kernels import elementwise, kernels, native  # noqa: E402
@@ -96,10 +96,10 @@ def results(scene: str) -> list:
     """Return datasets of all lanes: a drill under every law, or penetration under each pulse shape."""
     if scene == "penetration":
         points = columns(scene)
-        return [swept(scene, points, {}, force=250e3, pulse_shape=shape) for shape in ("rectangular", "half-sine")]
+        return [run_points(scene, points, {}, force=250e3, pulse_shape=shape) for shape in ("rectangular", "half-sine")]
     lanes = {name: np.tile(column, len(FRICTION_LAWS) - 1) for name, column in columns(scene).items()}
     lanes["law"] = np.repeat(np.arange(len(FRICTION_LAWS) - 1.0), LANES)
-    return [swept(scene, lanes, {"keep_returns": 25}, friction="all-laws")]
+    return [run_points(scene, lanes, {"keep_returns": 25}, friction="all-laws")]
 
 
 def difference(reference, other) -> tuple[float, str]:
