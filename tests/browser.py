@@ -1,4 +1,4 @@
-"""A browser for tests: Chromium as it is installed, or playwright's own; none where there is neither."""
+"""A browser for tests: the installed Chromium or playwright's own."""
 
 import os
 import shutil
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 PATIENCE = 60_000
-"""Milliseconds that a page is waited for: machines may be slow, or have other work."""
+"""Timeout [ms] for a page, long enough for slow or busy machines."""
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 ARGUMENTS = [
@@ -25,9 +25,9 @@ ARGUMENTS = [
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """A Chromium of playwright's; the test is skipped, and says what is missing, where there is none.
+    """Yield playwright's Chromium. Skip the test, with the reason, if there is none.
 
-    The environment's VIBROJAX_BROWSER names another binary.
+    The environment variable VIBROJAX_BROWSER names another binary.
     """
     playwright = pytest.importorskip("playwright.sync_api", reason='playwright is missing: pip install ".[browser]"')
     binary = os.environ.get("VIBROJAX_BROWSER") or next(filter(None, map(shutil.which, NAMES)), None)
@@ -35,33 +35,33 @@ def chromium() -> Iterator[Any]:
         try:
             browser = tools.chromium.launch(executable_path=binary, args=ARGUMENTS)
         except playwright.Error as error:
-            what = (
+            reason = (
                 f"{binary} cannot be started" if binary else "no Chromium: playwright install chromium, or apt install"
             )
-            pytest.skip(f"{what} ({str(error).splitlines()[0][:100]})")
+            pytest.skip(f"{reason} ({str(error).splitlines()[0][:100]})")
         yield browser
         browser.close()
 
 
 def new_page(browser: Any, **options: Any) -> tuple[Any, list[tuple[str, str]], list[str]]:
-    """(A page in a context of its own with these options, what its console says: (type, text), what it requests).
+    """Return a page in its own context with these options, its console messages (type, text), and the requested URLs.
 
-    An error that nothing in the page catches is of the type "error".
+    An error that the page does not catch has the type "error".
     """
     page = browser.new_context(**options).new_page()
     page.set_default_timeout(PATIENCE)
-    heard: list[tuple[str, str]] = []
-    asked: list[str] = []
-    page.on("console", lambda message: heard.append((message.type, message.text)))
-    page.on("pageerror", lambda error: heard.append(("error", str(error))))
-    page.on("request", lambda request: asked.append(request.url))
-    return page, heard, asked
+    messages: list[tuple[str, str]] = []
+    requests: list[str] = []
+    page.on("console", lambda message: messages.append((message.type, message.text)))
+    page.on("pageerror", lambda error: messages.append(("error", str(error))))
+    page.on("request", lambda request: requests.append(request.url))
+    return page, messages, requests
 
 
 def wait_for(page: Any, expression: str) -> None:
     """Wait until an expression is true in a page.
 
-    `page.wait_for_function` evaluates strings inside the page, whose content policy refuses that.
+    `page.wait_for_function` evaluates strings inside the page, which its content policy refuses.
     """
     end = time.monotonic() + PATIENCE / 1000
     while not page.evaluate(expression):
@@ -69,6 +69,6 @@ def wait_for(page: Any, expression: str) -> None:
         page.wait_for_timeout(20)
 
 
-def wrong(heard: list[tuple[str, str]]) -> list[str]:
-    """The errors and warnings of what a console said."""
-    return [text for kind, text in heard if kind in ("error", "warning")]
+def wrong(messages: list[tuple[str, str]]) -> list[str]:
+    """Return the texts of the errors and warnings among console messages."""
+    return [text for kind, text in messages if kind in ("error", "warning")]

@@ -1,4 +1,4 @@
-"""The reader of blocks of cells, a counterpart in Python of `decodeCells` in the page."""
+"""A reader of blocks of cells, the Python counterpart of `decodeCells` in the page."""
 
 import json
 import struct
@@ -10,7 +10,7 @@ from vibrojax.explorer.encoding import STATE_LEVELS, TIME_LEVELS, Cell, StateCol
 
 
 def decode(block: bytes) -> list[Cell]:
-    """Return the cells of a block; numbers are exact to half a level."""
+    """Return the cells of a block. Numbers are exact to half a level."""
     (length,) = struct.unpack_from("<I", block)
     header = json.loads(block[4 : 4 + length])
     columns, section, headers = tuple(StateColumn(**c) for c in header["columns"]), header["section"], header["cells"]

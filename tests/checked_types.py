@@ -1,4 +1,4 @@
-"""The type checks of the package in tests: annotations, with shapes and types of arrays (see `conftest.py`)."""
+"""Type checks of the package in tests: annotations with the shapes and types of arrays (see `conftest.py`)."""
 
 import dataclasses
 import functools
@@ -12,11 +12,11 @@ CONTEXT = jaxtyping.jaxtyped("context")
 
 
 def checked(thing=None, *, typechecker=None):
-    """Return a function or dataclass with its annotations checked at each call, all of them in one pass.
+    """Return a function or dataclass that checks all its annotations in one pass at each call.
 
-    This takes the place of the decorator of jaxtyping's import hook, which checks arguments twice to say more of an
-    error, and which writes the checks of nested functions anew at each call of the outer one. Nested functions and
-    generators are not checked.
+    It replaces the decorator of jaxtyping's import hook. That decorator checks arguments twice to explain an error, and
+    rewrites the checks of nested functions at each call of the outer one. Nested functions and generators are not
+    checked.
     """
     if thing is None:
         return checked
@@ -29,10 +29,10 @@ def checked(thing=None, *, typechecker=None):
             return kind(checked(thing.__func__))
     if isinstance(thing, property):
         return property(*(part and checked(part) for part in (thing.fget, thing.fset, thing.fdel)))
-    # A generator's arguments are checked where its first value is taken, among the dimensions of another call.
+    # A generator would check its arguments only with its first value, among the dimensions of another call.
     if "<locals>" in thing.__qualname__ or inspect.isgeneratorfunction(thing):
         return thing
-    strict = None  # until the first call: of most functions, a process calls few
+    strict = None  # built at the first call, because a process calls few of the functions
 
     @functools.wraps(thing)
     def call(*args, **kwargs):
@@ -41,14 +41,14 @@ def checked(thing=None, *, typechecker=None):
             return thing(*args, **kwargs)
         if strict is None:
             strict = beartype(thing) if annotations_are_known(thing) else thing
-        with CONTEXT:  # a name of a dimension means one number in a call
+        with CONTEXT:  # a dimension's name means one number within a call
             return strict(*args, **kwargs)
 
     return call
 
 
 def annotations_are_known(function):
-    """Return whether all annotations can be evaluated; those of modules that only type checkers import cannot."""
+    """Return whether all annotations can be evaluated. Imports for type checkers only prevent it."""
     try:
         typing.get_type_hints(function, include_extras=True)
     except NameError:

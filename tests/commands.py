@@ -1,4 +1,4 @@
-"""The command as a process, and a sweep of few short chunks for it."""
+"""The command as a process, and the text of a sweep with few short chunks."""
 
 import os
 import subprocess
@@ -17,9 +17,9 @@ settle = 3.0
 observe = 2.0
 chunk = 5
 """
-# Whoever runs the tests may be deaf to interrupts (a job in the background); the command is not to be. (Not by
-# `preexec_fn`: the fork that it takes makes jax warn wherever a test before has used it.)
-_HEARS = """
+# The process that runs the tests may ignore interrupts (a background job), but the command must not. `preexec_fn` would
+# need a fork, about which jax warns if an earlier test has used jax.
+_WITH_INTERRUPTS = """
 import os, signal, sys
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 {before}
@@ -30,8 +30,8 @@ os.execv(sys.executable, [sys.executable, "-m", "vibrojax", *sys.argv[1:]])
 def start(
     *words: object, before: str = "", environment: dict[str, str] | None = None, **more: Any
 ) -> "subprocess.Popen[str]":
-    """The command, running, which hears interrupts; what it says is in its pipes. Python runs `before` first."""
-    known = os.environ | {"PYTHONPATH": str(ROOT)} | (environment or {})
+    """Start the command with interrupts enabled and its output in pipes. Python runs `before` first."""
+    variables = os.environ | {"PYTHONPATH": str(ROOT)} | (environment or {})
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    hears = _HEARS.format(before=before)
-    return subprocess.Popen([sys.executable, "-c", hears, *map(str, words)], env=known, **pipes, **more)
+    code = _WITH_INTERRUPTS.format(before=before)
+    return subprocess.Popen([sys.executable, "-c", code, *map(str, words)], env=variables, **pipes, **more)

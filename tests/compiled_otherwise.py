@@ -1,11 +1,11 @@
-"""Compile sweeps otherwise than they are, one choice at a time, and print by how much their results move.
+"""Compile sweeps with other choices, one at a time, and print how much their results change.
 
     python tests/compiled_otherwise.py [SCENE ...] [--choice CHOICE ...]
 
-With jax before 0.11.2 "XLA, no options" takes minutes to compile. What differs by more than roundings (which grow,
-along 1.2 s of an impacting motion, by some powers of ten) is a fault of a compiler, or of ours; kernels of another
-width, or through other passes, give the same bits, but those without fused multiply-add do not. Friction laws are all
-in one sweep (see test_sweep_against_simulate.py); pulses have both shapes.
+With jax before 0.11.2, "XLA, no options" takes minutes to compile. Along 1.2 s of an impacting motion, rounding errors
+grow by several powers of ten. A larger difference is a fault of a compiler or of the package. Kernels of another width,
+or with other passes, give the same bits, but not those without fused multiply-add. One sweep holds all friction laws
+(see test_sweep_against_simulate.py), and pulses have both shapes.
 """
 
 from argparse import ArgumentParser
@@ -20,7 +20,7 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", True)
 
-from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, swept  # noqa: E402
+from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, run_points  # noqa: E402
 
 from vibrojax.compile import Untranslatable, agreement, xla  # noqa: E402
 from vibrojax.compile.kernels import elementwise, kernels, native  # noqa: E402
@@ -38,7 +38,7 @@ def no_kernel(*given: Any, **options: Any) -> Any:
     raise Untranslatable("on purpose")
 
 
-def by_xla_with(options: dict[str, Any], block: int = compiler.XLA_BLOCK) -> list[Any]:
+def patches_for_xla(options: dict[str, Any], block: int = compiler.XLA_BLOCK) -> list[Any]:
     return [
         patch.object(compiler, "trusted_kernel", no_kernel),
         patch.object(xla, "compiler_options", lambda platform: options),
@@ -64,17 +64,17 @@ CHOICES: dict[str, list[Any]] = {
             {name: Rule(partial(elementwise._arithmetic, f"f{name}", name), NUMBERS) for name in ("add", "sub", "mul")},
         )
     ],
-    "XLA": by_xla_with(OF_XLA),
-    "XLA, no options": by_xla_with({}),
-    "XLA, 128 bits": by_xla_with(OF_XLA | {WIDTH: 128}),
-    "XLA, 512 bits": by_xla_with(OF_XLA | {WIDTH: 512}),
-    "XLA, blocks of 16": by_xla_with(OF_XLA, 16),
+    "XLA": patches_for_xla(OF_XLA),
+    "XLA, no options": patches_for_xla({}),
+    "XLA, 128 bits": patches_for_xla(OF_XLA | {WIDTH: 128}),
+    "XLA, 512 bits": patches_for_xla(OF_XLA | {WIDTH: 512}),
+    "XLA, blocks of 16": patches_for_xla(OF_XLA, 16),
 }
 
 
 @contextmanager
 def compiled_with(changes: list[Any]) -> Iterator[None]:
-    """Sweeps compiled anew, with these changes."""
+    """Compile sweeps anew with these changes."""
     caches = (xla.evaluation, agreement.check)
     for change in changes:
         change.start()
@@ -93,26 +93,26 @@ def compiled_with(changes: list[Any]) -> Iterator[None]:
 
 
 def results(scene: str) -> list:
-    """Datasets of all lanes: of a drill under every law, of penetration under each shape of pulse."""
+    """Return datasets of all lanes: a drill under every law, or penetration under each pulse shape."""
     if scene == "penetration":
         points = columns(scene)
-        return [swept(scene, points, {}, force=250e3, pulse_shape=shape) for shape in ("rectangular", "half-sine")]
+        return [run_points(scene, points, {}, force=250e3, pulse_shape=shape) for shape in ("rectangular", "half-sine")]
     lanes = {name: np.tile(column, len(FRICTION_LAWS) - 1) for name, column in columns(scene).items()}
     lanes["law"] = np.repeat(np.arange(len(FRICTION_LAWS) - 1.0), LANES)
-    return [swept(scene, lanes, {"keep_returns": 25}, friction="all-laws")]
+    return [run_points(scene, lanes, {"keep_returns": 25}, friction="all-laws")]
 
 
-def difference(one, other) -> tuple[float, str]:
-    """The greatest relative difference of rates, and of the times of returns; what it is of."""
-    found = {}
+def difference(reference, other) -> tuple[float, str]:
+    """Return the largest relative difference of rates and return times, and the quantity's name."""
+    differences = {}
     for name in ("rate_of_penetration", "return_time"):
-        if name in one:
-            a, b = one[name].values, other[name].values
+        if name in reference:
+            a, b = reference[name].values, other[name].values
             if np.any(np.isnan(a) != np.isnan(b)):
                 return np.inf, f"{name} is known for other lanes"
-            found[name] = float(np.nanmax(np.abs(a - b) / np.maximum(np.abs(a), 1e-9)))
-    name = max(found, key=lambda name: found[name])
-    return found[name], name
+            differences[name] = float(np.nanmax(np.abs(a - b) / np.maximum(np.abs(a), 1e-9)))
+    name = max(differences, key=lambda name: differences[name])
+    return differences[name], name
 
 
 def main() -> None:
@@ -127,9 +127,9 @@ def main() -> None:
         for name in options.choice or CHOICES:
             try:
                 with compiled_with(CHOICES[name]):
-                    found = [difference(*pair) for pair in zip(usual, results(scene), strict=True)]
-                text = ", ".join(f"{size:.1e} of {of}" for size, of in found)
-            except InputError as refusal:  # its arithmetic is wrong, and was found so before any lane
+                    differences = [difference(*pair) for pair in zip(usual, results(scene), strict=True)]
+                text = ", ".join(f"{size:.1e} of {quantity}" for size, quantity in differences)
+            except InputError as refusal:  # the arithmetic check failed before any lane ran
                 text = str(refusal)
             except jax.errors.JaxRuntimeError as error:
                 text = str(error).splitlines()[0]

@@ -1,4 +1,4 @@
-"""Settings of the whole test run, made before JAX starts: float64, checked types, no promotion not asked for."""
+"""Settings of the whole test run, made before JAX starts: float64, checked types, only explicit type promotion."""
 
 import atexit
 import os
@@ -8,20 +8,20 @@ from importlib.metadata import version
 from pathlib import Path
 
 CACHES = ("JAX_COMPILATION_CACHE_DIR", "VIBROJAX_CACHE")
-"""What one process has compiled, no other compiles again: neither the other worker nor the commands that tests run."""
+"""Caches that share compiled programs between test processes and the commands that tests run."""
 
 FOR_CACHES = {name: tempfile.mkdtemp(prefix="vibrojax-tests-") for name in CACHES if name not in os.environ}
 os.environ |= FOR_CACHES
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 atexit.register(lambda: [shutil.rmtree(folder, ignore_errors=True) for folder in FOR_CACHES.values()])
 
-# Threads of linear algebra wait for one another in a busy loop, which where cores are shared takes forty times as long
-# as the work. (Workers of pytest-xdist and commands begin with this; numpy is here already where there is one process.)
+# Threads of linear algebra wait for each other in a busy loop. On shared cores this takes forty times as long as the
+# work. (It takes effect in workers of pytest-xdist and in commands. In a single process, numpy is already loaded.)
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 if tuple(int(part) for part in version("jax").split(".")[:3]) < (0, 11, 2):
-    # As `vibrojax.compile.xla` does for the package's own programs: those that tests compile for themselves
-    # take a quarter of the time without it.
+    # The package sets the same flag for its own programs (`vibrojax.compile.xla`). Programs that tests compile
+    # themselves take a quarter of the time with it.
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_disable_hlo_passes=cse_barrier_expander"
 
 import jax  # noqa: E402
@@ -34,10 +34,10 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# Annotations, shapes of arrays among them, are checked in the tests; users pay nothing for them. Functions that users
-# call with anything (modules `run`, sweep.input.read and source) are not: their errors name the argument that is wrong.
-# Nor is sweep.input.values, whose warnings count the frames up to the caller.
-# Nor are kernels, which call their functions a hundred thousand times to be written: two minutes of checking.
+# The tests check annotations, including array shapes, at no cost to users. Exceptions are functions that users call
+# with any argument (modules `run`, sweep.input.read and source), because their errors name the wrong argument;
+# sweep.input.values, whose warnings count the frames up to the caller; and kernels, which call their functions a
+# hundred thousand times while they are written, so that checks would take two minutes.
 UNCHECKED = ("run.py", "joining.py", "catalogue.py")
 ANALYSES = Path(__file__).parents[1] / "vibrojax" / "analyses"
 CHECKED = [
@@ -69,10 +69,10 @@ CHECKED = [
     "vibrojax.sweep.simulation.trajectory",
 ]
 install_import_hook(CHECKED, "beartype.beartype")
-jaxtyping.jaxtyped = checked  # the decorator that the hook writes into these modules
+jaxtyping.jaxtyped = checked  # the import hook writes this decorator into the modules
 
 LONGEST = ("test_reproduce.py", "test_derivatives.py", "test_exact.py", "test_accuracy.py", "test_hard_faults.py")
-"""Files that take longest: they begin first, so that no process is left alone with one of them."""
+"""Slowest files. They start first, so that no process is left alone with one of them at the end."""
 
 
 def pytest_collection_modifyitems(items):
@@ -81,7 +81,7 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True, scope="module")
 def few_mappings():
-    """Every compiled program keeps some memory mapped, and a process may have only so many (65,530) of them."""
+    """Clear caches if a process has many memory mappings. Each compiled program keeps some, and the limit is 65,530."""
     yield
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > 30_000:
@@ -90,7 +90,7 @@ def few_mappings():
 
 @pytest.fixture(params=[16, 32, 64])
 def width(request, monkeypatch):
-    """Bytes of a vector, forced: SSE2 or NEON, AVX2, AVX-512. LLVM splits those that the processor does not have."""
+    """Force the bytes of a vector: SSE2 or NEON, AVX2, AVX-512. LLVM splits vectors that the processor lacks."""
     from vibrojax.compile.kernels import native
 
     monkeypatch.setattr(native, "vector_bytes", lambda: request.param)

@@ -1,7 +1,7 @@
-"""Stands for sbatch, srun, sacct and scancel on a machine without SLURM: jobs are processes of this machine.
+"""Replacements for sbatch, srun, sacct and scancel on a machine without SLURM, where jobs are local processes.
 
-`install(folder)` writes the four commands into a folder, to be put in front of PATH. Jobs lie in `folder/jobs`: a file
-for each, with the number of its process. As in SLURM, a job that is cancelled gets SIGTERM, with all below it.
+`install(folder)` writes the four commands into a folder to put in front of PATH. `folder/jobs` holds a file per job
+with the number of its process. As in SLURM, a cancelled job and all its children receive SIGTERM.
 """
 
 import os
@@ -16,7 +16,7 @@ COMMANDS = ("sbatch", "srun", "sacct", "scancel")
 
 
 def install(folder: Path) -> None:
-    """Have the commands in `folder`."""
+    """Write the commands into `folder`."""
     (folder / "jobs").mkdir(parents=True)
     for name in COMMANDS:
         (folder / name).write_text(f'#!/bin/sh\nexec "{sys.executable}" "{__file__}" {name} "{folder / "jobs"}" "$@"\n')
@@ -24,28 +24,32 @@ def install(folder: Path) -> None:
 
 
 def sbatch(jobs: Path, script: str) -> None:
-    """Start the tasks of an array, or one job, by what the script says in its #SBATCH lines."""
+    """Start the tasks of an array, or a single job, according to the #SBATCH lines of the script."""
     text = Path(script).read_text()
-    said = dict(
+    options = dict(
         shlex.split(line)[0].removeprefix("--").split("=", 1) for line in re.findall(r"^#SBATCH (.*=.*)$", text, re.M)
     )
     number = 100 + len({path.name.split("_")[0] for path in jobs.iterdir()})
-    array = said.get("array")
+    array = options.get("array")
     first, last = map(int, array.split("%")[0].split("-")) if array else (0, 0)
     for task in range(first, last + 1):
-        about = {"SLURM_JOB_ID": str(1000 + task), "SLURM_ARRAY_JOB_ID": str(number), "SLURM_ARRAY_TASK_ID": str(task)}
-        about |= {"SLURM_ARRAY_TASK_COUNT": str(last - first + 1)} if array else {}
-        about = about if array else {"SLURM_JOB_ID": str(number)}
-        about |= {"SLURM_NTASKS": "1", "SLURM_JOB_NUM_NODES": "1", "SLURM_NODEID": "0", "SLURM_PROCID": "0"}
-        about |= {
+        variables = {
+            "SLURM_JOB_ID": str(1000 + task),
+            "SLURM_ARRAY_JOB_ID": str(number),
+            "SLURM_ARRAY_TASK_ID": str(task),
+        }
+        variables |= {"SLURM_ARRAY_TASK_COUNT": str(last - first + 1)} if array else {}
+        variables = variables if array else {"SLURM_JOB_ID": str(number)}
+        variables |= {"SLURM_NTASKS": "1", "SLURM_JOB_NUM_NODES": "1", "SLURM_NODEID": "0", "SLURM_PROCID": "0"}
+        variables |= {
             "SLURM_LOCALID": "0",
             "SLURM_JOB_NODELIST": "here",
-            "SLURM_CPUS_PER_TASK": said.get("cpus-per-task", "1"),
+            "SLURM_CPUS_PER_TASK": options.get("cpus-per-task", "1"),
         }
         log = open(jobs.parent / f"job-{number}_{task}.log", "wb")  # noqa: SIM115
         job = subprocess.Popen(
             ["bash", script],
-            env=os.environ | about,
+            env=os.environ | variables,
             stdout=log,
             stderr=log,
             stdin=subprocess.DEVNULL,
@@ -56,20 +60,20 @@ def sbatch(jobs: Path, script: str) -> None:
 
 
 def srun(jobs: Path, *words: str) -> None:
-    """Run what comes after the options."""
-    command = list(words[words.index(next(one for one in words if Path(one).name.startswith("python"))) :])
+    """Run the command that follows the options."""
+    command = list(words[words.index(next(word for word in words if Path(word).name.startswith("python"))) :])
     os.execvp(command[0], command)
 
 
 def sacct(jobs: Path, *words: str) -> None:
-    """Tell of every job whether it runs."""
+    """Print whether each job runs."""
     print("JobID|State|NodeList")
     for path in sorted(jobs.iterdir()):
         print(f"{path.name}|{'RUNNING' if runs(int(path.read_text())) else 'COMPLETED'}|here")
 
 
 def scancel(jobs: Path, *words: str) -> None:
-    """End jobs, and note that it was asked for."""
+    """Terminate jobs and record the cancellation."""
     for job in words:
         (jobs.parent / f"cancelled-{job}").touch()
         try:

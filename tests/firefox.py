@@ -1,4 +1,4 @@
-"""Firefox for tests, by its own WebDriver BiDi (w3c.github.io/webdriver-bidi): nothing but the browser is needed."""
+"""Firefox for tests through its own WebDriver BiDi (w3c.github.io/webdriver-bidi), without other software."""
 
 import asyncio
 import json
@@ -28,12 +28,12 @@ QUIET = {
 
 
 def binary() -> str | None:
-    """Firefox as it is installed, None where it is not."""
+    """Return the path of the installed Firefox, or None."""
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
 class Firefox:
-    """One page in one Firefox: `heard` is what its console said, `asked` what it requested."""
+    """One page in one Firefox: `heard` holds the console messages, `asked` the requested URLs."""
 
     def __init__(self) -> None:
         self.heard: list[str] = []
@@ -43,21 +43,30 @@ class Firefox:
         self._context = ""
 
     async def begin(self, folder: str) -> subprocess.Popen[str]:
-        """Start it with a fresh profile in `folder`, and open a session."""
-        found = binary()
-        assert found is not None
+        """Start Firefox with a fresh profile in `folder` and open a session."""
+        result = binary()
+        assert result is not None
         prefs = [f"user_pref({json.dumps(name)}, {json.dumps(value)});" for name, value in QUIET.items()]
         Path(folder, "user.js").write_text("\n".join(prefs))
-        words = [found, "--headless", "--no-remote", "--profile", folder, "--remote-debugging-port", "0", "about:blank"]
+        words = [
+            result,
+            "--headless",
+            "--no-remote",
+            "--profile",
+            folder,
+            "--remote-debugging-port",
+            "0",
+            "about:blank",
+        ]
         process = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
         assert process.stderr is not None
         address = ""
         while not address:
             line = await asyncio.wait_for(asyncio.to_thread(process.stderr.readline), PATIENCE)
             assert line, "Firefox ended"
-            said = re.search(r"WebDriver BiDi listening on (ws://\S+)", line)
-            address = said[1] if said else ""
-        # It goes on writing; nobody reads what else it says.
+            match = re.search(r"WebDriver BiDi listening on (ws://\S+)", line)
+            address = match[1] if match else ""
+        # Firefox continues to write. The output has to be read so that its pipe does not fill up.
         self._rest = asyncio.create_task(asyncio.to_thread(process.stderr.read))
         self._socket = await websocket_connect(f"{address}/session", max_message_size=1 << 28)
         await self.call("session.new", capabilities={})
@@ -67,7 +76,7 @@ class Firefox:
         return process
 
     async def call(self, method: str, **parameters: Any) -> Any:
-        """A command's result; events that come meanwhile are noted."""
+        """Send a command and return its result. Record the events that arrive meanwhile."""
         self._number += 1
         await self._socket.write_message(json.dumps({"id": self._number, "method": method, "params": parameters}))
         while True:
@@ -83,7 +92,7 @@ class Firefox:
                 self.asked.append(message["params"]["request"]["url"])
 
     async def open(self, address: str, width: int = 1280) -> None:
-        """Open a page, and wait until it shows its first cell."""
+        """Open a page and wait until it shows its first cell."""
         viewport = {"width": width, "height": 900}
         await self.call("browsingContext.setViewport", context=self._context, viewport=viewport)
         await self.call("browsingContext.navigate", context=self._context, url=address, wait="complete")
@@ -93,41 +102,41 @@ class Firefox:
         )
 
     async def evaluate(self, script: str) -> Any:
-        """What an expression is in the page, by JSON."""
+        """Return the value of an expression in the page, through JSON."""
         wrapped = f"Promise.resolve({script}).then(value => JSON.stringify(value) ?? 'null')"
         target = {"context": self._context}
-        found = await self.call("script.evaluate", expression=wrapped, target=target, awaitPromise=True)
-        assert found["type"] == "success", found
-        return json.loads(found["result"]["value"])
+        result = await self.call("script.evaluate", expression=wrapped, target=target, awaitPromise=True)
+        assert result["type"] == "success", result
+        return json.loads(result["result"]["value"])
 
     async def press(self, *keys: str) -> None:
-        """Press keys, one after another, at what has the focus."""
+        """Press keys one after another in the focused element."""
         actions = [{"type": kind, "value": key} for key in keys for kind in ("keyDown", "keyUp")]
         source = [{"type": "key", "id": "keyboard", "actions": actions}]
         await self.call("input.performActions", context=self._context, actions=source)
 
     async def click(self, x: float, y: float) -> None:
-        """Click at a place of the window."""
+        """Click at a position in the window."""
         actions = [{"type": "pointerMove", "x": round(x), "y": round(y)}]
         actions += [{"type": kind, "button": 0} for kind in ("pointerDown", "pointerUp")]
         source = [{"type": "pointer", "id": "mouse", "actions": actions}]
         await self.call("input.performActions", context=self._context, actions=source)
 
     async def leave(self, process: subprocess.Popen[str]) -> None:
-        """Close what is open to a process that has ended."""
+        """Close the connections to a process that has ended."""
         assert process.stderr is not None
         self._socket.close()
         await self._rest
         process.stderr.close()
 
     async def screenshot(self) -> str:
-        """The whole page as PNG, in base64."""
+        """Return the whole page as PNG in base64."""
         shot = await self.call("browsingContext.captureScreenshot", context=self._context, origin="document")
         return str(shot["data"])
 
 
 def in_firefox(work: Any) -> None:
-    """Run the coroutine `work(firefox)`, and end the browser whatever becomes of it."""
+    """Run the coroutine `work(firefox)` and close the browser, even after an error."""
 
     async def whole() -> None:
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
@@ -143,6 +152,6 @@ def in_firefox(work: Any) -> None:
                     await asyncio.to_thread(process.wait, PATIENCE)
                     await firefox.leave(process)
 
-    # In a thread of its own: playwright keeps a loop running in that of the tests.
+    # In a separate thread, because playwright keeps an event loop running in the thread of the tests.
     with ThreadPoolExecutor(1) as thread:
         thread.submit(asyncio.run, whole()).result()

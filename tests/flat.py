@@ -1,8 +1,8 @@
-"""The constants of a scene by name, however they are grouped, for tests that write equations of their own."""
+"""Constants of a scene by name, however they are grouped, for tests that write their own equations."""
 
 
 class Flat(dict):
-    """Constants by name, those of groups and the friction law's own among them; and as they are, `constants`."""
+    """Constants by name, including those of groups and of the friction law. `constants` holds the original."""
 
     def __init__(self, constants):
         super().__init__(_flat(constants))
@@ -12,12 +12,12 @@ class Flat(dict):
 
 
 def _flat(constants) -> dict:
-    found = {}
+    flat = {}
     for name, value in constants._asdict().items():
         if hasattr(value, "_asdict"):
-            found |= _flat(value)
+            flat |= _flat(value)
         elif isinstance(value, dict):
-            found |= value
+            flat |= value
         else:
-            found[name] = value
-    return found
+            flat[name] = value
+    return flat

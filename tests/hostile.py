@@ -1,4 +1,4 @@
-"""Datasets as somebody might send them: attributes, coordinates and texts that no command of the package writes."""
+"""Hostile or malformed datasets: attributes, coordinates and texts that no command of the package writes."""
 
 import json
 from collections.abc import Callable
@@ -9,7 +9,7 @@ import xarray as xr
 Change = Callable[[xr.Dataset], xr.Dataset]
 
 CODE = 'v=1.5, **(__import__("os").system("touch hacked") or {})'
-"""The name of a parameter that, pasted into a Python call, runs a command."""
+"""A parameter name that runs a command if it is pasted into a Python call."""
 
 MARKUP = "</script><script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>"
 STEERING = "a\x1b]0;title\x07\x9b31m\u202e$\\frac{$\nb"
@@ -22,9 +22,9 @@ def attribute(name: str, value: object) -> Change:
 
 
 def differing(**changes: object) -> Change:
-    """Return a change that names one parameter as not the default."""
-    about = {"name": "v", "symbol": "v", "units": "m s-1", "value": 1.0, "default": 1.5}
-    return attribute("differing", json.dumps([about | changes]))
+    """Return a change that records one parameter as different from its default."""
+    record = {"name": "v", "symbol": "v", "units": "m s-1", "value": 1.0, "default": 1.5}
+    return attribute("differing", json.dumps([record | changes]))
 
 
 def run(**changes: object) -> Change:
@@ -33,16 +33,16 @@ def run(**changes: object) -> Change:
 
 
 def longer_sweep(ds: xr.Dataset) -> xr.Dataset:
-    """Let the sweep that the dataset names settle for 30 years; what it depends on is said nowhere."""
-    left = {name: value for name, value in ds.attrs.items() if name != "identity"}
+    """Change the sweep text so that it settles for 30 years, and remove the identity."""
+    attributes = {name: value for name, value in ds.attrs.items() if name != "identity"}
     ds = ds.copy()
-    ds.attrs = left | {"sweep": ds.attrs["sweep"].replace("settle = 1.0", "settle = 1e9")}
+    ds.attrs = attributes | {"sweep": ds.attrs["sweep"].replace("settle = 1.0", "settle = 1e9")}
     assert "1e9" in ds.attrs["sweep"]
     return ds
 
 
 def along_gamma(change: Callable[[np.ndarray], np.ndarray]) -> Change:
-    """Return a change of the values of the axis gamma."""
+    """Return a change of the values of the gamma axis."""
     return lambda ds: ds.assign_coords(gamma=("gamma", change(ds["gamma"].values.copy()), ds["gamma"].attrs))
 
 
@@ -59,7 +59,7 @@ def each_variable(**attributes: object) -> Change:
 
 
 def with_nan(values: np.ndarray) -> np.ndarray:
-    """Return the values without the first."""
+    """Return the values with the first replaced by NaN."""
     return np.concatenate([[np.nan], values[1:]])
 
 
@@ -109,7 +109,7 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "a name with a direction mark": (lambda ds: ds.rename(period="per\u202eiod"), "variable"),
     "a name of 250 letters": (lambda ds: ds.rename(period="p" * 250), "variable"),
 }
-"""Malformed datasets, and what the line says that refuses them."""
+"""Malformed datasets, each with a part of the error message."""
 
 SHOWN: dict[str, Change] = {
     "a title of 5 MB": attribute("title", HUGE),
@@ -129,4 +129,4 @@ SHOWN: dict[str, Change] = {
     "nothing but NaN": lambda ds: ds.assign({name: ds[name] * np.nan for name in ds.data_vars if ds[name].ndim}),
     "no lanes": lambda ds: ds.isel(gamma=slice(0, 1)).drop_vars("gamma"),
 }
-"""Datasets that are unusual, and are shown or refused."""
+"""Unusual datasets, each of which is shown or refused."""

@@ -1,4 +1,4 @@
-"""Scenes that are no drills, by the public interface: what is known of their motion from elsewhere."""
+"""Scenes other than drills, written with the public interface, whose motion is known from the literature."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ class LorenzConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class Lorenz(vj.Scene[LorenzConstants]):
-    """Lorenz, J. Atmospheric Sciences 20 (1963) 130; w is z - (r - 1), whose zero, rising, is the section."""
+    """The system of Lorenz, J. Atmospheric Sciences 20 (1963) 130. The section is where w = z - (r - 1) rises to 0."""
 
     name = "lorenz"
     states = (
@@ -44,8 +44,8 @@ class Lorenz(vj.Scene[LorenzConstants]):
         return LorenzConstants(p["sigma"], p["r"], p["b"])
 
     def start(self, c, name, shape):
-        given = (1.0, 1.0, 0.0) if name is None else name
-        return tuple(jnp.full(shape, x, c.r.dtype) for x in given)
+        initial = (1.0, 1.0, 0.0) if name is None else name
+        return tuple(jnp.full(shape, x, c.r.dtype) for x in initial)
 
     def mode_at(self, c, state):
         return (jnp.ones_like(state[0]),)
@@ -78,10 +78,10 @@ class OscillatorConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class ImpactOscillator(vj.Scene[OscillatorConstants]):
-    """x'' + 2 zeta x' + x = force cos(frequency t) up to the wall, from which it rebounds with restitution.
+    """x'' + 2 zeta x' + x = force cos(frequency t) up to the wall, with restitution there.
 
-    The phase is that of a rotor (c, s) = (cos, sin), which comes back to its circle at once; the section is where s
-    rises through zero, t = 0, 2 pi/frequency, ...
+    The phase is that of a rotor (c, s) = (cos, sin), which returns to its circle quickly. The section is where s rises
+    through zero, at t = 0, 2 pi/frequency, ...
     """
 
     name = "impact-oscillator"
@@ -113,8 +113,8 @@ class ImpactOscillator(vj.Scene[OscillatorConstants]):
         return OscillatorConstants(p["damping"], p["force"], p["frequency"], p["wall"], p["restitution"])
 
     def start(self, c, name, shape):
-        given = (1.0, 0.0, 0.0, 0.0) if name is None else name
-        return tuple(jnp.full(shape, x, c.wall.dtype) for x in given)
+        initial = (1.0, 0.0, 0.0, 0.0) if name is None else name
+        return tuple(jnp.full(shape, x, c.wall.dtype) for x in initial)
 
     def mode_at(self, c, state):
         return (jnp.ones_like(state[0]),)
@@ -163,9 +163,9 @@ EXPONENTIAL = vj.FrictionLaw(
 
 @dataclass(frozen=True)
 class BeltOscillator(vj.HasFriction[BeltConstants]):
-    """x'' + 2 xi x' + x = -sgn(u) mu(|u|), u = x' + v: a unit mass of unit weight on a belt that goes the other way.
+    """x'' + 2 xi x' + x = -sgn(u) mu(|u|), u = x' + v: a unit mass of unit weight on a belt that moves the other way.
 
-    Smoothed, its switch is tanh(u/width), as bSTAB's successor has it with a width of 1/200.
+    The smoothed switch is tanh(u/width). bSTAB's successor uses a width of 1/200.
     """
 
     friction: vj.FrictionLaw = EXPONENTIAL
@@ -195,8 +195,8 @@ class BeltOscillator(vj.HasFriction[BeltConstants]):
         return BeltConstants(2 * p["xi"], slips.slip_constants(p, self.friction))
 
     def start(self, c, name, shape):
-        given = (0.0, 0.0) if name is None else name
-        return tuple(jnp.full(shape, x, c.slip.v.dtype) for x in given)
+        initial = (0.0, 0.0) if name is None else name
+        return tuple(jnp.full(shape, x, c.slip.v.dtype) for x in initial)
 
     def pull(self, c, state):
         return -state[0] - c.damping * state[1]

@@ -1,4 +1,4 @@
-"""Dead links of a folder of HTML pages, and what they load from elsewhere: `python tests/links.py build/site`."""
+"""Find dead links in a folder of HTML pages, and resources from other sites: `python tests/links.py build/site`."""
 
 import sys
 from html.parser import HTMLParser
@@ -6,11 +6,11 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 LOADS = {("script", "src"), ("link", "href"), ("img", "src"), ("iframe", "src"), ("source", "src"), ("object", "data")}
-"""Attributes by which a page loads something by itself; links are only followed by who clicks them."""
+"""Attributes by which a page loads something by itself. Links are followed only on a click."""
 
 
 class Page(HTMLParser):
-    """The targets on a page, the links from it, and what it loads."""
+    """Parser that collects the targets, the links and the loaded resources of a page."""
 
     def __init__(self, text: str):
         super().__init__()
@@ -31,22 +31,22 @@ class Page(HTMLParser):
 
 
 def faults(folder: Path) -> list[str]:
-    """What is wrong, a line each: links to files and places that are not there, and what is loaded from elsewhere."""
+    """Return a line per fault: a link without a target, or a resource from another site."""
     pages = {path.resolve(): Page(path.read_text(encoding="utf-8")) for path in sorted(folder.rglob("*.html"))}
-    found = [] if pages else [f"{folder}: no pages"]
+    messages = [] if pages else [f"{folder}: no pages"]
     for path, page in pages.items():
-        told = path.relative_to(folder.resolve())
-        found += [f"{told}: loads {one} from elsewhere" for one in page.loads if urlsplit(one).netloc]
+        name = path.relative_to(folder.resolve())
+        messages += [f"{name}: loads {resource} from elsewhere" for resource in page.loads if urlsplit(resource).netloc]
         for link in dict.fromkeys(page.links):
             parts = urlsplit(link)
             if parts.scheme or parts.netloc:
                 continue
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             if not target.is_file():
-                found.append(f"{told}: {link} is not there")
+                messages.append(f"{name}: {link} is not there")
             elif target in pages and unquote(parts.fragment) not in pages[target].targets:
-                found.append(f"{told}: {link} has no such place")
-    return found
+                messages.append(f"{name}: {link} has no such place")
+    return messages
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Scenes of one's own with answers in closed form: a flow that switches, a bouncing ball and an impact oscillator.
+"""Custom scenes with closed-form answers: a switching flow, a bouncing ball and an impact oscillator.
 
-They are written by the public interface alone. The last two are forced: the force's phase is a state, set back by a
-turn where it reaches half of one, and the section is where it passes zero.
+They use the public interface alone. The last two are forced. The phase of the force is a state that jumps back by one
+turn where it reaches half a turn, and the section is where it passes zero.
 """
 
 from dataclasses import dataclass
@@ -30,9 +30,9 @@ class SwitchedConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class Switched(vj.Scene[SwitchedConstants]):
-    """In polar form, left: r' = (1 - r) r, th' = 1; right: r' = al (be - r) r, th' = ga + be - r.
+    """A flow in polar form: left r' = (1 - r) r, th' = 1; right r' = al (be - r) r, th' = ga + be - r.
 
-    The field jumps on the axis x = 0, and turns about the origin: the section is y = 0 on the right.
+    The field jumps on the axis x = 0 and turns about the origin. The section is y = 0 on the right.
     """
 
     name = "switched"
@@ -86,7 +86,7 @@ class Switched(vj.Scene[SwitchedConstants]):
         return c.be
 
 
-# A mass that is shaken against a stop
+# A mass shaken against a stop
 
 
 class ShakenConstants(NamedTuple):
@@ -102,10 +102,10 @@ class ShakenConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class Shaken(vj.HasContact[ShakenConstants]):
-    """x'' = gravity - stiffness x - damping x' + a cos(w t) - J per mass, J of a soft stop at x = `stop`.
+    """x'' = gravity - stiffness x - damping x' + a cos(w t) - J per mass, with J of a soft stop at x = `stop`.
 
-    Without gravity it is the impact oscillator. Without stiffness it is the ball that bounces on a table, x being how
-    far it is below the table's surface, which moves as (a/w²) sin(w t - pi/2).
+    Without gravity it is the impact oscillator. Without stiffness it is a ball that bounces on a table. Then x is the
+    depth below the table's surface, which moves as (a/w²) sin(w t - pi/2).
     """
 
     name = "shaken"
@@ -153,7 +153,7 @@ class Shaken(vj.HasContact[ShakenConstants]):
     def guards(self):
         def touches(c, mode, state):
             compression, length = self._contact(c, state)
-            # Let go while still compressed (xi > 0), it is caught again only by a force.
+            # After release while still compressed (xi > 0), only a force brings the mass back into contact.
             return mode[0] * length + (1.0 - mode[0]) * maximum(-compression, -length)
 
         def left(c, mode, state):
@@ -197,7 +197,7 @@ class Shaken(vj.HasContact[ShakenConstants]):
         return jnp.sqrt(c.k0) + c.c0
 
     def _contact(self, c, state):
-        """How far the stop is compressed, and that and the force of its damper as a length [m]."""
+        """Return the compression of the stop, and its sum with the damper force as a length [m]."""
         compression = state[0] - c.stop
         return compression, compression + c.c0 / c.k0 * state[1]
 
@@ -216,15 +216,17 @@ class RigidConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class RigidlyStopped(vj.Scene[RigidConstants]):
-    """The impact oscillator at a rigid stop, by a reset alone: no mode shows its impacts."""
+    """The impact oscillator with a rigid stop, by a reset alone, so that no mode shows its impacts."""
 
     name = "rigidly-stopped"
     states, markers, section, modes = Shaken.states, Shaken.markers, Shaken.section, ()
     starts, start_states = Shaken.starts, Shaken.start_states
 
     def parameters(self):
-        own = {name: one for name, one in Shaken().parameters().items() if name not in ("gravity", "k0", "xi")}
-        return own | table(not_negative("r", 0.8, "1", "coefficient of restitution", "r"))
+        shared = {
+            name: parameter for name, parameter in Shaken().parameters().items() if name not in ("gravity", "k0", "xi")
+        }
+        return shared | table(not_negative("r", 0.8, "1", "coefficient of restitution", "r"))
 
     def constants(self, p):
         return RigidConstants(*(p[name] for name in RigidConstants._fields))
@@ -257,17 +259,19 @@ class RigidlyStopped(vj.Scene[RigidConstants]):
         return c.a / c.w
 
 
-# Against a rigid stop
+# Closed forms for a rigid stop
 
 
 def restitution(xi: float) -> float:
-    """R of a free mass that meets a spring and damper, and is let go at zero force."""
+    """Return R of a free mass that meets a spring and damper and is released at zero force."""
     return float(np.exp(-2 * xi * np.arccos(xi) / np.sqrt(1 - xi**2)))
 
 
 class Rigid(NamedTuple):
-    """An orbit of one impact: the force's `phase` [rad] and the `speed` [m/s] at it, the `multipliers` by falling
-    modulus, and the state (x, v) at the `section`."""
+    """An orbit of one impact, with the force's `phase` [rad] and the mass's `speed` [m/s] there.
+
+    `multipliers` are sorted by falling modulus. `section` is the state (x, v) at the section.
+    """
 
     phase: float
     speed: float
@@ -276,54 +280,57 @@ class Rigid(NamedTuple):
 
 
 def _multipliers(trace: float, determinant: float) -> np.ndarray:
-    found = np.roots([1.0, -trace, determinant])
-    return found[np.argsort(-np.abs(found), kind="stable")]
+    multipliers = np.roots([1.0, -trace, determinant])
+    return multipliers[np.argsort(-np.abs(multipliers), kind="stable")]
 
 
 def ball_orbit(ratio: float, R: float, w: float, gravity: float) -> Rigid:
-    """The ball that meets the table once a period at its upper (stable) phase; `ratio` is a/g.
+    """Return the orbit of a ball that meets the table once per period at its upper (stable) phase. `ratio` is a/g.
 
-    It flies up and down for a period T, so that it leaves and meets the table at gT/2, and the table's velocity there
-    is gT/2 (1 - R)/(1 + R). The determinant is R², the trace 1 + R² - (1 + R)² (a/g) sin: Guckenheimer and Holmes,
-    *Nonlinear Oscillations*, 1983, section 2.4, here without its high bounces.
+    The ball flies for a period T, so that it leaves and meets the table at speed gT/2, where the table's velocity is
+    gT/2 (1 - R)/(1 + R). The determinant is R², the trace 1 + R² - (1 + R)² (a/g) sin: Guckenheimer and Holmes,
+    *Nonlinear Oscillations*, 1983, section 2.4, here without the approximation of high bounces.
     """
-    above = np.arccos(np.pi * (1 - R) / (1 + R) / ratio)  # of the table's sine
+    above = np.arccos(np.pi * (1 - R) / (1 + R) / ratio)  # phase of the table's sine
     T, height = 2 * np.pi / w, ratio * gravity / w**2
     speed = gravity * T / (1 + R)
-    left = T - (above + np.pi / 2) / w  # from the impact to the next section
-    flown, rises = height * np.sin(above) + gravity * (T / 2) * left - gravity * left**2 / 2, gravity * (T / 2 - left)
+    remaining = T - (above + np.pi / 2) / w  # from the impact to the next section
+    flown, rises = (
+        height * np.sin(above) + gravity * (T / 2) * remaining - gravity * remaining**2 / 2,
+        gravity * (T / 2 - remaining),
+    )
     values = _multipliers(1 + R**2 - (1 + R) ** 2 * ratio * np.sin(above), R**2)
     return Rigid(above + np.pi / 2, speed, values, np.array([-height - flown, -rises]))
 
 
 def ball_appears(R: float) -> float:
-    """a/g from which on there is such an orbit: a fold."""
+    """Return a/g at which this orbit appears, in a fold."""
     return np.pi * (1 - R) / (1 + R)
 
 
 def ball_doubles(R: float) -> float:
-    """a/g at which its period doubles."""
+    """Return a/g at which its period doubles."""
     return float(np.hypot(ball_appears(R), 2 * (1 + R**2) / (1 + R) ** 2))
 
 
 def oscillator_grazes(w: float, stiffness: float, damping: float, stop: float) -> float:
-    """The amplitude `a` at which the steady motion without impact touches the stop, soft or rigid."""
+    """Return the amplitude `a` at which the steady motion without impact touches the stop, soft or rigid."""
     return float(stop * np.hypot(stiffness - w**2, damping * w))
 
 
 def oscillator_orbits(
     a: float, R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
 ) -> list[Rigid]:
-    """The orbits of one impact in `n` periods of the force, by the speed there; those that cross the stop are not told.
+    """Return the orbits of one impact in `n` periods, by impact speed, including those that cross the stop.
 
-    With E the flow of the homogeneous equation over the time between impacts, the state less the forced motion's
-    u = (stop - p, -q) obeys (E - 1) u = V (R E + 1) e2, and (p, q/w) lies on the forced motion's circle: Shaw and
+    With E the flow of the homogeneous equation over the time between impacts, the state relative to the forced motion,
+    u = (stop - p, -q), obeys (E - 1) u = V (R E + 1) e2, and (p, q/w) lies on the circle of the forced motion: Shaw and
     Holmes, Journal of Sound and Vibration 90 (1983), 129.
     """
     E, forced = _flow(2 * np.pi * n / w, stiffness, damping), a / complex(stiffness - w**2, damping * w)
     u = np.linalg.solve(E - np.eye(2), (R * E + np.eye(2)) @ [0.0, 1.0])
     square = [u[0] ** 2 + (u[1] / w) ** 2, -2 * stop * u[0], stop**2 - abs(forced) ** 2]
-    found = []
+    orbits = []
     for V in sorted(root.real for root in np.roots(square) if root.imag == 0 and root.real > 0):
         p, q = stop - V * u[0], -V * u[1]
         phase = (np.angle(complex(p, -q / w)) - np.angle(forced)) % (2 * np.pi)
@@ -333,24 +340,23 @@ def oscillator_orbits(
         M = E @ saltation
         since = _flow((2 * np.pi * n - phase) / w, stiffness, damping) @ (np.array([stop, -R * V]) - [p, q])
         section = since + [forced.real, -w * forced.imag]
-        found.append(Rigid(phase, V, _multipliers(np.trace(M), np.linalg.det(M)), section))
-    return found
+        orbits.append(Rigid(phase, V, _multipliers(np.trace(M), np.linalg.det(M)), section))
+    return orbits
 
 
 def oscillator_doubles(
     between: tuple[float, float], R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
 ) -> float:
-    """The amplitude `a` between two at which the period of the fastest of its orbits doubles, 1 + trace + determinant
-    = 0."""
+    """Return the amplitude `a` at which the period of the fastest orbit doubles: 1 + trace + determinant = 0."""
 
-    def off(a: float) -> float:
+    def product(a: float) -> float:
         return float(np.prod(1 + oscillator_orbits(a, R, w, stiffness, damping, stop, n)[-1].multipliers).real)
 
-    return float(brentq(off, *between, xtol=1e-15))
+    return float(brentq(product, *between, xtol=1e-15))
 
 
 def _flow(t: float, stiffness: float, damping: float) -> np.ndarray:
-    """The flow of x'' = -stiffness x - damping x' over t, below critical damping."""
+    """Return the flow of x'' = -stiffness x - damping x' over t, below critical damping."""
     half = damping / 2
     wd = np.sqrt(stiffness - half**2)
     cos, sin_over = np.cos(wd * t), np.sin(wd * t) / wd

@@ -1,4 +1,4 @@
-"""Periodic orbits of random points, and how far their multipliers are from independent ones."""
+"""Periodic orbits of random points, and how much their multipliers differ from independently computed ones."""
 
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ BOX = {
     "c0": (0.0, 2e4),
     "c2": (50.0, 400.0),
 }
-"""Wider than the default map; with dampers in the contact that the force jumps by."""
+"""Ranges of the parameters. They exceed the default map, and include contact dampers, which make the force jump."""
 
 LAWS: dict[str, dict[str, tuple[float, float]]] = {
     "stribeck": {"mu": (0.02, 0.6), "v_cr": (0.5, 5.0)},
@@ -23,15 +23,18 @@ LAWS: dict[str, dict[str, tuple[float, float]]] = {
     "popp-exponential": {},
     "popp-arctan": {"a1": (0.05, 0.2)},
 }
-"""Laws under which the drill is self-excited, and the ranges of their parameters. The last never sticks."""
+"""Laws under which the drill is self-excited, with the ranges of their parameters. The last law never sticks."""
 
 FAR_FROM_GRAZING = 1e-3
-"""Margin from which on a finite difference sees no change of the order of events."""
+"""Margin above which a finite difference does not change the order of events."""
 
 
 class Orbit(NamedTuple):
-    """An orbit as it was found: its `point`, the state (x1, x2, x2') at the `section`, how long it takes (`span` [s],
-    `cycles` returns), its multipliers, and its shares of time in stick and in reverse."""
+    """An orbit of a lane.
+
+    `section` is the state (x1, x2, x2') at the section. `span` [s] is the time of all `cycles` returns. `stick` and
+    `reverse` are shares of time.
+    """
 
     point: dict[str, Any]
     section: np.ndarray
@@ -43,15 +46,15 @@ class Orbit(NamedTuple):
 
 
 def drawn(law: str, points: int, seed: int) -> list[Orbit]:
-    """The orbits that the lanes of so many random points end on, away from grazing."""
+    """Return the orbits, away from grazing, on which the lanes of random points end."""
     random = np.random.default_rng(seed)
     columns = {name: random.uniform(*ends, points).tolist() for name, ends in (BOX | LAWS[law]).items()}
     sweep = {"scene": "vibro-impact", "points": columns, "starts": ["stuck"], "unusual": True}
-    found = vj.run_sweep(sweep | {"parameters": {"friction": law}, "run": {"orbits": True}}, progress=False)
-    found = found.isel(start=0)
-    taken = (found.orbit_reason == 0) & (found.orbit_cycles == found.cycles)
-    taken &= found.grazing_margin > FAR_FROM_GRAZING
-    return [_orbit(found.isel(point=index), columns, law) for index in np.flatnonzero(taken.values)]
+    dataset = vj.run_sweep(sweep | {"parameters": {"friction": law}, "run": {"orbits": True}}, progress=False)
+    dataset = dataset.isel(start=0)
+    selected = (dataset.orbit_reason == 0) & (dataset.orbit_cycles == dataset.cycles)
+    selected &= dataset.grazing_margin > FAR_FROM_GRAZING
+    return [_orbit(dataset.isel(point=index), columns, law) for index in np.flatnonzero(selected.values)]
 
 
 def _orbit(lane, columns, law) -> Orbit:
@@ -68,22 +71,22 @@ def _orbit(lane, columns, law) -> Orbit:
 
 
 def in_upper_half(values) -> np.ndarray:
-    """By falling modulus, as a dataset has them: of a pair both are the one above the axis."""
+    """Return multipliers by falling modulus as in a dataset, where both of a pair lie above the real axis."""
     values = np.array([complex(x.real, abs(x.imag)) for x in np.asarray(values)])
     return values[np.argsort(-np.abs(values), kind="stable")]
 
 
 def off_by_differences(orbit: Orbit) -> float:
-    """Greatest distance of the multipliers from those of the exact motion by central differences."""
+    """Return the largest distance of the multipliers from those of the exact motion by central differences."""
     exact = orbits.multipliers("vibro-impact", orbit.point, orbit.section, orbit.span, orbit.cycles)
     return float(np.max(np.abs(in_upper_half(orbit.multipliers) - in_upper_half(exact))))
 
 
 def off_by_volumes(orbit: Orbit) -> tuple[float, float]:
-    """(distance of the multipliers' product from what the exact flow does to volumes; the saltations' part).
+    """Return the relative error of the multipliers' product against the exact volume change, and the saltations' part.
 
-    Relative, of products over 1e-6; of smaller ones, whose least multiplier is a few roundings of the greatest, over
-    that. For orbits that do not stick.
+    The error is relative to the product, or to 1e-6 if the product is smaller, because then the least multiplier is
+    within rounding errors of the largest. Only for orbits that do not stick.
     """
     product, jumps = orbits.product("vibro-impact", orbit.point, orbit.section, orbit.span)
     return abs(np.prod(np.abs(orbit.multipliers)) - abs(product)) / max(abs(product), 1e-6), jumps

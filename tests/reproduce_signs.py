@@ -1,13 +1,14 @@
-"""How many results of the source turn red where one sign of the drill is wrong: over the whole registry, some minutes.
+"""Count the results of the source that turn red if one sign of the drill is wrong; this takes some minutes.
 
     python tests/reproduce_signs.py none|friction|contact|impact-friction TABLE.md
 
-TABLE.md is that of the right equations, from `vibrojax reproduce`. `none` turns nothing round: nothing may turn red.
+TABLE.md is the table of the right equations, from `vibrojax reproduce`. `none` changes no sign, so nothing may turn
+red.
 
-Lanes that go wrong so much never end, so all are given up early; `none` shows that the right ones do not need more.
+Lanes with a wrong sign never end, so the limit of steps is low. `none` shows that the right lanes need no more steps.
 
 Counted with 41 of the 189 results red under the right equations: none 0, friction 94, contact 66, impact-friction 35.
-The last is only the part of friction that a blow adds; without impact there is nothing of it.
+The last sign affects only the part of friction that an impact adds, which is absent without impacts.
 """
 
 import sys
@@ -22,19 +23,19 @@ _right = rotary.accelerations
 
 
 def friction(law, c, slip, state, impact):
-    """F drives the bit where it should brake it."""
+    """Let F drive the bit instead of braking it."""
     bit, striker = _right(law, c, slip, state, impact)
     return bit + 2.0 * c.inverse_m1 * stick_slip.friction(law, c.slip, slip, state[1] + c.slip.v, impact), striker
 
 
 def contact(law, c, slip, state, impact):
-    """J pulls the striker in where it should throw it back."""
+    """Let J pull the striker in instead of pushing it back."""
     bit, striker = _right(law, c, slip, state, impact)
     return bit, striker if impact is None else striker + 2.0 * c.inverse_m2 * impact
 
 
 def impact_friction(law, c, slip, state, impact):
-    """The part of friction that comes of the impact drives the bit, as eq. 5.10 is printed (R2)."""
+    """Let the part of friction that the impact adds drive the bit, as eq. 5.10 is printed (R2)."""
     bit, striker = _right(law, c, slip, state, impact)
     if impact is None:
         return bit, striker
@@ -43,19 +44,19 @@ def impact_friction(law, c, slip, state, impact):
 
 
 WITHOUT_DRILL = ("linear", "penetration", "law")
-"""Groups that no sign of the drill can change."""
+"""Groups of results that do not depend on the signs of the drill."""
 SIGNS = {"none": _right, "friction": friction, "contact": contact, "impact-friction": impact_friction}
 
 
 def main(sign: str, path: str) -> None:
-    """Run the registry with one sign wrong and say which results turned red."""
+    """Run the registry with one wrong sign and print the results that turned red."""
     rows = [line.split("|") for line in Path(path).read_text().splitlines()[2:]]
     before = {cells[1].strip(): cells[5].strip() for cells in rows}
     rotary.accelerations = SIGNS[sign]
     batch.LANE_MAX_STEPS, batch.LANE_MAX_RATE = 1e4, 300.0
     groups = [replace(group, pictures=()) for group in GROUPS if group.name not in WITHOUT_DRILL]
     results = run_reproduction(groups).results
-    turned = [one.entry.id for one in results if one.here.verdict == "differs" != before.get(one.entry.id)]
+    turned = [result.entry.id for result in results if result.here.verdict == "differs" != before.get(result.entry.id)]
     print(f"{sign}: {len(turned)} of {len(before)} results turn red: {', '.join(turned)}")
 
 

@@ -1,4 +1,4 @@
-"""A map of few short lanes, for tests of how one is shown; it is computed once."""
+"""A map of few short lanes for tests of display. It is computed once."""
 
 from functools import cache
 

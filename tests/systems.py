@@ -1,4 +1,4 @@
-"""Systems written as plain functions, with public names only; their closed forms are in `own_scenes` and here."""
+"""Systems written as plain functions with public names only. Their closed forms are in `own_scenes` and here."""
 
 import numpy as np
 from scipy.linalg import expm
@@ -55,14 +55,14 @@ BELT = vj.System(
         )
     ],
 )
-"""A mass on a belt, whose friction falls from a static to a kinetic value: Den Hartog, *Mechanical Vibrations*."""
+"""A mass on a belt with a static and a lower kinetic friction: Den Hartog, *Mechanical Vibrations*."""
 
 
 def belt_period(v: float, rise: float, w: float = 1.0) -> float:
-    """Return the period of stick-slip; `rise`: change of the spring's length between the two frictions.
+    """Return the period of stick-slip. `rise` is the change of the spring's length between static and kinetic friction.
 
-    While the mass slips it swings about the kinetic equilibrium, from `rise` above it to `rise` below it; while it
-    sticks the belt carries it back.
+    While the mass slips, it swings about the kinetic equilibrium, from `rise` above it to `rise` below it. While it
+    sticks, the belt carries it back.
     """
     return 2 * (np.pi - np.arctan(rise * w / v)) / w + 2 * rise / v
 
@@ -88,15 +88,16 @@ Journal of Sound and Vibration 108 (1986), 305."""
 
 
 def friction_stops(w: float, zeta: float) -> float:
-    """Return the friction, per amplitude of the force, from which the mass of `SHAKEN` stops at its turning points.
+    """Return the friction, relative to the amplitude of the force, above which the mass of `SHAKEN` stops at its
+    turning points.
 
     In the half cycle from x0 to -x0, the distance z from the forced oscillation satisfies z(T/2) = M z(0), and the
-    friction displaces the equilibrium. The amplitude follows from the half cycle, and is also that at which the force
-    just overcomes twice the friction where the mass turns.
+    friction displaces the equilibrium. The amplitude follows from the half cycle. It is also the amplitude at which the
+    force just overcomes twice the friction where the mass turns.
     """
     half = expm(np.array([[0.0, 1.0], [-1.0, -2 * zeta]]) * np.pi / w)
     g, h = np.linalg.solve(np.eye(2) + half, (np.eye(2) - half)[:, 0])
-    amplitude = (1 + (1 - w**2) * g + 2 * zeta * h) / w**2  # per friction
+    amplitude = (1 + (1 - w**2) * g + 2 * zeta * h) / w**2  # relative to the friction
     return float(1 / abs(complex(1 - w**2, 2 * zeta * w)) / np.hypot(amplitude + g, h / w))
 
 

@@ -1,4 +1,4 @@
-"""Threads that share calls: every call is run once, by no more threads than there are workers, and none waits idle."""
+"""Test threads that share calls: each call runs once, in at most one thread per worker, and no thread waits idle."""
 
 import threading
 import time
@@ -11,7 +11,7 @@ WORKERS = ["a", "b", "c"]
 
 
 def nested(inner: int, call):
-    """Work that makes `inner` calls of its own, and returns their sum."""
+    """Return a work function that makes `inner` calls of its own and returns their sum."""
 
     def work(_, item):
         parts = in_parallel(lambda worker, k: call(worker, item, k), range(inner), WORKERS)
@@ -21,7 +21,7 @@ def nested(inner: int, call):
 
 
 @pytest.mark.parametrize("outer", [1, 2, 3, 7])
-def test_inner_calls_run_once_in_the_same_threads(outer):
+def test_inner_calls_run_once_in_same_threads(outer):
     seen, threads = [], set()
 
     def call(worker, item, k):
@@ -36,13 +36,13 @@ def test_inner_calls_run_once_in_the_same_threads(outer):
     assert len(threads) <= len(WORKERS)
 
 
-def test_a_thread_without_an_item_helps():
-    """Two inner calls that wait for each other are run at the same time, by the thread of the item and a free one."""
+def test_idle_thread_takes_inner_calls():
+    """Two inner calls wait for each other. One runs in the item's thread, the other in an idle thread."""
     meeting = threading.Barrier(2, timeout=20)
     assert len(dict(in_parallel(nested(2, lambda *_: bool(meeting.wait() >= 0)), [0], ["a", "b"]))) == 1
 
 
-def test_the_error_of_an_inner_call_is_raised_and_ends_the_threads():
+def test_error_in_inner_call_is_raised_and_stops_threads():
     before = set(threading.enumerate())
 
     def call(worker, item, k):
@@ -57,15 +57,15 @@ def test_the_error_of_an_inner_call_is_raised_and_ends_the_threads():
         assert not thread.is_alive()
 
 
-def test_free_threads():
-    """Outside of all threads: all of them. Inside: only idle ones while items wait, then all, idle soon."""
+def test_number_of_free_threads():
+    """Outside a parallel call all threads are free. Inside, only idle ones are, and all once no item waits."""
     assert free_threads(3) == 3
-    together, inside = threading.Barrier(3), {}
+    barrier, free_by_item = threading.Barrier(3), {}
 
     def work(worker, item):
-        inside[item] = free_threads(3)
+        free_by_item[item] = free_threads(3)
         if item < 3:
-            together.wait(20)
+            barrier.wait(20)
 
     list(in_parallel(work, range(4), WORKERS))
-    assert inside == {0: 1, 1: 1, 2: 1, 3: 3}
+    assert free_by_item == {0: 1, 1: 1, 2: 1, 3: 3}

@@ -1,4 +1,4 @@
-"""Values in another unit than SI are taken, and warned of in one line with the unit that they are likely in."""
+"""Test that a value in the wrong unit is accepted, with a one-line warning that names the likely unit."""
 
 import csv
 import warnings
@@ -17,8 +17,8 @@ from vibrojax.sweep.input.source import bundled_names
 SWEEPS = Path(__file__).parents[1] / "sweeps"
 
 
-def said(scene, **parameters):
-    """The one warning of a point."""
+def warning_text(scene, **parameters):
+    """Return the text of the only warning for a point."""
     with pytest.warns(vj.UnusualValue) as caught:
         read_point(Place("simulate"), scene, parameters)
     assert len(caught) == 1 and "\n" not in str(caught[0].message)
@@ -26,7 +26,7 @@ def said(scene, **parameters):
 
 
 @pytest.mark.parametrize(
-    ("scene", "name", "value", "likely"),
+    ("scene", "name", "value", "suggestion"),
     [
         ("vibro-impact", "delta", 5.0, "if in mm, write 0.005 m"),
         ("vibro-impact", "delta", -5.0, "if in mm, write -0.005 m"),
@@ -43,15 +43,15 @@ def said(scene, **parameters):
         ("penetration", "zeta", 110.0, "if in %, write 1.1"),
     ],
 )
-def test_a_value_in_another_unit_is_warned_of(scene, name, value, likely):
-    line = said(scene, **{name: value})
+def test_value_in_wrong_unit_gives_warning(scene, name, value, suggestion):
+    line = warning_text(scene, **{name: value})
     assert line.startswith(f"simulate: {name}: ") and "far outside what the source and rigs have" in line
-    assert likely in line
+    assert suggestion in line
 
 
-def test_defaults_and_the_ends_of_the_usual_values_are_not_far():
-    for kind in SCENES.values():
-        for parameter in kind().parameters().values():
+def test_defaults_and_limits_of_usual_range_give_no_warning():
+    for scene_type in SCENES.values():
+        for parameter in scene_type().parameters().values():
             assert not parameter.is_far(parameter.default)
             for end in parameter.usual or ():
                 assert not parameter.is_far(end)
@@ -60,7 +60,7 @@ def test_defaults_and_the_ends_of_the_usual_values_are_not_far():
         assert not any(parameter.is_far(parameter.default) for parameter in law.parameters.values())
 
 
-def test_bundled_sweeps_and_zeros_are_no_alarm():
+def test_bundled_sweeps_and_zeros_give_no_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for name in bundled_names():
@@ -68,21 +68,21 @@ def test_bundled_sweeps_and_zeros_are_no_alarm():
         read_point(Place("simulate"), "vibro-impact", {"c0": 0.0, "c2": 0.0, "v": 0.0, "delta": 0.0, "mu": 0.0})
 
 
-def test_hard_cases_are_far_on_purpose():
+def test_hard_cases_give_warnings():
     rows = list(csv.DictReader((SWEEPS / "hard_cases.csv").read_text().splitlines()))
     points = {name: [float(row[name]) for row in rows] for name in rows[0] if name != "start"}
     with pytest.warns(vj.UnusualValue) as caught:
         vj.read_sweep({"scene": "vibro-impact", "points": points})
-    lines = [str(one.message) for one in caught]
+    lines = [str(record.message) for record in caught]
     assert any("points.k0: 2 of 53 values, such as 1e+200 N/m, are far outside" in line for line in lines)
     assert all(line.endswith("; unusual = true says that it is meant") for line in lines)
 
 
-def test_a_sweep_says_it_once_for_each_axis_unless_it_is_meant():
+def test_sweep_warns_once_per_axis_unless_marked_unusual():
     sweep = {"scene": "vibro-impact", "parameters": {"k0": 50.0}, "grid": {"delta": [-5.0, 0.0, 5.0]}}
     with pytest.warns(vj.UnusualValue) as caught:
         vj.read_sweep(sweep)
-    assert [str(one.message).partition(" far ")[0] for one in caught] == [
+    assert [str(record.message).partition(" far ")[0] for record in caught] == [
         "sweep: parameters.k0: 50 N/m is",
         "sweep: grid.delta: 2 of 3 values, such as -5 m, are",
     ]
@@ -95,7 +95,7 @@ def test_a_sweep_says_it_once_for_each_axis_unless_it_is_meant():
         vj.read_sweep(sweep | {"unusual": 1})
 
 
-def test_the_command_says_it_once_and_goes_on(tmp_path, monkeypatch, capsys):
+def test_command_warns_once_and_continues(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with pytest.warns(vj.UnusualValue) as caught:
         assert main(["simulate", "penetration", "threshold=150", "duration=0.05"]) == 0

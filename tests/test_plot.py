@@ -1,4 +1,4 @@
-"""Pictures: what is on them, by artists and labels rather than by pixels."""
+"""Test the pictures of sweeps and runs by their artists and labels, not by pixels."""
 
 import json
 import subprocess
@@ -30,7 +30,7 @@ VALUES = {"impact_velocity": ("impact velocity", "m s-1"), "period": ("mean time
 
 
 def lanes(grid, starts=("drive", "stuck"), attrs=True, regime=None):
-    """A sweep's dataset: lumps of regimes with impact velocity and period, dimensions as in `grid`, then start."""
+    """Return a sweep dataset with patches of regimes, impact velocity and period over `grid` and the starts."""
     values = {name: np.asarray(axis, float) for name, axis in grid.items()}
     along = np.meshgrid(*values.values(), np.arange(len(starts)), indexing="ij")
     mesh = dict(zip([*values, "start"], along, strict=True))
@@ -38,23 +38,28 @@ def lanes(grid, starts=("drive", "stuck"), attrs=True, regime=None):
     far = np.hypot((beta - 0.5) / 0.45, (gamma - 0.72) / 0.3) + 25 * mesh.get("delta", -0.005) - 0.3 * mesh["start"]
     ripple = 0.12 * np.sin(17 * beta + 23 * gamma + 2 * v)
     flags = np.digitize(far + ripple, [0.9, 1.3, 1.6, 2.2])
-    found = np.array([3, 4, 5, 6, 2])[flags] + 0 * mesh["start"]
-    found = np.where(beta > 1.12 - 0.05 * gamma, 0, found) if regime is None else np.full(found.shape, regime)
+    regimes = np.array([3, 4, 5, 6, 2])[flags] + 0 * mesh["start"]
+    regimes = np.where(beta > 1.12 - 0.05 * gamma, 0, regimes) if regime is None else np.full(regimes.shape, regime)
     period = 0.25 - 0.02 * gamma / (0.5 + beta) + 0 * far
-    velocity = np.where(found == 2, np.nan, 1.2 * v + 2.6 * np.exp(-(far**2)) + 0.2 * ripple)
+    velocity = np.where(regimes == 2, np.nan, 1.2 * v + 2.6 * np.exp(-(far**2)) + 0.2 * ripple)
     dims = (*values, "start")
-    held = {
-        "regime": flagged(dims, found),
+    variables = {
+        "regime": flagged(dims, regimes),
         "impact_velocity": (dims, velocity),
-        "period": (dims, np.where(found == 0, np.nan, period)),
+        "period": (dims, np.where(regimes == 0, np.nan, period)),
     }
-    ds = xr.Dataset(held, {**values, "start": list(starts)}, {"title": "a sweep"})
+    ds = xr.Dataset(variables, {**values, "start": list(starts)}, {"title": "a sweep"})
     return described(ds) if attrs else ds
 
 
-def flagged(dims, found):
-    about = {"units": "1", "long_name": "regime", "flag_values": np.arange(8, dtype=np.int8), "flag_meanings": MEANINGS}
-    return dims, np.asarray(found).astype(np.int8), about
+def flagged(dims, regimes):
+    attributes = {
+        "units": "1",
+        "long_name": "regime",
+        "flag_values": np.arange(8, dtype=np.int8),
+        "flag_meanings": MEANINGS,
+    }
+    return dims, np.asarray(regimes).astype(np.int8), attributes
 
 
 def described(ds):
@@ -92,7 +97,7 @@ def returns(grid, keep=24, starts=("drive", "stuck")):
 
 
 def run(duration=12.0, impacts=True, events=True):
-    """A trajectory: bit and striker at 4.4 Hz, the bit stuck for a part of each cycle."""
+    """Return a trajectory at 4.4 Hz in which the bit sticks for a part of each cycle."""
     time = np.arange(0.0, duration, 5e-4)
     turn = 2 * np.pi * 4.4 * time
     growth = 1 - 0.6 * np.exp(-time)
@@ -119,7 +124,7 @@ def run(duration=12.0, impacts=True, events=True):
 # Regime maps.
 
 
-def test_every_gap_and_start_has_a_panel_for_each_quantity():
+def test_each_gap_and_start_has_panel_for_each_quantity():
     figure = picture(lanes(square(9, delta=[-0.005, 0.005])))
     expected = [f"Δ = {gap} mm, start: {start}" for gap in ("−5", "5") for start in ("drive", "stuck")]
     assert titles(figure) == expected
@@ -129,7 +134,7 @@ def test_every_gap_and_start_has_a_panel_for_each_quantity():
     )
 
 
-def test_a_panel_shows_the_lanes_of_its_title():
+def test_panel_shows_lanes_named_in_its_title():
     ds = lanes(square(7, delta=[-0.005, 0.005]))
     shown = dict(zip(titles(figure := picture(ds)), meshes(figure), strict=True))
     lane = ds["regime"].sel(delta=0.005, start="drive").transpose("beta", "gamma").values
@@ -137,12 +142,12 @@ def test_a_panel_shows_the_lanes_of_its_title():
 
 
 @pytest.mark.parametrize("flag", range(8))
-def test_a_flag_has_its_colour_whatever_else_is_there(flag):
+def test_flag_has_same_colour_in_every_map(flag):
     alone = meshes(picture(lanes(square(4), regime=flag)))[0]
     assert to_hex(alone.to_rgba(alone.get_array())[0, 0]).upper() == REGIME_COLOURS[flag]
 
 
-def test_a_flag_without_a_colour_is_refused_by_name():
+def test_flag_without_colour_is_refused_by_name():
     ds = lanes(square(4))
     ds["regime"].values[1, 2] = 9
     ds["regime"].attrs |= {"flag_values": np.arange(10, dtype=np.int8), "flag_meanings": f"{MEANINGS} hopping rattling"}
@@ -151,7 +156,7 @@ def test_a_flag_without_a_colour_is_refused_by_name():
     assert "\n" not in str(refused.value)
 
 
-def test_the_colours_of_flags_are_apart_for_colour_blind_eyes():
+def test_flag_colours_differ_for_colour_blind_readers():
     # Machado, Oliveira, Fernandes 2009 (doi 10.1109/TVCG.2009.113), severity 1: protan, deutan, tritan.
     without = [
         [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
@@ -168,14 +173,14 @@ def linear(srgb):
 
 
 def lab(rgb):
-    """CIELAB of linear RGB (D65)."""
+    """Convert linear RGB to CIELAB (D65)."""
     to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
     xyz = to_xyz @ np.clip(rgb, 0, 1) / [0.9505, 1.0, 1.089]
     f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
     return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
-def test_the_legend_has_the_regimes_that_are_there_with_their_shares():
+def test_legend_lists_present_regimes_with_shares():
     ds = lanes(square(4), ("drive",))
     ds["regime"].values[:] = 3
     ds["regime"].values[0, 0], ds["regime"].values[1] = 6, 7
@@ -186,50 +191,52 @@ def test_the_legend_has_the_regimes_that_are_there_with_their_shares():
     ]
 
 
-def test_the_source_region_is_outlined_on_beta_and_gamma_only():
+def test_source_region_is_outlined_only_over_beta_and_gamma():
     assert np.allclose(outlines(picture(lanes(square(9)))), [0.6, 0.25, 0.8, 0.6])
     other = picture(lanes({"v": np.linspace(0.5, 2, 5), "gamma": np.linspace(0.3, 1.2, 5)}))
     assert not outlines(other)
     assert "source's best region" not in legend(other)
 
 
-def test_lanes_without_a_value_are_hatched():
+def test_lanes_without_value_are_hatched():
     ds = lanes(square(6), ("drive",))
     ds["impact_velocity"][{"beta": 2, "gamma": 3, "start": 0}] = np.nan
     mesh = meshes(figure := picture(ds), "viridis")[0]
     assert np.argwhere(mesh.get_array().mask).tolist() == [[2, 3]]
-    assert mesh.get_cmap().get_bad()[3] == 0.0  # the hatched background is seen
-    drawn = [one for axes in figure.axes for one in axes.collections if isinstance(one, QuadMesh)]
+    assert mesh.get_cmap().get_bad()[3] == 0.0  # the hatched background shows through
+    drawn = [quads for axes in figure.axes for quads in axes.collections if isinstance(quads, QuadMesh)]
     assert mesh.axes.patch.get_hatch() == NO_VALUE["hatch"]
-    assert all(bool(one.axes.patch.get_hatch()) == np.ma.getmaskarray(one.get_array()).any() for one in drawn)
+    assert all(bool(quads.axes.patch.get_hatch()) == np.ma.getmaskarray(quads.get_array()).any() for quads in drawn)
     keys = [key for axes in figure.axes if (box := axes.get_legend()) for key in box.get_patches()]
     assert [key.get_hatch() for key in keys if key.get_label() == "no value"] == [mesh.axes.patch.get_hatch()]
 
 
-def test_greys_of_regimes_and_of_lanes_without_a_value_differ_in_lightness():
+def test_greys_of_regimes_and_missing_values_differ_in_lightness():
     undecided, equilibrium = REGIME_COLOURS[0], REGIME_COLOURS[1]
     colours = (undecided, equilibrium, NO_VALUE["facecolor"])
     lightness = [lab(linear(np.array(to_rgb(colour))))[0] for colour in colours]
     assert lightness[0] - lightness[1] > 30 and lightness[2] - lightness[0] > 12
     stroke = lab(linear(np.array(to_rgb(NO_VALUE["edgecolor"]))))[0]
-    assert lightness[2] - stroke > 30  # the hatching is seen on its ground
+    assert lightness[2] - stroke > 30  # the hatching is visible on its background
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])
-def test_lines_that_coincide_all_show(count):
+def test_coincident_lines_are_all_visible(count):
     first, *others = (nested_line(position, count) for position in range(count))
     assert first["linestyle"] == "-" and all(first["linewidth"] > 1.5 * other["linewidth"] for other in others)
-    at = np.linspace(0.0, 1.0, 1000, endpoint=False)
+    phase = np.linspace(0.0, 1.0, 1000, endpoint=False)
     drawn = []
     for offset, (on, off) in (other["linestyle"] for other in others):
         assert (on + off) == pytest.approx(2.6 * count)
-        drawn.append((at * (on + off) + offset) % (on + off) < on)
-    assert np.sum(drawn, axis=0).max() == 1 and not np.any(drawn, axis=0).all()  # never two, and the first in between
+        drawn.append((phase * (on + off) + offset) % (on + off) < on)
+    assert (
+        np.sum(drawn, axis=0).max() == 1 and not np.any(drawn, axis=0).all()
+    )  # at most one of the others is drawn at a time, and the first shows in the gaps
     sizes = [nested_line(position, count)["markersize"] for position in range(count)]
     assert np.all(np.diff(sizes) < -0.2)
 
 
-def test_curves_of_starts_that_reach_one_motion_differ_in_dashes_and_markers_are_whole():
+def test_coincident_curves_of_starts_differ_in_dashes_and_markers_are_not_clipped():
     figure = picture(lanes({"gamma": np.linspace(0.3, 1.2, 9)}, ("drive", "stuck", "touching"), regime=3))
     figure.draw_without_rendering()
     for axes in figure.axes[:2]:
@@ -238,18 +245,18 @@ def test_curves_of_starts_that_reach_one_motion_differ_in_dashes_and_markers_are
         assert not any(line.get_clip_on() for line in axes.lines)
 
 
-def test_dots_at_the_ends_of_a_diagram_are_whole():
+def test_dots_at_ends_of_diagram_are_not_clipped():
     ds = returns({"gamma": np.linspace(0.3, 1.2, 60)})
     figure = picture(ds)
     figure.draw_without_rendering()
     for axes in figure.axes[:2]:
-        dots = [one for one in axes.collections if isinstance(one, PathCollection)]
-        assert len(dots) == 2 and not any(one.get_clip_on() for one in dots)
-        others, own = sorted(dots, key=lambda one: one.get_zorder())
-        assert others.get_sizes()[0] > 2 * own.get_sizes()[0]  # a rim is left where both starts coincide
+        dots = [collection for collection in axes.collections if isinstance(collection, PathCollection)]
+        assert len(dots) == 2 and not any(collection.get_clip_on() for collection in dots)
+        others, own = sorted(dots, key=lambda collection: collection.get_zorder())
+        assert others.get_sizes()[0] > 2 * own.get_sizes()[0]  # a rim stays visible where both starts coincide
 
 
-def test_panels_of_equal_values_do_not_hide_other_panels():
+def test_constant_panel_does_not_clip_other_panels():
     ds = lanes({"delta": [-0.005, 0.005], "gamma": np.linspace(0.3, 1.2, 9)}, ("drive",), regime=3)
     ds["period"].values[0], ds["period"].values[1] = 0.25, np.linspace(0.2, 0.3, 9)[:, None]
     for axes in picture(ds).axes:
@@ -268,19 +275,19 @@ def test_panels_of_equal_values_do_not_hide_other_panels():
          "0 of 3 lanes that repeat are known to 0.0001, 2 are still settling"),
     ],
 )  # fmt: skip
-def test_a_count_agrees_with_its_noun(counts, text):
+def test_count_agrees_with_noun(counts, text):
     ds = xr.Dataset(attrs={"certified": json.dumps(counts | {"error": 1e-4})})
     assert certified_text(ds) == text
     assert [counted(n, "point") for n in (0, 1, 2)] == ["0 points", "1 point", "2 points"]
     assert counted(1, "lane is", "lanes are") == "1 lane is"
 
 
-def test_shares_and_starts_are_printed_without_rounding_and_quotes():
+def test_shares_are_not_rounded_up_and_starts_have_no_quotes():
     assert share_text(1 - 1e-15) == "100 %" and share_text(0.995) == ">99 %"
     assert short('"drive"') == "drive" and short("[0.0, 0.125]") == "[0, 0.125]"
 
 
-def test_tick_labels_of_colour_bars_are_apart():
+def test_tick_labels_of_colour_bars_do_not_overlap():
     ds = points(12)
     ds["period"].values[:] = np.linspace(0.2143, 0.2328, 12)
     figure = picture(ds.isel(point=ds["start"].values == "drive"))
@@ -294,7 +301,7 @@ def test_tick_labels_of_colour_bars_are_apart():
         assert all(left.x1 + 4 < right.x0 for left, right in pairwise(boxes))
 
 
-def test_panels_share_limits_that_an_outlier_does_not_stretch():
+def test_panels_share_colour_limits_and_ignore_outliers():
     ds = lanes(square(12, delta=[-0.005, 0.005]))
     ds["impact_velocity"][{"beta": 0, "gamma": 0, "delta": 0, "start": 0}] = 1e6
     norms = {(mesh.norm.vmin, mesh.norm.vmax) for mesh in meshes(picture(ds), "viridis")}
@@ -311,39 +318,39 @@ def test_cells_end_halfway_and_geometric_axes_are_logarithmic():
     assert (mesh.axes.get_xscale(), mesh.axes.get_yscale()) == ("log", "linear")
 
 
-def test_values_in_any_order_are_drawn_in_theirs():
+def test_unsorted_values_are_drawn_in_order():
     ds = lanes(square(5), ("drive",))
-    upside = ds.isel(beta=[3, 0, 4, 1, 2])
-    assert np.array_equal(meshes(picture(upside))[0].get_array(), meshes(picture(ds))[0].get_array())
+    shuffled = ds.isel(beta=[3, 0, 4, 1, 2])
+    assert np.array_equal(meshes(picture(shuffled))[0].get_array(), meshes(picture(ds))[0].get_array())
 
 
-def test_a_choice_between_a_few_values_is_left_to_panels():
+def test_axis_with_few_values_becomes_panels():
     figure = picture(lanes({"beta": [0.25, 0.6], "v": np.linspace(0.5, 2, 7), "delta": np.linspace(0, 0.02, 6)}))
     assert titles(figure)[0] == "β = 0.25, start: drive"
     assert {"drive speed, v [m/s]", "gap between striker and bit,\nΔ [mm]"} <= axis_labels(figure)
 
 
-def test_too_many_panels_are_thinned_and_the_figure_says_so():
+def test_excess_panels_are_thinned_with_note():
     figure = picture(lanes(square(3, v=np.linspace(0.5, 2, 4), delta=[-0.005, 0.0, 0.005])))
     assert len(meshes(figure)) == 12
     assert "v = 0.5, 2 m/s (2 of 4 values)" in note(figure)
     assert titles(figure)[0] == "v = 0.5 m/s, Δ = −5 mm, start: drive"
 
 
-def test_axes_of_one_value_and_fixed_parameters_are_in_a_note():
+def test_single_valued_axes_and_fixed_parameters_are_in_note():
     ds = lanes(square(4, delta=[-0.005]), ("drive",)).assign_attrs(parameters=json.dumps({"v": 1.5, "k0": 5e7}))
     figure = picture(ds)
     assert note(figure) == "Δ = −5 mm, start: drive, v = 1.5 m/s"
     assert not titles(figure)
 
 
-def test_plain_data_without_attributes_is_drawn_by_names():
+def test_data_without_attributes_is_labelled_by_variable_names():
     figure = picture(lanes(square(4, delta=[-0.005, 0.005]), attrs=False))
     assert titles(figure)[0] == "delta = −0.005, start: drive"
     assert {"beta", "gamma", "impact velocity", "period"} <= axis_labels(figure)
 
 
-def test_a_scene_without_impacts_shows_period_and_amplitude():
+def test_scene_without_impacts_shows_period_and_amplitude():
     ds = lanes(square(4)).drop_vars("impact_velocity")
     ds["bit_amplitude"] = ds["period"].dims, 0.05 + 0 * ds["period"].values, {"units": "m"}
     assert {"period [s]", "bit amplitude [mm]"} <= axis_labels(picture(ds))
@@ -352,7 +359,7 @@ def test_a_scene_without_impacts_shows_period_and_amplitude():
 # One axis, and lists of points.
 
 
-def test_one_axis_gives_a_line_for_each_start_above_its_regimes():
+def test_one_axis_gives_line_per_start_above_regimes():
     ds = lanes({"gamma": np.linspace(0.3, 1.2, 11), "delta": [-0.005, 0.005]})
     figure = picture(ds)
     assert titles(figure) == ["Δ = −5 mm", "Δ = 5 mm"]
@@ -376,7 +383,7 @@ def test_points_over_two_parameters_are_scattered_by_start():
     assert np.array_equal(dots[0].get_array(), ds["regime"].values[here])
 
 
-def test_points_over_more_parameters_are_counted():
+def test_points_over_three_parameters_are_counted():
     ds = points(also_v=True)
     bars = {axes.get_title("left"): [bar.get_width() for bar in axes.patches] for axes in picture(ds).axes}
     for start in ("drive", "stuck"):
@@ -387,7 +394,7 @@ def test_points_over_more_parameters_are_counted():
 # Bifurcation diagrams.
 
 
-def test_every_start_has_a_diagram_in_front_of_the_others():
+def test_each_start_has_diagram_with_other_starts_behind():
     ds = returns({"gamma": np.linspace(0.3, 1.2, 15)}, keep=6)
     ds["return_impact_velocity"][{"gamma": 3}] = np.nan
     figure = bifurcation(ds)
@@ -402,12 +409,12 @@ def test_every_start_has_a_diagram_in_front_of_the_others():
     assert axis_labels(figure) >= {"impact velocity at each return [m/s]"}
 
 
-def test_further_axes_of_a_diagram_are_panels():
+def test_further_axes_of_diagram_become_panels():
     ds = returns({"delta": [-0.005, 0.005], "gamma": np.linspace(0.3, 1.2, 9)}, keep=4)
     assert titles(bifurcation(ds)) == [f"Δ = {d} mm, start: {s}" for d in ("−5", "5") for s in ("drive", "stuck")]
 
 
-def test_a_sweep_that_kept_no_returns_is_refused():
+def test_sweep_without_stored_returns_is_refused():
     with pytest.raises(InputError, match="keep_returns"):
         bifurcation(lanes(square(4)))
 
@@ -415,7 +422,7 @@ def test_a_sweep_that_kept_no_returns_is_refused():
 # Trajectories.
 
 
-def test_a_run_has_history_portraits_and_spectrum():
+def test_run_has_history_portraits_and_spectrum():
     figure = trajectory(run())
     assert titles(figure) == ["bit", "striker", "spectrum, second half of the run"]
     displacement = panel(figure, ylabel="displacement")
@@ -426,7 +433,7 @@ def test_a_run_has_history_portraits_and_spectrum():
     assert note(figure) == "β = 0.4, γ = 0.75, v = 1.5 m/s, Δ = −6 mm, start: drive"
 
 
-def test_the_note_names_what_differs_from_the_defaults():
+def test_note_lists_values_that_differ_from_defaults():
     ds = run()
     changed = [
         {"name": "k0", "symbol": "k₀", "units": "N m-1", "value": 2e7, "default": 5e7},
@@ -448,15 +455,17 @@ def test_impacts_and_stick_are_marked(events):
     assert np.array_equal(np.isfinite(thick.get_ydata()), ds["stuck"].where(late, drop=True) == 1)
 
 
-def test_the_spectrum_names_the_dominant_peak():
+def test_spectrum_labels_dominant_peak():
     spectrum = panel(trajectory(run()), title="spectrum")
     assert [text.get_text() for text in spectrum.texts] == ["4.4 Hz"]
     assert spectrum.get_xlim()[1] == pytest.approx(5 * 4.4, rel=1e-3)
     bit = spectrum.lines[0]
-    assert bit.get_ydata().max() == pytest.approx(50 * (1 - 0.6 * np.exp(-9)), rel=0.1)  # mm; between two bins
+    assert bit.get_ydata().max() == pytest.approx(
+        50 * (1 - 0.6 * np.exp(-9)), rel=0.1
+    )  # mm; the peak lies between two bins
 
 
-def test_a_run_without_impacts_or_attributes_is_drawn_too():
+def test_run_without_impacts_or_attributes_is_drawn():
     assert "impact begins" not in legend(trajectory(run(impacts=False)))
     plain = run(duration=1.2).drop_attrs()[["x1", "v1", "x2", "v2"]]
     figure = trajectory(plain)
@@ -464,7 +473,7 @@ def test_a_run_without_impacts_or_attributes_is_drawn_too():
     assert not any("whole run" in text for text in axis_labels(figure))
 
 
-def test_a_run_that_blows_up_is_drawn_up_to_there_and_one_at_rest_too():
+def test_diverging_run_is_drawn_to_divergence_and_resting_run_is_drawn():
     broken, resting = run(duration=4.0), run(duration=4.0)
     broken["x1"][5000:] = np.nan
     assert panel(trajectory(broken), ylabel="displacement").get_xlim()[1] == pytest.approx(2.4995)
@@ -474,14 +483,14 @@ def test_a_run_that_blows_up_is_drawn_up_to_there_and_one_at_rest_too():
 
 
 @pytest.mark.parametrize(
-    ("ds", "said"), [(run().drop_vars("v2"), "v2"), (run().isel(time=slice(5)), "5 finite samples")]
+    ("ds", "message"), [(run().drop_vars("v2"), "v2"), (run().isel(time=slice(5)), "5 finite samples")]
 )
-def test_what_is_no_trajectory_is_refused(ds, said):
-    with pytest.raises(InputError, match=said):
+def test_invalid_trajectory_is_refused(ds, message):
+    with pytest.raises(InputError, match=message):
         trajectory(ds)
 
 
-# All of them.
+# All kinds.
 
 KINDS = {
     "map": lambda: lanes(square(8, delta=[-0.005, 0.005])),
@@ -496,12 +505,12 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_texts_lie_on_the_figure_and_off_each_other(kind):
+def test_texts_lie_within_figure_without_overlap(kind):
     check_texts(picture(KINDS[kind]().assign_attrs(title="Regimes of a drill " * 12)))
 
 
 @pytest.mark.parametrize("kind", ["map-of-one", "line", "trajectory"])
-def test_the_user_settings_neither_matter_nor_change(kind):
+def test_user_settings_are_ignored_and_unchanged(kind):
     ds = KINDS[kind]()
     with matplotlib.rc_context({"axes.titlesize": 40, "xtick.labelsize": 30, "axes.facecolor": "red"}):
         before = dict(matplotlib.rcParams)
@@ -511,12 +520,12 @@ def test_the_user_settings_neither_matter_nor_change(kind):
     assert to_hex(figure.axes[0].get_facecolor()) == "#ffffff"
 
 
-def test_pyplot_stays_out_of_it():
+def test_pyplot_is_not_imported():
     code = "import sys, vibrojax.analyses.pictures; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_a_figure_shows_itself_in_a_notebook():
+def test_figure_has_png_representation_for_notebooks():
     figure = picture(lanes(square(3)))
     assert isinstance(figure, Figure)
     assert figure._repr_png_().startswith(b"\x89PNG")
@@ -525,22 +534,22 @@ def test_a_figure_shows_itself_in_a_notebook():
 @pytest.mark.parametrize(
     ("suffix", "begins"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml"), (".PNG", b"\x89PNG")]
 )
-def test_a_picture_is_saved_by_its_ending(tmp_path, suffix, begins):
+def test_picture_is_saved_in_format_of_suffix(tmp_path, suffix, begins):
     path = tmp_path / f"map{suffix}"
     save_picture(lanes(square(3)), path)
     assert path.read_bytes().startswith(begins)
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_picture_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
+def test_failed_save_keeps_existing_picture(tmp_path, monkeypatch):
     path = tmp_path / "map.png"
     path.write_bytes(b"old")
 
-    def full(self, name, **_):
+    def fail_with_full_disk(self, name, **_):
         open(name, "wb").close()
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Figure, "savefig", full)
+    monkeypatch.setattr(Figure, "savefig", fail_with_full_disk)
     with pytest.raises(InputError, match="No space left"):
         save_picture(lanes(square(3)), path)
     assert path.read_bytes() == b"old"
@@ -548,12 +557,12 @@ def test_a_picture_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["map.jpg", "map", "nowhere/map.png"])
-def test_a_path_that_cannot_be_is_refused(tmp_path, name):
+def test_invalid_path_is_refused(tmp_path, name):
     with pytest.raises(InputError, match="map"):
         save_picture(lanes(square(3)), tmp_path / name)
 
 
-def test_a_dataset_with_nothing_to_draw_is_refused():
+def test_dataset_with_nothing_to_draw_is_refused():
     with pytest.raises(InputError, match="nothing to draw"):
         picture(xr.Dataset({"threshold": 1.0}))
 
@@ -566,7 +575,7 @@ def test_a_dataset_with_nothing_to_draw_is_refused():
         ("sweep_rate", "rate of the swept sine's frequency", "r", "s-2", "Hz/s"),
         ("drive", "frequency of the imbalance", "f_d", "Hz", "Hz"),
         ("decay", "rate of decay", "κ", "s-1", "1/s"),
-        ("frequency", "frequency of the imbalance", "w", "s-1", "1/s"),  # angular or not: the unit does not say
+        ("frequency", "frequency of the imbalance", "w", "s-1", "1/s"),  # the unit does not say whether it is angular
         ("lyapunov", "largest Lyapunov exponent", "", "s-1", "1/s"),
         ("w", "angular frequency of the imbalance", "w", "s-1", "rad/s"),
         ("omega", "forcing", "", "s-1", "rad/s"),
@@ -575,15 +584,15 @@ def test_a_dataset_with_nothing_to_draw_is_refused():
         ("forcing", "angular acceleration", "α", "s-2", "rad/s²"),
     ],
 )
-def test_hertz_is_for_frequencies_only(name, long_name, symbol, unit, shown):
+def test_hertz_is_used_only_for_frequencies(name, long_name, symbol, unit, shown):
     attrs = {"long_name": long_name, "units": unit} | ({"symbol": symbol} if symbol else {})
     data = xr.DataArray([10.0], dims=name, name=name, attrs=attrs)
     assert label(data).replace("\n", " ").endswith(f" [{shown}]")
     assert value_text(data, 10.0).endswith(f" = 10 {shown}")
-    assert scale(data)[0] == 1.0  # no value is converted, so none is off by 2 pi
+    assert scale(data)[0] == 1.0  # values are not converted, so none can be off by 2 pi
 
 
-def test_notes_name_starts_without_quotes_and_count_in_the_singular():
+def test_notes_show_starts_without_quotes_and_singular_counts():
     assert point_text(xr.Dataset(attrs={"start": '"drive"'})) == "start: drive"
     counts = {"within": 34, "estimated": 35, "still_settling": 1, "sensitive": 2, "error": 1e-4}
     text = "34 of 35 lanes that repeat are known to 0.0001, 1 is still settling, 2 are sensitive to rounding"
@@ -599,13 +608,13 @@ def test_notes_name_starts_without_quotes_and_count_in_the_singular():
         ("own", [{"symbol": "w", "units": "rad s-1"}], "w = 20 rad/s"),
     ],
 )
-def test_notes_give_the_unit_of_an_own_frequency(scene, differing, text):
+def test_notes_use_unit_of_custom_scene_frequency(scene, differing, text):
     records = [{"name": "frequency", "value": 20.0, "default": 10.0} | record for record in differing]
     attrs = {"scene": scene, "parameters": '{"frequency": 20.0}', "differing": json.dumps(records)}
     assert point_text(xr.Dataset(attrs=attrs)) == text
 
 
-def test_a_plane_without_a_border_says_so():
+def test_plane_without_border_has_text_saying_so():
     path = {"gamma": ("vertex", [0.6, 0.7]), "beta": ("vertex", [0.3, 0.4])}
     kinds = {"flag_values": [0, 1], "flag_meanings": "fold basin"}
     ds = xr.Dataset(

@@ -1,4 +1,4 @@
-"""Pictures of families of orbits: what is read off them, alone and over the returns of a sweep."""
+"""Test the pictures of families of orbits, alone and over the returns of a sweep."""
 
 import json
 
@@ -23,23 +23,26 @@ MACHINE = {"scene": "vibro-impact", "friction": "stribeck"}
 
 
 def one_family(low=0.4, high=1.0, family=0):
-    """From `high` down to a fold at 0.5, unstable back up to 0.8; on the stable part a doubling at 0.9, beyond which it
-    is unstable, with a branch of two returns from 0.9 to `high`."""
+    """Return a family that runs down from `high` to a fold at 0.5, then back up, unstable, to 0.8.
+
+    The part before the fold is stable up to a period doubling at 0.9 and unstable above it. A branch of two returns
+    runs from 0.9 to `high`.
+    """
     down = np.concatenate([np.linspace(high, 0.9, 5), np.linspace(0.9, 0.5, 9)[1:]])
     up = np.linspace(0.5, 0.8, 7)[1:]
     doubled = np.linspace(0.9, high, 6)
     gamma = np.concatenate([down, up, doubled])
     branch = np.repeat([0, 1], [down.size + up.size, doubled.size])
     stable = np.concatenate([down <= 0.9, np.zeros(up.size), np.ones(doubled.size)])
-    # At the fold the multipliers are those of the side from which it was reached.
+    # At the fold, the multipliers are those on the side from which the continuation reached it.
     velocity = np.concatenate([2 + (down - 0.5), 2 - (up - 0.5), np.full(doubled.size, 2.4)])
     least, greatest = velocity.copy(), velocity.copy()
-    apart = np.sqrt(np.maximum(doubled - 0.9, 0.0))
-    least[branch == 1] -= apart
-    greatest[branch == 1] += apart
+    half_gap = np.sqrt(np.maximum(doubled - 0.9, 0.0))
+    least[branch == 1] -= half_gap
+    greatest[branch == 1] += half_gap
     largest = np.where(stable, 0.5, 3.0)
     special = [(END, high, 0), (DOUBLING, 0.9, 0), (FOLD, 0.5, 0), (END, 0.8, 0), (END, high, 1)]
-    kind, value, of = map(np.array, zip(*special, strict=True))
+    kind, value, special_branch = map(np.array, zip(*special, strict=True))
     points = {
         "gamma": gamma,
         "branch": branch,
@@ -51,7 +54,11 @@ def one_family(low=0.4, high=1.0, family=0):
         "orbit_x1": -0.07 * gamma,
         "point_family": np.full(gamma.size, family),
     }
-    at_special = {"special_value": value, "special_branch": of, "special_family": np.full(kind.size, family)}
+    at_special = {
+        "special_value": value,
+        "special_branch": special_branch,
+        "special_family": np.full(kind.size, family),
+    }
     ds = xr.Dataset({name: ("point", x) for name, x in points.items()})
     ds = ds.assign({name: ("special", x) for name, x in at_special.items()})
     ds["stable"] = ("point", stable.astype(np.int8), STABILITY)
@@ -62,11 +69,11 @@ def one_family(low=0.4, high=1.0, family=0):
     for name in ("impact_velocity", "impact_velocity_min", "impact_velocity_max", "orbit_x1"):
         ds[name].attrs = {"units": "m" if name == "orbit_x1" else "m s-1", "long_name": name}
     ds["gamma"].attrs = {"units": "1", "long_name": "frequency ratio", "symbol": "γ"}
-    about = {"title": "a family", "along": "gamma", "span": [low, high], "start": "stuck", **MACHINE}
-    return ds.assign_attrs(about, parameters=json.dumps({"beta": 0.4, "delta": -0.005}))
+    attributes = {"title": "a family", "along": "gamma", "span": [low, high], "start": "stuck", **MACHINE}
+    return ds.assign_attrs(attributes, parameters=json.dumps({"beta": 0.4, "delta": -0.005}))
 
 
-def several(values=(0.3, 0.4, 0.5)):
+def several_families(values=(0.3, 0.4, 0.5)):
     parts = [one_family(family=number) for number in range(len(values))]
     ds = xr.merge(
         [
@@ -77,27 +84,27 @@ def several(values=(0.3, 0.4, 0.5)):
     )
     number = ("family", np.arange(len(values)), {"units": "1", "long_name": "number"})
     beta = ("family", np.array(values), {"units": "1", "long_name": "mass ratio", "symbol": "β"})
-    about = {**parts[0].attrs, "parameters": json.dumps({"delta": -0.005})}
-    return ds.assign_coords(family=number, beta=beta).assign_attrs(about)
+    attributes = {**parts[0].attrs, "parameters": json.dumps({"delta": -0.005})}
+    return ds.assign_coords(family=number, beta=beta).assign_attrs(attributes)
 
 
-def lines_of(axes):
-    """The lines through orbits by their style, without the border of stability: solid, dashed."""
+def orbit_lines(axes):
+    """Return the solid and the dashed lines through orbits, without the border of stability."""
     drawn = [line for line in axes.lines if len(line.get_xdata()) > 2]
     return [[line for line in drawn if line.is_dashed() == dashed] for dashed in (False, True)]
 
 
-def marks(axes):
-    """Where the marks of each kind lie."""
-    found = {}
+def mark_positions(axes):
+    """Return the positions of the marks of each kind."""
+    positions = {}
     for line in axes.lines:
         label = str(line.get_label()).removeprefix("_")
         if label in KINDS.split():
-            found.setdefault(label, []).append((line.get_xdata()[0], line.get_ydata()[0]))
-    return found
+            positions.setdefault(label, []).append((line.get_xdata()[0], line.get_ydata()[0]))
+    return positions
 
 
-def extent(lines):
+def finite_range(lines):
     x = np.concatenate([line.get_xdata() for line in lines])
     x = x[np.isfinite(np.concatenate([line.get_ydata() for line in lines]))]
     return pytest.approx((x.min(), x.max()))
@@ -108,70 +115,70 @@ def figure():
     return picture(one_family())
 
 
-# What the dataset says.
+# Datasets.
 
 
-def test_stable_stretches_end_at_the_special_points_that_end_them():
+def test_stable_intervals_end_at_special_points():
     first, second = branches(one_family())
-    (down,), (doubled,) = (stable_intervals(one_family(), one) for one in (first, second))
+    (down,), (doubled,) = (stable_intervals(one_family(), branch) for branch in (first, second))
     assert (down.low, down.high) == (0.5, 0.9) and (down.low_kind, down.high_kind) == ("fold", "period-doubling")
     assert (doubled.low, doubled.high) == (0.9, 1.0)
     assert (doubled.low_kind, doubled.high_kind) == ("period-doubling", "end")
 
 
-def test_beyond_a_special_point_what_lies_beyond_says_more_than_its_own_multipliers():
+def test_stability_change_at_special_point_is_read_from_neighbours():
     ds = one_family()
     first = next(branches(ds))
-    for side in (0, 1):  # the located point may be on either side of the change
+    for side in (0, 1):  # the located point may lie on either side of the change
         ds["stable"][{"point": first.points[ds["gamma"].values[first.points] == 0.9]}] = side
         changes = ds["gamma"].values[first.points][1:-1][np.diff(stability(ds, first)) != 0]
         assert changes.tolist() == [0.9, 0.5]
 
 
-def test_special_points_on_two_sheets_at_one_value_have_a_point_each():
+def test_special_points_on_two_sheets_at_same_value_have_separate_points():
     ds = one_family(high=0.8).isel(point=slice(0, 19))
     ds["gamma"][{"point": 0}] = 0.8
     first = next(branches(ds))
     values = ds["special_value"].values[first.special]
-    at = places(ds, first)
-    ends = at[(values == 0.8) & (ds["special_kind"].values[first.special] == END)]
+    indices = places(ds, first)
+    ends = indices[(values == 0.8) & (ds["special_kind"].values[first.special] == END)]
     assert len(ends) == 2 and len(set(ends.tolist())) == 2
 
 
 # One family.
 
 
-def test_solid_where_stable_and_dashed_where_not(figure):
-    solid, dashed = lines_of(panel(figure, ylabel="x₁"))
-    assert extent(solid) == (0.5, 1.0) and extent(dashed) == (0.5, 1.0)
-    assert extent([line for line in solid if line.get_color() == "#00598C"]) == (0.5, 0.9)
-    assert extent([line for line in solid if line.get_color() == "#D1570A"]) == (0.9, 1.0)
+def test_stable_parts_are_solid_and_unstable_parts_dashed(figure):
+    solid, dashed = orbit_lines(panel(figure, ylabel="x₁"))
+    assert finite_range(solid) == (0.5, 1.0) and finite_range(dashed) == (0.5, 1.0)
+    assert finite_range([line for line in solid if line.get_color() == "#00598C"]) == (0.5, 0.9)
+    assert finite_range([line for line in solid if line.get_color() == "#D1570A"]) == (0.9, 1.0)
 
 
-def test_special_points_lie_where_their_orbits_do(figure):
-    found = marks(panel(figure, ylabel="x₁"))
-    assert {kind: len(places) for kind, places in found.items()} == {"end": 3, "period-doubling": 1, "fold": 1}
-    assert found["fold"] == [pytest.approx((0.5, -35.0))]
-    assert found["period-doubling"] == [pytest.approx((0.9, -63.0))]
+def test_special_points_lie_at_their_orbits(figure):
+    positions = mark_positions(panel(figure, ylabel="x₁"))
+    assert {kind: len(places) for kind, places in positions.items()} == {"end": 3, "period-doubling": 1, "fold": 1}
+    assert positions["fold"] == [pytest.approx((0.5, -35.0))]
+    assert positions["period-doubling"] == [pytest.approx((0.9, -63.0))]
 
 
-def test_two_returns_are_drawn_by_the_least_and_the_greatest_blow(figure):
-    solid, _ = lines_of(panel(figure, ylabel="impact velocity"))
+def test_two_return_branch_is_drawn_by_smallest_and_largest_impact(figure):
+    solid, _ = orbit_lines(panel(figure, ylabel="impact velocity"))
     ends = sorted(float(line.get_ydata()[-1]) for line in solid if line.get_color() == "#D1570A")
     assert ends == pytest.approx([2.4 - np.sqrt(0.1), 2.4 + np.sqrt(0.1)])
     assert "the least and the greatest blow" in note(figure)
 
 
-def test_lines_go_through_every_orbit(figure):
+def test_lines_pass_through_every_orbit(figure):
     ds = one_family()
-    solid, _ = lines_of(panel(figure, ylabel="impact velocity"))
+    solid, _ = orbit_lines(panel(figure, ylabel="impact velocity"))
     x, y = (np.concatenate([getattr(line, f"get_{c}data")() for line in solid]) for c in "xy")
     inner = ds.isel(point=(ds.branch.values == 0) & (ds.gamma.values <= 0.9) & (ds.stable.values == 1))
-    apart = np.hypot(x[:, None] - inner.gamma.values, y[:, None] - inner.impact_velocity.values)
-    assert inner.sizes["point"] and apart.min(axis=0).max() < 1e-9
+    distance = np.hypot(x[:, None] - inner.gamma.values, y[:, None] - inner.impact_velocity.values)
+    assert inner.sizes["point"] and distance.min(axis=0).max() < 1e-9
 
 
-def test_lines_add_no_wiggles_and_keep_corners():
+def test_smoothing_is_monotone_and_keeps_corners():
     x, step = np.linspace(0.0, 1.0, 7), np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
     ((along, up),) = smooth(x, step, np.array([], int))
     assert along.size > x.size and up.min() >= 0.0 and up.max() <= 1.0 and (np.diff(up) >= 0).all()
@@ -179,39 +186,39 @@ def test_lines_add_no_wiggles_and_keep_corners():
     assert np.allclose(left[1], 0.5 - left[0]) and np.allclose(right[1], right[0] - 0.5)
 
 
-def test_moduli_have_the_border_of_stability_and_multipliers_the_circle(figure):
+def test_moduli_panel_has_stability_border_and_multiplier_plane_has_circle(figure):
     moduli = panel(figure, ylabel="largest modulus")
     assert moduli.get_yscale() == "log" and any(set(line.get_ydata()) == {1.0} for line in moduli.lines)
     plane = panel(figure, title="multipliers")
     (circle,) = plane.patches
     assert circle.get_radius() == 1.0 and plane.get_aspect() == 1.0
-    dots = np.concatenate([one.get_offsets() for one in plane.collections])
-    expected = {(0.0, 0.5), (0.0, -0.5), (0.25, 0.0), (0.0, 3.0), (0.0, -3.0)}  # pairs are drawn whole
+    dots = np.concatenate([collection.get_offsets() for collection in plane.collections])
+    expected = {(0.0, 0.5), (0.0, -0.5), (0.25, 0.0), (0.0, 3.0), (0.0, -3.0)}  # conjugate pairs are drawn in full
     assert {(round(float(x), 9) + 0.0, round(float(y), 9) + 0.0) for x, y in dots} == expected
     assert "The plane leaves out 10 of 19" in note(figure)
 
 
-def test_moduli_off_the_panel_are_told(figure):
+def test_note_mentions_moduli_outside_panel(figure):
     assert "largest modulus is drawn" not in note(figure)
     ds = one_family()
     ds["multiplier_abs"][{"point": 2, "multiplier": 0}] = 500.0
     assert "The largest modulus is drawn from 0.01 to 100" in note(picture(ds))
 
 
-def test_without_impacts_the_bit_is_drawn():
+def test_bit_amplitude_is_drawn_without_impacts():
     ds = one_family().drop_vars(["impact_velocity", "impact_velocity_min", "impact_velocity_max", "impacts"])
     bit = ds.assign(bit_amplitude=("point", 0.04 * ds["gamma"].values, {"units": "m", "long_name": "amplitude"}))
     assert "bit amplitude\n[mm]" in axis_labels(picture(bit))
     assert not any("amplitude" in text for text in axis_labels(picture(ds)))
 
 
-def test_the_legend_counts_kinds_and_names_what_lines_are(figure):
+def test_legend_counts_special_points_and_explains_lines(figure):
     entries = {"fold  1", "period-doubling  1", "end  3", "stable", "unstable"}
     assert entries | {"repeats after one return", "repeats after 2 returns"} <= set(legend(figure))
     assert "β = 0.4, Δ = −5 mm, start: stuck" in note(figure)
 
 
-def test_all_kinds_are_told_apart():
+def test_all_kinds_have_different_markers():
     drawn = {}
     for kinds in (np.arange(5), np.arange(2, 7)):
         ds = one_family().assign(special_kind=("special", kinds.astype(np.int8), FLAGS))
@@ -220,32 +227,32 @@ def test_all_kinds_are_told_apart():
     assert len(drawn) == 7 == len(set(drawn.values()))
 
 
-# Several, and a part of them.
+# Several families, and selections from them.
 
 
-def test_several_families_have_their_colours_and_names():
-    figure = picture(several())
-    solid, _ = lines_of(panel(figure, ylabel="x₁"))
+def test_families_have_separate_colours_and_names():
+    figure = picture(several_families())
+    solid, _ = orbit_lines(panel(figure, ylabel="x₁"))
     assert len({line.get_color() for line in solid}) == 3
     assert {"β = 0.3", "β = 0.4", "β = 0.5"} <= set(legend(figure))
 
 
-def test_where_takes_one_family_or_one_branch():
-    of_one = picture(several(), where={"beta": 0.4})
-    assert "β = 0.4" in note(of_one) and "repeats after one return" in legend(of_one)
-    solid, _ = lines_of(panel(picture(one_family(), where={"branch": 1}), ylabel="x₁"))
-    assert extent(solid) == (0.9, 1.0)
-    two = several((0.3, 0.4, 0.4))
+def test_where_selects_family_or_branch():
+    single = picture(several_families(), where={"beta": 0.4})
+    assert "β = 0.4" in note(single) and "repeats after one return" in legend(single)
+    solid, _ = orbit_lines(panel(picture(one_family(), where={"branch": 1}), ylabel="x₁"))
+    assert finite_range(solid) == (0.9, 1.0)
+    two = several_families((0.3, 0.4, 0.4))
     assert "β = 0.3" not in legend(picture(two, where={"beta": 0.4}))
 
 
-def test_variables_along_families():
+def test_chosen_variable_is_drawn_along_family():
     figure = picture(one_family(), variable="impact_velocity_max")
     assert "impact velocity max\n[m/s]" in axis_labels(figure) and not any("x₁" in text for text in axis_labels(figure))
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("arguments", "message"),
     [
         ({"variable": "branch"}, '"branch" is not one number a point of the families; choose from gamma'),
         ({"variable": "speed"}, '"speed" is not in the dataset'),
@@ -254,15 +261,15 @@ def test_variables_along_families():
         ({"over": one_family()}, "families are laid over the returns of a sweep with keep_returns"),
     ],
 )
-def test_what_cannot_be_drawn_is_told_in_one_line(asked, said):
-    with pytest.raises(InputError, match=said) as error:
-        picture(one_family(), **asked)
+def test_invalid_request_is_refused_in_one_line(arguments, message):
+    with pytest.raises(InputError, match=message) as error:
+        picture(one_family(), **arguments)
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("made", [one_family, several])
-def test_texts_lie_on_the_figure_and_off_each_other(made):
-    check_texts(picture(made().assign_attrs(title="Families of periodic orbits over the frequency ratio " * 6)))
+@pytest.mark.parametrize("make", [one_family, several_families])
+def test_texts_lie_within_figure_without_overlap(make):
+    check_texts(picture(make().assign_attrs(title="Families of periodic orbits over the frequency ratio " * 6)))
 
 
 # Over returns.
@@ -270,83 +277,85 @@ def test_texts_lie_on_the_figure_and_off_each_other(made):
 
 def swept(**more):
     ds = returns({"gamma": np.linspace(0.6, 0.95, 15), **more})
-    held = {"delta": -0.005} | ({} if "beta" in more else {"beta": 0.4})
-    return ds.assign_attrs(parameters=json.dumps(held), **MACHINE)
+    parameters = {"delta": -0.005} | ({} if "beta" in more else {"beta": 0.4})
+    return ds.assign_attrs(parameters=json.dumps(parameters), **MACHINE)
 
 
-def test_a_family_lies_over_the_returns_of_every_start_as_far_as_the_axis_goes():
+def test_family_is_drawn_over_returns_of_every_start_within_axis_limits():
     alone, laid = bifurcation(swept()), picture(swept(), over=one_family())
-    diagrams = [axes for axes in laid.axes if lines_of(axes)[0]]
+    diagrams = [axes for axes in laid.axes if orbit_lines(axes)[0]]
     assert len(diagrams) == len(titles(alone)) > 1
     for axes in diagrams:
-        solid, dashed = lines_of(axes)
+        solid, dashed = orbit_lines(axes)
         low, high = axes.get_xlim()
         assert all(
             low <= x <= high for line in (*solid, *dashed) for x in line.get_xdata()[np.isfinite(line.get_ydata())]
         )
-        assert "fold" not in marks(axes) and "period-doubling" in marks(axes)  # 0.5 lies off the axis
+        assert "fold" not in mark_positions(axes) and "period-doubling" in mark_positions(
+            axes
+        )  # 0.5 lies outside the axis
     assert {"stable orbit", "unstable orbit", "period-doubling"} <= set(legend(laid))
     assert "Lines: orbits that were followed" in note(laid)
 
 
-def test_each_panel_has_the_families_of_its_parameters():
-    figure = bifurcation(swept(beta=[0.3, 0.4]), several((0.4, 0.5)))
+def test_each_panel_shows_families_with_its_parameters():
+    figure = bifurcation(swept(beta=[0.3, 0.4]), several_families((0.4, 0.5)))
     drawn = {
-        axes.get_title("left").partition(",")[0]: bool(lines_of(axes)[0])
+        axes.get_title("left").partition(",")[0]: bool(orbit_lines(axes)[0])
         for axes in figure.axes
         if axes.get_title("left")
     }
     assert drawn == {"β = 0.3": False, "β = 0.4": True}
 
 
-def test_several_families_may_lie_over_each_other():
+def test_several_families_can_be_overlaid():
     weak = one_family()
     weak["impact_velocity"] = 0.5 * weak["impact_velocity"]
     alone, both = picture(swept(), over=one_family()), picture(swept(), over=[one_family(), weak])
     assert legend(alone) == legend(both)
-    counts = [sum(map(len, lines_of(figure.axes[0]))) for figure in (alone, both)]
+    counts = [sum(map(len, orbit_lines(figure.axes[0]))) for figure in (alone, both)]
     assert counts[1] == 2 * counts[0] > 0
 
 
 def carried(keep=True):
-    """Lanes carried up and down."""
+    """Return lanes that are carried up and down."""
     ds = swept().rename(start="direction").assign_coords(direction=["up", "down"])
     ds = ds.assign(cycles=xr.ones_like(ds["regime"]), error_estimate=xr.zeros_like(ds["period"]))
     ds = ds if keep else ds.drop_vars("return_impact_velocity")
     return ds.assign_attrs(run=json.dumps({"carry": "gamma"}))
 
 
-def test_families_lie_over_lanes_that_are_carried():
+def test_families_are_drawn_over_carried_lanes():
     figure = picture(carried(), over=one_family())
-    solid, dashed = lines_of(panel(figure, ylabel="impact velocity at each return"))
-    assert solid and dashed and "period-doubling" in marks(figure.axes[0])
+    solid, dashed = orbit_lines(panel(figure, ylabel="impact velocity at each return"))
+    assert solid and dashed and "period-doubling" in mark_positions(figure.axes[0])
     assert {"up", "down", "stable orbit", "unstable orbit"} <= set(legend(figure))
     ds = one_family()
     ds["period"] = ("point", 0.2 + 0.01 * ds["gamma"].values, {"units": "s", "long_name": "period"})
     periods = panel(picture(carried(keep=False), over=ds), ylabel="period")
     drawn = [line for line in periods.lines if line.get_color() == "#222222" and len(line.get_xdata()) > 2]
-    x, y = (np.concatenate([getattr(line, f"get_{one}data")() for line in drawn]) for one in "xy")
+    x, y = (np.concatenate([getattr(line, f"get_{axis}data")() for line in drawn]) for axis in "xy")
     shown = np.isfinite(y)
     assert shown.any() and np.allclose(y[shown], 0.2 + 0.01 * x[shown], atol=1e-4)
 
 
 @pytest.mark.parametrize(
-    ("over", "said"),
+    ("over", "message"),
     [
         (lambda: swept(), "over: no families of orbits"),
         (lambda: one_family().assign_attrs(along="orbit_x1"), "along orbit_x1, and the returns over gamma"),
         (lambda: one_family().assign_attrs(friction="coulomb"), "of friction coulomb, the returns of stribeck"),
         (lambda: one_family().assign_attrs(parameters='{"delta": 0.005}'), "delta = 0.005, the returns of −0.005"),
-        (lambda: several((0.3, 0.5)), "none of the families has the beta of the returns"),
+        (lambda: several_families((0.3, 0.5)), "none of the families has the beta of the returns"),
     ],
 )
-def test_families_of_another_machine_are_refused(over, said):
-    with pytest.raises(InputError, match=said) as error:
+def test_families_of_different_machine_are_refused(over, message):
+    with pytest.raises(InputError, match=message) as error:
         bifurcation(swept(), over())
     assert "\n" not in str(error.value)
 
 
-def test_over_goes_with_returns_alone():
+def test_over_requires_returns():
     with pytest.raises(InputError, match="over no other variable"):
         picture(swept(), variable="period", over=one_family())
     with pytest.raises(InputError, match="holds none"):
@@ -366,16 +375,18 @@ def with_orbits(grid):
     return ds
 
 
-def test_of_the_multipliers_the_largest_is_drawn():
+def test_only_largest_multiplier_is_drawn():
     ds = with_orbits(square(6))
     figure = picture(ds, variable="multiplier_abs")
     assert "largest |multiplier|" in axis_labels(figure)
     drawn = [mesh.get_array() for mesh in meshes(figure, "viridis")]
-    starts = [ds["multiplier_abs"].isel(start=at, multiplier=0).transpose("beta", "gamma").values for at in range(2)]
-    assert all(np.allclose(one, other) for one, other in zip(drawn, starts, strict=True))
+    starts = [
+        ds["multiplier_abs"].isel(start=start, multiplier=0).transpose("beta", "gamma").values for start in range(2)
+    ]
+    assert all(np.allclose(values, expected) for values, expected in zip(drawn, starts, strict=True))
 
 
-def test_flags_are_named_on_the_bar_and_along_curves():
+def test_flag_names_label_colour_bar_and_curves():
     ds = with_orbits(square(6))
     figure = picture(ds, variable="stable")
     bar = next(axes for axes in figure.axes if "stability" in (axes.get_xlabel(), axes.get_ylabel()))
@@ -397,8 +408,8 @@ def test_flags_are_named_on_the_bar_and_along_curves():
         ([0.1, 0.2, 0.3, 0.4, 0.5], [0] * 5, "5 on branch 0 at gamma 0.1, 0.2, 0.3, 0.4 (and 1 more up to 0.5)"),
     ],
 )
-def test_special_points_in_the_summary(values, branch, line):
-    """Counts and values are of the same branch, with nine digits; kinds are words, as each file's flags name them."""
+def test_summary_lists_special_points(values, branch, line):
+    """Counts and values belong to the same branch. The kinds follow each file's own flag meanings."""
     for meanings in (KINDS, " ".join(reversed(KINDS.split()))):
         flags = FLAGS | {"flag_meanings": meanings}
         kind = np.full(len(values), meanings.split().index("stick"), np.int8)

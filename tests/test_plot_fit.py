@@ -1,4 +1,4 @@
-"""The picture of a fit shows its data: what is on it, by artists and labels rather than by pixels."""
+"""Test the picture of a fit, which shows its data, by artists and labels, not by pixels."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ FORMULAS = {form.name: form.rate for form in LAWS}
 
 
 def rig(path, columns=("rpm",), per_group=12, groups=3):
-    """Rig data with noise: no rate below an onset of 1.1, then C ln(eta/1.1) with C in proportion to the speed."""
+    """Write noisy rig data and return the path: C ln(eta/1.1) above an onset of 1.1, with C proportional to rpm."""
     draw = np.random.default_rng(7)
     lines = [",".join([*columns, "relief", "rate_of_penetration"])]
     for group in range(groups):
@@ -25,7 +25,7 @@ def rig(path, columns=("rpm",), per_group=12, groups=3):
         for eta in np.linspace(0.6, 3.0, per_group):
             rate = 2e-5 * (80 + 40 * group) * max(np.log(eta / 1.1), 0.0) * (1 + 0.05 * draw.standard_normal())
             lines.append(",".join([*keys, f"{eta:.4f}", f"{rate:.8f}"]))
-        lines.append(",".join([*keys, "2.0", "-0.001"]))  # a hole does not grow shallower: left out
+        lines.append(",".join([*keys, "2.0", "-0.001"]))  # negative, so left out: a hole never becomes shallower
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -35,12 +35,12 @@ def fit(tmp_path):
     return vj.fit_rop(rig(tmp_path / "rig.csv"), by="rpm", progress=False)
 
 
-def curve(axes, label):
+def line_points(axes, label):
     (line,) = (line for line in axes.lines if line.get_label() == label)
     return line.get_xydata()
 
 
-def test_the_fit_carries_its_data_and_what_became_of_them(fit):
+def test_fit_stores_its_data_and_their_use(fit):
     assert fit["data_use"].attrs["flag_meanings"] == "no-lane fitted censored left-out"
     use = fit["data_use"].values
     assert ((use > 0).sum(axis=1) == fit["used"].isel(form=0) + fit["left_out"].isel(form=0)).all()
@@ -48,7 +48,7 @@ def test_the_fit_carries_its_data_and_what_became_of_them(fit):
     assert (fit["data_rate_of_penetration"].values[use == 3] == -0.001).all() and (use == 3).sum() == 3
 
 
-def test_groups_of_different_length_are_filled_up(tmp_path):
+def test_shorter_groups_are_padded(tmp_path):
     path = rig(tmp_path / "rig.csv")
     path.write_text(path.read_text() + "300,2.0,0.004\n300,2.5,0.005\n")
     fit = vj.fit_rop(path, by="rpm", progress=False)
@@ -57,29 +57,31 @@ def test_groups_of_different_length_are_filled_up(tmp_path):
 
 
 @pytest.mark.parametrize("form", SIZES)
-def test_curves_are_those_whose_aic_the_fit_has(fit, form):
+def test_aic_agrees_with_drawn_curves(fit, form):
     for group in range(3):
-        one = fit.sel(form=form).isel(group=group)
-        used = np.isin(one["data_use"], (1, 2))
-        eta, rate = one["data_relief"].values[used], one["data_rate_of_penetration"].values[used]
-        predicted = FORMULAS[form](eta, *(float(one[name]) for name in ("C", "eta0", "exponent")))
-        left = np.where((rate == 0) & (predicted <= 0), 0.0, predicted - rate)
-        aic = rate.size * np.log(np.sum(left**2) / rate.size) + 2 * SIZES[form]
-        assert float(one["aic"]) == pytest.approx(aic, abs=1e-6)
+        group_fit = fit.sel(form=form).isel(group=group)
+        used = np.isin(group_fit["data_use"], (1, 2))
+        eta, rate = group_fit["data_relief"].values[used], group_fit["data_rate_of_penetration"].values[used]
+        predicted = FORMULAS[form](eta, *(float(group_fit[name]) for name in ("C", "eta0", "exponent")))
+        residual = np.where((rate == 0) & (predicted <= 0), 0.0, predicted - rate)
+        aic = rate.size * np.log(np.sum(residual**2) / rate.size) + 2 * SIZES[form]
+        assert float(group_fit["aic"]) == pytest.approx(aic, abs=1e-6)
 
 
-def test_every_group_has_a_panel_with_its_data_and_its_curves(fit):
+def test_each_group_has_panel_with_data_and_curves(fit):
     figure = picture(fit)
     assert titles(figure) == ["rpm = 80", "rpm = 120", "rpm = 160"]
     for group, axes in enumerate(axes for axes in figure.axes if axes.get_title("left")):
-        one = fit.isel(group=group)
+        group_fit = fit.isel(group=group)
         for use, label in ((1, "_fitted"), (2, "_censored"), (3, "_left-out")):
-            at = one["data_use"].values == use
-            expected = np.column_stack([one["data_relief"], 1e3 * one["data_rate_of_penetration"]])[at]
-            assert np.array_equal(curve(axes, label), expected)
+            selected = group_fit["data_use"].values == use
+            expected = np.column_stack([group_fit["data_relief"], 1e3 * group_fit["data_rate_of_penetration"]])[
+                selected
+            ]
+            assert np.array_equal(line_points(axes, label), expected)
         for form in FORMS:
-            eta, rate = curve(axes, form).T
-            coefficients = (float(one[name].sel(form=form)) for name in ("C", "eta0", "exponent"))
+            eta, rate = line_points(axes, form).T
+            coefficients = (float(group_fit[name].sel(form=form)) for name in ("C", "eta0", "exponent"))
             assert np.allclose(rate, 1e3 * FORMULAS[form](eta, *coefficients))
             (line,) = (line for line in axes.lines if line.get_label() == form)
             assert to_hex(line.get_color()).upper() == FORM_COLOURS[form]
@@ -89,15 +91,15 @@ def test_every_group_has_a_panel_with_its_data_and_its_curves(fit):
     assert {"relief P/D", "rate of penetration [mm/s]", "rpm"} <= axis_labels(figure)
 
 
-def test_groups_of_one_column_are_an_axis(fit):
+def test_groups_of_one_column_form_axis(fit):
     figure = picture(fit)
     coefficient = next(axes for axes in figure.axes if axes.get_ylabel() == "C [mm/s]")
-    bars = {one.get_label(): one for one in coefficient.containers}
+    bars = {container.get_label(): container for container in coefficient.containers}
     line, *_ = bars["onset"]
     assert np.allclose(line.get_xydata(), np.column_stack([[80, 120, 160], 1e3 * fit["C"].sel(form="onset")]))
 
 
-def test_groups_of_several_columns_have_all_their_values_for_titles(tmp_path):
+def test_titles_list_all_columns_of_groups(tmp_path):
     fit = vj.fit_rop(rig(tmp_path / "rig.csv", ("rpm", "bit"), groups=8), by=("rpm", "bit"), progress=False)
     figure = picture(fit)
     assert "rpm = 80, bit: A" in titles(figure) and "rpm = 360, bit: B" in titles(figure)
@@ -107,7 +109,7 @@ def test_groups_of_several_columns_have_all_their_values_for_titles(tmp_path):
     assert figure.get_figheight() <= 20.0
 
 
-def test_a_map_of_fits_shows_the_data_of_some(tmp_path):
+def test_map_of_fits_shows_data_of_some_groups(tmp_path):
     axes = {"force": np.linspace(2e5, 3e5, 9), "k3": np.linspace(1e8, 5e8, 9), "frequency": np.linspace(10.0, 40.0, 8)}
     force, k3, frequency = np.meshgrid(*axes.values(), indexing="ij")
     relief = force * frequency / 5e6
@@ -115,16 +117,16 @@ def test_a_map_of_fits_shows_the_data_of_some(tmp_path):
     figure = picture(vj.fit_rop(data, progress=False))
     assert "Data and curves of 6 of 81 groups" in note(figure)
     shown = [axes for axes in figure.axes if any(line.get_label() == "_fitted" for line in axes.lines)]
-    assert len(shown) == 6 and all(len(curve(axes, "_fitted")) == 8 for axes in shown)
+    assert len(shown) == 6 and all(len(line_points(axes, "_fitted")) == 8 for axes in shown)
     assert {"data", "onset\nC ln(η/η₀)"} <= set(legend(figure))
 
 
-def test_a_fit_without_its_data_is_drawn_as_before():
+def test_fit_without_data_is_drawn():
     figure = picture(law({"force": [2e5, 3e5]}))
     assert len(figure.axes) == 2
 
 
-def test_a_group_without_any_lane_to_fit_is_drawn_too(tmp_path):
+def test_group_without_data_to_fit_is_drawn(tmp_path):
     path = tmp_path / "rig.csv"
     path.write_text("rpm,relief,rate_of_penetration\n80,,\n80,,\n120,1.5,0.001\n120,2.0,0.002\n120,3.0,0.003\n")
     picture(vj.fit_rop(path, by="rpm", progress=False)).draw_without_rendering()

@@ -1,4 +1,4 @@
-"""Pictures of chosen variables, at chosen values, in chosen colours: what is on them, and what is refused."""
+"""Test pictures with chosen variables, values and colours, and the requests that are refused."""
 
 import json
 
@@ -21,7 +21,7 @@ from vibrojax.plot.sheet import PAGE
 
 
 def with_shares(ds):
-    """`ds` with a variable that no picture shows by itself."""
+    """Return `ds` with an added variable that no picture shows by default."""
     values = np.linspace(0.0, 0.5, ds["regime"].size).reshape(ds["regime"].shape)
     return ds.assign(stick_fraction=(ds["regime"].dims, values, {"units": "1", "long_name": "share of time"}))
 
@@ -29,23 +29,23 @@ def with_shares(ds):
 # Variables.
 
 
-def test_a_variable_over_two_axes_is_a_map_of_it_alone():
+def test_variable_over_two_axes_is_drawn_as_single_map():
     ds = with_shares(lanes(square(7, delta=[-0.005, 0.005])))
     figure = picture(ds, variable="stick_fraction")
     assert not meshes(figure) and len(meshes(figure, "viridis")) == 4
-    at = ds["stick_fraction"].sel(delta=-0.005, start="stuck").transpose("beta", "gamma")
-    assert np.array_equal(meshes(figure, "viridis")[1].get_array(), at)
+    expected = ds["stick_fraction"].sel(delta=-0.005, start="stuck").transpose("beta", "gamma")
+    assert np.array_equal(meshes(figure, "viridis")[1].get_array(), expected)
     assert {"share of stick", "mass ratio m2/m1, β"} <= axis_labels(figure)
 
 
-def test_several_variables_stand_beside_each_other_in_the_order_given():
+def test_several_variables_are_drawn_side_by_side_in_given_order():
     figure = picture(with_shares(lanes(square(7), ("drive",))), variable=["stick_fraction", "regime"])
     assert [len(meshes(figure, name)) for name in (None, "viridis", "cividis")] == [1, 1, 0]
     (share,), (regime,) = meshes(figure, "viridis"), meshes(figure)
     assert share.axes.get_position().x0 < regime.axes.get_position().x0
 
 
-def test_a_variable_over_one_axis_is_curves_above_the_regimes():
+def test_variable_over_one_axis_is_drawn_as_curves_above_regimes():
     ds = with_shares(lanes({"gamma": np.linspace(0.3, 1.2, 11)}))
     figure = picture(ds, variable="stick_fraction")
     shown = {line.get_label(): line.get_ydata() for line in figure.axes[0].lines}
@@ -53,7 +53,7 @@ def test_a_variable_over_one_axis_is_curves_above_the_regimes():
     assert meshes(figure)[0].get_array().shape == (2, 11)
 
 
-def test_a_variable_of_a_list_of_points_is_scattered():
+def test_variable_of_point_list_is_scattered():
     ds = with_shares(points())
     figure = picture(ds, variable="stick_fraction")
     dots = [c for axes in figure.axes for c in axes.collections if isinstance(c, PathCollection)]
@@ -61,7 +61,7 @@ def test_a_variable_of_a_list_of_points_is_scattered():
     assert sorted(shown.tolist()) == sorted(ds["stick_fraction"].values.tolist())
 
 
-def test_a_variable_of_rock_and_of_a_fit_is_curves():
+def test_variable_of_rock_sweep_and_of_fit_is_drawn_as_curves():
     swept = rock({"k3": [1e8, 3e8], "frequency": np.linspace(10, 40, 5)})
     shown = {line.get_label(): line.get_ydata() for line in picture(swept, variable="relief").axes[0].lines}
     assert np.allclose(shown["k₃ = 300 MN/m"], swept["relief"].sel(k3=3e8))
@@ -70,14 +70,14 @@ def test_a_variable_of_rock_and_of_a_fit_is_curves():
     assert set(shown) == set(fit["form"].values) and np.array_equal(shown["onset"], fit["aic"].sel(form="onset"))
 
 
-def test_variables_of_a_run_are_histories():
+def test_variables_of_run_are_drawn_as_histories():
     ds = run(duration=2.0)
     figure = picture(ds, variable=["v2", "stuck"])
     assert [axes.get_ylabel() for axes in figure.axes] == ["v2\n[m/s]", "stuck"]
     assert np.array_equal(figure.axes[0].lines[0].get_ydata(), ds["v2"])
 
 
-def test_flags_have_their_names_on_the_bar():
+def test_flag_names_label_colour_bar():
     ds = lanes(square(7), ("drive",))
     ds["check_regime"] = flagged(
         ds["regime"].dims, np.where(ds["beta"].values[:, None, None] > 0.6, 6, 3) + 0 * ds["regime"]
@@ -86,13 +86,13 @@ def test_flags_have_their_names_on_the_bar():
     (mesh,) = meshes(figure, "check_regime")
     cells = mesh.to_rgba(mesh.get_array())
     regimes = np.array([[REGIME_COLOURS[flag] for flag in row] for row in mesh.get_array().astype(int).tolist()])
-    assert [to_hex(one).upper() for row in cells for one in row] == regimes.ravel().tolist()
+    assert [to_hex(cell).upper() for row in cells for cell in row] == regimes.ravel().tolist()
     bar = next(axes for axes in figure.axes if "check regime" in (axes.get_xlabel(), axes.get_ylabel()))
     names = [text.get_text() for axis in (bar.xaxis, bar.yaxis) for text in axis.get_ticklabels()]
     assert names == ["single-impact", "irregular"]
 
 
-def test_of_many_starts_a_variable_is_a_map_over_them_or_their_median():
+def test_variable_of_many_starts_is_mapped_over_starts_or_as_median():
     over = picture(with_shares(basin(plane())), variable="stick_fraction")
     assert meshes(over, "viridis")[0].get_array().shape == (10, 12) and not meshes(over)
     ds = with_shares(basin(sample(64), LONG))
@@ -125,7 +125,7 @@ KINDS = {
 
 @pytest.mark.parametrize("count", [1, 4])
 @pytest.mark.parametrize("kind", KINDS)
-def test_any_variables_of_any_sweep_fit_on_a_page(kind, count):
+def test_variables_of_every_kind_of_sweep_fit_on_page(kind, count):
     ds = with_shares(KINDS[kind]())
     figure = picture(ds, variable=["stick_fraction", "regime", "impact_velocity", "period"][:count])
     figure.draw_without_rendering()
@@ -133,24 +133,24 @@ def test_any_variables_of_any_sweep_fit_on_a_page(kind, count):
     assert "share of stick" in " ".join(axis_labels(figure)).replace("\n", " ")
 
 
-# Where.
+# Selection by value.
 
 
-def test_only_the_lanes_at_a_value_are_drawn():
+def test_only_lanes_at_selected_value_are_drawn():
     ds = lanes(square(7, delta=[-0.005, 0.005])).assign_attrs(certified=json.dumps({"estimated": 9}))
     figure = picture(ds, where={"delta": 0.005, "start": "stuck"})
     assert np.array_equal(meshes(figure)[0].get_array(), ds["regime"].sel(delta=0.005, start="stuck").T.T)
     assert not titles(figure) and note(figure).startswith("Δ = 5 mm, start: stuck")
 
 
-def test_values_need_be_right_to_four_digits():
+def test_values_match_to_four_digits():
     ds = lanes({"gamma": np.linspace(0.6, 0.8, 7), "beta": [0.3, 0.4]})
     assert float(select(ds, {"gamma": 0.63333})["gamma"]) == ds["gamma"].values[1]
     with pytest.raises(InputError, match=r"gamma = 0\.64; there are 0\.6, 0\.633333"):
         select(ds, {"gamma": 0.64})
 
 
-def test_a_coordinate_along_an_axis_selects_all_that_have_its_value():
+def test_coordinate_along_axis_selects_all_matching_lanes():
     ds = basin(plane())
     assert select(ds, {"start_v2": 3.0}).sizes["start"] == 12
     assert select(points(), {"start": "stuck"}).sizes["point"] == 20
@@ -158,7 +158,7 @@ def test_a_coordinate_along_an_axis_selects_all_that_have_its_value():
     assert float(vector["start_x2"]) == -0.05
 
 
-def test_a_group_of_a_fit_is_found_by_its_column():
+def test_group_of_fit_is_selected_by_its_column():
     fit = law({"group": np.arange(3)}).drop_vars("group").assign_coords(rpm=("group", [80.0, 120.0, 160.0]))
     assert float(select(fit, {"rpm": 120})["C"].sel(form="line")) == float(fit["C"].isel(group=1).sel(form="line"))
 
@@ -166,14 +166,14 @@ def test_a_group_of_a_fit_is_found_by_its_column():
 # Colours.
 
 
-def test_quantities_have_the_colours_asked_for_and_regimes_their_own():
+def test_chosen_colours_apply_to_quantities_but_not_to_regimes():
     ds = lanes(square(7), ("drive",))
     figure = picture(ds, colours="magma")
     assert len(meshes(figure, "magma")) == 2 and len(meshes(figure)) == 1
-    assert len(meshes(picture(ds), "viridis")) == 1  # the next has its own again
+    assert len(meshes(picture(ds), "viridis")) == 1  # the choice does not affect the next picture
 
 
-# What is wrong is said in one line.
+# Invalid requests.
 
 WRONG = [
     (
@@ -197,15 +197,15 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("given", "said"), WRONG)
-def test_what_is_wrong_is_said_with_what_there_is(given, said):
+@pytest.mark.parametrize(("arguments", "message"), WRONG)
+def test_error_names_invalid_value_and_available_ones(arguments, message):
     ds = with_shares(returns({"gamma": np.linspace(0.3, 1.2, 15)}, keep=4))
     with pytest.raises(InputError) as refused:
-        picture(ds, **given)
-    assert said in str(refused.value) and "\n" not in str(refused.value)
+        picture(ds, **arguments)
+    assert message in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_a_run_has_no_axes_to_select_along():
+def test_run_has_no_axes_for_selection():
     with pytest.raises(InputError, match='"delta" is none of the dataset\'s axes; there are none'):
         picture(run(duration=2.0), where={"delta": 0.005})
     with pytest.raises(InputError, match='"event_kind" is not one number a time'):
@@ -222,25 +222,25 @@ def written(tmp_path):
     return tmp_path / "map.nc"
 
 
-def test_the_command_takes_the_same(written, monkeypatch):
-    asked = {}
+def test_command_accepts_same_options(written, monkeypatch):
+    received = {}
 
     def save_picture(ds, path, *how):
         path.write_bytes(b"a picture")
-        asked.update(path=path, how=how)
+        received.update(path=path, how=how)
         return ""
 
     monkeypatch.setattr("vibrojax.analyses.pictures.save_picture", save_picture)
     argv = ["plot", str(written), "--variable", "stick_fraction", "regime", "--variable", "period"]
     assert main([*argv, "--where", "delta=0.005", "start=stuck", "--colours", "magma"]) == 0
     name = "map-stick_fraction-regime-period-delta-0.005-start-stuck-magma.png"
-    assert asked["path"] == written.with_name(name)
+    assert received["path"] == written.with_name(name)
     variables, values = ["stick_fraction", "regime", "period"], {"delta": 0.005, "start": "stuck"}
-    assert asked["how"] == (variables, values, "magma", None, None)
+    assert received["how"] == (variables, values, "magma", None, None)
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--where", "delta"], '--where: "delta" is not AXIS=VALUE; write delta=0.005'),
         (["--where", "delta=1"], "no lane has delta = 1.0; there are -0.005, 0.005"),
@@ -248,19 +248,19 @@ def test_the_command_takes_the_same(written, monkeypatch):
         (["--colours", "rainbows"], "is not a colour map"),
     ],
 )
-def test_the_command_refuses_in_one_line(written, capsys, words, said):
+def test_command_refuses_invalid_option_in_one_line(written, capsys, words, message):
     assert main(["plot", str(written), *words]) == 2
     error = capsys.readouterr().err
-    assert said in error and error.count("\n") == 1 and not written.with_suffix(".png").exists()
+    assert message in error and error.count("\n") == 1 and not written.with_suffix(".png").exists()
 
 
-def test_the_command_draws(written):
+def test_command_writes_picture(written):
     assert main(["plot", str(written), "--variable", "stick_fraction", "--where", "start=drive"]) == 0
     assert written.with_name("map-stick_fraction-start-drive.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_command_replaces_no_other_picture(tmp_path, monkeypatch, capsys):
-    """A picture with options has a name of its own, and a number where that name is taken by another picture."""
+def test_command_does_not_replace_other_pictures(tmp_path, monkeypatch, capsys):
+    """A picture with options gets its own file name, with a number if another picture already has that name."""
     monkeypatch.chdir(tmp_path)
     for name, gap in (("map.nc", 0.005), ("a/borders.nc", 0.001), ("b/borders.nc", 0.002)):
         (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -271,32 +271,32 @@ def test_the_command_replaces_no_other_picture(tmp_path, monkeypatch, capsys):
         path.write_bytes(content.setdefault("as", "").encode() + repr(how).encode())
         return ""
 
-    def drawn(*words):
+    def command_output(*words):
         assert main(["plot", "map.nc", *words]) == 0
         return capsys.readouterr().out.rstrip()
 
     monkeypatch.setattr("vibrojax.analyses.pictures.save_picture", save_picture)
     many = ("--variable", "a", "b", "c", "d", "e", "--where", "start=[0, 0,1,0]")
-    for _ in range(2):  # the same picture again is written to the same file
-        assert drawn() == "map.png"
-        assert drawn("--variable", "period") == "map-period.png"
-        assert drawn("--over", "a/borders.nc") == "map-over-borders.png"
-        assert drawn("--over", "b/borders.nc") == "map-over-borders-2.png"
-        assert drawn("--over", "b/borders.nc", "--variable", "period") == "map-period-over-borders.png"
-        assert drawn("--diagram", "campbell") == "map-campbell.png"
-        assert drawn(*many) == "map-a-b-c-and-2-more-start-_0_0_1_0_.png"
+    for _ in range(2):  # the same picture is written again to the same file
+        assert command_output() == "map.png"
+        assert command_output("--variable", "period") == "map-period.png"
+        assert command_output("--over", "a/borders.nc") == "map-over-borders.png"
+        assert command_output("--over", "b/borders.nc") == "map-over-borders-2.png"
+        assert command_output("--over", "b/borders.nc", "--variable", "period") == "map-period-over-borders.png"
+        assert command_output("--diagram", "campbell") == "map-campbell.png"
+        assert command_output(*many) == "map-a-b-c-and-2-more-start-_0_0_1_0_.png"
     (tmp_path / "map-magma.png").write_bytes(b"of something else")
     kept = {path.name: path.read_bytes() for path in tmp_path.glob("map*.png")}
-    assert drawn("--colours", "magma") == "map-magma-2.png"
+    assert command_output("--colours", "magma") == "map-magma-2.png"
     content["as"] = "of other values"
-    assert drawn("--variable", "period") == "map-period-2.png"
+    assert command_output("--variable", "period") == "map-period-2.png"
     assert all((tmp_path / name).read_bytes() == bytes_ for name, bytes_ in kept.items())
-    assert drawn() == "map.png: replaces another picture"
-    assert drawn("-o", "map.png", "--variable", "period") == "map.png"
+    assert command_output() == "map.png: replaces another picture"
+    assert command_output("-o", "map.png", "--variable", "period") == "map.png"
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_sweep_without_regime_and_rate_has_its_variables_drawn():
+def test_variable_of_sweep_without_regime_and_rate_is_drawn():
     swept = xr.Dataset(
         {"status": ("gamma", np.zeros(3, np.int8)), "power": ("gamma", [1.0, 2.0, 3.0])}, {"gamma": [1.0, 2.0, 3.0]}
     )

@@ -1,4 +1,4 @@
-"""Pictures of scenes with rock: what is on them, by artists and labels rather than by pixels."""
+"""Test the pictures of scenes with rock by their artists and labels, not by pixels."""
 
 import json
 
@@ -35,32 +35,34 @@ def axis(name, values):
 
 
 def rock(grid, **fixed):
-    """A penetration sweep's dataset: slips that grow from an onset, and rates in proportion to the frequency."""
-    at = {"force": 2e5, "frequency": 20.0, "threshold": 15e4, "k3": 3e8, "zeta": 1.1} | fixed
+    """Return a penetration sweep with slips that grow from an onset and rates proportional to the frequency."""
+    inputs = {"force": 2e5, "frequency": 20.0, "threshold": 15e4, "k3": 3e8, "zeta": 1.1} | fixed
     mesh = dict(zip(grid, np.meshgrid(*grid.values(), indexing="ij"), strict=True)) if grid else {}
-    at = {name: mesh.get(name, value) for name, value in at.items()}
-    slip = np.maximum(at["force"] - 1.1 * at["threshold"], 0.0) / at["k3"] / at["zeta"]
-    force = at["force"] * 4e-3 * at["frequency"]
-    found = [slip * at["frequency"], force / at["threshold"], force, slip]
+    inputs = {name: mesh.get(name, value) for name, value in inputs.items()}
+    slip = np.maximum(inputs["force"] - 1.1 * inputs["threshold"], 0.0) / inputs["k3"] / inputs["zeta"]
+    force = inputs["force"] * 4e-3 * inputs["frequency"]
+    results = [slip * inputs["frequency"], force / inputs["threshold"], force, slip]
     shape = tuple(len(values) for values in grid.values())
-    held = {
+    variables = {
         name: (tuple(grid), np.broadcast_to(values, shape).copy(), {"units": unit, "long_name": name})
-        for (name, unit), values in zip(VALUES.items(), found, strict=True)
+        for (name, unit), values in zip(VALUES.items(), results, strict=True)
     }
     coordinates = {name: axis(name, np.asarray(values)) for name, values in grid.items()}
-    known = {name: value for name, value in fixed.items()} | {"pulse_width": 4e-3}
-    return xr.Dataset(held, coordinates, {"title": "a rock", "scene": "penetration", "parameters": json.dumps(known)})
+    parameters = {name: value for name, value in fixed.items()} | {"pulse_width": 4e-3}
+    return xr.Dataset(
+        variables, coordinates, {"title": "a rock", "scene": "penetration", "parameters": json.dumps(parameters)}
+    )
 
 
 def drill(grid, starts=("drive", "stuck")):
-    """A drilling sweep's dataset: single impacts up to a gap that differs by start, then none that penetrates."""
+    """Return a drilling sweep with single impacts up to a gap that depends on the start, and no penetration beyond."""
     shape = (*(len(values) for values in grid.values()), len(starts))
     mesh = dict(zip([*grid, "start"], np.meshgrid(*grid.values(), range(len(starts)), indexing="ij"), strict=True))
     gap, k3, beta = (mesh.get(name, x) for name, x in (("delta", -0.005), ("k3", 1e8), ("beta", 0.4)))
     single = (gap < 0.004 * mesh["start"] + 0.001) & (beta < 0.6)
     rate = np.where(single, 1e-3 + 0.05 * (gap + 0.005) + 1e-13 * k3, 0.0)
     ds = rock({})
-    held = {
+    variables = {
         "regime": np.where(single, 3, 6).astype(np.int8),
         "rate_of_penetration": rate,
         "relief": np.where(single, 0.05 + gap, 0.004),
@@ -71,7 +73,7 @@ def drill(grid, starts=("drive", "stuck")):
     ds = xr.Dataset(
         coords={name: axis(name, np.asarray(values)) for name, values in grid.items()} | {"start": list(starts)}
     )
-    for name, values in held.items():
+    for name, values in variables.items():
         ds[name] = ((*grid, "start"), np.broadcast_to(values, shape).copy(), {"units": units.get(name, "1")})
     ds["regime"].attrs |= {"flag_values": np.arange(8, dtype=np.int8), "flag_meanings": MEANINGS}
     return ds.assign_attrs(title="a drill", scene="drilling")
@@ -88,7 +90,7 @@ def points(count=30, names=("force", "k3")):
 
 
 def law(grid):
-    """A fit's dataset: C in proportion to the force; the line is best, but for the greatest force the onset."""
+    """Return a fit with C proportional to the force. The form "line" is best, except "onset" at the largest force."""
     shape = tuple(len(values) for values in grid.values())
     mesh = dict(zip(grid, np.meshgrid(*grid.values(), indexing="ij"), strict=True)) if grid else {}
     force = np.broadcast_to(mesh.get("force", np.asarray(2e5)), shape)
@@ -96,11 +98,15 @@ def law(grid):
     aic = np.stack([0 * force - x for x in (80.0, 90.0, 110.0, 300.0, 297.0)], axis=-1)
     aic[force > 2.9e5, 2] = -400.0
     dims = (*grid, "form")
-    about = {"units": "m s-1", "long_name": "coefficient"}
-    held = {"C": (dims, C, about), "C_stderr": (dims, 0.05 * np.abs(C), about), "aic": (dims, aic, {"units": "1"})}
+    attributes = {"units": "m s-1", "long_name": "coefficient"}
+    variables = {
+        "C": (dims, C, attributes),
+        "C_stderr": (dims, 0.05 * np.abs(C), attributes),
+        "aic": (dims, aic, {"units": "1"}),
+    }
     coordinates = {name: axis(name, np.asarray(values)) for name, values in grid.items()} | {"form": FORMS}
     formulas = "literal: C ln(eta); percent: C ln(100 eta); onset: C ln(eta/eta0); line: C (eta - eta0)"
-    return xr.Dataset(held, coordinates, {"title": "a law", "along": "frequency", "formulas": formulas})
+    return xr.Dataset(variables, coordinates, {"title": "a law", "along": "frequency", "formulas": formulas})
 
 
 @pytest.fixture(scope="module")
@@ -111,38 +117,38 @@ def swept():
 
 
 @pytest.fixture(scope="module")
-def blows():
+def pulse_run():
     given = {"k3": 100e6, "zeta": 0.5, "force": 300e3, "frequency": 40.0, "duration": 0.2}
     return vj.simulate("penetration", **given, progress=False)
 
 
 @pytest.fixture(scope="module")
-def sine():
+def swept_sine_run():
     given = {"force": 70e3, "bias": 60e3, "sweep_start": 20.0, "sweep_rate": 300.0, "duration": 1.0, "zeta": 0.3}
     return vj.simulate("penetration", pulse_shape="sweep", **given, progress=False)
 
 
 @pytest.fixture(scope="module")
-def drilled():
+def drilling_run():
     return vj.simulate("drilling", beta=0.55, duration=3.0, progress=False)
 
 
 def curves(axes):
-    """The lines of `axes` by label, without the gaps between motions."""
+    """Return the points of the lines of `axes` by label, without the gaps between motions."""
     named = {line.get_label(): line.get_xydata() for line in axes.lines if not line.get_label().startswith("_")}
     return {name: np.asarray(xy)[np.isfinite(xy[:, 0])] for name, xy in named.items()}
 
 
-def marked(axes, kind):
-    """The places of the marks of one kind, in order along the axis."""
-    found = [line.get_xydata() for line in axes.lines if line.get_label() == f"_{kind}"]
-    return np.concatenate(found) if found else np.empty((0, 2))
+def mark_positions(axes, kind):
+    """Return the positions of the marks of one kind, in order along the axis."""
+    positions = [line.get_xydata() for line in axes.lines if line.get_label() == f"_{kind}"]
+    return np.concatenate(positions) if positions else np.empty((0, 2))
 
 
 # Lines.
 
 
-def test_a_sweep_of_pulses_is_drawn_as_it_was_computed(swept):
+def test_pulse_sweep_is_drawn_with_its_values(swept):
     figure = picture(swept)
     over, relief, slip = figure.axes
     for force in swept["force"].values:
@@ -160,17 +166,17 @@ def test_a_sweep_of_pulses_is_drawn_as_it_was_computed(swept):
     assert {"D = 150 kN", "w = 4 ms"} <= set(note(figure).split(", "))
 
 
-def test_lanes_without_penetration_are_hollow_and_named(swept):
+def test_lanes_without_penetration_are_hollow_and_in_legend(swept):
     none = swept["rate_of_penetration"].values == 0
-    assert none[0].all() and not none[2].any()  # 150 kN never, 300 kN always
+    assert none[0].all() and not none[2].any()  # 150 kN never penetrates, 300 kN always does
     figure = picture(swept)
-    hollow = marked(figure.axes[0], "none")
+    hollow = mark_positions(figure.axes[0], "none")
     assert len(hollow) == none.sum() and (hollow[:, 1] == 0).all()
     assert "no penetration" in legend(figure)
     assert "no penetration" not in legend(picture(swept.isel(force=[2])))
 
 
-def test_without_any_penetration_the_only_tick_is_zero():
+def test_zero_is_only_tick_without_penetration():
     ds = rock({"force": np.linspace(3e4, 6e4, 4), "frequency": [10.0, 20.0]})
     for name in ("rate_of_penetration", "slip_per_impact"):
         ds[name] = 0.0 * ds[name].fillna(0.0)
@@ -185,7 +191,7 @@ def test_without_any_penetration_the_only_tick_is_zero():
     assert [list(bar.get_xticks()) for bar in bars] == [[]]
 
 
-def test_further_axes_are_rows_at_most_four_and_the_figure_says_so():
+def test_further_axes_become_at_most_four_rows_with_note():
     grid = {"k3": np.linspace(1e8, 5e8, 6), "force": np.linspace(1e5, 4e5, 7), "frequency": np.linspace(10, 40, 8)}
     figure = rates(rock(grid))
     assert titles(figure) == [f"k₃ = {k} MN/m" for k in (100, 260, 340, 500)]
@@ -196,19 +202,19 @@ def test_further_axes_are_rows_at_most_four_and_the_figure_says_so():
     assert np.allclose(curves(row[0])["A = 300 kN"][:, 1], 1e3 * lane["rate_of_penetration"])
 
 
-def test_over_an_axis_that_leaves_the_relief_alone_there_is_no_curve_over_it():
+def test_relief_panel_is_omitted_where_relief_is_constant():
     figure = rates(rock({"frequency": [10.0, 20.0], "k3": np.linspace(5e7, 5e8, 9)}))
     assert "relief P/D" not in axis_labels(figure)
     assert len(figure.axes) == 2
 
 
-def test_all_rows_show_the_greatest_value_and_zero():
+def test_all_rows_include_largest_value_and_zero():
     ds = rock({"zeta": [1.5, 0.5], "force": [2e5, 3e5], "frequency": np.linspace(10, 40, 5)})
     low, high = rates(ds).axes[0].get_ylim()
     assert low < 0 < 1e3 * float(ds["rate_of_penetration"].max()) < high
 
 
-def test_the_drill_marks_single_impacts_and_does_not_join_them_to_others():
+def test_single_impacts_are_marked_and_not_joined_to_other_motion():
     ds = drill({"k3": [1e8, 3e8], "delta": np.linspace(-0.005, 0.012, 9)})
     figure = picture(ds)
     assert titles(figure) == ["start: drive", "start: stuck"]
@@ -216,19 +222,19 @@ def test_the_drill_marks_single_impacts_and_does_not_join_them_to_others():
     over = figure.axes[0]
     lanes = ds.sel(start="drive")
     single = lanes["regime"].values == 3
-    assert len(marked(over, "single")) == single.sum() and len(marked(over, "other")) == (~single).sum()
+    assert len(mark_positions(over, "single")) == single.sum() and len(mark_positions(over, "other")) == (~single).sum()
     joined = next(line for line in over.lines if line.get_label() == "k₃ = 300 MN/m").get_ydata()
     assert np.flatnonzero(np.isnan(joined)).tolist() == [int(single[1].sum())]
     assert np.array_equal(curves(over)["k₃ = 300 MN/m"][:, 1], 1e3 * lanes["rate_of_penetration"].sel(k3=3e8))
     assert "peak impact force [kN]" in axis_labels(figure)
 
 
-def test_where_nothing_else_varies_starts_are_lines():
+def test_starts_become_lines_where_nothing_else_varies():
     figure = rates(drill({"delta": np.linspace(-0.005, 0.012, 7)}))
     assert set(curves(figure.axes[0])) == {"start: drive", "start: stuck"}
 
 
-def test_rocks_are_lines_or_places_by_their_names():
+def test_named_rocks_become_lines_or_ticks():
     names = np.array(["sandstone", "limestone", "granite"])
     ds = rock({"threshold": [61.9e3, 140.3e3, 204.5e3], "frequency": [10.0, 20.0, 40.0]}, force=3e5)
     ds = ds.rename(threshold="rock").assign_coords(rock=("rock", names))
@@ -236,13 +242,13 @@ def test_rocks_are_lines_or_places_by_their_names():
     assert list(curves(figure.axes[0])) == names.tolist()
     figure = rates(ds.isel(frequency=1))
     assert [text.get_text() for text in figure.axes[0].get_xticklabels()] == names.tolist()
-    assert np.allclose(marked(figure.axes[0], "single")[:, 1], 1e3 * ds["rate_of_penetration"][:, 1])
+    assert np.allclose(mark_positions(figure.axes[0], "single")[:, 1], 1e3 * ds["rate_of_penetration"][:, 1])
 
 
 # Maps.
 
 
-def test_two_long_axes_give_maps_with_lines_of_equal_relief():
+def test_two_long_axes_give_maps_with_contours_of_relief():
     ds = rock({"force": np.linspace(1e5, 3e5, 10), "frequency": np.linspace(10, 40, 9)}, threshold=15e4)
     figure = picture(ds)
     for colours, name in (("plasma", "rate_of_penetration"), ("viridis", "slip_per_impact"), ("cividis", "mean_force")):
@@ -251,11 +257,11 @@ def test_two_long_axes_give_maps_with_lines_of_equal_relief():
         assert np.allclose(mesh.get_array(), factor * ds[name].transpose("force", "frequency"))
     assert {"rate of penetration [mm/s]", "slip per blow [mm]", "mean force P [kN]"} <= axis_labels(figure)
     assert {"no penetration", "equal relief P/D"} == set(legend(figure))
-    found = [float(text.get_text()) for text in figure.axes[0].texts]
-    assert found and all(0.027 < level < 0.32 for level in found)
+    levels = [float(text.get_text()) for text in figure.axes[0].texts]
+    assert levels and all(0.027 < level < 0.32 for level in levels)
 
 
-def test_cells_without_penetration_are_white_and_without_a_value_grey():
+def test_cells_without_penetration_are_white_and_without_value_grey():
     ds = rock({"force": np.linspace(1e5, 3e5, 10), "frequency": np.linspace(10, 40, 9)})
     ds["rate_of_penetration"][{"force": 9, "frequency": 3}] = np.nan
     figure = picture(ds)
@@ -267,21 +273,21 @@ def test_cells_without_penetration_are_white_and_without_a_value_grey():
     assert {"no penetration", "no value"} <= set(legend(figure))
 
 
-def test_the_relief_has_its_own_map_where_the_threshold_varies():
+def test_relief_has_own_map_where_threshold_varies():
     ds = rock({"threshold": np.linspace(5e4, 25e4, 9), "frequency": np.linspace(10, 40, 10)})
     figure = picture(ds)
     shown = {mesh.get_array().max() for mesh in meshes(figure, "cividis")}
     assert np.allclose(sorted(shown), [float(ds["relief"].max()), 1e-3 * float(ds["mean_force"].max())])
 
 
-def test_what_is_the_same_all_over_is_in_the_note():
+def test_constant_quantities_are_in_note():
     ds = rock({"k3": np.linspace(1e8, 5e8, 9), "zeta": np.linspace(0.5, 1.5, 9)})
     figure = picture(ds)
     assert "P = 16 kN, P/D = 0.10667" in note(figure)
     assert not meshes(figure, "cividis")
 
 
-def test_many_facets_show_the_rate_alone_on_nine_panels():
+def test_many_facets_show_only_rate_on_nine_panels():
     axes = {"zeta": np.linspace(0.5, 1.5, 9), "force": np.linspace(15e4, 35e4, 9)}
     ds = rock(axes | {"k3": np.linspace(1e8, 5e8, 4), "threshold": [1e5, 15e4, 2e5]})
     figure = picture(ds)
@@ -290,18 +296,18 @@ def test_many_facets_show_the_rate_alone_on_nine_panels():
     assert titles(figure)[0] == "k₃ = 100 MN/m, D = 100 kN"
 
 
-def test_rates_over_decades_have_logarithmic_colours_others_linear():
+def test_colours_are_logarithmic_only_for_rates_over_decades():
     ds = rock({"force": np.linspace(2e5, 3e5, 10), "frequency": np.linspace(10, 40, 9)})
     assert not isinstance(meshes(picture(ds), "plasma")[0].norm, LogNorm)
     ds["rate_of_penetration"].values[:] = np.geomspace(1e-6, 1e-1, 90).reshape(10, 9)
     assert isinstance(meshes(picture(ds), "plasma")[0].norm, LogNorm)
 
 
-def test_the_border_of_single_impacts_lies_between_the_regimes():
+def test_border_of_single_impacts_lies_between_regimes():
     ds = drill({"beta": np.linspace(0.2, 0.9, 9), "gamma": np.linspace(0.5, 0.9, 9)}, starts=("drive",))
     figure = picture(ds)
     (rate,) = meshes(figure, "plasma")
-    border = next(one for one in rate.axes.collections if isinstance(one, LineCollection))
+    border = next(collection for collection in rate.axes.collections if isinstance(collection, LineCollection))
     between = (ds["beta"][ds["beta"] < 0.6].max() + ds["beta"][ds["beta"] >= 0.6].min()) / 2
     assert np.allclose([segment[:, 1] for segment in border.get_segments()], between)
     assert "border of single impact" in legend(figure)
@@ -311,7 +317,7 @@ def test_the_border_of_single_impacts_lies_between_the_regimes():
 # Lists of points.
 
 
-def test_points_are_drawn_over_the_parameter_of_most_values_and_not_joined():
+def test_points_are_drawn_over_parameter_with_most_values_and_not_joined():
     ds = points()
     ds["k3"][:] = np.repeat([1e8, 3e8, 5e8], 10)
     over = picture(ds).axes[0]
@@ -322,109 +328,113 @@ def test_points_are_drawn_over_the_parameter_of_most_values_and_not_joined():
     assert {line.get_linestyle() for line in over.lines} == {"None"}
 
 
-def test_points_over_two_parameters_of_many_values_are_scattered():
+def test_points_over_two_parameters_with_many_values_are_scattered():
     ds = points()
     ds["rate_of_penetration"][:3], ds["rate_of_penetration"][3] = 0.0, np.nan
     figure = picture(ds)
     assert {"greatest force of a pulse,\nA [kN]", "stiffness of the rock, k₃ [MN/m]"} <= axis_labels(figure)
-    grey, white, known = (one for one in figure.axes[0].collections if isinstance(one, PathCollection))
-    at = np.column_stack([1e-3 * ds["force"], 1e-6 * ds["k3"]])
-    assert np.array_equal(grey.get_offsets(), at[3:4]) and np.array_equal(white.get_offsets(), at[:3])
-    assert np.array_equal(known.get_offsets(), at[4:])
+    grey, white, known = (
+        collection for collection in figure.axes[0].collections if isinstance(collection, PathCollection)
+    )
+    positions = np.column_stack([1e-3 * ds["force"], 1e-6 * ds["k3"]])
+    assert np.array_equal(grey.get_offsets(), positions[3:4]) and np.array_equal(white.get_offsets(), positions[:3])
+    assert np.array_equal(known.get_offsets(), positions[4:])
     assert np.array_equal(known.get_array(), 1e3 * ds["rate_of_penetration"][4:])
     assert {"no penetration", "no value"} == set(legend(figure))
 
 
-def test_points_of_a_drill_over_two_parameters_are_scattered_with_their_rate():
+def test_drill_points_over_two_parameters_are_scattered_with_rate():
     ds = drill({"delta": np.linspace(-0.005, 0.012, 20)}, starts=("drive",)).isel(start=0, drop=True)
     ds = ds.rename(delta="point").assign_coords(point=np.arange(20))
     draw = np.random.default_rng(4)
     ds = ds.assign_coords(beta=("point", draw.uniform(0.1, 1, 20)), gamma=("point", draw.uniform(0.3, 1, 20)))
     figure = picture(ds)
-    dots = [one for axes in figure.axes for one in axes.collections if isinstance(one, PathCollection)]
-    shown = [one.get_array() for one in dots if one.get_array() is not None]
+    dots = [array for axes in figure.axes for array in axes.collections if isinstance(array, PathCollection)]
+    shown = [array.get_array() for array in dots if array.get_array() is not None]
     rate = ds["rate_of_penetration"].values
-    assert any(np.array_equal(one, 1e3 * rate[rate > 0]) for one in shown)
+    assert any(np.array_equal(array, 1e3 * rate[rate > 0]) for array in shown)
     assert "rate of penetration [mm/s]" in axis_labels(figure)
 
 
 # Trajectories.
 
 
-def test_the_hole_has_its_steps_and_the_last_two_blows_are_enlarged(blows):
-    figure = picture(blows)
+def test_hole_has_steps_and_last_two_blows_are_enlarged(pulse_run):
+    figure = picture(pulse_run)
     hole, force, late, _ = figure.axes
-    assert np.array_equal(curves(hole)["hole x₄"], np.column_stack([blows["time"], 1e3 * blows["x4"]]))
-    assert np.array_equal(curves(hole)["bit x₃"][:, 1], 1e3 * blows["x3"])
-    assert np.array_equal(curves(force)["given I"][:, 1], 1e-3 * blows["applied_force"])
-    assert np.array_equal(curves(force)["rock N"][:, 1], 1e-3 * blows["rock_force"])
+    assert np.array_equal(curves(hole)["hole x₄"], np.column_stack([pulse_run["time"], 1e3 * pulse_run["x4"]]))
+    assert np.array_equal(curves(hole)["bit x₃"][:, 1], 1e3 * pulse_run["x3"])
+    assert np.array_equal(curves(force)["given I"][:, 1], 1e-3 * pulse_run["applied_force"])
+    assert np.array_equal(curves(force)["rock N"][:, 1], 1e-3 * pulse_run["rock_force"])
     assert {"hole x₄", "bit x₃", "threshold D = 150 kN", "given I", "rock N"} <= set(legend(figure))
     start, end = late.get_xlim()
     assert end == pytest.approx(0.2) and start == pytest.approx(0.15 - 0.08 * 0.025, abs=1e-3)
-    assert f"{1e3 * float(blows['x4'][-1]):.3g} mm in 0.2 s" in note(figure)
+    assert f"{1e3 * float(pulse_run['x4'][-1]):.3g} mm in 0.2 s" in note(figure)
 
 
-def test_a_length_of_the_end_may_be_asked_for(blows):
-    assert pulses(blows, last=0.03).axes[2].get_xlim() == pytest.approx((0.17, 0.2))
+def test_length_of_enlarged_end_can_be_chosen(pulse_run):
+    assert pulses(pulse_run, last=0.03).axes[2].get_xlim() == pytest.approx((0.17, 0.2))
 
 
-def test_a_swept_sine_gives_amplitudes_over_its_frequency_and_where_the_rock_slips(sine):
-    figure = picture(sine)
+def test_swept_sine_shows_amplitudes_and_slip_range_over_frequency(swept_sine_run):
+    figure = picture(swept_sine_run)
     displacement, velocity, depth = figure.axes
     frequency, amplitude = displacement.lines[0].get_xydata().T
     assert frequency[0] == pytest.approx(25.9, rel=0.01) and frequency[-1] == pytest.approx(320, rel=0.03)
-    # The last whole cycle, by its own samples.
-    cycle = (sine["time"] > 1 - 2 / frequency[-1]) & (sine["time"] < 1 - 0.9 / frequency[-1])
-    last = (sine["x3"] - sine["x4"]).values[cycle]
+    # The last whole cycle, from its samples.
+    cycle = (swept_sine_run["time"] > 1 - 2 / frequency[-1]) & (swept_sine_run["time"] < 1 - 0.9 / frequency[-1])
+    last = (swept_sine_run["x3"] - swept_sine_run["x4"]).values[cycle]
     assert amplitude[-1] == pytest.approx(1e3 * np.ptp(last) / 2, rel=0.05)
-    assert velocity.lines[0].get_ydata()[-1] == pytest.approx(1e3 * np.ptp(sine["v3"].values[cycle]) / 2, rel=0.05)
-    assert depth.lines[0].get_ydata()[-1] == pytest.approx(1e3 * float(sine["x4"][-1]), rel=1e-6)
+    assert velocity.lines[0].get_ydata()[-1] == pytest.approx(
+        1e3 * np.ptp(swept_sine_run["v3"].values[cycle]) / 2, rel=0.05
+    )
+    assert depth.lines[0].get_ydata()[-1] == pytest.approx(1e3 * float(swept_sine_run["x4"][-1]), rel=1e-6)
     (span,) = displacement.patches
-    growing = np.flatnonzero(np.diff(sine["x4"].values) > 0)
-    first, last = (20 + 300 * float(sine["time"][at]) for at in growing[[0, -1]])
+    growing = np.flatnonzero(np.diff(swept_sine_run["x4"].values) > 0)
+    first, last = (20 + 300 * float(swept_sine_run["time"][index]) for index in growing[[0, -1]])
     assert span.get_x() == pytest.approx(first, rel=0.15) and span.get_x() + span.get_width() == pytest.approx(
         last, rel=0.05
     )
     assert {"frequency of the force [Hz]", "depth of the hole\nx₄ [mm]"} <= axis_labels(figure)
 
 
-def test_a_sine_of_one_frequency_is_drawn_over_time(sine):
-    given = json.loads(sine.attrs["parameters"]) | {"sweep_rate": 0.0}
-    still = sine.assign_attrs(parameters=json.dumps(given))
+def test_sine_of_constant_frequency_is_drawn_over_time(swept_sine_run):
+    given = json.loads(swept_sine_run.attrs["parameters"]) | {"sweep_rate": 0.0}
+    still = swept_sine_run.assign_attrs(parameters=json.dumps(given))
     assert "time [s]" in axis_labels(picture(still))
     with pytest.raises(InputError, match="not a swept sine"):
         response(still)
 
 
-def test_the_drill_on_rock_has_its_hole_and_the_last_impact(drilled):
-    figure = picture(drilled)
+def test_drilling_run_shows_hole_and_last_impact(drilling_run):
+    figure = picture(drilling_run)
     depth = [axes for axes in figure.axes if axes.get_ylabel().startswith("depth")]
     assert len(depth) == 2
     start, end = panel(figure, ylabel="displacement").get_xlim()
     assert depth[0].get_xlim() == (start, end)
     hole = curves(depth[0])["hole x₄"]
-    assert np.array_equal(hole[:, 1], 1e3 * drilled["x4"].values[-len(hole) :])
-    begun = drilled["event_time"].values[drilled["event_kind"].values == 3]
+    assert np.array_equal(hole[:, 1], 1e3 * drilling_run["x4"].values[-len(hole) :])
+    begun = drilling_run["event_time"].values[drilling_run["event_kind"].values == 3]
     left, right = depth[1].get_xlim()
     assert left < begun[begun < end][-1] < right
     assert {"hole x₄", "bit x₃", "impact begins"} <= set(legend(figure))
 
 
-@pytest.mark.parametrize("lacking", ["x4", "time"])
-def test_what_is_no_trajectory_of_rock_is_refused(blows, lacking):
-    short = blows.drop_vars("x4") if lacking == "x4" else blows.isel(time=slice(5))
-    with pytest.raises(InputError, match="x4" if lacking == "x4" else "5 finite samples"):
+@pytest.mark.parametrize("missing", ["x4", "time"])
+def test_invalid_rock_trajectory_is_refused(pulse_run, missing):
+    short = pulse_run.drop_vars("x4") if missing == "x4" else pulse_run.isel(time=slice(5))
+    with pytest.raises(InputError, match="x4" if missing == "x4" else "5 finite samples"):
         pulses(short)
 
 
 # Fits.
 
 
-def test_a_fit_over_one_axis_has_error_bars_and_the_distance_from_the_best_form():
+def test_fit_over_one_axis_has_error_bars_and_aic_above_best_form():
     fit = law({"force": [2e5, 2.5e5, 3e5]})
     figure = picture(fit)
     coefficient, excess = figure.axes
-    bars = {one.get_label(): one for one in coefficient.containers}
+    bars = {container.get_label(): container for container in coefficient.containers}
     assert set(bars) == {"onset", "literal", "percent"}
     line, _, (segments,) = bars["onset"]
     assert np.allclose(line.get_ydata(), 1e3 * fit["C"].sel(form="onset"))
@@ -438,13 +448,13 @@ def test_a_fit_over_one_axis_has_error_bars_and_the_distance_from_the_best_form(
     assert {"C [mm/s]", "AIC above the best form", "greatest force of a pulse,\nA [kN]"} == axis_labels(figure)
 
 
-def test_a_fit_of_one_group_is_drawn_over_the_forms():
+def test_fit_of_one_group_is_drawn_over_forms():
     figure = picture(law({}))
     assert [text.get_text() for text in figure.axes[1].get_xticklabels()] == FORMS
     assert [text.get_text() for text in figure.axes[0].get_xticklabels()] == ["onset", "literal", "percent"]
 
 
-def test_groups_without_a_c_are_counted():
+def test_groups_without_coefficient_are_counted():
     fit = law({"force": [2e5, 2.5e5, 3e5]})
     fit["C"][{"force": 0}] = np.nan
     assert "Groups without a C, of 3: 1" in note(picture(fit))
@@ -452,7 +462,7 @@ def test_groups_without_a_c_are_counted():
     assert "Groups without a C, of 3: onset: 2, literal: 1, percent: 1" in note(picture(fit))
 
 
-def test_a_fit_over_long_axes_is_a_map_of_the_best_form_and_of_c():
+def test_fit_over_long_axes_maps_best_form_and_coefficient():
     fit = law({"force": np.linspace(2e5, 3e5, 9), "k3": np.linspace(1e8, 5e8, 9), "zeta": [0.5, 1.0]})
     figure = picture(fit)
     assert titles(figure) == ["ζ = 0.5", "ζ = 1"]
@@ -466,19 +476,19 @@ def test_a_fit_over_long_axes_is_a_map_of_the_best_form_and_of_c():
     assert note(figure).replace("\n", " ").endswith("Standard error of C: 5 %")
 
 
-def test_of_forms_as_good_as_each_other_the_first_is_shown():
+def test_first_of_equally_good_forms_is_shown():
     fit = law({"force": np.linspace(2e5, 2.8e5, 9), "k3": np.linspace(1e8, 5e8, 9)})
-    fit["aic"][{"form": 4}] = -301.0  # the line has -300
+    fit["aic"][{"form": 4}] = -301.0  # the form "line" has -300
     assert (meshes(picture(fit), "forms")[0].get_array() == FORMS.index("line")).all()
 
 
-def test_an_uneven_error_of_c_has_its_own_map():
+def test_varying_error_of_coefficient_has_own_map():
     fit = law({"force": np.linspace(2e5, 3e5, 9), "k3": np.linspace(1e8, 5e8, 9)})
     fit["C_stderr"] *= xr.DataArray(np.linspace(1, 4, 9), dims="k3")
     assert "standard error of C [%]" in axis_labels(picture(fit))
 
 
-# All of them.
+# All kinds.
 
 LONG = np.linspace(10.0, 40.0, 9)
 KINDS = {
@@ -501,7 +511,7 @@ RUNS = ("blows", "sine", "drilled")
 
 
 def one_value(ds):
-    """The parts of a dataset with one value of every axis, or of one axis and two of the others."""
+    """Return parts of a dataset with one value of every axis, and with one value of one axis and two of the others."""
     dims = [name for name in ds.dims if name != "form"]
     sizes = [dict.fromkeys(dims, 1), *(dict.fromkeys(dims, 2) | {name: 1} for name in dims)]
     return [ds.isel({name: slice(size) for name, size in chosen.items()}) for chosen in sizes]
@@ -517,25 +527,25 @@ DEGENERATE = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_texts_lie_on_the_figure_and_off_each_other(kind):
+def test_texts_lie_within_figure_without_overlap(kind):
     check_texts(picture(KINDS[kind]().assign_attrs(title="Rate of penetration of a drill " * 12)))
 
 
 @pytest.mark.parametrize("run", RUNS)
-def test_texts_of_trajectories_lie_on_the_figure_and_off_each_other(run, request):
+def test_texts_of_trajectories_lie_within_figure_without_overlap(run, request):
     check_texts(picture(request.getfixturevalue(run)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("case", DEGENERATE)
-def test_degenerate_datasets_are_drawn_too(kind, case):
+def test_degenerate_datasets_are_drawn(kind, case):
     for ds in DEGENERATE[case](KINDS[kind]()):
         figure = picture(ds)
         figure.draw_without_rendering()
         assert "nan" not in note(figure)
 
 
-def test_a_dataset_without_attributes_is_drawn_by_names():
+def test_dataset_without_attributes_is_labelled_by_variable_names():
     ds = KINDS["lines"]().drop_attrs()
     assert {"frequency", "rate of penetration"} <= axis_labels(picture(ds))
     picture(KINDS["law"]().drop_attrs())

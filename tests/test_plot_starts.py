@@ -1,4 +1,4 @@
-"""Pictures of many starts, and of sweeps of any shape: what is on them, and that they stay on a page."""
+"""Test the pictures of sweeps with many starts and of sweeps of any shape, and that they fit on a page."""
 
 import json
 
@@ -17,26 +17,26 @@ UNITS = {"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"}
 
 
 def basin(states, grid=None, named=(), keep=0):
-    """A sweep from vectors, then starts with names: single impacts from x2 above zero, where gamma lets them be.
+    """Return a sweep from state vectors and then from named starts, with single impacts where x2 > 0 and gamma < 0.8.
 
-    `states`: of the vectors, by name, (vectors,). The single impact is faster, the longer beta.
+    `states` holds the vectors by state name, each (vectors,). The velocity of single impacts grows with beta.
     """
     grid = {name: np.asarray(axis, float) for name, axis in (grid or {}).items()}
     count = len(next(iter(states.values())))
     rows = {name: np.concatenate([states.get(name, np.zeros(count)), np.full(len(named), np.nan)]) for name in UNITS}
-    names = [*(json.dumps([float(rows[name][at]) for name in UNITS]) for at in range(count)), *named]
+    names = [*(json.dumps([float(rows[name][indices]) for name in UNITS]) for indices in range(count)), *named]
     mesh = np.meshgrid(*grid.values(), np.arange(len(names)), indexing="ij")
-    at = dict(zip([*grid, "start"], mesh, strict=True))
-    single = (rows["x2"][at["start"]] > 0) & (at.get("gamma", 0.7) < 0.8)
+    indices = dict(zip([*grid, "start"], mesh, strict=True))
+    single = (rows["x2"][indices["start"]] > 0) & (indices.get("gamma", 0.7) < 0.8)
     dims = (*grid, "start")
-    held = {
+    variables = {
         "regime": flagged(dims, np.where(single, 3, 6)),
-        "impact_velocity": (dims, np.where(single, 2.0 + at.get("beta", 0.4), 0.3), {"units": "m s-1"}),
+        "impact_velocity": (dims, np.where(single, 2.0 + indices.get("beta", 0.4), 0.3), {"units": "m s-1"}),
         "period": (dims, np.where(single, 0.23, 0.21), {"units": "s"}),
         "hidden_motion": (dims, np.ones(single.shape, np.int8)),
     }
     along = {f"start_{name}": ("start", values, {"units": UNITS[name]}) for name, values in rows.items()}
-    ds = xr.Dataset(held, {**grid, "start": names, **along}, {"title": "many starts"})
+    ds = xr.Dataset(variables, {**grid, "start": names, **along}, {"title": "many starts"})
     for name in set(grid) & set(COORDINATES):
         long_name, symbol, units = COORDINATES[name]
         ds[name].attrs = {"long_name": long_name, "symbol": symbol, "units": units}
@@ -62,11 +62,11 @@ def sample(count=100):
 LONG = {"beta": np.linspace(0.25, 0.6, 8), "gamma": np.linspace(0.6, 0.9, 7)}
 
 
-# Where starts lie on a grid or a line of states.
+# Starts on a grid or a line of states.
 
 
 @pytest.mark.parametrize("order", [None, 5])
-def test_a_plane_of_starts_is_a_map_over_its_states(order):
+def test_plane_of_starts_is_drawn_as_map_over_states(order):
     ds = basin(plane())
     shuffled = ds if order is None else ds.isel(start=np.random.default_rng(order).permutation(ds.sizes["start"]))
     figure = picture(shuffled)
@@ -77,16 +77,16 @@ def test_a_plane_of_starts_is_a_map_over_its_states(order):
     assert np.allclose(velocity.get_array(), np.broadcast_to(np.where(x2 > 0, 2.4, 0.3), (10, 12)))
     assert np.allclose(regimes.get_coordinates()[0, [0, -1], 0], 1e3 * np.array([-0.05, 0.05]) * 12 / 11)
     assert "x₁′(0) = −1.5 m/s" in note(figure)
-    assert not figure.axes[0].collections[1:]  # no dot that says of every start that another ends elsewhere
+    assert not figure.axes[0].collections[1:]  # no marks for starts whose neighbours end elsewhere
 
 
-def test_a_plane_of_starts_over_a_few_values_has_a_panel_for_each():
+def test_plane_of_starts_has_panel_for_each_parameter_value():
     figure = picture(basin(plane(), {"gamma": [0.5, 0.7, 0.9]}))
     assert titles(figure) == ["γ = 0.5", "γ = 0.7", "γ = 0.9"]
     assert [int((mesh.get_array() == 3).sum()) for mesh in meshes(figure)] == [60, 60, 0]
 
 
-def test_a_line_of_starts_is_a_curve_over_it_or_a_map_with_the_one_axis():
+def test_line_of_starts_is_drawn_as_curve_or_as_map_with_one_axis():
     ds = basin(line())
     figure = picture(ds)
     velocity = figure.axes[0].lines[0]
@@ -97,23 +97,23 @@ def test_a_line_of_starts_is_a_curve_over_it_or_a_map_with_the_one_axis():
     assert meshes(over)[0].get_array().shape == (40, 7)
 
 
-def test_a_line_in_two_states_has_the_first_for_its_axis():
+def test_line_in_two_states_uses_first_state_as_axis():
     states = {"x1": np.linspace(-0.02, 0.02, 20), "x2": np.linspace(0.05, -0.05, 20)}
     figure = picture(basin(states))
     assert "start, x₁(0) [mm]" in axis_labels(figure)
     assert (meshes(figure)[0].get_array()[0] == np.repeat([3, 6], 10)).all()
 
 
-def test_starts_with_names_beside_a_plane_are_told_in_the_note():
+def test_named_starts_outside_plane_are_in_note():
     figure = picture(basin(plane(), named=("drive",)))
     assert meshes(figure)[0].get_array().shape == (10, 12)
     assert "Not shown: the start drive (irregular)" in note(figure)
 
 
-# Starts anywhere.
+# Starts anywhere in the state space.
 
 
-def test_a_sample_is_scattered_over_the_phase_planes():
+def test_sample_is_scattered_over_phase_planes():
     ds = basin(sample())
     figure = picture(ds)
     assert {f"start, {name}(0) [{unit}]" for name, unit in zip(("x₁", "x₂"), ("mm", "mm"), strict=True)} <= axis_labels(
@@ -121,13 +121,17 @@ def test_a_sample_is_scattered_over_the_phase_planes():
     )
     assert {"start, x₁′(0) [m/s]", "start, x₂′(0) [m/s]"} <= axis_labels(figure)
     striker = next(axes for axes in figure.axes if axes.get_ylabel().startswith("start, x₂′"))
-    (dots,) = (one for one in striker.collections if isinstance(one, PathCollection) and len(one.get_offsets()))
-    at = dots.get_offsets()
-    assert sorted(at[:, 0].tolist()) == pytest.approx(sorted((1e3 * ds["start_x2"]).values.tolist()))
-    assert np.array_equal(dots.get_array(), np.where(at[:, 0] > 0, 3, 6))
+    (dots,) = (
+        collection
+        for collection in striker.collections
+        if isinstance(collection, PathCollection) and len(collection.get_offsets())
+    )
+    positions = dots.get_offsets()
+    assert sorted(positions[:, 0].tolist()) == pytest.approx(sorted((1e3 * ds["start_x2"]).values.tolist()))
+    assert np.array_equal(dots.get_array(), np.where(positions[:, 0] > 0, 3, 6))
 
 
-def test_starts_of_which_nothing_is_known_are_counted_together():
+def test_starts_without_states_are_counted_together():
     ds = basin(sample()).drop_vars([f"start_{name}" for name in UNITS])
     figure = picture(ds)
     assert titles(figure) == ["100 starts together"]
@@ -135,10 +139,10 @@ def test_starts_of_which_nothing_is_known_are_counted_together():
     assert widths == [int((ds["regime"] == flag).sum()) for flag in (3, 6)]
 
 
-# Starts beside a grid.
+# Many starts at each point of a grid.
 
 
-def test_many_starts_of_a_grid_are_the_share_in_each_regime():
+def test_many_starts_over_grid_are_drawn_as_share_of_each_regime():
     ds = basin(sample(64), LONG)
     ds["regime"][{"beta": 0, "gamma": 0, "start": slice(0, 16)}] = 5
     figure = picture(ds)
@@ -154,29 +158,29 @@ def test_many_starts_of_a_grid_are_the_share_in_each_regime():
     assert "64 starts" in note(figure)
 
 
-def test_many_starts_along_one_axis_are_dots_above_their_shares():
+def test_many_starts_along_one_axis_are_dots_above_shares():
     ds = basin(sample(50), {"gamma": LONG["gamma"]})
     figure = picture(ds)
-    (dots,) = (one for one in figure.axes[0].collections if isinstance(one, PathCollection))
+    (dots,) = (collection for collection in figure.axes[0].collections if isinstance(collection, PathCollection))
     expected = {(x, y) for x, ys in zip(ds["gamma"].values, ds["impact_velocity"].values, strict=True) for y in ys}
     assert set(map(tuple, dots.get_offsets().tolist())) == expected
     single = (ds["regime"] == 3).sum("start").values
     assert np.array_equal((meshes(figure)[0].get_array() == 3).sum(axis=0), single)
-    assert (meshes(figure)[0].get_array()[0] == np.where(single > 0, 3, 6)).all()  # from the foot up
+    assert (meshes(figure)[0].get_array()[0] == np.where(single > 0, 3, 6)).all()  # stacked from the bottom
 
 
-def test_returns_of_many_starts_have_the_colours_of_their_regimes():
+def test_returns_of_many_starts_are_coloured_by_regime():
     ds = basin(sample(50), {"gamma": LONG["gamma"]}, keep=4)
     figure = picture(ds)
-    (dots,) = (one for one in figure.axes[0].collections if isinstance(one, PathCollection))
+    (dots,) = (collection for collection in figure.axes[0].collections if isinstance(collection, PathCollection))
     lanes = np.stack(np.broadcast_arrays(ds["gamma"].values[:, None], ds["impact_velocity"].values), axis=-1)
     assert set(map(tuple, dots.get_offsets().tolist())) == set(map(tuple, lanes.reshape(-1, 2).tolist()))
-    assert len(dots.get_offsets()) < 50 * 7 * 4  # one of those on top of each other
+    assert len(dots.get_offsets()) < 50 * 7 * 4  # coincident dots are drawn once
     assert np.array_equal(dots.get_array() == 3, dots.get_offsets()[:, 1] > 1.0)
     assert "start: " not in " ".join(legend(figure))
 
 
-def test_many_starts_of_a_list_of_points_are_shares_or_counts():
+def test_many_starts_of_point_list_are_drawn_as_shares_or_counts():
     ds = basin(sample(20), {"point": np.arange(30.0)})
     draw = np.random.default_rng(2)
     ds = ds.assign_coords({name: ("point", draw.uniform(0.3, 0.9, 30)) for name in ("beta", "gamma")})
@@ -185,7 +189,7 @@ def test_many_starts_of_a_list_of_points_are_shares_or_counts():
     assert titles(counted) == ["20 starts together"]
 
 
-# The page.
+# Page size.
 
 AXES = ("gamma", "beta", "delta", "v")
 SHAPES = [
@@ -197,18 +201,18 @@ SHAPES = [
 CASES = [(kind, shape) for shape in SHAPES for kind in (sample, line) if kind is line or shape[-1] > 8]
 
 
-OFTEN = [pytest.param(*case, marks=[pytest.mark.long] * (index % 3 > 0)) for index, case in enumerate(CASES)]
+PAGE_CASES = [pytest.param(*case, marks=[pytest.mark.long] * (index % 3 > 0)) for index, case in enumerate(CASES)]
 
 
-@pytest.mark.parametrize(("kind", "shape"), OFTEN)
-def test_a_sweep_of_any_shape_fits_on_a_page(kind, shape):
+@pytest.mark.parametrize(("kind", "shape"), PAGE_CASES)
+def test_sweep_of_any_shape_fits_on_page(kind, shape):
     *sizes, starts = shape
     grid = {name: np.linspace(0.3, 0.9, size) for name, size in zip(AXES, sizes, strict=False)}
     ds = basin(kind(starts), grid).assign_attrs(title="Regimes of a drill " * 20)
     figure = picture(ds)
     figure.draw_without_rendering()
     assert figure.get_figwidth() <= PAGE[0] and figure.get_figheight() <= PAGE[1]
-    cells = [one for axes in figure.axes for one in axes.collections if isinstance(one, QuadMesh)]
+    cells = [collection for axes in figure.axes for collection in axes.collections if isinstance(collection, QuadMesh)]
     panels = len(titles(figure)) or 1
     assert len(cells) <= 60 and panels <= 60
     lanes = {name: size for name, size in ds.sizes.items() if name != "start" and size > 1}
@@ -217,18 +221,18 @@ def test_a_sweep_of_any_shape_fits_on_a_page(kind, shape):
 
 
 @pytest.mark.parametrize("starts", [5, 8])
-def test_diagrams_of_several_starts_and_facets_fit_on_a_page(starts):
-    names = [json.dumps([0.0, 0.0, 0.01 * at, 1.0 / 3.0]) for at in range(starts)]
+def test_diagrams_of_several_starts_and_facets_fit_on_page(starts):
+    names = [json.dumps([0.0, 0.0, 0.01 * index, 1.0 / 3.0]) for index in range(starts)]
     figure = picture(returns({"gamma": np.linspace(0.3, 1.2, 15), "delta": np.linspace(-0.005, 0.005, 11)}, 4, names))
     assert figure.get_figwidth() <= PAGE[0] and figure.get_figheight() <= PAGE[1]
     assert "Too many panels to show all" in note(figure)
     assert "start: [0, 0, 0.01, 0.333]" in " ".join(titles(figure))
 
 
-# The dataset.
+# Coordinates of the dataset.
 
 
-def test_vectors_among_the_starts_have_their_states_as_coordinates():
+def test_vector_starts_have_states_as_coordinates():
     starts = ["stuck", [0.0, -1.5, 0.02, 1.0], [0.01, 0.0, -0.02, -1.0]]
     sweep = {
         "scene": "vibro-impact",
@@ -237,10 +241,10 @@ def test_vectors_among_the_starts_have_their_states_as_coordinates():
         "run": {"settle": 1.0, "observe": 1.0},
     }
     ds = vj.run_sweep(sweep, progress=False)
-    for at, name in enumerate(UNITS):
+    for index, name in enumerate(UNITS):
         coordinate = ds[f"start_{name}"]
         assert coordinate.dims == ("start",) and coordinate.attrs["units"] == UNITS[name]
-        assert np.array_equal(coordinate, [np.nan, starts[1][at], starts[2][at]], equal_nan=True)
+        assert np.array_equal(coordinate, [np.nan, starts[1][index], starts[2][index]], equal_nan=True)
     assert ds["start"].values[0] == "stuck"
     named = vj.run_sweep(sweep | {"starts": ["stuck"]}, progress=False)
     assert not [name for name in named.coords if str(name).startswith("start_")]

@@ -1,4 +1,4 @@
-"""The pictures of analyses: which rule is the first that fits, without drawing."""
+"""Test which picture is chosen for each kind of dataset, without drawing."""
 
 import json
 
@@ -15,13 +15,13 @@ from vibrojax.io.kinds import STRUCTURES
 from vibrojax.plot.contents import Contents
 
 
-def first(ds):
+def first_rule(ds):
     return next((rule.draw.__name__ for rule in analysis_of(ds).pictures if rule.fits(Contents(ds))), None)
 
 
-def bit_on_rock(**about):
+def bit_on_rock(**attributes):
     states = {name: ("time", np.zeros(20)) for name in ("x3", "x4", "v3")}
-    return xr.Dataset(states, {"time": np.arange(20.0)}, about)
+    return xr.Dataset(states, {"time": np.arange(20.0)}, attributes)
 
 
 SINE = {"pulse_shape": "sweep", "parameters": json.dumps({"sweep_rate": 300.0})}
@@ -90,26 +90,26 @@ EXPECTED = {
 }
 
 
-def test_every_rule_has_its_dataset():
+def test_every_rule_has_dataset():
     analyses = [analysis_named(kind) for kind in ("sweep", "fit", *STRUCTURES)]
     assert {rule.draw.__name__ for analysis in analyses for rule in analysis.pictures} == set(EXPECTED)
 
 
 @pytest.mark.parametrize("name", EXPECTED)
-def test_the_first_rule_that_fits(name):
-    assert first(EXPECTED[name]()) == name
+def test_first_matching_rule(name):
+    assert first_rule(EXPECTED[name]()) == name
 
 
-def test_rates_beside_regimes_are_a_map_of_regimes_where_lines_are_too_many():
-    assert first(rocks.KINDS["drill-lines"]()) == "rates"
-    assert first(rocks.KINDS["drill-map"]()) == "regime_grid"
+def test_drill_is_mapped_by_regime_where_lines_are_too_many():
+    assert first_rule(rocks.KINDS["drill-lines"]()) == "rates"
+    assert first_rule(rocks.KINDS["drill-map"]()) == "regime_grid"
 
 
-def test_a_fit_of_points_is_drawn_as_lines():
+def test_fit_of_points_is_drawn_as_lines():
     fit = rocks.law({"point": np.arange(12.0)})
     along = {name: ("point", np.linspace(1.0, 2.0, 12)) for name in ("force", "k3")}
-    assert first(fit.assign_coords(along)) == "law_lines"
+    assert first_rule(fit.assign_coords(along)) == "law_lines"
 
 
-def test_nothing_fits_what_holds_none_of_it():
-    assert first(xr.Dataset({"threshold": 1.0})) is None
+def test_no_rule_matches_unrelated_dataset():
+    assert first_rule(xr.Dataset({"threshold": 1.0})) is None

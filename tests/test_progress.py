@@ -1,4 +1,4 @@
-"""How far work is: a bar on a terminal, plain lines elsewhere, with a pace that is counted from the first amount."""
+"""Test progress reports: a bar on a terminal, plain lines elsewhere, and a pace counted from the first amount."""
 
 import io
 import os
@@ -21,7 +21,7 @@ class Terminal(io.StringIO):
 
 
 class Clock:
-    """The time [s], which only the tests move on."""
+    """A clock [s] that only the tests advance."""
 
     now = 100.0
 
@@ -31,14 +31,14 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch):
-    made = Clock()
-    monkeypatch.setattr(module, "time", made)
-    return made
+    fake = Clock()
+    monkeypatch.setattr(module, "time", fake)
+    return fake
 
 
 @pytest.fixture
-def shown_on(monkeypatch):
-    """Has a stream stand for stderr."""
+def replace_stderr(monkeypatch):
+    """Return a function that replaces stderr by a stream."""
 
     def stand_in(stream):
         monkeypatch.setattr(sys, "stderr", stream)
@@ -48,7 +48,7 @@ def shown_on(monkeypatch):
 
 
 LINES = {
-    # programs compile for 60 s: they do not count, except in the time of all of it
+    # Compilation takes the first 60 s. It does not count for the pace, only for the total time.
     "plain lines come now and then": (
         {"total": 1000, "unit": "lanes"},
         [60, ("add", 100), *[1, ("add", 50)] * 18],
@@ -65,7 +65,7 @@ LINES = {
         ],
     ),
     "nothing is resumed from nothing": ({"total": 1000, "unit": "lanes"}, [("resume", 0)], []),
-    # the last step may go beyond
+    # The last step may pass the total.
     "measures have no pace but a time left": (
         {"total": 20.0, "unit": "s simulated", "pace": False},
         [10, ("reach", 2.0), 10, ("reach", 4.52), 1, ("reach", 20.3)],
@@ -85,10 +85,10 @@ LINES = {
 
 
 @pytest.mark.parametrize("name", LINES)
-def test_lines(name, clock, shown_on):
-    """Steps are seconds that pass, or methods with their arguments."""
+def test_plain_lines(name, clock, replace_stderr):
+    """A number is a time [s] that passes. A tuple is a method and its arguments."""
     settings, steps, expected = LINES[name]
-    stream = shown_on(io.StringIO())
+    stream = replace_stderr(io.StringIO())
     progress = Progress(**settings)
     for step in steps:
         if isinstance(step, int):
@@ -98,8 +98,8 @@ def test_lines(name, clock, shown_on):
     assert stream.getvalue().splitlines() == expected
 
 
-def test_a_bar_is_drawn_over_on_a_terminal(clock, shown_on):
-    stream = shown_on(Terminal())
+def test_bar_is_overwritten_on_terminal(clock, replace_stderr):
+    stream = replace_stderr(Terminal())
     with Progress(4, "lanes") as progress:
         for _ in range(4):
             clock.now += 1.0
@@ -108,8 +108,8 @@ def test_a_bar_is_drawn_over_on_a_terminal(clock, shown_on):
     assert stream.getvalue().rstrip().split("\r")[-1] == f"[{'#' * 30}] 4/4 lanes, 1 lanes/s, 4.0 s"
 
 
-def test_lines_stand_above_the_bar(clock, shown_on):
-    stream = shown_on(Terminal())
+def test_messages_are_printed_above_bar(clock, replace_stderr):
+    stream = replace_stderr(Terminal())
     with Progress(4, "lanes") as progress:
         progress.add(1)
         progress.say("on the way")
@@ -117,8 +117,8 @@ def test_lines_stand_above_the_bar(clock, shown_on):
     assert shown == ["    0 s  on the way", f"[{'#' * 7}{'.' * 23}] 1/4 lanes", ""]
 
 
-def test_a_bar_that_is_left_ends_its_line(shown_on):
-    stream = shown_on(Terminal())
+def test_unfinished_bar_gets_line_end_once(replace_stderr):
+    stream = replace_stderr(Terminal())
     Progress(4, "lanes").add(1)
     assert "\n" not in stream.getvalue()
     end_lines()
@@ -126,8 +126,8 @@ def test_a_bar_that_is_left_ends_its_line(shown_on):
     assert stream.getvalue().endswith("\n") and stream.getvalue().count("\n") == 1
 
 
-def test_a_terminal_without_a_size_has_a_bar_too():
-    ours, theirs = pty.openpty()  # no columns and no lines
+def test_terminal_without_size_has_bar():
+    ours, theirs = pty.openpty()  # without columns and lines
     code = "from vibrojax.progress import Progress; [Progress(4, 'lanes').add(4)]"
     subprocess.run([sys.executable, "-c", code], stderr=theirs, cwd=ROOT, check=True)
     os.close(theirs)
@@ -135,9 +135,9 @@ def test_a_terminal_without_a_size_has_a_bar_too():
         assert f"[{'#' * 30}] 4/4 lanes, " in terminal.read(4096).decode()
 
 
-def test_nothing_is_shown_where_nobody_wants_to_know(shown_on):
+def test_nothing_is_shown_if_disabled(replace_stderr):
     for stream in (io.StringIO(), Terminal()):
-        shown_on(stream)
+        replace_stderr(stream)
         with Progress(2, "lanes", shown=False) as progress:
             progress.resume(1)
             progress.say("something")
@@ -145,18 +145,18 @@ def test_nothing_is_shown_where_nobody_wants_to_know(shown_on):
         assert stream.getvalue() == ""
 
 
-def test_portions_of_work_are_reported_as_whole_things():
+def test_portions_of_work_are_reported_as_whole_items():
     reported = []
     portions = Portions(4, reported.append)
     for _ in range(9):
-        portions.add(0.5)  # of all four together: 4.5, more than there is
+        portions.add(0.5)  # 4.5 in total, more than the four items
     assert reported == [1, 1, 1]
     portions.finish()
     portions.finish()
     assert reported == [1, 1, 1, 1]
 
 
-def test_logs_do_without_the_library_of_bars():
+def test_plain_lines_do_not_import_tqdm():
     code = (
         "import sys; from vibrojax.progress import Progress; Progress(1, 'lanes').add(); print('tqdm' in sys.modules)"
     )

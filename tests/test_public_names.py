@@ -1,4 +1,4 @@
-"""The public names: the same for Python, which imports them late, and for editors, which read the stub."""
+"""Test that Python, which imports the public names lazily, and editors, which read the stub, agree on the names."""
 
 import ast
 import subprocess
@@ -17,13 +17,13 @@ IMPORTED = [(node.module, name) for node in STUB.body if isinstance(node, ast.Im
 DECLARED = [node.target.id for node in STUB.body if isinstance(node, ast.AnnAssign)]
 
 
-def test_the_stub_has_the_names_of_the_package():
+def test_stub_lists_public_names():
     names = sorted([name.asname for _, name in IMPORTED] + DECLARED)
     assert names == sorted([*vj.__all__, "__version__"]) == dir(vj)
 
 
-def test_every_name_is_found():
-    assert all(name.asname == name.name for _, name in IMPORTED)  # without `as` a stub does not hand a name on
+def test_every_public_name_resolves():
+    assert all(name.asname == name.name for _, name in IMPORTED)  # a stub re-exports only names written with `as`
     assert all(getattr(vj, name) is not None for name in vj.__all__)
 
 
@@ -32,14 +32,13 @@ def test_unknown_names_are_refused():
         _ = vj.swep
 
 
-def test_the_version_is_the_installed_one():
+def test_version_is_installed_version():
     assert vj.__version__ == version("vibrojax")
     done = subprocess.run([sys.executable, "-m", "vibrojax", "--version"], capture_output=True, text=True, cwd=ROOT)
     assert done.stdout == f"vibrojax {vj.__version__}\n"
 
 
-def test_one_version_everywhere():
-    """The release's number stands in `pyproject.toml`; the citation repeats it."""
+def test_citation_has_same_version():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert f"\nversion: {project['version']}\n" in (ROOT / "CITATION.cff").read_text()
 

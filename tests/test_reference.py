@@ -1,4 +1,4 @@
-"""The reference cases (tests/data), each file as one sweep of points, against an event-exact integrator."""
+"""Test the reference cases (tests/data) against an event-exact integrator. Each file runs as one sweep of points."""
 
 import json
 from pathlib import Path
@@ -10,25 +10,25 @@ import vibrojax as vj
 
 DATA = Path(__file__).parent / "data"
 
-SEEN = {
-    # Relative, but for shares of time. What error = 1e-4 gives in fact, with a margin of ten and more: a lost order
-    # shows here.
+ERROR_BOUNDS = {
+    # Bounds of the relative error (absolute for shares of time) at error = 1e-4. They are at least ten times the
+    # measured errors, so that a lost order shows.
     "period": 3e-8,
     "impact_velocity": 2e-7,
     "impact_velocity_min": 2e-6,
     "impact_velocity_max": 2e-6,
     "bit_velocity_at_impact": 5e-6,
-    "peak_impact_force": 1e-4,  # the reference's own accuracy, as of the amplitudes, which it samples
+    "peak_impact_force": 1e-4,  # the accuracy of the reference, which samples this and the amplitudes
     "mean_impact_force": 2e-7,
     "stick_fraction": 1e-7,
     "reverse_fraction": 2e-7,
     "bit_amplitude": 1e-4,
     "striker_amplitude": 1e-4,
 }
-STATED = {"period": 3e-9, "impact_velocity": 3e-8}
-"""What the README says of it."""
+README_BOUNDS = {"period": 3e-9, "impact_velocity": 3e-8}
+"""Accuracy that the README states."""
 
-SEEN_FINER = {  # the same of error = 1e-5
+FINE_ERROR_BOUNDS = {  # the same at error = 1e-5
     "period": 1e-9,
     "impact_velocity": 1e-7,
     "impact_velocity_min": 1e-7,
@@ -38,9 +38,9 @@ SEEN_FINER = {  # the same of error = 1e-5
     "stick_fraction": 1e-7,
     "reverse_fraction": 1e-7,
 }
-HARD = {  # stiff contacts, c0 and c2 at their extremes
+HARD = {  # stiff contacts, with c0 and c2 at their extremes
     "period": 1e-6,
-    "impact_velocity": 2e-4,  # the reference's own accuracy
+    "impact_velocity": 2e-4,  # the accuracy of the reference
     "peak_impact_force": 1e-4,
     "mean_impact_force": 1e-5,
     "stick_fraction": 1e-6,
@@ -49,14 +49,16 @@ HARD = {  # stiff contacts, c0 and c2 at their extremes
 SHARES = ("stick_fraction", "reverse_fraction")
 
 BURSTS = 14
-"""Case of vibro_impact_cases.json that is chaotic with slow bursts. In about one of six realisations, which roundings
-decide, its swings in the eight eighths of the observation happen to rise or fall strictly, and the rule for undecided,
-which comes first, takes it."""
+"""Case of vibro_impact_cases.json that is chaotic with slow bursts.
+
+In about one of six realisations, decided by rounding, its swings rise or fall strictly over the eight eighths of the
+observation. Then the rule for "undecided", which comes first, applies.
+"""
 
 
 def read(name, error=1e-4):
-    """Cases, and the dataset of their sweep."""
-    # The program depends on the order in which the starts come up: with "stuck" first, one is compiled for both files.
+    """Return the cases and the dataset of their sweep."""
+    # The program depends on the order in which starts first appear. With "stuck" first, both files share one program.
     cases = json.loads((DATA / name).read_text())
     cases = (
         cases
@@ -69,29 +71,31 @@ def read(name, error=1e-4):
 
 
 def regimes(dataset):
-    """The names of the regimes."""
+    """Return the names of the regimes."""
     return [dataset.regime.attrs["flag_meanings"].split()[flag] for flag in dataset.regime.values]
 
 
 def errors(cases, dataset, name):
-    """Differences from the reference, by case, of those in which the quantity counts."""
-    found = {}
+    """Return the deviations from the reference by case, where the quantity is defined."""
+    deviations = {}
     for index, case in enumerate(cases):
         expected = case["expected"]
         if expected["regime"] != "irregular" and name in expected:
             value = float(dataset[name][index])
-            # An equilibrium's swings are roundings, an impact-free lane has no force.
+            # The swings of an equilibrium are rounding errors, and an impact-free lane has no force.
             scale = 1.0 if name in SHARES or abs(expected[name]) < 1e-9 else expected[name]
-            found[index] = abs(value - expected[name]) / scale
-    return found
+            deviations[index] = abs(value - expected[name]) / scale
+    return deviations
 
 
-def check(cases, dataset, bounds):
+def check_bounds(cases, dataset, bounds):
     for name, bound in bounds.items():
-        found = errors(cases, dataset, name)
-        assert found, name
-        worst = max(found, key=lambda index: found[index] if np.isfinite(found[index]) else np.inf)
-        assert found[worst] < bound, f"{name} of case {worst} is {found[worst]:.2g} off: {cases[worst]['point']}"
+        deviations = errors(cases, dataset, name)
+        assert deviations, name
+        worst = max(deviations, key=lambda index: deviations[index] if np.isfinite(deviations[index]) else np.inf)
+        assert deviations[worst] < bound, (
+            f"{name} of case {worst} is {deviations[worst]:.2g} off: {cases[worst]['point']}"
+        )
 
 
 def check_counts(cases, dataset):
@@ -102,17 +106,17 @@ def check_counts(cases, dataset):
 
 
 @pytest.fixture(scope="module")
-def usual():
+def usual_cases():
     return read("vibro_impact_cases.json")
 
 
 @pytest.fixture(scope="module")
-def hard():
+def hard_cases():
     return read("hard_cases.json")
 
 
-def test_regimes(usual):
-    cases, dataset = usual
+def test_regimes(usual_cases):
+    cases, dataset = usual_cases
     for index, (case, regime) in enumerate(zip(cases, regimes(dataset), strict=True)):
         if index == BURSTS:
             assert regime in ("irregular", "undecided")
@@ -121,28 +125,28 @@ def test_regimes(usual):
             assert regime == case["expected"]["regime"], (index, case["point"])
 
 
-def test_counts(usual):
-    check_counts(*usual)
+def test_counts_of_cycles_and_impacts(usual_cases):
+    check_counts(*usual_cases)
 
 
-def test_accuracy_that_is_reached(usual):
-    check(*usual, SEEN)
+def test_reached_accuracy(usual_cases):
+    check_bounds(*usual_cases, ERROR_BOUNDS)
 
 
-def test_accuracy_that_the_readme_states(usual):
-    cases, dataset = usual
-    check(cases, dataset, STATED)
+def test_accuracy_that_the_readme_states(usual_cases):
+    cases, dataset = usual_cases
+    check_bounds(cases, dataset, README_BOUNDS)
     seconds = 48.0 * len(cases)
     assert 40 < json.loads(dataset.solver)["steps"] / seconds < 50  # "some 45"
 
 
-def test_accuracy_that_finer_steps_reach():
-    check(*read("vibro_impact_cases.json", error=1e-5), SEEN_FINER)
+def test_reached_accuracy_of_finer_steps():
+    check_bounds(*read("vibro_impact_cases.json", error=1e-5), FINE_ERROR_BOUNDS)
 
 
-def test_error_estimate_bounds_the_error(usual):
-    """It is above the true error of period and impact velocity, as far as the reference knows them, and below 1e-4."""
-    cases, dataset = usual
+def test_error_estimate_bounds_the_error(usual_cases):
+    """Within the reference's accuracy, the estimate exceeds the true error of period and impact velocity."""
+    cases, dataset = usual_cases
     for name, known in (("period", 1e-9), ("impact_velocity", 1e-7)):
         for index, error in errors(cases, dataset, name).items():
             assert error < dataset.error_estimate[index] + known, (name, index)
@@ -151,19 +155,19 @@ def test_error_estimate_bounds_the_error(usual):
     assert np.all(np.isnan(dataset.error_estimate.values[~periodic]))
 
 
-def test_certificate(usual):
-    """The header counts the lanes with an estimate; no regime of a case flips, but for irregular ones."""
-    _, dataset = usual
-    told = json.loads(dataset.certified)
+def test_certificate_counts_lanes_and_flips(usual_cases):
+    """The header counts the lanes with an estimate. Only irregular lanes change their regime."""
+    _, dataset = usual_cases
+    counts = json.loads(dataset.certified)
     periodic = int((dataset.cycles > 0).sum())
-    assert told["lanes"] == dataset.sizes["point"] and told["estimated"] == told["within"] == periodic
+    assert counts["lanes"] == dataset.sizes["point"] and counts["estimated"] == counts["within"] == periodic
     flips = dataset.check_regime.values != dataset.regime.values
-    assert told["regime_flips"] == flips.sum()
+    assert counts["regime_flips"] == flips.sum()
     assert not flips[dataset.cycles.values > 0].any()
 
 
-def test_hard_cases(hard):
-    cases, dataset = hard
+def test_hard_cases(hard_cases):
+    cases, dataset = hard_cases
     assert regimes(dataset) == [case["expected"]["regime"] for case in cases]
     check_counts(cases, dataset)
-    check(cases, dataset, HARD)
+    check_bounds(cases, dataset, HARD)

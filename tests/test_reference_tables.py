@@ -1,4 +1,4 @@
-"""What scenes are made of, as tables and text: the same as what sweeps take and give."""
+"""Test that the tables and texts about scenes agree with what sweeps accept and return."""
 
 import re
 
@@ -11,7 +11,7 @@ from vibrojax.sweep.input.run_settings import RunSettings
 
 
 @pytest.mark.parametrize("scene", ["rotary", "vibro-impact", "penetration", "drilling", "coupled-drilling"])
-def test_parameters_are_those_that_sweeps_take(scene):
+def test_parameters_agree_with_those_of_sweeps(scene):
     table = vj.list_parameters(scene)
     always = table[table["where"] == ""]
     sweep = vj.read_sweep({"scene": scene, "parameters": dict(always.default.drop("m1")), "grid": {"m1": [200.0]}})
@@ -21,7 +21,7 @@ def test_parameters_are_those_that_sweeps_take(scene):
     assert {**always.default, **own.default} == {"m1": 250.0, **sweep.parameters}
 
 
-def test_every_law_and_shape_has_its_own():
+def test_each_law_and_shape_lists_own_parameters():
     laws = vj.list_parameters("rotary")
     for law in vj.FRICTION_LAWS.values():
         assert set(laws[laws["where"].str.contains(f'"{law.name}"')].index) == set(law.parameters)
@@ -29,19 +29,19 @@ def test_every_law_and_shape_has_its_own():
 
 
 @pytest.mark.parametrize(("scene", "axis"), [("vibro-impact", "gamma"), ("penetration", "m1")])
-def test_variables_are_those_of_the_dataset(scene, axis):
+def test_variables_agree_with_those_of_dataset(scene, axis):
     run = {"settle": 0.5, "observe": 0.5, "orbits": True} | ({} if scene == "penetration" else {"keep_returns": 1})
     ds = vj.run_sweep({"scene": scene, "grid": {axis: [0.7]}, "run": run}, progress=False)
-    known = vj.list_variables(scene)
-    assert list(known.index[known["where"] == ""]) == list(ds.data_vars)
+    listed = vj.list_variables(scene)
+    assert list(listed.index[listed["where"] == ""]) == list(ds.data_vars)
 
 
-def test_variables_of_what_is_made_of_orbits():
-    known = vj.list_variables("vibro-impact")
+def test_variables_of_analyses_are_listed():
+    listed = vj.list_variables("vibro-impact")
     family = vj.follow("vibro-impact", along="gamma", at=0.72, span=(0.71, 0.73), start="stuck", progress=False)
-    assert set(family.variables) - {"gamma"} <= set(known.index)
-    assert known["where"]["special_kind"] == "follow" and known["where"]["region_area"] == "borders"
-    assert known["where"]["share"] == "attractors"
+    assert set(family.variables) - {"gamma"} <= set(listed.index)
+    assert listed["where"]["special_kind"] == "follow" and listed["where"]["region_area"] == "borders"
+    assert listed["where"]["share"] == "attractors"
     assert set(vj.list_variables("rotary")["where"]) == {
         "",
         "follow",
@@ -53,11 +53,11 @@ def test_variables_of_what_is_made_of_orbits():
     }
 
 
-def test_settings_are_those_of_run():
+def test_settings_agree_with_run_settings():
     assert vj.list_settings().default.to_dict() == vars(RunSettings())
 
 
-def test_the_command(capsys):
+def test_scenes_command(capsys):
     assert main(["scenes"]) == 0
     assert "vibro-impact      Bit and striker with stick-slip friction; the striker hits" in capsys.readouterr().out
     assert main(["scenes", "rotary"]) == 0

@@ -1,4 +1,4 @@
-"""The registry of results, its verdicts, and the page and table of a quick run."""
+"""Test the registry of the source's results, the verdicts, and the page and table of a quick run."""
 
 import re
 from html.parser import HTMLParser
@@ -18,7 +18,7 @@ from vibrojax.reproduce.rules import AGREES, DIFFERS, FIELD, IN_TREND, number, p
 
 ENTRIES = {entry.id: entry for group in GROUPS for entry in group.entries}
 
-SEEN = {  # by an independent event-exact integrator (model, section 5): the number that `here` begins with; within
+EXPECTED = {  # from an independent event-exact integrator (model, section 5): leading number of `here`, and tolerance
     "table-5.3.2": (29.11, 0.01),
     "table-5.3.3": (27.80, 0.01),
     "table-5.3.4": (26.82, 0.01),
@@ -46,8 +46,8 @@ SEEN = {  # by an independent event-exact integrator (model, section 5): the num
     "sec-5.6.1": (4.48, 0.01),
     "sec-5.6.2b": (0.97, 0.005),
 }
-SEEN_IN_MOTION = {"table-5.3.1": (30.73, 0.02), "fig-5.50a": (6.2, 0.03), "fig-5.50b": (12.35, 0.03)}
-REGIMES = {  # what `here` says, by the same integrator
+EXPECTED_OF_MOTIONS = {"table-5.3.1": (30.73, 0.02), "fig-5.50a": (6.2, 0.03), "fig-5.50b": (12.35, 0.03)}
+REGIMES = {  # expected text in `here`, from the same integrator
     "fig-5.65": "irregular",
     "fig-5.77a": "single-impact",
     "fig-5.77c": "irregular",
@@ -66,11 +66,11 @@ def quick():
 
 @pytest.fixture(scope="module")
 def folder(quick, tmp_path_factory):
-    """What the command writes of that run."""
+    """Return the folder that the command writes for the quick run."""
     out = tmp_path_factory.mktemp("reproduction") / "made"
-    asked = {"quick": True, "progress": False}
+    arguments = {"quick": True, "progress": False}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("vibrojax.reproduce.run_reproduction", lambda **given: quick if given == asked else None)
+        patch.setattr("vibrojax.reproduce.run_reproduction", lambda **options: quick if options == arguments else None)
         assert main(["reproduce", "--quick", "--quiet", "-o", str(out)]) == 0
     return out
 
@@ -88,14 +88,16 @@ def test_registry():
         assert entry.what and entry.source and entry.tolerance
         assert set(entry.readings) <= set(READINGS), entry.id
     assert {name for entry in ENTRIES.values() for name in entry.readings} == set(READINGS)
-    explained = [name for finding in FINDINGS for name in finding.ids]  # each result once, and by its own name
+    explained = [
+        name for finding in FINDINGS for name in finding.ids
+    ]  # each result is explained once, under its own name
     assert len(set(explained)) == len(explained) and set(explained) <= set(ENTRIES)
 
 
-def test_expressions_can_be_read():
-    """Braces are balanced, and a picture or rule calls only functions that exist."""
+def test_expressions_are_valid():
+    """Braces are balanced, and expressions call only functions that exist."""
     for row in ROWS:
-        assert None not in row and None not in row.values(), row["id"]  # a comma without quotes
+        assert None not in row and None not in row.values(), row["id"]  # caused by a comma without quotes
         texts = row["here"] + row["remark"]
         assert "{" not in FIELD.sub("", texts) and "}" not in FIELD.sub("", texts), row["id"]
         for expression in filter(None, [row["value"], row["rule"], *(field[1] for field in FIELD.finditer(texts))]):
@@ -104,16 +106,16 @@ def test_expressions_can_be_read():
             assert called <= set(EXPRESSIONS.globals), (row["id"], expression)
 
 
-def test_needs():
-    """Lists, ranges, abbreviations, labels and maps."""
+def test_parsing_of_needs():
+    """Test lists, ranges, abbreviations, labels and maps."""
     abbreviations, maps = {"slow": "v=0.5 c2=75", "both": "one; two", "one": "rotary", "two": "rotary v=1"}, {}
     labelled = read_needs("rotary slow gamma=1:2:0.5; late: rotary slow v=2 settle=300", abbreviations, maps)
     assert [label for label, _ in labelled] == ["", "", "", "late"]
     assert [dict(need.parameters)["gamma"] for _, need in labelled[:3]] == [1.0, 1.5, 2.0]
     assert labelled[3][1] == Need("lanes", "rotary", (("c2", 75.0), ("v", 2.0)), settle=300.0)
     assert [need.parameters for _, need in read_needs("both", abbreviations, maps)] == [(), (("v", 1.0),)]
-    [(_, found)] = read_needs("a map", {}, {"a map": "penetration zeta=1.1 k3=1e6,2e6 frequency=10:10:1"})
-    assert found.axes == (("k3", (1e6, 2e6)), ("frequency", (10.0,))) and found.parameters == (("zeta", 1.1),)
+    [(_, map_need)] = read_needs("a map", {}, {"a map": "penetration zeta=1.1 k3=1e6,2e6 frequency=10:10:1"})
+    assert map_need.axes == (("k3", (1e6, 2e6)), ("frequency", (10.0,))) and map_need.parameters == (("zeta", 1.1),)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +125,8 @@ def test_needs():
         (number(1.03, 1.0, "m", 0.02), DIFFERS),
         (number(1.03, 1.0, "m", 0.02, trend=True), IN_TREND),
         (number(np.nan, 1.0, "m", 0.02), DIFFERS),
-        # From half a unit of the last digit below, which is rounding, to a whole one above, which is cutting.
+        # A value counts as agreeing from half a unit of the last digit below (rounded) to a whole unit above
+        # (truncated).
         (printed(4.54, "4.6", "Hz"), DIFFERS),
         (printed(4.56, "4.6", "Hz"), AGREES),
         (printed(4.69, "4.6", "Hz"), AGREES),
@@ -134,7 +137,7 @@ def test_needs():
         (printed(4.8, "4.6", "Hz", trend=True), IN_TREND),
         (within_range(2, 3, (1, 4), "m"), AGREES),
         (within_range(3, 4.9, (1, 4), "m"), IN_TREND),
-        (within_range(3, 5.1, (1, 4), "m"), DIFFERS),  # less than half of ours is in it
+        (within_range(3, 5.1, (1, 4), "m"), DIFFERS),  # less than half of our range lies within the source's
         (within_range(5, 6, (1, 4), "m"), DIFFERS),
         (within_range(np.nan, np.nan, (1, 4), "m"), DIFFERS),
         (trend(False), DIFFERS),
@@ -150,30 +153,30 @@ def test_texts_of_numbers():
     assert number(35156.25, 35156.0, "N/m", 0.02).text.startswith("35156 N/m")
 
 
-def test_verdict_where_nothing_can_be_read():
-    def empty(one):
+def test_verdict_without_data_is_differs():
+    def raise_no_return(dataset):
         raise IndexError("no return")
 
-    entry = Entry("fig-0", "what", "source", (), empty, "none")
+    entry = Entry("fig-0", "what", "source", (), raise_no_return, "none")
     assert judged(entry, [xr.Dataset()]).verdict == DIFFERS
     assert judged(entry, [Unanswered("too many steps")]).verdict == DIFFERS
     assert "too many steps" in judged(entry, [Unanswered("too many steps")]).note
 
 
-def test_quick_run_meets_what_was_seen(quick):
-    found = {result.entry.id: result.here.text for result in quick.results}
-    for name, (value, within) in SEEN.items():
-        assert abs(first_number(found[name]) - value) <= within, (name, found[name])
+def test_quick_run_agrees_with_independent_integrator(quick):
+    texts = {result.entry.id: result.here.text for result in quick.results}
+    for name, (value, within) in EXPECTED.items():
+        assert abs(first_number(texts[name]) - value) <= within, (name, texts[name])
     for name, text in REGIMES.items():
-        assert text in found[name], (name, found[name])
+        assert text in texts[name], (name, texts[name])
     assert sum(quick.score.values()) == len(quick.results) >= 60
 
 
-def test_motions_meet_what_was_seen():
-    said = []
-    answers = SourceAnswers((need for name in SEEN_IN_MOTION for need in ENTRIES[name].needs), said.append)
-    assert [line.split()[0] for line in said] == ["1/2", "2/2"]  # how far it is
-    for name, (value, within) in SEEN_IN_MOTION.items():
+def test_motions_agree_with_independent_integrator():
+    messages = []
+    answers = SourceAnswers((need for name in EXPECTED_OF_MOTIONS for need in ENTRIES[name].needs), messages.append)
+    assert [line.split()[0] for line in messages] == ["1/2", "2/2"]  # progress
+    for name, (value, within) in EXPECTED_OF_MOTIONS.items():
         here = judged(ENTRIES[name], [answers[need] for need in ENTRIES[name].needs])
         assert abs(first_number(here.text) - value) <= within, (name, here.text)
         assert here.verdict == AGREES
@@ -194,7 +197,7 @@ def test_table_and_datasets(quick, folder):
 
 
 class Page(HTMLParser):
-    """Every tag closed in its order, everything that refers to somewhere, and the texts of table rows."""
+    """Parser that checks the nesting of tags and collects references, tags and anchors."""
 
     VOID = ("meta", "img", "br", "link", "input")
 
@@ -215,7 +218,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_page(quick, folder):
+def test_page_is_self_contained_and_complete(quick, folder):
     text = (folder / "index.html").read_text()
     page = Page(text)
     assert not page.open
@@ -236,17 +239,17 @@ def test_page(quick, folder):
     assert text.index("What differs") < text.index(GROUPS[0].title + "</h2>")
 
 
-def test_a_folder_that_cannot_be_made(tmp_path, capsys):
+def test_invalid_output_folder_is_refused(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert main(["reproduce", "-o", str(tmp_path / "file" / "below")]) == 2
     assert "cannot be made a folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("term", ["friction", pytest.param("contact", marks=pytest.mark.long)])
-def test_a_wrong_sign_is_seen(quick, monkeypatch, term):
-    """At least a third of the results with impact turn red; `tests/reproduce_signs.py` says how many of all do.
+def test_wrong_sign_is_detected(quick, monkeypatch, term):
+    """At least a third of the results with impact turn red. `tests/reproduce_signs.py` counts all of them.
 
-    Lanes that go wrong so much never end. The limits of steps are those of that script, with which nothing turns red
+    Lanes with a wrong sign never end. The step limits are those of that script. With these limits, nothing turns red
     under the right signs.
     """
     monkeypatch.setattr("vibrojax.sweep.engine.batch.LANE_MAX_STEPS", 1e4)
@@ -255,5 +258,9 @@ def test_a_wrong_sign_is_seen(quick, monkeypatch, term):
     groups = [group for group in GROUPS if group.name in ("frequency-ratio", "mass-ratio")]
     wrong = run_reproduction(groups, quick=True, progress=False)
     right = {result.entry.id: result.here.verdict for result in quick.results}
-    red = [one.entry.id for one in wrong.results if one.here.verdict == DIFFERS and right[one.entry.id] != DIFFERS]
+    red = [
+        outcome.entry.id
+        for outcome in wrong.results
+        if outcome.here.verdict == DIFFERS and right[outcome.entry.id] != DIFFERS
+    ]
     assert len(red) >= len(wrong.results) / 3

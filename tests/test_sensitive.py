@@ -1,4 +1,4 @@
-"""Lanes of which rounding decides where they settle."""
+"""Test the flag for lanes in which rounding errors decide the attractor."""
 
 import json
 from functools import cache
@@ -17,19 +17,19 @@ POINT = {
     "delta": -0.01871209768678116,
     "c2": 62.5,
 }
-"""A machine with two attractors, on either of which a chaotic transient of some 25 s ends."""
+"""A machine with two attractors. A chaotic transient of some 25 s ends on either of them."""
 
 
 @cache
-def settled(settle: float):
+def run_after_settling(settle: float):
     sweep = {"scene": "vibro-impact", "starts": ["touching"], "unusual": True, "grid": {"beta": [0.6232515398628401]}}
     return vj.run_sweep(sweep | {"parameters": POINT, "run": {"settle": settle}}, progress=False)
 
 
 @pytest.mark.parametrize("settle", [39.0, 40.0, 45.0, 80.0])
 @pytest.mark.long
-def test_a_chaotic_transient_before_either_of_two_attractors(settle):
-    lane = settled(settle)
+def test_chaotic_transient_before_two_attractors_is_flagged(settle):
+    lane = run_after_settling(settle)
     assert lane.regime.item() in (MULTI_IMPACT, IRREGULAR)
     assert lane.sensitive.item() == 1
     assert json.loads(lane.attrs["certified"])["within"] == 0
@@ -37,13 +37,16 @@ def test_a_chaotic_transient_before_either_of_two_attractors(settle):
         assert lane.error_estimate.item() < 1e-7
 
 
-def test_the_settling_time_alone_decides_the_attractor():
-    """The case is worth a flag: between these two settling times the label changes."""
-    assert len({settled(settle).regime.item() for settle in (39.0, 40.0, 41.0, 45.0, 50.0, 60.0, 80.0, 100.0)}) == 2
+def test_settling_time_decides_attractor():
+    """The label changes between settling times, which is why the lane needs a flag."""
+    assert (
+        len({run_after_settling(settle).regime.item() for settle in (39.0, 40.0, 41.0, 45.0, 50.0, 60.0, 80.0, 100.0)})
+        == 2
+    )
 
 
-def test_slow_transients_that_are_not_chaotic():
-    """The lanes repeat after 40 returns and more, all the same way."""
+def test_slow_regular_transients_are_not_flagged():
+    """The lanes repeat only after more than 40 returns, but changed parameters do not affect the attractor."""
     sweep = {
         "scene": "vibro-impact",
         "starts": ["drive", "stuck"],
@@ -58,8 +61,9 @@ def test_slow_transients_that_are_not_chaotic():
 
 
 def test_lanes_that_change_with_the_settling_time_are_flagged():
-    """Over the plane of the default map, most certified lanes that end on another attractor after another settling time
-    are sensitive. Of the others at most 1 % change."""
+    """Over the plane of the default map, most certified lanes whose attractor changes with the settling time are
+    sensitive. Of the others, at most 1 % change.
+    """
     grid = {"beta": np.linspace(0.1, 1.2, 24).tolist(), "gamma": np.linspace(0.3, 1.2, 24).tolist()}
     sweep = {"scene": "vibro-impact", "parameters": {"delta": -0.005}, "grid": grid}
     runs = [vj.run_sweep(sweep | {"run": {"settle": settle}}, progress=False) for settle in (40.0, 41.3, 43.7, 47.0)]
@@ -75,26 +79,25 @@ def test_lanes_that_change_with_the_settling_time_are_flagged():
 
 
 def _differ(lanes, others):
-    """Return which lanes are on another attractor, of which at least one repeats."""
+    """Return whether each lane, if it repeats in either run, is on a different attractor."""
     counts = (lanes.cycles != others.cycles) | (lanes.impacts.round() != others.impacts.round())
     repeat = (lanes.cycles > 0) | (others.cycles > 0)
     return (repeat & counts).values
 
 
-def test_short_transients_need_no_second_run(monkeypatch):
-    """Nothing is stepped again where no transient is long enough."""
+def test_short_transients_do_not_run_again(monkeypatch):
 
-    def changed(*_):
+    def fail_on_second_run(*_):
         raise AssertionError("a second run")
 
-    monkeypatch.setattr(module, "_changed", changed)
+    monkeypatch.setattr(module, "_changed", fail_on_second_run)
     sweep = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"gamma": [0.62, 0.66, 0.7]}}
     lanes = vj.run_sweep(sweep, progress=False)
     assert (lanes.settling_time < module.GROWTH_RETURNS * lanes.period).all()
     assert (lanes.sensitive == 0).all()
 
 
-def test_lanes_that_have_failed_need_no_second_run(monkeypatch):
+def test_failed_lanes_do_not_run_again(monkeypatch):
     monkeypatch.setattr("vibrojax.sweep.engine.batch.steps_at_most", lambda *_: np.float64(200))
     monkeypatch.setattr(module, "_repeat", lambda *_: pytest.fail("a lane that was abandoned ran again"))
     sweep = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"gamma": [0.75, 0.8]}}

@@ -1,4 +1,4 @@
-"""Derivatives at periodic orbits, against central differences of other converged orbits, and closed forms.
+"""Test derivatives at periodic orbits against central differences of other converged orbits and closed forms.
 
 The second half tests `as_jax`, in the same file because both use the same compiled programs.
 """
@@ -32,18 +32,18 @@ MOTIONS = {  # by name: beta, gamma, v, delta, start, cycles
 
 @pytest.fixture(scope="module")
 def map_of_motions():
-    """Sensitivities of the motions, and of the same motions with a parameter moved up and down: (change, motion)."""
+    """Return the sweep and sensitivities of the motions and of copies with a parameter changed: (change, motion)."""
     moves = [np.array([0.0, 0.0, 0.0, 0.0])]
     moves += [sign * STEP * (np.arange(4) == 1 + place) for place in range(len(BY)) for sign in (1, -1)]
-    rows = [np.array(about[:4]) * (1 + move) for move in moves for about in MOTIONS.values()]
+    rows = [np.array(motion[:4]) * (1 + move) for move in moves for motion in MOTIONS.values()]
     points = dict(zip(("beta", "gamma", "v", "delta"), np.transpose(rows).tolist(), strict=True))
-    points["start"] = [about[4] for _ in moves for about in MOTIONS.values()]
+    points["start"] = [motion[4] for _ in moves for motion in MOTIONS.values()]
     sweep = {"scene": "vibro-impact", "points": points, "run": {"orbits": True}, "unusual": True}
     ds = vj.run_sweep(sweep, progress=False)
     return ds, vj.sensitivity(ds, by=BY, progress=False)
 
 
-def test_derivatives_are_the_slopes_of_other_lanes(map_of_motions):
+def test_derivatives_agree_with_central_differences_of_lanes(map_of_motions):
     _, s = map_of_motions
     count = len(MOTIONS)
     names = [str(name) for name in s.data_vars if f"d_{name}" in s]
@@ -53,21 +53,21 @@ def test_derivatives_are_the_slopes_of_other_lanes(map_of_motions):
     for place, name in enumerate(BY):
         up, down = (s.isel(point=slice((2 * place + k) * count, (2 * place + k + 1) * count)) for k in (1, 2))
         for variable in names:
-            at = s["parameter_value"].isel(point=slice(0, count)).sel(parameter=name).values
-            at = at.reshape(-1, *[1] * (s[variable].ndim - 1))
-            slope = (up[variable].values - down[variable].values) / (2 * STEP * at)
-            given = s[f"d_{variable}"].isel(point=slice(0, count)).sel(parameter=name).values
-            scale = np.abs(given) + 0.1 * np.abs(s[variable].values[:count]) / at
-            off = np.abs(slope - given) / np.where(scale > 0, scale, 1)
-            assert np.nanmax(off) < 1e-6, (variable, name, off)
+            values = s["parameter_value"].isel(point=slice(0, count)).sel(parameter=name).values
+            values = values.reshape(-1, *[1] * (s[variable].ndim - 1))
+            slope = (up[variable].values - down[variable].values) / (2 * STEP * values)
+            derivative = s[f"d_{variable}"].isel(point=slice(0, count)).sel(parameter=name).values
+            scale = np.abs(derivative) + 0.1 * np.abs(s[variable].values[:count]) / values
+            deviation = np.abs(slope - derivative) / np.where(scale > 0, scale, 1)
+            assert np.nanmax(deviation) < 1e-6, (variable, name, deviation)
 
 
-def test_nothing_is_unknown_without_a_reason(map_of_motions):
+def test_missing_derivatives_have_reason(map_of_motions):
     ds, s = map_of_motions
     count = len(MOTIONS)
     reasons = np.array(DERIVATIVE_REASONS)[s.reason.values[:count]]
     assert dict(zip(MOTIONS, reasons, strict=True)) == {**dict.fromkeys(MOTIONS, "none"), "irregular": "no-orbit"}
-    assert ds.orbit_cycles.values[:count].tolist() == [about[5] for about in MOTIONS.values()]
+    assert ds.orbit_cycles.values[:count].tolist() == [motion[5] for motion in MOTIONS.values()]
     assert ((s.valid == 1) == (s.reason == 0)).all()
     for name in s.data_vars:
         if str(name).startswith("d_"):
@@ -94,9 +94,9 @@ def test_picture_summary_and_refusals(map_of_motions):
             vj.sensitivity(source, by=by, progress=False)
 
 
-def settled(scene, values, returns=200):
-    """The parameters of one lane, and the state to which the return map converges."""
-    p = {name: np.array([about.default]) for name, about in scene.parameters().items()}
+def converged_lane(scene, values, returns=200):
+    """Return the parameters of one lane and the state to which the return map converges."""
+    p = {name: np.array([parameter.default]) for name, parameter in scene.parameters().items()}
     p |= {name: np.array([x]) for name, x in values.items()}
     driving = scene.driving_part()
     own = {name: p[name] for name in driving.parameters()}
@@ -106,10 +106,10 @@ def settled(scene, values, returns=200):
     return p, state.T[None]
 
 
-def test_near_grazing_derivatives_do_not_hold():
-    """The margin of a striker that turns before the bit falls linearly with the gap; its slope leads to the graze."""
+def test_derivatives_near_grazing_are_marked_invalid():
+    """The grazing margin of a striker that turns before the bit is linear in the gap. Its slope predicts the graze."""
     scene, of = SCENES["vibro-impact"](), ("grazing_margin", "period")
-    p, guess = settled(scene, {"beta": 0.4, "gamma": 0.75, "delta": 0.034})
+    p, guess = converged_lane(scene, {"beta": 0.4, "gamma": 0.75, "delta": 0.034})
     far = orbit_features(scene, of, ("delta",), p, guess)
     assert far.impacts == 0 and far.valid
     margin, slope = far.values[0, 0], far.derivatives[0, 0, 0]
@@ -119,10 +119,10 @@ def test_near_grazing_derivatives_do_not_hold():
         assert near.reason[0].tolist() == [DERIVATIVE_REASONS.index(reason)] * 2
 
 
-def test_with_rock_they_are_the_slopes_of_converged_orbits():
+def test_derivatives_with_rock_agree_with_central_differences_of_orbits():
     values, by = {"beta": 0.4, "gamma": 0.6, "zeta": 0.5, "threshold": 1e5}, ("beta", "threshold")
     scene = SCENES["drilling"]()
-    p, guess = settled(scene, values)
+    p, guess = converged_lane(scene, values)
     of = ("rate_of_penetration", "relief", "deepest_gap", "impact_energy", "log_multiplier")
     orbit = orbit_features(scene, of, by, p, guess)
     assert set(of) <= set(orbit_variables(scene)) and orbit.valid.all()
@@ -134,16 +134,16 @@ def test_with_rock_they_are_the_slopes_of_converged_orbits():
 
 
 def test_eigenvalues_against_closed_forms():
-    """The eigenvalues of ((0, 1), (-p, 0)) are +-i sqrt(p); those of ((a, 1), (0, a)) are defective."""
-    p, one = 0.3, np.ones((1, 2))
+    """The eigenvalues of ((0, 1), (-p, 0)) are +-i sqrt(p). Those of ((a, 1), (0, a)) are defective."""
+    p, right_sides = 0.3, np.ones((1, 2))
     values, slopes, alike = eigenvalues(
-        np.array([[[0, 1], [-p, 0]]]), np.array([[[[0.0], [0.0]], [[-1.0], [0.0]]]]), one
+        np.array([[[0, 1], [-p, 0]]]), np.array([[[[0.0], [0.0]], [[-1.0], [0.0]]]]), right_sides
     )
     np.testing.assert_allclose(np.abs(values[0]), np.sqrt(p))
     np.testing.assert_allclose((slopes[0, :, 0] * values[0].conj()).real, 0.5)  # d|λ|/dp = 1/(2 sqrt(p))
     assert not alike.any()
     defective = np.array([[[0.5, 1], [1e-9, 0.5]]])
-    assert eigenvalues(defective, np.zeros((1, 2, 2, 1)), one)[2].all()
+    assert eigenvalues(defective, np.zeros((1, 2, 2, 1)), right_sides)[2].all()
 
 
 # Functions of JAX arrays
@@ -152,28 +152,28 @@ def test_eigenvalues_against_closed_forms():
 OF = ("impact_power", "period")
 FIXED = {"start": "stuck", "delta": 0.005}
 HERE = np.array([0.4, 0.75])
-BEYOND = np.array([0.6, 0.5])  # on the way from HERE the stick vanishes, and the orbit with it
+BEYOND = np.array([0.6, 0.5])  # on the path from HERE the stick phase vanishes, and the orbit with it
 
 
-def function(**given):
-    f = vj.as_jax("vibro-impact", of=OF, by=["beta", "gamma"], **FIXED | given)
+def jax_function(**arguments):
+    f = vj.as_jax("vibro-impact", of=OF, by=["beta", "gamma"], **FIXED | arguments)
     f(HERE)
     return f
 
 
 @pytest.fixture(scope="module")
 def f():
-    return function()
+    return jax_function()
 
 
-def test_values_are_those_of_the_sweep_and_of_sensitivity(f):
+def test_values_and_gradients_agree_with_sensitivity(f):
     sweep = {"scene": "vibro-impact", "parameters": {"beta": 0.42, "gamma": 0.7, "delta": 0.005}, "starts": ["stuck"]}
     s = vj.sensitivity(sweep, by=["beta", "gamma"], progress=False)
     x = jnp.array([0.42, 0.7])
-    found = f(x)
-    assert bool(found["valid"]) and found["margin"] == pytest.approx(np.log(s.multiplier_abs.values.max()), rel=1e-9)
+    values = f(x)
+    assert bool(values["valid"]) and values["margin"] == pytest.approx(np.log(s.multiplier_abs.values.max()), rel=1e-9)
     for name in (*OF, "grazing_margin"):
-        assert found[name] == pytest.approx(s[name].item(), rel=1e-9)
+        assert values[name] == pytest.approx(s[name].item(), rel=1e-9)
         gradient = jax.grad(lambda x, name=name: f(x)[name])(x)
         np.testing.assert_allclose(gradient, s[f"d_{name}"].values.ravel(), rtol=1e-8)
 
@@ -204,20 +204,20 @@ def test_transformations_and_precisions(f):
         jax.hessian(lambda x: f(x)["period"])(HERE)
 
 
-def test_results_do_not_depend_on_the_order_of_calls(f, monkeypatch):
+def test_results_do_not_depend_on_order_of_calls(f, monkeypatch):
     points = np.random.default_rng(5).uniform([0.3, 0.5], [0.7, 1.1], (6, 2))
     monkeypatch.setattr(branch, "MAX_KNOWN", 4)
-    other = function()
+    other = jax_function()
     forth = [f(jnp.asarray(x)) for x in points]
     back = [other(jnp.asarray(x)) for x in points[::-1]][::-1]
-    assert 0 < sum(bool(found["valid"]) for found in forth) < 6
-    for one, two in zip(forth, back, strict=True):
-        assert one.keys() == two.keys() and bool(one["valid"]) == bool(two["valid"])
-        np.testing.assert_allclose([one[name] for name in OF], [two[name] for name in OF], rtol=1e-9)
+    assert 0 < sum(bool(values["valid"]) for values in forth) < 6
+    for forward, backward in zip(forth, back, strict=True):
+        assert forward.keys() == backward.keys() and bool(forward["valid"]) == bool(backward["valid"])
+        np.testing.assert_allclose([forward[name] for name in OF], [backward[name] for name in OF], rtol=1e-9)
 
 
-def test_outside_its_validity(f):
-    """The value there is that of an orbit between, which the function gives as its own."""
+def test_values_outside_region_of_validity(f):
+    """There the function returns the values of the last valid orbit on the path."""
     beyond = f(BEYOND)
     gradient = jax.grad(lambda x: f(x)["period"])(BEYOND)
     assert not beyond["valid"] and np.isfinite([*gradient, *(beyond[name] for name in OF)]).all()
@@ -225,14 +225,14 @@ def test_outside_its_validity(f):
     last = int(np.flatnonzero(between["valid"])[-1])
     assert (np.diff(between["valid"].astype(int)) <= 0).all() and 0 < last < 64
     assert beyond["period"] == pytest.approx(float(between["period"][last]), rel=1e-2)
-    unknown = function(outside="nan")
+    unknown = jax_function(outside="nan")
     assert np.isnan([unknown(BEYOND)[name] for name in OF]).all() and not unknown(BEYOND)["valid"]
     assert np.isnan(jax.grad(lambda x: unknown(x)["period"])(BEYOND)).all()
     assert jnp.isfinite(unknown(HERE)["period"])
 
 
-def test_optimizers(f):
-    """With a bound of the stability margin, the largest power is on the bound."""
+def test_optimizers_converge(f):
+    """If the stability margin is bounded, the maximum of the power lies on the bound."""
     scale, least = 1e-3, 0.4
     value = jax.jit(jax.value_and_grad(lambda x: -scale * f(x)["impact_power"]))
     margin = jax.jit(jax.value_and_grad(lambda x: -f(x)["margin"] - least))
@@ -246,16 +246,16 @@ def test_optimizers(f):
     optimistix = pytest.importorskip("optimistix")
     target = f(jnp.array([0.42, 0.72]))
 
-    def off(x, _):
+    def relative_errors(x, _):
         return jnp.stack([f(x)[name] / target[name] - 1 for name in OF])
 
     solver = optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8)
-    solution = optimistix.least_squares(off, solver, jnp.asarray(HERE))
+    solution = optimistix.least_squares(relative_errors, solver, jnp.asarray(HERE))
     np.testing.assert_allclose(solution.value, [0.42, 0.72], rtol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("arguments", "message"),
     [
         ({"of": "impacts"}, r"as_jax: of: the scene has no .impacts. to differentiate"),
         ({"by": ["gama"]}, "as_jax: by: .* did you mean .gamma."),
@@ -263,11 +263,11 @@ def test_optimizers(f):
         ({"outside": "zero"}, "as_jax: outside: .zero. is unknown; choose from nearest, nan"),
     ],
 )
-def test_wrong_arguments(given, message):
+def test_wrong_arguments_are_refused(arguments, message):
     with pytest.raises(InputError, match=message):
-        vj.as_jax("vibro-impact", **{"of": "period", "by": ["beta", "gamma"]} | given)
+        vj.as_jax("vibro-impact", **{"of": "period", "by": ["beta", "gamma"]} | arguments)
 
 
-def test_wrong_shapes(f):
+def test_wrong_shapes_are_refused(f):
     with pytest.raises(InputError, match=r"shape \(3,\); give \(2,\), one number for each of beta, gamma"):
         f(jnp.zeros(3))

@@ -1,4 +1,4 @@
-"""The site's pages, without building it: links of texts, the reference's names; and the checker of what is built."""
+"""Test the site's pages without a build: links in texts, names in the reference, and the checker of built pages."""
 
 import re
 from contextlib import suppress
@@ -17,37 +17,39 @@ TEXTS = ["README.md", "CHANGELOG.md", ".github/CONTRIBUTING.md", "tests/benchmar
 IMPORT = re.compile(r"from (vibrojax[\w.]*) import ([\w, ]+)")
 
 
-def places(text: str) -> set[str]:
-    """The anchors of a text's headings, as GitHub makes them."""
+def heading_anchors(text: str) -> set[str]:
+    """Return the anchors of a text's headings, as GitHub makes them."""
     headings = re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("name", TEXTS)
-def test_links_of_texts_lead_somewhere(name):
+def test_links_of_texts_have_targets(name):
     text = (ROOT / name).read_text()
     for link in re.findall(
         r"\]\(([^)\s]+)\)", re.sub(r"`[^`]*`|^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
     ):
         if link.startswith(("http://", "https://", "mailto:")):
             continue
-        path, _, place = unquote(link).partition("#")
+        path, _, anchor = unquote(link).partition("#")
         target = (ROOT / name).parent / path if path else ROOT / name
         assert target.exists(), link
-        assert not place or place in places(target.read_text()), link
+        assert not anchor or anchor in heading_anchors(target.read_text()), link
 
 
-def test_files_that_the_readme_names_are_there():
+def test_files_named_in_readme_exist():
     text = (ROOT / "README.md").read_text()
     named = re.findall(r"`((?:notebooks|tests|vibrojax|\.github)/[\w/.-]+)`", text)
     assert len(named) > 10
     assert [name for name in named if not (ROOT / name).exists()] == []
 
 
-def test_every_public_name_is_in_the_reference():
+def test_every_public_name_is_in_reference():
     text = "".join(path.read_text() for path in PAGES if path.parent.name == "api")
-    told = {name.rpartition(".")[2] for name in re.findall(r"^\.\. auto\w+:: ([\w.]+)$", text, flags=re.MULTILINE)}
-    assert sorted(set(vj.__all__) - told) == [], "write these onto a page of notebooks/api"
+    documented = {
+        name.rpartition(".")[2] for name in re.findall(r"^\.\. auto\w+:: ([\w.]+)$", text, flags=re.MULTILINE)
+    }
+    assert sorted(set(vj.__all__) - documented) == [], "write these onto a page of notebooks/api"
 
 
 def exists(name: str) -> bool:
@@ -65,7 +67,7 @@ def exists(name: str) -> bool:
     return True
 
 
-def test_references_of_docstrings_lead_somewhere():
+def test_references_in_docstrings_resolve():
     names = {
         (path.name, name)
         for path in (ROOT / "vibrojax").rglob("*.py")
@@ -75,7 +77,7 @@ def test_references_of_docstrings_lead_somewhere():
     assert [(file, name) for file, name in sorted(names) if not exists(name)] == []
 
 
-def test_modules_that_pages_import_exist():
+def test_imports_on_pages_resolve():
     pages = [*PAGES, *(ROOT / "notebooks").rglob("*.ipynb"), *(ROOT / "notebooks").rglob("*.py"), ROOT / "README.md"]
     lines = {(path.name, line) for path in pages for line in IMPORT.findall(path.read_text())}
     assert len(lines) > 5
@@ -84,7 +86,7 @@ def test_modules_that_pages_import_exist():
             assert exists(f"{module}.{name.split()[0]}"), (file, module, name)
 
 
-def test_every_page_is_in_a_table_of_contents():
+def test_every_page_is_in_table_of_contents():
     listed = set()
     for path in PAGES:
         for block in re.findall(r"```\{toctree\}\n(.*?)```", path.read_text(), flags=re.DOTALL):
@@ -94,11 +96,11 @@ def test_every_page_is_in_a_table_of_contents():
     assert pages - listed == {(ROOT / "notebooks" / "index").resolve()} and listed <= pages
 
 
-def test_notebooks_carry_no_outputs():
+def test_notebooks_have_no_stored_outputs():
     assert [path.name for path in (ROOT / "notebooks").glob("*.ipynb") if '"output_type"' in path.read_text()] == []
 
 
-def test_dead_links_are_told(tmp_path):
+def test_dead_links_are_reported(tmp_path):
     page = '<h1 id="a b">x</h1><a href="other.html#c">x</a><a href="#a%20b">x</a><a href="https://x.org/">x</a>'
     (tmp_path / "page.html").write_text(page)
     (tmp_path / "other.html").write_text('<p id="c"><img src="page.html"><a href="page.html">x</a>')

@@ -1,4 +1,4 @@
-"""The smallest push out of the working cycle: it leaves, the next smaller returns, and a fine scan finds no other."""
+"""Test the smallest push out of the working cycle: it leaves, the next smaller one returns, and a fine scan agrees."""
 
 import numpy as np
 import pytest
@@ -9,110 +9,114 @@ from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
 
-AT = {"beta": 0.4, "delta": 0.005}
+PARAMETERS = {"beta": 0.4, "delta": 0.005}
 STATES = ("x1", "v1", "x2", "v2")
 
 
-def pushed(scan=32, **more):
-    return vj.smallest_push("vibro-impact", start="stuck", scan=scan, progress=False, **(AT | more))
+def smallest_push(scan=32, **more):
+    return vj.smallest_push("vibro-impact", start="stuck", scan=scan, progress=False, **(PARAMETERS | more))
 
 
 @pytest.fixture(scope="module")
-def strong():
-    """Of the strong single impact, beside which there is a rattle."""
-    return pushed(gamma=0.75)
+def strong_cycle():
+    """Return the pushes for the strong single impact, which coexists with a rattling motion."""
+    return smallest_push(gamma=0.75)
 
 
-def after(cycle, state, pushes, **parameters):
-    """Impact velocities of motions that begin on the cycle, one state pushed; every lane stepped to its end."""
-    at = np.array([float(cycle[f"orbit_{name}"]) if f"orbit_{name}" in cycle else 0.0 for name in STATES])
-    starts = [(at + push * np.eye(4)[STATES.index(state)]).tolist() for push in pushes]
-    asked = {"scene": "vibro-impact", "parameters": AT | parameters, "starts": starts}
-    return vj.run_sweep(asked | {"run": {"settle": 120.0, "end_early": False}}, progress=False)
+def run_after_pushes(cycle, state, pushes, **parameters):
+    """Return a sweep from the cycle with one state pushed, in which every lane runs to its end."""
+    cycle_state = np.array([float(cycle[f"orbit_{name}"]) if f"orbit_{name}" in cycle else 0.0 for name in STATES])
+    starts = [(cycle_state + push * np.eye(4)[STATES.index(state)]).tolist() for push in pushes]
+    sweep = {"scene": "vibro-impact", "parameters": PARAMETERS | parameters, "starts": starts}
+    return vj.run_sweep(sweep | {"run": {"settle": 120.0, "end_early": False}}, progress=False)
 
 
-def test_what_is_in_it(strong):
-    assert strong.push_x1.dims == ("sign",) and strong.sign.values.tolist() == [-1, 1]
-    assert int(strong.regime) == SINGLE_IMPACT and strong.push_v2.attrs["units"] == "m s-1"
-    assert all({"units", "long_name"} <= set(one.attrs) for one in strong.variables.values())
+def test_variables_and_brackets(strong_cycle):
+    assert strong_cycle.push_x1.dims == ("sign",) and strong_cycle.sign.values.tolist() == [-1, 1]
+    assert int(strong_cycle.regime) == SINGLE_IMPACT and strong_cycle.push_v2.attrs["units"] == "m s-1"
+    assert all({"units", "long_name"} <= set(variable.attrs) for variable in strong_cycle.variables.values())
     for name in STATES:
-        found = np.isfinite(strong[f"push_{name}"].values)
-        np.testing.assert_array_equal(strong[f"regime_{name}"].values > 0, found)
-        push, bracket = strong[f"push_{name}"].values[found], strong[f"bracket_{name}"].values[found]
-        assert (push > 0).all() and (push <= float(strong[f"bound_{name}"])).all()
+        has_push = np.isfinite(strong_cycle[f"push_{name}"].values)
+        np.testing.assert_array_equal(strong_cycle[f"regime_{name}"].values > 0, has_push)
+        push, bracket = strong_cycle[f"push_{name}"].values[has_push], strong_cycle[f"bracket_{name}"].values[has_push]
+        assert (push > 0).all() and (push <= float(strong_cycle[f"bound_{name}"])).all()
         assert (bracket > 0).all() and (bracket <= 1e-3 * push).all()
 
 
-def test_it_leaves_and_the_next_smaller_returns(strong):
-    """Only a push of the bit against the drive leaves, into the rattle; by full runs, three times as long."""
-    found = {name: np.isfinite(strong[f"push_{name}"].values).tolist() for name in STATES}
-    assert found == {"x1": [False, True], "v1": [False] * 2, "x2": [False] * 2, "v2": [False] * 2}
-    push, bracket = float(strong.push_x1[1]), float(strong.bracket_x1[1])
-    assert int(strong.regime_x1[1]) == IRREGULAR
-    velocity = after(strong, "x1", [0.0, push - bracket, push], gamma=0.75).impact_velocity.values
+def test_smallest_push_leaves_and_next_smaller_returns(strong_cycle):
+    """Only a push of the bit against the drive leaves the cycle, as full runs three times as long confirm."""
+    has_push = {name: np.isfinite(strong_cycle[f"push_{name}"].values).tolist() for name in STATES}
+    assert has_push == {"x1": [False, True], "v1": [False] * 2, "x2": [False] * 2, "v2": [False] * 2}
+    push, bracket = float(strong_cycle.push_x1[1]), float(strong_cycle.bracket_x1[1])
+    assert int(strong_cycle.regime_x1[1]) == IRREGULAR
+    velocity = run_after_pushes(strong_cycle, "x1", [0.0, push - bracket, push], gamma=0.75).impact_velocity.values
     assert velocity[1] == pytest.approx(velocity[0], rel=1e-6) and velocity[2] < 0.3 * velocity[0]
 
 
-def test_brute_force_finds_no_smaller_one(strong):
-    """A fine scan of the direction, every motion stepped to its end: all smaller pushes are returned from."""
-    push = float(strong.push_x1[1])
+def test_fine_scan_finds_no_smaller_push(strong_cycle):
+    """A fine scan along the direction, with every lane run to its end, returns from all smaller pushes."""
+    push = float(strong_cycle.push_x1[1])
     fine = np.linspace(0.0, 1.1 * push, 221)
-    velocity = after(strong, "x1", fine, gamma=0.75).impact_velocity.values
-    left = np.abs(velocity / velocity[0] - 1) > 0.01
-    assert left.any() and push - float(strong.bracket_x1[1]) <= fine[left][0] <= push + np.diff(fine)[0]
+    velocity = run_after_pushes(strong_cycle, "x1", fine, gamma=0.75).impact_velocity.values
+    leaves = np.abs(velocity / velocity[0] - 1) > 0.01
+    assert leaves.any() and push - float(strong_cycle.bracket_x1[1]) <= fine[leaves][0] <= push + np.diff(fine)[0]
 
 
-def test_several_machines_at_once(strong):
-    both = pushed(gamma=[0.3, 0.75])
+def test_several_machines_in_one_call(strong_cycle):
+    both = smallest_push(gamma=[0.3, 0.75])
     assert both.push_x1.dims == ("point", "sign") and both.gamma.values.tolist() == [0.3, 0.75]
     assert both.regime.values.tolist() == [SUBHARMONIC, SINGLE_IMPACT]
     for name in STATES:
-        np.testing.assert_allclose(both[f"push_{name}"][1], strong[f"push_{name}"], rtol=2e-3)
-    velocity = after(both.isel(point=0), "v2", [0.0, float(both.push_v2[0, 1])], gamma=0.3).impact_velocity.values
-    assert np.isfinite(velocity[0]) and np.isnan(velocity[1])  # it strikes no more
+        np.testing.assert_allclose(both[f"push_{name}"][1], strong_cycle[f"push_{name}"], rtol=2e-3)
+    velocity = run_after_pushes(
+        both.isel(point=0), "v2", [0.0, float(both.push_v2[0, 1])], gamma=0.3
+    ).impact_velocity.values
+    assert np.isfinite(velocity[0]) and np.isnan(velocity[1])  # the striker no longer hits the bit
 
 
-def test_the_picture(strong):
-    figure = vj.picture(strong)
+def test_picture(strong_cycle):
+    figure = vj.picture(strong_cycle)
     panel = figure.axes[0]
     heights = [bar.get_height() for bar in panel.patches]
-    bound, push = 1e3 * float(strong.bound_x1), 1e3 * float(strong.push_x1[1])  # mm
-    assert heights == pytest.approx([bound, push])  # up to the greatest push tried where every push returns
+    bound, push = 1e3 * float(strong_cycle.bound_x1), 1e3 * float(strong_cycle.push_x1[1])  # mm
+    assert heights == pytest.approx([bound, push])  # where every push returns, up to the largest push tried
     assert [bool(bar.get_hatch()) for bar in panel.patches] == [True, False]
     assert [text.get_text() for text in panel.texts] == ["returns", f"{push:.3g}"]
     assert panel.get_ylabel() == "push in x₁ [mm]" and len(figure.axes) == 4
-    both = strong.expand_dims(point=2).assign_coords(gamma=("point", [0.7, 0.75]))
+    both = strong_cycle.expand_dims(point=2).assign_coords(gamma=("point", [0.7, 0.75]))
     down, none_down, up, none_up, _ = (line.get_ydata() for line in vj.picture(both).axes[0].lines)
     np.testing.assert_allclose(up, [push] * 2)
-    np.testing.assert_allclose(none_down, [bound] * 2)  # hollow markers at the greatest push tried
+    np.testing.assert_allclose(none_down, [bound] * 2)  # hollow markers at the largest push tried
     assert np.isnan(down).all() and not none_up.size
 
 
-def test_a_machine_that_no_push_leaves_has_no_empty_panel(strong):
-    pushes = [name for name in strong.data_vars if str(name).startswith("push_")]
-    figure = vj.picture(strong.assign({name: strong[name] * np.nan for name in pushes}))
+def test_machine_without_leaving_push_has_no_empty_panel(strong_cycle):
+    pushes = [name for name in strong_cycle.data_vars if str(name).startswith("push_")]
+    figure = vj.picture(strong_cycle.assign({name: strong_cycle[name] * np.nan for name in pushes}))
     for panel in figure.axes:
         assert [text.get_text() for text in panel.texts] == ["returns", "returns"]
         assert all(bar.get_height() > 0 and bar.get_hatch() for bar in panel.patches)
     assert "No push up to the greatest tried leaves" in figure.get_supxlabel()
 
 
-def test_the_bound_is_what_is_asked_for():
-    found = pushed(gamma=0.75, most={"x1": 0.04})
-    assert float(found.bound_x1) == 0.04 and np.isnan(found.push_x1.values).all()
-    swing = float(found.bound_x2)
-    motion = vj.simulate("vibro-impact", start="stuck", gamma=0.75, duration=60.0, **AT).sel(time=slice(50.0, None))
+def test_largest_push_can_be_chosen():
+    pushes = smallest_push(gamma=0.75, most={"x1": 0.04})
+    assert float(pushes.bound_x1) == 0.04 and np.isnan(pushes.push_x1.values).all()
+    swing = float(pushes.bound_x2)
+    motion = vj.simulate("vibro-impact", start="stuck", gamma=0.75, duration=60.0, **PARAMETERS).sel(
+        time=slice(50.0, None)
+    )
     assert swing == pytest.approx(float(np.ptp(motion.x2.values)), rel=1e-2)
 
 
 @pytest.mark.parametrize(
-    ("scene", "more", "says"),
+    ("scene", "more", "message"),
     [
         ("penetration", {}, "has no working cycle to push"),
         ("coupled-drilling", {}, "compression, v3 of it cannot be given as a start"),
         (
             "vibro-impact",
-            AT | {"gamma": 0.75, "start": "drive"},
+            PARAMETERS | {"gamma": 0.75, "start": "drive"},
             "irregular after 40 s.: no cycle to push; give another start",
         ),
         ("vibro-impact", {"scan": 1}, "scan: 1 is not a whole number from 2 to 10000"),
@@ -122,27 +126,31 @@ def test_the_bound_is_what_is_asked_for():
         ("vibro-impact", {"gamme": 0.7}, "gamma"),
     ],
 )
-def test_what_cannot_be_pushed_is_refused(scene, more, says):
-    with pytest.raises(InputError, match=says) as error:
+def test_invalid_requests_are_refused(scene, more, message):
+    with pytest.raises(InputError, match=message) as error:
         vj.smallest_push(scene, progress=False, **more)
     assert "\n" not in str(error.value)
 
 
-def test_the_command(strong, tmp_path, capsys, monkeypatch):
+def test_push_command(strong_cycle, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["beta=0.4", "gamma=0.75", "delta=0.005", "start=stuck", "scan=32"]
     assert main(["push", "vibro-impact", *words]) == 0
-    said = capsys.readouterr().out
-    assert f"x1 +  {float(strong.push_x1[1]):.4g} m (within" in said and "irregular" in said and "none up to" in said
-    again = vj.open_dataset(tmp_path / "vibro-impact-push.nc")
-    np.testing.assert_array_equal(again.push_x1, strong.push_x1)
-    assert push_lines(again) == push_lines(strong)
+    output = capsys.readouterr().out
+    assert (
+        f"x1 +  {float(strong_cycle.push_x1[1]):.4g} m (within" in output
+        and "irregular" in output
+        and "none up to" in output
+    )
+    stored = vj.open_dataset(tmp_path / "vibro-impact-push.nc")
+    np.testing.assert_array_equal(stored.push_x1, strong_cycle.push_x1)
+    assert push_lines(stored) == push_lines(strong_cycle)
     assert main(["info", "vibro-impact-push.nc"]) == 0
-    monkeypatch.setattr("vibrojax.analyses.push.run.find_pushes", lambda *_, **__: strong)
+    monkeypatch.setattr("vibrojax.analyses.push.run.find_pushes", lambda *_, **__: strong_cycle)
     capsys.readouterr()
     assert main(["push", "vibro-impact", *words]) == 0
-    assert capsys.readouterr().out.splitlines()[:-1] == said.splitlines()[:-1]
+    assert capsys.readouterr().out.splitlines()[:-1] == output.splitlines()[:-1]
     other = ["push", "vibro-impact", *words[:-1], "scan=16"]
-    assert main([*other, "-o", "vibro-impact-push.nc"]) == 2  # what is there is of others
+    assert main([*other, "-o", "vibro-impact-push.nc"]) == 2  # the file there holds another result
     assert "--fresh" in capsys.readouterr().err
     assert main(other) == 0 and (tmp_path / "vibro-impact-push-2.nc").exists()

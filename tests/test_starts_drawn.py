@@ -1,4 +1,4 @@
-"""Starts by the hundred: samples of a box and planes of states, and sweeps of nothing but starts."""
+"""Test samples of a box and planes of states as starts, and sweeps over starts alone."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ STATES = ("x1", "v1", "x2", "v2")
 RUN = {"settle": 1.0, "observe": 1.0}
 
 
-def read(starts, **more):
+def read_starts(starts, **more):
     return vj.read_sweep({"scene": "vibro-impact", "starts": starts, "run": RUN} | more)
 
 
@@ -21,64 +21,66 @@ def sobol(count=64, **more):
     return {"sample": "sobol", "count": count, "seed": 0, "box": BOX} | more
 
 
-def test_a_sobol_sample_has_one_start_in_each_slice_of_every_side():
-    """The defining property of the sequence in one dimension (Sobol 1967): of 2^m points one in each of 2^m slices."""
-    found = read(sobol()).starts
+def test_sobol_sample_has_one_start_in_each_slice():
+    """In one dimension, of 2^m points of the sequence one lies in each of 2^m slices (Sobol 1967)."""
+    starts = read_starts(sobol()).starts
     low, high = np.array(list(BOX.values())).T
-    slices = np.floor(64 * (found.vectors - low) / (high - low)).astype(int)
+    slices = np.floor(64 * (starts.vectors - low) / (high - low)).astype(int)
     for column in slices.T:
         assert sorted(column) == list(range(64))
-    assert (read(sobol(40)).starts.vectors == found.vectors[:40]).all()
-    assert (read(sobol(seed=1)).starts.vectors != found.vectors).all()
+    assert (read_starts(sobol(40)).starts.vectors == starts.vectors[:40]).all()
+    assert (read_starts(sobol(seed=1)).starts.vectors != starts.vectors).all()
 
 
-def test_a_random_sample_is_uniform_in_the_box():
-    found = read({"sample": "random", "count": 20000, "seed": 3, "box": {"v2": [-3.0, 1.0]}, "at": {"v1": -1.5}}).starts
-    v2 = found.vectors[:, 3]
-    assert (found.vectors[:, :3] == [0.0, -1.5, 0.0]).all() and v2.min() >= -3.0 and v2.max() <= 1.0
+def test_random_sample_is_uniform_in_box():
+    starts = read_starts(
+        {"sample": "random", "count": 20000, "seed": 3, "box": {"v2": [-3.0, 1.0]}, "at": {"v1": -1.5}}
+    ).starts
+    v2 = starts.vectors[:, 3]
+    assert (starts.vectors[:, :3] == [0.0, -1.5, 0.0]).all() and v2.min() >= -3.0 and v2.max() <= 1.0
     sigma = 4.0 / np.sqrt(12)
     assert abs(v2.mean() + 1.0) < 4 * sigma / np.sqrt(20000) and abs(v2.std() - sigma) < 0.02
 
 
-def test_a_plane_is_row_major_in_the_order_named():
+def test_plane_is_row_major_in_given_order():
     plane = {"plane": {"v2": [0.5, 1.0], "x2": {"start": -0.01, "stop": 0.01, "num": 3}}, "at": {"v1": -1.5}}
     expected = [[0.0, -1.5, x2, v2] for v2 in (0.5, 1.0) for x2 in (-0.01, 0.0, 0.01)]
-    np.testing.assert_allclose(read(plane).starts.vectors, expected, rtol=0, atol=1e-17)
+    np.testing.assert_allclose(read_starts(plane).starts.vectors, expected, rtol=0, atol=1e-17)
 
 
-def test_a_sweep_of_starts_alone_is_that_of_the_same_vectors_in_a_list(tmp_path):
-    drawn = read(sobol(6), parameters={"beta": 0.4})
-    found = vj.run_sweep(drawn, progress=False)
-    assert found.regime.dims == ("start",) and found.start.values.tolist() == list(range(6))
-    vectors = [list(one) for one in drawn.starts]
+def test_sweep_over_sample_agrees_with_sweep_over_listed_vectors(tmp_path):
+    drawn = read_starts(sobol(6), parameters={"beta": 0.4})
+    sampled = vj.run_sweep(drawn, progress=False)
+    assert sampled.regime.dims == ("start",) and sampled.start.values.tolist() == list(range(6))
+    vectors = [list(vector) for vector in drawn.starts]
     listed = vj.run_sweep({"scene": "vibro-impact", "starts": vectors, "grid": {"beta": [0.4]}, "run": RUN}, False)
     for name in ("period", "impact_velocity", "bit_amplitude"):
-        np.testing.assert_array_equal(found[name], listed[name].isel(beta=0))
-    for at, (name, unit) in enumerate(zip(STATES, ("m", "m s-1", "m", "m s-1"), strict=True)):
-        np.testing.assert_array_equal(found[f"start_{name}"], np.array(vectors)[:, at])
-        assert found[f"start_{name}"].attrs["units"] == unit
-    write_dataset(found, tmp_path / "starts.nc")
+        np.testing.assert_array_equal(sampled[name], listed[name].isel(beta=0))
+    for column, (name, unit) in enumerate(zip(STATES, ("m", "m s-1", "m", "m s-1"), strict=True)):
+        np.testing.assert_array_equal(sampled[f"start_{name}"], np.array(vectors)[:, column])
+        assert sampled[f"start_{name}"].attrs["units"] == unit
+    write_dataset(sampled, tmp_path / "starts.nc")
     assert vj.picture(open_dataset(tmp_path / "starts.nc"))
-    again = vj.orbits(found, progress=False)  # by the text that the dataset carries
-    np.testing.assert_array_equal(again.start_x1, found.start_x1)
+    again = vj.orbits(sampled, progress=False)  # from the sweep text in the dataset
+    np.testing.assert_array_equal(again.start_x1, sampled.start_x1)
 
 
-def test_a_list_of_starts_needs_no_grid_either():
-    found = read(["drive", [0.0, 0.0, 0.01, 0.0]])
-    assert found.dims == ("start",) and found.shape == (2,)
+def test_list_of_starts_needs_no_grid():
+    sweep = read_starts(["drive", [0.0, 0.0, 0.01, 0.0]])
+    assert sweep.dims == ("start",) and sweep.shape == (2,)
     with pytest.raises(InputError, match="grid: missing"):
         vj.read_sweep({"scene": "vibro-impact"})
     with pytest.raises(InputError, match="grid: empty"):
-        read(["drive"], grid={})
+        read_starts(["drive"], grid={})
 
 
-def test_a_million_starts_are_two_arrays():
-    found = read(sobol(10**6))
-    assert found.lanes == 10**6 and found.starts.vectors.nbytes + found.starts.number.nbytes == 5 * 8 * 10**6
-    index, states = found.lane_starts(999_990, 10**6)
+def test_million_starts_are_two_arrays():
+    sweep = read_starts(sobol(10**6))
+    assert sweep.lanes == 10**6 and sweep.starts.vectors.nbytes + sweep.starts.number.nbytes == 5 * 8 * 10**6
+    index, states = sweep.lane_starts(999_990, 10**6)
     assert index.shape == (10,) and all(state.shape == (10,) for state in states)
-    text = str(found.identity())
-    assert len(text) < 4000 and text != str(read(sobol(10**6, seed=1)).identity())
+    text = str(sweep.identity())
+    assert len(text) < 4000 and text != str(read_starts(sobol(10**6, seed=1)).identity())
 
 
 @pytest.mark.parametrize(
@@ -104,37 +106,37 @@ def test_a_million_starts_are_two_arrays():
         ),
     ],
 )
-def test_what_is_no_set_of_starts_is_refused_in_one_line(starts, line):
+def test_invalid_starts_are_refused_in_one_line(starts, line):
     with pytest.raises(InputError) as caught:
-        read(starts)
+        read_starts(starts)
     assert line in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_another_motion_is_found_among_many_starts_as_by_all_pairs():
+def test_hidden_motion_agrees_with_comparison_of_all_pairs():
     random = np.random.default_rng(0)
     for _ in range(40):
         points, starts, motions = random.integers(1, 6), random.integers(2, 40), random.integers(1, 4)
         lanes, noise = points * starts, 10.0 ** random.uniform(-6, -1.5)
-        apart, which = 10.0 ** random.uniform(-4, -1), random.integers(0, motions, lanes)
-        found = {
-            name: (1 + apart * random.normal(size=motions))[which] * (1 + noise * random.normal(size=lanes))
+        spread, which = 10.0 ** random.uniform(-4, -1), random.integers(0, motions, lanes)
+        features = {
+            name: (1 + spread * random.normal(size=motions))[which] * (1 + noise * random.normal(size=lanes))
             for name in COMPARED
         }
-        found["impact_velocity"][random.random(lanes) < 0.1] = np.nan
-        found["cycles"] = random.integers(0, 3, lanes).astype(float)
+        features["impact_velocity"][random.random(lanes) < 0.1] = np.nan
+        features["cycles"] = random.integers(0, 3, lanes).astype(float)
         error = 10.0 ** random.uniform(-6, random.uniform(-5.5, -0.5), lanes)
         error[random.random(lanes) < 0.1] = np.inf
-        found["error_estimate"] = error
+        features["error_estimate"] = error
         regime = random.integers(2, 4, lanes).astype(np.int8)
-        assert (hides_another(found, regime, int(starts)) == _by_all_pairs(found, regime, starts)).all()
+        assert (hides_another(features, regime, int(starts)) == _compare_all_pairs(features, regime, starts)).all()
 
 
-def _by_all_pairs(found, regime, starts):
+def _compare_all_pairs(features, regime, starts):
     hidden = np.zeros(len(regime), int)
     for i in range(len(regime)):
         for j in range(i - i % starts, i - i % starts + starts):
-            same = regime[i] == regime[j] and found["cycles"][i] > 0 and found["cycles"][j] > 0
-            within = SAME_WITHIN + found["error_estimate"][i] + found["error_estimate"][j]
-            pairs = [(found[name][i], found[name][j]) for name in COMPARED]
+            same = regime[i] == regime[j] and features["cycles"][i] > 0 and features["cycles"][j] > 0
+            within = SAME_WITHIN + features["error_estimate"][i] + features["error_estimate"][j]
+            pairs = [(features[name][i], features[name][j]) for name in COMPARED]
             hidden[i] |= same and any(abs(a - b) > within * max(abs(a), abs(b)) for a, b in pairs)
     return hidden

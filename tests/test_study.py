@@ -1,4 +1,4 @@
-"""Studies: Sobol indices and factorial effects against closed forms, the rules for lanes, the command, refusals."""
+"""Test studies: Sobol indices and factorial effects against closed forms, rules for lanes, the command and refusals."""
 
 import json
 from itertools import combinations
@@ -40,32 +40,34 @@ def ishigami(x, a=7.0, b=0.1):
 
 
 @pytest.fixture(scope="module")
-def ran():
-    """A study of a drill, and the dataset of its lanes."""
+def finished_study():
+    """Return the specification, the lanes and the dataset of a study of a drill."""
     spec = read_study(STUDY)
     lanes = vj.run_sweep(spec.sweep, progress=False)
     return spec, lanes, study_of(spec, lanes)
 
 
-def test_indices_of_the_ishigami_function():
-    """Ishigami and Homma (1990): the variance is a²/8 + b pi⁴/5 + b² pi⁸/18 + 1/2."""
+def test_indices_of_ishigami_function():
+    """The variance is a²/8 + b pi⁴/5 + b² pi⁸/18 + 1/2 (Ishigami and Homma 1990)."""
     a, b, pi = 7.0, 0.1, np.pi
     own = Sampling(dict.fromkeys("abc", (-pi, pi)), 4096, seed=3)
-    found = indices(own, ishigami(own.points(), a, b))
+    results = indices(own, ishigami(own.points(), a, b))
     variance = a**2 / 8 + b * pi**4 / 5 + b**2 * pi**8 / 18 + 0.5
     first = np.array([(1 + b * pi**4 / 5) ** 2 / 2, a**2 / 8, 0.0]) / variance
     pair = 8 * b**2 * pi**8 / 225 / variance
-    np.testing.assert_allclose(found["first_order"], first, atol=0.02)
-    np.testing.assert_allclose(found["total_order"], first + [pair, 0.0, pair], atol=0.02)
+    np.testing.assert_allclose(results["first_order"], first, atol=0.02)
+    np.testing.assert_allclose(results["total_order"], first + [pair, 0.0, pair], atol=0.02)
     second = np.array([[np.nan, 0, pair], [0, np.nan, 0], [pair, 0, np.nan]])
-    np.testing.assert_allclose(found["second_order"], second, atol=0.04)
+    np.testing.assert_allclose(results["second_order"], second, atol=0.04)
     for name, exact in (("first_order", first), ("total_order", first + [pair, 0.0, pair])):
-        assert (np.abs(found[name] - exact) <= 2 * found[f"{name}_conf"]).all() and (found[f"{name}_conf"] < 0.1).all()
-    np.testing.assert_allclose([found["mean"], found["std"] ** 2], [a / 2, variance], rtol=0.02)
+        assert (np.abs(results[name] - exact) <= 2 * results[f"{name}_conf"]).all() and (
+            results[f"{name}_conf"] < 0.1
+        ).all()
+    np.testing.assert_allclose([results["mean"], results["std"] ** 2], [a / 2, variance], rtol=0.02)
 
 
 @pytest.mark.parametrize("parameters", range(1, MAX_VARIED + 1))
-def test_no_effect_of_the_design_is_confounded_with_another(parameters):
+def test_effects_of_design_are_not_confounded(parameters):
     """Main effects and interactions are orthogonal, and those of a bilinear function are recovered exactly."""
     signs, pairs = factorial_signs(parameters), list(combinations(range(parameters), 2))
     columns = np.column_stack([np.ones(len(signs)), *signs.T, *(signs[:, i] * signs[:, j] for i, j in pairs)])
@@ -78,23 +80,23 @@ def test_no_effect_of_the_design_is_confounded_with_another(parameters):
         assert interaction[0, 1] == pytest.approx(-0.5) and left_out == (parameters > 2)
 
 
-def test_samples_without_a_value_are_left_out_in_whole():
-    """The indices are those of the remaining base samples alone; too few samples and constants have none."""
+def test_samples_with_missing_value_are_left_out_entirely():
+    """The indices use the remaining base samples alone. Too few samples or a constant quantity give no indices."""
     own = Sampling({"a": (0.0, 1.0), "b": (0.0, 2.0)}, 64)
     values = own.points() @ [1.0, 1.0]
-    whole = indices(own, values)
-    np.testing.assert_allclose(whole["total_order"], [0.2, 0.8], atol=0.05)
-    some = values.copy()
-    some[own.group * 3 + 1] = np.nan
-    found = indices(own, some)
-    assert found["left_out"] == 1 and found["corners_left_out"] == 0 and np.isfinite(found["total_order"]).all()
+    complete = indices(own, values)
+    np.testing.assert_allclose(complete["total_order"], [0.2, 0.8], atol=0.05)
+    incomplete = values.copy()
+    incomplete[own.group * 3 + 1] = np.nan
+    results = indices(own, incomplete)
+    assert results["left_out"] == 1 and results["corners_left_out"] == 0 and np.isfinite(results["total_order"]).all()
     for x, reason in ((np.full(len(values), np.nan), "too-few-samples"), (np.full(len(values), 2.0), "constant")):
-        found = indices(own, x)
-        assert REASONS[int(found["sobol_reason"])] == reason and np.isnan(found["first_order"]).all()
+        results = indices(own, x)
+        assert REASONS[int(results["sobol_reason"])] == reason and np.isnan(results["first_order"]).all()
 
 
-def test_a_study_is_of_its_lanes(ran):
-    _, lanes, ds = ran
+def test_study_summarises_its_lanes(finished_study):
+    _, lanes, ds = finished_study
     size = len(STUDY["vary"])
     assert lanes.sizes["point"] == STUDY["samples"] * (2 * size + 2) + 2**size
     assert ds.attrs["kind"] == "study" and ds.first_order.dims == ("of", "parameter")
@@ -113,9 +115,9 @@ def test_a_study_is_of_its_lanes(ran):
     assert any(line.strip().startswith("v (drive speed) causes") and "from 1.2 to 1.8 m/s" in line for line in lines)
 
 
-def test_lanes_without_the_regime_follow_the_rules(ran):
-    """One lane of each kind: no impact, at rest, irregular, failed, and without a value for another reason."""
-    _, lanes, _ = ran
+def test_lanes_of_other_regimes_follow_rules(finished_study):
+    """Lanes: impact-free, at rest, irregular, failed, and without a value for another reason."""
+    _, lanes, _ = finished_study
     lanes = lanes.isel(point=slice(0, 5)).copy(deep=True)
     edits = {
         "regime": [2, 1, 6, 7, 3],
@@ -135,13 +137,13 @@ def test_lanes_without_the_regime_follow_the_rules(ran):
         "share_single_impact": [0.0, 0.0, 0.0, np.nan, 1.0],
     }
     for name, values in expected.items():
-        found, zeros, averaged = values_of(lanes, name)
-        np.testing.assert_allclose(found.ravel(), values)
+        results, zeros, averaged = values_of(lanes, name)
+        np.testing.assert_allclose(results.ravel(), values)
         zero = [True, True, False, False, False] if name.startswith("impact") else [False] * 5
         assert zeros.ravel().tolist() == zero and averaged.ravel()[2] == (name != "share_single_impact")
 
 
-def test_the_command_writes_draws_and_explains(tmp_path, monkeypatch, capsys):
+def test_command_writes_draws_and_explains(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     table = {**STUDY, "samples": 8}
     (tmp_path / "own.toml").write_text(read_source(table, "study").text)
@@ -186,13 +188,13 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("changes", "line"), REFUSED)
-def test_bad_studies_are_refused_in_one_line(changes, line):
+def test_invalid_studies_are_refused_in_one_line(changes, line):
     with pytest.raises(InputError) as caught:
         read_study({**STUDY, **changes})
     assert line in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_what_is_missing_is_named(monkeypatch, capsys):
+def test_missing_keys_and_packages_are_named(monkeypatch, capsys):
     for key in ("scene", "of", "vary"):
         with pytest.raises(InputError, match=f"^study: {key}: missing"):
             read_study({name: value for name, value in STUDY.items() if name != key})
@@ -203,7 +205,7 @@ def test_what_is_missing_is_named(monkeypatch, capsys):
         samples.salib("sample")
 
 
-def test_the_bundled_study_is_valid():
+def test_bundled_study_is_valid():
     spec = read_study("drill")
     assert spec.of and spec.sweep.lanes == spec.sampling.samples * (2 * len(spec.sampling.bounds) + 2) + 2 ** len(
         spec.sampling.bounds

@@ -1,4 +1,4 @@
-"""Sweep files that are right are read as meant; those that are not are in test_sweep_file_refused."""
+"""Test how valid sweep files are read. Invalid ones are in test_sweep_file_refused."""
 
 import tomllib
 from math import pi
@@ -32,14 +32,14 @@ keep_returns = 5
 """
 
 
-def from_text(folder, text, name="map.toml"):
+def write_text(folder, text, name="map.toml"):
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def test_a_full_file_is_read_with_its_defaults(tmp_path):
-    sweep = read_sweep(from_text(tmp_path, FULL))
+def test_full_file_is_read_with_defaults(tmp_path):
+    sweep = read_sweep(write_text(tmp_path, FULL))
     assert (sweep.name, sweep.title, sweep.scene, sweep.friction) == ("map", "a map", "vibro-impact", "stribeck")
     assert sweep.text == FULL
     assert tuple(sweep.starts) == ("drive", "stuck")
@@ -55,7 +55,7 @@ def test_a_full_file_is_read_with_its_defaults(tmp_path):
 
 
 def test_lanes_run_in_row_major_order(tmp_path):
-    sweep = read_sweep(from_text(tmp_path, FULL))
+    sweep = read_sweep(write_text(tmp_path, FULL))
     values, starts = sweep.lane_values(0, sweep.lanes)
     assert set(values) == set(sweep.system.parameters())
     assert all(column.shape == (144,) and column.dtype == np.float64 for column in values.values())
@@ -69,7 +69,7 @@ def test_lanes_run_in_row_major_order(tmp_path):
     assert (part_starts == starts[17:61]).all()
 
 
-def test_a_grid_too_large_for_memory_costs_nothing():
+def test_grid_too_large_for_memory_is_read_lazily():
     axis = {"start": 0.1, "stop": 1.2, "num": 10**6}
     sweep = read_sweep({"scene": "rotary", "grid": {"beta": axis, "gamma": axis, "v": [1.0, 2.0]}})
     assert sweep.lanes == 4 * 10**12
@@ -81,13 +81,13 @@ def test_a_grid_too_large_for_memory_costs_nothing():
     )
 
 
-def test_starts_may_be_names_and_vectors():
+def test_starts_can_be_names_and_vectors():
     starts = ["touching", [0, 0, 0.01, -1]]
     sweep = read_sweep({"scene": "vibro-impact", "starts": starts, "grid": {"beta": [0.4]}})
     assert tuple(sweep.starts) == ("touching", (0.0, 0.0, 0.01, -1.0))
 
 
-def test_a_dict_reads_like_its_own_text(tmp_path):
+def test_dict_and_its_text_give_same_sweep(tmp_path):
     tables = {
         "scene": "vibro-impact",
         "title": 'ä "quoted" \\ \t end',
@@ -97,18 +97,18 @@ def test_a_dict_reads_like_its_own_text(tmp_path):
         "run": {"end_early": False, "precision": "float32"},
     }
     sweep = read_sweep(tables)
-    again = read_sweep(from_text(tmp_path, sweep.text))
+    again = read_sweep(write_text(tmp_path, sweep.text))
     assert sweep.name == "sweep" and again.name == "map"
     assert again.title == tables["title"] and again.friction == "coulomb" and not again.run.end_early
     assert again.identity() == sweep.identity()
 
 
 @pytest.mark.parametrize("tables", [{}, {"a": 1, "b c": [1.5, True], "t": {"x": {"y": "z"}, "e": {}}}, {"t": {}}])
-def test_the_writer_of_toml_round_trips(tables):
+def test_toml_writer_round_trips(tables):
     assert tomllib.loads(render(tables)) == tables
 
 
-def test_identity_follows_what_is_computed_and_nothing_else():
+def test_identity_depends_only_on_what_is_computed():
     base = {"scene": "rotary", "grid": {"beta": np.linspace(0.1, 0.5, 20)}}
     same = base | {"title": "other", "run": {"chunk": 7}, "parameters": {"m1": 250}}
     identity = read_sweep(base).identity()
@@ -119,19 +119,19 @@ def test_identity_follows_what_is_computed_and_nothing_else():
         assert read_sweep(base | other).identity() != identity
 
 
-# rpm with bit_radius stands for v = 2 pi rpm/60 bit_radius
+# rpm with bit_radius replaces v = 2 pi rpm/60 bit_radius
 
 SPEED = 2 * pi * 120 / 60 * 0.1
 
 
-def test_rotation_fixed_gives_the_drive_speed():
+def test_fixed_rotation_gives_drive_speed():
     sweep = read_sweep({"scene": "rotary", "parameters": {"rpm": 120, "bit_radius": 0.1}, "grid": {"beta": [0.4]}})
     assert sweep.parameters["v"] == pytest.approx(SPEED) and not {"rpm", "bit_radius"} & sweep.parameters.keys()
     assert sweep.given == {"rpm": 120.0, "bit_radius": 0.1}
     assert sweep.lane_values(0, 2)[0]["v"] == pytest.approx(SPEED)
 
 
-def test_rotation_on_an_axis_gives_the_drive_speed():
+def test_rotation_on_axis_gives_drive_speed():
     grid = {"rpm": [60, 120], "beta": [0.4, 0.5]}
     sweep = read_sweep({"scene": "rotary", "parameters": {"bit_radius": 0.1}, "grid": grid, "starts": ["drive"]})
     assert sweep.dims == ("rpm", "beta", "start") and "v" not in sweep.parameters
@@ -140,13 +140,13 @@ def test_rotation_on_an_axis_gives_the_drive_speed():
     assert set(values) == set(sweep.system.parameters())
 
 
-def test_rotation_in_points_gives_the_drive_speed(tmp_path):
-    from_text(tmp_path, "rpm,bit_radius\n120,0.1\n60,0.1\n", "p.csv")
-    sweep = read_sweep(from_text(tmp_path, 'scene = "rotary"\npoints = "p.csv"\n'))
+def test_rotation_in_points_gives_drive_speed(tmp_path):
+    write_text(tmp_path, "rpm,bit_radius\n120,0.1\n60,0.1\n", "p.csv")
+    sweep = read_sweep(write_text(tmp_path, 'scene = "rotary"\npoints = "p.csv"\n'))
     assert sweep.lane_values(0, 4)[0]["v"] == pytest.approx([SPEED, SPEED, SPEED / 2, SPEED / 2])
 
 
-# bit_frequency stands for k1 = m1 (2 pi bit_frequency)², striker_frequency for gamma = striker_frequency/bit_frequency
+# bit_frequency replaces k1 = m1 (2 pi bit_frequency)², striker_frequency gamma = striker_frequency/bit_frequency
 
 
 @pytest.mark.parametrize(
@@ -169,8 +169,8 @@ def test_frequencies_give_stiffness_and_ratio(parameters, grid, k1, gamma):
 # points
 
 
-def test_points_may_be_a_data_frame():
-    """It is read as the table of its columns; its index is not one of them."""
+def test_points_can_be_data_frame():
+    """A data frame is read as the table of its columns, without its index."""
     base = {"scene": "vibro-impact", "run": {"settle": 1.0, "observe": 1.0}}
     table = {"beta": [0.3, 0.4], "gamma": [0.7, 0.66], "start": ["drive", "stuck"]}
     frame = pd.DataFrame(table, index=["a", "b"])
@@ -187,12 +187,12 @@ def test_points_may_be_a_data_frame():
 
 def test_semicolons_and_decimal_commas_are_read_where_unambiguous(tmp_path):
     path, base = tmp_path / "p.csv", {"scene": "vibro-impact", "points": str(tmp_path / "p.csv")}
-    for text, said in (
+    for text, warning in (
         ("beta;gamma;start\n0,3;1;drive\n0,4;0,66;stuck\n", ", commas are decimal marks"),
         ("beta;gamma;start\n0.3;1;drive\n0.4;0.66;stuck\n", ""),
     ):
         path.write_text(text)
-        with pytest.warns(UserWarning, match=f"p.csv: semicolons separate the columns{said}$"):
+        with pytest.warns(UserWarning, match=f"p.csv: semicolons separate the columns{warning}$"):
             points = read_sweep(base).points
         np.testing.assert_array_equal(points["beta"], [0.3, 0.4])
         np.testing.assert_array_equal(points["gamma"], [1.0, 0.66])
@@ -206,15 +206,15 @@ def test_semicolons_and_decimal_commas_are_read_where_unambiguous(tmp_path):
         assert line in str(caught.value)
 
 
-def test_points_lie_beside_the_file(tmp_path):
+def test_points_file_is_relative_to_sweep_file(tmp_path):
     (tmp_path / "p.csv").write_bytes(b"\xef\xbb\xbfbeta, gamma\r\n0.3,0.7\r\n\r\n0.4,1e0\r\n")
-    sweep = read_sweep(from_text(tmp_path, 'scene = "vibro-impact"\npoints = "p.csv"\n'))
+    sweep = read_sweep(write_text(tmp_path, 'scene = "vibro-impact"\npoints = "p.csv"\n'))
     assert sweep.dims == ("point", "start") and sweep.shape == (2, 2) and sweep.point_starts is None
     values, starts = sweep.lane_values(0, 4)
     assert values["gamma"].tolist() == [0.7, 0.7, 1.0, 1.0] and starts.tolist() == [0, 1, 0, 1]
 
 
-def test_a_column_start_takes_the_place_of_starts():
+def test_start_column_replaces_starts():
     points = {"beta": [0.3, 0.4, 0.5], "start": ["stuck", "drive", "stuck"]}
     sweep = read_sweep({"scene": "vibro-impact", "points": points, "starts": ["touching"]})
     assert sweep.dims == ("point",) and sweep.shape == (3,) and sweep.point_starts == points["start"]
@@ -229,13 +229,13 @@ def test_bundled_sweeps_have_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for folder in (checkout, installed):
         folder.mkdir()
-        from_text(folder, FULL.replace("a map", folder.name), "regime_map.toml")
+        write_text(folder, FULL.replace("a map", folder.name), "regime_map.toml")
         sweep = read_sweep("regime-map")
         assert (sweep.name, sweep.title) == ("regime-map", folder.name)
     assert read_sweep("regime_map").name == "regime_map"
 
 
-def test_a_byte_order_mark_does_no_harm(tmp_path):
+def test_byte_order_mark_is_accepted(tmp_path):
     path = tmp_path / "map.toml"
     path.write_bytes(b"\xef\xbb\xbf" + FULL.encode())
     assert read_sweep(path).text == FULL
@@ -244,7 +244,7 @@ def test_a_byte_order_mark_does_no_harm(tmp_path):
 # one point
 
 
-def test_a_point_is_checked_like_a_file():
+def test_single_point_is_read_like_file():
     point = read_point(Place("simulate"), "vibro-impact", {"rpm": 120, "bit_radius": 0.1, "friction": "coulomb"})
     assert (point.options, point.start) == ({"friction": "coulomb"}, "drive")
     assert point.parameters["v"] == pytest.approx(SPEED) and set(point.parameters) == set(point.system.parameters())

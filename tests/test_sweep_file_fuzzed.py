@@ -1,6 +1,6 @@
-"""Whatever stands in a sweep file, a dict or a CSV, reading it ends: in a sweep, or in one line that says why not.
+"""Test that reading any sweep file, dict or CSV ends in a sweep or in a one-line error.
 
-VIBROJAX_FUZZ=100000 pytest tests/test_sweep_file_fuzzed.py looks longer.
+VIBROJAX_FUZZ=100000 pytest tests/test_sweep_file_fuzzed.py searches longer.
 """
 
 import os
@@ -20,7 +20,7 @@ from vibrojax.sweep.input.read import read_point, read_sweep
 SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
 fuzzed = settings(
     max_examples=int(os.environ.get("VIBROJAX_FUZZ", 60)),
-    deadline=5000,  # ms: never a hang
+    deadline=5000,  # [ms]; catches hangs
     derandomize="VIBROJAX_FUZZ" not in os.environ,
     suppress_health_check=list(HealthCheck),
 )
@@ -61,8 +61,8 @@ TABLES = st.fixed_dictionaries(
 )
 
 
-def ends(source) -> None:
-    """Reading ends in a sweep of which all can be asked before it runs, or in one line."""
+def check_reading_ends(source) -> None:
+    """Check that reading gives a usable sweep or a one-line error."""
     try:
         sweep = read_sweep(source)
         assert sweep.lanes >= 1 and sweep.dims and sweep.identity()
@@ -78,7 +78,7 @@ def ends(source) -> None:
 @example({"scene": "rotary", "grid": {"beta": [5e-324, 1.7e308]}, "run": {"settle": 1.7e308, "observe": 1.7e308}})
 @example({"scene": "rotary", "grid": {"beta": {"start": 1e-300, "stop": 1.7e308, "num": 3, "spacing": "log"}}})
 def test_dicts(tables):
-    ends(tables)
+    check_reading_ends(tables)
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +87,8 @@ def file(tmp_path_factory):
 
 
 @st.composite
-def mutated(draw) -> str:
-    """A bundled sweep with parts cut out, doubled, exchanged and put in."""
+def mutated_sweep_text(draw) -> str:
+    """Draw a bundled sweep in which parts are removed, repeated, replaced or inserted."""
     text = draw(st.sampled_from(SWEEPS))
     for _ in range(draw(st.integers(1, 4))):
         a, b = sorted((draw(st.integers(0, len(text))), draw(st.integers(0, len(text)))))
@@ -99,20 +99,20 @@ def mutated(draw) -> str:
 
 
 @fuzzed
-@given(mutated() | st.text(max_size=200))
+@given(mutated_sweep_text() | st.text(max_size=200))
 @example("a = " + "[" * 5000)
 @example("a" + ".a" * 5000 + " = 1")
 @example("scene = 'rotary'\ngrid.beta = [1_0e9999, 0x1f, 1979-05-27T07:32:00Z]")
 def test_files(file, text):
     file.write_bytes(text.encode("utf-8", "surrogatepass"))
-    ends(file)
+    check_reading_ends(file)
 
 
 @fuzzed
 @given(st.binary(max_size=300))
 def test_bytes(file, content):
     file.write_bytes(content)
-    ends(file)
+    check_reading_ends(file)
 
 
 CELLS = SCALARS.map(str) | st.sampled_from(["0.3", "", " 1e0 ", '"', '"0.3"', "\0", "nan", "1_0", "½"])
@@ -131,7 +131,7 @@ def test_points(file, header, rows, comma, newline, encoding):
     text = newline.join(comma.join(row) for row in [header, *rows])
     (file.parent / "p.csv").write_bytes(text.encode(encoding, "surrogatepass"))
     file.write_text('scene = "vibro-impact"\npoints = "p.csv"\n')
-    ends(file)
+    check_reading_ends(file)
 
 
 @fuzzed
@@ -141,7 +141,7 @@ def test_points(file, header, rows, comma, newline, encoding):
 )
 @example("rotary", [("start", "=", "[" * 5000)])
 @example("rotary", [("beta", "=", "9" * 5000)])
-def test_names_and_values(scene, words):
+def test_names_and_values_on_command_line(scene, words):
     try:
         settings, parameters = named_values(
             Place("simulate"), ["".join(word) for word in words], SIMULATE_SETTINGS, lists=False

@@ -1,4 +1,4 @@
-"""Sweep files that are wrong end in their one line, which names file, key and value, and what would be right."""
+"""Test that invalid sweep files give one line that names the file, the key and the value, and suggests a fix."""
 
 import pytest
 
@@ -10,8 +10,8 @@ from vibrojax.sweep.input.read import read_point, read_sweep
 GRID = {"beta": [0.4]}
 
 
-def problem(source) -> str:
-    """The line with which `source` is refused."""
+def refusal(source) -> str:
+    """Return the line with which `source` is refused."""
     with pytest.raises(InputError) as caught:
         read_sweep(source)
     line = str(caught.value)
@@ -46,7 +46,7 @@ def test_wrong_points_are_refused(tmp_path, text, line):
     (tmp_path / "p.csv").write_text(text)
     source = tmp_path / "map.toml"
     source.write_text('scene = "vibro-impact"\npoints = "p.csv"\n')
-    assert line in problem(source).replace(str(tmp_path) + "/", "")
+    assert line in refusal(source).replace(str(tmp_path) + "/", "")
 
 
 @pytest.mark.parametrize(
@@ -168,18 +168,18 @@ def test_wrong_points_are_refused(tmp_path, text, line):
 def test_wrong_input_is_refused(changes, line):
     tables = {"scene": "vibro-impact", "grid": GRID} | changes
     dropped = [key for key in ("scene", "grid") if tables[key] is None]
-    assert line in problem({key: value for key, value in tables.items() if key not in dropped})
+    assert line in refusal({key: value for key, value in tables.items() if key not in dropped})
 
 
 @pytest.mark.parametrize("name", ["delta", "k0", "c0"])
 def test_rotary_has_no_contact(name):
     for tables in ({"grid": {name: [1.0]}}, {"grid": GRID, "parameters": {name: 1.0}}):
-        line = problem({"scene": "rotary"} | tables)
+        line = refusal({"scene": "rotary"} | tables)
         assert f'{name}: scene "rotary" has no {name}; it has m1, beta, gamma' in line
 
 
-def test_rotary_has_no_start_in_touch():
-    line = problem({"scene": "rotary", "grid": GRID, "starts": ["touching"]})
+def test_rotary_has_no_touching_start():
+    line = refusal({"scene": "rotary", "grid": GRID, "starts": ["touching"]})
     assert line == 'sweep: starts[0]: "touching" is not a start of scene "rotary"; choose from drive, stuck'
 
 
@@ -194,37 +194,37 @@ def test_rotary_has_no_start_in_touch():
         (b"a = 1" + b"0" * 5000, "map.toml: not TOML:"),
     ],
 )
-def test_files_that_are_no_toml_are_refused(tmp_path, content, line):
+def test_files_that_are_not_toml_are_refused(tmp_path, content, line):
     path = tmp_path / "map.toml"
     path.write_bytes(content)
-    assert line in problem(path)
+    assert line in refusal(path)
 
 
-def test_files_that_are_not_there_are_refused(tmp_path):
+def test_missing_files_are_refused(tmp_path):
     (tmp_path / "map.toml").write_text("")
-    assert 'mpa.toml: no such file; give the path of one that is there (did you mean "map.toml"?)' in problem(
+    assert 'mpa.toml: no such file; give the path of one that is there (did you mean "map.toml"?)' in refusal(
         tmp_path / "mpa.toml"
     )
-    assert "is a folder; give the path of a file" in problem(tmp_path)
-    assert "cannot be read" in problem("a\0.toml")
-    assert problem(3) == "sweep: 3 is not a sweep; give a path, a bundled name or a dict"
+    assert "is a folder; give the path of a file" in refusal(tmp_path)
+    assert "cannot be read" in refusal("a\0.toml")
+    assert refusal(3) == "sweep: 3 is not a sweep; give a path, a bundled name or a dict"
 
 
-def test_a_bundled_name_that_is_not_there_is_refused(tmp_path, monkeypatch):
+def test_unknown_bundled_name_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(source, "BUNDLED_FOLDERS", (tmp_path,))
     (tmp_path / "regime_map.toml").write_text("")
-    assert problem("regime-mpa") == 'regime-mpa: no such bundled sweep or file; did you mean "regime-map"?'
+    assert refusal("regime-mpa") == 'regime-mpa: no such bundled sweep or file; did you mean "regime-map"?'
 
 
-def test_a_wrong_point_is_refused_like_a_file():
-    for scene, given, start, line in (
+def test_wrong_point_is_refused_like_file():
+    for scene, parameters, start, line in (
         ("rotary", {"delta": 1.0}, None, 'simulate: delta: scene "rotary" has no delta'),
         ("rotary", {}, "touching", 'simulate: start: "touching" is not a start'),
         ("rotary", {"beta": -1.0}, None, "simulate: beta: is -1; it must be above 0"),
         ("rotery", {}, None, 'simulate: scene: "rotery" is unknown; did you mean "rotary"?'),
     ):
         with pytest.raises(InputError) as caught:
-            read_point(Place("simulate"), scene, given, start)
+            read_point(Place("simulate"), scene, parameters, start)
         assert str(caught.value).startswith(line)
 
 
@@ -239,7 +239,7 @@ def test_a_wrong_point_is_refused_like_a_file():
         ({"method": "smoothed", "smoothing": 1e-8}, 1.01e-6),
     ],
 )
-def test_least_error_that_is_accepted(run, least):
+def test_smallest_accepted_error(run, least):
     sweep = {"scene": "rotary", "grid": {"gamma": [0.5]}, "run": run | {"error": least}}
     assert vj.read_sweep(sweep).run.error == least
     with pytest.raises(InputError, match=r"run\.error: .* cannot be reached"):
@@ -247,7 +247,7 @@ def test_least_error_that_is_accepted(run, least):
 
 
 @pytest.mark.parametrize("run", [{"error": 1e-12}, {"error": 3e-6, "precision": "float32"}])
-def test_the_least_error_is_reached(run):
+def test_smallest_accepted_error_is_reached(run):
     sweep = {"scene": "rotary", "grid": {"gamma": [0.5, 0.6, 0.7]}, "run": run | {"settle": 200.0}}
     ds = vj.run_sweep(sweep, progress=False)
     assert (ds.cycles > 0).all() and (ds.error_estimate <= run["error"]).all()
@@ -262,6 +262,6 @@ def test_the_least_error_is_reached(run):
         ({"error": 1e-13, "solver": "Tsit5", "smoothing": 1e-2}, "diffrax"),
     ],
 )
-def test_simulate_refuses_an_error_that_cannot_be_reached(setting, method):
+def test_simulate_refuses_unreachable_error(setting, method):
     with pytest.raises(InputError, match=f'simulate: error: .* cannot be reached; method "{method}" reaches'):
         vj.simulate("rotary", duration=0.1, progress=False, **setting)

@@ -1,4 +1,4 @@
-"""Systems written as plain functions against closed forms, and one-line errors for mistakes in them."""
+"""Test systems written as plain functions against closed forms, and one-line errors for mistakes in them."""
 
 import pickle
 import re
@@ -25,14 +25,14 @@ R = 0.7
 GRAZE = oscillator_grazes(**OSCILLATOR)
 
 
-def special(family, kind, branch=0):
+def special_values(family, kind, branch=0):
     """Return the parameter values of the special points of a kind on a branch."""
     flag = family.special_kind.attrs["flag_meanings"].split().index(kind)
     chosen = (family.special_kind.values == flag) & (family.special_branch.values == branch)
     return family.special_value.values[chosen]
 
 
-def test_orbits_and_multipliers_of_the_impact_oscillator():
+def test_orbits_and_multipliers_of_impact_oscillator():
     amplitudes = np.array([1.5, 2.0, 2.5, 2.9]) * GRAZE
     orbits = [oscillator_orbits(a, R, **OSCILLATOR)[-1] for a in amplitudes]
     stable = [abs(orbit.multipliers[0]) < 1 for orbit in orbits]
@@ -56,43 +56,45 @@ def test_orbits_and_multipliers_of_the_impact_oscillator():
         assert np.sort(lane.multiplier_abs.values) == pytest.approx(known, rel=1e-6)
 
 
-def test_the_impact_oscillator_doubles_and_grazes_at_its_closed_forms():
+def test_period_doubling_and_grazing_of_impact_oscillator():
     doubles = oscillator_doubles((1.5 * GRAZE, 3 * GRAZE), R, **OSCILLATOR)
     begin = oscillator_orbits(2.9 * GRAZE, R, **OSCILLATOR)[-1].section.tolist()
     family = vj.follow(
         IMPACT_OSCILLATOR, along="a", at=2.9 * GRAZE, span=(0.95 * doubles, 3 * GRAZE), start=begin, progress=False
     )
-    assert special(family, "period-doubling") == pytest.approx([doubles], rel=1e-8)
+    assert special_values(family, "period-doubling") == pytest.approx([doubles], rel=1e-8)
     free = vj.follow(
         IMPACT_OSCILLATOR, along="a", at=0.9 * GRAZE, span=(0.8 * GRAZE, 1.2 * GRAZE), cycles=1, progress=False
     )
-    assert special(free, "grazing") == pytest.approx([GRAZE], rel=1e-8)
+    assert special_values(free, "grazing") == pytest.approx([GRAZE], rel=1e-8)
 
 
 @pytest.mark.long
-def test_the_ball_on_a_shaken_table_appears_and_doubles():
+def test_fold_and_period_doubling_of_ball_on_shaken_table():
     w, g = 2 * np.pi, 9.81
     low, high = ball_appears(0.5), ball_doubles(0.5)
     a = (low + high) / 2 * g / w**2
     orbit = ball_orbit((low + high) / 2, 0.5, w, g)
-    start = [-a - float(orbit.section[0]), -float(orbit.section[1])]  # it is relative to the table, downwards
+    start = [-a - float(orbit.section[0]), -float(orbit.section[1])]  # relative to the table, positive downwards
     span = (0.9 * low * g / w**2, 1.05 * high * g / w**2)
     family = vj.follow(BALL, along="a", at=a, span=span, start=start, cycles=1, progress=False)
-    assert special(family, "fold") * w**2 / g == pytest.approx([low], rel=1e-8)
-    assert special(family, "period-doubling") * w**2 / g == pytest.approx([high], rel=1e-8)
+    assert special_values(family, "fold") * w**2 / g == pytest.approx([low], rel=1e-8)
+    assert special_values(family, "period-doubling") * w**2 / g == pytest.approx([high], rel=1e-8)
 
 
-def test_bounces_that_accumulate_end_in_rest():
+def test_accumulating_bounces_end_at_rest():
     motion = vj.simulate(BALL, start=[1.0, 0.0], duration=20.0, progress=False)
     impacts = motion.event_time.values[motion.event_kind.values == 3]
     ends = np.sqrt(2 / 9.81) * (1 + 0.5) / (1 - 0.5)
-    assert impacts[-1] == pytest.approx(ends, abs=1e-6)  # slow bounces, whose height is rounding error, are left out
+    assert impacts[-1] == pytest.approx(
+        ends, abs=1e-6
+    )  # the slowest bounces are omitted; their height is rounding error
     assert abs(float(motion.x[-1])) < 1e-12 and float(motion.v[-1]) == 0
     assert motion.regime.attrs["flag_meanings"].split()[int(motion.regime)] == "equilibrium"
 
 
-def test_bounces_that_end_in_rest_in_each_period_are_an_orbit_that_forgets_its_past():
-    """The table throws the ball where a w² cos(w t) = -g; the first impact ends its flight, and rest its bounces."""
+def test_orbit_with_rest_in_each_period_has_zero_multipliers():
+    """The table throws the ball where a w² cos(w t) = -g. After the first impact, bounces end at rest."""
     w, g, drives = 2 * np.pi, 9.81, np.linspace(1.1, 1.9, 9)
     ds = vj.run_sweep(
         {
@@ -103,8 +105,8 @@ def test_bounces_that_end_in_rest_in_each_period_are_an_orbit_that_forgets_its_p
         },
         progress=False,
     )
-    found = ds.orbit_reason.attrs["flag_meanings"].split().index("found")
-    assert np.all(ds.orbit_reason == found)
+    found_flag = ds.orbit_reason.attrs["flag_meanings"].split().index("found")
+    assert np.all(ds.orbit_reason == found_flag)
     lanes = ds.where(ds.impacts > 4)  # with r = 0.4, some drives throw the ball so that it never rests
     assert float(np.isfinite(lanes.impacts).mean()) > 0.7
     assert float(lanes.multiplier_abs.max()) < 1e-9 and np.nanmin(lanes.grazing_margin) > 1e-4
@@ -119,19 +121,19 @@ def test_bounces_that_end_in_rest_in_each_period_are_an_orbit_that_forgets_its_p
         assert lane == pytest.approx([meets] * 2, rel=1e-7)
 
 
-def test_a_ball_at_rest_is_thrown_off_where_the_table_falls_faster_than_it():
-    """The table accelerates downwards at most by a w² = 1.5 g; the ball leaves where a w² cos(w t) = -g."""
+def test_resting_ball_leaves_table_that_falls_faster():
+    """The table's downward acceleration reaches a w² = 1.5 g. The ball leaves where a w² cos(w t) = -g."""
     a, w = 1.5 * 9.81 / (2 * np.pi) ** 2, 2 * np.pi
     motion = vj.simulate(BALL, start=[-a, 0.0], a=a, r=0.0, duration=1.0, sampling=1e-3, error=1e-8, progress=False)
     gap = motion.x.values + a * np.cos(w * motion.time.values)
     leaves = np.arccos(-1 / 1.5) / w
     flying = motion.time.values[gap > 1e-7]
     assert flying[0] == pytest.approx(leaves, abs=2e-2) and flying[0] > leaves
-    assert np.abs(gap[motion.time.values < leaves]).max() < 1e-10  # what the steps' errors add up to
+    assert np.abs(gap[motion.time.values < leaves]).max() < 1e-10  # accumulated errors of the steps
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.2])
-def test_stick_slip_on_a_belt_has_its_period_from_two_starts(speed):
+def test_period_of_stick_slip_on_belt_from_two_starts(speed):
     ds = vj.run_sweep(
         {"scene": BELT, "grid": {"belt_speed": [speed]}, "starts": [[0.0, 0.0], [1.5, 0.0]], "run": {"error": 1e-6}},
         progress=False,
@@ -140,20 +142,20 @@ def test_stick_slip_on_a_belt_has_its_period_from_two_starts(speed):
     assert ds.regime.attrs["flag_meanings"].split()[int(ds.regime[0, 0])] == "periodic"
 
 
-def test_a_mass_on_a_fast_belt_need_not_stick():
-    """From rest the mass swings by mu_k N/k = 0.2 m, so at 0.2 m/s at most, which is slower than the belt."""
+def test_mass_on_fast_belt_never_sticks():
+    """From rest the mass swings by mu_k N/k = 0.2 m. Its speed of at most 0.2 m/s stays below the belt's."""
     motion = vj.simulate(BELT, belt_speed=0.4, start=[0.0, 0.0], progress=False)
     assert float(motion.period) == pytest.approx(2 * np.pi, rel=1e-6)
     assert float(motion.v.max()) == pytest.approx(0.2, rel=1e-3)
 
 
 @pytest.mark.parametrize("stiffness", [4.0, 9.0])
-def test_the_bilinear_oscillator_has_its_natural_period(stiffness):
+def test_natural_period_of_bilinear_oscillator(stiffness):
     motion = vj.simulate(BILINEAR, k2=stiffness, start=[1.0, 0.0], error=1e-8, progress=False)
     assert float(motion.period) == pytest.approx(np.pi * (1 + 1 / np.sqrt(stiffness)), rel=1e-8)
 
 
-def test_a_relay_slides_by_filippovs_combination():
+def test_relay_slides_by_filippov_convention():
     motion = vj.simulate(RELAY, start=[1.0, 0.0], duration=8.0, error=1e-8, progress=False)
     late = motion.sel(time=slice(5.0, None))
     decay = np.exp(-(late.time.values - late.time.values[0]))
@@ -161,7 +163,7 @@ def test_a_relay_slides_by_filippovs_combination():
     assert np.abs(late.x + late.y).max() < 1e-14
 
 
-def test_a_section_may_lie_at_a_number_and_regimes_may_have_names_of_ones_own():
+def test_section_can_lie_at_value_and_regimes_can_be_renamed():
     ticking = vj.System(
         "ticking",
         states={"x": "m", "v": "m s-1"},
@@ -179,7 +181,7 @@ def test_a_section_may_lie_at_a_number_and_regimes_may_have_names_of_ones_own():
     assert motion.x.interp(time=crossings[-3:]).values == pytest.approx([0.5] * 3, abs=1e-4)
 
 
-def test_other_processes_import_a_system_from_its_module():
+def test_other_processes_import_system_from_its_module():
     assert pickle.loads(pickle.dumps(systems.BALL)) is systems.BALL
     alone = vj.System(
         "alone", states={"x": "m"}, parameters={"k": 1.0}, field=lambda t, y, p: {"x": -y["x"]}, section="x"
@@ -253,14 +255,14 @@ def cos(x):
 
 
 @pytest.mark.parametrize("message", MISTAKES)
-def test_a_mistake_in_a_system_is_one_line(message):
+def test_mistake_in_system_gives_one_line(message):
     with pytest.raises(vj.InputError) as caught:
         vj.System("wrong", **(GOOD | MISTAKES[message]))
     text = str(caught.value)
     assert text.startswith("system wrong: ") and message in text and "\n" not in text and len(text) < 220
 
 
-def test_a_start_beyond_the_stop_fails_and_numbers_stand_for_lanes():
+def test_start_beyond_stop_fails_with_reason():
     ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}, "starts": [[1.5, 0.0]]}, progress=False)
     assert ds.regime.attrs["flag_meanings"].split()[int(ds.regime[0, 0])] == "failed"
     assert reasons_of(ds) == ["beyond-a-stop"] * 2
@@ -273,7 +275,7 @@ def test_a_start_beyond_the_stop_fails_and_numbers_stand_for_lanes():
     assert float(motion.x[-1]) == pytest.approx(2.0)
 
 
-def test_the_page_of_a_system_shows_its_motions_without_a_command(tmp_path):
+def test_page_of_system_shows_motions_without_command(tmp_path):
     ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}}, progress=False)
     page = vj.write_page(ds, tmp_path / "page.html").read_text()
     assert '"own_scene": true' in page or '"own_scene":true' in page
@@ -281,11 +283,11 @@ def test_the_page_of_a_system_shows_its_motions_without_a_command(tmp_path):
 
 
 def reasons_of(ds):
-    """Return the reasons of the lanes of a dataset, by name."""
+    """Return the names of the reasons of a dataset's lanes."""
     return np.array(ds.reason.attrs["flag_meanings"].split())[ds.reason.values.ravel()].tolist()
 
 
-def test_a_start_that_cannot_be_is_one_line():
+def test_invalid_start_gives_one_line():
     with pytest.raises(vj.InputError, match=r"start: \[1.5, 0.0\]: the gap of stop_hit is -0.5; it must not be neg"):
         vj.simulate(IMPACT_OSCILLATOR, start=[1.5, 0.0], progress=False)
     with pytest.raises(vj.InputError, match=r"cannot be run \(beyond a stop\)"):
@@ -295,7 +297,7 @@ def test_a_start_that_cannot_be_is_one_line():
         vj.simulate(power, start=[-0.2, 0.0], progress=False)
 
 
-def test_messages_on_starts_have_the_states_of_the_system():
+def test_messages_about_starts_name_states_of_system():
     for wrong, right in (
         ({}, "plane = { x = { start = -0.05, stop = 0.05, num = 50 }, v = [-1.0, 1.0] }"),
         ({"sample": "sobol", "count": 4}, "box = { x = [-0.05, 0.05], v = [-2.0, 2.0] }"),
@@ -305,8 +307,8 @@ def test_messages_on_starts_have_the_states_of_the_system():
             vj.run_sweep({"scene": BALL, "grid": {"r": [0.5]}, "starts": wrong}, progress=False)
 
 
-def test_friction_and_a_switch_together():
-    """A mass that sticks on a belt until a spring, stiffer on one side, exceeds the friction of 0.4: at x = 0.4/4."""
+def test_friction_with_switch():
+    """A mass sticks on a belt until a spring, stiffer on one side, exceeds the friction of 0.4, at x = 0.4/4."""
     both = vj.System(
         "both",
         states={"x": "m", "v": "m s-1"},
@@ -334,15 +336,15 @@ def test_friction_and_a_switch_together():
 
 
 @pytest.mark.parametrize("a", [0.00249, 0.0026, 0.0045])
-def test_a_ball_that_is_hardly_thrown_up_stays_above_the_table(a):
-    """Just above the amplitude g/w² = 2.485 mm at which it leaves the table; slow bounces near the section included."""
+def test_ball_thrown_up_slightly_stays_above_table(a):
+    """The amplitudes lie just above g/w² = 2.485 mm, where the ball leaves the table with slow bounces."""
     motion = vj.simulate(BALL, a=a, w=20 * np.pi, start=[0.1, 0.0], duration=3.0, sampling=5e-4, progress=False)
     gap = motion.x.values + a * np.cos(20 * np.pi * motion.time.values)
     assert gap.min() > -1e-9
 
 
-def test_amplitudes_do_not_depend_on_the_steps():
-    """x' = cos(w t) - x swings by 1/sqrt(1 + w²); no state is the rate of x, so no step ends where it turns."""
+def test_amplitudes_do_not_depend_on_steps():
+    """x' = cos(w t) - x swings by 1/sqrt(1 + w²). No state is the rate of x, so no step ends at its turns."""
     lag = vj.System(
         "lag",
         states={"x": "1"},
@@ -357,7 +359,7 @@ def test_amplitudes_do_not_depend_on_the_steps():
     assert ds.return_x.values[:, 0, -1] == pytest.approx(exact**2, rel=1e-6)  # at t = 0, exact² cos 0
 
 
-def test_impact_velocities_have_the_unit_of_the_velocity():
+def test_impact_velocities_have_unit_of_velocity():
     pendulum = vj.System(
         "pendulum",
         states={"angle": "rad", "speed": "rad s-1"},
@@ -375,21 +377,23 @@ def test_impact_velocities_have_the_unit_of_the_velocity():
     assert ds.impact_velocity.units == "rad s-1" and ds.regime.attrs["long_name"] == "regime of the motion"
 
 
-def test_an_impact_vanishes_at_a_graze_and_the_branch_leads_away_from_it():
-    """Downwards, orbits with one impact per period end at the closed form. The doubled branch loses its slow impact
-    where the motion after the other one, in closed form, touches the stop; from there, orbits with one impact in two
-    periods lead down, to the graze of the motion without impacts."""
+def test_branch_continues_past_graze_where_impact_vanishes():
+    """Downwards, orbits with one impact per period end at the closed form.
+
+    The doubled branch loses its slow impact where the motion after the other impact, in closed form, touches the stop.
+    From there, orbits with one impact in two periods lead down to the graze of the motion without impacts.
+    """
     family = vj.follow(IMPACT_OSCILLATOR, along="a", at=0.61, span=(0.2, 0.65), cycles=2, progress=False)
-    [graze] = special(family, "grazing")
+    [graze] = special_values(family, "grazing")
     assert abs(graze - GRAZE) < 1e-8
-    slow, last = special(family, "grazing", branch=1)
-    assert abs(slow - brentq(touches_between, 0.54, 0.58, xtol=1e-13)) < 1e-8
+    slow, last = special_values(family, "grazing", branch=1)
+    assert abs(slow - brentq(distance_at_other_maximum, 0.54, 0.58, xtol=1e-13)) < 1e-8
     assert abs(last - GRAZE) < 1e-8
-    assert len(special(family, "fold", branch=1)) == 1  # not retraced
+    assert len(special_values(family, "fold", branch=1)) == 1  # the branch is not retraced
 
 
-def touches_between(a):
-    """Return how far the orbit with one impact in two periods stays from the stop at its other maximum."""
+def distance_at_other_maximum(a):
+    """Return the distance to the stop at the other maximum of the orbit with one impact in two periods."""
     w, stop = OSCILLATOR["w"], OSCILLATOR["stop"]
     orbit = oscillator_orbits(a, R, **OSCILLATOR, n=2)[-1]
     forced = a / complex(OSCILLATOR["stiffness"] - w**2, OSCILLATOR["damping"] * w)
@@ -409,8 +413,8 @@ def touches_between(a):
     return stop - max(x(top) for top in tops)
 
 
-def test_diagrams_of_systems_show_states_where_some_motions_have_no_impacts():
-    """Below the graze all motions are the linear response: x at t = 0 is a stiffness/D, with its branch and border."""
+def test_diagram_shows_states_where_some_motions_have_no_impacts():
+    """Below the graze all motions are the linear response, with x = a stiffness/D at t = 0, its branch and border."""
     grid = [0.5 * GRAZE, 0.8 * GRAZE, 1.6 * GRAZE]
     run = {"scene": IMPACT_OSCILLATOR, "grid": {"a": grid}, "run": {"keep_returns": 4}}
     ds = vj.run_sweep(run, progress=False)
@@ -429,7 +433,7 @@ def test_diagrams_of_systems_show_states_where_some_motions_have_no_impacts():
     )
 
 
-def test_parameters_have_units_and_units_are_those_of_pint(tmp_path):
+def test_parameters_have_units_of_pint(tmp_path):
     units = {"states": {"x": "deg", "v": "deg/s"}, "parameters": {"k": (1.0, "N m rad-1")}}
     torsion = vj.System("torsion", **(GOOD | units))
     ds = vj.run_sweep({"scene": torsion, "grid": {"k": [1.0, 2.0]}, "starts": [[1.0, 0.0]]}, progress=False)
@@ -437,7 +441,7 @@ def test_parameters_have_units_and_units_are_those_of_pint(tmp_path):
     assert "k [N m/rad]" in [axes.get_xlabel() for axes in vj.picture(ds, variable="x_amplitude").axes]
 
 
-def test_the_default_times_follow_the_slowest_oscillation():
+def test_default_times_follow_slowest_oscillation():
     pair = vj.System(
         "pair",
         states={"x": "m", "v": "m s-1", "z": "m", "w": "m s-1"},
@@ -453,34 +457,34 @@ def test_the_default_times_follow_the_slowest_oscillation():
     assert pair.usual_times == pytest.approx((200 * np.pi, 80 * np.pi), rel=0.02)
 
 
-def kinds(motion):
+def event_times(motion):
     """Return the times [s] of the events of a motion by kind."""
     names, flags = motion.event_kind.attrs["flag_meanings"].split(), motion.event_kind.values
     return {name: motion.event_time.values[flags == flag] for flag, name in enumerate(names)}
 
 
-def test_a_body_that_sticks_has_exactly_the_speed_of_its_surface():
-    """Departures move the surface away by 1e-12 of a typical speed; the body must not stick there."""
+def test_sticking_body_has_exactly_speed_of_surface():
+    """A departure moves the surface away by 1e-12 of a typical speed, at which the body must not stick."""
     motion = vj.simulate(BELT, start=[0.0, 0.0], duration=60.0, progress=False)
-    sticks, slips = kinds(motion)["stick"], kinds(motion)["slip"]
+    sticks, slips = event_times(motion)["stick"], event_times(motion)["slip"]
     time = motion.time.values
     stuck = np.any([(time > a) & (time < b) for a, b in zip(sticks, slips, strict=False)], axis=0)
     assert len(sticks) >= 4 and stuck.sum() > 100
     assert np.abs(motion.v.values[stuck] - 0.2).max() < 1e-15
 
 
-def test_trajectories_name_the_events_of_systems():
-    bounces = kinds(vj.simulate(BALL, start=[1.0, 0.0], duration=2.0, progress=False))
+def test_trajectories_name_events_of_systems():
+    bounces = event_times(vj.simulate(BALL, start=[1.0, 0.0], duration=2.0, progress=False))
     assert len(bounces["impact"]) > 10 and len(bounces["stick"]) == 1
     assert bounces["stick"][0] == pytest.approx(3 * np.sqrt(2 / 9.81), abs=1e-6)
-    slides = kinds(vj.simulate(RELAY, start=[0.5, 0.2], duration=2.0, progress=False))
+    slides = event_times(vj.simulate(RELAY, start=[0.5, 0.2], duration=2.0, progress=False))
     assert len(slides["slide"]) == 1 and not len(slides["impact"])
-    sides = kinds(vj.simulate(BILINEAR, start=[1.0, 0.0], duration=np.pi * 4 / 3, error=1e-10, progress=False))
+    sides = event_times(vj.simulate(BILINEAR, start=[1.0, 0.0], duration=np.pi * 4 / 3, error=1e-10, progress=False))
     assert sides["switch"] == pytest.approx(np.array([1 / 6, 1 / 6 + 1]) * np.pi, abs=1e-8)
 
 
-def test_soft_contacts_are_impacts_with_the_speed_of_their_approach():
-    """A ball on an elastic ground: a parabola, and an arc of the oscillation about g/k."""
+def test_soft_contacts_are_impacts_with_approach_speed():
+    """A ball on elastic ground follows a parabola and an arc of the oscillation about g/k."""
     ball = vj.System(
         "soft-ball",
         states={"x": "m", "v": "m s-1"},
@@ -497,8 +501,8 @@ def test_soft_contacts_are_impacts_with_the_speed_of_their_approach():
     assert ds.period.item() == pytest.approx(2 * speed / 9.81 + contact, rel=1e-6)
 
 
-def test_the_normal_force_of_a_friction_may_depend_on_switches():
-    """A block slides onto ground where the normal force is doubled: the work of friction is its kinetic energy."""
+def test_normal_force_can_depend_on_switches():
+    """A block slides onto ground where the normal force doubles. The work of friction equals its kinetic energy."""
     block = vj.System(
         "block",
         states={"x": "m", "v": "m s-1"},
@@ -520,20 +524,20 @@ def test_the_normal_force_of_a_friction_may_depend_on_switches():
     assert float(motion.x[-1]) == pytest.approx(0.5 + (0.5 - 0.3 * 0.5) / 0.6, abs=1e-9)
 
 
-def test_families_continue_where_an_impact_passes_the_time_of_the_section():
-    """The impact occurs at the maximum of the force, t = 0. The state at the section jumps there."""
+def test_family_continues_where_impact_passes_section():
+    """The impact occurs at the maximum of the force, t = 0, where the state at the section jumps."""
     fixed = {"a": 1.0, "stop": 0.5, "stiffness": 1.0, "damping": 0.1}
     family = vj.follow(IMPACT_OSCILLATOR, along="w", at=1.1, span=(0.9, 1.2), cycles=1, progress=False, a=1.0, stop=0.5)
     passed = brentq(lambda w: np.sin(oscillator_orbits(R=R, w=w, **fixed)[-1].phase), 0.9, 1.1)
-    assert special(family, "section") == pytest.approx([passed], abs=1e-8)
+    assert special_values(family, "section") == pytest.approx([passed], abs=1e-8)
     main = family.branch.values == 0
     assert {0.9, 1.2} <= set(family.w.values[main].tolist())
     for w, x in zip(family.w.values[main][::4], family.orbit_x.values[main][::4], strict=True):
         assert min(abs(x - orbit.section[0]) for orbit in oscillator_orbits(R=R, w=w, **fixed)) < 1e-8
 
 
-def test_a_section_during_sliding_has_the_multipliers_of_the_sliding_motion():
-    """On the surface v + 1.5 x = 0, x' = -1.5 x + b cos w t: the multipliers are exp(-1.5 T) and 0."""
+def test_section_during_sliding_has_multipliers_of_sliding_motion():
+    """On the surface v + 1.5 x = 0, x' = -1.5 x + b cos w t, so the multipliers are exp(-1.5 T) and 0."""
     relay = vj.System(
         "forced-relay",
         states={"x": "m", "v": "m s-1"},
@@ -547,7 +551,7 @@ def test_a_section_during_sliding_has_the_multipliers_of_the_sliding_motion():
 
 
 def test_departures_along_a_tangent_are_not_grazes():
-    """Coulomb friction that sticks in each period; the multiplier is that of a map computed with SciPy."""
+    """Coulomb friction makes the mass stick in each period. The expected multiplier was computed with SciPy."""
     floor = vj.System(
         "floor",
         states={"x": "m", "v": "m s-1"},

@@ -1,4 +1,4 @@
-"""Machines over the box of their tolerances: samples, extremes, command and refusals."""
+"""Test machines over the box of their tolerances: samples, extremes, command and refusals."""
 
 import json
 
@@ -19,7 +19,7 @@ def box():
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 3, 6])
-def test_samples_of_the_box(dimensions):
+def test_samples_of_box(dimensions):
     samples, places = sample_box(dimensions)
     edges = 0 if dimensions == 1 else dimensions * 2 ** (dimensions - 1)
     assert np.bincount(places).tolist() == [1, 2**dimensions, edges, INTERIOR_SAMPLES]
@@ -27,11 +27,11 @@ def test_samples_of_the_box(dimensions):
     for place, expected in (("nominal", 0), ("corner", dimensions), ("edge", dimensions - 1), ("interior", 0)):
         assert set(at_bounds[places == PLACES.index(place)].tolist()) <= {expected}, place
     assert len(np.unique(samples, axis=0)) == len(samples)
-    # The mean of a balanced sequence is exact to a sample: (INTERIOR_SAMPLES / 2) points on either side of the centre.
+    # A balanced sequence has INTERIOR_SAMPLES / 2 points on either side of the centre.
     assert ((samples[places == 3] > 0).sum(axis=0) == INTERIOR_SAMPLES // 2).all()
 
 
-def test_lanes_are_those_of_single_machines(box):
+def test_lanes_agree_with_single_machines(box):
     assert box.sizes["sample"] == 1 + 4 + 4 + INTERIOR_SAMPLES and box.attrs["kind"] == "tolerance"
     assert {name: box.attrs[f"tolerance_{name}"] for name in ("gamma", "delta")} == {"gamma": 0.01, "delta": 0.001}
     corner = int(np.flatnonzero((box.gamma == 0.76) & (box.delta == 0.004))[0])
@@ -55,26 +55,26 @@ def test_extremes_and_shares(box):
     assert float(box.regime_share.sel(label="single-impact")[0]) == float(box.regime_kept[0]) == 1.0
 
 
-def test_the_catalogue_has_the_variables(box):
-    known = vj.list_variables("vibro-impact")
-    added = known[known["where"] == "tolerance"]
-    lanes = set(known.index[known["where"] == ""])
+def test_catalogue_lists_variables(box):
+    catalogue = vj.list_variables("vibro-impact")
+    added = catalogue[catalogue["where"] == "tolerance"]
+    lanes = set(catalogue.index[catalogue["where"] == ""])
     assert set(box.data_vars) - lanes == set(added.index)
     for name in added.index:
         assert (box[name].units, box[name].long_name) == tuple(added.loc[name, ["units", "meaning"]])
 
 
-def test_a_scene_without_regimes_is_refused():
+def test_scene_without_regimes_is_refused():
     with pytest.raises(vj.InputError, match=r'scene: "penetration" has no section, so its motions have no regimes'):
         vj.tolerance("penetration", force=(30e3, 1e3), progress=False)
 
 
-def test_a_quantity_that_exists_nowhere():
+def test_quantity_without_values_has_no_extremes():
     still = vj.tolerance("vibro-impact", delta=(0.4, 0.1), start="stuck", run=RUN, progress=False)
     assert np.isnan(float(still.impact_velocity_least[0])) and int(still.impact_velocity_least_sample[0]) == -1
 
 
-def test_the_command_draws_summarises_and_is_read_again(tmp_path, monkeypatch, capsys):
+def test_command_draws_and_summarises_and_dataset_can_be_reread(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = [
         "tolerance",
@@ -87,15 +87,15 @@ def test_the_command_draws_summarises_and_is_read_again(tmp_path, monkeypatch, c
     ]
     assert main([*words, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    found = facts["tolerance"]["stuck"]
-    assert found["samples"] == 73 and found["nominal"] == "single-impact"
-    assert 0.735 <= found["impact_velocity"]["least_at"]["gamma"] <= 0.765
+    summary = facts["tolerance"]["stuck"]
+    assert summary["samples"] == 73 and summary["nominal"] == "single-impact"
+    assert 0.735 <= summary["impact_velocity"]["least_at"]["gamma"] <= 0.765
     assert (tmp_path / facts["dataset"]).is_file() and (tmp_path / facts["picture"]).is_file()
     assert main(["info", facts["dataset"]]) == 0
     text = capsys.readouterr().out
     assert "single-impact at 73 of 73 samples" in text and "least at gamma = " in text
     assert main(["plot", facts["dataset"], "-o", "again.png"]) == 0
-    assert main([*words[:2], "gamma=0.75+-1%", *words[3:]]) == 2  # another result is there
+    assert main([*words[:2], "gamma=0.75+-1%", *words[3:]]) == 2  # the file there holds another result
     assert "tolerance_gamma" in capsys.readouterr().err
 
 
@@ -114,14 +114,14 @@ def test_the_command_draws_summarises_and_is_read_again(tmp_path, monkeypatch, c
         "beta=1+-.1 gamma=1+-.1 v=1+-.1 g=9+-.1 c2=9+-.1 mu=1+-.1 m1=99+-.1": "7 parameters have a tolerance",
     }.items(),
 )  # fmt: skip
-def test_bad_input_is_one_line(words, line, tmp_path, monkeypatch, capsys):
+def test_invalid_input_gives_one_line(words, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["tolerance", "vibro-impact", *words.split()]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and line in said and not list(tmp_path.iterdir())
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and line in message and not list(tmp_path.iterdir())
 
 
-def test_a_long_name_does_not_say_greatest_twice():
+def test_long_name_does_not_repeat_greatest():
     names = [variable.long_name for variable in tolerance_variables(["peak_impact_force"]).values()]
     assert "greatest contact force over the box" in names
     assert not any("greatest greatest" in name for name in names)

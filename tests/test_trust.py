@@ -1,4 +1,4 @@
-"""Foreign code runs as kernels only where these agree with XLA; else XLA runs it, and one line says so."""
+"""Test that foreign code runs as kernels only where kernels agree with XLA, and otherwise on XLA with one warning."""
 
 import json
 import warnings
@@ -37,8 +37,8 @@ def run_kernel(function, static, *arguments, **options):
 
 
 @pytest.fixture
-def fresh(monkeypatch, tmp_path):
-    """As a new process with a cache of its own."""
+def fresh_process(monkeypatch, tmp_path):
+    """Emulate a new process with its own cache."""
     monkeypatch.setenv("VIBROJAX_CACHE", str(tmp_path / "cache"))
     before = dict(kernels)
     forget()
@@ -48,61 +48,61 @@ def fresh(monkeypatch, tmp_path):
 
 
 def forget():
-    """Forget what a process knows."""
+    """Clear the process's verdicts and kernels."""
     for known in (trust._refused, trust._trusted, kernels):
         known.clear()
     trust.newer_than_tested.cache_clear()
 
 
 @pytest.fixture
-def fault(fresh, monkeypatch):
-    """A fault in the translation of one function of jax: kernels take erfc(x) for x."""
+def translation_fault(fresh_process, monkeypatch):
+    """Inject a fault into the translation of one function of jax: kernels take erfc(x) for x."""
     monkeypatch.setitem(elementwise.RULES, "erfc", elementwise.RULES["copy"])
 
 
-def nothing(x):
-    """Zero, and -1 in a kernel with the fault."""
+def zero_unless_faulty(x):
+    """Return zero, but -1 in a kernel with the fault."""
     return lax.erfc(0.0 * x) - 1.0
 
 
-class InConstants(VibroImpact):
-    """A gap that the fault moves by a millimetre."""
+class FaultInConstants(VibroImpact):
+    """A drill whose gap the fault moves by a millimetre."""
 
     def constants(self, p):
-        return super().constants(p | {"delta": p["delta"] + 1e-3 * nothing(p["delta"])})
+        return super().constants(p | {"delta": p["delta"] + 1e-3 * zero_unless_faulty(p["delta"])})
 
 
-class InAGuard(VibroImpact):
-    """The contact that begins elsewhere; nothing but the guard has the fault."""
+class FaultInGuard(VibroImpact):
+    """A drill whose contact begins elsewhere, with the fault only in the guard."""
 
     def guards(self):
         friction, contact = super().guards()
 
         def function(c, mode, state):
-            return contact.function(c, mode, state) + 1e-3 * nothing(c.contact.delta)
+            return contact.function(c, mode, state) + 1e-3 * zero_unless_faulty(c.contact.delta)
 
         return friction, replace(contact, function=function)
 
 
 @dataclass(frozen=True)
 class Speed(vj.Gauge):
-    """A quantity that the fault moves."""
+    """A quantity that the fault changes."""
 
     variables: ClassVar[dict[str, tuple[str, str]]] = {"my_speed": ("m s-1", "drive speed")}
 
     def read(self, scene, c, carry, whole):
-        return {"my_speed": 1.5 + nothing(whole.time)}
+        return {"my_speed": 1.5 + zero_unless_faulty(whole.time)}
 
 
-class InAGauge(VibroImpact):
+class FaultInGauge(VibroImpact):
     measures = (*VibroImpact.measures, Speed())
 
 
-def law(term):
+def law_with_term(term):
     return FrictionLaw("mine", "eq. 5.9", STRIBECK.parameters, lambda u, p: STRIBECK.mu(u, p) + term(p["mu"]))
 
 
-def sweep(scene="vibro-impact"):
+def run_small_sweep(scene="vibro-impact"):
     grid = {"gamma": [0.65, 0.7]}
     given = {"scene": scene, "parameters": {"beta": 0.4, "delta": 0.005}, "grid": grid, "run": RUN}
     return vj.run_sweep(given, progress=False)
@@ -113,70 +113,70 @@ def compiler(dataset):
 
 
 @pytest.fixture(scope="module")
-def right():
-    return sweep()
+def correct_sweep():
+    return run_small_sweep()
 
 
-def refused(recorded):
-    return [str(one.message) for one in recorded if issubclass(one.category, KernelRefused)]
+def refusal_messages(recorded):
+    return [str(warning.message) for warning in recorded if issubclass(warning.category, KernelRefused)]
 
 
-WRONG, SOUND = law(lambda x: 0.1 * nothing(x)), law(lambda x: 0.0 * x)
+WRONG, SOUND = law_with_term(lambda x: 0.1 * zero_unless_faulty(x)), law_with_term(lambda x: 0.0 * x)
 ROTARY = vj.SCENES["rotary"]
 
 FAULTY = {
-    "constants": (InConstants(), "constants.contact.delta"),
-    "guard": (InAGuard(), "guards['contact']"),
-    "gauge": (InAGauge(), "features['my_speed']"),
+    "constants": (FaultInConstants(), "constants.contact.delta"),
+    "guard": (FaultInGuard(), "guards['contact']"),
+    "gauge": (FaultInGauge(), "features['my_speed']"),
     "law": (VibroImpact(friction=WRONG), "slip.stick_limit"),
 }
 
 
-def compared(scene, derives=False):
+def compare_kernel(scene, derives=False):
     kind = Kind(scene, vj.Located(), recorder_for(scene), scene.starts)
     return Comparison(kind, lanes_of(kind, ()), derives).difference()
 
 
 @pytest.fixture
 def quick_xla(monkeypatch):
-    """Sweeps by XLA, compiled without its optimisations: a tenth of the time."""
+    """Compile sweeps on XLA without optimisations, which takes a tenth of the time."""
     options: dict[str, int | str] = {"xla_backend_optimization_level": 0}
     if jax.__version_info__ < (0, 11, 2):
         options["xla_disable_hlo_passes"] = "cse_barrier_expander,fusion"
     monkeypatch.setattr(xla, "compiler_options", lambda platform: options)
 
 
-def test_a_sweep(fault, quick_xla, right):
-    """It is run by XLA, is right, and says so once."""
-    with pytest.warns(KernelRefused) as told:
-        own = sweep(InConstants())
-    [line] = refused(told)
+def test_sweep_with_fault_runs_on_xla(translation_fault, quick_xla, correct_sweep):
+    """The results are right, and one warning explains the change."""
+    with pytest.warns(KernelRefused) as caught:
+        own = run_small_sweep(FaultInConstants())
+    [line] = refusal_messages(caught)
     assert line.startswith('scene "vibro-impact": its kernel and XLA differ by ') and "\n" not in line
     assert line.endswith("; XLA runs its lanes, which takes longer")
-    assert compiler(own) == "xla" and compiler(right) == "llvm"
-    np.testing.assert_array_equal(own.regime, right.regime)
+    assert compiler(own) == "xla" and compiler(correct_sweep) == "llvm"
+    np.testing.assert_array_equal(own.regime, correct_sweep.regime)
     for name in ("period", "impact_velocity", "bit_amplitude"):
-        np.testing.assert_allclose(own[name], right[name], rtol=1e-8, err_msg=name)
+        np.testing.assert_allclose(own[name], correct_sweep[name], rtol=1e-8, err_msg=name)
 
 
-def test_a_sweep_would_be_wrong(fault, right, monkeypatch):
-    """Without the comparison, the fault gives another answer in silence."""
+def test_sweep_with_fault_is_wrong_without_comparison(translation_fault, correct_sweep, monkeypatch):
+    """Without the comparison, the fault silently changes the results."""
     monkeypatch.setattr(trust, "is_foreign", lambda kind: False)
-    own = sweep(InConstants())
-    assert compiler(own) == "llvm" and np.all(np.abs(own.impact_velocity / right.impact_velocity - 1) > 1e-3)
+    own = run_small_sweep(FaultInConstants())
+    assert compiler(own) == "llvm" and np.all(np.abs(own.impact_velocity / correct_sweep.impact_velocity - 1) > 1e-3)
 
 
-def test_simulate(fault):
+def test_simulate_with_fault_runs_on_xla(translation_fault):
     point = {"beta": 0.4, "gamma": 0.7, "start": "stuck", "duration": 3.0, "progress": False}
     usual = vj.simulate("rotary", **point)
-    with pytest.warns(KernelRefused) as told:
+    with pytest.warns(KernelRefused) as caught:
         own = vj.simulate("rotary", friction=WRONG, **point)
-    assert len(refused(told)) == 1
+    assert len(refusal_messages(caught)) == 1
     np.testing.assert_allclose(own.x1, usual.x1, atol=1e-9)
     np.testing.assert_allclose(own.friction_force, usual.friction_force, rtol=1e-6)
 
 
-def test_the_command_says_so_on_one_line(fault, quick_xla, monkeypatch, tmp_path, capsys):
+def test_command_warns_on_one_line(translation_fault, quick_xla, monkeypatch, tmp_path, capsys):
     monkeypatch.setitem(FRICTION_LAWS, "mine", WRONG)
     monkeypatch.setattr(warnings, "showwarning", cli._warn)
     text = (
@@ -191,10 +191,9 @@ def test_the_command_says_so_on_one_line(fault, quick_xla, monkeypatch, tmp_path
 
 
 @pytest.mark.parametrize("where", FAULTY)
-def test_where_it_differs(where, fault):
-    """The line names the quantity."""
+def test_warning_names_differing_quantity(where, translation_fault):
     scene, quantity = FAULTY[where]
-    differs = compared(scene)
+    differs = compare_kernel(scene)
     assert differs is not None and quantity in differs.quantity and 1e-5 < differs.relative < 10
 
 
@@ -206,12 +205,12 @@ def thrice(scene, x):
     return 3 * x
 
 
-def test_all_programs_of_a_refused_scene(fault):
-    """Orbits, trajectories and all else are not by kernels either, whether they would be wrong or not."""
+def test_all_programs_of_refused_scene_avoid_kernels(translation_fault):
+    """Orbits, trajectories and other programs avoid kernels too, even those that would be right."""
     scene, x = ROTARY(friction=WRONG), np.arange(3.0)
-    with pytest.warns(KernelRefused) as told, pytest.raises(Untranslatable, match="differ by"):
+    with pytest.warns(KernelRefused) as caught, pytest.raises(Untranslatable, match="differ by"):
         run_kernel(twice, (scene,), x)
-    assert len(refused(told)) == 1
+    assert len(refusal_messages(caught)) == 1
     with warnings.catch_warnings(), pytest.raises(Untranslatable):
         warnings.simplefilter("error")
         run_kernel(twice, (scene, vj.Located()), x, derives=True)
@@ -219,22 +218,21 @@ def test_all_programs_of_a_refused_scene(fault):
     np.testing.assert_array_equal(run_kernel(twice, (VibroImpact(),), x), 2 * x)
 
 
-def test_a_scene_that_no_kernel_can_run_is_compared_once(fresh, monkeypatch):
-    """XLA runs all of it, and there is no warning: nothing differs."""
-    tried = []
-    monkeypatch.setattr(Comparison, "__init__", lambda self, *given: tried.append(given) or no_kernel())
+def test_scene_without_kernels_is_compared_once(fresh_process, monkeypatch):
+    """XLA runs all its programs. There is no warning, because nothing differs."""
+    attempts = []
+    monkeypatch.setattr(Comparison, "__init__", lambda self, *arguments: attempts.append(arguments) or raise_no_rule())
     for _ in range(2):
         with pytest.raises(Untranslatable, match="no rule"):
             run_kernel(lambda scene, x: 2 * x, (ROTARY(friction=WRONG),), np.arange(3.0))
-    assert len(tried) == 1
+    assert len(attempts) == 1
 
 
-def no_kernel():
+def raise_no_rule():
     raise Untranslatable("no rule")
 
 
-def test_lanes_on_orbits(fault, quick_xla):
-    """The programs of XLA take over there too."""
+def test_lanes_on_orbits_switch_to_xla(translation_fault, quick_xla):
     read = vj.read_sweep({"scene": ROTARY(friction=WRONG), "grid": {"gamma": [0.65, 0.7]}, "run": RUN})
     engine = Engine(read, vj.Located(), recorder_for(read.system), workers())
     given = engine.given(0, 4)
@@ -249,21 +247,20 @@ def test_lanes_on_orbits(fault, quick_xla):
 
 
 @jax.custom_jvp
-def flat(x):
+def zero(x):
     return 0.0 * x
 
 
-@flat.defjvp
+@zero.defjvp
 def _(primals, tangents):
-    """Its derivative is 0, and not with the fault."""
-    return flat(primals[0]), 0.2 * nothing(primals[0]) * tangents[0]
+    """The derivative is 0, except with the fault."""
+    return zero(primals[0]), 0.2 * zero_unless_faulty(primals[0]) * tangents[0]
 
 
-def test_a_fault_in_derivatives_alone(fault):
-    """It shows where derivatives are asked for."""
-    scene = VibroImpact(friction=law(flat))
-    assert compared(scene) is None
-    differs = compared(scene, derives=True)
+def test_fault_only_in_derivatives_is_detected(translation_fault):
+    scene = VibroImpact(friction=law_with_term(zero))
+    assert compare_kernel(scene) is None
+    differs = compare_kernel(scene, derives=True)
     assert differs is not None and "derivative" in differs.quantity
 
 
@@ -276,8 +273,8 @@ def comparisons(monkeypatch):
     return made
 
 
-def test_sound_code_stays_with_kernels(fresh, comparisons, monkeypatch):
-    """It is compared once: not for the second kernel of a scene, nor in the next process."""
+def test_sound_code_runs_as_kernels(fresh_process, comparisons, monkeypatch):
+    """A scene is compared once, not again for its second kernel or in the next process."""
     for cache, count in (("on", 1), ("on", 1), ("off", 2)):
         if cache == "off":
             monkeypatch.setenv("VIBROJAX_CACHE", cache)
@@ -287,27 +284,26 @@ def test_sound_code_stays_with_kernels(fresh, comparisons, monkeypatch):
         assert len(comparisons) == count
 
 
-def test_simulate_compares_once(fresh, comparisons):
-    """The parts of a trajectory's program have one verdict, which the next process has too; kernels run it."""
+def test_simulate_compares_once(fresh_process, comparisons):
+    """All parts of a trajectory's program, and the next process, share one verdict."""
     for _ in range(2):
         vj.simulate("rotary", friction=SOUND, duration=0.5, progress=False)
         assert len(comparisons) == 1
         forget()
 
 
-def test_a_refusal_is_kept(fault, comparisons):
-    """The line is told again, and nothing is compared."""
+def test_refusal_is_cached(translation_fault, comparisons):
+    """The next process repeats the warning without a comparison."""
     lines = []
     for _ in range(2):
-        with pytest.warns(KernelRefused) as told, pytest.raises(Untranslatable):
+        with pytest.warns(KernelRefused) as caught, pytest.raises(Untranslatable):
             run_kernel(twice, (ROTARY(friction=WRONG),), np.arange(3.0))
-        lines += refused(told)
+        lines += refusal_messages(caught)
         forget()
     assert len(lines) == 2 and lines[0] == lines[1] and len(comparisons) == 1
 
 
-def test_a_newer_version(fresh, comparisons, monkeypatch):
-    """The package's own scenes are compared too, once."""
+def test_own_scenes_are_compared_with_newer_version(fresh_process, comparisons, monkeypatch):
     run_kernel(twice, (ROTARY(),), np.arange(3.0))
     assert not comparisons
     monkeypatch.setitem(trust.TESTED_VERSIONS, "jax", ("0.0.1",))
@@ -318,7 +314,7 @@ def test_a_newer_version(fresh, comparisons, monkeypatch):
 
 
 @pytest.mark.parametrize("package", ["jax", "llvmlite"])
-def test_which_versions_are_newer(package, fresh, monkeypatch):
+def test_newer_versions_are_recognised(package, fresh_process, monkeypatch):
     assert not trust.newer_than_tested()
     monkeypatch.setitem(trust.TESTED_VERSIONS, package, ("0.0.1", "0.0.2"))
     trust.newer_than_tested.cache_clear()
@@ -333,7 +329,7 @@ def test_tolerances_and_versions():
     )
 
 
-class Mine(vj.Located):
+class ForeignStepper(vj.Located):
     """A stepper from outside the package."""
 
 
@@ -341,42 +337,45 @@ class Mine(vj.Located):
     "scene, foreign",
     [
         *((scene(), False) for scene in vj.SCENES.values()),
-        *((VibroImpact(friction=one), False) for one in FRICTION_LAWS.values()),
+        *((VibroImpact(friction=friction_law), False) for friction_law in FRICTION_LAWS.values()),
         (VibroImpact(friction=FrictionLaw("mine", "eq. 5.9", STRIBECK.parameters, STRIBECK.mu)), False),
-        (VibroImpact(friction=law(nothing)), True),
-        (VibroImpact(friction=FrictionLaw("mine", "", {}, partial(STRIBECK.mu, extra=law))), True),
-        (VibroImpact(friction=replace(STRIBECK, mu_impact=law(nothing).mu)), True),
+        (VibroImpact(friction=law_with_term(zero_unless_faulty)), True),
+        (VibroImpact(friction=FrictionLaw("mine", "", {}, partial(STRIBECK.mu, extra=law_with_term))), True),
+        (VibroImpact(friction=replace(STRIBECK, mu_impact=law_with_term(zero_unless_faulty).mu)), True),
         (VibroImpact(friction=replace(STRIBECK, flat_below=lambda p: 0.0)), True),
-        (InConstants(), True),
-        (InAGauge(), True),
+        (FaultInConstants(), True),
+        (FaultInGauge(), True),
         (Switched(), True),
-        (Mine(), True),
+        (ForeignStepper(), True),
     ],
 )
-def test_what_is_foreign(scene, foreign):
-    """Scenes, laws, gauges and steppers from outside the package."""
-    scene, stepper = (VibroImpact(), scene) if isinstance(scene, Mine) else (scene, vj.Located())
+def test_foreign_code_is_recognised(scene, foreign):
+    """Scenes, laws, gauges and steppers from outside the package are foreign."""
+    scene, stepper = (VibroImpact(), scene) if isinstance(scene, ForeignStepper) else (scene, vj.Located())
     assert is_foreign(Kind(scene, stepper, recorder_for(scene), scene.starts)) == foreign
 
 
-OWN = [
+SOUND_SCENES = [
     *(vj.SCENES[name]() for name in vj.SCENES),
-    *(VibroImpact(friction=one) for one in FRICTION_LAWS.values() if one is not STRIBECK),
+    *(VibroImpact(friction=friction_law) for friction_law in FRICTION_LAWS.values() if friction_law is not STRIBECK),
     *(vj.SCENES["penetration"](pulse_shape=shape) for shape in PULSE_SHAPES[1:]),
     Switched(),
     Shaken(),
 ]
 
 
-def named(scene):
+def scene_id(scene):
     return "-".join([scene.name, *(str(getattr(x, "name", x)) for x in vars(scene).values())])
 
 
 @pytest.mark.parametrize(
     "scene",
-    [pytest.param(x, marks=[pytest.mark.long] * (getattr(x, "friction", STRIBECK) is not STRIBECK)) for x in OWN],
-    ids=named,
+    [
+        pytest.param(x, marks=[pytest.mark.long] * (getattr(x, "friction", STRIBECK) is not STRIBECK))
+        for x in SOUND_SCENES
+    ],
+    ids=scene_id,
 )
-def test_every_scene_and_law(scene):
-    """The package's own, which users' processes do not compare, and those of the tests."""
-    assert compared(scene) is None
+def test_kernels_of_every_scene_and_law_agree_with_xla(scene):
+    """Covers the package's own scenes, which user processes do not compare, and the scenes of the tests."""
+    assert compare_kernel(scene) is None

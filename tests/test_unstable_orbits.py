@@ -1,4 +1,4 @@
-"""Lanes near an unstable orbit: the orbit is not theirs, unless they have been shown to stay on it."""
+"""Test that a lane near an unstable orbit is assigned to that orbit only if the lane is shown to stay on it."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ class Constants(NamedTuple):
 
 @dataclass(frozen=True)
 class Rotor(vj.Scene[Constants]):
-    """A rotor (c, s) = (cos, sin) that returns to its circle, beside y' = growth y, which only y = 0 never leaves."""
+    """A rotor (c, s) = (cos, sin) that returns to its circle, with y' = growth y. Only y = 0 stays in the plane."""
 
     name = "rotor"
     states = (
@@ -72,16 +72,18 @@ def orbit_reason(lane):
 
 
 @pytest.fixture(scope="module")
-def doubled():
-    """A lane 15 s and more before it comes close to its stable 8-cycle, beside an unstable 4-cycle; without and with
-    orbits, and after 120 s."""
+def doubled_lane():
+    """Return a lane near an unstable 4-cycle, at least 15 s before it approaches its stable 8-cycle.
+
+    It runs without and with orbits, and with orbits after 120 s.
+    """
     sweep = {"scene": "vibro-impact", "parameters": DOUBLED, "grid": {"beta": [0.189708]}, "starts": ["stuck"]}
     runs = ({"settle": 60.0}, {"settle": 60.0, "orbits": True}, {"settle": 120.0, "orbits": True})
     return [vj.run_sweep(sweep | {"run": run, "unusual": True}, progress=False).squeeze() for run in runs]
 
 
-def test_the_unstable_orbit_beside_a_lane_is_another_orbit(doubled):
-    own, early, late = doubled
+def test_unstable_orbit_near_lane_is_another_orbit(doubled_lane):
+    own, early, late = doubled_lane
     assert orbit_reason(early) == "another-orbit" and early.stable == -1
     assert np.isnan(early.multiplier_abs).all() and np.isnan(early.orbit_x1) and early.orbit_cycles == 0
     for name in ("period", "impact_velocity", "impact_phase", "stick_fraction"):
@@ -89,9 +91,9 @@ def test_the_unstable_orbit_beside_a_lane_is_another_orbit(doubled):
     assert orbit_reason(late) == "found" and late.stable == 1 and late.orbit_cycles == 8
 
 
-def test_a_lane_near_an_unstable_orbit_has_no_bound(doubled):
-    """It is 7e-5 from where it settles."""
-    own, early, late = doubled
+def test_lane_near_unstable_orbit_has_no_error_bound(doubled_lane):
+    """The lane is 7e-5 from where it settles."""
+    own, early, late = doubled_lane
     assert abs(own.impact_velocity / late.impact_velocity - 1) > 5e-5
     assert np.isinf(early.error_estimate) and np.isinf(early.drift_estimate)
 
@@ -99,12 +101,12 @@ def test_a_lane_near_an_unstable_orbit_has_no_bound(doubled):
 @pytest.mark.parametrize(
     ("y", "growth", "reason"),
     [
-        (0.0, 1.0, "found"),  # a rounding would have grown by exp(40)
-        (0.0, 0.1, "another-orbit"),  # exp(4): it may be on its way
-        (1e-25, 1.0, "another-orbit"),  # it has left
+        (0.0, 1.0, "found"),  # a rounding error would have grown by exp(40)
+        (0.0, 0.1, "another-orbit"),  # by exp(4) only, so the lane may still be leaving
+        (1e-25, 1.0, "another-orbit"),  # the lane has left
     ],
 )
-def test_only_a_lane_that_would_have_left_has_been_shown_to_stay(y, growth, reason):
+def test_orbit_is_found_only_if_lane_would_have_left(y, growth, reason):
     sweep = {"scene": Rotor(), "starts": [[1.0, 0.0, y]], "grid": {"growth": [growth]}, "unusual": True}
     lane = vj.run_sweep(sweep | {"run": {"orbits": True}}, progress=False).squeeze()
     assert lane.cycles == 1 and orbit_reason(lane) == reason

@@ -1,4 +1,4 @@
-"""Points that start from states of their own: columns start_x1, start_v1, start_x2, start_v2."""
+"""Test points with their own initial states in the columns start_x1, start_v1, start_x2, start_v2."""
 
 import numpy as np
 import pytest
@@ -19,21 +19,21 @@ def sweep(vectors=VECTORS, **more):
 
 
 def test_each_point_starts_from_its_own_state():
-    found = vj.run_sweep(sweep(beta=[0.4, 0.3, 0.5]), progress=False)
-    assert found.regime.dims == ("point",) and "start" not in found.dims
+    dataset = vj.run_sweep(sweep(beta=[0.4, 0.3, 0.5]), progress=False)
+    assert dataset.regime.dims == ("point",) and "start" not in dataset.dims
     for i, beta in enumerate((0.4, 0.3, 0.5)):
-        one = {"scene": "vibro-impact", "starts": [VECTORS[i].tolist()], "grid": {"beta": [beta]}, "run": RUN}
-        alone = vj.run_sweep(one, progress=False).squeeze()
+        single_sweep = {"scene": "vibro-impact", "starts": [VECTORS[i].tolist()], "grid": {"beta": [beta]}, "run": RUN}
+        alone = vj.run_sweep(single_sweep, progress=False).squeeze()
         for name in ("period", "impact_velocity", "bit_amplitude", "drive_power"):
-            assert float(found[name][i]) == float(alone[name]), name
-    # the first is the named start `stuck`
+            assert float(dataset[name][i]) == float(alone[name]), name
+    # The first vector is the named start `stuck`.
     named = vj.run_sweep({"scene": "vibro-impact", "starts": ["stuck"], "grid": {"beta": [0.4]}, "run": RUN}, False)
-    assert float(found.period[0]) == named.period.item()
+    assert float(dataset.period[0]) == named.period.item()
 
 
-def test_the_dataset_carries_the_states_along_the_points(tmp_path):
-    found = vj.run_sweep(sweep(), progress=False)
-    write_dataset(found, tmp_path / "points.nc")
+def test_dataset_stores_states_along_points(tmp_path):
+    dataset = vj.run_sweep(sweep(), progress=False)
+    write_dataset(dataset, tmp_path / "points.nc")
     stored = open_dataset(tmp_path / "points.nc")
     for i, (name, unit) in enumerate(zip(COLUMNS, ("m", "m s-1", "m", "m s-1"), strict=True)):
         assert stored[name].dims == ("point",) and stored[name].attrs["units"] == unit
@@ -42,7 +42,7 @@ def test_the_dataset_carries_the_states_along_the_points(tmp_path):
     assert vj.picture(stored)
 
 
-def test_other_states_compile_nothing_anew():
+def test_other_states_need_no_new_compilation():
     vj.run_sweep(sweep(), progress=False)
     before = list(kernels)
     vj.run_sweep(sweep(VECTORS * 0.5), progress=False)
@@ -51,7 +51,7 @@ def test_other_states_compile_nothing_anew():
     assert list(kernels) == before
 
 
-def test_states_are_part_of_what_a_result_depends_on():
+def test_states_are_part_of_identity():
     first, second = (vj.read_sweep(sweep(vectors)).identity() for vectors in (VECTORS, VECTORS * 0.5))
     assert first != second and {f"points.{name}" for name in COLUMNS} <= set(first)
     assert vj.read_sweep(sweep()).lanes == 3
@@ -83,7 +83,7 @@ def test_wrong_columns_are_refused_in_one_line(tmp_path, header, line):
     assert line in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_values_that_are_no_states_are_refused():
+def test_invalid_states_are_refused():
     with pytest.raises(InputError, match=r"points.start_v1\[0\]: is inf; a finite number is needed"):
         vj.read_sweep(sweep(np.array([[0.0, np.inf, 0.0, 0.0]])))
     with pytest.raises(InputError, match='scene "penetration" has no'):

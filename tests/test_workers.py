@@ -1,4 +1,4 @@
-"""A sweep by many workers: whoever computes its chunks, the dataset is the same, bit for bit."""
+"""Test that a sweep by several workers gives the same dataset, bit for bit, whoever computes its chunks."""
 
 import json
 import multiprocessing
@@ -38,17 +38,24 @@ def expected(tmp_path_factory):
     return vj.run_sweep(path, progress=False)
 
 
-def assert_same(found, expected):
-    """Bit for bit, names, order, units and all; of the attributes what was computed."""
-    assert list(found.data_vars) == list(expected.data_vars) and found.coords.keys() == expected.coords.keys()
+def assert_same(dataset, expected):
+    """Check that values are equal bit for bit, with names, order and units, and attributes of the result."""
+    assert list(dataset.data_vars) == list(expected.data_vars) and dataset.coords.keys() == expected.coords.keys()
     for name in expected.variables:
-        one, other = found[name], expected[name]
-        assert one.dims == other.dims and one.dtype == other.dtype and one.attrs.keys() == other.attrs.keys(), name
-        assert one.values.tolist() == other.values.tolist() or one.values.tobytes() == other.values.tobytes(), name
-    assert found.attrs.keys() == expected.attrs.keys()
+        variable, reference = dataset[name], expected[name]
+        assert (
+            variable.dims == reference.dims
+            and variable.dtype == reference.dtype
+            and variable.attrs.keys() == reference.attrs.keys()
+        ), name
+        assert (
+            variable.values.tolist() == reference.values.tolist()
+            or variable.values.tobytes() == reference.values.tobytes()
+        ), name
+    assert dataset.attrs.keys() == expected.attrs.keys()
     for name in ("identity", "certified", "sweep", "lanes"):
-        assert found.attrs[name] == expected.attrs[name], name
-    assert json.loads(found.attrs["solver"])["steps"] == json.loads(expected.attrs["solver"])["steps"]
+        assert dataset.attrs[name] == expected.attrs[name], name
+    assert json.loads(dataset.attrs["solver"])["steps"] == json.loads(expected.attrs["solver"])["steps"]
 
 
 def test_spawned_pool_in_memory(file, expected):
@@ -56,30 +63,34 @@ def test_spawned_pool_in_memory(file, expected):
         assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
 
 
-def test_four_workers_into_a_file(file, expected, capfd, caplog):
-    """Nobody waits for the processes themselves to come to their end, which may take a second."""
+def test_four_workers_write_file(file, expected, capfd, caplog):
+    """The command does not wait until the worker processes themselves end, which may take a second."""
     caplog.set_level("INFO", "vibrojax")
     out = file.with_name("out.nc")
     run_to_file(read_sweep(file), out, processes=4)
     assert_same(vj.open_dataset(out), expected)
     assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.nc"}
-    said = capfd.readouterr().err.splitlines()
-    assert said[-1].startswith("24/24 lanes, ") and all("lanes" in line for line in said)  # one progress over all
+    lines = capfd.readouterr().err.splitlines()
+    assert lines[-1].startswith("24/24 lanes, ") and all(
+        "lanes" in line for line in lines
+    )  # one progress report over all
     [line] = [line for line in caplog.messages if line.startswith("workers: ")]
     assert re.fullmatch(r"workers: [1-4] in [\d.]+ s; busy for [\d.]+ s, idle at the end for [\d.]+ s(; for .+)?", line)
 
 
-def test_three_shares_at_once(file, expected):
+def test_three_concurrent_shares(file, expected):
     out = file.with_name("out.nc")
     shares = [start("sweep", file, "-o", out, "--only", f"{part}/3", "--quiet") for part in (1, 2, 3)]
     for share in shares:
         assert (share.wait(), share.communicate()) == (0, ("", ""))
     assert_same(vj.open_dataset(out), expected)
     assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.nc", "out.png"}
-    assert run_share(read_sweep(file), out, (2, 3), progress=False) == out  # which is whole: nothing is left to do
+    assert (
+        run_share(read_sweep(file), out, (2, 3), progress=False) == out
+    )  # the dataset is complete, so nothing is left to do
 
 
-def test_dask(file, expected):
+def test_dask_cluster(file, expected):
     distributed = pytest.importorskip("distributed")
     from vibrojax.cli import main
 
@@ -96,15 +107,15 @@ def test_dask(file, expected):
 
 @pytest.mark.parametrize("library", ["submitit", "loky"])
 @pytest.mark.long
-def test_executors_of_others(file, expected, tmp_path, library):
+def test_executors_of_other_libraries(file, expected, tmp_path, library):
     module = pytest.importorskip(library)
     if library == "loky":
         executor = module.ProcessPoolExecutor(2)
     else:
-        file.write_text(TEXT.replace("chunk = 5", "chunk = 12"))  # a process for each
+        file.write_text(TEXT.replace("chunk = 5", "chunk = 12"))  # one process per chunk
         executor = module.LocalExecutor(folder=tmp_path / "jobs")
-    found = vj.run_sweep(file, progress=False, executor=executor)
-    assert_same(found.assign_attrs(sweep=expected.attrs["sweep"]), expected)
+    dataset = vj.run_sweep(file, progress=False, executor=executor)
+    assert_same(dataset.assign_attrs(sweep=expected.attrs["sweep"]), expected)
     if library == "loky":
         executor.shutdown()
 
@@ -119,8 +130,8 @@ if __name__ == "__main__":
 """
 
 
-def test_mpi(file, expected):
-    """Where mpi4py is installed, and an MPI with it, such as `pip install mpi4py mpich` has."""
+def test_mpi_executor(file, expected):
+    """Needs mpi4py and an MPI library, such as from `pip install mpi4py mpich`."""
     pytest.importorskip("mpi4py")
     mpiexec = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     if mpiexec is None:
@@ -133,19 +144,19 @@ def test_mpi(file, expected):
     assert_same(vj.open_dataset(file.with_name("out.nc")), expected)
 
 
-def test_zarr(file, expected):
+def test_zarr_output(file, expected):
     pytest.importorskip("zarr")
     out = file.with_name("out.zarr")
-    for _ in range(2):  # the second replaces the first
-        found = run_to_file(read_sweep(file), out, progress=False)
-        assert_same(found, expected)
+    for _ in range(2):  # the second run replaces the first
+        dataset = run_to_file(read_sweep(file), out, progress=False)
+        assert_same(dataset, expected)
     with pytest.raises(InputError, match=r"holds another result: parameters\.v was 1\.5, is 1\.2"):
         run_to_file(read_sweep(file, ["v=1.2"]), out, progress=False)
     assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.zarr"}
 
 
-class Here:
-    """An executor that computes at once, in this thread, each chunk by `compute`."""
+class LocalExecutor:
+    """An executor that computes each chunk immediately, in this thread, by `compute`."""
 
     def __init__(self, compute):
         self.compute, self.asked = compute, []
@@ -160,15 +171,15 @@ class Here:
         return future
 
 
-def test_the_dearest_chunks_come_first(file):
-    """Lanes that are stiff in flight take c2/m2 steps a second, over the stride; the dataset is the same."""
+def test_most_expensive_chunks_come_first(file):
+    """Lanes that are stiff in flight take c2/m2 steps per second, divided by the stride. The dataset is the same."""
     file.write_text(
         TEXT.replace("beta = [0.3, 0.4, 0.5]", "c2 = [200.0, 1e6, 250.0, 1e5]").replace("chunk = 5", "chunk = 8")
     )
-    executor = Here(lambda self, fn, *arguments: fn(*arguments))
-    found = vj.run_sweep(file, progress=False, executor=executor)
+    executor = LocalExecutor(lambda self, fn, *arguments: fn(*arguments))
+    dataset = vj.run_sweep(file, progress=False, executor=executor)
     assert executor.asked == [1, 3, 2, 0]
-    assert_same(found, vj.run_sweep(file, progress=False))
+    assert_same(dataset, vj.run_sweep(file, progress=False))
     steps = [work["steps"].sum() for work in map(Work(read_sweep(file)).compute, range(4))]
     assert steps[1] > 20 * steps[0] and np.argsort(steps)[::-1].tolist()[:2] == [1, 3]
 
@@ -176,35 +187,43 @@ def test_the_dearest_chunks_come_first(file):
 @pytest.mark.parametrize(
     ("fails", "error", "warning"),
     [
-        (lambda asked: asked[-1] == 3, MemoryError("too much"), "chunk 3 failed with a worker (MemoryError: too much)"),
-        (lambda asked: len(asked) > 2, BrokenExecutor("a worker died"), "(BrokenExecutor: a worker died); the rest is"),
+        (
+            lambda requested: requested[-1] == 3,
+            MemoryError("too much"),
+            "chunk 3 failed with a worker (MemoryError: too much)",
+        ),
+        (
+            lambda requested: len(requested) > 2,
+            BrokenExecutor("a worker died"),
+            "(BrokenExecutor: a worker died); the rest is",
+        ),
     ],
 )
-def test_what_an_executor_cannot_do_is_done_here(file, expected, capsys, fails, error, warning):
-    """And no chunk is asked for twice."""
+def test_failed_chunks_are_computed_locally(file, expected, capsys, fails, error, warning):
+    """No chunk is requested twice."""
 
     def compute(self, fn, task, index, threads):
         if fails(self.asked):
             raise error
         return fn(task, index, threads)
 
-    executor = Here(compute)
+    executor = LocalExecutor(compute)
     assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
-    said = capsys.readouterr().err
-    assert said.count(warning) == 1 and said.count("computed here") == 1
+    lines = capsys.readouterr().err
+    assert lines.count(warning) == 1 and lines.count("computed here") == 1
     assert sorted(executor.asked) == [0, 1, 2, 3, 4]
 
 
-def test_what_is_wrong_with_a_sweep_is_said_once(file):
+def test_error_in_sweep_is_raised_once(file):
     def compute(*_):
         raise InputError("wrong")
 
     with pytest.raises(InputError, match="wrong"):
-        vj.run_sweep(file, progress=False, executor=Here(compute))
+        vj.run_sweep(file, progress=False, executor=LocalExecutor(compute))
 
 
-def test_futures_that_are_not_pythons_are_polled(file, expected):
-    """Like those of submitit: they have done() and result(), and nothing else that Python's have."""
+def test_foreign_futures_are_polled(file, expected):
+    """Like those of submitit, they have done() and result(), but none of the other methods of Python's futures."""
 
     class Job:
         def __init__(self, work):
@@ -237,12 +256,12 @@ def test_futures_that_are_not_pythons_are_polled(file, expected):
         ),
     ],
 )
-def test_executors_that_will_not_do(file, executor, problem):
+def test_unsuitable_executors_are_refused(file, executor, problem):
     with pytest.raises(InputError, match=problem):
         vj.run_sweep(file, progress=False, executor=executor())
 
 
-def test_physics_that_cannot_be_sent(tmp_path):
+def test_unpicklable_physics_is_refused(tmp_path):
     law = vj.FrictionLaw(
         name="mine", reference="", parameters=vj.parameters.table(), mu=lambda speed, p: 0.3 - 0.1 * speed
     )
@@ -251,21 +270,23 @@ def test_physics_that_cannot_be_sent(tmp_path):
         by_executor(read_sweep(sweep), executor, [0], lambda *_: None)
 
 
-def test_a_share_of_the_cores_each(file):
-    """Of two workers on this machine each has half of its cores; the environment has the last word."""
+def test_workers_share_cores(file):
+    """Each of two workers on this machine uses half of its cores, unless the environment overrides it."""
     from vibrojax.compile.xla import threads, usable_cores, with_threads
 
-    for workers, each in ((None, 1), (2, max(1, usable_cores() // 2))):
-        executor = Here(lambda self, fn, task, index, threads: self.threads.add(threads) or fn(task, index, threads))
+    for workers, expected_threads in ((None, 1), (2, max(1, usable_cores() // 2))):
+        executor = LocalExecutor(
+            lambda self, fn, task, index, threads: self.threads.add(threads) or fn(task, index, threads)
+        )
         executor.threads, executor._max_workers = set(), workers
         vj.run_sweep(file, progress=False, executor=executor)
-        assert executor.threads == {each}
+        assert executor.threads == {expected_threads}
     with with_threads(3):
         assert threads() == 3
     assert threads() == usable_cores()
 
 
-def test_a_worker_compiles_once(file, monkeypatch):
+def test_worker_compiles_once(file, monkeypatch):
     from vibrojax.analyses.sweep.workers.executor import pickled
     from vibrojax.sweep.engine.batch import Engine
 

@@ -1,6 +1,6 @@
-"""Workers that die, drivers that are killed or interrupted: nothing that is finished is lost, nobody is left behind.
+"""Test workers that die and drivers that are killed or interrupted: no finished chunk is lost, no process remains.
 
-`python tests/hard/kills.py 200 0 all` does so two hundred times, over all doors.
+`python tests/hard/kills.py 200 0 all` repeats this two hundred times, through all entry points.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ import vibrojax as vj
 from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.sweep.input.read import read_sweep
 
-# Six chunks of about half a second each: long enough that a busy machine still looks while one is computed.
+# Six chunks of about half a second each, so that even a busy machine polls while a chunk is computed.
 TEXT = """
 scene = "vibro-impact"
 [grid]
@@ -47,34 +47,34 @@ def file(tmp_path):
 
 @pytest.fixture
 def command():
-    """Starts the command with some words; what still runs when the test ends is killed."""
-    started = []
+    """Return a function that starts the command. Processes that still run when the test ends are killed."""
+    processes = []
 
-    def begin(*words: object) -> "subprocess.Popen[str]":
-        started.append(start(*words))
-        return started[-1]
+    def start_command(*words: object) -> "subprocess.Popen[str]":
+        processes.append(start(*words))
+        return processes[-1]
 
-    yield begin
-    for one in started:
-        one.kill()
-        one.communicate()
+    yield start_command
+    for process in processes:
+        process.kill()
+        process.communicate()
 
 
 def workers_of(process: int) -> list[int]:
-    """The spawned workers of a process."""
+    """Return the spawned workers of a process."""
     children = Path(f"/proc/{process}/task/{process}/children")
-    found = [int(one) for path in children.parent.parent.glob("*/children") for one in path.read_text().split()]
-    commands = {one: Path(f"/proc/{one}/cmdline").read_bytes() for one in found}
-    return [one for one, command in commands.items() if b"spawn_main" in command and b"resource_tracker" not in command]
+    pids = [int(pid) for path in children.parent.parent.glob("*/children") for pid in path.read_text().split()]
+    commands = {pid: Path(f"/proc/{pid}/cmdline").read_bytes() for pid in pids}
+    return [pid for pid, command in commands.items() if b"spawn_main" in command and b"resource_tracker" not in command]
 
 
-def claims(folder: Path) -> list[str]:
-    """What the claims in a folder say."""
-    found = []
+def claim_texts(folder: Path) -> list[str]:
+    """Return the texts of the claims in a folder."""
+    texts = []
     for path in folder.glob("*.claim"):
         with contextlib.suppress(FileNotFoundError):
-            found.append(path.read_text())
-    return found
+            texts.append(path.read_text())
+    return texts
 
 
 def wait_for(condition, seconds=300.0):
@@ -86,10 +86,10 @@ def wait_for(condition, seconds=300.0):
     return value
 
 
-def stopped_amid_a_chunk(process, folder) -> bool:
-    """Stop a process and say whether it has finished a chunk and holds another; it continues where it has not."""
+def stop_within_chunk(process, folder) -> bool:
+    """Stop a process and return whether it has finished a chunk and holds another. If not, let it continue."""
     process.send_signal(signal.SIGSTOP)
-    holds = any(f'"process": {process.pid},' in text for text in claims(folder))
+    holds = any(f'"process": {process.pid},' in text for text in claim_texts(folder))
     if holds and list(folder.glob("chunk-*[02468].shard")):
         return True
     process.send_signal(signal.SIGCONT)
@@ -97,26 +97,28 @@ def stopped_amid_a_chunk(process, folder) -> bool:
     return False
 
 
-def test_a_worker_that_dies_gives_its_chunk_to_another(file, command):
-    """And when the one who began is killed, or interrupted, its workers are gone too, and what is finished stays."""
+def test_chunk_of_dead_worker_is_computed_by_another(file, command):
+    """If the driver is killed or interrupted, its workers end too, and finished chunks remain."""
     out = file.with_name("out.nc")
     folder = out.with_name("out.nc.chunks")
-    began = command("sweep", file, "-o", out, "--workers", "2", "--quiet")
-    before = wait_for(lambda: len(found := workers_of(began.pid)) == 2 and list(folder.glob("chunk-*.claim")) and found)
+    driver = command("sweep", file, "-o", out, "--workers", "2", "--quiet")
+    before = wait_for(lambda: len(pids := workers_of(driver.pid)) == 2 and list(folder.glob("chunk-*.claim")) and pids)
     os.kill(before[0], signal.SIGKILL)
-    wait_for(lambda: began.poll() is not None or set(workers_of(began.pid)) - set(before))  # another took its place
-    wait_for(lambda: began.poll() is not None or list(folder.glob("*.shard")))
-    assert began.poll() is None  # there is more to do
-    workers, finished = workers_of(began.pid), {path: path.stat().st_mtime_ns for path in folder.glob("*.shard")}
-    began.kill()
-    wait_for(lambda: not any(Path(f"/proc/{one}").exists() for one in workers))
-    again = command("sweep", file, "-o", out, "--workers", "2")
-    workers = wait_for(lambda: len(found := workers_of(again.pid)) == 2 and found)
-    again.send_signal(signal.SIGINT)
-    assert again.wait() == 130
-    said = again.stderr.read()
-    assert f"to go on: vibrojax sweep {file} -o {out} --workers 2" in said and "Traceback" not in said
-    wait_for(lambda: not any(Path(f"/proc/{one}").exists() for one in workers))
+    wait_for(
+        lambda: driver.poll() is not None or set(workers_of(driver.pid)) - set(before)
+    )  # a new worker took its place
+    wait_for(lambda: driver.poll() is not None or list(folder.glob("*.shard")))
+    assert driver.poll() is None  # chunks remain to be computed
+    workers, finished = workers_of(driver.pid), {path: path.stat().st_mtime_ns for path in folder.glob("*.shard")}
+    driver.kill()
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
+    resumed = command("sweep", file, "-o", out, "--workers", "2")
+    workers = wait_for(lambda: len(pids := workers_of(resumed.pid)) == 2 and pids)
+    resumed.send_signal(signal.SIGINT)
+    assert resumed.wait() == 130
+    message = resumed.stderr.read()
+    assert f"to go on: vibrojax sweep {file} -o {out} --workers 2" in message and "Traceback" not in message
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
     assert {path: path.stat().st_mtime_ns for path in finished} == finished
     run_to_file(read_sweep(file), out, progress=False)
     expected = vj.run_sweep(file, progress=False)
@@ -124,49 +126,49 @@ def test_a_worker_that_dies_gives_its_chunk_to_another(file, command):
     assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.nc"}
 
 
-def test_shares_take_over_from_one_that_was_killed(file, command):
-    """Of two shares at once one is killed; another process of the same share goes on where it was."""
+def test_share_resumes_after_kill(file, command):
+    """One of two concurrent shares is killed. Another process of the same share resumes where it stopped."""
     out = file.with_name("out.nc")
     folder = out.with_name("out.nc.chunks")
     first, second = (command("sweep", file, "-o", out, "--only", f"{part}/2", "--quiet") for part in (1, 2))
-    wait_for(lambda: stopped_amid_a_chunk(first, folder))
+    wait_for(lambda: stop_within_chunk(first, folder))
     first.kill()
     first.wait()
     assert (second.wait(), second.stderr.read()) == (0, "")
     assert not out.exists()
-    told = command("info", out)
-    assert told.wait() == 0
-    held = [line for line in told.stdout if "chunk-" in line]
-    assert held and all("(has ended)" in line for line in held)
+    info = command("info", out)
+    assert info.wait() == 0
+    claim_lines = [line for line in info.stdout if "chunk-" in line]
+    assert claim_lines and all("(has ended)" in line for line in claim_lines)
     finished = {path: path.stat().st_mtime_ns for path in folder.glob("*.shard")}
-    again = command("sweep", file, "-o", out, "--only", "1/2", "--quiet")
+    resumed = command("sweep", file, "-o", out, "--only", "1/2", "--quiet")
     seen = {}
-    while again.poll() is None:
+    while resumed.poll() is None:
         for path in finished:
-            with contextlib.suppress(FileNotFoundError):  # at the end they are removed
+            with contextlib.suppress(FileNotFoundError):  # they are removed at the end
                 seen[path] = path.stat().st_mtime_ns
         time.sleep(0.02)
-    assert again.wait() == 0 and seen == finished
+    assert resumed.wait() == 0 and seen == finished
     assert np.all(vj.open_dataset(out).status == 0) and not folder.exists()
 
 
-def test_one_who_has_the_folder_for_himself_is_left_alone(file, command):
+def test_process_with_exclusive_folder_is_not_disturbed(file, command):
     file.write_text(TEXT.replace("3000.0", "60000.0"))
     out = file.with_name("out.nc")
-    began = command("sweep", file, "-o", out, "--workers", "2", "--quiet")
+    driver = command("sweep", file, "-o", out, "--workers", "2", "--quiet")
     wait_for(lambda: list(out.with_name("out.nc.chunks").glob("chunk-*.claim")))
     for words in (("--only", "1/2"), ()):
         other = command("sweep", file, "-o", out, *words)
-        _, said = other.communicate()
-        assert other.returncode == 2 and "another process is at work there" in said, said
-    told = command("info", out.with_name("out.nc.chunks"))
-    assert told.wait() == 0
-    assert f", process {workers_of(began.pid)[0]}, since 20" in told.stdout.read()
-    began.kill()
+        _, message = other.communicate()
+        assert other.returncode == 2 and "another process is at work there" in message, message
+    info = command("info", out.with_name("out.nc.chunks"))
+    assert info.wait() == 0
+    assert f", process {workers_of(driver.pid)[0]}, since 20" in info.stdout.read()
+    driver.kill()
     shared = command("sweep", file, "-o", out, "--only", "1/2", "--quiet")
-    wait_for(lambda: any(f'"process": {shared.pid},' in text for text in claims(out.with_name("out.nc.chunks"))))
+    wait_for(lambda: any(f'"process": {shared.pid},' in text for text in claim_texts(out.with_name("out.nc.chunks"))))
     alone = command("sweep", file, "-o", out)
     assert alone.wait() == 2
-    said = alone.stderr.read()
-    assert "another process is at work there (" in said and f"process {shared.pid}" in said
+    message = alone.stderr.read()
+    assert "another process is at work there (" in message and f"process {shared.pid}" in message
     shared.kill()

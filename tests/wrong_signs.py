@@ -1,4 +1,4 @@
-"""The drill with one sign turned round, to see that results of the source notice it."""
+"""The drill with one wrong sign, to test that the results of the source depend on it."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from vibrojax.models.scenes.vibro_impact import VibroImpact
 
 @dataclass(frozen=True)
 class WrongFriction(VibroImpact):
-    """Friction drives the bit where it should brake it: F with the other sign in m1 x1''."""
+    """A drill whose friction drives the bit instead of braking it: F has the wrong sign in m1 x1''."""
 
     def field(self, c, mode, state):
         v1, bit, v2, striker = super().field(c, mode, state)
@@ -17,7 +17,7 @@ class WrongFriction(VibroImpact):
 
 @dataclass(frozen=True)
 class WrongContact(VibroImpact):
-    """The contact pulls the striker in where it should throw it back: J with the other sign in m2 x2''."""
+    """A drill whose contact pulls the striker in instead of pushing it back: J has the wrong sign in m2 x2''."""
 
     def field(self, c, mode, state):
         v1, bit, v2, striker = super().field(c, mode, state)

@@ -1,4 +1,4 @@
-"""Friction laws against model.md, section 3, transcribed here in plain numpy."""
+"""Test friction laws against model.md, section 3, transcribed here in plain numpy."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from vibrojax.models.scenes.rotary import Rotary
 
 SPEEDS = np.array([1e-6, 1e-3, 0.02, 0.3, 1.5, 3.0, 4.2])
 
-# Two sets for each law: the defaults of section 3, and numbers no two of which can be mistaken for each other.
+# Two sets for each law: the defaults of section 3, and distinct numbers that cannot be confused with each other.
 PARAMETERS = {
     "coulomb": ({"mu": 0.4}, {"mu": 0.23}),
     "popp-exponential": ({"popp_c1": -0.02, "popp_c2": -0.25}, {"popp_c1": -0.3, "popp_c2": -0.7}),
@@ -79,7 +79,7 @@ AT_REST = {
 }
 
 
-def test_registry_holds_the_six_laws_of_the_source():
+def test_registry_contains_six_laws_of_source():
     assert set(FRICTION_LAWS) == set(MU)
     references = {name: law.reference for name, law in FRICTION_LAWS.items()}
     assert references == {
@@ -93,28 +93,28 @@ def test_registry_holds_the_six_laws_of_the_source():
 
 
 @pytest.mark.parametrize("name", MU)
-def test_defaults_are_those_of_section_3(name):
-    assert {key: one.default for key, one in FRICTION_LAWS[name].parameters.items()} == PARAMETERS[name][0]
+def test_defaults_agree_with_section_3(name):
+    assert {key: parameter.default for key, parameter in FRICTION_LAWS[name].parameters.items()} == PARAMETERS[name][0]
 
 
 @pytest.mark.parametrize(("name", "p"), CASES)
-def test_under_impact_only_eq_5_9_has_a_constant(name, p):
-    """Section 3: F = sgn(u) mu(u) (m1 g + J); 5.9 keeps the constant mu of eq. 5.12 on J."""
+def test_only_eq_5_9_has_constant_friction_under_impact(name, p):
+    """Section 3: F = sgn(u) mu(u) (m1 g + J), but 5.9 uses the constant mu of eq. 5.12 for J."""
     expected = p["mu"] + 0 * SPEEDS if name == "stribeck" else MU[name](SPEEDS, p)
-    found = [FRICTION_LAWS[name].on_impact(jnp.asarray(u), p) for u in SPEEDS]
-    np.testing.assert_allclose(found, expected, rtol=1e-14)
+    values = [FRICTION_LAWS[name].on_impact(jnp.asarray(u), p) for u in SPEEDS]
+    np.testing.assert_allclose(values, expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize(("name", "p"), CASES)
 @pytest.mark.parametrize("rest", [0.0, 1e-300])
 def test_limit_at_rest(name, p, rest):
-    """mu(0+) and d mu/d|u| at 0+, finite for every law."""
+    """mu(0+) and d mu/d|u| at 0+ are finite for every law."""
     value, slope = jax.value_and_grad(lambda u: jnp.asarray(FRICTION_LAWS[name].on_weight(u, p)))(rest)
     np.testing.assert_allclose([value, slope], AT_REST[name](p), rtol=1e-13, atol=1e-15)
 
 
 @pytest.mark.parametrize(("name", "p"), CASES)
-def test_nothing_is_nan_near_rest(name, p):
+def test_values_and_derivatives_are_finite_near_rest(name, p):
     law = FRICTION_LAWS[name]
 
     def mu(u, p):
@@ -122,9 +122,9 @@ def test_nothing_is_nan_near_rest(name, p):
 
     slope = jax.grad(mu)
     along_p = jax.grad(mu, argnums=1)
-    every = jax.jit(lambda u: (mu(u, p), slope(u, p), jax.grad(slope)(u, p), *along_p(u, p).values()))
+    all_values = jax.jit(lambda u: (mu(u, p), slope(u, p), jax.grad(slope)(u, p), *along_p(u, p).values()))
     for u in (0.0, 1e-300, 1e-150, 1e-9, 1e-5, 1e-4):
-        assert np.all(np.isfinite(every(u))), u
+        assert np.all(np.isfinite(all_values(u))), u
 
 
 @pytest.mark.parametrize(("name", "p"), CASES)
@@ -155,30 +155,30 @@ def test_jit_and_vmap_over_speed_and_parameters(name, p):
     lanes = {key: jnp.asarray(value * factors) for key, value in p.items()}
     expected = [MU[name](u, {key: value * f for key, value in p.items()}) for u, f in zip(SPEEDS, factors, strict=True)]
     for batched in (jax.vmap(law.on_weight), law.on_weight):
-        found = jax.jit(batched)(jnp.asarray(SPEEDS), lanes)
-        assert found.shape == SPEEDS.shape
-        np.testing.assert_allclose(found, expected, rtol=1e-14)
+        values = jax.jit(batched)(jnp.asarray(SPEEDS), lanes)
+        assert values.shape == SPEEDS.shape
+        np.testing.assert_allclose(values, expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize(("name", "p"), CASES)
 def test_single_precision_stays_single(name, p):
     p32 = {key: jnp.float32(value) for key, value in p.items()}
-    found = [FRICTION_LAWS[name].on_weight(jnp.float32(u), p32) for u in SPEEDS]
-    assert {value.dtype for value in found} == {jnp.dtype("float32")}
-    # A relative error of p/u, up to 40 before it falls under rounding, is multiplied by itself in the exponential.
-    np.testing.assert_allclose(found, MU[name](SPEEDS, p), rtol=5e-6)
+    values = [FRICTION_LAWS[name].on_weight(jnp.float32(u), p32) for u in SPEEDS]
+    assert {value.dtype for value in values} == {jnp.dtype("float32")}
+    # The exponential magnifies a relative error by p/u, up to 40 before the term falls below rounding.
+    np.testing.assert_allclose(values, MU[name](SPEEDS, p), rtol=5e-6)
 
 
 @pytest.mark.parametrize("popp_c1", [0.0, 0.02])
-def test_exponential_law_is_finite_at_rest_wherever_its_parameters_are_admitted(popp_c1):
-    """exp(c1/|u|) has the limit 1 for c1 = 0 and none for c1 > 0."""
+def test_exponential_law_is_finite_at_rest_for_accepted_parameters(popp_c1):
+    """exp(c1/|u|) has the limit 1 for c1 = 0 and no limit for c1 > 0."""
     law = FRICTION_LAWS["popp-exponential"]
     refused = law.parameters["popp_c1"].problem(popp_c1) is not None
     assert refused or np.isfinite(law.on_weight(0.0, {"popp_c1": jnp.asarray(popp_c1), "popp_c2": -0.25}))
 
 
-def test_a_new_law_needs_nothing_but_its_object():
-    """mu = mu_s exp(-|u|/u_s): in a scene, force on the bit at rest on the springs is -sgn(u) mu m1 g."""
+def test_new_law_needs_only_its_object():
+    """With mu = mu_s exp(-|u|/u_s), the force on a bit with unstretched springs is -sgn(u) mu m1 g."""
     law = FrictionLaw(
         name="exponential",
         reference="this test",
@@ -186,7 +186,7 @@ def test_a_new_law_needs_nothing_but_its_object():
         mu=lambda speed, p: p["mu_s"] * exp(-1.0 * speed / p["u_s"]),
     )
     scene = Rotary(friction=law)
-    defaults = {name: jnp.asarray(one.default) for name, one in scene.parameters().items()}
+    defaults = {name: jnp.asarray(parameter.default) for name, parameter in scene.parameters().items()}
     assert {"mu_s", "u_s", "m1"} <= set(defaults)
     assert "v_cr" not in defaults
     p = scene.constants(defaults)

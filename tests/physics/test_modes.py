@@ -1,4 +1,4 @@
-"""Linear modes: eqs. 5.15 to 5.17 against eigenvalues, the source's Table 5.3 and the rotary scene's own field."""
+"""Test linear modes, eqs. 5.15 to 5.17, against eigenvalues, the source's Table 5.3 and the rotary scene's field."""
 
 import jax
 import jax.numpy as jnp
@@ -10,12 +10,12 @@ from vibrojax.models.scenes.rotary import Rotary
 
 
 def drill(w1, beta, gamma, m1=250.0, c2=250.0):
-    """Parameters with k1 = m1 w1²."""
+    """Return parameters with k1 = m1 w1²."""
     return {"m1": m1, "k1": m1 * w1**2, "beta": beta, "gamma": gamma, "c2": c2}
 
 
-def frequencies(p):
-    """sqrt of the eigenvalues of M^-1 K, K = [[k1 + k2, -k2], [-k2, k2]], M = diag(m1, beta m1)."""
+def reference_frequencies(p):
+    """Return sqrt of the eigenvalues of M^-1 K, K = [[k1 + k2, -k2], [-k2, k2]], M = diag(m1, beta m1)."""
     m2 = p["beta"] * p["m1"]
     k2 = m2 * (p["gamma"] * np.sqrt(p["k1"] / p["m1"])) ** 2
     stiffness = np.array([[p["k1"] + k2, -k2], [-k2, k2]])
@@ -30,24 +30,24 @@ def test_striker():
 @pytest.mark.parametrize("beta", [0.01, 0.4, 1.2])
 @pytest.mark.parametrize("gamma", [0.1, 0.75, 1.0, 1.3, 9.0])
 def test_natural_frequencies_are_eigenvalues(beta, gamma):
-    """Eq. 5.16."""
+    """Test eq. 5.16."""
     p = drill(33.0, beta, gamma, m1=300.0)
-    np.testing.assert_allclose(natural_frequencies(p), frequencies(p), rtol=1e-11)
+    np.testing.assert_allclose(natural_frequencies(p), reference_frequencies(p), rtol=1e-11)
 
 
-def test_lower_mode_keeps_its_digits_where_the_modes_lie_far_apart():
-    """gamma -> 0: the striker swings on a bit that does not give, at w2; the bit alone, at w1; to order gamma²."""
-    found = natural_frequencies(drill(25.0, 0.4, 1e-5))
-    np.testing.assert_allclose(found, [25e-5, 25.0], rtol=1e-9)
+def test_lower_mode_is_accurate_where_modes_are_far_apart():
+    """For gamma -> 0, the striker swings at w2 on a rigid bit, and the bit alone at w1, to order gamma²."""
+    modes = natural_frequencies(drill(25.0, 0.4, 1e-5))
+    np.testing.assert_allclose(modes, [25e-5, 25.0], rtol=1e-9)
 
 
 def test_natural_frequencies_of_lanes():
     gammas = jnp.asarray([[0.3, 0.6, 0.9], [1.0, 1.2, 8.0]])
     p = {key: jnp.asarray(value) for key, value in drill(25.0, 0.4, 0.75).items()}
-    found = jax.jit(natural_frequencies)(p | {"gamma": gammas})
-    assert found.shape == (2, 3, 2)
-    expected = [[frequencies(p | {"gamma": float(gamma)}) for gamma in row] for row in gammas]
-    np.testing.assert_allclose(found, expected, rtol=1e-11)
+    modes = jax.jit(natural_frequencies)(p | {"gamma": gammas})
+    assert modes.shape == (2, 3, 2)
+    expected = [[reference_frequencies(p | {"gamma": float(gamma)}) for gamma in row] for row in gammas]
+    np.testing.assert_allclose(modes, expected, rtol=1e-11)
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_natural_frequencies_of_lanes():
     ],
 )
 def test_table_5_3(w1, beta, gamma, eq_5_16, eq_5_17):
-    """Eqs. 5.16 and 5.17, w² = (k1 + k2)/m1 + k2/(4 m2), as the source prints their values: cut or rounded to 0.1."""
+    """Eqs. 5.16 and 5.17, w² = (k1 + k2)/m1 + k2/(4 m2), agree with the source's values, cut or rounded to 0.1."""
     p = drill(float(w1), beta, gamma)
     assert natural_frequencies(p)[1] == pytest.approx(eq_5_16, abs=0.1)
     assert empirical_frequency(p) == pytest.approx(eq_5_17, abs=0.1)
@@ -81,10 +81,10 @@ def test_empirical_share():
     assert empirical_frequency(p, share=0.3) == pytest.approx(expected, rel=1e-13)
 
 
-def about_steady_sliding(w1, v, beta, gamma):
-    """Rotary scene, its constants and equilibrium: u = v, x1 = x2 = -F(v)/k1."""
+def rotary_at_steady_sliding(w1, v, beta, gamma):
+    """Return the rotary scene, its parameters and its equilibrium u = v, x1 = x2 = -F(v)/k1."""
     scene = Rotary()
-    p = {name: jnp.asarray(one.default) for name, one in scene.parameters().items()}
+    p = {name: jnp.asarray(parameter.default) for name, parameter in scene.parameters().items()}
     p |= {"k1": p["m1"] * w1**2, "v": jnp.asarray(v), "beta": jnp.asarray(beta), "gamma": jnp.asarray(gamma)}
     friction = 0.4 * 250 * 9.81 * (1 - v / 3 + v**3 / 81)  # 5.9 with v_cr = 3
     rest = -friction / p["k1"]
@@ -92,13 +92,13 @@ def about_steady_sliding(w1, v, beta, gamma):
 
 
 def slope_5_9(v):
-    """dF/du = mu m1 g (-1/v_cr + u²/v_cr³) at u = v."""
+    """Return dF/du = mu m1 g (-1/v_cr + u²/v_cr³) at u = v."""
     return 0.4 * 250 * 9.81 * (-1 / 3 + v**2 / 27)
 
 
 @pytest.mark.parametrize(("w1", "v", "beta", "gamma"), [(25.0, 1.5, 0.3, 0.9), (50.0, 0.8, 0.4, 0.75)])
-def test_linearised_is_the_jacobian_of_the_field(w1, v, beta, gamma):
-    scene, p, rest = about_steady_sliding(w1, v, beta, gamma)
+def test_linearised_is_jacobian_of_field(w1, v, beta, gamma):
+    scene, p, rest = rotary_at_steady_sliding(w1, v, beta, gamma)
     field = jax.jit(lambda *state: jnp.stack(scene.field(scene.constants(p), (jnp.asarray(1.0),), state)))
     np.testing.assert_allclose(field(*rest), 0, atol=1e-12)
     columns = []
@@ -107,33 +107,37 @@ def test_linearised_is_the_jacobian_of_the_field(w1, v, beta, gamma):
         h[i] = 1e-4
         columns.append((field(*(np.array(rest) + h)) - field(*(np.array(rest) - h))) / 2e-4)
     jacobian = np.stack(columns, axis=1)
-    found = linearised(p, slope_5_9(v))
-    np.testing.assert_allclose(found, jacobian, rtol=1e-6, atol=1e-6)
-    modes = [sorted(np.linalg.eigvals(matrix), key=lambda one: one.imag) for matrix in (found, jacobian)]
+    matrix_found = linearised(p, slope_5_9(v))
+    np.testing.assert_allclose(matrix_found, jacobian, rtol=1e-6, atol=1e-6)
+    modes = [
+        sorted(np.linalg.eigvals(matrix), key=lambda eigenvalue: eigenvalue.imag) for matrix in (matrix_found, jacobian)
+    ]
     np.testing.assert_allclose(*modes, rtol=1e-6, atol=1e-6)
 
 
 def test_decaying_mode_of_table_5_3():
-    """First row, "30.7 and decays": 30.73 rad/s was seen by an independent integrator; at gamma 0.8 it grows."""
+    """First row, "30.7 and decays": an independent integrator gives 30.73 rad/s. At gamma 0.8 the mode grows."""
     p = drill(25.0, 0.3, 0.9)
-    upper = max(np.linalg.eigvals(linearised(p, slope_5_9(1.5))), key=lambda one: one.imag)
+    upper = max(np.linalg.eigvals(linearised(p, slope_5_9(1.5))), key=lambda eigenvalue: eigenvalue.imag)
     assert upper.imag == pytest.approx(30.73, abs=0.005)
     assert upper.real < 0
-    upper = max(np.linalg.eigvals(linearised(p | {"gamma": 0.8}, slope_5_9(1.5))), key=lambda one: one.imag)
+    upper = max(
+        np.linalg.eigvals(linearised(p | {"gamma": 0.8}, slope_5_9(1.5))), key=lambda eigenvalue: eigenvalue.imag
+    )
     assert upper.real > 0
 
 
-def test_linearised_without_damping_has_the_natural_frequencies():
+def test_linearised_without_damping_has_natural_frequencies():
     p = drill(25.0, 0.4, 1.1, c2=0.0)
-    found = np.sort(np.linalg.eigvals(linearised(p, 0.0)).imag)[2:]
-    np.testing.assert_allclose(found, frequencies(p), rtol=1e-11)
+    modes = np.sort(np.linalg.eigvals(linearised(p, 0.0)).imag)[2:]
+    np.testing.assert_allclose(modes, reference_frequencies(p), rtol=1e-11)
 
 
 @pytest.mark.parametrize("function", [natural_frequencies, empirical_frequency], ids=["eq-5.16", "eq-5.17"])
 def test_gradients(function):
     p = drill(25.0, 0.4, 0.75)
-    closed = {
-        natural_frequencies: frequencies,
+    closed_form = {
+        natural_frequencies: reference_frequencies,
         empirical_frequency: lambda p: np.sqrt(
             p["k1"] / p["m1"] * (1 + p["beta"] * p["gamma"] ** 2 + p["gamma"] ** 2 / 4)
         ),
@@ -141,5 +145,5 @@ def test_gradients(function):
     slopes = jax.jacrev(function)(p)
     for key in ("m1", "k1", "beta", "gamma"):
         h = 1e-5 * p[key]
-        central = (closed(p | {key: p[key] + h}) - closed(p | {key: p[key] - h})) / (2 * h)
+        central = (closed_form(p | {key: p[key] + h}) - closed_form(p | {key: p[key] - h})) / (2 * h)
         np.testing.assert_allclose(slopes[key], central, rtol=1e-7, err_msg=key)

@@ -1,4 +1,4 @@
-"""One lane of a scene with rock, step by step, for the tests beside this file."""
+"""One lane of a scene with rock, step by step, for the tests in this folder."""
 
 import jax
 import jax.numpy as jnp
@@ -15,16 +15,17 @@ ELASTIC, YIELDING, OFF, REST = 0, 1, -1, 2
 
 
 def constants(scene, **values):
-    """The constants of one lane, shape (1,), with the scene's defaults for what is not given."""
-    given = {name: jnp.full(1, values.pop(name, q.default)) for name, q in scene.parameters().items()}
+    """Return the constants of one lane, shape (1,), with the scene's defaults for missing values."""
+    parameters = {name: jnp.full(1, values.pop(name, q.default)) for name, q in scene.parameters().items()}
     assert not values
-    return scene.constants(given)
+    return scene.constants(parameters)
 
 
 class Motion:
-    """A lane from rest over `duration` [s]: its constants `p`, and its steps, one row each.
+    """A lane from rest over `duration` [s], with its constants `p` and its steps, one per row.
 
-    `growth`: of x4 in each step; `x3`, `x4`: where each step ends, from the start of the run; `rock`: the mode.
+    `growth` is the change of x4 in each step. `x3` and `x4` are the values at the end of each step, relative to the
+    start of the run. `rock` is the mode.
     """
 
     def __init__(self, duration, shape="rectangular", scene=None, start=None, method=None, settings=None, **values):
@@ -43,32 +44,32 @@ class Motion:
         self.x3 = self.x4 + self.after("compression")
 
     def after(self, name):
-        """A state where each step ends."""
+        """Return a state at the end of each step."""
         return self.steps.after[:, self.index[name]]
 
     def integral(self, name):
-        """Integral over time of a state, in each step."""
+        """Return the integral of a state over time in each step."""
         integrals = self._over_the_step(name, lambda c, tau: polynomial.polyval(tau, polynomial.polyint(c)))
         return integrals * self.steps.h
 
     def resistance(self):
-        """Integral of N over time [N s], in each step: k3 e while elastic, D while it yields, else nothing (6.2)."""
+        """Return the integral of N over time [N s] in each step (6.2): k3 e while elastic, D while yielding."""
         elastic = self.p["k3"] * self.integral("compression")
         yielding = self.p["threshold"] * self.steps.dt
         return np.where(self.rock == ELASTIC, elastic, np.where(self.rock == YIELDING, yielding, 0.0))
 
     def at(self, times):
-        """States by name at `times` [s]."""
+        """Return the states by name at `times` [s]."""
         states, _, _ = sample(self.steps, times)
         return {name: states[i] for name, i in self.index.items()}
 
     def pulses(self):
-        """The steps at whose end a pulse begins, as indices."""
+        """Return the indices of the steps at whose end a pulse begins."""
         hit = self.steps.hits[:, self.scene.event_names.index("pulse")]
         return np.flatnonzero(hit & (self.steps.mode[:, self.scene.mode_place("pushing")] == 0))
 
-    def _over_the_step(self, name, of):
+    def _over_the_step(self, name, evaluate):
         with np.errstate(invalid="ignore", divide="ignore"):
             tau = np.where(self.steps.dt > 0, self.steps.dt / self.steps.h, 0.0)
         rows = self.steps.polynomials[:, self.index[name]]
-        return np.array([of(c, t) for c, t in zip(rows, tau, strict=True)])
+        return np.array([evaluate(c, t) for c, t in zip(rows, tau, strict=True)])

@@ -1,6 +1,6 @@
-"""The drill on the rock: one way nothing of the drill changes; fed back, the blows do.
+"""Test the drill on rock: one-way coupling leaves the motion of the drill unchanged, feedback softens its blows.
 
-Their motion, and with it momentum and energy, is that of the exact reference: tests/test_exact.py.
+tests/test_exact.py compares the motion with the exact reference, and with it momentum and energy.
 """
 
 import numpy as np
@@ -39,9 +39,10 @@ def sweeps():
     return {scene: vj.run_sweep(SWEEP | {"scene": scene}, progress=False) for scene in scenes}
 
 
-def test_one_way_nothing_of_the_drill_changes(sweeps):
-    """The same equations for x1, x2: labels and counts are equal. The steps are not, as they end on the rock's switches
-    too, so the rest agrees to 1e-8, their error."""
+def test_one_way_coupling_leaves_drill_unchanged(sweeps):
+    """The equations for x1 and x2 are the same, so labels and counts are equal. Steps also end on the rock's switches,
+    so the other quantities agree to the error of the steps, 1e-8.
+    """
     free, drilling = sweeps["vibro-impact"], sweeps["drilling"]
     assert np.all(free.cycles > 0)
     for name in ("regime", "cycles", "impacts", "returns", "striker_turns", "status", "reason"):
@@ -56,8 +57,8 @@ def test_one_way_nothing_of_the_drill_changes(sweeps):
 
 
 @pytest.mark.parametrize("scene", ["drilling", "coupled-drilling"])
-def test_readings_fit_together(sweeps, scene):
-    """P = mean J, eta = P/D, ROP = s impacts/(cycles period), the growth per second of whole repeats."""
+def test_quantities_are_consistent(sweeps, scene):
+    """P = mean J, eta = P/D, and ROP = s impacts/(cycles period), the growth per second over whole cycles."""
     d = sweeps[scene]
     periodic = (d.cycles > 0).values
     assert periodic.sum() > 8
@@ -69,8 +70,8 @@ def test_readings_fit_together(sweeps, scene):
     assert np.all(d.rate_of_penetration <= d.mean_force / (2 * 1.5 * np.sqrt(250 * 100.68e6)))  # mean N >= 0
 
 
-def test_no_hole_where_every_blow_stays_below_the_threshold(sweeps):
-    """zeta = 1.5 does not overshoot, so N <= max J: no growth where that is under D, and some is drilled elsewhere."""
+def test_no_hole_grows_below_threshold(sweeps):
+    """zeta = 1.5 does not overshoot, so N <= max J: no growth where max J is below D, but some growth elsewhere."""
     drilling = sweeps["drilling"]
     weak = (drilling.peak_impact_force < SANDSTONE).values
     rate = drilling.rate_of_penetration.values
@@ -80,8 +81,8 @@ def test_no_hole_where_every_blow_stays_below_the_threshold(sweeps):
     assert (rate > 0).sum() >= 3
 
 
-def test_fed_back_it_drills_less(sweeps):
-    """The rock gives under the contact: blows are softer, and ROP is lower wherever there was any."""
+def test_feedback_reduces_rate(sweeps):
+    """The rock yields under the contact, so blows are softer, and ROP is lower wherever the bit penetrates."""
     one_way, coupled = sweeps["drilling"], sweeps["coupled-drilling"]
     bores = (one_way.rate_of_penetration > 0).values
     assert np.all(coupled.rate_of_penetration.values[bores] < 0.7 * one_way.rate_of_penetration.values[bores])

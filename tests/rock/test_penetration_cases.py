@@ -1,4 +1,4 @@
-"""The reference cases of penetration (tests/data), and C in the listing's rate, where model.md gives it."""
+"""Test penetration against the reference cases (tests/data), and C in the listing's rate against model.md."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ CASES = json.loads((Path(__file__).parents[1] / "data" / "penetration_cases.json
 NAMES = {"A": "force", "f": "frequency", "w": "pulse_width", "D": "threshold", "k3": "k3", "zeta": "zeta"}
 SHAPES = ("rectangular", "half-sine")
 SHORT = {"settle": 2.0, "observe": 1.0}
-"""The slowest cases strike 10 times a second: 20 pulses settle where the reference takes 60, a check of their own."""
+"""Run settings. The slowest cases strike 10 times a second, so 20 pulses settle; the reference takes 60."""
 
 C_SEEN = {300e6: (0.061, 0.121, 0.187), 500e6: (0.051, 0.101, 0.154)}  # m/s, model.md section 5
 FORCES, FREQUENCIES = (200e3, 250e3, 300e3), (10.0, 20.0, 30.0, 40.0)
@@ -22,7 +22,7 @@ def cases_of(shape):
     return [case for case in CASES if case["point"]["shape"] == shape]
 
 
-def swept(shape, **run):
+def run_cases(shape, **run):
     points = {name: [case["point"][key] for case in cases_of(shape)] for key, name in NAMES.items()}
     sweep = {"scene": "penetration", "parameters": {"pulse_shape": shape}, "points": points, "run": SHORT | run}
     return vj.run_sweep(sweep, progress=False)
@@ -30,15 +30,15 @@ def swept(shape, **run):
 
 @pytest.fixture(scope="module")
 def datasets():
-    return {shape: swept(shape) for shape in SHAPES}
+    return {shape: run_cases(shape) for shape in SHAPES}
 
 
 def expected(shape, name):
     return np.array([case["expected"][name] for case in cases_of(shape)])
 
 
-def test_every_case_is_there(datasets):
-    """24 cases; in both shapes some slip and some do not."""
+def test_all_cases_run(datasets):
+    """There are 24 cases. In both shapes some slip and some do not."""
     assert sum(dataset.sizes["point"] for dataset in datasets.values()) == len(CASES) == 24
     for shape, dataset in datasets.items():
         assert not dataset.status.any(), shape
@@ -47,7 +47,7 @@ def test_every_case_is_there(datasets):
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_slip_per_pulse(datasets, shape):
-    """|s - s_ref| <= 1e-3 s_ref, or 1e-7 m, is asked; 1e-8 of it and 1e-12 m is seen. Nothing, where nothing slips."""
+    """The required error is 1e-3 s_ref or 1e-7 m, the measured one 1e-8 s_ref or 1e-12 m, and 0 without slip."""
     slip, exact = datasets[shape].slip_per_impact.values, expected(shape, "slip_per_pulse")
     assert np.all(np.abs(slip - exact) <= np.maximum(1e-3 * exact, 1e-7))
     np.testing.assert_allclose(slip, exact, rtol=1e-8, atol=1e-12)
@@ -56,10 +56,12 @@ def test_slip_per_pulse(datasets, shape):
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_mean_force_and_relief(datasets, shape):
-    """P = A w f, 2/pi of it under half-sines, and eta = P/D."""
+    """P = A w f for rectangular pulses, times 2/pi for half-sines, and eta = P/D."""
     for name in ("mean_force", "relief"):
         np.testing.assert_allclose(datasets[shape][name].values, expected(shape, name), rtol=1e-6)
-        np.testing.assert_allclose(datasets[shape][name].values, expected(shape, name), rtol=1e-10)  # seen
+        np.testing.assert_allclose(
+            datasets[shape][name].values, expected(shape, name), rtol=1e-10
+        )  # the measured accuracy
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -72,53 +74,53 @@ def test_rate_of_penetration(datasets, shape):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_sixty_pulses_give_the_same(datasets, shape):
-    """20 pulses and 60: the same slip to 1e-12, so the short run is periodic."""
-    longer = swept(shape, settle=6.0, observe=1.0)
+def test_sixty_pulses_give_same_slip(datasets, shape):
+    """20 and 60 pulses give the same slip to 1e-12, so the short run is periodic."""
+    longer = run_cases(shape, settle=6.0, observe=1.0)
     for name in ("slip_per_impact", "mean_force"):
         np.testing.assert_allclose(longer[name].values, datasets[shape][name].values, rtol=1e-10, atol=1e-15)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_error_estimate_is_honest(datasets, shape):
-    """It bounds the error and stays under the accepted 1e-4."""
+def test_error_estimate_is_upper_bound(datasets, shape):
+    """The estimate bounds the error and stays below the accepted 1e-4."""
     exact = expected(shape, "rate_of_penetration")
     rate, estimate = datasets[shape].rate_of_penetration.values, datasets[shape].error_estimate.values
     assert np.all(estimate < 1e-4)
-    assert np.all(np.abs(rate - exact) <= estimate * exact + 1e-8 * exact + 1e-11)  # the reference is good to 1e-9
+    assert np.all(np.abs(rate - exact) <= estimate * exact + 1e-8 * exact + 1e-11)  # the reference is accurate to 1e-9
 
 
 @pytest.fixture(scope="module")
 def listing():
-    """The grid of model.md section 5: zeta 0.6, D = 150 kN, rectangular pulses of 4 ms."""
+    """Return the grid of model.md section 5: zeta 0.6, D = 150 kN, rectangular pulses of 4 ms."""
     grid = {"k3": list(C_SEEN), "force": list(FORCES), "frequency": list(FREQUENCIES)}
     fixed = {"zeta": 0.6, "threshold": 150e3, "pulse_width": 4e-3}
     return vj.run_sweep({"scene": "penetration", "parameters": fixed, "grid": grid, "run": SHORT}, progress=False)
 
 
-def listings_c(rate, relief):
-    """C of 2 pi ROP = C ln eta + b by least squares (R8, onset form of R9)."""
+def fit_c(rate, relief):
+    """Return C of 2 pi ROP = C ln eta + b by least squares (R8, onset form of R9)."""
     return np.polyfit(np.log(relief), 2 * np.pi * rate, 1)[0]
 
 
-def test_c_in_the_listings_rate(listing):
-    """C as in model.md to 2 %: 0.061, 0.121, 0.187 at k3 = 300 MN/m and 0.051, 0.101, 0.154 at 500 MN/m."""
+def test_c_of_listing_rate(listing):
+    """C agrees with model.md to 2 %: 0.061, 0.121, 0.187 at k3 = 300 MN/m and 0.051, 0.101, 0.154 at 500 MN/m."""
     for k3, seen in C_SEEN.items():
         for force, c in zip(FORCES, seen, strict=True):
             line = listing.sel(k3=k3, force=force)
-            found = listings_c(line.rate_of_penetration.values, line.relief.values)
-            assert abs(found / c - 1) < 0.02, (k3, force, found)
+            c_fitted = fit_c(line.rate_of_penetration.values, line.relief.values)
+            assert abs(c_fitted / c - 1) < 0.02, (k3, force, c_fitted)
 
 
-def test_slip_per_blow_hardly_depends_on_frequency(listing):
-    """s(f)/s(10 Hz) - 1: model.md says "hardly"; here it is 1.5 % at most."""
+def test_slip_per_blow_is_nearly_independent_of_frequency(listing):
+    """s(f)/s(10 Hz) - 1 is "hardly" any according to model.md, and at most 1.5 % here."""
     slip = listing.slip_per_impact
     assert float(abs(slip / slip.isel(frequency=0) - 1).max()) < 0.015
     assert np.all(slip > 1e-5)
 
 
-def test_the_line_beats_the_log_along_frequency(listing):
-    """ROP = s f is a line through zero in eta, which is proportional to f: its residuals are far below the log's."""
+def test_line_fits_better_than_log_along_frequency(listing):
+    """ROP = s f is a line through zero in eta, which is proportional to f, so its residuals are far below the log's."""
     for _, line in listing.stack(group=("k3", "force")).groupby("group"):
         rate, relief = line.rate_of_penetration.values.ravel(), line.relief.values.ravel()
         by_line = rate - relief * (rate @ relief) / (relief @ relief)

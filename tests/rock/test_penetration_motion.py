@@ -1,4 +1,4 @@
-"""The bit on the rock in time: closed forms of eqs. 6.1 to 6.3, and what holds on every path."""
+"""Test the motion of the bit on rock: closed forms of eqs. 6.1 to 6.3, and invariants of every path."""
 
 import numpy as np
 import pytest
@@ -8,14 +8,14 @@ from scipy.optimize import brentq
 import vibrojax as vj
 
 ELASTIC_ONLY = 1e7
-"""A threshold [N] far above every force here."""
+"""A threshold [N] far above all forces in these tests."""
 
 
 def driven_oscillator(t, p, amplitude, omega):
-    """x and x' of m x'' + c x' + k x = A sin(omega t) from rest.
+    """Return x and x' of m x'' + c x' + k x = A sin(omega t) from rest.
 
-    x = Im(A H e^{i omega t}) + a1 e^{r1 t} + a2 e^{r2 t}, H = 1/(k - m omega² + i omega c), r the roots of
-    m r² + c r + k, a from x(0) = x'(0) = 0.
+    x = Im(A H e^{i omega t}) + a1 e^{r1 t} + a2 e^{r2 t}, H = 1/(k - m omega² + i omega c), r the roots of m r² + c r +
+    k, a from x(0) = x'(0) = 0.
     """
     m, c, k = p["m1"], p["c3"], p["k3"]
     response = amplitude / (k - m * omega**2 + 1j * omega * c)
@@ -28,20 +28,20 @@ def driven_oscillator(t, p, amplitude, omega):
 
 @pytest.mark.parametrize("zeta", [0.0, 0.3, 0.6, 1.1, 1.5])
 def test_half_sine_on_elastic_rock(zeta):
-    """The damped oscillator under A sin(pi t/w) as long as the bit is in contact; no slip."""
+    """While in contact, the bit is a damped oscillator under A sin(pi t/w), without slip."""
     motion = Motion(4e-3, "half-sine", threshold=ELASTIC_ONLY, zeta=zeta, frequency=10.0)
     p, times = motion.p, np.linspace(0, 4e-3, 801)
     x, v = driven_oscillator(times, p, p["force"], np.pi / p["pulse_width"])
     contact = np.cumsum(x < -1e-12 * x.max()) == 0
     assert contact.sum() > 600
-    found = motion.at(times)
-    np.testing.assert_allclose(found["compression"][contact], x[contact], atol=1e-11 * x.max())
-    np.testing.assert_allclose(found["v3"][contact], v[contact], atol=1e-11 * v.max())
+    states = motion.at(times)
+    np.testing.assert_allclose(states["compression"][contact], x[contact], atol=1e-11 * x.max())
+    np.testing.assert_allclose(states["v3"][contact], v[contact], atol=1e-11 * v.max())
     assert not motion.growth.any()
 
 
-def test_leaves_the_rock_and_flies():
-    """N = 0 while x3 < x4: from x' = v0 at the surface, x = v0 m/c (1 - e^{-ct/m}); it lifts off when x = 0, x' < 0."""
+def test_bit_leaves_rock_and_flies():
+    """While x3 < x4, N = 0. From x' = v0 at the surface, x = v0 m/c (1 - e^{-ct/m}). The bit lifts off with x' < 0."""
     motion = Motion(0.02, "rectangular", zeta=0.3, frequency=10.0, pulse_width=2e-3, threshold=ELASTIC_ONLY)
     p, flight = motion.p, np.flatnonzero(motion.rock == OFF)
     start = flight[0] - 1
@@ -53,8 +53,8 @@ def test_leaves_the_rock_and_flies():
     assert np.all(motion.resistance()[flight] == 0)
 
 
-def test_undamped_response_to_a_step():
-    """x3 = A/k3 (1 - cos wt), w² = k3/m1, over 35 cycles, each of which comes back to the surface with x3' = 0."""
+def test_undamped_response_to_step():
+    """x3 = A/k3 (1 - cos wt), w² = k3/m1, over 35 cycles, each of which returns to the surface with x3' = 0."""
     motion = Motion(0.2, threshold=450e3, zeta=0.0, frequency=1.0, pulse_width=0.9)
     p, times = motion.p, np.linspace(0, 0.2, 2001)
     expected = p["force"] / p["k3"] * (1 - np.cos(np.sqrt(p["k3"] / p["m1"]) * times))
@@ -63,10 +63,11 @@ def test_undamped_response_to_a_step():
 
 
 @pytest.mark.parametrize("force", [80e3, 100e3, 120e3, 149e3])
-def test_undamped_slip_under_a_step(force):
-    """Energy: A (D/k + s) = D²/(2k) + D s where the bit stops, so s = D (2A - D)/(2k (D - A)) for D/2 < A < D.
+def test_undamped_slip_under_step(force):
+    """Energy gives A (D/k + s) = D²/(2k) + D s where the bit stops, so s = D (2A - D)/(2k (D - A)) for D/2 < A < D.
 
-    Every later cycle comes back to the threshold with x3' = 0 and slips no further."""
+    Every later cycle returns to the threshold with x3' = 0 and slips no further.
+    """
     motion = Motion(0.2, force=force, zeta=0.0, frequency=1.0, pulse_width=0.9)
     threshold, k3 = motion.p["threshold"], motion.p["k3"]
     slip = threshold * (2 * force - threshold) / (2 * k3 * (threshold - force))
@@ -78,16 +79,15 @@ def test_undamped_slip_under_a_step(force):
 
 @pytest.mark.parametrize("zeta", [0.05, 0.3, 0.6, 0.9])
 def test_onset_of_slip(zeta):
-    """A long step overshoots by e^{-pi zeta/sqrt(1 - zeta²)}: it slips from A (1 + that) = D on, not a hair before."""
+    """A long step overshoots by e^{-pi zeta/sqrt(1 - zeta²)}. Slip starts exactly where A (1 + overshoot) = D."""
     onset = 150e3 / (1 + np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)))
     step = {"zeta": zeta, "frequency": 2.0, "pulse_width": 0.1}
     assert Motion(0.1, force=onset * (1 - 1e-9), **step).x4[-1] == 0
     assert Motion(0.1, force=onset * (1 + 1e-6), **step).x4[-1] > 0
 
 
-def test_no_slip_below_the_threshold():
-    """100 random trains of pulses with A < D/2, which start (near) rest: k3 x3 <= 2A < D even undamped, so x4 = 0
-    exactly."""
+def test_no_slip_below_threshold():
+    """Random pulses with A < D/2 from rest give k3 x3 <= 2A < D even without damping, so x4 is exactly 0."""
     rng = np.random.default_rng(1)
     points = {
         "force": rng.uniform(0.0, 0.4999, 100) * 150e3,
@@ -106,29 +106,29 @@ def test_no_slip_below_the_threshold():
 
 @pytest.fixture(scope="module", params=["rectangular", "half-sine", "light"])
 def train(request):
-    """Ten pulses that slip; lightly damped ones also jump off the rock, and slip again where they land on it."""
+    """Return ten pulses that slip. Lightly damped ones also jump off the rock, and slip again where they land."""
     more = {"zeta": 0.1, "force": 300e3} if request.param == "light" else {"zeta": 0.6}
     shape = "rectangular" if request.param == "light" else request.param
     return Motion(0.5 - 1e-4, shape, **more)
 
 
-def test_ratchet_is_a_running_maximum(train):
-    """x4 = max over the past of (x3 - D/k3), 0 at first (6.3), at the end of every step; it never falls."""
+def test_ratchet_is_running_maximum(train):
+    """At the end of every step, x4 = max over the past of (x3 - D/k3), 0 at first (6.3). x4 never falls."""
     past = np.maximum.accumulate(np.maximum(train.x3 - train.p["threshold"] / train.p["k3"], 0))
     assert train.x4[-1] > 1e-3
     np.testing.assert_allclose(train.x4, past, rtol=1e-13, atol=1e-17)
     assert np.all(train.growth >= 0)
 
 
-def test_growth_is_its_own_integral(train):
-    """x4' = x3' while it yields and 0 else: growth = integral of x3' over the slips, step by step."""
+def test_growth_is_integral_of_velocity_over_slips(train):
+    """x4' = x3' while the rock yields, else 0, so the growth in each step is the integral of x3' over slips."""
     slips = np.where(train.rock == YIELDING, train.integral("v3"), 0.0)
     np.testing.assert_allclose(train.growth, slips, atol=1e-13 * train.x4[-1])
     assert np.all(train.growth[train.rock != YIELDING] == 0)
 
 
-def test_never_beyond_the_threshold(train):
-    """0 <= k3 (x3 - x4) <= D while elastic, = D while it yields, < 0 off the rock; a slip ends with x3' = 0."""
+def test_compression_never_exceeds_threshold(train):
+    """0 <= k3 (x3 - x4) <= D while elastic, = D while yielding, < 0 off the rock. A slip ends with x3' = 0."""
     compression, yields = train.after("compression"), train.p["threshold"] / train.p["k3"]
     assert np.all(compression <= yields)
     elastic, yielding, off = (train.rock == mode for mode in (ELASTIC, YIELDING, OFF))
@@ -141,7 +141,7 @@ def test_never_beyond_the_threshold(train):
 
 
 def test_mean_resistance(train):
-    """Momentum over whole pulses of the steady state, where x3' comes back: mean N = P - c3 ROP."""
+    """Over whole pulses of the steady state x3' repeats, so the momentum balance gives mean N = P - c3 ROP."""
     first, last = train.pulses()[[3, -1]]
     whole = slice(first + 1, last + 1)
     time = train.times[last] - train.times[first]
@@ -154,8 +154,8 @@ def test_mean_resistance(train):
 
 
 @pytest.mark.parametrize("frequency", [20.0, 45.0])
-def test_steady_under_a_sine_of_one_frequency(frequency):
-    """A swept sine of rate 0 about a bias: x3 = B/k3 + Im(A H e^{i omega t}) once the start has died out."""
+def test_steady_response_to_sine_of_constant_frequency(frequency):
+    """For a swept sine of rate 0 about a bias, x3 = B/k3 + Im(A H e^{i omega t}) after the transient."""
     sine = {"sweep_start": frequency, "sweep_rate": 0.0, "bias": 60e3, "force": 50e3, "zeta": 0.7}
     motion = Motion(0.5, "sweep", **sine)
     p, times, omega = motion.p, np.linspace(0.4, 0.5, 501), 2 * np.pi * frequency
@@ -164,9 +164,10 @@ def test_steady_under_a_sine_of_one_frequency(frequency):
     np.testing.assert_allclose(motion.at(times)["compression"], expected, rtol=1e-10)
 
 
-def test_swept_sine_slips_at_the_resonance_only():
-    """Under A sin(2 pi f t) with B = 80 kN, k3 e reaches B + A |H| k3: it slips where that is above D, in the band
-    of f between the two roots, passed slowly; before and beyond there is none."""
+def test_swept_sine_slips_only_near_resonance():
+    """Under A sin(2 pi f t) with B = 80 kN, k3 e reaches B + A |H| k3. A slow sweep slips where this exceeds D, in the
+    band of f between the two roots, and nowhere else.
+    """
     p = {"force": 10e3, "bias": 80e3, "zeta": 0.05, "sweep_start": 100.0, "sweep_rate": 250.0, "k3": 300e6}
     motion = Motion(1.0, "sweep", threshold=150e3, **p)
     natural = np.sqrt(p["k3"] / 250.0) / (2 * np.pi)
@@ -179,7 +180,7 @@ def test_swept_sine_slips_at_the_resonance_only():
     when = motion.times[motion.growth > 1e-9]
     slipping = p["sweep_start"] + p["sweep_rate"] * when
     assert motion.x4[-1] > 1e-5
-    # The step of bias at t = 0 overshoots to 2B and slips too; that has died out at 115 Hz.
+    # The step of the bias at t = 0 overshoots to 2B and slips too. It has died out at 115 Hz.
     slipping = slipping[slipping > 115.0]
     assert low - 3 < slipping.min() < low + 6
     assert slipping.max() < high + 6

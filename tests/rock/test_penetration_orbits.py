@@ -1,4 +1,4 @@
-"""Orbits under pulses, stroboscopic at the pulse: within a mode the flow is linear, so that all is in closed form."""
+"""Test orbits under pulses, stroboscopic at the pulse, against closed forms: the flow is linear within each mode."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ POINTS = {
 
 
 class Rock:
-    """The bit on the rock in one of its modes, [e, x3', 1]' = A [e, x3', 1], e = x3 - x4 (eqs. 6.1 to 6.3)."""
+    """The bit on rock in one of its modes: [e, x3', 1]' = A [e, x3', 1], e = x3 - x4 (eqs. 6.1 to 6.3)."""
 
     def __init__(self, point):
         self.force, self.frequency, self.width, zeta, self.D, self.k3 = point
@@ -35,7 +35,7 @@ class Rock:
         return np.array([[0, moves, 0], [-stiffness / M1, -self.c3 / M1, (force - held) / M1], [0, 0, 0]])
 
     def ends(self, mode):
-        """What is positive in a mode, as rows over [e, x3', 1], by the mode that follows."""
+        """Return, by following mode, the rows over [e, x3', 1] whose values are positive within a mode."""
         full = self.D / self.k3
         return {
             "elastic": {"yielding": [-1, 0, full], "off": [1, 0, 0]},
@@ -44,20 +44,20 @@ class Rock:
         }[mode]
 
     def go(self, mode, y, force, time):
-        """Mode and state after a `time` under a constant force; its derivative and the growth are gathered."""
+        """Return the mode and state after `time` under a constant force. Accumulate the derivative and the growth."""
         while True:
-            # A mode begins on one of its ends: a little later it is clear of it.
+            # A mode begins on the surface of its ends and is clear of it shortly after.
             A, times = self.matrix(mode, force), time * np.array([1e-7, *np.arange(1, 301) / 300])
-            states, found = expm(A * times[:, None, None]) @ y, []
+            states, roots = expm(A * times[:, None, None]) @ y, []
             for follows, row in self.ends(mode).items():
                 fallen = np.flatnonzero(states @ row < 0)
                 if len(fallen) and (first := fallen[0]) > 0:
                     root = brentq(lambda t, row=row, A=A, y=y: row @ expm(A * t) @ y, times[first - 1], times[first])
-                    found.append((root, follows))
-            until, follows = min(found, default=(time, mode))
+                    roots.append((root, follows))
+            until, follows = min(roots, default=(time, mode))
             flow = expm(A * until)
             self.slope = flow[:2, :2] @ self.slope
-            if mode == "yielding":  # the integral of x3', from that of its equation
+            if mode == "yielding":  # the integral of x3', from the equation of motion
                 velocity = (flow @ y)[1]
                 self.growth += ((force - self.D) * until - M1 * (velocity - y[1])) / self.c3
             y, time = flow @ y, time - until
@@ -73,7 +73,7 @@ class Rock:
         return self.go(mode, y, 0.0, 1 / self.frequency - self.width)
 
 
-def swept(**more):
+def run_points(**more):
     columns = dict(zip(COLUMNS, map(list, zip(*POINTS.values(), strict=True)), strict=True))
     run = {"orbits": True, "settle": 4.0, "observe": 1.0}
     return vj.run_sweep(
@@ -82,18 +82,18 @@ def swept(**more):
 
 
 @pytest.fixture(scope="module")
-def found():
-    return swept()
+def orbits():
+    return run_points()
 
 
 @pytest.mark.parametrize("name", POINTS)
-def test_against_the_closed_form(found, name):
-    lane, rock = found.isel(point=list(POINTS).index(name)), Rock(POINTS[name])
+def test_orbits_agree_with_closed_form(orbits, name):
+    lane, rock = orbits.isel(point=list(POINTS).index(name)), Rock(POINTS[name])
     assert lane.orbit_reason == FOUND and lane.orbit_residual < 1e-10 and lane.stable == 1
     assert lane.orbit_cycles == (2 if "two" in name else 1)
     begin = np.array([lane.orbit_compression.item(), lane.orbit_v3.item(), 1.0])
     mode = "off" if begin[0] < 0 else "elastic"
-    if name == "never stops to yield":  # e is what it is there, whatever it was
+    if name == "never stops to yield":  # e does not depend on its value before
         mode, rock.slope = "yielding", np.diag([0.0, 1.0])
     y = begin
     for _ in range(int(lane.orbit_cycles)):
@@ -109,15 +109,15 @@ def test_against_the_closed_form(found, name):
         assert lane.rate_of_penetration > 0 and lane.multiplier_abs[1] < 1e-14
 
 
-def test_pressed_without_a_pause_the_pulses_play_no_part(found):
-    """The flow is linear all the way: multipliers are exp(r/frequency), m1 r² + c3 r + k3 = 0, for any pulse."""
+def test_multipliers_under_constant_contact_do_not_depend_on_pulses(orbits):
+    """The flow is linear throughout, so the multipliers are exp(r/frequency), m1 r² + c3 r + k3 = 0, for any pulse."""
     rock = Rock(POINTS["pressed without a pause"])
     expected = np.sort(np.exp(np.roots([M1, rock.c3, rock.k3]) / rock.frequency))[::-1]
-    for dataset in (found, swept(pulse_shape="half-sine")):
+    for dataset in (orbits, run_points(pulse_shape="half-sine")):
         np.testing.assert_allclose(dataset.multiplier_abs[0], expected, rtol=1e-9)
 
 
-def test_what_there_is(found):
-    assert "period" not in found and "cycles" not in found
-    assert {"orbit_compression", "orbit_v3", "grazing_margin"} <= set(found.data_vars)
+def test_variables_of_orbits(orbits):
+    assert "period" not in orbits and "cycles" not in orbits
+    assert {"orbit_compression", "orbit_v3", "grazing_margin"} <= set(orbits.data_vars)
     assert {"multiplier_abs", "orbit_v3"} <= set(vj.list_variables("penetration").index)

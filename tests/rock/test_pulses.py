@@ -1,4 +1,4 @@
-"""Which pulses are counted, and which are refused."""
+"""Test which pulses are counted and which are refused."""
 
 import numpy as np
 import pytest
@@ -7,13 +7,13 @@ import vibrojax as vj
 from vibrojax.errors import InputError
 
 
-def swept(points, **run):
+def run_points(points, **run):
     return vj.run_sweep({"scene": "penetration", "points": points, "run": run}, progress=False)
 
 
-def test_the_first_pulse_counts():
-    """Observed from t = 0, a rig at rest: what the first pulses drill, as the trajectory has it."""
-    dataset = swept({"frequency": [20.0, 7.0], "force": [3e5, 2e5]}, settle=0.0, observe=0.52)
+def test_first_pulse_is_counted():
+    """Observed from t = 0 and rest, the first pulses drill as deep as in the trajectory."""
+    dataset = run_points({"frequency": [20.0, 7.0], "force": [3e5, 2e5]}, settle=0.0, observe=0.52)
     for index, (frequency, force, pulses) in enumerate(((20.0, 3e5, 10), (7.0, 2e5, 3))):
         motion = vj.simulate(
             "penetration", frequency=frequency, force=force, duration=0.52, sampling=1e-4, progress=False
@@ -22,15 +22,17 @@ def test_the_first_pulse_counts():
         np.testing.assert_allclose(dataset.slip_per_impact[index], depth / pulses, rtol=1e-6)
 
 
-def test_no_whole_pulse_has_no_rate():
-    dataset = swept({"frequency": [0.1, 0.2, 20.0]}, settle=1.0, observe=6.0)
+def test_rate_is_missing_without_complete_pulse():
+    dataset = run_points({"frequency": [0.1, 0.2, 20.0]}, settle=1.0, observe=6.0)
     assert np.all(np.isnan(dataset.rate_of_penetration[:2]))
     assert np.isfinite(dataset.rate_of_penetration[2])
     assert np.all(dataset.status == 0)
 
 
-def test_pulses_that_run_together_are_refused():
-    dataset = swept({"pulse_width": [0.05, 0.06, 0.0499], "frequency": [20.0, 20.0, 20.0]}, settle=0.2, observe=1.0)
+def test_overlapping_pulses_are_refused():
+    dataset = run_points(
+        {"pulse_width": [0.05, 0.06, 0.0499], "frequency": [20.0, 20.0, 20.0]}, settle=0.2, observe=1.0
+    )
     meanings = dataset.reason.attrs["flag_meanings"].split()
     why = "pulse-width-not-below-1-over-frequency"
     assert [meanings[flag] for flag in dataset.reason.values] == [why, why, "none"]
@@ -41,7 +43,7 @@ def test_pulses_that_run_together_are_refused():
 
 
 def test_rocks_in_points(tmp_path):
-    """A column of rocks is that of their numbers, in a table and in a CSV."""
+    """A column of rock names stands for their numbers, in a table and in a CSV file."""
     table = {"rock": ["granite", "sandstone"], "force": [3e5, 3e5]}
     (tmp_path / "rocks.csv").write_text("rock,force\ngranite,3e5\nsandstone,3e5\n")
     (tmp_path / "rocks.toml").write_text('scene = "penetration"\npoints = "rocks.csv"\n')
@@ -64,7 +66,7 @@ def test_rocks_in_points(tmp_path):
         ({"points": {"rock": ["granite"], "threshold": [1e5]}}, "points.rock"),
     ],
 )
-def test_a_rock_beside_its_numbers(source, place):
+def test_rock_with_its_numbers_is_refused(source, place):
     with pytest.raises(
         InputError, match=rf"{place}: (k3|threshold) is given as well; give the rock, or threshold and k3"
     ):

@@ -1,4 +1,4 @@
-"""The rate of penetration in the summary of a sweep, or why there is none."""
+"""Test the rate of penetration in the summary of a sweep, or the reason why there is none."""
 
 import json
 
@@ -15,16 +15,16 @@ PENETRATION = {"scene": "penetration", "run": {"settle": 0.5, "observe": 0.5}}
 BELOW_D = "without a rate, the rock force never reaches the threshold D, at which the rock yields"
 
 
-def part(ds):
-    [rates] = [part for part in summarise(ds) if part.name == "rates"]
+def rate_part(ds):
+    [rates] = [section for section in summarise(ds) if section.name == "rates"]
     return rates.lines, dict(rates.facts).get("rates")
 
 
-def test_the_rate_its_greatest_place_and_the_lanes_without(tmp_path, capsys):
-    """Of pulses below D nothing penetrates; the rate is in proportion to their frequency."""
+def test_summary_lists_range_maximum_and_lanes_without_rate(tmp_path, capsys):
+    """Pulses below D do not penetrate. The rate is proportional to the frequency of the pulses."""
     axes = {"force": [30e3, 300e3], "frequency": [10.0, 20.0]}
     ds = vj.run_sweep({**PENETRATION, "grid": axes}, progress=False)
-    lines, facts = part(ds)
+    lines, facts = rate_part(ds)
     least, most = (ds.rate_of_penetration.sel(force=300e3, frequency=f).item() for f in (10.0, 20.0))
     assert most == pytest.approx(2 * least, rel=1e-6)
     assert lines == [
@@ -75,22 +75,22 @@ def drilling(rate, peak, **more):
         ),
     ],
 )
-def test_the_reason_is_the_peak_contact_force_over_the_threshold(rate, peak, lines):
-    assert part(drilling(rate, peak))[0] == lines
+def test_reason_compares_peak_contact_force_with_threshold(rate, peak, lines):
+    assert rate_part(drilling(rate, peak))[0] == lines
 
 
-def test_a_sweep_without_rock_has_no_rates():
+def test_sweep_without_rock_has_no_rates():
     ds = xr.Dataset({"period": ("v", [1.0])}, {"v": [1.0]}, {"source": "vibrojax 0", "kind": "sweep"})
-    assert part(ds) == ([], None)
+    assert rate_part(ds) == ([], None)
 
 
-def test_a_motion_without_a_rate_says_how_far_the_rock_force_stays_below_the_threshold():
-    """The contact force exceeds D = 204.5 kN here, the rock force does not: the bit's inertia takes the difference."""
+def test_motion_without_rate_compares_rock_force_with_threshold():
+    """The contact force exceeds D = 204.5 kN, but the rock force does not. The bit's inertia takes the difference."""
     ds = vj.simulate("drilling", rock="granite", beta=0.6, duration=20.0, progress=False)
     peak = ds.rock_force.where(ds.time >= 12).max().item()
     assert ds.peak_impact_force > 204500 > peak and ds.rate_of_penetration == 0
-    [found] = [part.lines for part in summarise(ds) if part.name == "found"]
-    assert found[1] == (
+    [lines] = [section.lines for section in summarise(ds) if section.name == "found"]
+    assert lines[1] == (
         f"no penetration: the rock force reaches {peak / 1e3:.4g} kN, {peak / 204500:.2g} of the threshold D = "
         "204.5 kN at which the rock yields; a softer rock or a greater v raises it"
     )

@@ -1,4 +1,4 @@
-"""The rock as physics: closed forms with their gradients, the rocks of Table 4.5, and how they are chosen by name."""
+"""Test the physics of rock: closed forms with gradients, the rocks of Table 4.5, and their choice by name."""
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +18,8 @@ SHORT = {"settle": 0.3, "observe": 0.2}
 def test_damping():
     """c3 = 2 zeta sqrt(m1 k3); d/dm1 = zeta sqrt(k3/m1), d/dk3 = zeta sqrt(m1/k3), d/dzeta = 2 sqrt(m1 k3)."""
     m1, zeta = 250.0, 1.1
-    found, gradient = jax.value_and_grad(damping, argnums=(0, 1, 2))(m1, K3, zeta)
-    assert float(found) == pytest.approx(2 * zeta * np.sqrt(m1 * K3), rel=1e-15)
+    value, gradient = jax.value_and_grad(damping, argnums=(0, 1, 2))(m1, K3, zeta)
+    assert float(value) == pytest.approx(2 * zeta * np.sqrt(m1 * K3), rel=1e-15)
     exact = (zeta * np.sqrt(K3 / m1), zeta * np.sqrt(m1 / K3), 2 * np.sqrt(m1 * K3))
     np.testing.assert_allclose(gradient, exact, rtol=1e-14)
 
@@ -28,33 +28,33 @@ def test_damping():
     ("compression", "force", "gradient"),
     [
         (-1e-4, 0.0, (0.0, 0.0, 0.0)),  # off the rock: no tension
-        (2e-4, 6e4, (K3, 2e-4, 0.0)),  # elastic: k3 e, by (e, k3, D)
-        (9e-4, D, (0.0, 0.0, 1.0)),  # yields: D
+        (2e-4, 6e4, (K3, 2e-4, 0.0)),  # elastic: k3 e; derivatives by (e, k3, D)
+        (9e-4, D, (0.0, 0.0, 1.0)),  # yielding: D
     ],
 )
 def test_resistance(compression, force, gradient):
-    """N = clip(k3 e, 0, D) (6.2), and its derivatives within each part."""
-    found, slopes = jax.value_and_grad(resistance, argnums=(0, 1, 2))(compression, K3, D)
-    assert float(found) == pytest.approx(force, rel=1e-15)
+    """N = clip(k3 e, 0, D) (6.2), with its derivatives within each part."""
+    value, slopes = jax.value_and_grad(resistance, argnums=(0, 1, 2))(compression, K3, D)
+    assert float(value) == pytest.approx(force, rel=1e-15)
     np.testing.assert_allclose(slopes, gradient, rtol=1e-15)
 
 
 @pytest.mark.parametrize(
     ("x3", "depth", "gradient"),
     [
-        (6e-4, 2e-4, (0.0, 1.0, 0.0, 0.0)),  # x3 - D/k3 = 1e-4 < x4: it stays
-        (9e-4, 4e-4, (1.0, 0.0, D / K3**2, -1 / K3)),  # it follows x3 - D/k3, by (x3, x4, k3, D)
+        (6e-4, 2e-4, (0.0, 1.0, 0.0, 0.0)),  # x3 - D/k3 = 1e-4 < x4: x4 stays
+        (9e-4, 4e-4, (1.0, 0.0, D / K3**2, -1 / K3)),  # x4 follows x3 - D/k3; derivatives by (x3, x4, k3, D)
     ],
 )
 def test_ratchet(x3, depth, gradient):
     """x4 = max(x4, x3 - D/k3) (6.3)."""
-    found, slopes = jax.value_and_grad(ratchet, argnums=(0, 1, 2, 3))(x3, 2e-4, K3, D)
-    assert float(found) == pytest.approx(depth, rel=1e-14)
+    value, slopes = jax.value_and_grad(ratchet, argnums=(0, 1, 2, 3))(x3, 2e-4, K3, D)
+    assert float(value) == pytest.approx(depth, rel=1e-14)
     np.testing.assert_allclose(slopes, gradient, rtol=1e-14)
 
 
 def test_under_jit_and_vmap():
-    """The same numbers, over lanes and compiled."""
+    """The compiled functions give the same numbers over lanes."""
     rng = np.random.default_rng(0)
     e, k3, threshold = rng.uniform(-1e-3, 1e-3, 50), rng.uniform(1e8, 5e8, 50), rng.uniform(6e4, 2e5, 50)
     expected = np.clip(k3 * e, 0, threshold)
@@ -63,8 +63,8 @@ def test_under_jit_and_vmap():
     np.testing.assert_allclose(jax.jit(ratchet)(e, 2e-4, k3, threshold), expected, rtol=1e-14)
 
 
-def test_running_maximum_whatever_the_path():
-    """Fed a path bit by bit, the ratchet gives max(x4(0), max over the path of x3 - D/k3), and N never passes D."""
+def test_ratchet_is_running_maximum_of_any_path():
+    """Along a path, the ratchet gives max(x4(0), max over the path of x3 - D/k3), and N never exceeds D."""
     path = np.cumsum(np.random.default_rng(2).normal(0, 1e-4, 500))
     _, depths = jax.lax.scan(lambda x4, x3: 2 * (ratchet(x3, x4, K3, D),), jnp.zeros(()), jnp.asarray(path))
     np.testing.assert_array_equal(depths, np.maximum(np.maximum.accumulate(path - D / K3), 0))
@@ -73,7 +73,7 @@ def test_running_maximum_whatever_the_path():
 
 @pytest.mark.parametrize(("shape", "share"), [("rectangular", 1.0), ("half-sine", 2 / np.pi)])
 def test_mean_force(shape, share):
-    """P = A w f, times 2/pi, the mean of sin over half a turn."""
+    """P = A w f, and times 2/pi, the mean of sin over half a turn, for half-sines."""
     p = {"force": 2e5, "pulse_width": 4e-3, "frequency": 20.0}
     assert mean_force(p, shape) == pytest.approx(16e3 * share, rel=1e-15)
 
@@ -89,12 +89,12 @@ def test_table_4_5():
     assert set(ROCKS) == set(printed)
     for name, values in printed.items():
         rock = ROCKS[name]
-        found = (rock.threshold, rock.k3, rock.ucs, rock.modulus, rock.density)
-        np.testing.assert_allclose(found, np.array(values) * units, rtol=1e-12)
+        actual = (rock.threshold, rock.k3, rock.ucs, rock.modulus, rock.density)
+        np.testing.assert_allclose(actual, np.array(values) * units, rtol=1e-12)
 
 
 def test_rock_as_an_axis():
-    """`rock` along the grid is the same as its D and k3 written out, and a harder rock is drilled slower."""
+    """`rock` along the grid gives the same as D and k3 written out, and a harder rock is drilled more slowly."""
     names = ["granite", "sandstone", "limestone"]
     fixed = {"force": 300e3, "zeta": 0.6}
     sweep = {"scene": "penetration", "parameters": fixed, "run": SHORT}
@@ -112,8 +112,8 @@ def test_rock_as_an_axis():
 
 @pytest.mark.parametrize("scene", ["penetration", "drilling", "coupled-drilling"])
 @pytest.mark.parametrize("name", ROCKS)
-def test_rock_of_a_point(scene, name):
-    """A fixed `rock` stands for threshold and k3; drilling's default is sandstone with zeta 1.5."""
+def test_rock_of_point(scene, name):
+    """A fixed `rock` stands for threshold and k3."""
     point = read_point(Place("test"), scene, {"rock": name})
     assert point.parameters["threshold"] == ROCKS[name].threshold
     assert point.parameters["k3"] == ROCKS[name].k3
@@ -124,7 +124,7 @@ def test_rock_of_a_point(scene, name):
 
 
 def test_defaults():
-    """model.md section 2."""
+    """The defaults are those of model.md section 2."""
     given = read_point(Place("test"), "penetration", {}).parameters
     expected = {"force": 200e3, "frequency": 20, "pulse_width": 4e-3, "threshold": 150e3, "k3": 300e6, "zeta": 1.1}
     assert {name: given[name] for name in expected} == expected
@@ -136,8 +136,8 @@ def test_defaults():
 NUMBERS = {"threshold": 1e5, "k3": 1e8}
 
 
-def test_a_fixed_rock_beside_an_axis_of_rocks_is_refused():
-    """A name in both [parameters] and [grid] is an error (contract)."""
+def test_fixed_rock_with_axis_of_rocks_is_refused():
+    """A name in both [parameters] and [grid] is an error."""
     sweep = {"scene": "penetration", "parameters": {"rock": "granite"}, "grid": {"rock": ["sandstone"]}}
     with pytest.raises(InputError, match=r"grid.rock: is in \[parameters\] as well"):
         read_sweep(sweep)
@@ -156,7 +156,7 @@ def test_a_fixed_rock_beside_an_axis_of_rocks_is_refused():
     ],
 )
 def test_wrong_rocks_are_refused(sweep):
-    """One line that names the key."""
-    with pytest.raises(InputError, match="rock") as told:
+    """The error is one line that names the key."""
+    with pytest.raises(InputError, match="rock") as error:
         read_sweep(sweep)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)

@@ -1,18 +1,19 @@
-"""The order of the located stepper on the rock."""
+"""Test the order of convergence of the located stepper on rock."""
 
 import numpy as np
 import pytest
 from rock_motion import Motion
 
 BLOW = {"zeta": 0.6, "force": 250e3, "frequency": 40.0}
-"""Two pulses of 4 ms: the rock yields, stops yielding (x3' = 0), the pulse ends, the bit leaves the rock, the next
-pulse brings it back: every switch there is."""
+"""Two pulses of 4 ms with every switch: the rock yields and stops yielding (x3' = 0), the pulse ends, the bit leaves
+the rock, and the next pulse brings it back.
+"""
 UNTIL = 0.045
 STRIDES = np.array([0.4, 0.28, 0.2, 0.14])
 
 
-def end(order, stride, shape):
-    """(x3 - x4, x3', x4) at the end of the blows, the series alone setting the error (tolerance infinite)."""
+def end_state(order, stride, shape):
+    """Return (x3 - x4, x3', x4) after the blows, with an infinite tolerance so that the series alone sets the error."""
     from vibrojax.stepping import Located
 
     settings = {"tolerance": 1e30, "stride": stride}
@@ -20,17 +21,17 @@ def end(order, stride, shape):
     return np.array([motion.after("compression")[-1], motion.after("v3")[-1], motion.x4[-1]]), motion
 
 
-def fitted(steps, errors):
+def fitted_order(steps, errors):
     return np.polyfit(np.log(steps), np.log(errors), 1)[0]
 
 
 @pytest.fixture(scope="module", params=["rectangular", "half-sine"])
 def exact(request):
-    state, motion = end(8, 0.1, request.param)
+    state, motion = end_state(8, 0.1, request.param)
     return request.param, state, motion
 
 
-def test_the_blows_have_every_switch(exact):
+def test_blows_contain_every_switch(exact):
     _, state, motion = exact
     yields, touches, pulse, turn = motion.steps.hits.T
     assert set(motion.rock) == {-1, 0, 1}
@@ -42,11 +43,11 @@ def test_the_blows_have_every_switch(exact):
 
 
 @pytest.mark.parametrize("order", [3, 4, 5])
-def test_order_of_the_located_steps(exact, order):
-    """|y(h) - y| = C h^order through all switches, for the hole and the motion alike."""
+def test_order_of_located_steps(exact, order):
+    """|y(h) - y| = C h^order through all switches, for the hole as for the motion."""
     shape, state, _ = exact
-    errors = np.array([np.abs(end(order, stride, shape)[0] - state) for stride in STRIDES])
+    errors = np.array([np.abs(end_state(order, stride, shape)[0] - state) for stride in STRIDES])
     depth = errors[:, 2] / state[2]
     motion = np.max(errors[:, :2] / [1e-4, 0.1], axis=1)
-    assert fitted(STRIDES, depth) > order - 0.4, depth
-    assert fitted(STRIDES, motion) > order - 0.4, motion
+    assert fitted_order(STRIDES, depth) > order - 0.4, depth
+    assert fitted_order(STRIDES, motion) > order - 0.4, motion

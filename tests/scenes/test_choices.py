@@ -1,4 +1,4 @@
-"""Scenes declare the options that are given by name."""
+"""Test how scenes declare options that are given by name."""
 
 from dataclasses import fields
 
@@ -8,14 +8,14 @@ import vibrojax as vj
 
 
 @pytest.mark.parametrize("name", vj.SCENES)
-def test_every_option_of_a_scene_has_a_registry(name):
+def test_every_option_of_scene_has_registry(name):
     scene = vj.SCENES[name]()
     for option in fields(scene):
         assert getattr(scene, option.name) in scene.choices[option.name].values()
 
 
 @pytest.mark.parametrize("name", vj.SCENES)
-def test_every_other_choice_is_short_for_parameters(name):
+def test_other_choices_stand_for_parameters(name):
     scene = vj.SCENES[name]()
     short = {choice: values for choice, values in scene.choices.items() if not hasattr(scene, choice)}
     assert set(short) == ({"rock"} if isinstance(scene, vj.HasRock) else set())
@@ -24,5 +24,5 @@ def test_every_other_choice_is_short_for_parameters(name):
             assert {"threshold", "k3"} <= {field.name for field in fields(value)} & set(scene.parameters())
 
 
-def test_laws_that_are_offered_later_are_among_the_choices():
+def test_choices_are_live_registry_of_laws():
     assert vj.SCENES["rotary"].choices["friction"] is vj.FRICTION_LAWS

@@ -1,4 +1,4 @@
-"""Fields, surfaces, modes and landings of the drill's scenes against model.md, section 1, in plain numpy."""
+"""Test fields, surfaces, modes and landings of the drill's scenes against model.md, section 1, in plain numpy."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,14 +23,14 @@ LAWS = {  # mu(|u|) of section 3, at its defaults
 
 
 def constants(scene, **values):
-    """The scene's constants, as arrays, with defaults where nothing else is said."""
-    p = {name: one.default for name, one in scene.parameters().items()}
+    """Return the scene's constants as arrays, with defaults for missing values."""
+    p = {name: parameter.default for name, parameter in scene.parameters().items()}
     given = {name: value for name, value in (DRILL | CONTACT | values).items() if name in p}
     return scene.constants({name: jnp.asarray(value) for name, value in (p | given).items()})
 
 
 def states(sign=0, seed=1):
-    """Random states; `sign` of the sliding speed, 0 for u = 0 exactly."""
+    """Return random states with the given `sign` of the sliding speed, 0 for u = 0 exactly."""
     random = np.random.default_rng(seed)
     x1, x2 = random.uniform(-0.05, 0.05, (2, LANES))
     speed = random.uniform(0.05, 3.0, LANES)
@@ -38,7 +38,7 @@ def states(sign=0, seed=1):
 
 
 def reference(law, slip, touching, state):
-    """x1', x1'', x2', x2'' of section 1."""
+    """Return x1', x1'', x2', x2'' of section 1."""
     x1, v1, x2, v2 = state
     m1, k1, c2 = DRILL["m1"], DRILL["k1"], DRILL["c2"]
     m2 = DRILL["beta"] * m1
@@ -64,25 +64,25 @@ def arrays(*values):
 def test_field(law, slip, kind, touching):
     scene = kind(friction=FRICTION_LAWS[law])
     state = states(slip, seed=2)
-    found = scene.field(constants(scene), arrays(slip, *touching), arrays(*state))
-    for one, expected in zip(found, reference(law, slip, any(touching), state), strict=True):
-        np.testing.assert_allclose(one, expected, rtol=1e-12, atol=1e-10 if touching else 1e-12)
+    field = scene.field(constants(scene), arrays(slip, *touching), arrays(*state))
+    for component, expected in zip(field, reference(law, slip, any(touching), state), strict=True):
+        np.testing.assert_allclose(component, expected, rtol=1e-12, atol=1e-10 if touching else 1e-12)
 
 
 @pytest.mark.parametrize("slip", [1, -1])
 @pytest.mark.parametrize("touching", [1, 0])
-def test_smoothed_field_tends_to_the_sliding_one(slip, touching):
-    """sgn u is spread as u/sqrt(u² + w²): at |u| >= 0.05 and w = 1e-6 it differs by w²/(2 u²) < 1e-9."""
+def test_smoothed_field_converges_to_sliding_field(slip, touching):
+    """u/sqrt(u² + w²) replaces sgn u. At |u| >= 0.05 and w = 1e-6 they differ by w²/(2 u²) < 1e-9."""
     scene = VibroImpact()
     state, mode = states(slip, seed=3), arrays(slip, touching)
-    found = scene.smoothed_field(constants(scene), mode, arrays(*state), 1e-6)
-    for one, expected in zip(found, reference("stribeck", slip, touching, state), strict=True):
-        np.testing.assert_allclose(one, expected, rtol=1e-7, atol=1e-6)
+    field = scene.smoothed_field(constants(scene), mode, arrays(*state), 1e-6)
+    for component, expected in zip(field, reference("stribeck", slip, touching, state), strict=True):
+        np.testing.assert_allclose(component, expected, rtol=1e-7, atol=1e-6)
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_friction_is_against_sliding_and_grows_under_impact(law):
-    """R2: F = (force on the bit from the springs) - m1 x1'' has the sign of u, and J > 0 only adds to it."""
+def test_friction_opposes_sliding_and_grows_under_impact(law):
+    """R2: F = (spring force on the bit) - m1 x1'' has the sign of u, and J > 0 only adds to it."""
     scene = VibroImpact(friction=FRICTION_LAWS[law])
     p = constants(scene)
     for sign in (1, -1):
@@ -90,45 +90,47 @@ def test_friction_is_against_sliding_and_grows_under_impact(law):
         x2 = CONTACT["delta"] + 1e-3 + 0 * x1  # J = 4e4 + c0 v2 > 0
         state = arrays(x1, v1, x2, np.abs(v2))
         bits = [scene.field(p, arrays(sign, touching), state)[1] for touching in (0, 1)]
-        free, loaded = (springs(x1, x2) - DRILL["m1"] * np.asarray(bit) for bit in bits)
+        free, loaded = (spring_force(x1, x2) - DRILL["m1"] * np.asarray(bit) for bit in bits)
         assert np.all(free * (v1 + DRILL["v"]) > 0)
         assert np.all(sign * (loaded - free) > 0)
 
 
-def test_stick_holds_the_bit_on_the_rock():
-    """R1: friction is against the pull, so that u stays at 0 whatever pulls, and the drive leaves the bit behind."""
+def test_stick_holds_bit_on_rock():
+    """R1: friction balances the pull, so u stays at 0, and the drive leaves the bit behind."""
     for scene, mode in ((Rotary(), arrays(0)), (VibroImpact(), arrays(0, 1))):
-        found = scene.field(constants(scene), mode, arrays(*states(0)))
-        np.testing.assert_array_equal(found[0], -DRILL["v"])
-        np.testing.assert_array_equal(found[1], 0.0)
+        field = scene.field(constants(scene), mode, arrays(*states(0)))
+        np.testing.assert_array_equal(field[0], -DRILL["v"])
+        np.testing.assert_array_equal(field[1], 0.0)
 
 
-def limit(impact=0.0):
-    """f_st + mu J (5.11, R2)."""
+def stick_limit(impact=0.0):
+    """Return f_st + mu J (5.11, R2)."""
     return 0.4 * (DRILL["m1"] * DRILL["g"] + impact)
 
 
-def springs(x1, x2):
+def spring_force(x1, x2):
     return -DRILL["k1"] * x1 - K2 * (x1 - x2)
 
 
-def pulled(force, x2):
-    """x1 at which the springs pull with `force` [N]."""
+def x1_for_pull(force, x2):
+    """Return x1 at which the springs pull with `force` [N]."""
     return (K2 * x2 - force) / (DRILL["k1"] + K2)
 
 
 @pytest.mark.parametrize("slip", [1, -1, 0])
 @pytest.mark.parametrize("touching", [1, 0])
 def test_surfaces(slip, touching):
-    """|u|, or the force short of the stick limit over sqrt(k1 m1); J/k0, or in flight the gap or -J/k0, the greater."""
+    """The friction surface is |u|, or the force left to the stick limit over sqrt(k1 m1). The contact surface is J/k0
+    in contact, and the greater of the gap and -J/k0 in flight.
+    """
     scene = VibroImpact()
     state = states(slip, seed=5)
     x1, v1, x2, v2 = state
     over_k0 = x2 - CONTACT["delta"] + CONTACT["c0"] / CONTACT["k0"] * v2
     impact = touching * CONTACT["k0"] * over_k0
-    in_hand = (limit(impact) - np.abs(springs(x1, x2))) / np.sqrt(DRILL["k1"] * DRILL["m1"])
+    reserve = (stick_limit(impact) - np.abs(spring_force(x1, x2))) / np.sqrt(DRILL["k1"] * DRILL["m1"])
     friction, contact = scene.guard_values(constants(scene), arrays(slip, touching), arrays(*state))
-    np.testing.assert_allclose(friction, np.abs(v1 + DRILL["v"]) if slip else in_hand, rtol=1e-11, atol=1e-10)
+    np.testing.assert_allclose(friction, np.abs(v1 + DRILL["v"]) if slip else reserve, rtol=1e-11, atol=1e-10)
     apart = np.maximum(CONTACT["delta"] - x2, -over_k0)
     np.testing.assert_allclose(contact, over_k0 if touching else apart, rtol=1e-11, atol=1e-15)
     np.testing.assert_array_equal(scene.marker_values(arrays(*state)), [v1, v2])  # the turns
@@ -138,36 +140,36 @@ def test_surfaces(slip, touching):
         np.testing.assert_allclose(alone, friction[None], rtol=1e-11, atol=1e-10)
 
 
-def test_surfaces_are_exactly_zero_on_the_surface():
+def test_surface_values_are_zero_on_surface():
     scene = VibroImpact()
     p = constants(scene)
     delta, v = p.contact.delta, p.drill.slip.v
     at_rest = jnp.asarray(0.01), -v, delta, jnp.asarray(0.7)  # u = 0
     for slip in (1.0, -1.0):  # apart and rising through delta: x2 = delta, J = c0 x2' > 0
         np.testing.assert_array_equal(scene.guard_values(p, (jnp.asarray(slip), jnp.asarray(0.0)), at_rest), 0)
-    # Let go at J = 0: x2 - delta = -c0/k0 x2'.
+    # Release at J = 0: x2 - delta = -c0/k0 x2'.
     leaving = jnp.asarray(0.01), -v, delta + 0.7 * p.contact.c0 / p.contact.k0, jnp.asarray(-0.7)
     for touching in (1.0, 0.0):
         surface = scene.guard_values(p, (jnp.asarray(1.0), jnp.asarray(touching)), leaving)[1]
         assert abs(surface) < 2 * np.spacing(abs(CONTACT["delta"]))
-    # Let go above delta and falling: apart until J > 0 again.
+    # Released above delta and falling: apart until J > 0 again.
     let_go = (*leaving[:3], jnp.asarray(-0.9))
     assert scene.guard_values(p, (jnp.asarray(1.0), jnp.asarray(0.0)), let_go)[1] > 0
 
 
 def mode_at(scene, *state, **values):
     p = constants(scene, **values)
-    return tuple(float(one) for one in scene.mode_at(p, tuple(jnp.asarray(float(value)) for value in state)))
+    return tuple(float(flag) for flag in scene.mode_at(p, tuple(jnp.asarray(float(value)) for value in state)))
 
 
 @pytest.mark.parametrize(("force", "slip"), [(0, 0), (0.99, 0), (-0.99, 0), (1.01, 1), (-1.01, -1), (5, 1), (-5, -1)])
 def test_rotary_mode_at_rest(force, slip):
-    """5.11: at u = 0 the bit sticks up to f_st = mu m1 g, and beyond it starts the way it is pulled."""
-    assert mode_at(Rotary(), pulled(force * limit(), 0.02), -DRILL["v"], 0.02, 0.3) == (slip,)
+    """5.11: at u = 0 the bit sticks up to f_st = mu m1 g. Beyond it, the bit moves in the direction of the pull."""
+    assert mode_at(Rotary(), x1_for_pull(force * stick_limit(), 0.02), -DRILL["v"], 0.02, 0.3) == (slip,)
 
 
-def test_rotary_sticks_at_the_limit_itself():
-    """5.11 holds with <=: f_st = 512 N, k1 |x1| = 512 N, k2 |x1| = 64 N, all exact in binary."""
+def test_rotary_sticks_exactly_at_limit():
+    """5.11 includes equality. f_st = 512 N, k1 |x1| = 512 N and k2 |x1| = 64 N are exact in binary."""
     values = {"k1": 2.0**18, "beta": 0.5, "gamma": 0.5, "m1": 256.0, "g": 8.0, "mu": 0.25}
     x1 = -(2.0**-9)
     assert mode_at(Rotary(), x1, -DRILL["v"], x1, 0.0, **values) == (0,)
@@ -175,26 +177,26 @@ def test_rotary_sticks_at_the_limit_itself():
 
 
 @pytest.mark.parametrize(("v1", "slip"), [(0.0, 1), (-1.3, 1), (-1.5, -1), (-3.0, -1)])
-def test_mode_while_sliding_is_the_sign_of_u(v1, slip):
+def test_mode_while_sliding_is_sign_of_u(v1, slip):
     assert mode_at(Rotary(), -0.05, v1, 0.01, 0.0) == (slip,)
     assert mode_at(VibroImpact(), -0.05, v1, 0.01, 0.0) == (slip, 1)
 
 
-def test_a_law_without_stick_limit_never_holds_a_pull():
+def test_law_without_stick_limit_never_holds_pull():
     """2.15: mu(0+) = 0."""
     scene = Rotary(friction=FRICTION_LAWS["popp-arctan"])
     assert mode_at(scene, 1e-7, -DRILL["v"], 0.0, 0.0) == (-1,)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_impact_raises_the_stick_limit(sign):
-    """R2: a pull between f_st and f_st + mu J is held while J acts, and only then."""
+def test_impact_raises_stick_limit(sign):
+    """R2: only while J acts, a pull between f_st and f_st + mu J is held."""
     x2 = CONTACT["delta"] + 1e-4  # J = 4000 N at x2' = 0
     for share, slip in ((0.9, 0), (1.1, sign)):
-        state = pulled(sign * share * limit(4e3), x2), -DRILL["v"], x2, 0.0
+        state = x1_for_pull(sign * share * stick_limit(4e3), x2), -DRILL["v"], x2, 0.0
         assert mode_at(VibroImpact(), *state) == (slip, 1)
     x2 = CONTACT["delta"] - 1e-4
-    assert mode_at(VibroImpact(), pulled(sign * 0.9 * limit(4e3), x2), -DRILL["v"], x2, 0.0) == (sign, 0)
+    assert mode_at(VibroImpact(), x1_for_pull(sign * 0.9 * stick_limit(4e3), x2), -DRILL["v"], x2, 0.0) == (sign, 0)
 
 
 @pytest.mark.parametrize(
@@ -203,20 +205,20 @@ def test_impact_raises_the_stick_limit(sign):
         (-1e-3, 2.0, 0.0, 0),  # apart
         (1e-3, 0.0, 0.0, 1),
         (1e-3, -1.9, 0.0, 1),  # J = 40000 - 38000 N
-        (1e-3, -2.1, 0.0, 0),  # J < 0: let go above delta
+        (1e-3, -2.1, 0.0, 0),  # J < 0: released above delta
         (0.0, 0.5, 0.0, 1),  # the gap closes
-        (0.0, -0.5, 0.0, 0),  # it opens
-        (0.0, 0.0, 0.01, 1),  # at rest on the bit, pushed on by k2 (x1 - x2) > 0
+        (0.0, -0.5, 0.0, 0),  # the gap opens
+        (0.0, 0.0, 0.01, 1),  # at rest on the bit, pressed on by k2 (x1 - x2) > 0
         (0.0, 0.0, -0.01, 0),  # at rest, pulled off
     ],
 )
 def test_contact_mode(over, v2, x1, touching):
-    """5.18: J while x2 >= delta and that is positive."""
+    """5.18: J acts where x2 >= delta and J is positive."""
     assert mode_at(VibroImpact(), x1, 0.0, CONTACT["delta"] + over, v2) == (1, touching)
 
 
 def test_starts():
-    """R5: `drive` all zero, `stuck` u = 0; R13: with delta < 0 both are inside the contact, `touching` on its edge."""
+    """R5: `drive` is zero, `stuck` has u = 0. R13: if delta < 0, both are in contact, and `touching` at its edge."""
     scene = VibroImpact()
     for delta, touching in ((-0.005, 1), (0.005, 0)):
         p = constants(scene, delta=delta)
@@ -236,7 +238,7 @@ def test_starts():
     )  # k0 |delta|
 
 
-def landed(scene, mode, state, *hits):
+def land(scene, mode, state, *hits):
     p = constants(scene)
     state = tuple(jnp.asarray(float(value)) for value in state)
     by_name = dict(zip(scene.event_names, map(jnp.asarray, hits), strict=True))
@@ -245,48 +247,48 @@ def landed(scene, mode, state, *hits):
 
 
 @pytest.mark.parametrize(("slip", "share", "after"), [(1, 0.5, 0), (1, -2, -1), (-1, -0.5, 0), (-1, 2, 1), (1, 2, 1)])
-def test_landing_on_zero_sliding_speed(slip, share, after):
-    """u = 0 exactly; 5.11 then decides: stick, or slide the way the springs pull."""
-    x1 = pulled(share * limit(), 0.02)
+def test_landing_at_zero_sliding_speed(slip, share, after):
+    """u is exactly 0. Then 5.11 decides between stick and slip in the direction of the pull."""
+    x1 = x1_for_pull(share * stick_limit(), 0.02)
     for scene, rest in ((Rotary(), ()), (VibroImpact(), (0.0,))):
         hits = (True, *(False for _ in rest), False, False)
-        mode, state = landed(scene, (float(slip), *rest), (x1, -DRILL["v"] + 1e-12, 0.02, 0.3), *hits)
+        mode, state = land(scene, (float(slip), *rest), (x1, -DRILL["v"] + 1e-12, 0.02, 0.3), *hits)
         assert mode == (after, *rest)
         assert state == (x1, -DRILL["v"], 0.02, 0.3)
 
 
-def test_stick_ends_into_the_pull():
+def test_stick_ends_in_direction_of_pull():
     for sign in (1, -1):
-        x1 = pulled(sign * limit() * (1 - 1e-14), 0.02)
-        mode, state = landed(Rotary(), (0.0,), (x1, -DRILL["v"], 0.02, 0.3), True, False, False)
+        x1 = x1_for_pull(sign * stick_limit() * (1 - 1e-14), 0.02)
+        mode, state = land(Rotary(), (0.0,), (x1, -DRILL["v"], 0.02, 0.3), True, False, False)
         assert (*mode, state[1]) == (sign, -DRILL["v"])
 
 
-def test_landing_under_impact_uses_the_raised_limit():
+def test_landing_under_impact_uses_raised_limit():
     x2 = CONTACT["delta"] + 1e-4
     for share, slip in ((0.9, 0), (1.1, 1)):
-        state = pulled(share * limit(4e3), x2), -DRILL["v"], x2, 0.0
-        assert landed(VibroImpact(), (-1.0, 1.0), state, True, False, False, False)[0] == (slip, 1)
+        state = x1_for_pull(share * stick_limit(4e3), x2), -DRILL["v"], x2, 0.0
+        assert land(VibroImpact(), (-1.0, 1.0), state, True, False, False, False)[0] == (slip, 1)
 
 
-def test_landings_on_the_contact():
-    """Snapped to x2 = delta where an impact begins, to J = 0 where it ends; caught again above delta, x2 stays."""
+def test_landings_on_contact():
+    """x2 = delta exactly where an impact begins, J = 0 where it ends. Renewed contact leaves x2 unchanged."""
     delta, relaxation = CONTACT["delta"], CONTACT["c0"] / CONTACT["k0"]
     contact = (False, True, False, False)
-    begins = landed(VibroImpact(), (1.0, 0.0), (0.01, 0.2, delta + 1e-16, 0.7), *contact)
+    begins = land(VibroImpact(), (1.0, 0.0), (0.01, 0.2, delta + 1e-16, 0.7), *contact)
     assert begins == ((1, 1), (0.01, 0.2, delta, 0.7))
-    mode, state = landed(VibroImpact(), (1.0, 1.0), (0.01, 0.2, delta + 0.7 * relaxation + 1e-12, -0.7), *contact)
+    mode, state = land(VibroImpact(), (1.0, 1.0), (0.01, 0.2, delta + 0.7 * relaxation + 1e-12, -0.7), *contact)
     assert mode == (1, 0)
     np.testing.assert_allclose(state, (0.01, 0.2, delta + 0.7 * relaxation, -0.7), rtol=1e-15)
     caught = 0.01, 0.2, delta + 0.5 * relaxation, -0.5
-    assert landed(VibroImpact(), (1.0, 0.0), caught, *contact) == ((1, 1), caught)
+    assert land(VibroImpact(), (1.0, 0.0), caught, *contact) == ((1, 1), caught)
 
 
-def test_landing_on_turns_and_on_nothing():
+def test_landing_on_turns_and_without_events():
     state = 0.01, 1e-15, -0.02, -1e-15
     for scene, rest in ((Rotary(), ()), (VibroImpact(), (0.0,))):
         still = (False,) * (1 + len(rest))
         mode = (1.0, *rest)
-        assert landed(scene, mode, state, *still, True, False) == (mode, (0.01, 0.0, -0.02, -1e-15))
-        assert landed(scene, mode, state, *still, False, True) == (mode, (0.01, 1e-15, -0.02, 0.0))
-        assert landed(scene, mode, state, *still, False, False) == (mode, state)
+        assert land(scene, mode, state, *still, True, False) == (mode, (0.01, 0.0, -0.02, -1e-15))
+        assert land(scene, mode, state, *still, False, True) == (mode, (0.01, 1e-15, -0.02, 0.0))
+        assert land(scene, mode, state, *still, False, False) == (mode, state)

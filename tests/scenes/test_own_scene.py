@@ -1,4 +1,4 @@
-"""A scene written outside the package, with a third degree of freedom: the top drives the bit by the drill string."""
+"""Test a scene written outside the package, with a third degree of freedom: the drill string between drive and bit."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -33,8 +33,8 @@ class Constants(NamedTuple):
 
 
 @dataclass(frozen=True)
-class WithString(VibroImpact):
-    """The bit hangs on k1 from a mass m0, which hangs on k4 from the drive; x1, x2 and x0 relative to the drive."""
+class DrillWithString(VibroImpact):
+    """A drill whose bit hangs on k1 from a mass m0, on k4 below the drive. x0, x1, x2 are relative to the drive."""
 
     name = "with-string"
     states = (
@@ -69,8 +69,8 @@ class WithString(VibroImpact):
 
 
 @dataclass(frozen=True)
-class Fastest(Gauge[Scene[Any]]):
-    """fastest_string [m/s]: the greatest |x0'| at the ends of steps."""
+class FastestString(Gauge[Scene[Any]]):
+    """Gauge of fastest_string [m/s], the largest |x0'| at the ends of steps."""
 
     def begin(self, scene, c, lane):
         return jnp.abs(lane.state[scene.place("v0")])
@@ -82,12 +82,12 @@ class Fastest(Gauge[Scene[Any]]):
         return {"fastest_string": carry}
 
 
-class Measured(WithString):
-    measures = (*WithString.measures, Fastest())
+class MeasuredDrill(DrillWithString):
+    measures = (*DrillWithString.measures, FastestString())
 
 
 def run(scene, stepper, error=1e-4, **values):
-    defaults = {name: one.default for name, one in scene.parameters().items()}
+    defaults = {name: parameter.default for name, parameter in scene.parameters().items()}
     c = scene.constants({name: jnp.full(1, value) for name, value in (defaults | values).items()})
     accuracy = stepper.accuracy(AccuracyRequest(error=error), scene)
     state = scene.start(c, "stuck", (1,))
@@ -100,47 +100,46 @@ def run(scene, stepper, error=1e-4, **values):
 
 
 VALUES = {"k4": 1e8, "m0": 100.0, "delta": 0.005}
-"""A string so stiff that its top is the drive itself."""
+"""Values with a string so stiff that its mass moves with the drive."""
 
 
 @pytest.fixture(scope="module")
-def stiff():
-    return run(Measured(), Located(), **VALUES)
+def stiff_string():
+    return run(MeasuredDrill(), Located(), **VALUES)
 
 
 @pytest.mark.long
-def test_a_stiff_string_is_none(stiff):
-    """With k4 >> k1 the motion is that of the vibro-impact scene: k1 and k4 in series are 1.6e-3 softer than k1."""
+def test_stiff_string_has_no_effect(stiff_string):
+    """With k4 >> k1 the motion agrees with the vibro-impact scene. k1 and k4 in series are softer than k1 by 1.6e-3."""
     scene = VibroImpact()
     plain = run(scene, Located(), delta=0.005)
     for name in ("cycles", "impacts", "returns"):
-        assert stiff[name] == plain[name], name
+        assert stiff_string[name] == plain[name], name
     for name in ("period", "bit_amplitude", "striker_amplitude"):
-        np.testing.assert_allclose(stiff[name], plain[name], rtol=1e-2, err_msg=name)
+        np.testing.assert_allclose(stiff_string[name], plain[name], rtol=1e-2, err_msg=name)
 
 
-def test_its_own_quantities(stiff):
-    """The amplitude that its section names, and the gauge that it holds."""
-    assert 0 < stiff["string_amplitude"][0] < 4e-3 * stiff["bit_amplitude"][0]
-    assert 0 < stiff["fastest_string"][0] < 0.1
+def test_own_quantities(stiff_string):
+    """The scene provides the amplitude of its section and the value of its gauge."""
+    assert 0 < stiff_string["string_amplitude"][0] < 4e-3 * stiff_string["bit_amplitude"][0]
+    assert 0 < stiff_string["fastest_string"][0] < 0.1
 
 
-def test_smoothed():
-    """The other stepper takes it as well."""
-    features = run(WithString(), Smoothed(), 0.03, m0=500.0, k4=4e6, delta=0.005)
+def test_smoothed_stepper():
+    features = run(DrillWithString(), Smoothed(), 0.03, m0=500.0, k4=4e6, delta=0.005)
     assert bool(features["finite"][0]) and bool(features["finished"][0])
 
 
-def test_a_gauge_says_what_it_needs():
-    class NoContact(WithString):
+def test_gauge_states_required_scene():
+    class NoContact(DrillWithString):
         measures = ("drilling",)
 
     with pytest.raises(InputError, match="with-string is no HasRock; Hole measures only those"):
         recorder_for(NoContact())
 
 
-def test_a_gauge_that_there_is_not():
-    class Misnamed(WithString):
+def test_unknown_gauge_is_refused():
+    class Misnamed(DrillWithString):
         measures = ("swing",)
 
     with pytest.raises(InputError, match='with-string measures "swing"; choose from swings, rest, shares'):

@@ -1,4 +1,4 @@
-"""Functions of lanes compiled to kernels, as in sweeps; XLA takes several times as long to compile them."""
+"""Functions of lanes compiled to kernels, as in sweeps. XLA takes several times as long to compile them."""
 
 from functools import partial
 
@@ -9,7 +9,7 @@ from vibrojax.compile.kernels import Kernel
 
 
 def by_kernels(static):
-    """Return a decorator like `jax.jit` with the first arguments static; one program does any number of lanes."""
+    """Return a decorator like `jax.jit` with the first arguments static. One program serves any number of lanes."""
 
     def decorate(function):
         kernels = {}

@@ -1,4 +1,4 @@
-"""The clock of a lane: no time is lost over a long run, in either precision."""
+"""Test that the clock of a lane loses no time over a long run, in either precision."""
 
 from fractions import Fraction
 
@@ -12,8 +12,8 @@ STEPS = 3_000_000
 
 
 @jax.jit
-def ticked(clock, dt):
-    """`clock` after so many steps of `dt` [s], and a plain sum of them."""
+def tick_many_times(clock, dt):
+    """Return `clock` after STEPS steps of `dt` [s], and the plain sum."""
 
     def tick(_, both):
         clock, total = both
@@ -23,13 +23,14 @@ def ticked(clock, dt):
 
 
 @pytest.mark.parametrize(("dtype", "bound"), [("float32", 2e-3), ("float64", 1e-11)])
-def test_three_million_steps_lose_nothing(dtype, bound):
-    """10^5 cycles are some 3e6 steps and 4e4 s: the clock tells n dt to half of its last digit, where a plain sum has
-    drifted by thousands of them."""
+def test_clock_is_exact_over_three_million_steps(dtype, bound):
+    """Some 3e6 steps make 10^5 cycles, or 4e4 s. The clock gives n dt to half of its last digit, while a plain sum
+    drifts by thousands of digits.
+    """
     zero, dt = jnp.zeros((), dtype), jnp.asarray(0.0127, dtype)
-    clock, plain = ticked(Clock(zero, zero), dt)
+    clock, plain = tick_many_times(Clock(zero, zero), dt)
     exact = STEPS * Fraction(float(dt))
-    told = Fraction(float(clock.high)) + Fraction(float(clock.low))
-    assert abs(float(told - exact)) < bound
+    clock_time = Fraction(float(clock.high)) + Fraction(float(clock.low))
+    assert abs(float(clock_time - exact)) < bound
     assert abs(float(Fraction(float(plain)) - exact)) > 1000 * bound
     assert float(clock.until(jnp.asarray(float(exact), dtype))) == pytest.approx(0.0, abs=2 * bound)

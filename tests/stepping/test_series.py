@@ -1,4 +1,4 @@
-"""Truncated Taylor series: arithmetic against Cauchy's integral, expansions against closed-form solutions."""
+"""Test truncated Taylor series: arithmetic against Cauchy's integral, expansions against closed-form solutions."""
 
 from math import factorial
 
@@ -14,7 +14,7 @@ from vibrojax.stepping.series import Sequence, Series, expand, known
 
 ORDER = 9
 RANDOM = np.random.default_rng(7)
-# Two lanes, whose coefficients fall so fast that every function below is analytic inside Cauchy's circle.
+# Two lanes, with coefficients that fall so fast that every function below is analytic inside Cauchy's circle.
 A = RANDOM.uniform(-1, 1, (ORDER + 1, 2)) * 0.3 ** np.arange(ORDER + 1)[:, None]
 B = RANDOM.uniform(-1, 1, (ORDER + 1, 2)) * 0.3 ** np.arange(ORDER + 1)[:, None]
 A[0], B[0] = (0.7, -0.4), (1.9, -2.3)
@@ -26,15 +26,15 @@ def series(coefficients):
 
 
 def cauchy(function):
-    """c_k = 1/(2 pi i) integral f(a(z), b(z)) z^-(k+1) dz over |z| = 0.5, by the trapezoidal rule (exponential)."""
+    """Return c_k = 1/(2 pi i) integral f(a(z), b(z)) z^-(k+1) dz over |z| = 0.5 by the trapezoidal rule."""
     z = 0.5 * np.exp(2j * np.pi * np.arange(256) / 256)
     a, b = (sum(c[k] * z[:, None] ** k for k in range(ORDER + 1)) for c in (A, B))
     spectrum = np.fft.fft(function(a, b) + 0 * a, axis=0) / 256
     return (spectrum[: ORDER + 1] / 0.5 ** np.arange(ORDER + 1)[:, None]).real
 
 
-def coefficients(one, order=ORDER):
-    return np.array(one.arrays(order, jnp.zeros(2)))
+def coefficients(series, order=ORDER):
+    return np.array(series.arrays(order, jnp.zeros(2)))
 
 
 @pytest.mark.parametrize(
@@ -71,17 +71,17 @@ def test_arithmetic(function):
     np.testing.assert_allclose(coefficients(function(series(A), series(B))), expected, rtol=1e-9, atol=1e-12)
 
 
-def test_arithmetic_with_arrays_on_the_left():
-    """A JAX array must leave `array * series` to the series."""
+def test_arithmetic_with_arrays_on_left():
+    """Arrays of JAX must leave `array * series` to the series."""
     lane = jnp.asarray(LANE)
-    for found, expected in (
+    for product, expected in (
         (lane * series(A), lambda a, b: LANE * a),
         (lane + series(A), lambda a, b: LANE + a),
         (lane - series(A), lambda a, b: LANE - a),
         (lane / series(B), lambda a, b: LANE / b),
     ):
-        assert isinstance(found, Series)
-        np.testing.assert_allclose(coefficients(found), cauchy(expected), rtol=1e-9, atol=1e-12)
+        assert isinstance(product, Series)
+        np.testing.assert_allclose(coefficients(product), cauchy(expected), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -93,8 +93,8 @@ def test_arithmetic_with_arrays_on_the_left():
     ],
 )
 def test_composed_functions(function, reference):
-    found = coefficients(function(series(A), series(B)))
-    np.testing.assert_allclose(found, cauchy(reference), rtol=1e-9, atol=1e-12)
+    result = coefficients(function(series(A), series(B)))
+    np.testing.assert_allclose(result, cauchy(reference), rtol=1e-9, atol=1e-12)
 
 
 FUNCTION_ORDER = 5
@@ -117,7 +117,7 @@ CIRCLE = 0.3 * np.exp(2j * np.pi * np.arange(128) / 128)
 
 
 def cauchy_mean(function):
-    """c_k of f(tau) = sum_k c_k tau^k, by its mean over a circle of f(tau) tau^-k."""
+    """Return c_k of f(tau) = sum_k c_k tau^k as the mean of f(tau) tau^-k over a circle."""
     return [np.mean(function(CIRCLE) * CIRCLE**-k).real for k in range(FUNCTION_ORDER + 1)]
 
 
@@ -127,19 +127,19 @@ def test_functions(name):
     lanes = [np.array(INSIDE), np.array([1.7, 0.4, 0.0, -0.3, 0.2, 0.1])]
     series = of_series(known([jnp.asarray([lane[k] for lane in lanes]) for k in range(FUNCTION_ORDER + 1)]))
     expected = [cauchy_mean(lambda tau, a=lane: of_numbers(np.polyval(a[::-1], tau))) for lane in lanes]
-    found = np.array([np.asarray(series[k]) for k in range(FUNCTION_ORDER + 1)]).T
-    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12)
+    actual = np.array([np.asarray(series[k]) for k in range(FUNCTION_ORDER + 1)]).T
+    np.testing.assert_allclose(actual, expected, rtol=1e-11, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions_of_numbers(name):
     of_series, of_numbers = FUNCTIONS[name]
-    at = jnp.linspace(0.1, 3.0, 7)
-    np.testing.assert_allclose(of_series(at), of_numbers(np.asarray(at)), rtol=1e-14)
+    x = jnp.linspace(0.1, 3.0, 7)
+    np.testing.assert_allclose(of_series(x), of_numbers(np.asarray(x)), rtol=1e-14)
 
 
-def test_functions_of_a_state_in_an_equation():
-    """y' = tanh(y) has sinh(y) = sinh(y0) e^t, and y' = sqrt(1 + y²) has y = sinh(t + arsinh y0)."""
+def test_functions_of_state_in_equation():
+    """y' = tanh(y) has the solution sinh(y) = sinh(y0) e^t, and y' = sqrt(1 + y²) has y = sinh(t + arsinh y0)."""
     solutions = [
         (elementary.tanh, lambda t: np.arcsinh(np.sinh(0.3) * np.exp(t))),
         (lambda y: elementary.sqrt(1.0 + y * y), lambda t: np.sinh(t + np.arcsinh(0.3))),
@@ -151,10 +151,10 @@ def test_functions_of_a_state_in_an_equation():
         )
 
 
-def test_functions_of_a_constant_and_of_a_line():
+def test_functions_of_constant_and_of_line():
     """exp(c + tau) = exp(c) tau^k/k!; arctan(tau) = tau - tau³/3 + tau⁵/5; 1/(1 - tau) = 1 + tau + tau² ..."""
-    one = jnp.ones(2)
-    line = known([0.0 * one, one, *[0.0] * (ORDER - 1)])
+    ones = jnp.ones(2)
+    line = known([0.0 * ones, ones, *[0.0] * (ORDER - 1)])
     np.testing.assert_allclose(
         coefficients(elementary.exp(line + 0.4)),
         np.transpose([[np.exp(0.4) / factorial(k) for k in range(ORDER + 1)]] * 2),
@@ -164,41 +164,43 @@ def test_functions_of_a_constant_and_of_a_line():
         coefficients(elementary.arctan(line), 5), np.transpose([[0, 1, 0, -1 / 3, 0, 1 / 5]] * 2), atol=1e-15
     )
     np.testing.assert_allclose(coefficients(1 / (1 - line)), 1.0, rtol=1e-14)
-    for made in (
-        elementary.exp(Series(one, {})),
-        elementary.arctan(Series(one, {})),
-        1 / Series(one, {}),
-        Series(one, {}) * 2,
+    for constant in (
+        elementary.exp(Series(ones, {})),
+        elementary.arctan(Series(ones, {})),
+        1 / Series(ones, {}),
+        Series(ones, {}) * 2,
     ):
-        np.testing.assert_array_equal(coefficients(made)[1:], 0.0)
+        np.testing.assert_array_equal(coefficients(constant)[1:], 0.0)
 
 
-def test_maximum_and_absolute_keep_the_branch_of_the_start():
-    """In each lane the series of whichever is greater at tau = 0: a is 0.7, -0.4 and b 1.9, -2.3 there."""
+def test_maximum_and_absolute_keep_branch_of_start():
+    """Each lane has the series that is greater at tau = 0, where a is 0.7, -0.4 and b 1.9, -2.3."""
     np.testing.assert_array_equal(
         coefficients(elementary.maximum(series(A), series(B))), np.stack([B[:, 0], A[:, 1]], axis=1)
     )
     floor = coefficients(elementary.maximum(series(A), jnp.asarray(0.1)))
     np.testing.assert_array_equal(floor, np.stack([A[:, 0], [0.1] + [0.0] * ORDER], axis=1))
     np.testing.assert_array_equal(coefficients(elementary.absolute(series(A))), A * [1, -1])
-    # The same functions on arrays.
+    # The same functions of arrays.
     np.testing.assert_array_equal(elementary.absolute(jnp.asarray(LANE)), [1.3, 0.6])
     np.testing.assert_array_equal(elementary.maximum(jnp.asarray(LANE), 0.0), [1.3, 0.0])
 
 
-def test_each_coefficient_is_worked_out_once():
-    asked = []
-    one = Series(jnp.ones(2), {Sequence(jnp.ones(2), term=lambda k: asked.append(k) or jnp.full(2, 0.5**k)): 1.0})
-    coefficients(one * one + elementary.exp(one))
-    assert asked == list(range(1, ORDER + 1))
+def test_each_coefficient_is_computed_once():
+    orders = []
+    geometric = Series(
+        jnp.ones(2), {Sequence(jnp.ones(2), term=lambda k: orders.append(k) or jnp.full(2, 0.5**k)): 1.0}
+    )
+    coefficients(geometric * geometric + elementary.exp(geometric))
+    assert orders == list(range(1, ORDER + 1))
 
 
-def test_what_is_linear_costs_one_factor():
-    """Sums and scalings only change factors: 2 (a + b)/3 - a is one part of each sequence, and one of a alone."""
+def test_linear_operations_only_change_factors():
+    """2 (a + b)/3 - a has one part per sequence, and a combination of a alone has one part."""
     a, b = series(A), series(B)
-    made = (a + b) * 2.0 / 3 - a
-    assert list(made.parts.values()) == [pytest.approx(-1 / 3), pytest.approx(2 / 3)]
-    np.testing.assert_allclose(coefficients(made), -A / 3 + 2 * B / 3, rtol=1e-14)
+    combined = (a + b) * 2.0 / 3 - a
+    assert list(combined.parts.values()) == [pytest.approx(-1 / 3), pytest.approx(2 / 3)]
+    np.testing.assert_allclose(coefficients(combined), -A / 3 + 2 * B / 3, rtol=1e-14)
     assert list((a * 0.25 + a * 0.75).parts.values()) == [1.0]
     assert (a - a).parts == {}
 
@@ -206,71 +208,73 @@ def test_what_is_linear_costs_one_factor():
 H = jnp.asarray([0.1, 0.7])
 
 
-def test_expansion_of_an_oscillator():
-    """x'' = -w² x: x = x0 cos wt + v0/w sin wt, so c_k(x) = h^k/k! times the k-th derivative at 0."""
+def test_expansion_of_oscillator():
+    """x'' = -w² x has x = x0 cos wt + v0/w sin wt, so c_k(x) = h^k/k! times the k-th derivative at 0."""
     w, x0, v0 = np.array([3.0, 0.9]), np.array([0.2, -1.0]), np.array([-1.0, 0.4])
     field = lambda y: (y[1], jnp.asarray(-(w**2)) * y[0])  # noqa: E731
-    found = expand(field, (jnp.asarray(x0), jnp.asarray(v0)), H, ORDER)
+    expansions = expand(field, (jnp.asarray(x0), jnp.asarray(v0)), H, ORDER)
     derivatives = [x0, v0]
     for _ in range(ORDER):
         derivatives.append(-(w**2) * derivatives[-2])
-    for i, one in enumerate(found):
+    for i, expansion in enumerate(expansions):
         expected = [derivatives[k + i] * np.asarray(H) ** k / factorial(k) for k in range(ORDER + 1)]
-        np.testing.assert_allclose(coefficients(one), expected, rtol=1e-12)
+        np.testing.assert_allclose(coefficients(expansion), expected, rtol=1e-12)
 
 
-def test_expansion_of_a_pole():
-    """y' = y²: y = y0/(1 - y0 t), c_k = y0 (y0 h)^k."""
+def test_expansion_of_pole():
+    """y' = y² has y = y0/(1 - y0 t), c_k = y0 (y0 h)^k."""
     y0 = np.array([0.8, -1.7])
-    (found,) = expand(lambda y: (y[0] * y[0],), (jnp.asarray(y0),), H, ORDER)
+    (expansion,) = expand(lambda y: (y[0] * y[0],), (jnp.asarray(y0),), H, ORDER)
     expected = [y0 * (y0 * np.asarray(H)) ** k for k in range(ORDER + 1)]
-    np.testing.assert_allclose(coefficients(found), expected, rtol=1e-12)
+    np.testing.assert_allclose(coefficients(expansion), expected, rtol=1e-12)
 
 
-def test_expansion_of_a_logarithm():
-    """y' = exp(-y): y = ln(exp(y0) + t), c_k = -(-s)^k/k with s = h exp(-y0)."""
+def test_expansion_of_logarithm():
+    """y' = exp(-y) has y = ln(exp(y0) + t), c_k = -(-s)^k/k with s = h exp(-y0)."""
     y0 = np.array([0.8, -0.7])
-    (found,) = expand(lambda y: (elementary.exp(-y[0]),), (jnp.asarray(y0),), H, ORDER)
+    (expansion,) = expand(lambda y: (elementary.exp(-y[0]),), (jnp.asarray(y0),), H, ORDER)
     s = np.asarray(H) * np.exp(-y0)
     expected = [y0] + [-((-s) ** k) / k for k in range(1, ORDER + 1)]
-    np.testing.assert_allclose(coefficients(found), expected, rtol=1e-12)
+    np.testing.assert_allclose(coefficients(expansion), expected, rtol=1e-12)
 
 
-def test_expansion_of_a_root():
-    """y' = 1/y: y = sqrt(y0² + 2 t), whose value at the end of the step the sum must reach."""
+def test_expansion_of_square_root():
+    """y' = 1/y has y = sqrt(y0² + 2 t). The sum must reach its value at the end of the step."""
     y0, h = np.array([1.0, 2.0]), jnp.asarray([0.02, 0.03])
-    (found,) = expand(lambda y: (1 / y[0],), (jnp.asarray(y0),), h, ORDER)
-    np.testing.assert_allclose(coefficients(found).sum(0), np.sqrt(y0**2 + 2 * np.asarray(h)), rtol=1e-13)
+    (expansion,) = expand(lambda y: (1 / y[0],), (jnp.asarray(y0),), h, ORDER)
+    np.testing.assert_allclose(coefficients(expansion).sum(0), np.sqrt(y0**2 + 2 * np.asarray(h)), rtol=1e-13)
 
 
-def test_expansion_of_a_constant_rate_and_of_rest():
-    found = expand(lambda y: (Series(jnp.asarray(LANE), {}), y[1] * 0.0), (jnp.zeros(2), jnp.ones(2)), H, 4)
-    np.testing.assert_allclose(coefficients(found[0], 4), [[0, 0], LANE * np.asarray(H), [0, 0], [0, 0], [0, 0]])
-    np.testing.assert_array_equal(coefficients(found[1], 4), [[1, 1]] + [[0, 0]] * 4)
+def test_expansion_of_constant_rate_and_of_rest():
+    expansions = expand(lambda y: (Series(jnp.asarray(LANE), {}), y[1] * 0.0), (jnp.zeros(2), jnp.ones(2)), H, 4)
+    np.testing.assert_allclose(coefficients(expansions[0], 4), [[0, 0], LANE * np.asarray(H), [0, 0], [0, 0], [0, 0]])
+    np.testing.assert_array_equal(coefficients(expansions[1], 4), [[1, 1]] + [[0, 0]] * 4)
 
 
 @pytest.mark.parametrize("law", FRICTION_LAWS)
-def test_expansion_of_the_drill_by_repeated_differentiation(law):
-    """y^(k+1) = (d y^(k)/dy) f(y): nested forward derivatives of the field on arrays, which never meet a series.
+def test_expansion_of_drill_against_repeated_differentiation(law):
+    """y^(k+1) = (d y^(k)/dy) f(y) by nested forward derivatives of the field on arrays, which do not use series.
 
-    Four lanes, each in another mode.
+    The four lanes are in different modes.
     """
     scene = VibroImpact(friction=FRICTION_LAWS[law])
-    p = {name: jnp.asarray(one.default) for name, one in scene.parameters().items()}
+    p = {name: jnp.asarray(parameter.default) for name, parameter in scene.parameters().items()}
     p = scene.constants(p | {"k0": jnp.asarray(4e5), "c0": jnp.asarray(50.0)})
     slip, touching = jnp.asarray([1.0, 1.0, -1.0, 0.0]), jnp.asarray([1.0, 0.0, 1.0, 1.0])
     state = (jnp.full(4, 0.01), 0.4 * slip - 1.5, jnp.full(4, 0.004), jnp.full(4, 0.9))
     field = lambda y: scene.field(p, (slip, touching), y)  # noqa: E731
 
-    def along(derivative):
+    def differentiate_along_field(derivative):
         return lambda y: jax.jvp(derivative, (y,), (field(y),))[1]
 
     order, h = 5, 0.003
-    found = jax.jit(lambda y: [c.arrays(order, slip) for c in expand(field, y, h, order)])(state)
+    expansions = jax.jit(lambda y: [c.arrays(order, slip) for c in expand(field, y, h, order)])(state)
     derivatives = [field]
     for _ in range(1, order):
-        derivatives.append(along(derivatives[-1]))
-    every = jax.jit(lambda y: [derivative(y) for derivative in derivatives])(state)  # they have much in common
-    for k, values in enumerate(every, 1):
+        derivatives.append(differentiate_along_field(derivatives[-1]))
+    derivative_values = jax.jit(lambda y: [derivative(y) for derivative in derivatives])(
+        state
+    )  # compiled together, because they have much in common
+    for k, values in enumerate(derivative_values, 1):
         expected = np.array(values) * h**k / factorial(k)
-        np.testing.assert_allclose([c[k] for c in found], expected, rtol=1e-9, atol=1e-13, err_msg=str(k))
+        np.testing.assert_allclose([c[k] for c in expansions], expected, rtol=1e-9, atol=1e-13, err_msg=str(k))
