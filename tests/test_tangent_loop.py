@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.periodic.tangent_loop import loop_with_tangents
+from vibrojax.periodic.tangent_loop import Loop
 
 
 class Carry(NamedTuple):
@@ -40,7 +40,10 @@ DIRECTIONS = jnp.stack([jnp.ones(2), jnp.array([0.0, 2.0]), jnp.array([-1.0, 0.5
 
 
 def test_it_is_the_derivative_that_jax_finds():
-    last, moved = loop_with_tangents(begin, advance, continues, X, DIRECTIONS, lambda carry: (carry.x, carry.total))
+    def varies(carry):
+        return carry.x, carry.total
+
+    last, moved = Loop(begin, advance, continues, varies).with_tangents(DIRECTIONS).run(X)
     expected = run(X)
     for name in Carry._fields:
         np.testing.assert_array_equal(getattr(last, name), getattr(expected, name), name)
@@ -52,4 +55,4 @@ def test_it_is_the_derivative_that_jax_finds():
 
 def test_a_part_that_is_not_named_is_an_error():
     with pytest.raises(AssertionError, match="has a derivative that `varies` does not name"):
-        loop_with_tangents(begin, advance, continues, X, DIRECTIONS, lambda carry: (carry.total,))
+        Loop(begin, advance, continues, lambda carry: (carry.total,)).with_tangents(DIRECTIONS).run(X)
