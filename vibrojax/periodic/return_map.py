@@ -8,7 +8,6 @@ Forward-mode derivatives include the implicit derivative of each event time, hen
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -22,7 +21,7 @@ from vibrojax.models.arrays import Array, Flags, Lanes, Real
 from vibrojax.models.scenes import Driven, HasImpacts, Scene
 from vibrojax.models.scenes.declared import Section, Values
 from vibrojax.periodic.margin import Margin
-from vibrojax.periodic.tangent_loop import loop_with_tangents, with_derivatives
+from vibrojax.periodic.tangent_loop import Loop
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.parallel import in_parallel
@@ -169,40 +168,31 @@ class ReturnLoop(NamedTuple):
 
         Derivatives have a leading axis (states and parameters); those of discrete values are None.
         """
-        scene, rows = self.scene, state.shape[0]
+        unknowns = jnp.stack([*state, *(p[name] for name in along)])
+        rows, number = state.shape[0], len(unknowns)
+        directions = jnp.broadcast_to(jnp.eye(number, dtype=state.dtype)[:, :, None], (number, *unknowns.shape))
 
         def begin(unknowns: Array) -> tuple[Any, _Flight]:
-            varied = dict(zip(along, unknowns[rows:], strict=True))
-            c = scene.scaled(scene.constants(p | varied), jax.lax.stop_gradient(at_section(scene, state)))
-            return c, self.begin(c, unknowns[:rows])
+            return self.begin_at(p | dict(zip(along, unknowns[rows:], strict=True)), unknowns[:rows])
 
-        unknowns = jnp.stack([*state, *(p[name] for name in along)])
-        number = len(unknowns)
-        directions = jnp.broadcast_to(jnp.eye(number, dtype=state.dtype)[:, :, None], (number, *unknowns.shape))
-        return loop_with_tangents(begin, self.advance, self.continues, unknowns, directions, varying)
+        ended: tuple[_Flight, Any] = self.of(begin).with_tangents(directions).run(unknowns)
+        return ended
+
+    def begin_at(self, p: dict[str, Lanes], state: Array) -> tuple[Any, _Flight]:
+        """Return (the scene's constants, lanes at the section), for all parameters by name and the state."""
+        scene = self.scene
+        c = scene.scaled(scene.constants(p), jax.lax.stop_gradient(at_section(scene, state)))
+        return c, self.begin(c, state)
+
+    def of(self, begin: Callable[[Any], tuple[Any, _Flight]]) -> Loop:
+        """Return the loop as a function of the argument of `begin`, which returns the result of `begin_at`."""
+        return Loop(begin, self.advance, self.continues, varying)
 
     def _margin(self, c: Any) -> Margin:
         return self.margin(c) if self.margin else Margin(self.scene, self.scene.section, c, False)
 
     def _moving(self, flight: _Flight) -> Flags:
         return ~flight.seen.returned & (flight.seen.steps < self.most_steps) & jnp.isfinite(flight.lane.state[0])
-
-
-def one_return(
-    scene: Scene[Any], stepper: Stepper, c: Any, state: Array, accuracy: Accuracy, most_steps: Real = MOST_STEPS
-) -> tuple[tuple[Array, Lanes], ReturnEvents]:
-    """Return ((image under the return map, time [s] until the image), events on the way): pure, hence differentiable.
-
-    `c`: the scene's constants, scaled for the motion; `state` (states, lanes): state at the section. The grazing margin
-    is differentiated too.
-    """
-    loop = ReturnLoop(scene, stepper, accuracy, most_steps, lambda c: Margin(scene, scene.section, c, True))
-    first = loop.begin(c, state)
-    lane, time, margins, total, reach = with_derivatives(varying(first))
-    seen = first.seen._replace(margin=total, reach=reach)
-    first = first._replace(lane=lane, time=time, margins=margins, seen=seen)
-    flight = jax.lax.while_loop(loop.continues, partial(loop.advance, c), first)
-    return (map_state(scene, flight.lane), flight.time), flight.seen
 
 
 def map_state(scene: Scene[Any], lane: Lane) -> Array:

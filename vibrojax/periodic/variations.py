@@ -18,8 +18,9 @@ from jaxtyping import Float
 from vibrojax.compile.xla import workers
 from vibrojax.models.arrays import Array, Lanes
 from vibrojax.models.scenes import Scene
+from vibrojax.periodic.margin import Margin
 from vibrojax.periodic.newton import PeriodicOrbits, PerLane, shooting_matrix, solve
-from vibrojax.periodic.return_map import MOST_STEPS, at_section, in_calls, one_return
+from vibrojax.periodic.return_map import MOST_STEPS, ReturnLoop, in_calls, map_state
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
 from vibrojax.sweep.engine.compiler import lane_function
 
@@ -152,21 +153,25 @@ def second_variation(
     accuracy: Accuracy,
     most_steps: Any,
 ) -> Any:
-    """Return (image, time, derivative of the image, margin, impacts) of the map, and their derivatives.
+    """Return (image, time, derivative of the image, margin, impacts) of the map, and derivatives of the first four.
 
     The image is differentiated along the change `first` of the state; the results, along the change `second` of the
     state and that of the parameters. `p`: values and changes of the parameters. Changes are different for each lane.
     """
-    fixed = jax.lax.stop_gradient(state)
+    loop = ReturnLoop(scene, stepper, accuracy, most_steps, lambda c: Margin(scene, scene.section, c, True))
+    values, changes = {name: pair[0] for name, pair in p.items()}, {name: pair[1][None] for name, pair in p.items()}
+    once = loop.of(lambda x: loop.begin_at(*x)).with_tangents((dict.fromkeys(p), first[None]))
+    (flight, moved), (slopes, d_moved) = once.with_tangents((changes, second[None])).run((values, state))
 
-    def image(p: dict[str, Lanes], state: Array) -> Any:
-        c = scene.scaled(scene.constants(p), at_section(scene, fixed))
-        (there, time), seen = one_return(scene, stepper, c, state, accuracy, most_steps)
-        return there, (time, seen.margin, seen.impacts)
+    def results(flight: Any, moved: Any) -> tuple[Array, ...]:
+        return map_state(scene, flight.lane), flight.time, map_state(scene, moved.lane), flight.seen.margin
 
-    def derivative(p: dict[str, Lanes], state: Array) -> Any:
-        there, moved, (time, margin, impacts) = jax.jvp(lambda s: image(p, s), (state,), (first,), has_aux=True)
-        return there, time, moved, margin, impacts
-
-    values, changes = ({name: pair[k] for name, pair in p.items()} for k in (0, 1))
-    return jax.jvp(derivative, (values, state), (changes, second))
+    # The single directions of both derivatives have axes of their own, before that of the lanes.
+    image, time, derivative, margin = results(flight, moved)
+    d_image, d_time, d_derivative, d_margin = results(slopes, d_moved)
+    return (image, time, derivative[:, 0], margin, flight.seen.impacts), (
+        d_image[:, 0],
+        d_time[0],
+        d_derivative[:, 0, 0],
+        d_margin[0],
+    )
