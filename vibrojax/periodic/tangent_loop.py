@@ -48,7 +48,7 @@ class Loop(NamedTuple):
         """
 
         def begin(x: Any) -> tuple[Any, Any]:
-            changes = jax.tree.structure(x).flatten_up_to(directions)
+            changes = _leaves_like(x, directions)
             count = next(len(change) for change in changes if change is not None)
             (constants, first), began = _derivatives(self.begin, [x], changes)
             number = len(jax.tree.leaves(constants))
@@ -62,15 +62,14 @@ class Loop(NamedTuple):
 
         def advance(given: Any, both: Any) -> Any:
             (constants, of_constants), (carry, tangents) = given, both
-            tree = jax.tree.structure(carry)
-            moved = tree.flatten_up_to(tangents)
+            moved = _leaves_like(carry, tangents)
             after, changed = _derivatives(self.advance, [constants, carry], [*of_constants, *moved])
             for index, before in enumerate(moved):
                 if before is None:
                     assert changed[index] is None, "a part of the carry has a derivative that `varies` does not name"
                 elif changed[index] is None:
                     changed[index] = jnp.zeros_like(before)
-            return after, jax.tree.unflatten(tree, changed)
+            return after, jax.tree.unflatten(jax.tree.structure(carry), changed)
 
         return Loop(begin, advance, lambda both: self.continues(both[0]), lambda both: (self.varies(both[0]), both[1]))
 
@@ -142,6 +141,13 @@ def _derivatives(function: Callable[..., Y], inputs: Sequence[Any], moved: Tange
         next(real) if _is_real(leaf) else next(discrete) if isinstance(leaf, jax.Array) else leaf for leaf in results
     ]
     return jax.tree.unflatten(outcome, values), changed
+
+
+def _leaves_like(tree: Any, tangents: Any) -> Tangents:
+    """Return the leaves of a pytree of derivatives, None included, in the order of the leaves of `tree`."""
+    structure: Any = jax.tree.structure(tree)
+    leaves: Tangents = structure.flatten_up_to(tangents)
+    return leaves
 
 
 def _is_real(leaf: Any) -> bool:
