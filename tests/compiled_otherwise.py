@@ -4,8 +4,8 @@
 
 With jax before 0.11.2, "XLA, no options" takes minutes to compile. Along 1.2 s of an impacting motion, rounding errors
 grow by several powers of ten. A larger difference is a fault of a compiler or of the package. Kernels of another width,
-or with other passes, give the same bits, but not those without fused multiply-add. One sweep holds all friction laws
-(see test_sweep_against_simulate.py), and pulses have both shapes.
+or with other passes, give the same bits, but not those without fused multiply-add. Drills run under each friction law,
+penetration under both pulse shapes.
 """
 
 from argparse import ArgumentParser
@@ -20,7 +20,7 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", True)
 
-from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, run_points  # noqa: E402
+from test_sweep_against_simulate import DRILLS, columns, run_points  # noqa: E402
 
 from vibrojax.compile import Untranslatable, agreement, xla  # noqa: E402
 from vibrojax.compile.kernels import elementwise, kernels, native  # noqa: E402
@@ -97,9 +97,7 @@ def results(scene: str) -> list:
     if scene == "penetration":
         points = columns(scene)
         return [run_points(scene, points, {}, force=250e3, pulse_shape=shape) for shape in ("rectangular", "half-sine")]
-    lanes = {name: np.tile(column, len(FRICTION_LAWS) - 1) for name, column in columns(scene).items()}
-    lanes["law"] = np.repeat(np.arange(len(FRICTION_LAWS) - 1.0), LANES)
-    return [run_points(scene, lanes, {"keep_returns": 25}, friction="all-laws")]
+    return [run_points(scene, columns(scene), {"keep_returns": 25}, friction=law) for law in FRICTION_LAWS]
 
 
 def difference(reference, other) -> tuple[float, str]:
@@ -120,7 +118,6 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=[*DRILLS, "penetration"])
     parser.add_argument("--choice", action="append", choices=CHOICES, help="only these")
     options = parser.parse_args()
-    FRICTION_LAWS["all-laws"] = all_laws()
     print(f"jax {jax.__version__}, kernels for {native.processor().name}")
     for scene in options.scenes:
         usual = results(scene)

@@ -26,9 +26,9 @@ def derivatives(scene, **given):
     return vj.derivatives(scene, progress=False, **given)
 
 
-def reasons(found):
+def reasons(result):
     """Return the reasons as text, in the shape of the derivatives."""
-    return np.array(found.reason.attrs["flag_meanings"].split())[found.reason.values]
+    return np.array(result.reason.attrs["flag_meanings"].split())[result.reason.values]
 
 
 # Values
@@ -38,7 +38,8 @@ def exact_slopes(scene, of, by, point, share=1e-5, **times):
     """Return central differences of the exact motion (variables, parameters)."""
 
     def measured(name, value):
-        return np.array([exact.measure(exact.run(scene, **point | {name: value}, **times))[one] for one in of])
+        features = exact.measure(exact.run(scene, **point | {name: value}, **times))
+        return np.array([features[variable] for variable in of])
 
     steps = {name: share * abs(point[name]) for name in by}
     return np.stack(
@@ -61,8 +62,8 @@ CASES = {
 def test_derivatives_match_exact_reference(scene):
     of, by, point = CASES[scene]
     times = {"settle": 4.0, "observe": 2.0}
-    found = derivatives(scene, of=of, by=by, **point, **times)
-    np.testing.assert_allclose(found.derivative, exact_slopes(scene, of, by, point, **times), rtol=1e-6)
+    result = derivatives(scene, of=of, by=by, **point, **times)
+    np.testing.assert_allclose(result.derivative, exact_slopes(scene, of, by, point, **times), rtol=1e-6)
 
 
 def test_derivatives_match_exact_reference_at_random_points():
@@ -79,14 +80,14 @@ def test_derivatives_match_exact_reference_at_random_points():
         "delta": np.where(np.arange(size) % 2, -1, 1) * rng.uniform(0.002, 0.006, size),
     }
     by, times = ("beta", "gamma"), {"start": "stuck", "settle": 10.0, "observe": 4.0}
-    found = derivatives("vibro-impact", of=DRILL, by=by, **points, **times)
-    repeat = np.flatnonzero((reasons(found)[:, 0] != "not-repeating").all(axis=-1))
+    result = derivatives("vibro-impact", of=DRILL, by=by, **points, **times)
+    repeat = np.flatnonzero((reasons(result)[:, 0] != "not-repeating").all(axis=-1))
     gap, preload = (repeat[points["delta"][repeat] * sign > 0][0] for sign in (1, -1))
     for index, name in ((gap, "beta"), (preload, "gamma")):  # the exact motion takes most of the time
         point = {name: float(column[index]) for name, column in points.items()}
         slopes = exact_slopes("vibro-impact", DRILL, (name,), point, **times)[:, 0]
-        known = found.measured.values[index] != 0  # one lane never sticks
-        derivative = found.derivative.sel(parameter=name).values[index]
+        known = result.measured.values[index] != 0  # one lane never sticks
+        derivative = result.derivative.sel(parameter=name).values[index]
         np.testing.assert_allclose(derivative[known], slopes[known], rtol=2e-6)
 
 
@@ -105,11 +106,11 @@ def test_pure_function_is_differentiable():
         read = run_block(scene, Located(), recorder, c, start, EXACT, 4.0, 2.0)
         return jnp.concatenate([read[name] for name in of])
 
-    at = jnp.asarray([defaults[name] for name in wrt])
-    found = derivatives("rotary", of=of, by=wrt, settle=4.0, observe=2.0)
-    along = at * jnp.array([0.3, -0.5, 0.7, 1.1])
-    slope = jax.jit(lambda at: jax.jvp(run, (at,), (along,))[1])(at)
-    np.testing.assert_allclose(slope, found.derivative.values @ along, rtol=1e-8)
+    point = jnp.asarray([defaults[name] for name in wrt])
+    result = derivatives("rotary", of=of, by=wrt, settle=4.0, observe=2.0)
+    along = point * jnp.array([0.3, -0.5, 0.7, 1.1])
+    slope = jax.jit(lambda x: jax.jvp(run, (x,), (along,))[1])(point)
+    np.testing.assert_allclose(slope, result.derivative.values @ along, rtol=1e-8)
 
 
 SHORT = {"settle": 0.3, "observe": 0.2, "zeta": 0.6}
@@ -118,18 +119,18 @@ RATE = {"of": "rate_of_penetration", "by": ("force", "threshold", "k3", "zeta")}
 
 def test_rate_of_penetration():
     point = {"force": 250e3, "threshold": 150e3, "k3": 300e6, "zeta": 0.6}
-    found = derivatives("penetration", **RATE, **SHORT | point)
-    assert found.valid.values.tolist() == [[1, 1, 1, 1]]
+    result = derivatives("penetration", **RATE, **SHORT | point)
+    assert result.valid.values.tolist() == [[1, 1, 1, 1]]
     slopes = exact_slopes("penetration", [RATE["of"]], RATE["by"], point, settle=0.3, observe=0.2)
-    np.testing.assert_allclose(found.derivative, slopes, rtol=1e-6)
+    np.testing.assert_allclose(result.derivative, slopes, rtol=1e-6)
 
 
 def test_units_and_elasticities():
-    found = derivatives("penetration", **RATE, **SHORT)
-    assert found.derivative_unit.values.tolist() == [["m s-1 (N)-1", "m s-1 (N)-1", "m s-1 (N m-1)-1", "m s-1"]]
-    assert found.unit.values.tolist() == ["m s-1"]
+    result = derivatives("penetration", **RATE, **SHORT)
+    assert result.derivative_unit.values.tolist() == [["m s-1 (N)-1", "m s-1 (N)-1", "m s-1 (N m-1)-1", "m s-1"]]
+    assert result.unit.values.tolist() == ["m s-1"]
     # With constant stiffness, scaling force and threshold together scales all lengths.
-    assert float(found.elasticity.sel(parameter=["force", "threshold"]).sum()) == pytest.approx(1, abs=1e-9)
+    assert float(result.elasticity.sel(parameter=["force", "threshold"]).sum()) == pytest.approx(1, abs=1e-9)
 
 
 def test_lists_of_points_match_single_points():
@@ -165,32 +166,32 @@ def test_derivatives_converge_with_settling_time():
     given = {"of": ("period", "impact_velocity"), "by": ("beta", "v"), "start": "stuck", **points}
     orbit = derivatives("vibro-impact", settle=120.0, **given)
     shorter = {settle: derivatives("vibro-impact", settle=settle, **given) for settle in (10.0, 20.0, 40.0)}
-    held = [int(found.valid.sum()) for found in shorter.values()]
+    held = [int(result.valid.sum()) for result in shorter.values()]
     assert held == sorted(held) and held[0] < held[-1]
-    for found in shorter.values():
-        valid = (found.valid & orbit.valid).values == 1
-        relative = np.abs(found.derivative / orbit.derivative - 1).values[valid]
+    for result in shorter.values():
+        valid = (result.valid & orbit.valid).values == 1
+        relative = np.abs(result.derivative / orbit.derivative - 1).values[valid]
         insensitive = np.abs(orbit.elasticity.values[valid]) < 1e-3
         assert np.max(relative[~insensitive]) < 1e-3
     settled = orbit.valid.values == 1
-    worst = [float(np.abs(one.derivative - orbit.derivative).values[settled].max()) for one in shorter.values()]
+    worst = [float(np.abs(run.derivative - orbit.derivative).values[settled].max()) for run in shorter.values()]
     assert worst[0] > 10 * worst[-1]
 
 
 def test_motion_that_does_not_repeat_has_no_derivative():
-    found = derivatives("vibro-impact", of="period", by="beta", delta=0.005, start="drive")  # a weak rattle
-    assert reasons(found).tolist() == [["not-repeating"]] and found.valid.values.tolist() == [[0]]
+    result = derivatives("vibro-impact", of="period", by="beta", delta=0.005, start="drive")  # a weak rattle
+    assert reasons(result).tolist() == [["not-repeating"]] and result.valid.values.tolist() == [[0]]
 
 
 def test_undefined_values_have_no_derivative():
-    found = derivatives("vibro-impact", of=("period", "impact_velocity"), by="beta", delta=0.5)  # out of reach
-    assert reasons(found).tolist() == [["none"], ["zero-or-undefined"]]
+    result = derivatives("vibro-impact", of=("period", "impact_velocity"), by="beta", delta=0.5)  # out of reach
+    assert reasons(result).tolist() == [["none"], ["zero-or-undefined"]]
     assert set(reasons(derivatives("penetration", **RATE, **SHORT, force=50e3)).ravel()) == {"zero-or-undefined"}
 
 
 def test_refused_lanes_are_flagged():
-    found = derivatives("penetration", **RATE, pulse_width=0.2, frequency=[4.0, 10.0])
-    assert set(reasons(found)[1].ravel()) == {"refused"} and "refused" not in reasons(found)[0]
+    result = derivatives("penetration", **RATE, pulse_width=0.2, frequency=[4.0, 10.0])
+    assert set(reasons(result)[1].ravel()) == {"refused"} and "refused" not in reasons(result)[0]
 
 
 def test_derivatives_during_settling_are_flagged():
@@ -207,8 +208,8 @@ def test_order_of_events_changes_at_a_threshold():
         rate = derivatives("penetration", of=RATE["of"], by="force", force=forces, **SHORT).measured.values[:, 0]
         first = int(np.argmax(rate > 0))
         low, high = forces[first - 1 : first + 1]
-    at = derivatives("penetration", **RATE, force=high, **SHORT)
-    assert set(reasons(at).ravel()) == {"order-of-events-changes-nearby"}
+    at_threshold = derivatives("penetration", **RATE, force=high, **SHORT)
+    assert set(reasons(at_threshold).ravel()) == {"order-of-events-changes-nearby"}
 
 
 def test_order_of_events_changes_at_a_graze():
@@ -221,8 +222,8 @@ def test_order_of_events_changes_at_a_graze():
         impacts = derivatives("vibro-impact", of="impact_velocity", by="delta", delta=gaps, start="stuck").measured
         free = int(np.argmax(np.isnan(impacts.values[:, 0])))
         low, high = gaps[free - 1 : free + 1]
-    found = derivatives("vibro-impact", delta=[high, 1.1 * high], **given)
-    assert reasons(found).ravel().tolist() == ["order-of-events-changes-nearby", "none"]
+    result = derivatives("vibro-impact", delta=[high, 1.1 * high], **given)
+    assert reasons(result).ravel().tolist() == ["order-of-events-changes-nearby", "none"]
 
 
 # Refusals
@@ -260,5 +261,5 @@ def test_jax_transformations_are_refused_with_advice(transform):
 
 def test_jax_arrays_are_accepted():
     given = {"of": "rate_of_penetration", "by": "force", **SHORT}
-    found = [derivatives("penetration", force=x, **given).derivative.values for x in (250e3, jnp.asarray(250e3))]
-    np.testing.assert_array_equal(*found)
+    result = [derivatives("penetration", force=x, **given).derivative.values for x in (250e3, jnp.asarray(250e3))]
+    np.testing.assert_array_equal(*result)
