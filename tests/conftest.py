@@ -71,7 +71,17 @@ CHECKED = [
 install_import_hook(CHECKED, "beartype.beartype")
 jaxtyping.jaxtyped = checked  # the import hook writes this decorator into the modules
 
-LONGEST = ("test_reproduce.py", "test_derivatives.py", "test_exact.py", "test_accuracy.py", "test_hard_faults.py")
+LONGEST = (
+    "test_trust.py",
+    "test_systems.py",
+    "test_sweep_against_simulate.py",
+    "test_accelerator.py",
+    "test_examples.py",
+    "test_derivatives.py",
+    "test_hostile.py",
+    "test_curves.py",
+    "test_borders.py",
+)
 """Slowest files. They start first, so that no process is left alone with one of them at the end."""
 
 
