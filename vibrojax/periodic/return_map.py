@@ -40,7 +40,7 @@ class ReturnEvents(NamedTuple):
 
     - `returned`: True if the section was reached; `impacts`: number of impacts; `steps`: number of steps.
     - `mode_changes` (modes, 3, lanes): numbers of changes of each mode to the values -1, 0 and 1.
-    - `margin`: grazing margin, see [vibrojax.periodic.margin][]; its two rows (2, lanes) in results of `one_return`.
+    - `margin`: grazing margin, see [vibrojax.periodic.margin][]; its two rows (2, lanes) at the end of a loop.
     - `reach`: the margin that limits the validity of derivatives.
     - `least`, `greatest` (states, lanes): smallest and greatest values of the return map's states.
     """
