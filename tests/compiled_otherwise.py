@@ -74,7 +74,7 @@ CHOICES: dict[str, list[Any]] = {
 
 @contextmanager
 def compiled_with(changes: list[Any]) -> Iterator[None]:
-    """Compile sweeps anew with these changes."""
+    """Compile sweeps again with these changes."""
     caches = (xla.evaluation, agreement.check)
     for change in changes:
         change.start()

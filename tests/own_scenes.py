@@ -347,7 +347,7 @@ def oscillator_orbits(
 def oscillator_doubles(
     between: tuple[float, float], R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
 ) -> float:
-    """Return the amplitude `a` at which the period of the fastest orbit doubles: 1 + trace + determinant = 0."""
+    """Return the amplitude `a`, within `between`, at which the fastest orbit doubles: 1 + trace + determinant = 0."""
 
     def product(a: float) -> float:
         return float(np.prod(1 + oscillator_orbits(a, R, w, stiffness, damping, stop, n)[-1].multipliers).real)

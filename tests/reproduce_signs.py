@@ -5,7 +5,7 @@
 TABLE.md is the table of the right equations, from `vibrojax reproduce`. `none` changes no sign, so nothing may turn
 red.
 
-Lanes with a wrong sign never end, so the limit of steps is low. `none` shows that the right lanes need no more steps.
+Many lanes with a wrong sign never end, so the limit of steps is low. `none` shows that it is enough for right lanes.
 
 Counted with 41 of the 189 results red under the right equations: none 0, friction 94, contact 66, impact-friction 35.
 The last sign affects only the part of friction that an impact adds, which is absent without impacts.

@@ -1,4 +1,4 @@
-"""Test irregular attractors: lanes are observed until their statistics converge, then grouped by these."""
+"""Test irregular attractors: lanes are observed until their statistics converge, then grouped by them."""
 
 import numpy as np
 import pytest

@@ -113,7 +113,7 @@ def test_picture_marks_jumps(carried):
 
 
 def test_jumps_agree_with_continuation():
-    """At beta 0.4 and gamma 0.6, the gap leads to hysteresis between the strong and the weak single impact.
+    """Over the gap at beta 0.4 and gamma 0.6, there is hysteresis between the strong and the weak single impact.
 
     The strong one ends where it meets an unstable orbit in a corner. The weak one ends where the bit no longer falls
     behind the drive.
@@ -133,7 +133,7 @@ def test_jumps_agree_with_continuation():
     for family, (jump,), kind in ((strong, midpoints[0], "stick"), (weak, midpoints[1], "section")):
         special = [value for name, value in special_points(family) if name == kind]
         assert min(abs(jump - value) for value in special) < step
-    # The corner is a fold: no orbit of the branch exists beyond it, and the branch is unstable after it.
+    # The branch turns back at the corner: it has no orbit beyond, and is unstable from there on.
     corner = float(strong.delta.max())
     unstable = strong.delta.values[strong.stable.values == 0]
     assert midpoints[0][0] == pytest.approx(corner, abs=step) and unstable.max() == pytest.approx(corner, abs=1e-6)

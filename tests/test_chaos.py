@@ -64,7 +64,7 @@ def test_linear_impact_oscillator():
     assert ((pair > 0) & (pair < np.pi) & (lanes.cycles == 1)).all()
     expected = np.log(lanes.restitution) * lanes.frequency / (2 * np.pi) - lanes.damping
     assert float(np.abs(lanes.lyapunov - expected).max()) < 1e-6
-    # Without the orbits, the tangent vector rotates.
+    # Without the orbits, from the tangent vector alone, which rotates.
     sweep = vj.read_sweep({"scene": ImpactOscillator(), "grid": grid})
     state = np.stack([lanes[f"orbit_{name}"].values.ravel() for name in ("c", "x", "v")])
     growth = grow(sweep.system, sweep.lane_values(0, 12)[0], state, unit(state), np.ones_like(state), 8192)
@@ -170,7 +170,7 @@ def test_zero_one_test_separates_regular_from_chaotic_maps():
     assert abs(zero_one(rotation)[0]) < 0.15
 
 
-def test_failed_lanes_have_no_exponent():
+def test_refused_lanes_have_no_exponent():
     failing = vj.run_sweep(
         {"scene": "vibro-impact", "starts": ["stuck"], "unusual": True, "grid": {"k0": [5e7, 1e300]}}
         | {"run": {"lyapunov": True, "settle": 5.0}},

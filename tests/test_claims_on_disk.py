@@ -123,7 +123,7 @@ def test_working_process_touches_its_claims(tmp_path, monkeypatch):
 def test_claim_taken_over_meanwhile_is_not_removed(tmp_path):
     """Another process may take a stale claim between the check and the removal."""
     claims, stale = Claims(tmp_path), claim_of(tmp_path)
-    content = stale.read_bytes()  # age of a fresh claim
+    content = stale.read_bytes()  # as recent as a fresh claim
     assert not claims._remove_stale(stale) and stale.read_bytes() == content
 
 

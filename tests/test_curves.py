@@ -103,7 +103,7 @@ def test_doubling_follows_closed_form_up_to_grazing():
     # The folds of the doubled orbit end at the generalised flip. Orbits of small amplitude are omitted.
     folds = points_of_kind(ds, "fold")
     assert set(folds.cycles.values) == {2}
-    # At the end of the curve both multipliers approach 1; a double multiplier has errors of order 1/2.
+    # At the end of the curve both multipliers approach 1. A double multiplier has the root of the usual error.
     assert np.quantile(np.abs(folds.multiplier_abs - 1).min("multiplier"), 0.8) < 1e-9
     flips = np.array([ds.codim2_w.values, ds.codim2_a.values])[:, ds.codim2_kind.values == "generalised flip"]
     distance = np.abs(flips[:, :, None] - np.array([folds.w.values, folds.a.values])[:, None]).max(axis=0)

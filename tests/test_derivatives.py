@@ -67,9 +67,9 @@ def test_derivatives_match_exact_reference(scene):
 
 
 def test_derivatives_match_exact_reference_at_random_points():
-    """Compare with a gap and with a preload, where the motion repeats.
+    """One point has a gap, the other a preload. At both the motion repeats.
 
-    Differences are not reliable on long transients.
+    On a long transient, differences do not give the derivative.
     """
     rng = np.random.default_rng(5)
     size = 4

@@ -11,8 +11,8 @@ from vibrojax.sweep.input.read import read_sweep
 
 LANES = 384
 WIDE = {"beta": (0.1, 1.2), "gamma": (0.3, 1.2), "v": (0.3, 3.0), "delta": (-0.006, 0.012)}
-"""Wide box of the vibro-impact scene. In 4,096 lanes of it and of two boxes within, all 6,749 periodic lanes have the
-label of the full run; 5,829 of them end on orbits. In float32 all 6,758 do; 5,789 of them end on orbits."""
+"""Wide box of the vibro-impact scene. In 4,096 lanes each of this box and of two boxes within, all 6,749 periodic lanes
+have the label of the full run; 5,829 of them end on orbits. In float32 all 6,758 do; 5,789 of them end on orbits."""
 
 
 @pytest.fixture(autouse=True)

@@ -167,12 +167,12 @@ def test_multipliers_at_fold_follow_root_of_distance():
     assert {0, 1} <= set(family.stable.values[near].tolist())
 
 
-def test_sticking_changes_at_special_points(family):
+def test_stick_points_of_family(family):
     branch = branch_of(family, 0)
     for value in specials(family, "stick"):
         k = np.abs(branch.gamma.values - value).argmin()
         around = branch.isel(point=slice(max(k - 1, 0), k + 2))
-        # The number of sticking or backward-sliding phases changes there, and so do the slopes of their shares of time.
+        # Another number of phases stick or slide backwards on either side, and the slopes of their shares change.
         assert float(around.stick_fraction.min()) < 0.2
     assert len(specials(family, "stick")) == 10
 

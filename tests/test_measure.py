@@ -97,7 +97,7 @@ def test_phase_lag_of_known_cases(features):
 
 @pytest.mark.parametrize("name", ["gap", "free"])
 def test_settling_time(features, name):
-    """The last return counts whose s differs from the next one by over 0.01; s is scaled by the swings between them."""
+    """The last return counts whose state s differs from the next by over 0.01, scaled by the swings between the two."""
     lane = features[name]
     scene, values, start = LANES[name]
     motion = vj.simulate(

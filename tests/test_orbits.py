@@ -96,9 +96,10 @@ def test_multipliers_of_rock():
 
 @pytest.mark.long
 def test_coupled_rock_matches_exact_motion():
-    """Compare five states by central differences. The rock is damped so lightly that it still moves at the next impact.
+    """Compare the multipliers of five states with central differences.
 
-    It yields in the second lane, which makes a multiplier zero.
+    The rock is damped so lightly that it still moves at the next impact. It yields in the second lane, which makes a
+    multiplier zero.
     """
     points = {
         "beta": [0.4626, 0.58],

@@ -71,11 +71,11 @@ def test_discontinuous_field():
 XI = 0.1
 R = restitution(XI)
 STIFF = [1e6, 4e6, 16e6]
-"""Stiffness per mass [1/s²] in steps of 4, by which an error of the inverse root halves."""
+"""Stiffness per mass [1/s²] in steps of a factor 4, which halves an error proportional to its inverse root."""
 
 
 def limit(values):
-    """Return the limit of three values, in steps of 4, whose errors are as k0^(-1/2) and 1/k0."""
+    """Return the limit of the values at three k0 in steps of a factor 4, with errors as k0^(-1/2) and 1/k0."""
     first, second = 2 * values[1] - values[0], 2 * values[2] - values[1]
     return (4 * second - first) / 3
 
@@ -197,7 +197,7 @@ def test_oscillator_grazes_and_doubles_as_with_a_rigid_stop():
     doublings = special_values(family, "period-doubling", 3)
     assert halves(doublings, doubles)
     assert abs(limit(doublings) / doubles - 1) < 1e-6
-    # A soft stop is touched at the same amplitude; near a stiff one the map has a root there.
+    # A soft stop is touched at the same amplitude. With a stiff stop the map behaves like a square root there.
     soft = vj.follow(
         Shaken(), span=(0.5 * grazes, 3.2 * grazes), k0=[stiff[0]], gravity=0.0, xi=XI, **settings, **values
     )

@@ -249,8 +249,8 @@ def test_invalid_output_folder_is_refused(tmp_path, capsys):
 def test_wrong_sign_is_detected(quick, monkeypatch, term):
     """At least a third of the results with impact turn red. `tests/reproduce_signs.py` counts all of them.
 
-    Lanes with a wrong sign never end. The step limits are those of that script. With these limits, nothing turns red
-    under the right signs.
+    Many lanes with a wrong sign never end, so steps are limited as in that script. With these limits, nothing turns
+    red under the right signs.
     """
     monkeypatch.setattr("vibrojax.sweep.engine.batch.LANE_MAX_STEPS", 1e4)
     monkeypatch.setattr("vibrojax.sweep.engine.batch.LANE_MAX_RATE", 300.0)

@@ -46,7 +46,7 @@ def test_settling_time_decides_attractor():
 
 
 def test_slow_regular_transients_are_not_flagged():
-    """The lanes repeat only after more than 40 returns, but changed parameters do not affect the attractor."""
+    """Some lanes settle only after 40 returns, but slightly perturbed parameters lead to the same attractor."""
     sweep = {
         "scene": "vibro-impact",
         "starts": ["drive", "stuck"],

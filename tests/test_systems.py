@@ -263,6 +263,7 @@ def test_mistake_in_system_gives_one_line(message):
 
 
 def test_start_beyond_stop_fails_with_reason():
+    """A restitution above 1 fails too. A field may return plain numbers, which hold for all lanes."""
     ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}, "starts": [[1.5, 0.0]]}, progress=False)
     assert ds.regime.attrs["flag_meanings"].split()[int(ds.regime[0, 0])] == "failed"
     assert reasons_of(ds) == ["beyond-a-stop"] * 2
@@ -337,7 +338,7 @@ def test_friction_with_switch():
 
 @pytest.mark.parametrize("a", [0.00249, 0.0026, 0.0045])
 def test_ball_thrown_up_slightly_stays_above_table(a):
-    """The amplitudes lie just above g/w² = 2.485 mm, where the ball leaves the table with slow bounces."""
+    """Above the amplitude g/w² = 2.485 mm the ball leaves the table. Slow bounces near the section are included."""
     motion = vj.simulate(BALL, a=a, w=20 * np.pi, start=[0.1, 0.0], duration=3.0, sampling=5e-4, progress=False)
     gap = motion.x.values + a * np.cos(20 * np.pi * motion.time.values)
     assert gap.min() > -1e-9

@@ -21,7 +21,7 @@ class Constants(NamedTuple):
 
 @dataclass(frozen=True)
 class Rotor(vj.Scene[Constants]):
-    """A rotor (c, s) = (cos, sin) that returns to its circle, with y' = growth y. Only y = 0 stays in the plane."""
+    """A rotor (c, s) = (cos, sin) that returns to its circle, with y' = growth y. Only y = 0 never leaves its plane."""
 
     name = "rotor"
     states = (

@@ -1,4 +1,4 @@
-"""The friction laws of chapter 3 and section 5.9, as formulas of the sliding speed w = |u|, w > 0.
+"""The friction laws (model, section 3; eqs. 2.13 to 2.17 and 5.9) as formulas of the sliding speed w = |u|, w > 0.
 
 A step across w = 0 evaluates them at slightly negative w, where they continue smoothly.
 """
@@ -7,7 +7,7 @@ import numpy as np
 
 
 def stribeck(w, p):
-    """Return (5.9), relative to mu m1 g."""
+    """Return (5.9), relative to m1 g."""
     return p.mu * (1 - w / p.v_cr + w**3 / (3 * p.v_cr**3))
 
 

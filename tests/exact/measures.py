@@ -169,7 +169,7 @@ def of_penetration(motion: Motion) -> dict[str, float]:
 
 
 def label(motion: Motion, measures: dict) -> str:
-    """Return the regime. The rules have the contract's order."""
+    """Return the regime by the rules of the contract, in their order."""
     p, returns = motion.scene.p, sections(motion)
     if measures["bit_amplitude"] < 1e-3 * max(motion.scene.mu0, 0.01) * p.m1 * p.g / p.k1:
         return "equilibrium"

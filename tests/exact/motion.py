@@ -65,7 +65,7 @@ class Event(NamedTuple):
 class Motion:
     """The pieces of a motion from `observed` on (all, if it is 0), and the events among them.
 
-    `swing` [d] is the largest size of each entry so far, or at least its reference size.
+    `swing` [d] is the largest size of each entry so far, but at least its reference size.
     """
 
     scene: Scene

@@ -228,9 +228,9 @@ class Scene:
         raise ValueError(event)
 
     def _after_rate_jump(self, phase, y):
-        """Return the phase after a jump of the compression rate, which may press again.
+        """Return the phase after the rock begins or stops to yield.
 
-        Coupled, the rate of compression jumps as the rock yields.
+        Coupled, the rate of the compression jumps there, so a striker that did not press may press now.
         """
         if self.coupled and phase.striker != "apart":
             return phase._replace(striker=self._pressing(phase, y))

@@ -61,8 +61,8 @@ MEASURES = {  # scale [SI] added to the value itself: a deviation that is small 
 
 
 SAME_PLACE = {"float64": 3e-10, "float32": 1e-7}
-"""Tolerance of a position [m], at a swing of 0.06 m. A grazing impact of depth d is known to half of that over d. A
-shallower impact than that may be missed."""
+"""Tolerance of a position [m], at a swing of 0.06 m. An impact of depth d is known to a relative error of half of it
+over d. A shallower impact may be missed."""
 
 
 def bound_of(case: str, changes: dict, bound: float, precision: str = "float64") -> float:
@@ -86,7 +86,7 @@ def columns(cases: dict, usual: dict) -> dict[str, list]:
 
 
 def reference(scene: str, point: dict, observe: float, settle: float = 0.0) -> dict | None:
-    """Return the measures of the exact reference from `settle` on, or None if it finds no end by itself."""
+    """Return the measures of the exact reference from `settle` on, or None if it cannot complete the run."""
     try:
         return exact.measure(exact.run(scene, **point, settle=settle, observe=observe))
     except (ArithmeticError, ValueError, OverflowError):

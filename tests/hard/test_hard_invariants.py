@@ -136,7 +136,7 @@ def test_energy(motions):
 
 
 def test_momenta(motions):
-    """The time integrals of m2 x2'' and m1 x1'' are right.
+    """The momenta of striker and bit balance: m2 x2'' and m1 x1'' are integrated over time.
 
     Over whole repeats, where the left sides vanish, mean J = k2 mean (x1 - x2), the mean force of the striker's spring,
     and mean F = -k1 mean x1 - mean J.

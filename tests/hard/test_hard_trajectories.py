@@ -49,7 +49,7 @@ def test_command_refuses_in_one_line(capsys, tmp_path, monkeypatch):
 
 
 def test_memory_is_limited(monkeypatch):
-    """It is checked before and during the run: the estimate before the run cannot include events."""
+    """Memory is checked before and during the run: the estimate before the run cannot include events."""
     monkeypatch.setattr(_record, "memory", lambda: 2e6)
     message = r"duration: 10000 s need about 1.8e\+05 steps and 2\d\d MB of memory; .* and 2 MB of memory"
     with pytest.raises(InputError, match=message):

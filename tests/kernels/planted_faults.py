@@ -34,7 +34,7 @@ def _fill_value(patch: pytest.MonkeyPatch) -> None:
 
 
 def _wide_shift(patch: pytest.MonkeyPatch) -> None:
-    """Shift by the lowest bits of the distance, as processors shift single numbers. LLVM leaves it undefined."""
+    """Shift by the lowest bits of the distance, as processors do. LLVM leaves such a shift undefined."""
 
     def shifted(instruction: str, op: Application) -> str:
         lowest = op.asm.let(f"and {op.type} {op.x[1]}, {op.constant(8 * op.dtype.itemsize - 1)}")

@@ -272,7 +272,7 @@ def test_loops_along_arguments():
 
 
 def test_values_shared_by_all_lanes():
-    """An argument has no axes, or a result depends on nothing else."""
+    """One argument has no axes, and one result depends only on it."""
     assert_matches_xla(lambda x, a, n: (x * a, x + n, jnp.where(n > 2, x, -x)), X, np.asarray(0.7), np.asarray(3.0))
     np.testing.assert_array_equal(run_kernel(lambda x, a: jnp.zeros_like(x) + a, X, np.asarray(0.7)), 0.7)
 
@@ -305,7 +305,7 @@ def test_polynomial_and_its_derivative():
 
 
 def test_tangents_of_integers():
-    """They have no content, and take no room of other values."""
+    """They have no content, and must not occupy memory of other values."""
 
     def function(x):
         return jax.jvp(lambda x: (x * x, jnp.floor(x).astype(jnp.int32), x > 0), (x,), (jnp.ones_like(x),))

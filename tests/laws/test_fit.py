@@ -161,7 +161,7 @@ def test_power_fit_matches_scipy(noise):
 
 
 def jackknife_errors(jacobian, residual):
-    """Return the standard errors from omitting each lane in turn, which moves theta by (J^T J)^-1 J_i r_i/(1 − h_i)."""
+    """Return standard errors (HC3): the omission of lane i moves theta by (J^T J)^-1 J_i r_i/(1 − h_i)."""
     inverse = np.linalg.inv(jacobian.T @ jacobian)
     leverage = [row @ inverse @ row for row in jacobian]
     moves = [inverse @ row * r / (1 - h) for row, r, h in zip(jacobian, residual, leverage, strict=True)]
@@ -169,7 +169,7 @@ def jackknife_errors(jacobian, residual):
 
 
 def test_standard_errors_of_line_match_jackknife(noise):
-    """Each lane is really omitted.
+    """Each lane is omitted in turn, and the form is fitted again.
 
     For a linear form the moves are exact, and the sum of their squares is the variance.
     """

@@ -211,7 +211,7 @@ def test_parts_are_between_contacts(force, contacts, parts):
     ds = xr.Dataset(coords={"time": np.arange(8.0)})
     if force is not None:
         ds["impact_force"] = ("time", np.array(force, float))
-    if contacts == "events":  # one contact lasts until 0.5, another from 2.5 to 4.4; a second begins within that
+    if contacts == "events":  # one contact lasts until 0.5, another from 2.5 to 4.4, within which a third begins
         ds, contacts = ds.assign(EVENTS), []
         ds["event_kind"].attrs.update(KINDS)
     result = contact_free_parts(Place("fit"), ds, np.ones(8, bool), contacts)

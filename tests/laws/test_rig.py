@@ -54,7 +54,7 @@ def test_straight_line_has_no_founder_point(correlation):
         false_positives += (
             FOUNDER_REASONS[founder_point(weight, 1e-8 * weight + 2e-4 * noise).founder_reason] == "found"
         )
-    assert false_positives <= 5  # 1 % is expected, and only decreasing slopes count
+    assert false_positives <= 5  # 1 % is expected, and only bends to a flatter slope count
 
 
 def test_too_few_rows_have_no_founder_point():

@@ -71,7 +71,7 @@ def test_critical_damping():
 
 @pytest.mark.parametrize("around", [1.0, 1 - 1e-3, 1 + 1e-3])
 def test_smooth_through_critical_damping(around):
-    """Values, slopes and curvatures agree with the closed form at xi = 1 and at the limits of the series about it."""
+    """Values, slopes and curvatures agree with the closed form at xi = 1 and at both ends of the series about it."""
     xi = around + np.linspace(-2e-4, 2e-4, 41)
     expected = np.exp(-2 * xi * ratio(xi))
     np.testing.assert_allclose(jax.vmap(restitution)(xi), expected, rtol=1e-12)

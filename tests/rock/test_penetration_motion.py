@@ -14,8 +14,8 @@ ELASTIC_ONLY = 1e7
 def driven_oscillator(t, p, amplitude, omega):
     """Return x and x' of m x'' + c x' + k x = A sin(omega t) from rest.
 
-    x = Im(A H e^{i omega t}) + a1 e^{r1 t} + a2 e^{r2 t}, H = 1/(k - m omega² + i omega c), r the roots of m r² + c r +
-    k, a from x(0) = x'(0) = 0.
+    x = Im(A H e^{i omega t}) + a1 e^{r1 t} + a2 e^{r2 t} with H = 1/(k - m omega² + i omega c).
+    r1 and r2 are the roots of m r² + c r + k, and x(0) = x'(0) = 0 gives a1 and a2.
     """
     m, c, k = p["m1"], p["c3"], p["k3"]
     response = amplitude / (k - m * omega**2 + 1j * omega * c)
@@ -41,7 +41,7 @@ def test_half_sine_on_elastic_rock(zeta):
 
 
 def test_bit_leaves_rock_and_flies():
-    """While x3 < x4, N = 0. From x' = v0 at the surface, x = v0 m/c (1 - e^{-ct/m}). The bit lifts off with x' < 0."""
+    """While x3 < x4, N = 0. The bit lifts off at x = 0 with x' = v0 < 0, and then x = v0 m/c (1 - e^{-ct/m})."""
     motion = Motion(0.02, "rectangular", zeta=0.3, frequency=10.0, pulse_width=2e-3, threshold=ELASTIC_ONLY)
     p, flight = motion.p, np.flatnonzero(motion.rock == OFF)
     start = flight[0] - 1
@@ -87,7 +87,7 @@ def test_onset_of_slip(zeta):
 
 
 def test_no_slip_below_threshold():
-    """Random pulses with A < D/2 from rest give k3 x3 <= 2A < D even without damping, so x4 is exactly 0."""
+    """100 random pulse trains have A < D/2. A pulse from (near) rest gives k3 x3 <= 2A < D even undamped, so x4 = 0."""
     rng = np.random.default_rng(1)
     points = {
         "force": rng.uniform(0.0, 0.4999, 100) * 150e3,

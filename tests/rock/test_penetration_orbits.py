@@ -93,7 +93,7 @@ def test_orbits_agree_with_closed_form(orbits, name):
     assert lane.orbit_cycles == (2 if "two" in name else 1)
     begin = np.array([lane.orbit_compression.item(), lane.orbit_v3.item(), 1.0])
     mode = "off" if begin[0] < 0 else "elastic"
-    if name == "never stops to yield":  # e does not depend on its value before
+    if name == "never stops to yield":  # e is D/k3 there, whatever it was before
         mode, rock.slope = "yielding", np.diag([0.0, 1.0])
     y = begin
     for _ in range(int(lane.orbit_cycles)):

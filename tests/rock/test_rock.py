@@ -124,7 +124,7 @@ def test_rock_of_point(scene, name):
 
 
 def test_defaults():
-    """The defaults are those of model.md section 2."""
+    """The defaults are those of model.md section 2. Drilling has sandstone with zeta 1.5."""
     given = read_point(Place("test"), "penetration", {}).parameters
     expected = {"force": 200e3, "frequency": 20, "pulse_width": 4e-3, "threshold": 150e3, "k3": 300e6, "zeta": 1.1}
     assert {name: given[name] for name in expected} == expected

@@ -1,4 +1,4 @@
-"""Test that the hundred-thousandth blow is as exact as the first, because no state holds the depth, also in float32."""
+"""Test that the hundred-thousandth blow is as exact as the first, also in float32: no state holds the depth."""
 
 import jax
 import jax.numpy as jnp

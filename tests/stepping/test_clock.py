@@ -24,8 +24,8 @@ def tick_many_times(clock, dt):
 
 @pytest.mark.parametrize(("dtype", "bound"), [("float32", 2e-3), ("float64", 1e-11)])
 def test_clock_is_exact_over_three_million_steps(dtype, bound):
-    """Some 3e6 steps make 10^5 cycles, or 4e4 s. The clock gives n dt to half of its last digit, while a plain sum
-    drifts by thousands of digits.
+    """Some 3e6 steps make 10^5 cycles, or 4e4 s. The clock gives n dt to half a unit in the last place, while a plain
+    sum drifts by thousands of these units.
     """
     zero, dt = jnp.zeros((), dtype), jnp.asarray(0.0127, dtype)
     clock, plain = tick_many_times(Clock(zero, zero), dt)

@@ -103,7 +103,7 @@ def test_order_with_laws_that_are_not_polynomials(law):
 
 
 def test_tolerance_controls_error():
-    """The tolerance bounds the last terms of each step. If it is 100 times smaller, the error is at least 50 times."""
+    """The tolerance bounds the last terms of each step. Dividing it by 100 divides the error by at least 50."""
     tolerances = np.array([1e-4, 1e-6, 1e-8, 1e-14])
     states, _ = final_states(DRILL, Located(), constants(DRILL, (4,)), "stuck", 0.5, stride=4.0, tolerance=tolerances)
     errors = np.max(np.abs(states / states[:, -1:] - 1), axis=0)[:-1]
@@ -231,7 +231,10 @@ def test_chatter_comes_to_rest(c0):
 
 
 def test_resting_striker_needs_few_steps():
-    """The preload presses the striker on the bit: k2 x2 = k0 (delta - x2). The contact rate would need 34,000 steps."""
+    """The preload presses the striker on the bit: k2 x2 = k0 (delta - x2).
+
+    With one step per contact rate, 48 s would take 34,000 steps.
+    """
     p = constants(DRILL)
     k0, k2, delta = (float(Flat(p)[name][0]) for name in ("k0", "k2", "delta"))
     _, steps = run_lane((0.0, 0.0, k0 * delta / (k0 + k2), 0.0), 48.0, v=0.0)

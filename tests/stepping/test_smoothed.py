@@ -76,7 +76,7 @@ def test_convergence_in_width_while_bit_slides(scene):
 @pytest.mark.parametrize("scene", [ROTARY, DRILL], ids=["rotary", "vibro-impact"])
 @pytest.mark.long
 def test_convergence_in_width_while_bit_sticks_and_breaks_away(scene):
-    """The distance falls about as the width, and with its power 4/5 from the breakaway.
+    """The distance falls about as the width; at a breakaway, as its power 4/5.
 
     A creeping bit moves by O(w). During breakaway, the springs' pull beyond the stick limit grows like t and u like t²,
     and friction is short of its limit by w²/(2 u²). So the layer is u of the order of w^(4/5) wide.
@@ -93,7 +93,7 @@ DEFAULTS = {name: jnp.asarray(ROTARY.parameters()[name].default) for name in ("m
 
 @partial(jax.jit, static_argnums=(2,))
 def final_x2(values, h=1e-3, steps=60):
-    """Return x2 [m] after 60 ms of the rotary scene, in which the bit breaks away. The switch is 0.1 m/s wide."""
+    """Return x2 [m] after 60 ms of the rotary scene, when the bit breaks away. Friction switches within 0.1 m/s."""
     p = ROTARY.constants(
         {name: jnp.asarray(parameter.default) for name, parameter in ROTARY.parameters().items()} | values
     )
