@@ -507,7 +507,7 @@ KINDS = {
     "law-of-one": lambda: law({}),
     "law-map": lambda: law({"force": np.linspace(2e5, 3e5, 9), "k3": np.linspace(1e8, 5e8, 9), "zeta": [0.5, 1.0]}),
 }
-RUNS = ("blows", "sine", "drilled")
+RUNS = ("pulse_run", "swept_sine_run", "drilling_run")
 
 
 def one_value(ds):
