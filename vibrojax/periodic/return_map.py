@@ -175,7 +175,7 @@ class ReturnLoop(NamedTuple):
         def begin(unknowns: Array) -> tuple[Any, _Flight]:
             return self.begin_at(p | dict(zip(along, unknowns[rows:], strict=True)), unknowns[:rows])
 
-        ended: tuple[_Flight, Any] = self.of(begin).with_tangents(directions).run(unknowns)
+        ended: tuple[_Flight, Any] = self.as_loop(begin).with_tangents(directions).run(unknowns)
         return ended
 
     def begin_at(self, p: dict[str, Lanes], state: Array) -> tuple[Any, _Flight]:
@@ -184,7 +184,7 @@ class ReturnLoop(NamedTuple):
         c = scene.scaled(scene.constants(p), jax.lax.stop_gradient(at_section(scene, state)))
         return c, self.begin(c, state)
 
-    def of(self, begin: Callable[[Any], tuple[Any, _Flight]]) -> Loop:
+    def as_loop(self, begin: Callable[[Any], tuple[Any, _Flight]]) -> Loop:
         """Return the loop as a function of the argument of `begin`, which returns the result of `begin_at`."""
         return Loop(begin, self.advance, self.continues, varying)
 

@@ -160,7 +160,7 @@ def second_variation(
     """
     loop = ReturnLoop(scene, stepper, accuracy, most_steps, lambda c: Margin(scene, scene.section, c, True))
     values, changes = {name: pair[0] for name, pair in p.items()}, {name: pair[1][None] for name, pair in p.items()}
-    once = loop.of(lambda x: loop.begin_at(*x)).with_tangents((dict.fromkeys(p), first[None]))
+    once = loop.as_loop(lambda x: loop.begin_at(*x)).with_tangents((dict.fromkeys(p), first[None]))
     (flight, moved), (slopes, d_moved) = once.with_tangents((changes, second[None])).run((values, state))
 
     def results(flight: Any, moved: Any) -> tuple[Array, ...]:
