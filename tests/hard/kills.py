@@ -1,9 +1,9 @@
 """Kill a sweep, its workers and drivers at random instants: no finished chunk may be lost or computed twice.
 
-    python tests/hard/kills.py [KILLS [SEED [DOOR ...]]]        200 kills of a single process, some 15 minutes
-    python tests/hard/kills.py 200 0 all                        200 kills over all doors
+    python tests/hard/kills.py [KILLS [SEED [BACKEND ...]]]     200 kills of a single process, some 15 minutes
+    python tests/hard/kills.py 200 0 all                        200 kills over all backends
 
-A sweep continues in one folder, each time through a random door. The doors are this process alone, two spawned
+A sweep continues in one folder, each time through a random backend. The backends are this process alone, two spawned
 workers, three shares at once, a dask cluster, a pool of Python's, and submitit's local jobs as an executor and as an
 array. After a random time, a random process of the sweep is killed (SIGKILL, which cannot be caught). If it was the
 driver, the sweep starts again.
@@ -63,8 +63,8 @@ _ARRAY = """
     sweeping.run_to_file(sweep, out, progress=False, jobs=2)
 """
 SCRIPTS = {"pool": _POOL, "submitit": _SUBMITIT, "array": _ARRAY}
-DOORS = {"plain": 1, "processes": 3, "only": 3, "dask": 2, "pool": 2, "array": 2, "submitit": 0.3}
-"""The doors and their weights: submitit starts a process for every chunk."""
+BACKENDS = {"plain": 1, "processes": 3, "only": 3, "dask": 2, "pool": 2, "array": 2, "submitit": 0.3}
+"""Backends of a sweep and their weights: submitit starts a process for every chunk."""
 
 WORKERS = ("spawn_main", "submitit.core._submit")
 """Words in the commands of processes that compute chunks."""
@@ -125,8 +125,8 @@ class Watch:
 class Kills:
     """A series of kills of one sweep in `folder`; `counts` holds the counts of kills and of their effects."""
 
-    def __init__(self, folder: Path, seed: int = 0, doors: tuple[str, ...] = ("plain",)):
-        self.folder, self.random, self.counts, self.doors = folder, random.Random(seed), Counter(), doors
+    def __init__(self, folder: Path, seed: int = 0, backends: tuple[str, ...] = ("plain",)):
+        self.folder, self.random, self.counts, self.backends = folder, random.Random(seed), Counter(), backends
         self.out, self.victim_kind = folder / OUT, ""
         (folder / "sweep.toml").write_text(SWEEP)
         for name, text in SCRIPTS.items():
@@ -139,7 +139,7 @@ class Kills:
             assert whole.returncode == 0, errors
             self.duration = time.monotonic() - began
         self.cluster, self.workers_seen_at = None, time.monotonic()
-        if "dask" in doors:
+        if "dask" in backends:
             self.cluster = self._cluster()
 
     def close(self) -> None:
@@ -151,19 +151,19 @@ class Kills:
         self.out.unlink(missing_ok=True)
         watch, kills = Watch(self.folder / f"{OUT}.chunks", self.out), 0
         while not self.out.exists():
-            [door] = self.random.choices(self.doors, [DOORS[name] for name in self.doors])
-            processes = self._start(door)
+            [backend] = self.random.choices(self.backends, [BACKENDS[name] for name in self.backends])
+            processes = self._start(backend)
             self.workers_seen_at = began = time.monotonic()
             wait = self.random.uniform(0.0, 0.9 * self.duration)
             while any(process.poll() is None for process in processes):
                 time.sleep(0.02)
                 self.victim_kind = self.victim_kind or self.random.choice(["driver", "worker", "worker"])
-                if door == "only":
+                if backend == "only":
                     self.victim_kind = "driver"
-                if door == "dask" and not self._dask_workers() and time.monotonic() - self.workers_seen_at > 30.0:
+                if backend == "dask" and not self._dask_workers() and time.monotonic() - self.workers_seen_at > 30.0:
                     self._restart_cluster(processes)
-                if kills < most and time.monotonic() - began > wait and (victim := self._victim(door, processes)):
-                    self._kill(door, victim, processes)
+                if kills < most and time.monotonic() - began > wait and (victim := self._victim(backend, processes)):
+                    self._kill(backend, victim, processes)
                     kills, self.victim_kind = kills + 1, ""
                     began, wait = time.monotonic(), self.random.uniform(0.3, 4.0)
             for process in processes:
@@ -173,7 +173,7 @@ class Kills:
                 # If all jobs or too many workers in a row are killed, the sweep gives up and keeps its finished chunks.
                 ended = status == 1 and ("the jobs ended, and" in errors or "workers die before they finish" in errors)
                 self.counts["given up after kills in a row"] += ended
-                assert status in (0, -signal.SIGKILL) or busy or ended, (door, status, errors)
+                assert status in (0, -signal.SIGKILL) or busy or ended, (backend, status, errors)
                 if busy:  # jobs may outlive the process that started them
                     time.sleep(0.5)
         watch.close()
@@ -182,12 +182,12 @@ class Kills:
         self._compare()
         return kills
 
-    def _victim(self, door: str, processes: list[subprocess.Popen]) -> int | None:
+    def _victim(self, backend: str, processes: list[subprocess.Popen]) -> int | None:
         drivers = [process.pid for process in processes if process.poll() is None]
         below = [process for driver in drivers for process in children(driver)]
-        if door == "dask" and self.cluster is not None:
+        if backend == "dask" and self.cluster is not None:
             below += self._dask_workers()
-        choice = drivers if self.victim_kind == "driver" or door == "plain" else computing_chunks(below)
+        choice = drivers if self.victim_kind == "driver" or backend == "plain" else computing_chunks(below)
         return self.random.choice(choice) if choice else None
 
     def _dask_workers(self) -> list[int]:
@@ -211,17 +211,17 @@ class Kills:
 
         return LocalCluster(2, processes=True, threads_per_worker=1, dashboard_address=":0")
 
-    def _kill(self, door: str, victim: int, processes: list[subprocess.Popen]) -> None:
+    def _kill(self, backend: str, victim: int, processes: list[subprocess.Popen]) -> None:
         driver = next((process for process in processes if process.pid == victim), None)
         descendants = children(victim) if driver else []
         with contextlib.suppress(ProcessLookupError):
             os.kill(victim, signal.SIGKILL)
-        self.counts[f"{door}: {'driver' if driver else 'worker'} killed"] += 1
+        self.counts[f"{backend}: {'driver' if driver else 'worker'} killed"] += 1
         if driver is None:
             return
         driver.wait()
-        if door in ("processes", "pool"):
-            self._check_orphans(descendants, strict=door == "processes")
+        if backend in ("processes", "pool"):
+            self._check_orphans(descendants, strict=backend == "processes")
 
     def _check_orphans(self, descendants: list[int], strict: bool) -> None:
         end = time.monotonic() + 5.0
@@ -233,17 +233,17 @@ class Kills:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
 
-    def _start(self, door: str) -> list[subprocess.Popen]:
-        if door == "plain":
+    def _start(self, backend: str) -> list[subprocess.Popen]:
+        if backend == "plain":
             return [self._command("sweep.toml", "-o", OUT)]
-        if door == "processes":
+        if backend == "processes":
             return [self._command("sweep.toml", "-o", OUT, "--workers", "2")]
-        if door == "only":
+        if backend == "only":
             return [self._command("sweep.toml", "-o", OUT, "--only", f"{part}/3") for part in (1, 2, 3)]
-        if door == "dask":
+        if backend == "dask":
             address = self.cluster.scheduler_address.replace("tcp://", "dask://")
             return [self._command("sweep.toml", "-o", OUT, "--workers", address)]
-        return [self._process(f"by_{door}.py", "sweep.toml", OUT)]
+        return [self._process(f"by_{backend}.py", "sweep.toml", OUT)]
 
     def _command(self, *arguments: str) -> subprocess.Popen:
         return self._process("-m", "vibrojax", "sweep", *arguments, "--quiet")
@@ -269,9 +269,10 @@ class Kills:
         self.counts["half-written files left"] += len([p for p in self.folder.iterdir() if p.name.endswith(".part")])
 
 
-def main(most: str = "200", seed: str = "0", *doors: str) -> None:
+def main(most: str = "200", seed: str = "0", *backends: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        kills, done = Kills(Path(folder), int(seed), tuple(DOORS) if doors == ("all",) else doors or ("plain",)), 0
+        names = tuple(BACKENDS) if backends == ("all",) else backends or ("plain",)
+        kills, done = Kills(Path(folder), int(seed), names), 0
         try:
             while done < int(most):
                 done += kills.run_once(min(10, int(most) - done))
