@@ -74,13 +74,20 @@ def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: A
 
 
 def _perturb(x: Any, random: np.random.Generator) -> Any:
-    """Return numbers perturbed by a few units of rounding. Integer values are modes and counts and stay unchanged."""
+    """Return numbers perturbed by a few units of rounding. Rows of integers are modes and counts and stay unchanged.
+
+    A zero among other values, such as a velocity that a surface holds, has the rounding errors of these values.
+    """
     x = np.asarray(x)
     if x.dtype.kind != "f" or not x.ndim:
         return x
     with np.errstate(invalid="ignore"):
-        off = x * (1 + PERTURBATION_ROUNDINGS * np.finfo(x.dtype).eps * random.uniform(-1, 1, x.shape))
-        return np.where(np.isfinite(x) & (x != np.round(x)), off, x).astype(x.dtype)
+        finite = np.isfinite(x)
+        row = np.where(finite, np.abs(x), 0).max(axis=-1, keepdims=True, initial=0)
+        measured = (finite & (x != np.round(x))).any(axis=-1, keepdims=True)
+        size = np.where(x == 0, row * measured / PERTURBATION_ROUNDINGS, np.where(x == np.round(x), 0, x))
+        off = x + size * PERTURBATION_ROUNDINGS * np.finfo(x.dtype).eps * random.uniform(-1, 1, x.shape)
+        return np.where(finite, off, x).astype(x.dtype)
 
 
 def _relative_difference(value: np.ndarray, other: np.ndarray, change: np.ndarray) -> float:

@@ -74,6 +74,8 @@ REASONS = (
     "too-slow",
     "beyond-a-stop",
     "restitution-not-0-to-1",
+    "negative-normal-force",
+    "slides-on-two-switches",
 )
 """Meaning of each flag of `reason`."""
 

@@ -6,6 +6,7 @@ exactly on the guard and the mode changes. The step length is a fixed fraction o
 if the last coefficients show that the series has not converged (Jorba and Zou 2005, section 3).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any
@@ -15,8 +16,8 @@ from jax import lax
 
 from vibrojax.models.arrays import Array, keep
 from vibrojax.models.scenes.scene import Scene
-from vibrojax.stepping.event import Event, Trial, locate
-from vibrojax.stepping.polynomial import rough_root
+from vibrojax.stepping.event import Event, Landing, Trial, locate
+from vibrojax.stepping.polynomial import rough_root, slope
 from vibrojax.stepping.series import expand
 from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Lane, Step, Stepper, taken, trial_length
 
@@ -92,7 +93,9 @@ class Located(Stepper):
     def step(
         self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
     ) -> tuple[Lane, Step]:
-        h = trial_length(lane, accuracy.stride / scene.rate(constants, lane.mode), accuracy.step, goal)
+        h = trial_length(
+            lane, accuracy.stride / scene.rate_along(constants, lane.mode, lane.state), accuracy.step, goal
+        )
         states = expand(lambda y: scene.field(constants, lane.mode, y), lane.state, h, self.order)
         polynomials = tuple(series.arrays(self.order, h) for series in states)
         event = Event(scene, constants, lane.mode, marked)
@@ -113,5 +116,24 @@ class Located(Stepper):
         reach = keep(lax.stop_gradient(reach if validity is None else jnp.minimum(reach, validity)))
         trial = Trial(polynomials, functions, h, reach, goal.moving & ~rest)
         landing = locate(event, trial)
+        scales = scene.defect_scales(constants, lane.mode, lane.state)
+        if scales is not None:
+            landing = self._confirmed(event, trial, landing, scales, accuracy.tolerance)
         h = jnp.where(goal.moving & rest, lane.clock.until(goal.end), h)
         return taken(event, lane, trial, h, landing)
+
+    def _confirmed(
+        self, event: Event, trial: Trial, landing: Landing, scales: Sequence[Array], tolerance: Array
+    ) -> Landing:
+        """Return the landing, rejected where the series do not solve the equations at the end of the step."""
+        rates = keep(event.scene.field(event.constants, event.mode, landing.state))
+        solved = jnp.ones_like(trial.moving)
+        for polynomial, rate, scale in zip(trial.polynomials, rates, scales, strict=False):
+            defect = jnp.abs(slope(polynomial, landing.tau) - trial.h * rate)
+            solved = solved & ~(defect > tolerance * scale)  # true for NaN, which ends the lane
+        rejected = keep(landing.accepted & trial.moving & ~solved & (landing.tau > 0))
+        return landing._replace(
+            tau=jnp.where(rejected, 0.5 * landing.tau, landing.tau),
+            accepted=landing.accepted & ~rejected,
+            hits={name: mask & ~rejected for name, mask in landing.hits.items()},
+        )

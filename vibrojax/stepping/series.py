@@ -274,7 +274,7 @@ def _tanh(a: Series) -> Series:
     return _series_of(y)
 
 
-@elementary.maximum.register
+@elementary.greater.register
 def _maximum(a: Series, b: Series | Value) -> Series:
     """Return the series, `a` or `b`, whose value is greater at the start of the step."""
     other = b if isinstance(b, Series) else Series(b, {})
@@ -282,10 +282,16 @@ def _maximum(a: Series, b: Series | Value) -> Series:
     return combined(a, other, lambda f, g: jnp.where(first, f, g))
 
 
-@elementary.absolute.register
+@elementary.magnitude.register
 def _absolute(a: Series) -> Series:
     """Return `a` or `-a`, whichever is positive at the start of the step."""
     return a * jnp.where(a.value < 0, -1.0, 1.0)
+
+
+@elementary.whole.register
+def _whole(a: Series) -> Any:
+    """Return the floor of `a` at the start of the step."""
+    return jnp.floor(a.value)
 
 
 def expand(

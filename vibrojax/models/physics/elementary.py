@@ -12,6 +12,7 @@ truncated Taylor series, so the same equation serves every stepper.
 """
 
 from collections.abc import Callable
+from contextvars import ContextVar
 from functools import singledispatch
 from typing import Any
 
@@ -36,9 +37,6 @@ sin = _generic("sin", "Return the sine of x.", jnp.sin)
 cos = _generic("cos", "Return the cosine of x.", jnp.cos)
 tanh = _generic("tanh", "Return the hyperbolic tangent of x.", jnp.tanh)
 arctan = _generic("arctan", "Return the inverse tangent of x.", jnp.arctan)
-absolute = _generic(
-    "absolute", "Return the absolute value of x; the sign of a Taylor series is that at the start of the step.", jnp.abs
-)
 
 
 @singledispatch
@@ -47,14 +45,102 @@ def power(x: Any, exponent: Any) -> Any:
     return x**exponent
 
 
+class Branches:
+    """The interface of a caller that decides which formula each kink of a function uses."""
+
+    def maximum(self, x: Any, y: Any) -> Any:
+        """Return the result of `maximum(x, y)`."""
+        raise NotImplementedError
+
+    def absolute(self, x: Any) -> Any:
+        """Return the result of `absolute(x)`."""
+        raise NotImplementedError
+
+    def floor(self, x: Any) -> Any:
+        """Return the result of `floor(x)`."""
+        raise NotImplementedError
+
+    def during(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the result of a function whose kinks ask this object."""
+        token = BRANCHES.set(self)
+        try:
+            return function(*arguments)
+        finally:
+            BRANCHES.reset(token)
+
+
+BRANCHES: ContextVar[Branches | None] = ContextVar("branches", default=None)
+"""The object that kinks ask, None outside of the functions of a system."""
+
+# Dispatch by number type. Functions of a system reach these through the functions without kinks below.
+magnitude = _generic("absolute", "Return |x|; a Taylor series keeps the sign of the start of the step.", jnp.abs)
+whole = _generic("floor", "Return the floor of x; that of a Taylor series is the one of its start.", jnp.floor)
+
+
 @singledispatch
+def greater(x: Any, y: Any) -> Any:
+    """Return the greater of two values; a Taylor series keeps the one that is greater at the start of the step."""
+    return jnp.maximum(x, y)
+
+
+setattr(greater, "__name__", "maximum")  # noqa: B010 (a type checker does not know the attribute)
+
+
 def maximum(x: Any, y: Any) -> Any:
     """Return the greater of two values.
 
-    Pass a Taylor series as the first argument. The result is then the argument that is greater at the start of the
-    step, for the whole step.
+    In a `vj.System`, the step ends where the other argument becomes greater. Elsewhere, pass a Taylor series as the
+    first argument; the result is then the argument that is greater at the start of the step, for the whole step.
     """
-    return jnp.maximum(x, y)
+    active = BRANCHES.get()
+    return greater(x, y) if active is None else active.maximum(x, y)
+
+
+def minimum(x: Any, y: Any) -> Any:
+    """Return the smaller of two values; see `maximum`."""
+    return -maximum(-x, -y)
+
+
+def absolute(x: Any) -> Any:
+    """Return the absolute value of x.
+
+    In a `vj.System`, the step ends where x changes its sign. Elsewhere, the sign of a Taylor series is that at the
+    start of the step.
+    """
+    active = BRANCHES.get()
+    return magnitude(x) if active is None else active.absolute(x)
+
+
+def floor(x: Any) -> Any:
+    """Return the greatest whole number up to x.
+
+    In a `vj.System`, x may depend on the time and on parameters; the step ends where the result changes.
+    """
+    active = BRANCHES.get()
+    return whole(x) if active is None else active.floor(x)
+
+
+def sawtooth(x: Any) -> Any:
+    """Return a sawtooth of period 1, which rises from 0 at x = 0 to 1 and falls back to 0 at x = 1; see `floor`.
+
+    **Example:** a ramp from 3.8 V to 8.2 V in each period T of a switched converter
+
+    >>> round(float(3.8 + 4.4 * vj.elementary.sawtooth(0.25)), 3)
+    4.9
+    """
+    return x - floor(x)
+
+
+def square(x: Any) -> Any:
+    """Return a square wave of period 1: 1 in the first half of each period and -1 in the second half; see `floor`.
+
+    **Example:**
+
+    >>> [float(vj.elementary.square(x)) for x in (0.25, 0.75, 1.25)]
+    [1.0, -1.0, 1.0]
+    """
+    half = floor(2.0 * x)
+    return 1.0 - 2.0 * (half - 2.0 * jnp.floor(0.5 * half))
 
 
 def raised(x: Any, exponent: Any) -> Any:

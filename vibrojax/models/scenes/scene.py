@@ -155,6 +155,18 @@ class Scene(ABC, Generic[C]):
         """
         return None
 
+    def rate_along(self, c: C, mode: Values, state: Values) -> Any:
+        """Return the fastest rate of change at a state [1/s], which determines the step from there; here, `rate`."""
+        return self.rate(c, mode)
+
+    def defect_scales(self, c: C, mode: Values, state: Values) -> Any:
+        """Return, for the first states, a scale of their defect at the end of a step, in units of the tolerance.
+
+        A step is repeated with half its length if the slope of a series at its end differs by more from the field
+        there. None means that the last coefficients of the series show where the series are valid.
+        """
+        return None
+
     def velocity_resolution(self, c: C) -> Any:
         """Return the velocity [m/s] up to which a velocity counts as zero."""
         scale = self.speed_scale(c)

@@ -13,17 +13,28 @@ import numpy as np
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes.declared import Guard, Start, Values
 from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
-from vibrojax.models.systems.events import Event, Impact, Switch
+from vibrojax.models.systems.events import Event, Friction, Impact, Switch
 from vibrojax.models.systems.flow import Flow, Motion, SystemConstants
-from vibrojax.models.systems.numbers import Rounded
+from vibrojax.models.systems.numbers import Magnitude, Rounded
 from vibrojax.models.systems.transitions import (
-    APPROACH,
     LIFT_ROUNDINGS,
+    Places,
     after_events,
+    decided,
+    first_branches,
     free_modes,
-    initial_modes,
-    move_onto_surfaces,
+    onto_surfaces,
 )
+
+APPROACH = "approach"
+"""Name of the hidden state with the speed of the last impact."""
+
+DEFECT_TOLERANCES = 100.0
+"""Greatest defect of the series at the end of a step, in tolerances: how far its slope is from the field there. Where
+series converge it is below ten. It is large where the field bends more sharply than the start of the step shows."""
+
+FAULTS = ("none", "negative-normal-force", "slides-on-two-switches")
+"""Why a motion cannot go on, which the modes show."""
 
 AT_STOP = 1e-5
 """Largest gap at which a state is at an impact, relative to a typical gap."""
@@ -48,8 +59,8 @@ class SystemEquations(Scene[SystemConstants]):
 
     - `events`: the events; `_flow`: the functions.
     - `_own`: names of the states; `_integrated`: the states whose rate of change is a state itself.
-    - `_period`: period of the forcing [s], a number or a function of `p`; `_section_state`: the state whose zeros are
-      the section. One of them is None.
+    - `_period`: period of the forcing [s], a number or a function of `p`, or None.
+    - `_section_state`: the state that crosses the value `_level` at the section; for a forced system the hidden time.
     """
 
     events: tuple[Event, ...]
@@ -57,20 +68,24 @@ class SystemEquations(Scene[SystemConstants]):
     _own: tuple[str, ...]
     _integrated: frozenset[str]
     _period: float | Callable[[Mapping[str, Any]], Any] | None
-    _section_state: str | None
+    _section_state: str
+    _level: float
+
+    # The user's functions know the states without the shift of the section. Only these two functions shift.
 
     def _known(self, state: Values) -> tuple[Any, dict[str, Any]]:
-        """Return the time and the states by name."""
-        return self._known_values(dict(zip(self.state_names, state, strict=True)))
-
-    def _known_values(self, values: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
-        """Return the time and the states of the user's functions from all states by name."""
-        values = dict(values)
-        if self._section_state is not None:
-            offset = self.states[self.place(self._section_state)].offset
-            if offset:
-                values[self._section_state] = values[self._section_state] + offset
+        """Return the time and the states of the user's functions, by name, from all states."""
+        values = dict(zip(self.state_names, state, strict=True))
+        if self._level:
+            values[self._section_state] = values[self._section_state] + self._level
         return (0.0 if self.autonomous else values[TIME]), {name: values[name] for name in self._own}
+
+    def _with_known(self, state: Values, y: Mapping[str, Any], **hidden: Any) -> Values:
+        """Return all states, with those of the user's functions from `y` and `hidden` ones by name."""
+        if self._level:
+            y = {**y, self._section_state: y[self._section_state] - self._level}
+        values = dict(zip(self.state_names, state, strict=True)) | {name: y[name] for name in self._own} | hidden
+        return tuple(values[name] for name in self.state_names)
 
     def _motion(self, c: SystemConstants, mode: Values, state: Values) -> Motion:
         """Return the motion, evaluated once per expansion: its Taylor series serve the field and the guards."""
@@ -93,9 +108,11 @@ class SystemEquations(Scene[SystemConstants]):
 
     def guards(self) -> tuple[Guard, ...]:
         zero = lambda c, mode: jnp.zeros_like(c.rates[0])  # noqa: E731
+        names = [(event.name, not isinstance(event, Impact)) for event in self.events]
+        names += [(kink.name, False) for kink in self._flow.kinks]
         guards = [
-            Guard(event.name, self._guard_function(index), zero, is_switch=not isinstance(event, Impact))
-            for index, event in enumerate(self.events)
+            Guard(name, self._guard_function(index), zero, is_switch=switch)
+            for index, (name, switch) in enumerate(names)
         ]
         if not self.autonomous:
             place = self.place(TIME)
@@ -105,22 +122,23 @@ class SystemEquations(Scene[SystemConstants]):
         return tuple(guards)
 
     def _guard_function(self, index: int) -> Callable[[Any, Values, Values], Any]:
-        event = self.events[index]
-
         def value(c: SystemConstants, mode: Values, state: Values) -> Any:
-            t, y = self._known(state)
-            margin = self._motion(c, mode, state).margins[index]
-            return self._guard_value(c, index, mode[index], event.surface(t, y, c.p), margin)
+            return self._guard_value(c, index, mode[index], self._motion(c, mode, state))
 
         return value
 
-    def _guard_value(self, c: SystemConstants, index: int, where: Any, surface: Any, margin: Any) -> Any:
-        """Return a guard's value from the event's function and margin; `where`: the mode of the event."""
+    def _guard_value(self, c: SystemConstants, index: int, where: Any, motion: Motion) -> Any:
+        """Return the value of an event's or a kink's guard; `where`: its mode."""
+        surface, lift = motion.surfaces[index], c.lifts[index]
+        if index >= len(self.events):
+            if self._flow.kinks[index - len(self.events)].whole:
+                return (0.25 + lift) - surface * surface
+            return jnp.sign(where) * surface + lift
         if isinstance(self.events[index], Impact):
             rests, lifted, side = jnp.where(where == 1, 1.0, 0.0), where == -1, jnp.ones_like(where)
         else:
             rests, lifted, side = jnp.where(where == 0, 1.0, 0.0), jnp.abs(where) == 2, jnp.sign(where)
-        return (side * (1.0 - rests)) * surface + jnp.where(lifted, c.lifts[index], 0.0) + rests * margin
+        return (side * (1.0 - rests)) * surface + jnp.where(lifted, lift, 0.0) + rests * motion.margins[index]
 
     def _rounded(self, c: SystemConstants, mode: Values, state: Values) -> tuple[list[Any], list[Any]]:
         """Return bounds on the rounding errors of the states and of the guards, in machine epsilons."""
@@ -131,15 +149,13 @@ class SystemEquations(Scene[SystemConstants]):
         speed, names = self.rate(c, mode), self.state_names
         # A state that passes through zero has the errors of its values nearby.
         near = [jnp.abs(x) + jnp.abs(rate) / speed for x, rate in zip(state, self.field(c, mode, state), strict=True)]
-        motion = self._motion(c, mode, tuple(Rounded(x, size) for x, size in zip(state, near, strict=True)))
+        rounded = lambda sizes: tuple(Rounded(x, size) for x, size in zip(state, sizes, strict=True))  # noqa: E731
+        motion = self._motion(c, mode, rounded(near))
         sizes = [size + _size(motion.rates.get(name, 0.0)) / speed for name, size in zip(names, near, strict=True)]
         if not self.autonomous:
             sizes[names.index(TIME)] = jnp.zeros_like(state[0]) + c.period
-        t, y = self._known(tuple(Rounded(x, size) for x, size in zip(state, sizes, strict=True)))
-        guards = [
-            _size(self._guard_value(c, index, mode[index], event.surface(t, y, c.p), motion.margins[index]))
-            for index, event in enumerate(self.events)
-        ]
+        motion = motion._replace(surfaces=self._flow.values(c, mode, *self._known(rounded(sizes))))
+        guards = [_size(self._guard_value(c, index, mode[index], motion)) for index in range(len(motion.surfaces))]
         bounds = sizes, guards + ([] if self.autonomous else [jnp.zeros_like(state[0]) + c.period])
         _ROUNDINGS[self] = arguments, bounds
         return bounds
@@ -158,11 +174,13 @@ class SystemEquations(Scene[SystemConstants]):
     ) -> tuple[list[list[Array]], Any]:
         sizes, _ = self._rounded(c, mode, state)
         speed, one = self.rate(c, mode), jnp.ones_like(state[0])
+        # Where the field bends sharply, as a friction law that falls steeply, an error of the states counts for more.
+        sharp = jnp.maximum(self.rate_along(c, mode, state) / speed, 1.0)
         tiny = jnp.finfo(one.dtype).tiny
         rates = self.field(c, mode, state)
         terms, none = [], jnp.zeros((), one.dtype)
         for index, name in enumerate(self._own):
-            inverse = 1.0 / (sizes[index] + tiny)
+            inverse = sharp / (sizes[index] + tiny)
             higher = [none, none] if name in self._integrated else [x * inverse for x in polynomials[index][1:]]
             # The rate of change comes first: a motion is at rest if it is slow, not if the step is short.
             terms.append([rates[index] * (inverse / speed), *higher])
@@ -185,11 +203,38 @@ class SystemEquations(Scene[SystemConstants]):
         return functools.reduce(jnp.minimum, shares) if shares else None
 
     def reset(self, c: SystemConstants, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
-        values = dict(zip(self.state_names, state, strict=True))
-        modes = after_events(self._flow, self._known_values, c, mode, values, hits) if self.events else mode
+        hidden: dict[str, Any] = {}
+        (t, y), modes = self._known(state), mode
+        if self.events or self._flow.kinks:
+            approach = state[self.place(APPROACH)] if APPROACH in self.state_names else 0.0 * state[0]
+            modes, y, approach = after_events(self._flow, c, mode, t, y, approach, hits)
+            hidden = {APPROACH: approach} if APPROACH in self.state_names else {}
         if not self.autonomous:
-            values[TIME] = jnp.where(hits["turned"], -0.5 * c.period, values[TIME])
-        return modes, tuple(values[name] for name in self.state_names)
+            hidden[TIME] = jnp.where(hits["turned"], -0.5 * c.period, state[self.place(TIME)])
+            if any(kink.whole for kink in self._flow.kinks):
+                turned = first_branches(self._flow, c, modes, hidden[TIME], y)
+                kinks = len(self.events)
+                new = [jnp.where(hits["turned"], x, old) for x, old in zip(turned, modes[kinks:], strict=False)]
+                modes = (*modes[:kinks], *new, *modes[kinks + len(new) :])
+        return modes, self._ended(modes, self._with_known(state, y, **hidden))
+
+    def _ended(self, mode: Values, state: Values) -> Values:
+        """Return the state, not a number where the modes show that the motion cannot go on."""
+        fault = self.fault(mode)
+        return state if fault is None else (jnp.where(fault > 0, jnp.nan, state[0]), *state[1:])
+
+    def fault(self, mode: Values) -> Any:
+        """Return why a motion cannot go on, indices into `FAULTS`; None if this cannot happen."""
+        flow = self._flow
+        forces = [mode[len(self.events) + i] < 0 for i, kink in enumerate(flow.kinks) if kink.ends]
+        slides = [(mode[i] == 0) & (mode[j] == 0) for i, j in flow.structure.mixing]
+        if not forces and not slides:
+            return None
+        code = 0.0 * mode[0]
+        for number, masks in enumerate((forces, slides), start=1):
+            for mask in masks:
+                code = jnp.where(mask, float(number), code)
+        return code
 
     def states_across_impacts(self, p: Mapping[str, Any], state: Mapping[str, Any]) -> list[Any]:
         """Return the states on the other side of an impact, if `state` is at one, with the names of `state`.
@@ -200,15 +245,17 @@ class SystemEquations(Scene[SystemConstants]):
         with jax.enable_x64(True):
             values = tuple(jnp.full((1,), state.get(name, 0.0)) for name in self.state_names)
             c = self.scaled(self.constants({name: jnp.asarray(x) for name, x in p.items()}), values)
-            (t, y), mode = self._known(values), free_modes(self._flow, c, *self._known(values), 0.0 * values[0])
+            (t, y), flow = self._known(values), self._flow
+            mode = free_modes(flow, c, t, y, 0.0 * values[0])
             across = []
-            for index, event in self._flow.of(Impact):
-                near = jnp.abs(event.gap(t, y, c.p)) <= AT_STOP / LIFT_ROUNDINGS / jnp.finfo(float).eps * c.lifts[index]
-                r, rate = event.bounce(c.p), self._flow.closing(c, event, mode, t, y)
+            for index, event in flow.of(Impact):
+                gap = flow.surface(c, mode, index, t, y)
+                near = jnp.abs(gap) <= AT_STOP / LIFT_ROUNDINGS / jnp.finfo(float).eps * c.lifts[index]
+                r, rate = event.bounce(c.p), flow.closing(c, mode, index, t, y)
                 new = jnp.where(rate < 0, -r * rate, -rate / r)
                 if event.velocity is None or not bool((near & jnp.isfinite(new)).all()):
                     continue
-                jump = (new - rate) / self._flow.gain(c, index, mode, t, y)
+                jump = (new - rate) / flow.gain(c, mode, index, t, y)
                 moved = dict(zip(self.state_names, values, strict=True))
                 moved[event.velocity] = moved[event.velocity] + jump
                 across.append(np.array([float(jnp.ravel(moved[name])[0]) for name in state]))
@@ -216,17 +263,24 @@ class SystemEquations(Scene[SystemConstants]):
 
     def mode_at(self, c: SystemConstants, state: Values) -> Values:
         zero = jnp.zeros_like(state[0])
-        if not self.events:
+        if not self.events and not self._flow.kinks:
             return (zero,)
         t, y = self._known(state)
         free = free_modes(self._flow, c, t, y, zero)
-        return initial_modes(self._flow, c, t, y, free, self.resolutions(c, free, state, False))
+        if not self.events:
+            return free
+        always, places = jnp.ones_like(zero, bool), Places({}, {}, {})
+        for index, small in enumerate(self.resolutions(c, free, state, False)[: len(self.events)]):
+            distance = jnp.abs(self._flow.surface(c, free, index, t, y) + zero)
+            places.open[index], places.near[index] = always, distance <= small
+            places.touches[index] = distance <= jnp.maximum(small, c.lifts[index])
+        return tuple(decided(self._flow, c, free, t, y, places).modes)
 
     def on_surfaces(self, c: SystemConstants, mode: Values, state: Values) -> Values:
-        values = dict(zip(self.state_names, state, strict=True))
-        if self.events:
-            move_onto_surfaces(self._flow, self._known_values, c, mode, values)
-        return tuple(values[name] for name in self.state_names)
+        if not self.events and not self._flow.kinks:
+            return state
+        t, y = self._known(state)
+        return self._ended(mode, self._with_known(state, onto_surfaces(self._flow, c, mode, t, y)))
 
     def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
         kinds: dict[str, Any] = {}
@@ -252,8 +306,8 @@ class SystemEquations(Scene[SystemConstants]):
         period = None if period is None else period + like
         zero = {name: like for name in self._own}
         none = (like,) * len(self.events)
-        c = SystemConstants(values, period, zero, (), none, none)
-        return c._replace(rates=self._flow.fastest(c, like, zero))
+        c = SystemConstants(values, period, zero, (), none + (like,) * len(self._flow.kinks), none)
+        return c._replace(rates=self._flow.fastest(c, free_modes(self._flow, c, like, zero, like), like, zero))
 
     def scaled(self, c: SystemConstants, state: Values) -> SystemConstants:
         """Return the constants with rates and scales of a motion that begins at `state`."""
@@ -261,15 +315,14 @@ class SystemEquations(Scene[SystemConstants]):
         like = 0.0 * state[0]
         # A lane and its orbit begin in different states, and must come to rest after the same bounce.
         _, _, from_rest = self._magnitudes(c, like, {name: like for name in y})
-        c = c._replace(rates=self._flow.fastest(c, t, y))
+        c = c._replace(rates=self._flow.fastest(c, free_modes(self._flow, c, t, y, like), t, y))
         typical, surfaces, closing = self._magnitudes(c, t + like, {name: x + like for name, x in y.items()})
         eps = jnp.finfo(like.dtype).eps
         return c._replace(
             typical=typical,
             lifts=tuple(LIFT_ROUNDINGS * eps * size for size in surfaces),
             slow=tuple(
-                AT_REST * eps**0.5 * jnp.maximum(usual, 0.5 * own)
-                for usual, own in zip(from_rest, closing, strict=True)
+                AT_REST * eps**0.5 * jnp.fmax(usual, 0.5 * own) for usual, own in zip(from_rest, closing, strict=True)
             ),
         )
 
@@ -277,18 +330,18 @@ class SystemEquations(Scene[SystemConstants]):
         """Return magnitudes of states, surfaces of events, and closing rates of stops in a motion from `y`."""
         like = 0.0 * t
         speed, typical = jnp.stack(c.rates).min(axis=0), {name: jnp.abs(x) for name, x in y.items()}
-        mode = tuple(like + (0.0 if isinstance(event, Impact) else 1.0) for event in self.events)
+        mode = free_modes(self._flow, c, t, y, like)
         time = 0.0 if c.period is None else c.period
         for _ in range(2):
-            known = {name: Rounded(y[name], size) for name, size in typical.items()}
-            sizes = self._flow.at(c, mode, Rounded(t, time + like), known).rates
+            known = {name: Magnitude(y[name], size) for name, size in typical.items()}
+            sizes = self._flow.at(c, mode, Magnitude(t, time + like), known).rates
             typical = {name: jnp.maximum(size, _size(sizes[name]) / speed) for name, size in typical.items()}
-        known = {name: Rounded(y[name], size) for name, size in typical.items()}
-        clock = Rounded(t, time + like)
-        surfaces = [_size(event.surface(clock, known, c.p)) + like for event in self.events]
+        known = {name: Magnitude(y[name], size) for name, size in typical.items()}
+        clock = Magnitude(t, time + like)
+        surfaces = [_size(value) + like for value in self._flow.values(c, mode, clock, known)]
         closing = [
-            _size(self._flow.closing(c, event, mode, clock, known)) + like if isinstance(event, Impact) else like
-            for event in self.events
+            _size(self._flow.closing(c, mode, index, clock, known)) + like if isinstance(event, Impact) else like
+            for index, event in enumerate(self.events)
         ]
         return typical, surfaces, closing
 
@@ -303,40 +356,51 @@ class SystemEquations(Scene[SystemConstants]):
             rate = jnp.maximum(rate, jnp.where(fits, own, 0.0))
         return rate
 
+    def rate_along(self, c: SystemConstants, mode: Values, state: Values) -> Any:
+        if self._flow.rate is not None or self._flow.structure.linear:
+            return self.rate(c, mode)
+        return self._flow.quickest(c, mode, *self._known(state))
+
+    def defect_scales(self, c: SystemConstants, mode: Values, state: Values) -> list[Any]:
+        sizes, _ = self._rounded(c, mode, state)
+        return [DEFECT_TOLERANCES * size for size in sizes[: len(self._own)]]
+
     def speed_scale(self, c: SystemConstants) -> Any:
         """Return the typical magnitude of the section's state."""
-        return c.typical[self._section_state] if self._section_state is not None else c.period
+        return c.typical[self._section_state] if self.autonomous else c.period
 
     def start(self, c: SystemConstants, name: Start, shape: tuple[int, ...]) -> Values:
         """Return the initial state, NaN for a start beyond a stop or a restitution outside 0 to 1."""
         given = (0.0,) * len(self._own) if name is None or isinstance(name, str) else name
-        dtype = c.rates[0].dtype
-        offsets = [state.offset for state in self.states]
-        values = [jnp.full(shape, value, dtype) - offset for value, offset in zip(given, offsets, strict=False)]
-        state = (*values, *(jnp.zeros(shape, dtype) for _ in self.states[len(values) :]))
-        fails = [(gap < 0) | (r < 0) | (r > 1) for _, gap, r in self._stops(c.p, state)]
+        y = {key: jnp.full(shape, value, c.rates[0].dtype) for key, value in zip(self._own, given, strict=True)}
+        zero = jnp.zeros(shape, c.rates[0].dtype)
+        state = self._with_known((zero,) * len(self.states), y)
+        fails = [(gap < 0) | (r < 0) | (r > 1) for _, gap, r in self._stops(c.p, zero, y)]
         return (functools.reduce(lambda x, fails: jnp.where(fails, jnp.nan, x), fails, state[0]), *state[1:])
 
-    def _stops(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, Any, Any]]:
+    def _stops(self, p: Mapping[str, Any], t: Any, y: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
         """Return name, gap and restitution of each stop."""
-        t, y = self._known(state)
         stops = [event for event in self.events if isinstance(event, Impact)]
-        return [(stop.name, stop.gap(t, y, p), stop.bounce(p) + 0.0 * state[0]) for stop in stops]
+        return [(stop.name, stop.gap(t, y, p), stop.bounce(p) + 0.0 * t) for stop in stops]
 
     def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
         """Return stops that are passed at the start, restitutions outside 0 to 1, and rates that are not finite."""
-        offsets, p = [known.offset for known in self.states], {name: jnp.asarray(x) for name, x in p.items()}
-        state = tuple(jnp.asarray(x) - offset for x, offset in zip(state, offsets, strict=False))
-        state = (*state, *(0.0 * state[0] for _ in offsets[len(state) :]))
+        p = {name: jnp.asarray(x) for name, x in p.items()}
+        y = {name: jnp.asarray(x) for name, x in zip(self._own, state, strict=True)}
+        t = 0.0 * next(iter(y.values()))
         faults: list[tuple[str, str, Any]] = []
-        for name, gap, r in self._stops(p, state):
+        for name, gap, r in self._stops(p, t, y):
             text = f"the gap of {name} is {_first(gap):.6g}; it must not be negative"
             faults.append(("beyond-a-stop", text, gap < 0))
             text = f"the restitution of {name} is {_first(r):.6g}; it must lie between 0 and 1"
             faults.append(("restitution-not-0-to-1", text, (r < 0) | (r > 1)))
-        t, y = self._known(state)
         sides = {event.name: jnp.sign(event.surface(t, y, p)) for event in self.events if isinstance(event, Switch)}
-        for name, rate in self._flow.function(t, y, p, *([sides] if self._flow.takes_sides else [])).items():
+        for _, event in self._flow.of(Friction):
+            force = event.force(t, y, p, sides) + t
+            text = f"the normal force of {event.name} is {_first(force):.6g} at the start; it must not be negative"
+            mask = (force < 0) & (not event.lift_off)
+            faults.append(("negative-normal-force", text, mask))
+        for name, rate in self._flow.function.function(t, y, p, *([sides] if self._flow.takes_sides else [])).items():
             text = f"the field, {name}, is {_first(rate):g} at the start; it must be finite"
             faults.append(("not-finite", text, ~jnp.isfinite(rate)))
         return faults

@@ -6,6 +6,7 @@ Functions of an event take the time t [s], the states `y` and the parameters `p`
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from inspect import Parameter as Parameters
 from inspect import signature
 from typing import Any
 
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.parameters import Parameter
+from vibrojax.models.systems.kinks import positive_part
 
 OfMotion = Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Any]
 """A function of time, states and parameters."""
@@ -94,6 +96,8 @@ class Friction:
     - `acts_on`: name of the velocity that the force changes; `mass`: the mass [kg], a number or a function of `p`.
     - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; left out, it is that of
       the law at rest.
+    - `lift_off`: True if a negative normal force counts as zero. Otherwise it ends the motion with a reason, because
+      friction would drive the body.
 
     **Example:**
 
@@ -111,6 +115,7 @@ class Friction:
     acts_on: str
     mass: Callable[[Mapping[str, Any]], Any] | float = 1.0
     static: float | Callable[[Mapping[str, Any]], Any] | None = None
+    lift_off: bool = False
 
     def __post_init__(self) -> None:
         if isinstance(self.law, str) and self.law in FRICTION_LAWS:
@@ -135,7 +140,7 @@ class Friction:
     @cached_property
     def takes_sides(self) -> bool:
         """True if the normal force depends on the sides of switches."""
-        return len(signature(self.normal).parameters) == 4
+        return required_arguments(self.normal) == 4
 
     def force(self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any], s: Mapping[str, Any]) -> Any:
         """Return the normal force [N]; `s`: the sides of the switches by name."""
@@ -149,10 +154,17 @@ class Friction:
         `slip`: sgn u or 0; `s`: the sides of the switches by name.
         """
         mass = self.mass(p) if callable(self.mass) else self.mass
-        load = self.force(t, y, p, s) * (1.0 / jnp.asarray(mass))
+        load = positive_part(self.force(t, y, p, s)) * (1.0 / jnp.asarray(mass))
         static = self.static(p) if callable(self.static) else self.static
         static = self.coefficient(jnp.zeros(()), p) if static is None else static
         return self.coefficient(slip * self.relative(t, y, p), p) * load, static * load
+
+
+def required_arguments(function: Callable[..., Any]) -> int:
+    """Return the number of arguments that are sides `s`, or have no default: loops bind their variables by defaults."""
+    parameters = signature(function).parameters.values()
+    positional = (Parameters.POSITIONAL_ONLY, Parameters.POSITIONAL_OR_KEYWORD)
+    return sum(x.kind in positional and (x.default is Parameters.empty or x.name == "s") for x in parameters)
 
 
 Event = Impact | Switch | Friction

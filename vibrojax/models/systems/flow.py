@@ -1,4 +1,10 @@
-"""The field of a system between events: frictions, sides of switches, sliding, and rest on a stop."""
+"""The field of a system between events: frictions, sides of switches, sliding, and rest on a stop.
+
+A motion that slides on the surface of a switch, sticks under friction or rests on a stop is held by a constraint. Each
+constraint acts along one direction of the state space with an unknown multiplier: half the difference of the fields of
+both sides, the velocity on which a friction acts, or that which a stop reverses. The multipliers of all constraints
+that hold at once follow from one linear system, so that constraints may influence one another.
+"""
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -11,6 +17,7 @@ from vibrojax.models.arrays import Array
 from vibrojax.models.physics import elementary
 from vibrojax.models.scenes.declared import Values
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch
+from vibrojax.models.systems.kinks import Differences, Function, Kink
 from vibrojax.models.systems.numbers import array_of, slope_along, slopes_along
 
 Rates = dict[str, Any]
@@ -26,7 +33,7 @@ class SystemConstants(NamedTuple):
     - `p`: the parameters by name; `period` [s]: that of the forcing, or None.
     - `typical`: typical magnitudes of the states by name.
     - `rates`: fastest rate of change [1/s] for each combination of the sides of the switches.
-    - `lifts`: for each event, the distance by which its surface moves away after a tangential departure.
+    - `lifts`: for each event and kink, the distance by which its surface moves away after a tangential departure.
     - `slow`: for each event, the rate of its function that counts as zero after an impact.
     """
 
@@ -44,31 +51,68 @@ class Motion(NamedTuple):
     - `rates`: derivatives of the states, with all frictions, and sliding or at rest where the mode says so.
     - `margins`: for each event, a function that is positive while the motion can stay on the event's surface.
     - `pulls`: for each event, a function with the sign of the side to which the field leads.
+    - `surfaces`: values of the functions of events and of the kinks after them.
     """
 
     rates: Rates
     margins: tuple[Any, ...]
     pulls: tuple[Any, ...]
+    surfaces: tuple[Any, ...]
+
+
+class Constraint(NamedTuple):
+    """A constraint that may hold the motion on the surface of an event.
+
+    - `held`: 1 where it holds, else 0; `along`: the direction in which it acts, by name of the states.
+    - `drift`: change of what it keeps at zero, without any multiplier; `gain`: its change per own multiplier.
+    """
+
+    held: Any
+    along: Rates
+    drift: Any
+    gain: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Dependences:
+    """How the functions of a system depend on one another, as random states reveal it.
+
+    - `still`: for each impact whose gap is a position, up to its sign and a constant, that sign (by index).
+    - `speeds`: the states that are the rate of change of another state, by the name of that state.
+    - `switching`: the states on which the function of each switch depends, by the name of the switch.
+    - `coupled`: pairs of indices of events; the constraint of the second changes what the first keeps at zero.
+    - `jumping`: the events on whose other side a jump may put the state.
+    - `mixing`: pairs of switches whose sides do not act on the field independently of each other.
+    - `linear`: True if the field is linear in the states on each side, and friction coefficients are constant.
+    """
+
+    still: Mapping[int, float]
+    speeds: Mapping[str, str]
+    switching: Mapping[str, Sequence[str]]
+    coupled: frozenset[tuple[int, int]]
+    jumping: frozenset[int]
+    mixing: tuple[tuple[int, int], ...]
+    linear: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Flow:
     """The functions of a system. All methods take constants, time and states by name, in any number type.
 
-    - `names`: the states; `function`: the user's field, which takes sides if `takes_sides`; `events`: the events.
-    - `still`: for each impact whose gap is a position, up to its sign and a constant, that sign (by index).
-    - `speeds`: the states that are the rate of change of another state, by the name of that state.
-    - `switching`: the states on which the function of each switch depends, by the name of the switch.
+    - `names`: the states; `function`: the user's field; `events`: the events; `kinks`: kinks of all functions.
+    - `surfaces`, `limits`: functions of the events, and of friction and stick limits, by index.
+    - `takes_sides`: True if the field takes the sides of switches.
     - `rate`: the user's function for the fastest rate of change [1/s], or None.
     """
 
     names: tuple[str, ...]
-    function: Callable[..., Mapping[str, Any]]
+    function: Function
     takes_sides: bool
     events: tuple[Event, ...]
-    still: Mapping[int, float]
-    speeds: Mapping[str, str]
-    switching: Mapping[str, Sequence[str]]
+    surfaces: tuple[Function, ...]
+    limits: Mapping[int, Function]
+    kinks: tuple[Kink, ...]
+    structure: Dependences
     rate: Callable[[Mapping[str, Any]], Any] | None = None
 
     def of(self, kind: type) -> list[tuple[int, Any]]:
@@ -79,47 +123,82 @@ class Flow:
         """Return all combinations of the sides of the switches."""
         return list(itertools.product((-1.0, 1.0), repeat=len(self.of(Switch))))
 
-    def field(self, c: SystemConstants, t: Any, y: States, sides: Sequence[Any]) -> Rates:
+    def branches(self, mode: Values) -> Values:
+        """Return the parts of the kinks that are in use, from the modes."""
+        return mode[len(self.events) : len(self.events) + len(self.kinks)]
+
+    def field(self, c: SystemConstants, mode: Values, t: Any, y: States, sides: Sequence[Any]) -> Rates:
         """Return the user's field with the switches at `sides`; a number becomes one value per lane."""
-        named = {event.name: side for (_, event), side in zip(self.of(Switch), sides, strict=True)}
-        rates = self.function(t, y, c.p, named) if self.takes_sides else self.function(t, y, c.p)
+        rates = self.function.at(self.branches(mode), t, y, c.p, *self._sided(sides))
         zero = 0.0 * next(iter(y.values()))
         return {name: zero + rates[name] if _is_array(rates[name]) else rates[name] for name in y}
 
+    def _sided(self, sides: Sequence[Any]) -> list[dict[str, Any]]:
+        """Return the field's fourth argument, if it takes one."""
+        return [self._named(sides)] if self.takes_sides else []
+
+    def _named(self, sides: Sequence[Any]) -> dict[str, Any]:
+        return {event.name: side for (_, event), side in zip(self.of(Switch), sides, strict=True)}
+
+    def kink_values(self, c: SystemConstants, mode: Values, t: Any, y: States) -> list[Any]:
+        """Return the functions whose zeros are the kinks, in their order."""
+        sides = [jnp.sign(mode[index]) for index, _ in self.of(Switch)]
+        calls: list[tuple[Function, list[Any]]] = [(self.function, self._sided(sides))]
+        calls += [(function, []) for function in self.surfaces]
+        calls += [(limit, [self._named(sides), jnp.sign(mode[index])]) for index, limit in self.limits.items()]
+        values: Differences = {}
+        for function, more in calls:
+            if function.kinks:
+                values |= function.run(self.branches(mode), t, y, c.p, *more)[1]
+        return [values[index] for index in range(len(self.kinks))]
+
+    def surface(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Any:
+        """Return the value of an event's function."""
+        return self.surfaces[index].at(self.branches(mode), t, y, c.p)
+
     def plain(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Rates:
         """Return the field without events, from which rates of gaps follow."""
-        return self.field(c, t, y, [jnp.sign(mode[index]) for index, _ in self.of(Switch)])
+        return self.field(c, mode, t, y, [jnp.sign(mode[index]) for index, _ in self.of(Switch)])
 
-    def slope(self, c: SystemConstants, event: Event, t: Any, y: States, rates: Rates, t_rate: float = 1.0) -> Any:
+    def slope(
+        self, c: SystemConstants, mode: Values, index: int, t: Any, y: States, rates: Rates, t_rate: float = 1.0
+    ) -> Any:
         """Return the rate of change of an event's function if states change at `rates` and the time at `t_rate`."""
-        return slope_along(lambda t, y: event.surface(t, y, c.p), t, y, [rates[name] for name in y], t_rate)
+        directions = [rates.get(name, 0.0) for name in y]
+        return slope_along(lambda t, y: self.surface(c, mode, index, t, y), t, y, directions, t_rate)
 
-    def closing(self, c: SystemConstants, event: Event, mode: Values, t: Any, y: States) -> Any:
+    def closing(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Any:
         """Return the rate of change of an event's function in the plain field."""
-        return self.slope(c, event, t, y, self.plain(c, mode, t, y))
+        return self.slope(c, mode, index, t, y, self.plain(c, mode, t, y))
 
-    def gain(self, c: SystemConstants, index: int, mode: Values, t: Any, y: States) -> Any:
+    def gain(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Any:
         """Return the change of an impact's closing rate per change of the velocity on which it acts."""
-        if index in self.still:
-            return self.still[index]
+        if index in self.structure.still:
+            return self.structure.still[index]
         event: Any = self.events[index]
-        unit = [float(name == event.velocity) for name in y]
-        return slope_along(lambda t, y: self.closing(c, event, mode, t, y), t, y, unit, 0.0)
+        return self._closing_slope(c, mode, index, t, y, {event.velocity: 1.0}, 0.0)
 
-    def onto_stop(self, c: SystemConstants, event: Impact, t: Any, y: States) -> Rates:
+    def _closing_slope(
+        self, c: SystemConstants, mode: Values, index: int, t: Any, y: States, rates: Rates, t_rate: float = 1.0
+    ) -> Any:
+        """Return the change of an impact's closing rate if states change at `rates` and the time at `t_rate`."""
+        directions = [rates.get(name, 0.0) for name in y]
+        return slope_along(lambda t, y: self.closing(c, mode, index, t, y), t, y, directions, t_rate)
+
+    def onto_stop(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Rates:
         """Return the position that closes the gap exactly, by name; empty if no state is the position."""
-        for position, speed in self.speeds.items():
-            if speed == event.velocity:
-                unit = {name: float(name == position) for name in y}
-                slope = self.slope(c, event, t, y, unit, 0.0)
-                return {position: y[position] - event.surface(t, y, c.p) / slope}
+        for position, speed in self.structure.speeds.items():
+            if speed == self.events[index].velocity:  # type: ignore[union-attr]
+                slope = self.slope(c, mode, index, t, y, {position: 1.0}, 0.0)
+                return {position: y[position] - self.surface(c, mode, index, t, y) / slope}
         return {}
 
-    def onto_surface(self, c: SystemConstants, event: Friction | Switch, t: Any, y: States) -> Rates:
+    def onto_surface(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Rates:
         """Return the nearest states on the surface of an event, by name; a friction moves its velocity alone."""
-        names = [event.acts_on] if isinstance(event, Friction) else self.switching[event.name]
-        value = event.surface(t, y, c.p)
-        slopes = {key: self.slope(c, event, t, y, {name: float(name == key) for name in y}, 0.0) for key in names}
+        event = self.events[index]
+        names = [event.acts_on] if isinstance(event, Friction) else self.structure.switching[event.name]
+        value = self.surface(c, mode, index, t, y)
+        slopes = {key: self.slope(c, mode, index, t, y, {key: 1.0}, 0.0) for key in names}
         sizes = {key: c.typical[key] if len(names) > 1 else 1.0 for key in names}
         weights = {key: slope * sizes[key] * sizes[key] for key, slope in slopes.items()}
         total = sum(weights[key] * slope for key, slope in slopes.items())
@@ -128,126 +207,209 @@ class Flow:
 
     def at(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Motion:
         """Return the motion in a mode, at a state or at the series of a step."""
-        switches = self.of(Switch)
-        judged: dict[int, tuple[Any, Any]] = {}
-        weights = {index: jnp.sign(mode[index]) for index, _ in switches}
-        corners = {sides: self.field(c, t, y, sides) for sides in self.combinations()}
-
-        def blended(fixed: Mapping[int, float]) -> Rates:
-            """Return the field, with frictions, at the present shares of the sides or at the `fixed` sides."""
-            present = {event.name: fixed.get(index, weights[index]) for index, event in switches}
-            total: Rates = {}
-            for sides, rates in corners.items():
-                shares = [
-                    (1.0 + side * weights[index]) * 0.5 if index not in fixed else float(fixed[index] == side)
-                    for (index, _), side in zip(switches, sides, strict=True)
-                ]
-                if all(not isinstance(share, float) or share for share in shares):
-                    weight = _product([share for share in shares if not isinstance(share, float)])
-                    part = rates if weight is None else {name: weight * rate for name, rate in rates.items()}
-                    total = {name: total[name] + part[name] for name in part} if total else part
-            return self._with_friction(c, mode, t, y, total, present, judged)
-
-        for index, event in switches:
-            low, high = (self.slope(c, event, t, y, blended({index: side})) for side in (-1.0, 1.0))
-            slides = 1.0 - weights[index] * weights[index]
-            gap = low - high
-            gap = gap + jnp.where((slides == 0) | (array_of(gap) == 0), 1.0 - array_of(gap), 0.0)
-            judged[index] = (-elementary.maximum(high, -low), high + low)
-            # Filippov's share: with this combination of the two fields, the motion stays on the surface.
-            weights[index] = weights[index] + slides * ((low + high) / gap)
-        rates = blended({})
+        corners = {sides: self.field(c, mode, t, y, sides) for sides in self.combinations()}
+        sides, slips = self._signs(mode, Switch), self._signs(mode, Friction)
+        rates, holds = self._mixed(c, mode, t, y, corners, {})
+        constraints: dict[int, Constraint] = {}
+        for index, _ in self.of(Switch):
+            low, high = (self._mixed(c, mode, t, y, corners, {index: side})[0] for side in (-1.0, 1.0))
+            half = {name: 0.5 * (high[name] - low[name]) for name in rates}
+            drift, gain = self.slope(c, mode, index, t, y, rates), self.slope(c, mode, index, t, y, half, 0.0)
+            constraints[index] = Constraint(1.0 - sides[index] * sides[index], half, drift, gain)
+        for index, event in self.of(Friction):
+            along = {event.acts_on: 1.0}
+            drift, gain = self.slope(c, mode, index, t, y, rates), self.slope(c, mode, index, t, y, along, 0.0)
+            constraints[index] = Constraint(1.0 - slips[index] * slips[index], along, drift, gain)
         for index, event in self.of(Impact):
-            rates = self._resting(c, index, event, mode, t, y, rates, judged)
-        margins, pulls = zip(*(judged[index] for index in range(len(self.events))), strict=True) if judged else ((), ())
-        return Motion(rates, tuple(margins), tuple(pulls))
+            if event.velocity is not None:
+                drift = self._effect(c, mode, index, t, y, rates)
+                resting, gain = jnp.where(mode[index] == 1, 1.0, 0.0), self.gain(c, mode, index, t, y)
+                constraints[index] = Constraint(resting, {event.velocity: 1.0}, drift, gain)
 
-    def _with_friction(
-        self,
-        c: SystemConstants,
-        mode: Values,
-        t: Any,
-        y: States,
-        rates: Rates,
-        sides: Mapping[str, Any],
-        judged: dict[int, tuple[Any, Any]],
-    ) -> Rates:
-        """Return the rates with all frictions; `judged` receives margin and pull of each friction."""
-        frictions = self.of(Friction)
-        slips = {index: jnp.sign(mode[index]) for index, _ in frictions}
-        limits = {index: event.limits(t, y, c.p, sides, slips[index]) for index, event in frictions}
-        drags = {index: slips[index] * limits[index][0] for index, _ in frictions}
-        total = dict(rates)
-        for index, event in frictions:
-            # The field with all other frictions; the body sticks where the rest of the field cannot move it.
-            free = dict(rates)
-            for other, friction in frictions:
-                if other != index:
-                    free[friction.acts_on] = free[friction.acts_on] - drags[other]
-            unit = {name: float(name == event.acts_on) for name in y}
-            gain = self.slope(c, event, t, y, unit, 0.0)
-            pull = self.slope(c, event, t, y, free)
-            judged[index] = (limits[index][1] * abs(gain) - elementary.absolute(pull), pull)
-            held = (1.0 - slips[index] * slips[index]) * (pull / gain)
-            total[event.acts_on] = total[event.acts_on] - drags[index] - held
-        return total
+        def effect(index: int, other: int) -> Any:
+            return self._effect(c, mode, index, t, y, constraints[other].along, 0.0)
 
-    def _resting(
-        self,
-        c: SystemConstants,
-        index: int,
-        event: Impact,
-        mode: Values,
-        t: Any,
-        y: States,
-        rates: Rates,
-        judged: dict[int, tuple[Any, Any]],
-    ) -> Rates:
-        """Return the rates where the motion may rest on a stop, with the second derivative of the gap zero."""
-        if event.velocity is None:
+        multipliers, drifts = solved(constraints, self.structure.coupled, effect)
+        for index, own in constraints.items():
+            for name, direction in own.along.items():
+                rates[name] = rates[name] + multipliers[index] * direction
+        margins, pulls = [], []
+        for index, event in enumerate(self.events):
             zero = 0.0 * next(iter(rates.values()))
-            judged[index] = (zero + 1.0, zero)
-            return rates
-        resting = jnp.where(mode[index] == 1, 1.0, 0.0)
-        if index in self.still:
-            acceleration = rates[event.velocity]
-            judged[index] = ((-self.still[index]) * acceleration, self.still[index] * acceleration)
-            return rates | {event.velocity: (1.0 - resting) * acceleration}
-        directions = [rates[name] for name in y]
-        second = slope_along(lambda t, y: self.closing(c, event, mode, t, y), t, y, directions)
-        judged[index] = (-second, second)
-        correction = resting * (second / self.gain(c, index, mode, t, y))
-        return rates | {event.velocity: rates[event.velocity] - correction}
+            margin, pull = zero + 1.0, drifts.get(index, zero)
+            if isinstance(event, Switch):
+                gain = constraints[index].gain
+                margin = -elementary.maximum(pull + gain, gain - pull)
+            elif isinstance(event, Friction):
+                # The margin is that of the field without this friction, for a body that slides or sticks.
+                margin = holds[index] * abs(constraints[index].gain) - elementary.absolute(pull)
+            elif index in constraints:
+                margin = -pull
+            margins.append(margin)
+            pulls.append(pull)
+        return Motion(rates, tuple(margins), tuple(pulls), self.values(c, mode, t, y))
 
-    def jacobian(self, c: SystemConstants, t: Any, y: States, sides: Sequence[Any]) -> list[list[Any]]:
-        """Return the derivatives of the field (rows) with respect to the states (columns)."""
+    def values(self, c: SystemConstants, mode: Values, t: Any, y: States) -> tuple[Any, ...]:
+        """Return the values of the functions of events, and of the kinks after them."""
+        values = [self.surface(c, mode, index, t, y) for index in range(len(self.events))]
+        return (*values, *(self.kink_values(c, mode, t, y) if self.kinks else ()))
+
+    def _signs(self, mode: Values, kind: type) -> dict[int, Any]:
+        """Return the signs of the modes of events of a kind: 0 on the surface."""
+        return {index: jnp.sign(mode[index]) for index, _ in self.of(kind)}
+
+    def _mixed(
+        self,
+        c: SystemConstants,
+        mode: Values,
+        t: Any,
+        y: States,
+        corners: Mapping[tuple[float, ...], Rates],
+        fixed: Mapping[int, float],
+    ) -> tuple[Rates, dict[int, Any]]:
+        """Return the field with the frictions of sliding bodies, and the decelerations that bodies that stick can bear.
+
+        The sides of switches are `fixed`, or those of the mode: on a surface 0, the mean of both fields. `corners`: the
+        field at all combinations of sides.
+        """
+        switches, own = self.of(Switch), self._signs(mode, Switch)
+        present = {event.name: fixed.get(index, own[index]) for index, event in switches}
+        total: Rates = {}
+        for sides, rates in corners.items():
+            shares = [
+                (1.0 + side * own[index]) * 0.5 if index not in fixed else float(fixed[index] == side)
+                for (index, _), side in zip(switches, sides, strict=True)
+            ]
+            if all(not isinstance(share, float) or share for share in shares):
+                weight = _product([share for share in shares if not isinstance(share, float)])
+                part = rates if weight is None else {name: weight * rate for name, rate in rates.items()}
+                total = {name: total[name] + part[name] for name in part} if total else dict(part)
+        holds = {}
+        for index, event in self.of(Friction):
+            slip = jnp.sign(mode[index])
+            drag, holds[index] = self.limits[index].at(self.branches(mode), t, y, c.p, present, slip)
+            total[event.acts_on] = total[event.acts_on] - slip * drag
+        return total, holds
+
+    def _effect(
+        self, c: SystemConstants, mode: Values, index: int, t: Any, y: States, rates: Rates, t_rate: float = 1.0
+    ) -> Any:
+        """Return the change of what the constraint of an event keeps at zero, if states change at `rates`."""
+        event = self.events[index]
+        if not isinstance(event, Impact):
+            return self.slope(c, mode, index, t, y, rates, t_rate)
+        if index in self.structure.still:
+            return self.structure.still[index] * rates.get(str(event.velocity), 0.0)
+        return self._closing_slope(c, mode, index, t, y, rates, t_rate)
+
+    def fastest(self, c: SystemConstants, mode: Values, t: Any, y: States) -> tuple[Any, ...]:
+        """Return the fastest rate of change of the field [1/s], for each combination of the sides of the switches."""
+        like = 0.0 * next(iter(y.values()))
+        if self.rate is not None:
+            return tuple(self.rate(c.p) + like for _ in self.combinations())
+        fields = [lambda t, y, sides=sides: self.field(c, mode, t, y, sides) for sides in self.combinations()]
+        return tuple(self._fastest(c, field, t, y) + like for field in fields)
+
+    def quickest(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Any:
+        """Return the fastest rate of change [1/s] in a mode at a state, with the slopes of friction laws."""
+        switches, slips = self.of(Switch), self._signs(mode, Friction)
+        result = None
+        # On a surface, the sides are both.
+        for other in (-1.0, 1.0) if switches else (1.0,):
+            sides = [jnp.where(mode[index] == 0, other, jnp.sign(mode[index])) for index, _ in switches]
+            present = {event.name: side for (_, event), side in zip(switches, sides, strict=True)}
+
+            def field(t: Any, y: States, sides: Any = sides, present: Any = present) -> Rates:
+                rates = self.field(c, mode, t, y, sides)
+                for index, event in self.of(Friction):
+                    drag, _ = self.limits[index].at(self.branches(mode), t, y, c.p, present, slips[index])
+                    rates[event.acts_on] = rates[event.acts_on] - slips[index] * drag
+                return rates
+
+            rate = self._fastest(c, field, t, y)
+            result = rate if result is None else jnp.maximum(result, rate)
+        return result
+
+    def jacobian(self, field: Callable[[Any, States], Rates], t: Any, y: States) -> list[list[Any]]:
+        """Return the derivatives of a field (rows) with respect to the states (columns)."""
 
         def rates(t: Any, y: States) -> list[Any]:
-            return list(self.field(c, t, y, sides).values())
+            return list(field(t, y).values())
 
         columns = [slopes_along(rates, t, y, [float(key == name) for key in y], 0.0) for name in y]
         return [[column[row] for column in columns] for row in range(len(y))]
 
-    def fastest(self, c: SystemConstants, t: Any, y: States) -> tuple[Any, ...]:
-        """Return the fastest rate of change [1/s] at a state, for each combination of the sides of the switches."""
-        like = 0.0 * next(iter(y.values()))
-        if self.rate is not None:
-            return tuple(self.rate(c.p) + like for _ in self.combinations())
-        return tuple(self._fastest(c, t, y, sides) + like for sides in self.combinations())
-
-    def _fastest(self, c: SystemConstants, t: Any, y: States, sides: Sequence[float]) -> Any:
+    def _fastest(self, c: SystemConstants, field: Callable[[Any, States], Rates], t: Any, y: States) -> Any:
         n = range(len(y))
-        jacobian = [[jnp.abs(x) for x in row] for row in self.jacobian(c, t, y, sides)]
+        jacobian = [[jnp.abs(x) for x in row] for row in self.jacobian(field, t, y)]
         square = [[sum(jacobian[i][k] * jacobian[k][j] for k in n) for j in n] for i in n]
         # The fourth root of the trace of the fourth power of |J| bounds the spectral radius, whatever the units.
         radius = jnp.sqrt(jnp.sqrt(sum(square[i][k] * square[k][i] for i in n for k in n)))
+        # There is no derivative where a root is zero.
+        radius = jnp.where(jnp.isfinite(radius), radius, 0.0)
         if c.period is not None:
             return jnp.maximum(radius, 2 * jnp.pi / c.period)
         # Without a linear part, as in free fall: the second derivative of each state relative to the state.
-        first = [jnp.abs(rate) for rate in self.field(c, t, y, sides).values()]
+        first = [jnp.abs(rate) for rate in field(t, y).values()]
         bends = [sum(jacobian[i][k] * first[k] for k in n) / jnp.abs(x) for i, x in enumerate(y.values())]
         fall = jnp.sqrt(sum(jnp.where(jnp.isfinite(bend), bend, 0.0) for bend in bends))
         return jnp.where(radius > 0, radius, jnp.where(fall > 0, fall, 1.0))
+
+
+def solved(
+    constraints: Mapping[int, Constraint], coupled: frozenset[tuple[int, int]], effect: Callable[[int, int], Any]
+) -> tuple[dict[int, Any], dict[int, Any]]:
+    """Return the multipliers of constraints, zero where they do not hold, and their drifts due to all others.
+
+    **Arguments:** `coupled`: pairs of constraints of which the second changes what the first keeps at zero;
+    `effect(first, second)`: that change per multiplier.
+    """
+    multipliers: dict[int, Any] = {}
+    drifts = {index: own.drift for index, own in constraints.items()}
+    groups = _groups(constraints, coupled)
+    for group in groups:
+        effects = {(i, j): effect(i, j) for i in group for j in group if i != j and (i, j) in coupled}
+        rows = {
+            i: {j: constraints[i].held * constraints[j].held * effects[i, j] for j in group if (i, j) in effects}
+            for i in group
+        }
+        for i in group:
+            rows[i][i] = constraints[i].gain
+        right = {i: -constraints[i].held * constraints[i].drift for i in group}
+        for place, k in enumerate(group):  # Gauss
+            rows[k][k] = _unless_zero(rows[k][k], constraints[k].held)
+            for i in group[place + 1 :]:
+                if k in rows[i]:
+                    factor = rows[i].pop(k) / rows[k][k]
+                    right[i] = right[i] - factor * right[k]
+                    for j, x in rows[k].items():
+                        if j != k:
+                            rows[i][j] = rows[i][j] - factor * x if j in rows[i] else -factor * x
+        for k in reversed(group):
+            rest = right[k]
+            for j, x in rows[k].items():
+                if j != k:
+                    rest = rest - x * multipliers[j]
+            multipliers[k] = rest / rows[k][k]
+        for (i, j), x in effects.items():
+            drifts[i] = drifts[i] + x * multipliers[j]
+    return multipliers, drifts
+
+
+def _groups(constraints: Mapping[int, Constraint], coupled: frozenset[tuple[int, int]]) -> list[list[int]]:
+    """Return the constraints in groups, such that those of different groups are not coupled."""
+    groups: list[list[int]] = []
+    for index in constraints:
+        joined = [group for group in groups if any((i, index) in coupled or (index, i) in coupled for i in group)]
+        groups = [group for group in groups if group not in joined]
+        groups.append([*itertools.chain(*joined), index])
+    return groups
+
+
+def _unless_zero(gain: Any, held: Any) -> Any:
+    """Return a divisor that is 1 at the start of the step where the gain is zero or the constraint does not hold."""
+    value = array_of(gain)
+    return gain + jnp.where((held == 0) | (value == 0), 1.0 - value, 0.0)
 
 
 def _product(factors: Sequence[Any]) -> Any:

@@ -1,6 +1,6 @@
-"""Two number types that equations accept beside arrays and Taylor series: dual numbers and running rounding errors.
+"""Number types that equations accept beside arrays and Taylor series: dual numbers, rounding errors and magnitudes.
 
-Both work for every equation that is written with +, -, *, /, integer powers and
+They work for every equation that is written with +, -, *, /, integer powers and
 [vibrojax.models.physics.elementary][], so derivatives and resolutions need no second copy of the equation.
 """
 
@@ -113,14 +113,15 @@ class Rounded(_Number):
         if isinstance(other, Dual):
             return other + self
         value, size = self._split(other)
-        return Rounded(self.value + value, self.size + size)
+        return type(self)(self.value + value, self.size + size)
 
     def __mul__(self, other: Any) -> Any:
         if isinstance(other, Dual):
             return other * self
         if not isinstance(other, Rounded):
-            return Rounded(self.value * other, self.size * jnp.abs(other))
-        return Rounded(self.value * other.value, self.size * jnp.abs(other.value) + other.size * jnp.abs(self.value))
+            return type(self)(self.value * other, self.size * jnp.abs(other))
+        size = self.size * jnp.abs(other.value) + other.size * jnp.abs(self.value)
+        return type(self)(self.value * other.value, size)
 
     def __truediv__(self, other: Any) -> Any:
         if isinstance(other, Dual):
@@ -128,10 +129,28 @@ class Rounded(_Number):
         if not isinstance(other, Rounded):
             return self * (1.0 / other)
         quotient = self.value / other.value
-        return Rounded(quotient, (self.size + other.size * jnp.abs(quotient)) / jnp.abs(other.value))
+        return type(self)(quotient, (self.size + other.size * jnp.abs(quotient)) / jnp.abs(other.value))
 
     def __rtruediv__(self, other: Any) -> Any:
-        return Rounded(other, jnp.abs(other)) / self
+        return type(self)(other, jnp.abs(other)) / self
+
+
+class Magnitude(Rounded):
+    """An array `value` and a typical magnitude `size` that it may have nearby.
+
+    Unlike a rounding error, a magnitude does not grow with the slope of a function that is bounded, or of the
+    exponential of a law that falls steeply.
+    """
+
+
+_HEIGHTS: dict[str, Callable[[Any], Any]] = {
+    "exp": lambda y: 2.0 * jnp.abs(y),
+    "sin": lambda y: 1.0,
+    "cos": lambda y: 1.0,
+    "tanh": lambda y: 1.0,
+    "arctan": lambda y: 0.5 * jnp.pi,
+}
+"""Greatest change of a function that counts for a magnitude, from its value."""
 
 
 def array_of(x: Any) -> Any:
@@ -153,33 +172,49 @@ def _register() -> None:
             y = function(x.value)
             return Rounded(y, jnp.abs(y) + jnp.abs(derivative(x.value, y)) * x.size)
 
+        def typical(x: Magnitude, function: Any = function, derivative: Any = derivative, name: str = name) -> Any:
+            y = function(x.value)
+            change = jnp.abs(derivative(x.value, y)) * x.size
+            return Magnitude(y, jnp.abs(y) + (jnp.minimum(change, _HEIGHTS[name](y)) if name in _HEIGHTS else change))
+
         function.register(Dual, dual)
         function.register(Rounded, rounded)
+        function.register(Magnitude, typical)
 
 
 _register()
 
 
-@elementary.absolute.register
+@elementary.magnitude.register
 def _absolute(x: Dual) -> Any:
     return x * jnp.where(array_of(x) < 0, -1.0, 1.0)
 
 
-@elementary.absolute.register
+@elementary.magnitude.register
 def _absolute_rounded(x: Rounded) -> Any:
-    return Rounded(jnp.abs(x.value), x.size)
+    return type(x)(jnp.abs(x.value), x.size)
 
 
-@elementary.maximum.register
+@elementary.greater.register
 def _maximum(x: Dual, y: Any) -> Any:
     first = jnp.where(array_of(x) >= array_of(y), 1.0, 0.0)
     return x * first + (1.0 - first) * y
 
 
-@elementary.maximum.register
+@elementary.greater.register
 def _maximum_rounded(x: Rounded, y: Any) -> Any:
     value, size = x._split(y)
-    return Rounded(jnp.maximum(x.value, value), jnp.maximum(x.size, size))
+    return type(x)(jnp.maximum(x.value, value), jnp.maximum(x.size, size))
+
+
+@elementary.whole.register
+def _whole(x: Dual) -> Any:
+    return jnp.floor(array_of(x))
+
+
+@elementary.whole.register
+def _whole_rounded(x: Rounded) -> Any:
+    return jnp.floor(x.value)
 
 
 @elementary.power.register
@@ -191,7 +226,7 @@ def _power(x: Dual, exponent: Any) -> Any:
 @elementary.power.register
 def _power_rounded(x: Rounded, exponent: Any) -> Any:
     y = elementary.power(x.value, exponent)
-    return Rounded(y, jnp.abs(y) * (1.0 + jnp.abs(exponent) * x.size / jnp.abs(x.value)))
+    return type(x)(y, jnp.abs(y) * (1.0 + jnp.abs(exponent) * x.size / jnp.abs(x.value)))
 
 
 def slope_along(equation: Equation, t: Any, y: Mapping[str, Any], rates: Sequence[Any], t_rate: float = 1.0) -> Any:

@@ -1,6 +1,5 @@
 """Checks of the functions of a system at random states."""
 
-import inspect
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -13,7 +12,7 @@ from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.physics.units import is_drawn_unit
-from vibrojax.models.systems.events import Event, Friction, Impact, Switch
+from vibrojax.models.systems.events import Event, Friction, Impact, Switch, required_arguments
 from vibrojax.models.systems.numbers import Dual
 
 LANES = 3
@@ -120,7 +119,7 @@ class Probe:
 
     def _takes_sides(self) -> bool:
         try:
-            arguments = len(inspect.signature(self._field).parameters)
+            arguments = required_arguments(self._field)
         except (TypeError, ValueError):
             arguments = 3
         switches = [event.name for event in self._events if isinstance(event, Switch)]

@@ -18,11 +18,12 @@ from vibrojax.errors import InputError
 from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.scenes.capabilities import HasImpacts
 from vibrojax.models.scenes.declared import Marker, Mode, Section, State, Swing, Values
-from vibrojax.models.systems.equations import TIME, SystemEquations
+from vibrojax.models.systems.equations import APPROACH, TIME, SystemEquations
 from vibrojax.models.systems.events import Event, Impact, Switch
 from vibrojax.models.systems.flow import Flow, SystemConstants
+from vibrojax.models.systems.kinks import Kink
 from vibrojax.models.systems.structure import Structure
-from vibrojax.models.systems.transitions import APPROACH
+from vibrojax.models.systems.transitions import free_modes
 
 CYCLES_SETTLING, CYCLES_OBSERVED = 100, 40
 """Default durations of settling and observation, in periods of the forcing or of the slowest oscillation about
@@ -94,26 +95,35 @@ class System(SystemEquations):
         with jax.enable_x64(True):
             probe = Structure(name, states, parameters, field, period, section, events, regimes)
             self.name = name  # type: ignore[misc]
-            speeds = probe.velocities()
             self.events, self._period, self._own = tuple(events), period, tuple(states)
-            structure = probe.still_stops(), speeds, probe.switching()
-            self._flow = Flow(self._own, field, probe.takes_sides, self.events, *structure, rate)
+            self._flow = Flow(
+                self._own,
+                probe.function,
+                probe.takes_sides,
+                self.events,
+                probe.surface_functions,
+                probe.limits,
+                tuple(probe.kinks),
+                probe.dependences(),
+                rate,
+            )
             self._parameters, self._renamed = probe.parameters, dict(regimes or {})
-            self._section_state, level = section if isinstance(section, tuple) else (section, 0.0)
+            self.autonomous = period is None  # type: ignore[misc]
+            self._section_state, self._level = section if isinstance(section, tuple) else (section or TIME, 0.0)
+            speeds = self._flow.structure.speeds
             # The error of these positions follows from that of their velocities.
             self._integrated = frozenset(speeds) if set(speeds) < set(states) else frozenset()
-            self.autonomous = period is None  # type: ignore[misc]
-            self._declare(states, speeds, probe.surfaces(), level)
+            self._declare(states, speeds, probe.surfaces())
             self.usual_times = self._times()  # type: ignore[misc]
         DEFINED[name] = self
 
-    def _declare(self, units: Mapping[str, str], speeds: Mapping[str, str], surfaces: set[str], level: float) -> None:
+    def _declare(self, units: Mapping[str, str], speeds: Mapping[str, str], surfaces: set[str]) -> None:
         """Set the declarations of a scene; `speeds`: the rate of change of each state that has one among the states."""
         hidden = {TIME: "s"} if not self.autonomous else {}
         hidden |= {APPROACH: "1"} if isinstance(self, HasImpacts) else {}
-        section_state = self._section_state or TIME
+        section_state = self._section_state
         shown = [
-            State(name, unit, name, True, offset=level if name == section_state else 0.0)
+            State(name, unit, name, True, offset=self._level if name == section_state else 0.0)
             for name, unit in units.items()
         ]
         turning = [speed for speed in dict.fromkeys(speeds.values()) if speed not in (section_state, *surfaces)]
@@ -121,7 +131,8 @@ class System(SystemEquations):
             Swing(name, speeds[name] if speeds.get(name) in turning else None, f"{name}_amplitude") for name in units
         )
         self.states = (*shown, *(State(name, unit, name, shown=False) for name, unit in hidden.items()))  # type: ignore[misc]
-        self.modes = tuple(map(_mode, self.events)) or (Mode("flow", "0", 0.0),)  # type: ignore[misc]
+        modes = (*map(_mode, self.events), *map(_mode_of_kink, self._flow.kinks))
+        self.modes = modes or (Mode("flow", "0", 0.0),)  # type: ignore[misc]
         self.markers = (Marker("strobe", section_state), *(Marker(f"{speed}_zero", speed) for speed in turning))  # type: ignore[misc]
         self.section = Section(tuple(swings), self._rearm, at=section_state)  # type: ignore[misc]
         self.starts, self.start_states, self.measures = ("zero",), self._own, ("rest",)  # type: ignore[misc]
@@ -132,7 +143,7 @@ class System(SystemEquations):
 
     def __reduce__(self) -> Any:
         # The functions of a system cannot be pickled if they are lambdas. Other processes import the system instead.
-        module = sys.modules.get(getattr(self._flow.function, "__module__", ""), None)
+        module = sys.modules.get(getattr(self._flow.function.function, "__module__", ""), None)
         for key, value in vars(module).items() if module is not None else ():
             if value is self and module is not None and module.__name__ != "__main__":
                 return _system_of, (module.__name__, key)
@@ -153,9 +164,12 @@ class System(SystemEquations):
         """Return the slowest oscillation about the zero state [rad/s], else the slowest rate of change there [1/s]."""
 
         def jacobians(p: dict[str, Any]) -> list[list[list[Any]]]:
-            c = self.constants(p)
-            zero = {name: 0.0 * c.rates[0] for name in self._own}
-            return [self._flow.jacobian(c, 0.0 * c.rates[0], zero, sides) for sides in self._flow.combinations()]
+            c, flow = self.constants(p), self._flow
+            t = 0.0 * c.rates[0]
+            zero = dict.fromkeys(self._own, t)
+            mode = free_modes(flow, c, t, zero, t)
+            fields = [lambda t, y, sides=sides: flow.field(c, mode, t, y, sides) for sides in flow.combinations()]
+            return [flow.jacobian(field, t, zero) for field in fields]
 
         matrices = np.array(jax.jit(jacobians)(p), float)
         values = np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))]).ravel()
@@ -165,7 +179,7 @@ class System(SystemEquations):
         return float(rate) if np.isfinite(rate) else 1.0
 
     def _rearm(self, c: SystemConstants) -> Any:
-        if self._section_state is not None:
+        if self.autonomous:
             return jnp.zeros_like(c.typical[self._section_state])
         return -0.1 * c.period
 
@@ -201,6 +215,12 @@ def _mode(event: Event) -> Mode:
     if isinstance(event, Impact):
         return Mode(event.name, "1 at rest on the stop, -1 after leaving it along a tangent, else 0", 0.0)
     return Mode(event.name, "sign of the side, 0 on the surface; twice the sign after leaving it along a tangent", 1.0)
+
+
+def _mode_of_kink(kink: Kink) -> Mode:
+    if kink.whole:
+        return Mode(kink.name, f"floor in {kink.place}", 0.0)
+    return Mode(kink.name, f"formula in use at a kink in {kink.place}: sign of the difference", 2.0)
 
 
 def _system_of(module: str, name: str) -> Any:
