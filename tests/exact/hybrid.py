@@ -24,7 +24,10 @@ from exact.described import Described, Rub, Stop, Surface, compiled, derivative,
 ON = 1e-11
 """Largest value of a surface's function on the surface: coincident surfaces differ by rounding errors only."""
 
-SLOW = 1e-7
+TOUCH = 2e-15
+"""Largest gap of a closed stop: bounces that end in rest are about 1e-13 high."""
+
+SLOW = 5e-7
 """Speed up to which a bounce ends in rest. The remaining bounces last about as long, and are as high as its square."""
 
 CHATTER = 1e-5
@@ -33,7 +36,7 @@ CHATTER = 1e-5
 MARGINAL, GRAZING, CLOSE = 1e-7, 1e-9, 1e-7
 """A point is doubtful with a smaller distance from another mode, depth at a surface, or time [s] to another event."""
 
-NOISE = 4e-15
+NOISE = 2e-15
 CASCADE, MOST_EVENTS = 40, 20_000
 TOLERANCE = {"rtol": 3e-13, "atol": 1e-14}
 INNER, EARLY = np.linspace(0.0, 1.0, 9), 0.5 ** np.arange(40.0, 3.0, -1.0)
@@ -62,6 +65,7 @@ class Hybrid:
 
     def __init__(self, system: Described, p: Mapping[str, float]):
         self.system, self.events, self.n = system, tuple(system.events), len(system.states)
+        self.near = [TOUCH if isinstance(event, Stop) else ON for event in self.events]
         p = {"omega": 1.0} | dict(p)
         split = [
             [
@@ -78,7 +82,10 @@ class Hybrid:
         variables = ("t", *system.states)
         surfaces = [getattr(e, {Stop: "gap", Surface: "function", Rub: "relative"}[type(e)]) for e in self.events]
         # The rate of a gap is a function of time and states: no event changes the rates of positions.
-        held = [rate_of(system, g) if isinstance(e, Stop) else g for e, g in zip(self.events, surfaces, strict=True)]
+        held = [
+            rate_of(system, g) if isinstance(e, Stop) and e.velocity else g if not isinstance(e, Stop) else ()
+            for e, g in zip(self.events, surfaces, strict=True)
+        ]
         self.values = compiled(system, p, [surfaces, held])
         self.slopes = compiled(system, p, [[derivative(e, x) for x in variables] for e in surfaces + held])
         loads = [
@@ -172,7 +179,7 @@ class Hybrid:
         for i, event in enumerate(self.events):
             if i in forced:
                 options.append((forced[i],))
-            elif abs(values[i]) > ON or (isinstance(event, Stop) and (closing[i] > SLOW or i in self.resets)):
+            elif abs(values[i]) > self.near[i] or i in self.resets or (isinstance(event, Stop) and closing[i] > SLOW):
                 options.append((1,) if isinstance(event, Stop) or values[i] > 0 else (-1,))
             else:
                 options.append((0, 1) if isinstance(event, Stop) else (0, 1, -1))
@@ -197,14 +204,24 @@ class Hybrid:
             raise Doubtful("marginal: another mode is almost consistent")
         return found[0][2]
 
+    def closing(self, t: float, y: np.ndarray, mode: Sequence[int] | None) -> list[float]:
+        """Return the rate of each gap; for resets, it is that in a mode, or with the sides of the state."""
+        values, rates = self.values(t, y)
+        if self.resets:
+            sides = [1 if isinstance(e, Stop) or x >= 0 else -1 for e, x in zip(self.events, values, strict=True)]
+            f, slopes = self.motion(mode or sides, t, y)[0], self.slopes(t, y)
+            for i in self.resets:
+                rates[i] = slopes[i][0] + float(np.dot(slopes[i][1:], f))
+        return rates
+
     def settle(
-        self, t: float, y: np.ndarray, forced: Mapping[int, int], log: list
+        self, t: float, y: np.ndarray, mode: Sequence[int] | None, forced: Mapping[int, int], log: list
     ) -> tuple[np.ndarray, tuple[int, ...]]:
         """Return state and mode after all jumps at a time; `log` receives the impacts."""
         y = np.array(y, float)
-        for _ in range(CASCADE):
-            values, closing = self.values(t, y)
-            stops = [i for i, event in enumerate(self.events) if isinstance(event, Stop) and values[i] <= ON]
+        for count in range(CASCADE):
+            values, closing = self.values(t, y)[0], self.closing(t, y, mode if count == 0 else None)
+            stops = [i for i, event in enumerate(self.events) if isinstance(event, Stop) and values[i] <= TOUCH]
             if any(values[i] < -1e-9 for i in stops):
                 raise Doubtful("beyond a stop")
             if any(i in self.resets and abs(closing[i]) <= SLOW for i in stops):
@@ -223,8 +240,8 @@ class Hybrid:
         else:
             raise Doubtful("cascade of jumps")
         for i in stops:
-            if i not in self.resets and abs(self.values(t, y)[1][i]) <= SLOW:
-                y = self._shift(t, y, i, -self.values(t, y)[1][i])
+            if i not in self.resets and abs(closing[i]) <= SLOW:
+                y = self._shift(t, y, i, -closing[i])
         return y, self.determine(t, y, forced)
 
     def _shift(self, t: float, y: np.ndarray, i: int, change: float) -> np.ndarray:
@@ -250,7 +267,7 @@ class Hybrid:
         try:
             while True:
                 count = len(result.events)
-                y, new = self.settle(t, y, forced, result.events)
+                y, new = self.settle(t, y, mode, forced, result.events)
                 result.events += _changes(self.events, t, begun, mode, new, result.events[count:])
                 mode = new
                 if t >= times[-1]:
@@ -262,7 +279,7 @@ class Hybrid:
                 speed = result.events[-1][3] if result.events and result.events[-1][2] == "impact" else np.inf
                 if t - last[0] < CLOSE and last[1] != i and not min(speed, last[2]) < CHATTER:
                     raise Doubtful("two events almost at once")
-                last = t, i, -self.values(t, y)[1][i] if isinstance(self.events[i], Stop) and mode[i] else np.inf
+                last = t, i, -self.closing(t, y, mode)[i] if isinstance(self.events[i], Stop) and mode[i] else np.inf
                 held = [(k, True) for k, side in enumerate(mode) if side == 0]
                 y, begun, forced = self.project(t, y, [(i, mode[i] == 0), *held]), (i,), z
                 if len(result.events) > MOST_EVENTS:
@@ -290,7 +307,7 @@ class Hybrid:
 
         solver = DOP853(rhs, 0.0, y0, max(times[-1] - t0, 1e-9), max_step=0.15, **TOLERANCE)
         g0 = self.guards(mode, t0, y0)
-        lifted = np.array([side != 0 and abs(g) <= ON for side, g in zip(mode, g0, strict=True)], bool)
+        lifted = np.array([side != 0 and abs(g) <= near for side, g, near in zip(mode, g0, self.near, strict=True)])
         offset, fresh, armed = np.where(lifted, g0, 0.0), True, ~lifted
         while solver.status == "running":
             message = solver.step()
@@ -376,22 +393,30 @@ def _multipliers(A, b, bounds, B):
                 return z, np.full(len(b), -1.0)
             if np.abs(B @ V[rank:].T).max() > 1e-9:
                 raise Doubtful("ambiguous: the numbers of coincident surfaces are not unique")
-            low, high = np.array(bounds).T
-            finite = np.isfinite(high)
-            limits = np.vstack(
-                [np.c_[-np.eye(len(b)), np.ones(len(b))], np.c_[np.eye(len(b)), np.ones(len(b))][finite]]
-            )
-            best = linprog(
-                [0.0] * len(b) + [-1.0],
-                limits,
-                [*-low, *high[finite]],
-                np.c_[U[:, :rank].T @ A, np.zeros(rank)],
-                U[:, :rank].T @ b,
-                bounds=[(None, None)] * (len(b) + 1),
-            )
-            z = best.x[:-1]
-            return z, np.full(len(b), best.x[-1])
+            return _widest(U[:, :rank].T @ A, U[:, :rank].T @ b, *np.array(bounds).T)
     return z, np.array([min(x - low, high - x) for x, (low, high) in zip(z, bounds, strict=True)])
+
+
+def _widest(A, b, low, high):
+    """Return the numbers with A z = b that are farthest from their bounds, and that distance."""
+    finite, n = np.isfinite(high), len(low)
+    if len(b) > 1:
+        limits = np.vstack([np.c_[-np.eye(n), np.ones(n)], np.c_[np.eye(n), np.ones(n)][finite]])
+        equations = np.c_[A, np.zeros(len(b))]
+        best = linprog([0.0] * n + [-1.0], limits, [*-low, *high[finite]], equations, b, bounds=[(None, None)] * (n + 1))
+        return best.x[:-1], np.full(n, best.x[-1])
+    a, b = A[0], b[0]
+    if not finite.all() and a[~finite][0] < 0:
+        a, b = -a, -b
+    least, most = np.where(a > 0, low, high), np.where(a > 0, high, low)
+    slack = min((b - a @ least) / np.abs(a).sum(), 0.5 * (high - low).min())
+    slack = slack if not finite.all() else min(slack, (a @ most - b) / np.abs(a).sum())
+    z = least + np.sign(a) * slack
+    if not finite.all():
+        z[~finite] += (b - a @ z) / a[~finite].sum()
+    elif (most - least) @ a - 2 * slack * np.abs(a).sum() > 0:
+        z += (b - a @ z) / ((most - np.sign(a) * slack - z) @ a) * (most - np.sign(a) * slack - z)
+    return z, np.full(n, slack)
 
 
 def _first_root(guard, points, g, armed):
@@ -402,7 +427,7 @@ def _first_root(guard, points, g, armed):
         (x0, x1, x2), (g0, g1, g2) = points[a - 1 : a + 2], g[a - 1 : a + 2]
         first, second = (g1 - g0) / (x1 - x0), (g2 - g1) / (x2 - x1)
         curvature = (second - first) / (x2 - x0)
-        if not (curvature > 0 and (armed or g0 > NOISE) and min(g0, g1, g2) > 0):
+        if not (curvature > 0 and g0 > 10 * GRAZING and min(g1, g2) > 0):
             continue
         lowest = 0.5 * (x0 + x1) - 0.5 * first / curvature
         value = g0 + (lowest - x0) * first + curvature * (lowest - x0) * (lowest - x1)
