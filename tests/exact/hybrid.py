@@ -24,8 +24,8 @@ from exact.described import Described, Rub, Stop, Surface, compiled, derivative,
 ON = 1e-11
 """Largest value of a surface's function on the surface: coincident surfaces differ by rounding errors only."""
 
-TOUCH = 2e-15
-"""Largest gap of a closed stop: bounces that end in rest are about 1e-13 high."""
+TOUCH, NOISE = 2e-15, 5e-14
+"""Rounding errors of a gap, which is closed up to them (bounces that end in rest are about 1e-13 high), and of others."""
 
 SLOW = 5e-7
 """Speed up to which a bounce ends in rest. The remaining bounces last about as long, and are as high as its square."""
@@ -36,8 +36,7 @@ CHATTER = 1e-5
 MARGINAL, GRAZING, CLOSE = 1e-7, 1e-9, 1e-7
 """A point is doubtful with a smaller distance from another mode, depth at a surface, or time [s] to another event."""
 
-NOISE = 2e-15
-CASCADE, MOST_EVENTS = 40, 20_000
+CASCADE, MOST_EVENTS = 40, 1_500
 TOLERANCE = {"rtol": 3e-13, "atol": 1e-14}
 INNER, EARLY = np.linspace(0.0, 1.0, 9), 0.5 ** np.arange(40.0, 3.0, -1.0)
 
@@ -66,6 +65,7 @@ class Hybrid:
     def __init__(self, system: Described, p: Mapping[str, float]):
         self.system, self.events, self.n = system, tuple(system.events), len(system.states)
         self.near = [TOUCH if isinstance(event, Stop) else ON for event in self.events]
+        self.noise = np.array([TOUCH if isinstance(event, Stop) else NOISE for event in self.events])
         p = {"omega": 1.0} | dict(p)
         split = [
             [
@@ -117,7 +117,7 @@ class Hybrid:
                 if mode[i]:
                     f = f + mode[i] * F[switch]
                     continue
-                column, bound = F[switch], (-1.0, 1.0)
+                column, bound = F[switch] * (np.abs(F[switch]).max() > 1e-10), (-1.0, 1.0)
             elif isinstance(event, Rub):
                 kinetic, static = loads[2 * rub : 2 * rub + 2]
                 rub += 1
@@ -152,7 +152,7 @@ class Hybrid:
         for place, k in enumerate(free):
             numbers[held[k]], slacks[held[k]] = z[place], slack[place]
             is_switch = isinstance(self.events[held[k]], Surface)
-            stable[held[k]] = -float(R[place, 1:] @ B[:, place]) if is_switch else 1.0
+            stable[held[k]] = -float(R[place, 1:] @ B[:, place]) if is_switch and B[:, place].any() else np.inf
         for b, (a, sign) in tied.items():
             numbers[held[b]], slacks[held[b]], stable[held[b]] = (
                 sign * numbers[held[a]],
@@ -322,14 +322,14 @@ class Hybrid:
             G, end, which, doubt = np.array([guards(x) for x in points]), np.inf, None, np.inf
             for i in range(len(mode)):
                 try:
-                    crossing, graze = _first_root(lambda x, i=i: guards(x)[i], points, G[:, i], armed[i])
+                    crossing, graze = _first_root(lambda x, i=i: guards(x)[i], points, G[:, i], armed[i], self.noise[i])
                 except Doubtful as problem:
                     fill(dense, begin)
                     raise DoubtfulAt(t0 + begin, str(problem)) from None
                 if crossing is not None and crossing < end:
                     end, which = crossing, i
                 doubt = min(doubt, graze)
-            armed, fresh = armed | (G > NOISE).any(axis=0), False
+            armed, fresh = armed | (G > self.noise).any(axis=0), False
             fill(dense, min(end, doubt, solver.t))
             if doubt < end:
                 raise DoubtfulAt(t0 + doubt, "grazing: an extremum next to a surface")
@@ -349,19 +349,26 @@ class Hybrid:
             shift = -(self.guards(mode, t0 + end, y)[which] - offset[which]) / slope
             if abs(shift) < 1e-8:
                 y, end = y + shift * rhs(end, y), end + shift
-            numbers, slacks = self.motion(mode, t0 + end, y)[1:3]
-            forced = (
-                {}
-                if mode[which]
-                else {i: self._departure(i, numbers[i]) for i in numbers if i == which or slacks[i] < 1e-8}
-            )
-            return filled, t0 + end, y, (which, forced)
+            return filled, t0 + end, y, (which, {} if mode[which] else self._released(mode, t0 + end, y, which))
         return filled, t0 + solver.t, solver.y, None
 
-    def _departure(self, i: int, number: float) -> int:
-        """Return the side to which a held motion departs when its number reaches a bound."""
-        event = self.events[i]
-        return 1 if isinstance(event, Stop) else int(-np.sign(number) if isinstance(event, Rub) else np.sign(number))
+    def _released(self, mode: Sequence[int], t: float, y: np.ndarray, which: int) -> dict[int, int]:
+        """Return the sides to which a held motion departs from surfaces: those whose numbers have reached a bound."""
+        _, numbers, slacks, stable = self.motion(mode, t, y)
+        sides, idle = {}, []
+        for i in numbers:
+            event, number = self.events[i], numbers[i]
+            if isinstance(event, Surface) and stable[i] == np.inf:
+                idle.append(i)
+            elif i == which or slacks[i] < 1e-8:
+                sides[i] = 1 if isinstance(event, Stop) else int(-np.sign(number) if isinstance(event, Rub) else np.sign(number))
+        later, d = [sides.get(i, 1 if i in idle else side) for i, side in enumerate(mode)], 1e-5
+        for i in idle:  # a switch without effect on the field at this state: its side is that of the motion
+            middle = y + 0.5 * d * self.motion(later, t, y)[0]
+            values = self.values(t + d, y + d * self.motion(later, t + 0.5 * d, middle)[0])[0]
+            if abs(values[i]) > ON:
+                sides[i] = int(np.sign(values[i]))
+        return sides
 
 
 class DoubtfulAt(Exception):
@@ -419,7 +426,7 @@ def _widest(A, b, low, high):
     return z, np.full(n, slack)
 
 
-def _first_root(guard, points, g, armed):
+def _first_root(guard, points, g, armed, noise):
     """Return the first time at which a guard falls through zero, or None, and that of a doubtful extremum, or inf."""
     inside = None
     for a in range(1, len(points) - 1):
@@ -438,10 +445,10 @@ def _first_root(guard, points, g, armed):
             if x0 + 1e-5 * (x2 - x0) < best.x < x2 - 1e-5 * (x2 - x0) and best.fun < GRAZING:
                 inside = (x0, best.x, best.fun)
                 break
-    below = np.flatnonzero(g < -NOISE)
+    below = np.flatnonzero(g < -noise)
     crossing = None
     if below.size:
-        above = np.flatnonzero(g[: below[0]] > NOISE) if not armed else np.arange(below[0])
+        above = np.flatnonzero(g[: below[0]] > noise) if not armed else np.arange(below[0])
         if not above.size:
             raise Doubtful("tangent: the motion does not leave a surface")
         low, high = points[above[-1]], points[below[0]]
