@@ -46,7 +46,11 @@ def system_of(described: Described) -> vj.System:
         if isinstance(e, Stop):
             if e.velocity is None:
                 new = {name: function(expression) for name, expression in e.reset.items()}
-                return vj.Impact(e.name, plain(e.gap), reset=lambda t, y, p: {name: f(t, y, p) + 0.0 * y[name] for name, f in new.items()})
+                return vj.Impact(
+                    e.name,
+                    plain(e.gap),
+                    reset=lambda t, y, p: {name: f(t, y, p) + 0.0 * y[name] for name, f in new.items()},
+                )
             return vj.Impact(e.name, plain(e.gap), velocity=e.velocity, restitution=lambda p: p[e.restitution])
         if isinstance(e, Rub):
             static = {} if e.static == e.kinetic else {"static": lambda p: p[e.static]}
@@ -57,7 +61,9 @@ def system_of(described: Described) -> vj.System:
     rates = {name: function(expression) for name, expression in described.field.items()}
     with_sides = lambda t, y, p, s: {name: f(t, y, p, s) for name, f in rates.items()}  # noqa: E731
     without = lambda t, y, p: {name: f(t, y, p) for name, f in rates.items()}  # noqa: E731
-    period = {"period": lambda p: 2 * np.pi / p["omega"]} if described.section is None else {"section": described.section}
+    period = (
+        {"period": lambda p: 2 * np.pi / p["omega"]} if described.section is None else {"section": described.section}
+    )
     return vj.System(
         described.name,
         states=dict.fromkeys(described.states, "1"),
@@ -89,7 +95,11 @@ def reference(described: Described, p: dict[str, float], start: list[float], tim
     for _ in range(2):
         push = PUSH * rng.choice([-1.0, 1.0], len(start))
         for _ in range(2):
-            stops = [x for x, e in zip(hybrid.values(0.0, start + push)[0], hybrid.events, strict=True) if isinstance(e, Stop)]
+            stops = [
+                x
+                for x, e in zip(hybrid.values(0.0, start + push)[0], hybrid.events, strict=True)
+                if isinstance(e, Stop)
+            ]
             if min(stops, default=0.0) >= 0:
                 break
             push = -push
@@ -117,9 +127,13 @@ def compare(described: Described, system: Any, p: dict[str, float], start: list[
     if isinstance(system, str):
         return Verdict("refused", remark=system)
     try:
-        ds = vj.simulate(system, start=start, duration=duration, sampling=duration / SAMPLES, error=ERROR, progress=False, **p)
+        ds = vj.simulate(
+            system, start=start, duration=duration, sampling=duration / SAMPLES, error=ERROR, progress=False, **p
+        )
     except vj.InputError as error:
         return Verdict("refused", remark=str(error))
+    except Exception as error:
+        return Verdict("WRONG", remark=f"raises {type(error).__name__}: {str(error).splitlines()[0]}")
     states = np.stack([ds[name].values for name in described.states], axis=1)
     size = np.maximum(1.0, np.abs(motion.states[compared]).max(axis=0))
     difference = (np.abs(states - motion.states) / size).max(axis=1) / WITHIN
@@ -131,7 +145,9 @@ def compare(described: Described, system: Any, p: dict[str, float], start: list[
         t = times[wrong[0]]
         before = [entry for entry in motion.events if entry[0] <= t][-3:]
         near = "; ".join(f"{name} {kind} at {at:.6g}" for at, name, kind, _ in before)
-        return Verdict("WRONG", float(last), float(difference[compared].max()), f"from t = {t:.4g}, after {near or 'no event'}")
+        return Verdict(
+            "WRONG", float(last), float(difference[compared].max()), f"from t = {t:.4g}, after {near or 'no event'}"
+        )
     return Verdict("agree", float(last), float(difference[compared].max()), reason if end < duration else "")
 
 
@@ -141,3 +157,121 @@ def built(described: Described) -> Any:
         return system_of(described)
     except vj.InputError as error:
         return str(error)
+
+
+MOST_CYCLES = 8
+REPEATS = 1e-8
+"""Greatest difference of the reference's states one repeat apart, in a motion that is periodic."""
+
+
+@dataclass(frozen=True)
+class LongRun:
+    """Measures of a periodic motion: returns and impacts in a repeat, period [s], and mean impact velocity.
+
+    `rests`: the motion rests on a stop. The slowest bounces before are then a matter of convention, and so are the
+    number of impacts and their mean velocity. `still`: no state changes.
+    """
+
+    cycles: int
+    period: float
+    impacts: int
+    impact_velocity: float
+    rests: bool
+    still: bool
+
+    @property
+    def regimes(self) -> tuple[str, ...]:
+        if self.still:
+            return ("equilibrium",)
+        if self.cycles > 1:
+            return ("subharmonic",)
+        if self.rests:
+            return ("single-impact", "multi-impact", "impact-free")
+        return (
+            ("periodic", "impact-free")
+            if not self.impacts
+            else ("single-impact",)
+            if self.impacts == 1
+            else ("multi-impact",)
+        )
+
+
+def long_run(described: Described, p: dict[str, float], start: list[float], settle: float) -> LongRun | str:
+    """Return the measures after a settling time [s] of a forced system, or the reason why there are none."""
+    period = 2 * np.pi / p["omega"]
+    first = int(np.ceil(settle / period))
+    times = np.arange(first + 2 * MOST_CYCLES + 1) * period
+    motion = Hybrid(described, p).run(start, times)
+    if np.isfinite(motion.doubt[0]):
+        return motion.doubt[1]
+    last = motion.states[first:]
+    for cycles in range(1, MOST_CYCLES + 1):
+        if np.abs(last[cycles:] - last[:-cycles]).max() <= REPEATS * max(1.0, np.abs(last).max()):
+            break
+    else:
+        return "not periodic"
+    begin, end = times[-1] - cycles * period, times[-1]
+    happened = [entry for entry in motion.events if begin < entry[0] <= end]
+    speeds = [speed for _, _, kind, speed in happened if kind == "impact"]
+    still = False
+    if cycles == 1 and not happened:
+        within = np.linspace(begin, end, 9)[1:]
+        states = Hybrid(described, p).run(start, np.append(times[:-1], within)).states[-len(within) :]
+        still = bool(np.ptp(states, axis=0).max() < REPEATS)
+    mean = float(np.mean(speeds)) if speeds else np.nan
+    return LongRun(cycles, cycles * period, len(speeds), mean, any(kind == "rest" for _, _, kind, _ in happened), still)
+
+
+def compare_sweep(
+    described: Described, points: list[dict[str, float]], start: list[float], settle: float
+) -> list[Verdict]:
+    """Compare a sweep over points of a forced system with the reference's long runs, one verdict per point.
+
+    Certified lanes must have the reference's regime, cycles and impacts, and period and impact velocity within
+    max(4 error_estimate, 1e-6). Where the reference is doubtful or not periodic, nothing is compared.
+    """
+    try:
+        ds = vj.run_sweep(
+            {
+                "scene": system_of(described),
+                "points": {name: [p[name] for p in points] for name in described.ranges},
+                "starts": [start],
+                "run": {
+                    "settle": settle,
+                    "observe": 4 * MOST_CYCLES * 2 * np.pi / min(p["omega"] for p in points),
+                    "error": 1e-6,
+                },
+            },
+            progress=False,
+        )
+    except vj.InputError as error:
+        return [Verdict("refused", remark=str(error))] * len(points)
+    names = {name: ds[name].attrs["flag_meanings"].split() for name in ("regime", "reason")}
+    verdicts = []
+    for index, p in enumerate(points):
+        lane = {name: np.ravel(ds[name].values)[index] for name in ds.data_vars if ds[name].size == len(points)}
+        expected = long_run(described, p, start, settle)
+        estimate = float(lane["error_estimate"])
+        if lane["reason"]:
+            verdicts.append(Verdict("refused", remark=names["reason"][lane["reason"]]))
+        elif isinstance(expected, str):
+            verdicts.append(Verdict("doubtful", remark=expected))
+        elif not estimate <= 1e-4 and not expected.still:
+            verdicts.append(Verdict("refused", remark=f"not certified: error_estimate {estimate:.2g}"))
+        else:
+            verdicts.append(_lane_verdict(lane, names["regime"][lane["regime"]], expected))
+    return verdicts
+
+
+def _lane_verdict(lane: dict[str, Any], regime: str, expected: LongRun) -> Verdict:
+    allowed = max(4 * float(lane["error_estimate"]), 1e-6)
+    faults = [] if regime in expected.regimes else [f"regime {regime}, not {' or '.join(expected.regimes)}"]
+    counted = {} if expected.rests or "impacts" not in lane else {"impacts": 0.0}
+    bounds = {} if expected.still else {"cycles": 0.0, "period": allowed} | counted
+    if expected.impacts and not expected.rests:
+        bounds["impact_velocity"] = allowed
+    for name, bound in bounds.items():
+        value, right = float(lane[name]), float(getattr(expected, name))
+        if not abs(value - right) <= bound * abs(right):
+            faults.append(f"{name} {value:.9g}, not {right:.9g}")
+    return Verdict("WRONG" if faults else "agree", remark=", ".join(faults))

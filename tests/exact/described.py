@@ -48,7 +48,8 @@ class Rub:
 class Described:
     """A hybrid system: field and events as expressions, and the range of each parameter.
 
-    - `affine`: each term of the field has at most one switch as a factor.
+    Each term of the field has at most one switch as a factor, and no switch or friction acts on the rate of a position.
+
     - `section`: name of the state whose upward zeros are the returns; None if the forcing has the frequency `omega`.
     - `start`: range of each state at the start; `surfaces`: state and expression of starts exactly on a surface.
     """

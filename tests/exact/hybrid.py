@@ -1,14 +1,14 @@
 """Event-driven integration of hybrid systems that are described as data. It shares no code with the package under test.
 
 Between events, a motion follows one mode. DOP853 integrates the mode with the tolerance 1e-12; events are roots of
-functions on its dense output. At each event, one function determines all sides, slides, sticks and rests from the state:
-it tries all combinations for the surfaces on which the state lies, and keeps those that are consistent. An integration
-ends at the first doubtful point, where an error of about 1e-9 would change the sequence of events.
+functions on its dense output. At each event, one function determines all sides, slides, sticks and rests from the
+state: it tries all combinations for the surfaces on which the state lies, and keeps those that are consistent. An
+integration ends at the first doubtful point, where an error of about 1e-9 would change the sequence of events.
 
-In a mode, the rates are f = F0 + sum s_i F_i + sum phi_j e_j + sum lambda_k e_k. Here s_i is the side of a switch, phi_j
-the deceleration by a friction, and lambda_k that by a stop. They are known numbers if the motion is not held on the
-surface of the event. On the surface, they satisfy -1 < s < 1, |phi| <= mu_s N/m and lambda > 0, and follow from the
-condition that the motion stays there.
+In a mode, the rates are f = F0 + sum s_i F_i + sum phi_j e_j + sum lambda_k e_k. Here s_i is the side of a switch,
+phi_j the acceleration by a friction, and lambda_k that by a stop. These numbers are known if the motion is not held on
+the surface of the event. On the surface, they satisfy -1 < s < 1, |phi| <= mu_s N/m and lambda > 0, and follow from
+the condition that the motion stays there. If several surfaces coincide, the motion stays as long as some numbers do.
 """
 
 import itertools
@@ -25,7 +25,7 @@ ON = 1e-11
 """Largest value of a surface's function on the surface: coincident surfaces differ by rounding errors only."""
 
 TOUCH, NOISE = 2e-15, 5e-14
-"""Rounding errors of a gap, which is closed up to them (bounces that end in rest are about 1e-13 high), and of others."""
+"""Rounding errors of a gap, which is closed up to them, and of other functions. The last bounces are 1e-13 high."""
 
 SLOW = 5e-7
 """Speed up to which a bounce ends in rest. The remaining bounces last about as long, and are as high as its square."""
@@ -74,10 +74,10 @@ class Hybrid:
             ]
             for side in ("", *system.switches)
         ]
+        sides = ("", *system.switches)
         plain = [
-            [tuple((x, _without(s, side)) for x, s in e) for e in row]
-            for side, row in zip(("", *system.switches), split)
-        ]  # noqa: B905
+            [tuple((x, _without(s, side)) for x, s in e) for e in row] for side, row in zip(sides, split, strict=True)
+        ]
         self.parts = compiled(system, p, plain)
         variables = ("t", *system.states)
         surfaces = [getattr(e, {Stop: "gap", Surface: "function", Rub: "relative"}[type(e)]) for e in self.events]
@@ -173,7 +173,7 @@ class Hybrid:
         )
 
     def determine(self, t: float, y: np.ndarray, forced: Mapping[int, int]) -> tuple[int, ...]:
-        """Return the mode of a motion that continues from a state. `forced`: the side to which a held motion departs."""
+        """Return the mode in which a motion continues; `forced`: the side to which a held motion departs, by event."""
         values, closing = self.values(t, y)
         options = []
         for i, event in enumerate(self.events):
@@ -329,7 +329,7 @@ class Hybrid:
                 if crossing is not None and crossing < end:
                     end, which = crossing, i
                 doubt = min(doubt, graze)
-            armed, fresh = armed | (G > self.noise).any(axis=0), False
+            armed, fresh = armed | np.greater(G, self.noise).any(axis=0), False
             fill(dense, min(end, doubt, solver.t))
             if doubt < end:
                 raise DoubtfulAt(t0 + doubt, "grazing: an extremum next to a surface")
@@ -361,7 +361,11 @@ class Hybrid:
             if isinstance(event, Surface) and stable[i] == np.inf:
                 idle.append(i)
             elif i == which or slacks[i] < 1e-8:
-                sides[i] = 1 if isinstance(event, Stop) else int(-np.sign(number) if isinstance(event, Rub) else np.sign(number))
+                sides[i] = (
+                    1
+                    if isinstance(event, Stop)
+                    else int(-np.sign(number) if isinstance(event, Rub) else np.sign(number))
+                )
         later, d = [sides.get(i, 1 if i in idle else side) for i, side in enumerate(mode)], 1e-5
         for i in idle:  # a switch without effect on the field at this state: its side is that of the motion
             middle = y + 0.5 * d * self.motion(later, t, y)[0]
@@ -392,8 +396,8 @@ def _multipliers(A, b, bounds, B):
         z = b / A[0] if A[0, 0] else np.full(1, np.inf)
         z = np.where(np.isfinite(z), z, 1e6)
     else:
-        U, S, V = np.linalg.svd(A)
-        rank = int((S > 1e-10 * max(S[0], 1e-300)).sum())
+        U, _, V = np.linalg.svd(A)
+        rank = np.linalg.matrix_rank(A, rtol=1e-10)
         z = np.linalg.lstsq(A, b, rcond=1e-10)[0]
         if rank < len(b):
             if np.abs(A @ z - b).max() > 1e-9:
@@ -410,7 +414,9 @@ def _widest(A, b, low, high):
     if len(b) > 1:
         limits = np.vstack([np.c_[-np.eye(n), np.ones(n)], np.c_[np.eye(n), np.ones(n)][finite]])
         equations = np.c_[A, np.zeros(len(b))]
-        best = linprog([0.0] * n + [-1.0], limits, [*-low, *high[finite]], equations, b, bounds=[(None, None)] * (n + 1))
+        best = linprog(
+            [0.0] * n + [-1.0], limits, [*-low, *high[finite]], equations, b, bounds=[(None, None)] * (n + 1)
+        )
         return best.x[:-1], np.full(n, best.x[-1])
     a, b = A[0], b[0]
     if not finite.all() and a[~finite][0] < 0:

@@ -167,7 +167,9 @@ class Builder:
         options += [((1.0, "v"), (-1.0, "vv"))] if kind == "masses" else []
         relative, weight = self.pick(*options), self.new("n")
         normal: Expression = ((1.0, weight),)
-        normal += self.pick((), (), ((1.0, f"{self.new('n1')} x x"),), ((0.4, f"{weight} cos"),) if "omega" in self.ranges else ())
+        normal += self.pick(
+            (), (), ((1.0, f"{self.new('n1')} x x"),), ((0.4, f"{weight} cos"),) if "omega" in self.ranges else ()
+        )
         kinetic = self.new("mu")
         static = self.new("static") if self.maybe(0.4) else kinetic
         self.events.append(Rub(name, relative, normal, kinetic, static, "v", self.new("m")))
@@ -199,7 +201,9 @@ def structure(seed: int, kinds: tuple[str, ...] | None = None) -> Described:
     for event in build.events:
         for value in vars(event).values():
             parts = value.values() if isinstance(value, Mapping) else [value]
-            used += [text for part in parts for text in ([part] if isinstance(part, str) else [s for _, s in part or ()])]
+            used += [
+                text for part in parts for text in ([part] if isinstance(part, str) else [s for _, s in part or ()])
+            ]
     names = {name for text in used for name in text.split()} | {"omega"}
     ranges = {name: limits for name, limits in build.ranges.items() if name in names}
     starts = {name: (0.0, 0.9) if name == "q" else (-0.8, 0.8) for name in build.field}
@@ -218,5 +222,9 @@ def draw(system: Described, seed: int, index: int) -> tuple[dict[str, float], li
             state, value = system.surfaces[rng.integers(len(system.surfaces))]
             y[state] = sum(number * (p[text] if text else 1.0) for number, text in value) + 0.0
         values = hybrid.values(0.0, list(y.values()))[0]
-        if all(value >= 0 if abs(value) < 1e-9 else value > 0.02 for value, e in zip(values, hybrid.events, strict=True) if isinstance(e, Stop)):
+        if all(
+            value >= 0 if abs(value) < 1e-9 else value > 0.02
+            for value, e in zip(values, hybrid.events, strict=True)
+            if isinstance(e, Stop)
+        ):
             return p, list(y.values())
