@@ -122,12 +122,12 @@ def verdicts(seed, draws, duration=20.0):
     return {(seed, index): compare(described, system, *draw(described, seed, index), duration) for index in draws}
 
 
-@pytest.mark.parametrize("seed", [1, 2, 4, 11])
+@pytest.mark.parametrize("seed", [2, 12, 17])
 def test_trajectories_of_random_systems(seed):
-    """Impacts, resets, switches and friction together; the third start is exactly on a surface."""
-    outcomes = verdicts(seed, (0, 1, 3))
+    """Impacts, a reset, switches and friction together; the second start is exactly on a surface."""
+    outcomes = verdicts(seed, (0, 3, 5, 9))
     assert {key: verdict for key, verdict in outcomes.items() if verdict.kind not in ("agree", "doubtful")} == {}
-    assert sum(verdict.kind == "agree" for verdict in outcomes.values()) >= 2
+    assert sum(verdict.kind == "agree" for verdict in outcomes.values()) >= 3
 
 
 @pytest.mark.long
