@@ -1,0 +1,277 @@
+"""Comparison of random hybrid systems with the package: `vj.System` from a description, trajectories and sweeps.
+
+A trajectory is compared up to the reference's first doubtful point. It ends earlier where the motion is sensitive: two
+integrations from starts that differ by 1e-8 show the growth of perturbations. As long as it is at most `GROWTH`, the
+package must agree within `WITHIN`, relative to the largest value of a state if that is above 1. Samples next to a jump
+of a state are left out, because an error of the time of the jump is not an error of the state.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from exact.described import Described, Expression, Rub, Stop, evaluate
+from exact.hybrid import Hybrid, Motion
+
+import vibrojax as vj
+
+WITHIN, GROWTH, NEXT_TO_JUMP = 1e-7, 100.0, 1e-5
+PUSH = 1e-8
+SAMPLES = 400
+ERROR = 1e-8
+"""Accepted error of the trajectories. Its tolerance is 1e-11, far below what is compared."""
+
+
+def system_of(described: Described) -> vj.System:
+    """Return the system as plain functions for the package."""
+
+    def function(expression: Expression) -> Any:
+        def value(t: Any, y: Any, p: Any, s: Any = None) -> Any:
+            waves = {"cos": vj.elementary.cos, "sin": vj.elementary.sin}
+
+            def known(name: str) -> Any:
+                if name in waves:
+                    return waves[name](p["omega"] * t)
+                return y[name] if name in y else p[name] if name in p else s[name]
+
+            return evaluate(expression, known)
+
+        return value
+
+    def plain(expression: Expression) -> Any:
+        value = function(expression)
+        return lambda t, y, p: value(t, y, p)
+
+    def event(e: Any) -> Any:
+        if isinstance(e, Stop):
+            if e.velocity is None:
+                new = {name: function(expression) for name, expression in e.reset.items()}
+                return vj.Impact(
+                    e.name,
+                    plain(e.gap),
+                    reset=lambda t, y, p: {name: f(t, y, p) + 0.0 * y[name] for name, f in new.items()},
+                )
+            return vj.Impact(e.name, plain(e.gap), velocity=e.velocity, restitution=lambda p: p[e.restitution])
+        if isinstance(e, Rub):
+            static = {} if e.static == e.kinetic else {"static": lambda p: p[e.static]}
+            law, mass = (lambda p: p[e.kinetic]), (lambda p: p[e.mass])
+            return vj.Friction(e.name, plain(e.relative), plain(e.normal), law, e.acts_on, mass, **static)
+        return vj.Switch(e.name, plain(e.function))
+
+    rates = {name: function(expression) for name, expression in described.field.items()}
+    with_sides = lambda t, y, p, s: {name: f(t, y, p, s) for name, f in rates.items()}  # noqa: E731
+    without = lambda t, y, p: {name: f(t, y, p) for name, f in rates.items()}  # noqa: E731
+    period = (
+        {"period": lambda p: 2 * np.pi / p["omega"]} if described.section is None else {"section": described.section}
+    )
+    return vj.System(
+        described.name,
+        states=dict.fromkeys(described.states, "1"),
+        parameters={name: sum(limits) / 2 for name, limits in described.ranges.items()},
+        field=with_sides if described.switches else without,
+        events=[event(e) for e in described.events],
+        **period,
+    )
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Outcome of a comparison: agree, refused, doubtful (from the start), or WRONG.
+
+    `end`: time up to which states were compared; `difference`: the greatest one, over `WITHIN`; `remark`: reason.
+    """
+
+    kind: str
+    end: float = 0.0
+    difference: float = 0.0
+    remark: str = ""
+
+
+def reference(described: Described, p: dict[str, float], start: list[float], times: np.ndarray) -> tuple[Motion, float]:
+    """Return the reference's motion, and the time up to which it can be compared."""
+    hybrid = Hybrid(described, p)
+    motion = hybrid.run(start, times)
+    end, rng = motion.doubt[0], np.random.default_rng(3)
+    for _ in range(2):
+        push = PUSH * rng.choice([-1.0, 1.0], len(start))
+        for _ in range(2):
+            stops = [
+                x
+                for x, e in zip(hybrid.values(0.0, start + push)[0], hybrid.events, strict=True)
+                if isinstance(e, Stop)
+            ]
+            if min(stops, default=0.0) >= 0:
+                break
+            push = -push
+        pushed = hybrid.run(np.array(start) + push, times)
+        away = np.abs(pushed.states - motion.states).max(axis=1)
+        far = np.flatnonzero(~(away <= GROWTH * PUSH) & ~next_to_jump(motion, times) & (times < end))
+        end = min(end, times[far[0] - 1] if far.size and far[0] else 0.0 if far.size else np.inf)
+    return motion, end
+
+
+def next_to_jump(motion: Motion, times: np.ndarray) -> np.ndarray:
+    """Return a mask of the times at which an impact is less than `NEXT_TO_JUMP` away."""
+    jumps = np.array([entry[0] for entry in motion.events if entry[2] == "impact"])
+    return np.zeros(len(times), bool) if not jumps.size else np.abs(times[:, None] - jumps).min(axis=1) < NEXT_TO_JUMP
+
+
+def compare(described: Described, system: Any, p: dict[str, float], start: list[float], duration: float) -> Verdict:
+    """Compare a trajectory of the package, or the reason why it could not build the system, with the reference."""
+    times = np.linspace(0.0, duration, SAMPLES + 1)
+    motion, end = reference(described, p, start, times)
+    compared = (times < end) & ~next_to_jump(motion, times)
+    reason = motion.doubt[1] if end == motion.doubt[0] else "sensitive"
+    if np.count_nonzero(compared) < 2:
+        return Verdict("doubtful", remark=reason)
+    if isinstance(system, str):
+        return Verdict("refused", remark=system)
+    try:
+        ds = vj.simulate(
+            system, start=start, duration=duration, sampling=duration / SAMPLES, error=ERROR, progress=False, **p
+        )
+    except vj.InputError as error:
+        return Verdict("refused", remark=str(error))
+    except Exception as error:
+        return Verdict("WRONG", remark=f"raises {type(error).__name__}: {str(error).splitlines()[0]}")
+    states = np.stack([ds[name].values for name in described.states], axis=1)
+    size = np.maximum(1.0, np.abs(motion.states[compared]).max(axis=0))
+    difference = (np.abs(states - motion.states) / size).max(axis=1) / WITHIN
+    if not np.isfinite(difference[compared]).all():
+        return Verdict("refused", remark="states are not finite")
+    wrong = np.flatnonzero(compared & (difference > 1))
+    last = min(end, duration)
+    if wrong.size:
+        t = times[wrong[0]]
+        before = [entry for entry in motion.events if entry[0] <= t][-3:]
+        near = "; ".join(f"{name} {kind} at {at:.6g}" for at, name, kind, _ in before)
+        return Verdict(
+            "WRONG", float(last), float(difference[compared].max()), f"from t = {t:.4g}, after {near or 'no event'}"
+        )
+    return Verdict("agree", float(last), float(difference[compared].max()), reason if end < duration else "")
+
+
+def built(described: Described) -> Any:
+    """Return the system of the package, or the reason why it is refused."""
+    try:
+        return system_of(described)
+    except vj.InputError as error:
+        return str(error)
+
+
+MOST_CYCLES = 8
+REPEATS = 1e-8
+"""Greatest difference of the reference's states one repeat apart, in a motion that is periodic."""
+
+
+@dataclass(frozen=True)
+class LongRun:
+    """Measures of a periodic motion: returns and impacts in a repeat, period [s], and mean impact velocity.
+
+    `rests`: the motion rests on a stop. The slowest bounces before are then a matter of convention, and so are the
+    number of impacts and their mean velocity. `still`: no state changes.
+    """
+
+    cycles: int
+    period: float
+    impacts: int
+    impact_velocity: float
+    rests: bool
+    still: bool
+
+    @property
+    def regimes(self) -> tuple[str, ...]:
+        if self.still:
+            return ("equilibrium",)
+        if self.cycles > 1:
+            return ("subharmonic",)
+        if self.rests:
+            return ("single-impact", "multi-impact", "impact-free")
+        return (
+            ("periodic", "impact-free")
+            if not self.impacts
+            else ("single-impact",)
+            if self.impacts == 1
+            else ("multi-impact",)
+        )
+
+
+def long_run(described: Described, p: dict[str, float], start: list[float], settle: float) -> LongRun | str:
+    """Return the measures after a settling time [s] of a forced system, or the reason why there are none."""
+    period = 2 * np.pi / p["omega"]
+    first = int(np.ceil(settle / period))
+    times = np.arange(first + 2 * MOST_CYCLES + 1) * period
+    motion = Hybrid(described, p).run(start, times)
+    if np.isfinite(motion.doubt[0]):
+        return motion.doubt[1]
+    last = motion.states[first:]
+    for cycles in range(1, MOST_CYCLES + 1):
+        if np.abs(last[cycles:] - last[:-cycles]).max() <= REPEATS * max(1.0, np.abs(last).max()):
+            break
+    else:
+        return "not periodic"
+    begin, end = times[-1] - cycles * period, times[-1]
+    happened = [entry for entry in motion.events if begin < entry[0] <= end]
+    speeds = [speed for _, _, kind, speed in happened if kind == "impact"]
+    still = False
+    if cycles == 1 and not happened:
+        within = np.linspace(begin, end, 9)[1:]
+        states = Hybrid(described, p).run(start, np.append(times[:-1], within)).states[-len(within) :]
+        still = bool(np.ptp(states, axis=0).max() < REPEATS)
+    mean = float(np.mean(speeds)) if speeds else np.nan
+    return LongRun(cycles, cycles * period, len(speeds), mean, any(kind == "rest" for _, _, kind, _ in happened), still)
+
+
+def compare_sweep(
+    described: Described, points: list[dict[str, float]], start: list[float], settle: float
+) -> list[Verdict]:
+    """Compare a sweep over points of a forced system with the reference's long runs, one verdict per point.
+
+    Certified lanes must have the reference's regime, cycles and impacts, and period and impact velocity within
+    max(4 error_estimate, 1e-6). Where the reference is doubtful or not periodic, nothing is compared.
+    """
+    try:
+        ds = vj.run_sweep(
+            {
+                "scene": system_of(described),
+                "points": {name: [p[name] for p in points] for name in described.ranges},
+                "starts": [start],
+                "run": {
+                    "settle": settle,
+                    "observe": 4 * MOST_CYCLES * 2 * np.pi / min(p["omega"] for p in points),
+                    "error": 1e-6,
+                },
+            },
+            progress=False,
+        )
+    except vj.InputError as error:
+        return [Verdict("refused", remark=str(error))] * len(points)
+    names = {name: ds[name].attrs["flag_meanings"].split() for name in ("regime", "reason")}
+    verdicts = []
+    for index, p in enumerate(points):
+        lane = {name: np.ravel(ds[name].values)[index] for name in ds.data_vars if ds[name].size == len(points)}
+        expected = long_run(described, p, start, settle)
+        estimate = float(lane["error_estimate"])
+        if lane["reason"]:
+            verdicts.append(Verdict("refused", remark=names["reason"][lane["reason"]]))
+        elif isinstance(expected, str):
+            verdicts.append(Verdict("doubtful", remark=expected))
+        elif not estimate <= 1e-4 and not expected.still:
+            verdicts.append(Verdict("refused", remark=f"not certified: error_estimate {estimate:.2g}"))
+        else:
+            verdicts.append(_lane_verdict(lane, names["regime"][lane["regime"]], expected))
+    return verdicts
+
+
+def _lane_verdict(lane: dict[str, Any], regime: str, expected: LongRun) -> Verdict:
+    allowed = max(4 * float(lane["error_estimate"]), 1e-6)
+    faults = [] if regime in expected.regimes else [f"regime {regime}, not {' or '.join(expected.regimes)}"]
+    counted = {} if expected.rests or "impacts" not in lane else {"impacts": 0.0}
+    bounds = {} if expected.still else {"cycles": 0.0, "period": allowed} | counted
+    if expected.impacts and not expected.rests:
+        bounds["impact_velocity"] = allowed
+    for name, bound in bounds.items():
+        value, right = float(lane[name]), float(getattr(expected, name))
+        if not abs(value - right) <= bound * abs(right):
+            faults.append(f"{name} {value:.9g}, not {right:.9g}")
+    return Verdict("WRONG" if faults else "agree", remark=", ".join(faults))
