@@ -74,6 +74,9 @@ def pass_by(scene: Scene[Any], c: Any, carry: Settling, lane: Lane, step: Step) 
     own = scene.place(section.velocity)
     velocity, after = rising(section, step.polynomials[own]), rising(section, [lane.state[own]])[0]
     turns, tau = _turn(velocity, after, step)
+    if scene.section_on_guard:  # the step ends exactly on the section
+        at_end = step.hits[scene.marker_of(section.velocity)]
+        turns, tau = turns | at_end, jnp.where(at_end, step.tau, tau)
     for _ in range(PASSING_ITERATIONS):
         better = tau - value(velocity, tau) / slope(velocity, tau)
         tau = keep(jnp.where((better > 0) & (better < step.tau), better, tau))

@@ -301,6 +301,15 @@ class Scene(ABC, Generic[C]):
         speed = SLOPE_ROUNDINGS * self.velocity_resolution(c)
         return (*slopes, *(speed for _ in self.markers if marked))
 
+    def joined_hits(self, mode: Values, hits: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the masks of events in which a step ends, with markers whose zero is that of a guard; here, `hits`."""
+        return hits
+
+    @property
+    def section_on_guard(self) -> bool:
+        """True if a guard has the same zeros as the section's velocity."""
+        return False
+
     def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
         """Return masks of events by kind, for trajectories, in addition to those of friction, impacts and the section.
 

@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes.declared import Guard, Start, Values
@@ -23,6 +24,7 @@ from vibrojax.models.systems.transitions import (
     decided,
     first_branches,
     free_modes,
+    is_stop,
     onto_surfaces,
 )
 
@@ -61,6 +63,7 @@ class SystemEquations(Scene[SystemConstants]):
     - `_own`: names of the states; `_integrated`: the states whose rate of change is a state itself.
     - `_period`: period of the forcing [s], a number or a function of `p`, or None.
     - `_section_state`: the state that crosses the value `_level` at the section; for a forced system the hidden time.
+    - `_discrete`: initial values of discrete states; `_at_section`: indices of the events whose surface is the section.
     """
 
     events: tuple[Event, ...]
@@ -70,6 +73,8 @@ class SystemEquations(Scene[SystemConstants]):
     _period: float | Callable[[Mapping[str, Any]], Any] | None
     _section_state: str
     _level: float
+    _discrete: Mapping[str, float]
+    _at_section: frozenset[int]
 
     # The user's functions know the states without the shift of the section. Only these two functions shift.
 
@@ -78,13 +83,13 @@ class SystemEquations(Scene[SystemConstants]):
         values = dict(zip(self.state_names, state, strict=True))
         if self._level:
             values[self._section_state] = values[self._section_state] + self._level
-        return (0.0 if self.autonomous else values[TIME]), {name: values[name] for name in self._own}
+        return (0.0 if self.autonomous else values[TIME]), {name: values[name] for name in self._flow.names}
 
     def _with_known(self, state: Values, y: Mapping[str, Any], **hidden: Any) -> Values:
         """Return all states, with those of the user's functions from `y` and `hidden` ones by name."""
         if self._level:
             y = {**y, self._section_state: y[self._section_state] - self._level}
-        values = dict(zip(self.state_names, state, strict=True)) | {name: y[name] for name in self._own} | hidden
+        values = dict(zip(self.state_names, state, strict=True)) | {name: y[name] for name in self._flow.names} | hidden
         return tuple(values[name] for name in self.state_names)
 
     def _motion(self, c: SystemConstants, mode: Values, state: Values) -> Motion:
@@ -114,7 +119,7 @@ class SystemEquations(Scene[SystemConstants]):
             Guard(name, self._guard_function(index), zero, is_switch=switch)
             for index, (name, switch) in enumerate(names)
         ]
-        if not self.autonomous:
+        if self._period is not None:
             place = self.place(TIME)
             # The section is at t = 0, so the time is set back half a period later.
             remaining = lambda c, mode, state: 0.5 * c.period - state[place]  # noqa: E731
@@ -134,7 +139,7 @@ class SystemEquations(Scene[SystemConstants]):
             if self._flow.kinks[index - len(self.events)].whole:
                 return (0.25 + lift) - surface * surface
             return jnp.sign(where) * surface + lift
-        if isinstance(self.events[index], Impact):
+        if is_stop(self.events[index]):
             rests, lifted, side = jnp.where(where == 1, 1.0, 0.0), where == -1, jnp.ones_like(where)
         else:
             rests, lifted, side = jnp.where(where == 0, 1.0, 0.0), jnp.abs(where) == 2, jnp.sign(where)
@@ -152,11 +157,11 @@ class SystemEquations(Scene[SystemConstants]):
         rounded = lambda sizes: tuple(Rounded(x, size) for x, size in zip(state, sizes, strict=True))  # noqa: E731
         motion = self._motion(c, mode, rounded(near))
         sizes = [size + _size(motion.rates.get(name, 0.0)) / speed for name, size in zip(names, near, strict=True)]
-        if not self.autonomous:
+        if self._period is not None:
             sizes[names.index(TIME)] = jnp.zeros_like(state[0]) + c.period
         motion = motion._replace(surfaces=self._flow.values(c, mode, *self._known(rounded(sizes))))
         guards = [_size(self._guard_value(c, index, mode[index], motion)) for index in range(len(motion.surfaces))]
-        bounds = sizes, guards + ([] if self.autonomous else [jnp.zeros_like(state[0]) + c.period])
+        bounds = sizes, guards + ([] if self._period is None else [jnp.zeros_like(state[0]) + c.period])
         _ROUNDINGS[self] = arguments, bounds
         return bounds
 
@@ -209,7 +214,9 @@ class SystemEquations(Scene[SystemConstants]):
             approach = state[self.place(APPROACH)] if APPROACH in self.state_names else 0.0 * state[0]
             modes, y, approach = after_events(self._flow, c, mode, t, y, approach, hits)
             hidden = {APPROACH: approach} if APPROACH in self.state_names else {}
-        if not self.autonomous:
+            # A discrete state depends on no state that varies continuously.
+            y = y | {name: lax.stop_gradient(y[name]) for name in self._discrete}
+        if self._period is not None:
             hidden[TIME] = jnp.where(hits["turned"], -0.5 * c.period, state[self.place(TIME)])
             if any(kink.whole for kink in self._flow.kinks):
                 turned = first_branches(self._flow, c, modes, hidden[TIME], y)
@@ -304,7 +311,7 @@ class SystemEquations(Scene[SystemConstants]):
         values = {name: jnp.asarray(x) for name, x in p.items()}
         period = self._period(values) if callable(self._period) else self._period
         period = None if period is None else period + like
-        zero = {name: like for name in self._own}
+        zero = {name: like for name in self._own} | {name: like + x for name, x in self._discrete.items()}
         none = (like,) * len(self.events)
         c = SystemConstants(values, period, zero, (), none + (like,) * len(self._flow.kinks), none)
         return c._replace(rates=self._flow.fastest(c, free_modes(self._flow, c, like, zero, like), like, zero))
@@ -314,7 +321,8 @@ class SystemEquations(Scene[SystemConstants]):
         t, y = self._known(state)
         like = 0.0 * state[0]
         # A lane and its orbit begin in different states, and must come to rest after the same bounce.
-        _, _, from_rest = self._magnitudes(c, like, {name: like for name in y})
+        rest = {name: x if name in self._discrete else like for name, x in y.items()}
+        _, _, from_rest = self._magnitudes(c, like, rest)
         c = c._replace(rates=self._flow.fastest(c, free_modes(self._flow, c, t, y, like), t, y))
         typical, surfaces, closing = self._magnitudes(c, t + like, {name: x + like for name, x in y.items()})
         eps = jnp.finfo(like.dtype).eps
@@ -367,12 +375,23 @@ class SystemEquations(Scene[SystemConstants]):
 
     def speed_scale(self, c: SystemConstants) -> Any:
         """Return the typical magnitude of the section's state."""
-        return c.typical[self._section_state] if self.autonomous else c.period
+        return c.typical[self._section_state] if self._period is None else c.period
+
+    def joined_hits(self, mode: Values, hits: Mapping[str, Any]) -> Mapping[str, Any]:
+        if not self._at_section:
+            return hits
+        crossed = [hits[self.events[index].name] & (mode[index] != 0) for index in self._at_section]
+        return {**hits, "strobe": functools.reduce(jnp.logical_or, crossed, hits["strobe"])}
+
+    @property
+    def section_on_guard(self) -> bool:
+        return bool(self._at_section)
 
     def start(self, c: SystemConstants, name: Start, shape: tuple[int, ...]) -> Values:
         """Return the initial state, NaN for a start beyond a stop or a restitution outside 0 to 1."""
         given = (0.0,) * len(self._own) if name is None or isinstance(name, str) else name
         y = {key: jnp.full(shape, value, c.rates[0].dtype) for key, value in zip(self._own, given, strict=True)}
+        y |= {key: jnp.full(shape, value, c.rates[0].dtype) for key, value in self._discrete.items()}
         zero = jnp.zeros(shape, c.rates[0].dtype)
         state = self._with_known((zero,) * len(self.states), y)
         fails = [(gap < 0) | (r < 0) | (r > 1) for _, gap, r in self._stops(c.p, zero, y)]
@@ -380,7 +399,7 @@ class SystemEquations(Scene[SystemConstants]):
 
     def _stops(self, p: Mapping[str, Any], t: Any, y: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
         """Return name, gap and restitution of each stop."""
-        stops = [event for event in self.events if isinstance(event, Impact)]
+        stops = [event for event in self.events if isinstance(event, Impact) and event.direction is None]
         return [(stop.name, stop.gap(t, y, p), stop.bounce(p) + 0.0 * t) for stop in stops]
 
     def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
@@ -388,6 +407,7 @@ class SystemEquations(Scene[SystemConstants]):
         p = {name: jnp.asarray(x) for name, x in p.items()}
         y = {name: jnp.asarray(x) for name, x in zip(self._own, state, strict=True)}
         t = 0.0 * next(iter(y.values()))
+        y |= {name: t + value for name, value in self._discrete.items()}
         faults: list[tuple[str, str, Any]] = []
         for name, gap, r in self._stops(p, t, y):
             text = f"the gap of {name} is {_first(gap):.6g}; it must not be negative"
@@ -396,11 +416,12 @@ class SystemEquations(Scene[SystemConstants]):
             faults.append(("restitution-not-0-to-1", text, (r < 0) | (r > 1)))
         sides = {event.name: jnp.sign(event.surface(t, y, p)) for event in self.events if isinstance(event, Switch)}
         for _, event in self._flow.of(Friction):
-            force = event.force(t, y, p, sides) + t
+            force = event.force(t, y, p, sides | {name: y[name] for name in self._discrete}) + t
             text = f"the normal force of {event.name} is {_first(force):.6g} at the start; it must not be negative"
             mask = (force < 0) & (not event.lift_off)
             faults.append(("negative-normal-force", text, mask))
         for name, rate in self._flow.function.function(t, y, p, *([sides] if self._flow.takes_sides else [])).items():
+            rate = rate + t
             text = f"the field, {name}, is {_first(rate):g} at the start; it must be finite"
             faults.append(("not-finite", text, ~jnp.isfinite(rate)))
         return faults

@@ -28,8 +28,11 @@ class Impact:
     - `velocity`: name of the state that jumps.
     - `restitution`: coefficient of restitution, a number or a function of `p`. The jump changes the rate of the gap to
       its negative, times this coefficient (Newton's law, also for a stop that moves).
-    - `reset`: instead of `velocity` and `restitution`, a function `reset(t, y, p)` that returns new values of states
-      by name. Such a stop cannot hold the motion: bounces that accumulate end as a failed lane.
+    - `reset`: instead of `velocity` and `restitution`, a function `reset(t, y, p)`, or `reset(t, y, p, s)` with the
+      sides of switches and the discrete states, that returns new values of states and discrete states by name. Such a
+      stop cannot hold the motion: bounces that accumulate end as a failed lane.
+    - `direction`: with a `reset`, -1 or 1 for an event that happens where the gap falls or rises through zero. The gap
+      may then have both signs, and nothing happens in the other direction.
 
     A bounce whose speed is at most 2.4e-7 of a typical speed ends in rest on the stop if the field pushes against the
     stop. The rest lasts until the field pulls away.
@@ -44,12 +47,17 @@ class Impact:
     gap: Any
     velocity: str | None = None
     restitution: float | Callable[[Mapping[str, Any]], Any] = 1.0
-    reset: Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]] | None = None
+    reset: Callable[..., Mapping[str, Any]] | None = None
+    direction: int | None = None
 
     @property
     def surface(self) -> OfMotion:
         """The function that is zero on the surface of the event."""
         return self.gap
+
+    def happens(self, mode: Any) -> Any:
+        """Return a mask of the lanes in which a zero of the gap is the event; `mode`: mode before."""
+        return mode != 1 if self.direction is None else mode * self.direction < 0
 
     def bounce(self, p: Mapping[str, Any]) -> Any:
         """Return the coefficient of restitution."""

@@ -99,8 +99,9 @@ class Dependences:
 class Flow:
     """The functions of a system. All methods take constants, time and states by name, in any number type.
 
-    - `names`: the states; `function`: the user's field; `events`: the events; `kinks`: kinks of all functions.
-    - `surfaces`, `limits`: functions of the events, and of friction and stick limits, by index.
+    - `names`: the states, with discrete ones, which change at events only; `function`: the user's field.
+    - `events`: the events; `kinks`: kinks of all functions.
+    - `surfaces`: functions of the events; `limits`, by index: friction and stick limits; `resets`: jumps.
     - `takes_sides`: True if the field takes the sides of switches.
     - `rate`: the user's function for the fastest rate of change [1/s], or None.
     """
@@ -111,6 +112,7 @@ class Flow:
     events: tuple[Event, ...]
     surfaces: tuple[Function, ...]
     limits: Mapping[int, Function]
+    resets: Mapping[int, Callable[..., Mapping[str, Any]]]
     kinks: tuple[Kink, ...]
     structure: Dependences
     rate: Callable[[Mapping[str, Any]], Any] | None = None
@@ -132,6 +134,10 @@ class Flow:
         rates = self.function.at(self.branches(mode), t, y, c.p, *self._sided(sides))
         zero = 0.0 * next(iter(y.values()))
         return {name: zero + rates[name] if _is_array(rates[name]) else rates[name] for name in y}
+
+    def sides_of(self, mode: Values) -> dict[str, Any]:
+        """Return the sides of the switches by name."""
+        return self._named([jnp.sign(mode[index]) for index, _ in self.of(Switch)])
 
     def _sided(self, sides: Sequence[Any]) -> list[dict[str, Any]]:
         """Return the field's fourth argument, if it takes one."""

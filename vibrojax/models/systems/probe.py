@@ -46,6 +46,7 @@ class Probe:
         section: Any,
         events: Any,
         regimes: Any,
+        modes: Any,
     ):
         if not isinstance(name, str) or not name:
             raise InputError(f"system: the name is {shown(name)}; give a string such as 'impact-oscillator'")
@@ -55,10 +56,12 @@ class Probe:
             ("parameters", parameters, Mapping, "{'k': 1.0}"),
             ("events", events, list | tuple, "[vj.Impact(...)]"),
             ("regimes", regimes or {}, Mapping, "{'periodic': 'rocking'}"),
+            ("modes", modes or {}, Mapping, "{'heating': 1}"),
         ):
             if not isinstance(value, kind):
                 raise self._refuse(f"{what} is {type(value).__name__}; write {what}={example}")
         self._states, self._field, self._events = dict(states), field, tuple(events)
+        self._discrete = dict(modes or {})
         self._check_names(states, parameters)
         laws = [event for event in self._events if isinstance(event, Friction)]
         self.parameters = {key: _parameter(key, x, self._refuse) for key, x in parameters.items()}
@@ -66,6 +69,10 @@ class Probe:
             self.parameters |= {key: x for key, x in event.parameters.items() if key not in self.parameters}
         self.takes_sides = self._takes_sides()
         self._sides = {event.name: 1.0 for event in self._events if isinstance(event, Switch)}
+        for key, value in self._discrete.items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise self._refuse(f"modes: {key} begins as {shown(value)}; give a finite number")
+            self._sides[key] = float(value)
         self._check_events()
         rng = np.random.default_rng(5)
         self._p = {
@@ -106,7 +113,7 @@ class Probe:
         for key, unit in states.items():
             if not _is_unit(unit):
                 raise self._refuse(f"states: {key} has the unit {shown(unit)}; {_UNIT_EXAMPLES}")
-        names = [*states, *parameters, *(event.name for event in self._events)]
+        names = [*states, *self._discrete, *parameters, *(event.name for event in self._events)]
         for key in names:
             if not isinstance(key, str) or not key.isidentifier() or key in RESERVED:
                 raise self._refuse(
@@ -122,7 +129,7 @@ class Probe:
             arguments = required_arguments(self._field)
         except (TypeError, ValueError):
             arguments = 3
-        switches = [event.name for event in self._events if isinstance(event, Switch)]
+        switches = [*self._discrete, *(event.name for event in self._events if isinstance(event, Switch))]
         if arguments not in (3, 4):
             raise self._refuse(
                 f"field takes {arguments} arguments; write field(t, y, p), or field(t, y, p, s) with switches"
@@ -135,6 +142,9 @@ class Probe:
         for event in self._events:
             if isinstance(event, Impact) and (event.velocity is None) == (event.reset is None):
                 raise self._refuse(f"event {event.name}: give either velocity= and restitution=, or reset=")
+            directed = isinstance(event, Impact) and event.direction is not None
+            if directed and (event.direction not in (-1, 1) or event.reset is None):
+                raise self._refuse(f"event {event.name}: direction= is -1 or 1, together with reset=")
             name = event.velocity if isinstance(event, Impact) else getattr(event, "acts_on", None)
             if name is not None and name not in self._states:
                 raise self._refuse(
@@ -223,11 +233,12 @@ class Probe:
                 self._number(what, self._call(what, event.mass, self._p) if callable(event.mass) else event.mass)
             if isinstance(event, Impact) and event.reset is not None:
                 what = f"event {event.name}: reset"
-                new = self._call(what, event.reset, self._t, self._y, self._p)
-                if not isinstance(new, Mapping) or not set(new) <= set(self._states):
+                sided = [self._sides] if required_arguments(event.reset) == 4 else []
+                new = self._call(what, event.reset, self._t, self._y, self._p, *sided)
+                if not isinstance(new, Mapping) or not set(new) <= {*self._states, *self._discrete}:
                     kind = "an array" if hasattr(new, "shape") else type(new).__name__
                     given = f"values of {', '.join(map(str, new))}" if isinstance(new, Mapping) else kind
-                    known = ", ".join(self._states)
+                    known = ", ".join([*self._states, *self._discrete])
                     raise self._refuse(f"{what} gave {given}; it must give a dict of new values of the states {known}")
             elif isinstance(event, Impact):
                 what = f"event {event.name}: restitution"
@@ -268,10 +279,11 @@ class Probe:
             raise self._refuse(f"{what} {CANNOT_EXPAND}") from None
 
     def _check_section(self, period: Any, section: Any) -> None:
-        if (period is None) == (section is None):
-            both = "period= and section= are both given; give only one: "
+        if period is not None and section is not None:
             need = "period= for a forced system, or section= (a state) for one without forcing"
-            raise self._refuse(f"{both if section is not None else 'give '}{need}")
+            raise self._refuse(f"period= and section= are both given; give only one: {need}")
+        if period is None and section is None:
+            return
         if section is not None:
             name, known = section[0] if isinstance(section, tuple) else section, ", ".join(self._states)
             if name not in self._states or (isinstance(section, tuple) and not _is_level(section)):

@@ -8,11 +8,12 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
-from vibrojax.models.systems.events import Event, Friction, Impact, Switch
+from vibrojax.models.systems.events import Event, Friction, Impact, Switch, required_arguments
 from vibrojax.models.systems.flow import Dependences
 from vibrojax.models.systems.kinks import Function, Kink
-from vibrojax.models.systems.numbers import Dual, slope_along
+from vibrojax.models.systems.numbers import Dual, array_of, slope_along
 from vibrojax.models.systems.probe import EQUAL, Probe, equal
 
 MOVED = 0.1
@@ -30,14 +31,36 @@ class Structure(Probe):
         super().__init__(*declaration)
         self.kinks: list[Kink] = []
         sided = [self._sides] if self.takes_sides else []
-        self.function = self._with_kinks("field", self._field, sided)
+        field, still = self._with_discrete(self._field, self.takes_sides), dict.fromkeys(self._discrete, 0.0)
+        self.function = self._with_kinks("field", lambda *arguments: {**field(*arguments), **still}, sided)
         self.surface_functions = tuple(self._with_kinks(*self._surface(event), []) for event in self._events)
         one = jnp.ones(len(self._t))
         self.limits = {
-            index: self._with_kinks(f"event {event.name}: normal", _limits_of(event), [self._sides, one])
+            index: self._with_kinks(f"event {event.name}: normal", self._limits_of(event), [self._sides, one])
             for index, event in enumerate(self._events)
             if isinstance(event, Friction)
         }
+        self.resets = {
+            index: self._with_discrete(event.reset, required_arguments(event.reset) == 4)
+            for index, event in enumerate(self._events)
+            if isinstance(event, Impact) and event.reset is not None
+        }
+
+    def _with_discrete(self, function: Callable[..., Any], takes_sides: bool) -> Callable[..., Any]:
+        """Return a function of all states, with the discrete ones among the sides that it takes."""
+
+        def call(t: Any, y: Mapping[str, Any], p: Mapping[str, Any], sides: Mapping[str, Any] | None = None) -> Any:
+            return function(t, y, p, *([self._all_sides(sides or {}, y)] if takes_sides else []))
+
+        return call
+
+    def _all_sides(self, sides: Mapping[str, Any], y: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the sides of switches, and the discrete states without their derivatives."""
+        return {**sides, **{name: lax.stop_gradient(array_of(y[name])) for name in self._discrete if name in y}}
+
+    def _limits_of(self, event: Friction) -> Callable[..., Any]:
+        """Return the function of a friction's limits, with the arguments in the order of `Function.run`."""
+        return lambda t, y, p, sides, slip: event.limits(t, y, p, self._all_sides(sides, y), slip)
 
     def _with_kinks(self, place: str, function: Callable[..., Any], more: list[Any]) -> Function:
         rng = np.random.default_rng(11)
@@ -60,6 +83,20 @@ class Structure(Probe):
         moved = {key: Dual(x.value + MOVED, x.slope, 1) for key, x in y.items()}
         values = [function.found(t, states, self._p, *more)[number][1] for states in (y, moved)]
         return equal(*values)
+
+    def events_at(self, name: str, level: float) -> list[int]:
+        """Return the indices of switches and frictions whose surface is that of a state at `level`."""
+        if name not in self._y:
+            return []
+        events = [(i, event) for i, event in enumerate(self._events) if not isinstance(event, Impact)]
+        return [i for i, event in events if _proportional(self._value(event), self._y[name] - level)]
+
+    def depends_on_time(self) -> bool:
+        """Return whether the field or an event depends on the time."""
+        return not self._same(self._t, self._t + 0.37)
+
+    def _value(self, event: Event) -> Any:
+        return self._surface(event)[1](self._t, self._y, self._p)
 
     def surfaces(self) -> set[str]:
         """Return the states whose zeros are those of an event."""
@@ -126,7 +163,8 @@ class Structure(Probe):
         if event.velocity is not None:
             return {event.velocity}
         assert event.reset is not None
-        return set(event.reset(self._t, self._y, self._p))
+        sided = [self._sides] if required_arguments(event.reset) == 4 else []
+        return set(event.reset(self._t, self._y, self._p, *sided))
 
     def _rates_at(self, sides: Mapping[str, float], y: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the field with some switches at `sides` and the others on the positive side."""
@@ -172,9 +210,7 @@ class Structure(Probe):
         """Refuse two switches or frictions with one surface: neither decides alone on which side the motion is."""
         held = [event for event in self._events if not isinstance(event, Impact)]
         for first, second in itertools.combinations(held, 2):
-            a, b = (jnp.asarray(self._surface(event)[1](self._t, self._y, self._p)) for event in (first, second))
-            ratio = (a + 0.0 * self._t) / (b + 0.0 * self._t)
-            if bool(jnp.isfinite(ratio).all()) and equal(ratio, ratio[0]):
+            if _proportional(self._value(first), self._value(second)):
                 advice = {
                     (Switch, Switch): "use one of them, whose sides are those of the other, up to the sign",
                     (Friction, Friction): "write one friction with the sum of both forces",
@@ -202,6 +238,8 @@ class Structure(Probe):
         return signs
 
 
-def _limits_of(event: Friction) -> Callable[..., Any]:
-    """Return the function of a friction's limits with the arguments in the order of `Function.run`."""
-    return lambda t, y, p, sides, slip: event.limits(t, y, p, sides, slip)
+def _proportional(a: Any, b: Any) -> bool:
+    """Return whether two functions have the same ratio at all random states."""
+    a, b = jnp.atleast_1d(jnp.asarray(a)), jnp.atleast_1d(jnp.asarray(b))
+    ratio = jnp.broadcast_to(a / b, (len(a) if len(a) > len(b) else len(b),))
+    return bool(jnp.isfinite(ratio).all()) and len(ratio) > 1 and equal(ratio, ratio[0])

@@ -51,6 +51,8 @@ class System(SystemEquations):
     - `section`: for a system without forcing, the name of a state, or a pair of a name and a number: the section is
       where the state rises through zero, or through the number.
     - `events`: any of `vj.Impact`, `vj.Switch` and `vj.Friction`.
+    - `modes`: initial value of each discrete state by name. The resets of events change them; the field and other
+      functions read them as `s[name]`. In datasets they are among the states.
     - `rate`: function of `p` that returns the fastest rate of change [1/s]; left out, it is the spectral radius of the
       field's Jacobian at the initial state.
     - `regimes`: names of the system's own for regimes, such as `{"periodic": "rocking"}`.
@@ -91,25 +93,33 @@ class System(SystemEquations):
         events: Any = (),
         rate: Callable[[Mapping[str, Any]], Any] | None = None,
         regimes: Any = None,
+        modes: Any = None,
     ) -> None:
         with jax.enable_x64(True):
-            probe = Structure(name, states, parameters, field, period, section, events, regimes)
+            probe = Structure(name, states, parameters, field, period, section, events, regimes, modes)
             self.name = name  # type: ignore[misc]
             self.events, self._period, self._own = tuple(events), period, tuple(states)
+            self._discrete = {name: float(value) for name, value in (modes or {}).items()}
             self._flow = Flow(
-                self._own,
+                (*self._own, *self._discrete),
                 probe.function,
                 probe.takes_sides,
                 self.events,
                 probe.surface_functions,
                 probe.limits,
+                probe.resets,
                 tuple(probe.kinks),
                 probe.dependences(),
                 rate,
             )
             self._parameters, self._renamed = probe.parameters, dict(regimes or {})
-            self.autonomous = period is None  # type: ignore[misc]
-            self._section_state, self._level = section if isinstance(section, tuple) else (section or TIME, 0.0)
+            self.autonomous = period is None and not probe.depends_on_time()  # type: ignore[misc]
+            first = TIME if period is not None else self._own[0]
+            self._section_state, self._level = section if isinstance(section, tuple) else (section or first, 0.0)
+            # A single autonomous state cannot return to a section unless it jumps.
+            returns = section is not None and (len(states) > 1 or isinstance(self, HasImpacts))
+            self._measured = period is not None or returns
+            self._at_section = frozenset(probe.events_at(self._section_state, self._level))
             speeds = self._flow.structure.speeds
             # The error of these positions follows from that of their velocities.
             self._integrated = frozenset(speeds) if set(speeds) < set(states) else frozenset()
@@ -126,6 +136,7 @@ class System(SystemEquations):
             State(name, unit, name, True, offset=self._level if name == section_state else 0.0)
             for name, unit in units.items()
         ]
+        shown += [State(name, "1", name, True) for name in self._discrete]
         turning = [speed for speed in dict.fromkeys(speeds.values()) if speed not in (section_state, *surfaces)]
         swings = (
             Swing(name, speeds[name] if speeds.get(name) in turning else None, f"{name}_amplitude") for name in units
@@ -134,12 +145,16 @@ class System(SystemEquations):
         modes = (*map(_mode, self.events), *map(_mode_of_kink, self._flow.kinks))
         self.modes = modes or (Mode("flow", "0", 0.0),)  # type: ignore[misc]
         self.markers = (Marker("strobe", section_state), *(Marker(f"{speed}_zero", speed) for speed in turning))  # type: ignore[misc]
-        self.section = Section(tuple(swings), self._rearm, at=section_state)  # type: ignore[misc]
+        if not self._measured:
+            self.markers = self.markers[1:]  # type: ignore[misc]
+        self.section = Section(tuple(swings), self._rearm, at=section_state) if self._measured else None  # type: ignore[misc]
         self.starts, self.start_states, self.measures = ("zero",), self._own, ("rest",)  # type: ignore[misc]
         struck = [units[event.velocity] for event in self.events if isinstance(event, Impact) and event.velocity]
         if struck and isinstance(self, ImpactSystem):
             self.impact_unit = struck[0]
-        self.drifting = (APPROACH,) if isinstance(self, HasImpacts) else ()  # type: ignore[misc]
+        # The return map of a single autonomous state has no other state.
+        alone = self.autonomous and len(self._flow.names) == 1
+        self.drifting = (APPROACH,) if isinstance(self, HasImpacts) and not alone else ()  # type: ignore[misc]
 
     def __reduce__(self) -> Any:
         # The functions of a system cannot be pickled if they are lambdas. Other processes import the system instead.
@@ -166,7 +181,7 @@ class System(SystemEquations):
         def jacobians(p: dict[str, Any]) -> list[list[list[Any]]]:
             c, flow = self.constants(p), self._flow
             t = 0.0 * c.rates[0]
-            zero = dict.fromkeys(self._own, t)
+            zero = dict.fromkeys(self._own, t) | {name: t + x for name, x in self._discrete.items()}
             mode = free_modes(flow, c, t, zero, t)
             fields = [lambda t, y, sides=sides: flow.field(c, mode, t, y, sides) for sides in flow.combinations()]
             return [flow.jacobian(field, t, zero) for field in fields]
@@ -179,7 +194,7 @@ class System(SystemEquations):
         return float(rate) if np.isfinite(rate) else 1.0
 
     def _rearm(self, c: SystemConstants) -> Any:
-        if self.autonomous:
+        if self._period is None:
             return jnp.zeros_like(c.typical[self._section_state])
         return -0.1 * c.period
 
@@ -200,7 +215,7 @@ class ImpactSystem(System, HasImpacts[SystemConstants]):
 
     def impact_begins(self, c: SystemConstants, mode: Values, state: Values, hits: Mapping[str, Any]) -> Any:
         masks = [
-            hits[event.name] & ((mode[index] != 1) if isinstance(event, Impact) else (mode[index] < 0))
+            hits[event.name] & (event.happens(mode[index]) if isinstance(event, Impact) else (mode[index] < 0))
             for index, event in enumerate(self.events)
             if _is_impact(event)
         ]

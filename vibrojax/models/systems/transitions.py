@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from vibrojax.models.scenes.declared import Values
-from vibrojax.models.systems.events import Friction, Impact, Switch
+from vibrojax.models.systems.events import Event, Friction, Impact, Switch
 from vibrojax.models.systems.flow import Flow, States, SystemConstants
 from vibrojax.models.systems.numbers import slopes_along
 
@@ -65,6 +65,8 @@ def decided(flow: Flow, c: SystemConstants, mode: Values, t: Any, y: States, pla
     if len(held) < len(flow.events):
         motion = flow.at(c, tuple(modes), t, y)
         for index, event in flow.of(Impact):
+            if event.direction is not None:
+                continue
             margins[index] = motion.margins[index]
             rate = flow.closing(c, tuple(modes), index, t, y)
             pushed = (margins[index] > least_push(c, index)) & (event.velocity is not None)
@@ -86,14 +88,20 @@ def least_push(c: SystemConstants, index: int) -> Any:
 
 def free_modes(flow: Flow, c: SystemConstants, t: Any, y: States, zero: Any) -> Values:
     """Return the modes of a motion on no surface: 0 for stops, else the side; `zero`: zeros (lanes,)."""
-    modes = [zero if isinstance(event, Impact) else zero + 1.0 for event in flow.events]
+    modes = [zero if is_stop(event) else zero + 1.0 for event in flow.events]
     modes += [zero if kink.whole else zero + 2.0 for kink in flow.kinks]
     for _ in range(2 if flow.kinks else 0):  # some kinks depend on the formulas that others use
         modes[len(flow.events) :] = [kink + zero for kink in first_branches(flow, c, tuple(modes), t, y)]
     for index, event in enumerate(flow.events):
-        if not isinstance(event, Impact):
-            modes[index] = jnp.where(flow.surface(c, tuple(modes), index, t, y) + zero < 0, -1.0, 1.0)
+        if not is_stop(event):
+            side = 2.0 if isinstance(event, Impact) else 1.0
+            modes[index] = jnp.where(flow.surface(c, tuple(modes), index, t, y) + zero < 0, -side, side)
     return tuple(modes)
+
+
+def is_stop(event: Event) -> bool:
+    """Return whether an event is an impact whose gap must not be negative."""
+    return isinstance(event, Impact) and event.direction is None
 
 
 def first_branches(flow: Flow, c: SystemConstants, mode: Values, t: Any, y: States) -> list[Any]:
@@ -167,11 +175,11 @@ def after_events(
     struck, slow = {}, {}
     for index, event in flow.of(Impact):
         resting = mode[index] == 1
-        struck[index] = hit[index] & ~resting
+        struck[index] = hit[index] & event.happens(mode[index])
         rate = flow.closing(c, mode, index, t, y)
         approach = jnp.where(struck[index], -rate, approach)
         if event.velocity is None:
-            y = _where(struck[index], event.reset(t, y, c.p), y)
+            y = _where(struck[index], flow.resets[index](t, y, c.p, flow.sides_of(mode)), y)
             continue
         # Steps end on the stop within their tolerance, and a long rest drifts by as much.
         y = _where(hit[index], flow.onto_stop(c, mode, index, t, y), y)
@@ -229,8 +237,9 @@ def _modes_after(
             rates = flow.closing(c, after, index, t, y), flow.closing(c, mode, index, t, before)
             changed = changed | (jnp.abs(rates[0] - rates[1]) > c.slow[index])
             touches[index] = distance <= lift
-        else:
-            new[index] = jnp.where(jumped & changed & ~hit[index], jnp.where(value < 0, -1.0, 1.0), mode[index])
+        if not is_stop(event):
+            side = 2.0 if isinstance(event, Impact) else 1.0
+            new[index] = jnp.where(jumped & changed & ~hit[index], jnp.where(value < 0, -side, side), mode[index])
         opened[index] = jumped & changed & ~hit[index]
         near[index] = hit[index] | (distance <= NEAR_ROUNDINGS / LIFT_ROUNDINGS * lift)
     blocked = {}
@@ -242,7 +251,11 @@ def _modes_after(
     modes, margins, pulls = decided(flow, c, tuple(new), t, y, places)
     for index, event in enumerate(flow.events):
         where = mode[index]
-        if isinstance(event, Impact):
+        if isinstance(event, Impact) and event.direction is not None:
+            value = flow.surface(c, after, index, t, y)
+            passes = jnp.abs(value) <= 2.0 * c.lifts[index]
+            own = jnp.where(passes, -2.0 * jnp.sign(where), jnp.where(value < 0, -2.0, 2.0))
+        elif isinstance(event, Impact):
             own = jnp.where(margins[index] > least_push(c, index), 1.0, -1.0)
             own = jnp.where(where == 1, -1.0, jnp.where(slow.get(index, never), own, 0.0))
         else:
