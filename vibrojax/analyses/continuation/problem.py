@@ -24,6 +24,9 @@ FAMILY_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
 CORRECTOR_RESIDUAL = 1e-10
 """Largest residual of an accepted point; another Newton step would reduce the residual to about its square."""
 
+STEEP_EQUATION = 1e4
+"""Slope of an equation in scaled unknowns above which rounding errors may exceed `CORRECTOR_RESIDUAL`."""
+
 CORRECTOR_MAX_ITERATIONS = 8
 
 UNITS_PER_SPAN = 8
@@ -81,8 +84,13 @@ class Points(NamedTuple):
 
     @property
     def residual(self) -> PerLane:
-        """Greatest absolute residual; infinite where the section is not reached."""
-        worst = np.abs(self.off).max(axis=1)
+        """Greatest absolute residual; infinite where the section is not reached.
+
+        Next to a graze slopes grow without limit, and rounding errors with them: residuals of steep equations are
+        divided by the slope relative to `STEEP_EQUATION`.
+        """
+        steepness = np.linalg.norm(self.matrix, axis=2) / STEEP_EQUATION
+        worst = (np.abs(self.off) / np.maximum(steepness, 1.0)).max(axis=1)
         return np.where(np.isfinite(worst) & np.isfinite(self.times).all(axis=1), worst, np.inf)
 
     @property

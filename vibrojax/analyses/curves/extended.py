@@ -27,7 +27,7 @@ from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY, Index, PerLa
 from vibrojax.analyses.curves.event_map import conditions_of, event_mapped
 from vibrojax.analyses.curves.singular import compound, compound_along, segment_product, signed_singular
 from vibrojax.compile.xla import workers
-from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
+from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix, solve
 from vibrojax.periodic.return_map import in_calls
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, second_variation
 from vibrojax.stepping import Accuracy, Located
@@ -244,7 +244,7 @@ class CurveProblem(Problem):
         step[:, :-2] = FLIP_STEP * vectors[1]
         before, here, behind = (self._along(curve, x, v)[..., :rows] for x in (u - step, u, u + step))
         bent = np.einsum("lkij,lkj->lki", here, v)
-        h = np.linalg.solve(shooting, -bent.reshape(len(u), -1, 1)).reshape(v.shape)
+        h = solve(shooting, -bent.reshape(len(u), -1, 1)).reshape(v.shape)
         third = np.einsum("lkij,lkj->lki", (behind - before) / (2 * FLIP_STEP), v)
         third += 3 * np.einsum("lkij,lkj->lki", here, h)
         return np.asarray(np.einsum("lki,lki->l", w, third) / (6 * np.einsum("li,li->l", w[:, -1], v[:, 0])))
