@@ -62,19 +62,24 @@ class FamilyContinuation(Tracing):
             for sign in (1, -1):
                 begin = first._replace(tangent=sign * first.tangent)
                 segments.append(Segment(number, 0, sign, begin, home=begin))
-        return drop_duplicates(self.trace(segments), self._problem.rows)
+        segments = self.trace(segments)
+        self._end_at_doublings(segments)
+        return drop_duplicates(segments, self._problem.rows)
 
     def stop(self, segments: list[Segment]) -> Stop:
         """Return the condition that a doubled branch is back at the branch that it left."""
         size = segments[0].begin.u.shape[1]
         none = np.full(size, np.nan)
         departure = np.array([none if segment.departure is None else segment.departure for segment in segments])
+        farthest = np.zeros(len(segments))
 
         def rejoins(lanes: Index, now: Points) -> Flags:
             if size % 2 == 0:  # doubled orbits have an even number of states and one parameter
                 return np.zeros(len(lanes), bool)
-            with np.errstate(invalid="ignore"):
-                return branch_distance(now.u, departure[lanes]) <= 0
+            distance = branch_distance(now.u, departure[lanes])
+            farthest[lanes] = np.fmax(farthest[lanes], distance)
+            # On the original branch, rounding errors decide the sign of the distance.
+            return distance <= np.minimum(SAME_POINT, REJOIN_DISTANCE * farthest[lanes])
 
         return rejoins
 
@@ -108,6 +113,29 @@ class FamilyContinuation(Tracing):
 
     def _add_marks(self, segment: Segment, special: Brackets) -> None:
         """Add special points to a segment."""
+    def _end_at_doublings(self, segments: list[Segment]) -> None:
+        """Move the ends of doubled branches that join another branch to the period doublings at which they join it.
+
+        The last step of a doubled branch passes the doubling by a distance that depends on rounding errors.
+        """
+        doublings = [(s.family, mark.orbit) for s in segments for mark in s.marks if mark.kind == "period-doubling"]
+        for segment in segments:
+            last, cycles = segment.points.of([-1]), segment.points.times.shape[1]
+            orbits = [x for family, x in doublings if family == segment.family and 2 * x.times.shape[1] == cycles]
+            if not orbits or all(mark.note != ENDINGS[STOPPED] for mark in segment.marks):
+                continue
+            shifted = [
+                np.append(np.tile(np.roll(orbit.u[0, :-1], k * self._problem.rows), 2), orbit.u[0, -1])
+                for orbit in orbits
+                for k in range(cycles // 2)
+            ]
+            nearest = min(shifted, key=lambda u: float(np.abs(u - last.u).max()))
+            if np.abs(nearest - last.u).max() <= segment.reach:
+                end = self._problem.evaluate(last.family, nearest[None])._replace(tangent=last.tangent)
+                segment.points = Points.join([segment.points, end])
+                segment.marks = [mark for mark in segment.marks if mark.note != ENDINGS[STOPPED]]
+                segment.mark("end", ENDINGS[STOPPED])
+
         for k, place in enumerate(special.place.tolist()):
             kind, orbit, note, beyond = SPECIAL_KINDS[special.kind[k]], special.near.of([k]), "", special.far.of([k])
             if kind == "grazing" and orbit.impacts[0] == beyond.impacts[0]:
