@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from vibrojax.analyses.continuation.arclength import CLOSED, ENDED, STALLED, STOPPED, Stop
+from vibrojax.analyses.continuation.arclength import CLOSED, ENDED, STALLED, STOPPED, VANISHED, Stop
 from vibrojax.analyses.continuation.brackets import Brackets
 from vibrojax.analyses.continuation.hopf import hopf_point
 from vibrojax.analyses.continuation.location import GRAZED_MARGIN, Locator, classify_event_changes
@@ -103,6 +103,8 @@ class FamilyContinuation(Tracing):
             if status == STALLED and segment.number < MAX_SEGMENTS:
                 stalled.append(segment)
                 continue
+            if status == VANISHED and self._mark_hopf(segment, "the amplitude is zero"):
+                continue
             note = ENDINGS.get(status, "")
             if status == ENDED:
                 value = self._problem.values(segment.points.family[-1:], segment.points.u[-1:])[0, 0]
@@ -111,8 +113,6 @@ class FamilyContinuation(Tracing):
             segment.mark("end", note)
         return (self._pass_stalls(stalled) if stalled else []) + self._doubled_branches(segments)
 
-    def _add_marks(self, segment: Segment, special: Brackets) -> None:
-        """Add special points to a segment."""
     def _end_at_doublings(self, segments: list[Segment]) -> None:
         """Move the ends of doubled branches that join another branch to the period doublings at which they join it.
 
@@ -136,6 +136,15 @@ class FamilyContinuation(Tracing):
                 segment.marks = [mark for mark in segment.marks if mark.note != ENDINGS[STOPPED]]
                 segment.mark("end", ENDINGS[STOPPED])
 
+    def _mark_hopf(self, segment: Segment, note: str) -> bool:
+        """Add the Hopf point to which the end of a segment leads; return whether there is one."""
+        hopf = hopf_point(self._problem, segment.points)
+        if hopf is not None:
+            segment.marks.append(Mark(hopf, "hopf", note, len(segment.points.u) - 1))
+        return hopf is not None
+
+    def _add_marks(self, segment: Segment, special: Brackets) -> None:
+        """Add special points to a segment."""
         for k, place in enumerate(special.place.tolist()):
             kind, orbit, note, beyond = SPECIAL_KINDS[special.kind[k]], special.near.of([k]), "", special.far.of([k])
             if kind == "grazing" and orbit.impacts[0] == beyond.impacts[0]:
@@ -158,11 +167,9 @@ class FamilyContinuation(Tracing):
         for k, segment in enumerate(segments):
             end, departure = segment.points.of([-1]), segment.departure
             kinds: list[str] = []
-            hopf = None if changed[k] else hopf_point(self._problem, segment.points)
-            if hopf is not None:
-                value = self._problem.values(end.family, end.u)[0, 0]
-                note = f"the amplitude is zero; from {value:.9g} on, it is too small for the section"
-                segment.marks.append(Mark(hopf, "hopf", note, len(segment.points.u) - 1))
+            value = self._problem.values(end.family, end.u)[0, 0]
+            note = f"the amplitude is zero; from {value:.9g} on, it is too small for the section"
+            if not changed[k] and self._mark_hopf(segment, note):
                 continue
             # At a rigid stop no mode changes: only the margin shows that an event begins.
             if changed[k] or end.margin[0] < GRAZED_MARGIN:

@@ -50,6 +50,7 @@ class Points(NamedTuple):
       multipliers.
     - `impacts` (lanes,), `mode_changes` (lanes, modes, 3): see [vibrojax.periodic.return_map.ReturnEvents][].
     - `margin` (lanes,): grazing margin.
+    - `swing` (lanes,): largest amplitude of a state, relative to its scale.
     """
 
     family: Index
@@ -62,6 +63,7 @@ class Points(NamedTuple):
     impacts: PerLane
     mode_changes: Float[np.ndarray, "lanes modes 3"]
     margin: PerLane
+    swing: PerLane
 
     def of(self, lanes: Any) -> "Points":
         return Points(*(x[lanes] for x in self))
@@ -181,6 +183,7 @@ class Problem:
         """Return the points with the equations of the orbits; `jacobian`: scaled derivatives of the `images`."""
         lanes, cycles, rows, _ = jacobian.shape
         off = (images.state - np.roll(self.states(family, u), -1, axis=1)) / self.scales[family][:, None]
+        swing = (images.seen.greatest.max(axis=1) - images.seen.least.min(axis=1)) / (2 * self.scales[family])
         by_parameters = jacobian[..., rows:].reshape(lanes, cycles * rows, -1)
         return Points(
             family=family,
@@ -193,6 +196,7 @@ class Problem:
             impacts=images.seen.impacts.sum(axis=1),
             mode_changes=images.seen.mode_changes.sum(axis=1),
             margin=images.seen.margin.min(axis=1),
+            swing=swing.max(axis=1),
         )
 
     def correct(self, family: Index, guess: Unknowns, row: Unknowns, value: PerLane) -> tuple[Points, Flags]:

@@ -158,7 +158,8 @@ class CurveProblem(Problem):
         if number not in self._fields:
             states = dict(zip(self.scene.return_states, self.states(curve, u)[0, 0], strict=True))
             begin = np.array([states.get(name, 0.0) for name in moving_states(self.scene)])
-            self._fields[number] = Field(self.scene, {name: x[number] for name, x in self.parameters.items()}, begin)
+            parameters = {name: x[number] for name, x in self.parameters.items()}
+            self._fields[number] = Field(self.scene, parameters, begin, float(self.scales[number].max()))
         values = self.values(curve, u)[0]
         here, period, product = self._critical(number, values)
         slopes = []
@@ -176,6 +177,7 @@ class CurveProblem(Problem):
             impacts=np.zeros(1),
             mode_changes=np.zeros((1, modes + 1, 3)),
             margin=np.ones(1),
+            swing=np.ones(1),
         )
 
     def _critical(self, number: int, values: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
