@@ -14,9 +14,9 @@ import writers
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from planted_faults import FAULTS
 from processor_modes import as_xla
-from random_functions import Function, functions
-from scopes import ROUNDED, Value
-from writers import WRITERS
+from random_functions import Function, functions, random_function
+from scopes import ROUNDED, Scope, Value
+from writers import WRITERS, write
 
 from vibrojax.compile.kernels import Kernel, Untranslatable, native
 from vibrojax.compile.kernels.translation import primitives
@@ -105,6 +105,18 @@ def first_disagreement(count: int, number: int, drawn: Any = None, shrink: bool 
 
 def test_every_primitive_has_a_writer():
     assert set(WRITERS) == primitives()
+
+
+def test_functions_do_not_depend_on_loaded_modules():
+    """Hypothesis mixes constants of the loaded modules into draws of all types but booleans."""
+    random, strategies = np.random.default_rng(0), set()
+
+    def draw(strategy: Any) -> bool:
+        strategies.add(repr(strategy))
+        return bool(random.integers(2))
+
+    drawn = [random_function(Scope(draw, write, [], [0])) for _ in range(20)]
+    assert strategies == {"booleans()"} and len({function.source for function in drawn}) == 20
 
 
 def test_random_functions():

@@ -37,6 +37,8 @@ def _exact(call: str, kinds: str, arity: int, gives: str | None = None, accuracy
         if call in ("div", "rem"):
             # Compilers simplify a number divided by itself, even for 0.
             names[1] = f"lax.optimization_barrier({names[1]})"
+            if call == "div" and first.kind in "iu":
+                names[0] = f"numerator({', '.join(names)})"
         elif call in ("max", "min"):
             names = [_comparable(name, first) for name in names]
         is_product = accuracy == PRODUCT and first.kind == "f"

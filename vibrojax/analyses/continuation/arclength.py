@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.analyses.continuation.brackets import EVENT_CHANGE, Brackets, predict_zero, push_history
+from vibrojax.analyses.continuation.hopf import LEAST_SWING, SMALLEST_SWING, surrounds_equilibrium
 from vibrojax.analyses.continuation.problem import (
     CORRECTOR_RESIDUAL,
     Flags,
@@ -56,9 +57,9 @@ CORNER_GROWTH, STEP_GROWTH = 5.0, 2.0
 FACING = 0.01
 """Distance at which the margin behind a change of events is compared, relative to the step across the change."""
 
-RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, TOO_UNSTABLE = range(7)
+RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, TOO_UNSTABLE, VANISHED = range(8)
 """Status of a lane: running; at a bound of the parameter; no further point found; stopped by the caller; back at the
-branch's first point; too many points; a multiplier beyond `MAX_MULTIPLIER`."""
+branch's first point; too many points; a multiplier beyond `MAX_MULTIPLIER`; no amplitude left."""
 
 BRANCH_MAX_POINTS = 2000
 
@@ -147,6 +148,7 @@ class _ActiveBranches:
         self._arclengths, self._margins = np.full((2, lanes, 3), np.nan)
         self._arclengths[:, 0], self._margins[:, 0] = 0.0, self._last.margin
         self._prior_u, self._prior_tangent = np.full((2, *begin.u.shape), np.nan)
+        self._around_equilibrium: dict[int, bool] = {}
         self.accepted, self.accepted_lanes = [begin], [np.arange(lanes)]
         self.active = np.arange(lanes)
 
@@ -246,6 +248,16 @@ class _ActiveBranches:
         ahead = now.u + FACING * taken[:, None] * now.tangent
         return self._problem.evaluate(now.family, ahead).margin < (1 - FACING) * now.margin
 
+    def _shrinks(self, now: Points) -> Flags:
+        """Return a mask of points at which the amplitude of orbits around an equilibrium has nearly vanished."""
+        small = now.swing < SMALLEST_SWING
+        for k in np.flatnonzero(small).tolist():
+            family = int(now.family[k])
+            if family not in self._around_equilibrium:
+                self._around_equilibrium[family] = surrounds_equilibrium(self._problem, now.of([k]))
+            small[k] = self._around_equilibrium[family]
+        return np.asarray(small)
+
     def _accept(self, lanes: Index, now: Points) -> Flags:
         """Accept converged points that continue the same branch, and choose the next steps.
 
@@ -261,7 +273,7 @@ class _ActiveBranches:
         sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST_STEP) | changed & corner
         value = problem.values(now.family, now.u)[:, -1]
         beyond = (value > problem.last[now.family, -1]) | (value < problem.first[now.family, -1])
-        sound &= ~(beyond & np.isnan(self._bound[lanes]))
+        sound &= ~(beyond & np.isnan(self._bound[lanes])) & ~((now.swing < LEAST_SWING) & self._shrinks(now))
         sound[sound & changed] &= ~self._faces_corner(now.of(sound & changed), taken[sound & changed])
         kept = lanes[sound]
         now, last, taken, turn, changed = now.of(sound), last.of(sound), taken[sound], turn[sound], changed[sound]
@@ -296,5 +308,6 @@ class _ActiveBranches:
         self.status[kept[(spectral_radius(now.product) > MAX_MULTIPLIER) & ~near_change]] = TOO_UNSTABLE
         self.status[kept[self._stop(kept, now)]] = STOPPED
         self.status[kept[~np.isnan(self._bound[kept])]] = ENDED
+        self.status[kept[self._shrinks(now)]] = VANISHED
         self.predict(kept)
         return sound

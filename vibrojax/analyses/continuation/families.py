@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from vibrojax.analyses.continuation.arclength import CLOSED, ENDED, STALLED, STOPPED, Stop
+from vibrojax.analyses.continuation.arclength import CLOSED, ENDED, STALLED, STOPPED, VANISHED, Stop
 from vibrojax.analyses.continuation.brackets import Brackets
 from vibrojax.analyses.continuation.hopf import hopf_point
 from vibrojax.analyses.continuation.location import GRAZED_MARGIN, Locator, classify_event_changes
@@ -62,19 +62,24 @@ class FamilyContinuation(Tracing):
             for sign in (1, -1):
                 begin = first._replace(tangent=sign * first.tangent)
                 segments.append(Segment(number, 0, sign, begin, home=begin))
-        return drop_duplicates(self.trace(segments), self._problem.rows)
+        segments = self.trace(segments)
+        self._end_at_doublings(segments)
+        return drop_duplicates(segments, self._problem.rows)
 
     def stop(self, segments: list[Segment]) -> Stop:
         """Return the condition that a doubled branch is back at the branch that it left."""
         size = segments[0].begin.u.shape[1]
         none = np.full(size, np.nan)
         departure = np.array([none if segment.departure is None else segment.departure for segment in segments])
+        farthest = np.zeros(len(segments))
 
         def rejoins(lanes: Index, now: Points) -> Flags:
             if size % 2 == 0:  # doubled orbits have an even number of states and one parameter
                 return np.zeros(len(lanes), bool)
-            with np.errstate(invalid="ignore"):
-                return branch_distance(now.u, departure[lanes]) <= 0
+            distance = branch_distance(now.u, departure[lanes])
+            farthest[lanes] = np.fmax(farthest[lanes], distance)
+            # On the original branch, rounding errors decide the sign of the distance.
+            return distance <= np.minimum(SAME_POINT, REJOIN_DISTANCE * farthest[lanes])
 
         return rejoins
 
@@ -98,6 +103,8 @@ class FamilyContinuation(Tracing):
             if status == STALLED and segment.number < MAX_SEGMENTS:
                 stalled.append(segment)
                 continue
+            if status == VANISHED and self._mark_hopf(segment, "the amplitude is zero"):
+                continue
             note = ENDINGS.get(status, "")
             if status == ENDED:
                 value = self._problem.values(segment.points.family[-1:], segment.points.u[-1:])[0, 0]
@@ -105,6 +112,36 @@ class FamilyContinuation(Tracing):
                 note = f"the {'last' if is_last else 'first'} value is reached"
             segment.mark("end", note)
         return (self._pass_stalls(stalled) if stalled else []) + self._doubled_branches(segments)
+
+    def _end_at_doublings(self, segments: list[Segment]) -> None:
+        """Move the ends of doubled branches that join another branch to the period doublings at which they join it.
+
+        The last step of a doubled branch passes the doubling by a distance that depends on rounding errors.
+        """
+        doublings = [(s.family, mark.orbit) for s in segments for mark in s.marks if mark.kind == "period-doubling"]
+        for segment in segments:
+            last, cycles = segment.points.of([-1]), segment.points.times.shape[1]
+            orbits = [x for family, x in doublings if family == segment.family and 2 * x.times.shape[1] == cycles]
+            if not orbits or all(mark.note != ENDINGS[STOPPED] for mark in segment.marks):
+                continue
+            shifted = [
+                np.append(np.tile(np.roll(orbit.u[0, :-1], k * self._problem.rows), 2), orbit.u[0, -1])
+                for orbit in orbits
+                for k in range(cycles // 2)
+            ]
+            nearest = min(shifted, key=lambda u: float(np.abs(u - last.u).max()))
+            if np.abs(nearest - last.u).max() <= segment.reach:
+                end = self._problem.evaluate(last.family, nearest[None])._replace(tangent=last.tangent)
+                segment.points = Points.join([segment.points, end])
+                segment.marks = [mark for mark in segment.marks if mark.note != ENDINGS[STOPPED]]
+                segment.mark("end", ENDINGS[STOPPED])
+
+    def _mark_hopf(self, segment: Segment, note: str) -> bool:
+        """Add the Hopf point to which the end of a segment leads; return whether there is one."""
+        hopf = hopf_point(self._problem, segment.points)
+        if hopf is not None:
+            segment.marks.append(Mark(hopf, "hopf", note, len(segment.points.u) - 1))
+        return hopf is not None
 
     def _add_marks(self, segment: Segment, special: Brackets) -> None:
         """Add special points to a segment."""
@@ -130,11 +167,9 @@ class FamilyContinuation(Tracing):
         for k, segment in enumerate(segments):
             end, departure = segment.points.of([-1]), segment.departure
             kinds: list[str] = []
-            hopf = None if changed[k] else hopf_point(self._problem, segment.points)
-            if hopf is not None:
-                value = self._problem.values(end.family, end.u)[0, 0]
-                note = f"the amplitude is zero; from {value:.9g} on, it is too small for the section"
-                segment.marks.append(Mark(hopf, "hopf", note, len(segment.points.u) - 1))
+            value = self._problem.values(end.family, end.u)[0, 0]
+            note = f"the amplitude is zero; from {value:.9g} on, it is too small for the section"
+            if not changed[k] and self._mark_hopf(segment, note):
                 continue
             # At a rigid stop no mode changes: only the margin shows that an event begins.
             if changed[k] or end.margin[0] < GRAZED_MARGIN:

@@ -26,14 +26,27 @@ EQUILIBRIUM_MAX_ITERATIONS = 20
 """Largest number of Newton iterations for an equilibrium."""
 
 EQUILIBRIUM_STEP = 1e-13
-"""Newton step, relative to the largest state, below which an equilibrium has converged."""
+"""Newton step, relative to the largest state or scale, below which an equilibrium has converged."""
+
+SMALLEST_SWING = 3e-3
+"""Amplitude, relative to the family's first orbit, at which a branch ends if it shrinks into an equilibrium. Its
+distance from the bifurcation is about the square of that. The equilibrium satisfies the orbit's equations, too: without
+an end, it would be continued as an orbit without amplitude."""
+
+LEAST_SWING = 3e-4
+"""Amplitude below which a point is not accepted as the end of such a branch: it may be the equilibrium itself, and the
+tangent is inaccurate, because the multiplier differs from 1 by the square of the amplitude."""
+
+ENCLOSED = 4.0
+"""Largest distance of the equilibrium from the section's states, relative to `SMALLEST_SWING`."""
 
 SHRINKING = 1.2
 """Smallest ratio of two amplitudes that are extrapolated to zero."""
 
 EXTRAPOLATION_ERROR = 0.2
-"""Largest distance of the Hopf point from the extrapolated one, relative to its distance from the branch's last point.
-The curvature of the branch contributes a few percent."""
+"""Largest distance of the Hopf point from the extrapolated one, relative to its distance from the branch's last point
+or, if greater, to the distance between the points of the extrapolation, the last of which may be at the Hopf point
+within rounding errors. The curvature of the branch contributes a few percent."""
 
 SAME_FREQUENCY = 0.05
 """Largest relative difference between the frequencies of the last orbit and of the eigenvalues at the Hopf point."""
@@ -68,29 +81,28 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
     if scene.section is None or last.times.shape[1] > 1 or last.signature.any() or not np.isfinite(last.times).all():
         return None
     family, [along] = last.family, problem.along
-    names = moving_states(scene)
-    rows = [names.index(name) for name in scene.return_states]
-    section = dict(zip(scene.return_states, problem.states(family, last.u)[0, 0], strict=True))
-    begin = np.array([section.get(name, 0.0) for name in names])
-    field = Field(scene, {name: x[family[0]] for name, x in problem.parameters.items()}, begin)
+    field, rows = _field_near(problem, last)
     value, frequency = float(problem.values(family, last.u)[0, 0]), 2 * np.pi / float(last.times[0, 0])
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of the secant method, for a growth that is constant
-        predicted = _extrapolated(problem, points, field, rows)
-        if predicted is None:
+        extrapolated = _extrapolated(problem, points, field, rows)
+        if extrapolated is None:
             return None
+        predicted, base = extrapolated
 
         def growth(at: float) -> float:
             known = field.equilibrium({along: at})
             return np.nan if known is None else known.pair(frequency)[0].real
 
         tolerance = LOCATED_WITHIN * problem.unit[family[0], 0]
-        located, report = newton(growth, value, x1=predicted, tol=tolerance, full_output=True, disp=False)
+        # The secant method needs two different values.
+        other = predicted if abs(predicted - value) > tolerance else value + 2 * tolerance
+        located, report = newton(growth, value, x1=other, tol=tolerance, full_output=True, disp=False)
         known = field.equilibrium({along: located}) if report.converged else None
     if known is None or not problem.first[family[0], 0] <= located <= problem.last[family[0], 0]:
         return None
     eigenvalue, vector = known.pair(frequency)
-    near = abs(located - predicted) < EXTRAPOLATION_ERROR * abs(located - value)
+    near = abs(located - predicted) < EXTRAPOLATION_ERROR * max(abs(located - value), base)
     if not near or abs(eigenvalue.imag / frequency - 1) > SAME_FREQUENCY:
         return None
     period = 2 * np.pi / eigenvalue.imag
@@ -99,6 +111,31 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
     zero = np.zeros_like(last.margin)
     times = np.full_like(last.times, period)
     return last._replace(u=u, off=np.zeros_like(last.off), times=times, product=product[None], margin=zero)
+
+
+def surrounds_equilibrium(problem: Problem, point: Points) -> bool:
+    """Return whether an orbit of small amplitude surrounds an equilibrium, into which it may shrink.
+
+    A forced motion has no equilibrium: it may be small, but its amplitude does not vanish along a family.
+    """
+    if problem.scene.section is None:
+        return False
+    (field, rows), value = _field_near(problem, point), problem.values(point.family, point.u)[0]
+    known = field.equilibrium(dict(zip(problem.along, value.tolist(), strict=True)))
+    if known is None:
+        return False
+    distance = np.abs(known.states[rows] - problem.states(point.family, point.u)[0]) / problem.scales[point.family]
+    return bool(distance.max() < ENCLOSED * SMALLEST_SWING)
+
+
+def _field_near(problem: Problem, point: Points) -> tuple["Field", list[int]]:
+    """Return the field in the mode of an orbit, and the places of the return map's states among its states."""
+    scene, names = problem.scene, moving_states(problem.scene)
+    section = dict(zip(scene.return_states, problem.states(point.family, point.u)[0, 0], strict=True))
+    begin = np.array([section.get(name, 0.0) for name in names])
+    parameters = {name: x[point.family[0]] for name, x in problem.parameters.items()}
+    field = Field(scene, parameters, begin, float(problem.scales[point.family[0]].max()))
+    return field, [names.index(name) for name in scene.return_states]
 
 
 def section_product(
@@ -120,10 +157,15 @@ def moving_states(scene: Scene[Any]) -> list[str]:
 
 
 class Field:
-    """Equilibria in the mode of an orbit without events; `begin`: its states without drifting ones."""
+    """Equilibria in the mode of an orbit without events; `begin`: its states without drifting ones.
 
-    def __init__(self, scene: Scene[Any], parameters: Mapping[str, Any], begin: Float[np.ndarray, " states"]) -> None:
-        self._begin, names = begin, moving_states(scene)
+    `scale`: largest scale of a state. At an equilibrium, all states may be zero.
+    """
+
+    def __init__(
+        self, scene: Scene[Any], parameters: Mapping[str, Any], begin: Float[np.ndarray, " states"], scale: float
+    ) -> None:
+        self._begin, self._scale, names = begin, scale, moving_states(scene)
 
         def whole(states: Any) -> tuple[Any, ...]:
             known = dict(zip(names, states, strict=True))
@@ -148,13 +190,16 @@ class Field:
                 return None
             step = np.linalg.solve(jacobian, -rates)
             states = states + step
-            if np.abs(step).max() <= EQUILIBRIUM_STEP * np.abs(states).max():
+            if np.abs(step).max() <= EQUILIBRIUM_STEP * max(np.abs(states).max(), self._scale):
                 return Equilibrium(states, jacobian) if inside else None
         return None
 
 
-def _extrapolated(problem: Problem, points: Points, field: Field, rows: list[int]) -> float | None:
-    """Return the parameter value at which the squares of the last amplitudes extrapolate to zero, or None."""
+def _extrapolated(problem: Problem, points: Points, field: Field, rows: list[int]) -> tuple[float, float] | None:
+    """Return the parameter value at which the squares of the last amplitudes extrapolate to zero, or None.
+
+    The second result is the distance between the two values from which it is extrapolated.
+    """
     squares: list[float] = []
     values, [along] = problem.values(points.family, points.u)[:, 0], problem.along
     for k in range(len(values) - 1, -1, -1):
@@ -164,5 +209,6 @@ def _extrapolated(problem: Problem, points: Points, field: Field, rows: list[int
         states = problem.states(points.family[[k]], points.u[[k]])[0, 0]
         squares.append(float((((states - known.states[rows]) / problem.scales[points.family[k]]) ** 2).sum()))
         if squares[-1] > SHRINKING**2 * squares[0]:
-            return float(values[-1] + squares[0] * (values[-1] - values[k]) / (squares[-1] - squares[0]))
+            change = float(values[-1] - values[k])
+            return float(values[-1]) + squares[0] * change / (squares[-1] - squares[0]), abs(change)
     return None

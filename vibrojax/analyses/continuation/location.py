@@ -156,7 +156,7 @@ def classify_event_changes(problem: Problem, brackets: Brackets) -> Brackets:
 
     A point at which both impacts and sticks change is returned twice, once with each kind. If the duration of the
     period jumps, other section crossings are counted; such a point counts as a tangency only. All remaining changes
-    count as grazing.
+    count as grazing, if the scene has events.
     """
     near, far = brackets.near, brackets.far
     section = ~(np.abs(far.period - near.period) < SAME_TIME * near.period)
@@ -164,7 +164,8 @@ def classify_event_changes(problem: Problem, brackets: Brackets) -> Brackets:
     # The mode of friction is -1 for reversed motion, and 0 for stick.
     slips = list(problem.scene.switch_places.values())
     stick = (near.mode_changes[:, slips, :2] != far.mode_changes[:, slips, :2]).any(axis=(1, 2)) & ~section
-    kinds = {"grazing": impact | (~stick & ~section), "stick": stick, "section": section}
+    other = ~stick & ~section & bool(problem.scene.guard_names)
+    kinds = {"grazing": impact | other, "stick": stick, "section": section}
     return Brackets.join([brackets.of(mask).as_kind(SPECIAL_KINDS.index(kind)) for kind, mask in kinds.items()])
 
 

@@ -24,6 +24,9 @@ FAMILY_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
 CORRECTOR_RESIDUAL = 1e-10
 """Largest residual of an accepted point; another Newton step would reduce the residual to about its square."""
 
+STEEP_EQUATION = 1e4
+"""Slope of an equation in scaled unknowns above which rounding errors may exceed `CORRECTOR_RESIDUAL`."""
+
 CORRECTOR_MAX_ITERATIONS = 8
 
 UNITS_PER_SPAN = 8
@@ -47,6 +50,7 @@ class Points(NamedTuple):
       multipliers.
     - `impacts` (lanes,), `mode_changes` (lanes, modes, 3): see [vibrojax.periodic.return_map.ReturnEvents][].
     - `margin` (lanes,): grazing margin.
+    - `swing` (lanes,): largest amplitude of a state, relative to its scale.
     """
 
     family: Index
@@ -59,6 +63,7 @@ class Points(NamedTuple):
     impacts: PerLane
     mode_changes: Float[np.ndarray, "lanes modes 3"]
     margin: PerLane
+    swing: PerLane
 
     def of(self, lanes: Any) -> "Points":
         return Points(*(x[lanes] for x in self))
@@ -81,8 +86,13 @@ class Points(NamedTuple):
 
     @property
     def residual(self) -> PerLane:
-        """Greatest absolute residual; infinite where the section is not reached."""
-        worst = np.abs(self.off).max(axis=1)
+        """Greatest absolute residual; infinite where the section is not reached.
+
+        Next to a graze slopes grow without limit, and rounding errors with them: residuals of steep equations are
+        divided by the slope relative to `STEEP_EQUATION`.
+        """
+        steepness = np.linalg.norm(self.matrix, axis=2) / STEEP_EQUATION
+        worst = (np.abs(self.off) / np.maximum(steepness, 1.0)).max(axis=1)
         return np.where(np.isfinite(worst) & np.isfinite(self.times).all(axis=1), worst, np.inf)
 
     @property
@@ -173,6 +183,7 @@ class Problem:
         """Return the points with the equations of the orbits; `jacobian`: scaled derivatives of the `images`."""
         lanes, cycles, rows, _ = jacobian.shape
         off = (images.state - np.roll(self.states(family, u), -1, axis=1)) / self.scales[family][:, None]
+        swing = (images.seen.greatest.max(axis=1) - images.seen.least.min(axis=1)) / (2 * self.scales[family])
         by_parameters = jacobian[..., rows:].reshape(lanes, cycles * rows, -1)
         return Points(
             family=family,
@@ -185,6 +196,7 @@ class Problem:
             impacts=images.seen.impacts.sum(axis=1),
             mode_changes=images.seen.mode_changes.sum(axis=1),
             margin=images.seen.margin.min(axis=1),
+            swing=swing.max(axis=1),
         )
 
     def correct(self, family: Index, guess: Unknowns, row: Unknowns, value: PerLane) -> tuple[Points, Flags]:

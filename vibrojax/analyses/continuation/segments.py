@@ -19,6 +19,7 @@ from vibrojax.analyses.continuation.arclength import (
     STOPPED,
     TOO_LONG,
     TOO_UNSTABLE,
+    VANISHED,
     Stop,
     continue_branches,
 )
@@ -34,6 +35,7 @@ ENDINGS = {
     TOO_LONG: "more points than are followed",
     STALLED: "no orbit is found any further",
     STOPPED: "joins the branch that it left",
+    VANISHED: "the amplitude shrinks to zero",
     TOO_UNSTABLE: f"a multiplier over {MAX_MULTIPLIER:g} is not followed",
 }
 """Notes on the ends of branches, by status."""

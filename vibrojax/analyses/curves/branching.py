@@ -66,6 +66,8 @@ def condition_at(
     `own`: choice of a condition that holds there as well, and is not meant.
     """
     choices = np.eye(problem.chosen.shape[1])
+    if not len(choices):  # the system has no events
+        return np.zeros(0)
     every = np.full(len(choices), curve)
     with np.errstate(all="ignore"):
         margins = problem.margins(every, np.repeat(u[None], len(choices), axis=0), choices)

@@ -27,7 +27,7 @@ from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY, Index, PerLa
 from vibrojax.analyses.curves.event_map import conditions_of, event_mapped
 from vibrojax.analyses.curves.singular import compound, compound_along, segment_product, signed_singular
 from vibrojax.compile.xla import workers
-from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
+from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix, solve
 from vibrojax.periodic.return_map import in_calls
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, second_variation
 from vibrojax.stepping import Accuracy, Located
@@ -158,7 +158,8 @@ class CurveProblem(Problem):
         if number not in self._fields:
             states = dict(zip(self.scene.return_states, self.states(curve, u)[0, 0], strict=True))
             begin = np.array([states.get(name, 0.0) for name in moving_states(self.scene)])
-            self._fields[number] = Field(self.scene, {name: x[number] for name, x in self.parameters.items()}, begin)
+            parameters = {name: x[number] for name, x in self.parameters.items()}
+            self._fields[number] = Field(self.scene, parameters, begin, float(self.scales[number].max()))
         values = self.values(curve, u)[0]
         here, period, product = self._critical(number, values)
         slopes = []
@@ -176,6 +177,7 @@ class CurveProblem(Problem):
             impacts=np.zeros(1),
             mode_changes=np.zeros((1, modes + 1, 3)),
             margin=np.ones(1),
+            swing=np.ones(1),
         )
 
     def _critical(self, number: int, values: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
@@ -244,7 +246,7 @@ class CurveProblem(Problem):
         step[:, :-2] = FLIP_STEP * vectors[1]
         before, here, behind = (self._along(curve, x, v)[..., :rows] for x in (u - step, u, u + step))
         bent = np.einsum("lkij,lkj->lki", here, v)
-        h = np.linalg.solve(shooting, -bent.reshape(len(u), -1, 1)).reshape(v.shape)
+        h = solve(shooting, -bent.reshape(len(u), -1, 1)).reshape(v.shape)
         third = np.einsum("lkij,lkj->lki", (behind - before) / (2 * FLIP_STEP), v)
         third += 3 * np.einsum("lkij,lkj->lki", here, h)
         return np.asarray(np.einsum("lki,lki->l", w, third) / (6 * np.einsum("li,li->l", w[:, -1], v[:, 0])))

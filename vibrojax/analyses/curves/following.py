@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.analyses.continuation.arclength import CLOSED, ENDED, STALLED, STOPPED, Stop
-from vibrojax.analyses.continuation.brackets import interpolate
+from vibrojax.analyses.continuation.brackets import interpolate, predict_zero
 from vibrojax.analyses.continuation.location import GRAZED_MARGIN
 from vibrojax.analyses.continuation.problem import Flags, Index, Points, Unknowns, towards
 from vibrojax.analyses.continuation.segments import ENDINGS, Mark, Segment, Tracing
@@ -33,6 +33,10 @@ SAME_MARK = 1e-4
 """Scaled distance of both parameters within which marks of one name on one curve are one. A curve that stalls at an
 event ends within such a distance."""
 
+
+STEEPEST_CONDITION = 1e5
+"""Largest slope of a curve's condition. Next to a graze it grows as the inverse of the margin, and rounding errors with
+it, so that they would decide the steps."""
 
 HALVED = 0.03
 """Scaled amplitude up to which a doubled orbit counts as the one from which it branches; its folds end there."""
@@ -93,7 +97,18 @@ def continue_both_ways(
         onward = [segment.points.of(slice(segment.number == 0 and not closed, None)) for segment in forwards]
         curve.begin, curve.parts = begin, onward if closed else reverse + onward
         curve.notes = list(dict.fromkeys(way[-1].note for way in ([forwards] if closed else [backwards, forwards])))
-        curve.marks = _distinct(curve.marks)
+        curve.marks = sorted(_distinct(curve.marks), key=lambda mark: _place(curve.parts, mark))
+
+
+def _place(parts: list[Points], mark: Mark) -> tuple[int, int]:
+    """Return the numbers of the part of a curve and of its point that are nearest to a mark."""
+    distances = [
+        (float(distance), part, place)
+        for part, points in enumerate(parts)
+        if points.u.shape[1] == mark.orbit.u.shape[1]
+        for place, distance in enumerate(np.abs(points.u - mark.orbit.u).max(axis=1))
+    ]
+    return min(distances, default=(0.0, len(parts), 0))[1:]
 
 
 def _distinct(marks: list[Mark]) -> list[Mark]:
@@ -132,15 +147,22 @@ class _CurveTracing(Tracing):
             close[lanes] += 1
             away = np.abs(now.u[:, -2:] - place[lanes]).max(axis=1) > CLOSE
             place[lanes[away]], close[lanes[away]] = now.u[away, -2:], 0
-            return (beyond_bounds(self._problem, now) != "") | (close[lanes] >= MOST_CLOSE)
+            return (beyond_bounds(self._problem, now) != "") | (close[lanes] >= MOST_CLOSE) | self._at_graze(now)
 
         return stop
+
+    def _at_graze(self, now: Points) -> Flags:
+        """Return a mask of the points next to a graze at which the curve's condition is too steep to be followed."""
+        steep = np.linalg.norm(now.matrix[:, -1], axis=1) > STEEPEST_CONDITION
+        return steep & (now.margin < GRAZED_MARGIN) & ~np.isin(self._problem.kinds[now.family], EVENTS)
 
     def finish(self, segments: list[Segment]) -> list[Segment]:
         """Cut segments at their ends, and mark their points; return the segments behind the corners."""
         stalled = []
         for segment in segments:
             segment.home = None
+            if segment.status == STOPPED and self._at_graze(segment.points.of([-1]))[0]:
+                segment.status, segment.points = STALLED, _up_to_graze(segment.points)
             _cut(self._problem, segment)
             self._curves[segment.family].marks += segment.marks
             if segment.status == STALLED and segment.number + 1 < MAX_SEGMENTS:
@@ -158,7 +180,7 @@ class _CurveTracing(Tracing):
             if corner.changes_events[0] or (last.margin[0] < GRAZED_MARGIN and not _is_marked(marks, last)):
                 names = event_names(problem, corner)
                 marks += [Mark(last, name) for name in names]
-                segment.note = f"ends at the point {names[0]}"
+                segment.note = f"ends at the point {names[0]}" if names else segment.note
             with np.errstate(all="ignore"):
                 beyond = corner.far if turned[k] else cross_impact(problem, last) or reindex_returns(problem, last)
             if beyond is not None:
@@ -221,6 +243,21 @@ def _cut(problem: CurveProblem, segment: Segment) -> None:
         points, marks = end_at(first)
         note = f"ends at the point {first.kind}"
     segment.points, segment.marks, segment.note = points, marks, note
+
+
+def _up_to_graze(points: Points) -> Points:
+    """Return the points of a segment with the point at which its grazing margin vanishes, by extrapolation."""
+    last, way = points.of([-1]), np.diff(points.u[-3:], axis=0)
+    lengths = np.linalg.norm(way, axis=1)
+    places, margins = np.full((2, 1, 3), np.nan)
+    places[0, : len(lengths) + 1] = -np.cumsum(np.append(0.0, lengths[::-1]))
+    margins[0, : len(lengths) + 1] = points.margin[-3:][::-1]
+    [ahead], _ = predict_zero(places, margins)
+    if not 0 < ahead < LONGEST_STEP:
+        return points
+    bend = (points.tangent[-1] - points.tangent[-2]) / lengths[-1]
+    u = last.u + ahead * last.tangent + ahead**2 / 2 * bend
+    return Points.join([points, last._replace(u=u, margin=np.zeros(1))])
 
 
 def _at_bound(problem: CurveProblem, points: Points) -> Points:

@@ -1,0 +1,130 @@
+"""Families whose amplitude shrinks to zero end there; nothing is continued or invented beyond. Compare closed forms."""
+
+import numpy as np
+import pytest
+from systems import IMPACT_OSCILLATOR
+
+import vibrojax as vj
+from vibrojax.analyses.continuation.hopf import hopf_point
+from vibrojax.analyses.continuation.problem import Points
+from vibrojax.analyses.continuation.run import family_spec, problem_of
+from vibrojax.analyses.curves.branching import condition_at
+from vibrojax.analyses.curves.run import problem_through
+
+e = vj.elementary
+
+
+def normal_form(t, y, p):
+    growth = p["m"] - 1 - (y["x"] * y["x"] + y["y"] * y["y"])
+    return {"x": growth * y["x"] - 1.4 * y["y"], "y": 1.4 * y["x"] + growth * y["y"]}
+
+
+def van_der_pol(t, y, p):
+    return {"x": y["v"], "v": p["mu"] * (1 - y["x"] * y["x"]) * y["v"] - y["x"]}
+
+
+def brusselator(t, y, p):
+    """Return the rates, where the states are relative to the equilibrium (A, B/A)."""
+    u, w = p["A"] + y["u"], p["B"] / p["A"] + y["w"]
+    return {"u": p["A"] + u * u * w - (p["B"] + 1) * u, "w": p["B"] * u - u * u * w}
+
+
+def predators(t, y, p):
+    fish, sharks = y["fish"], y["sharks"]
+    caught = p["quota"] * (1 - e.exp(-5 * fish))
+    return {"fish": 3 * fish * (1 - fish) - fish * sharks - caught, "sharks": -sharks + 3 * fish * sharks}
+
+
+def planar(name, states, parameters, field, section):
+    return vj.System(name, states=dict.fromkeys(states, "1"), parameters=parameters, field=field, section=section)
+
+
+NORMAL_FORM = planar("normal form", ("x", "y"), {"m": 1.25}, normal_form, "y")
+VAN_DER_POL = planar("van der Pol", ("x", "v"), {"mu": 0.4}, van_der_pol, "x")
+BRUSSELATOR = planar("Brusselator", ("u", "w"), {"A": 1.0, "B": 3.0}, brusselator, "u")
+PREDATORS = planar("predators", ("fish", "sharks"), {"quota": 0.7}, predators, ("fish", 1 / 3))
+START = {"along": "m", "at": 1.25, "span": (0.5, 2.0), "start": [0.4, 0.0], "cycles": 1}
+
+
+def follow(system, **settings):
+    return vj.follow(system, progress=False, **{"cycles": 1} | settings)
+
+
+def specials(family):
+    """Return kind and parameter value of the special points, in the order of the values."""
+    names = family.special_kind.attrs["flag_meanings"].split()
+    values = family.special_value.values
+    return [(names[int(family.special_kind[k])], float(values[k])) for k in np.argsort(values)]
+
+
+def test_normal_form_ends_at_zero_amplitude():
+    family = follow(NORMAL_FORM, **START)
+    (first, place), last = specials(family)
+    assert (first, last) == ("hopf", ("end", 2.0)) and place == pytest.approx(1.0, abs=1e-12)
+    m = family.m.values
+    assert m.min() == place and (m < 1.0 + 1e-5).sum() < 8
+    np.testing.assert_allclose(family.orbit_x, np.sqrt(m - 1), atol=1e-7)
+    np.testing.assert_allclose(family.multiplier_abs[:, 0], np.exp(-4 * np.pi * (m - 1) / 1.4), rtol=1e-6)
+
+
+def test_planar_flows_have_no_invented_points():
+    """The Brusselator's Hopf points are at B = 1 + A². Multipliers of planar flows are positive."""
+    family = follow(BRUSSELATOR, along="B", at=3.0, span=(1.5, 3.5), start=[0.3, 0.0], A=[0.9, 1.0, 1.1])
+    assert len(specials(family)) == 6
+    for number, a in enumerate((0.9, 1.0, 1.1)):
+        (first, place), last = specials(family.isel(special=family.special_family.values == number))
+        assert (first, last) == ("hopf", ("end", 3.5)) and place == pytest.approx(1 + a * a, abs=1e-9)
+    assert (family.multiplier_arg.values == 0).all() and (
+        family.stable.values[family.multiplier_abs[:, 0] < 0.99] == 1
+    ).all()
+
+
+def test_predators_and_prey_end_at_zero_amplitude_and_at_long_periods():
+    family = follow(PREDATORS, along="quota", at=0.7, span=(0.5, 0.8), start=[0.35, 0.3], settle=500.0, observe=200.0)
+    (first, place), (last, long) = specials(family)
+    far = np.exp(-5 / 3)
+    assert (first, last) == ("hopf", "end") and place == pytest.approx(1 / (3 * (1 - far) - 5 * far), abs=1e-9)
+    # Orbits approach the saddle at which one of the species is extinct, and their periods grow without limit.
+    assert family.period.values[np.abs(family.quota.values - long).argmin()] > 50
+    assert all(family.special_note.values)
+
+
+def test_family_passes_centre_of_large_amplitude():
+    """Reversed time takes van der Pol's oscillator at mu to that at -mu: periods are equal, multipliers reciprocal."""
+    family = follow(VAN_DER_POL, along="mu", at=0.4, span=(-0.4, 0.4), start=[1.0, 0.0])
+    assert specials(family) == [("end", -0.4), ("end", 0.4)]
+    ends = [family.isel(point=int(np.abs(family.mu.values - mu).argmin())) for mu in (-0.4, 0.4)]
+    assert float(ends[0].period) == pytest.approx(float(ends[1].period), rel=1e-9)
+    assert float(ends[0].multiplier_abs[0] * ends[1].multiplier_abs[0]) == pytest.approx(1.0, abs=1e-7)
+    away = np.abs(family.mu.values) > 1e-6
+    np.testing.assert_array_equal(family.stable.values[away] == 1, family.mu.values[away] > 0)
+
+
+def test_small_forced_motion_goes_on():
+    """The amplitude of a forced motion below the stop is proportional to the force, however small."""
+    family = follow(IMPACT_OSCILLATOR, along="a", at=0.05, span=(1e-6, 0.06), start=[0.0, 0.0], w=0.9)
+    (first, least), (last, _) = specials(family)
+    assert (first, last) == ("end", "end") and least == pytest.approx(1e-6)
+    ratio = family.orbit_x.values / family.a.values
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
+
+
+def test_hopf_point_is_located_from_orbit_of_no_amplitude():
+    settings = START | {"settle": None, "observe": None, "parameters": {}}
+    spec = family_spec(NORMAL_FORM, **settings)
+    problem, number, _ = problem_of(spec, vj.run_sweep(spec.sweep, progress=False))
+    values = np.array([1e-4, 1e-20]) + 1
+    states = np.array([1e-2, 1e-10])[:, None, None]
+    points = [
+        problem.evaluate(number, problem.unknowns(number, x[None], np.array([[m]])))
+        for x, m in zip(states, values, strict=True)
+    ]
+    hopf = hopf_point(problem, Points.join(points))
+    assert hopf is not None and problem.values(number, hopf.u)[0, 0] == pytest.approx(1.0, abs=1e-12)
+
+
+def test_system_without_events_has_no_condition_of_events():
+    values = {"A": np.ones(1), "B": np.full(1, 2.0)}
+    bounds = {"B": (1.5, 2.5), "A": (0.9, 1.1)}
+    problem, [u] = problem_through(BRUSSELATOR, bounds, values, np.array(["hopf"]), [(1, np.zeros(1))])
+    assert condition_at(problem, 0, u).shape == (0,)
