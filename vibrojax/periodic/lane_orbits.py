@@ -8,6 +8,7 @@ from jaxtyping import Bool, Int
 from vibrojax.io.variables import ORBIT_REASONS, orbit_name
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.repeats import REPEATS_WITHIN, TIME, state_name
+from vibrojax.measures.since_start import half_names, scale_names, stored_scales
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.margin import GRAZING, HOW, Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import (
@@ -37,7 +38,7 @@ STATIONARY_ROUNDINGS = 64 * 1e4
 """Largest difference between periods of a lane that stays on an unstable orbit, in units of the rounding error."""
 
 LANE_FEATURES = frozenset(
-    {"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time", "pulses", "yields"}
+    {"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time", "pulses", "yields", "at_rest"}
 )
 """Features of the lane itself, which the features of its orbit do not replace; `impacts` are equal for both."""
 
@@ -80,6 +81,7 @@ class Orbits:
             "orbit_residual": np.full(lanes, np.nan),
             "grazing_margin": np.full(lanes, np.nan),
             **{orbit_name(name): np.full(lanes, np.nan) for name in self._scene.return_states},
+            **{orbit_name(name): features[name].copy() for name in scale_names(self._scene.section)},
             "orbit_cycles": np.zeros(lanes),
             "orbit_reason": np.full(lanes, reason("not-repeating")),
             "error_estimate": features["error_estimate"].copy(),
@@ -162,7 +164,7 @@ class Orbits:
         self._remove(orbit.lanes[~whole], result)
         if "period" in measures:
             measures["period"] = orbit.length / orbit.cycles
-        excluded = LANE_FEATURES | {state_name(name) for name in self._scene.return_states}
+        excluded = LANE_FEATURES | {*scale_names(self._scene.section), *map(state_name, self._scene.return_states)}
         merged = {name: own[name].copy() for name, x in measures.items() if x.ndim == 1 and name not in excluded}
         for name, x in merged.items():
             x[kept] = measures[name][whole]
@@ -207,8 +209,9 @@ def last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> t
     rows = [features[state_name(name)][lanes][:, -repeat:].astype(float) for name in scene.return_states]
     known: list[Any] = []
     if scene.section is not None:
-        swings = tuple(features[swing.amplitude][lanes] for swing in scene.section.swings)
-        known = scene.section.scales(swings, features["period"][lanes])
+        halves = [features[name][lanes] for name in half_names(scene.section)]
+        newest = [row[:, -1] for row in rows[: len(scene.section.compared)]]
+        known = stored_scales(scene.section, halves, features["period"][lanes], newest)
     unknown = [np.full(len(lanes), np.nan)] * (len(rows) - len(known))
     return np.stack(rows, axis=-1), np.stack([*known, *unknown], axis=-1).astype(float)
 

@@ -123,8 +123,8 @@ class System(SystemEquations):
         self.states = (*shown, *(State(name, unit, name, shown=False) for name, unit in hidden.items()))  # type: ignore[misc]
         self.modes = tuple(map(_mode, self.events)) or (Mode("flow", "0", 0.0),)  # type: ignore[misc]
         self.markers = (Marker("strobe", section_state), *(Marker(f"{speed}_zero", speed) for speed in turning))  # type: ignore[misc]
-        self.section = Section(tuple(swings), self._rearm, at=section_state)  # type: ignore[misc]
-        self.starts, self.start_states, self.measures = ("zero",), self._own, ("rest",)  # type: ignore[misc]
+        self.section = Section(tuple(swings), self._rearm, at=section_state, typical=lambda c: c.typical)  # type: ignore[misc]
+        self.starts, self.start_states, self.measures = ("zero",), self._own, ()  # type: ignore[misc]
         struck = [units[event.velocity] for event in self.events if isinstance(event, Impact) and event.velocity]
         if struck and isinstance(self, ImpactSystem):
             self.impact_unit = struck[0]

@@ -20,6 +20,7 @@ from vibrojax.measures import gauge_named
 from vibrojax.measures.derived import derived
 from vibrojax.measures.labels import LABELLED_BY, REGIMES, hides_another, label
 from vibrojax.measures.repeats import state_name
+from vibrojax.measures.since_start import scale_names
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import differing, substitutes
 from vibrojax.models.scenes import HasContact, HasFriction, HasImpacts, Scene
@@ -90,8 +91,15 @@ def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
 
 
 def of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
-    """Return the variables that hold the states of periodic orbits at the section."""
+    """Return the variables that hold the states of periodic orbits at the section, and scales of an own kind."""
+    section = scene.driving_part().section
+    names = scale_names(section)
+    swings = section.swings if section is not None and names else ()
+    swung = [scene.states[scene.place(swing.position)] for swing in swings]
     return {
+        orbit_name(name): Variable(state.unit, f"scale of {state.long_name} in the test of repeats")
+        for name, state in zip(names, swung, strict=True)
+    } | {
         orbit_name(state.name): Variable(state.unit, f"{state.long_name}, on the orbit at the section")
         for state in scene.states
         if state.name in scene.driving_part().return_states
