@@ -13,7 +13,7 @@ import numpy as np
 from vibrojax.measures.motion import positions, section_of, widened
 from vibrojax.measures.repeats import REPEATS_WITHIN, Range
 from vibrojax.models.scenes.declared import Section
-from vibrojax.models.scenes.scene import ROUNDINGS, Scene
+from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
 from vibrojax.stepping import Lane
 
 LEAST_SWING, LEAST_MAGNITUDE = 1e-3, 1e-9
@@ -21,6 +21,9 @@ LEAST_SWING, LEAST_MAGNITUDE = 1e-3, 1e-9
 
 REST_SWING = 1e-6
 """Greatest swing of a state at rest, as a fraction of its greatest magnitude since t = 0."""
+
+NOISE_ROUNDINGS = ROUNDINGS * SLOPE_ROUNDINGS
+"""Magnitude up to which a state may consist of rounding errors, in machine epsilons of its typical magnitude."""
 
 STANDING_SCALE = 1e-3
 """Least scale of distances from a limit or an orbit, as a fraction of the state itself: rounding is far below."""
@@ -50,7 +53,7 @@ def repeat_halves(
         # The second bound on the magnitude allows for rounding errors in float32.
         least = max(LEAST_MAGNITUDE, ROUNDINGS * eps / REPEATS_WITHIN)
         scale = xp.maximum(half, xp.maximum(LEAST_SWING / 2 * (high - low), least * size))
-        scale = xp.where(size <= ROUNDINGS * eps * typical, typical, scale)
+        scale = xp.where(size <= NOISE_ROUNDINGS * eps * typical, typical, scale)
         bounded.append(xp.where(scale > 0, scale, 1.0).astype(half.dtype))
     return tuple(bounded) if ranges else tuple(halves)
 
@@ -68,7 +71,7 @@ def features(
     halves = [measured[swing.amplitude] for swing in section.swings]
     scales = repeat_halves(scene, c, halves, ranges, xp)
     rests = [
-        2 * half <= xp.maximum(REST_SWING * size, ROUNDINGS * float(xp.finfo(half.dtype).eps) * typical)
+        (2 * half <= REST_SWING * size) | (size <= NOISE_ROUNDINGS * float(xp.finfo(half.dtype).eps) * typical)
         for half, (size, typical) in zip(halves, _magnitudes(scene, c, ranges, xp), strict=True)
     ]
     return dict(zip(scale_names(section), scales, strict=True)) | {

@@ -16,9 +16,11 @@ from vibrojax.periodic.newton import (
     MIN_RELATIVE_SWING,
     PerLane,
     States,
+    held_states,
     multipliers,
     orbits,
     repeats_after,
+    spectral_radius,
 )
 from vibrojax.periodic.return_map import STEPS, ReturnMap, Segments
 from vibrojax.sweep.engine.batch import Features, Index
@@ -129,7 +131,10 @@ class Orbits:
         values = multipliers(orbit.product[right])
         result["multiplier_abs"][lanes[right]] = np.abs(values)
         result["multiplier_arg"][lanes[right]] = np.abs(np.angle(values))
-        result["stable"][lanes[right]] = np.abs(values[:, 0]) < 1
+        # A held state neither returns nor departs after a perturbation; the others decide.
+        moves = ~held_states(orbit.product[right])
+        decisive = orbit.product[right] * moves[:, None, :] * moves[:, :, None]
+        result["stable"][lanes[right]] = np.where(moves.all(axis=1), np.abs(values[:, 0]), spectral_radius(decisive)) < 1
         growth = np.log(np.abs(values[:, 0]))
         leaves = growth > MULTIPLIER_ERROR
         unstable = right[leaves]
