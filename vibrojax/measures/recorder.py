@@ -147,12 +147,12 @@ class Recorder(Records):
         everything, intervals = ledger.whole(carry.ledger, returns.number, jnp.zeros_like(returns.number))
         first = features(Whole(intervals, everything["time"], everything, jnp.zeros_like(intervals)))
         period = everything["time"] / intervals
-        amplitudes, ranges = tuple(first[swing.amplitude] for swing in section_of(scene).swings), returns.seen.since_start
-        halves = since_start.repeat_halves(scene, c, amplitudes, ranges)
+        lasting = since_start.features(scene, c, first, returns.seen.since_start)
+        halves = tuple((first | lasting)[name] for name in since_start.half_names(section_of(scene)))
         cycles = repeats.cycles(section_of(scene), returns, halves, period)
         sums, whole_returns = ledger.whole(carry.ledger, returns.number, cycles)
-        whole = features(Whole(whole_returns, sums["time"], sums, cycles))
-        return whole | since_start.features(scene, c, whole, ranges) | {
+        measured = features(Whole(whole_returns, sums["time"], sums, cycles)) | lasting
+        return measured | {
             "returns": returns.number,
             "cycles": cycles,
             "period": sums["time"] / whole_returns,

@@ -48,7 +48,9 @@ def repeat_halves(
     through zero, has its typical magnitude as its scale. This exception needs `c`, the scene's constants.
     """
     bounded = []
-    for half, (low, high), (size, typical) in zip(halves, ranges, _magnitudes(scene, c, ranges, xp), strict=bool(ranges)):
+    for half, (low, high), (size, typical) in zip(
+        halves, ranges, _magnitudes(scene, c, ranges, xp), strict=bool(ranges)
+    ):
         eps = float(xp.finfo(half.dtype).eps)
         # The second bound on the magnitude allows for rounding errors in float32.
         least = max(LEAST_MAGNITUDE, ROUNDINGS * eps / REPEATS_WITHIN)

@@ -40,7 +40,7 @@ STATIONARY_ROUNDINGS = 64 * 1e4
 """Largest difference between periods of a lane that stays on an unstable orbit, in units of the rounding error."""
 
 LANE_FEATURES = frozenset(
-    {"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time", "pulses", "yields", "at_rest"}
+    {"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time", "pulses", "yields"}
 )
 """Features of the lane itself, which the features of its orbit do not replace; `impacts` are equal for both."""
 
@@ -134,7 +134,7 @@ class Orbits:
         # A held state neither returns nor departs after a perturbation; the others decide.
         moves = ~held_states(orbit.product[right])
         decisive = orbit.product[right] * moves[:, None, :] * moves[:, :, None]
-        result["stable"][lanes[right]] = np.where(moves.all(axis=1), np.abs(values[:, 0]), spectral_radius(decisive)) < 1
+        result["stable"][lanes[right]] = spectral_radius(decisive) < 1
         growth = np.log(np.abs(values[:, 0]))
         leaves = growth > MULTIPLIER_ERROR
         unstable = right[leaves]
@@ -169,7 +169,8 @@ class Orbits:
         self._remove(orbit.lanes[~whole], result)
         if "period" in measures:
             measures["period"] = orbit.length / orbit.cycles
-        excluded = LANE_FEATURES | {*scale_names(self._scene.section), *map(state_name, self._scene.return_states)}
+        own_features = ("at_rest", *scale_names(self._scene.section), *map(state_name, self._scene.return_states))
+        excluded = LANE_FEATURES.union(own_features)
         merged = {name: own[name].copy() for name, x in measures.items() if x.ndim == 1 and name not in excluded}
         for name, x in merged.items():
             x[kept] = measures[name][whole]

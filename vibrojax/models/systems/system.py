@@ -204,15 +204,14 @@ def impact_unit(
     """
     rates = {name: units[speeds[name]] if name in speeds else _per_second(unit) for name, unit in units.items()}
     y = {name: jnp.asarray(0.3 + 0.2 * number) for number, name in enumerate(units)}
-    sums, others = [], []
+    found: list[list[str]] = [[], [], []]
     for event in filter(_is_impact, events):
         slopes = jax.grad(lambda y, surface=event.surface: jnp.sum(surface(jnp.asarray(0.1), y, p)))(y)
-        present = {rates[name]: None for name, slope in slopes.items() if slope != 0}
-        if len(present) == 1 and all(abs(slope) in (0, 1) for slope in map(float, slopes.values())):
-            sums += present
-        others += present
-    struck = [units[event.velocity] for event in events if isinstance(event, Impact) and event.velocity]
-    return next(iter((*sums, *struck, *others, ImpactSystem.impact_unit)))
+        known = list(dict.fromkeys(rates[name] for name, slope in slopes.items() if slope != 0))
+        found[0] += known if len(known) == 1 and all(abs(float(slope)) in (0, 1) for slope in slopes.values()) else []
+        found[1] += [units[event.velocity]] if isinstance(event, Impact) and event.velocity else []
+        found[2] += known
+    return [*found[0], *found[1], *found[2], ImpactSystem.impact_unit][0]
 
 
 def _per_second(unit: str) -> str:
