@@ -9,7 +9,7 @@ from vibrojax.errors import InputError, shown
 from vibrojax.measures.gauge import Gauge, Moment, Return, Whole
 from vibrojax.measures.impacts import Hole, Impacts, PulseRecorder
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.measures.motion import Harmonics, Rest, Shares, Swings
+from vibrojax.measures.motion import Harmonics, Shares, Swings
 from vibrojax.measures.recorder import Recorder, Records
 from vibrojax.measures.repeats import KeptReturns
 from vibrojax.models.scenes import Driven, HasImpacts, Scene
@@ -22,7 +22,6 @@ RETURNS_FOR_DRIFT = 3 * MOST_CYCLES + 1
 
 GAUGES: dict[str, Gauge[Any]] = {
     "swings": Swings(),
-    "rest": Rest(),
     "shares": Shares(),
     "impacts": Impacts(),
     "harmonics": Harmonics(),

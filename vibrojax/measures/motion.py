@@ -99,40 +99,6 @@ def _trend(greatest: Array) -> jax.Array:
     return jnp.where(grows, 1.0, jnp.where(decays, -1.0, 0.0))
 
 
-REST_SWING = 1e-6
-"""Greatest change of a state at rest, relative to its largest value."""
-
-
-class Extent(NamedTuple):
-    """Least and greatest values of the states during the observation, and the typical magnitudes of the motion."""
-
-    ranges: tuple[tuple[Lanes, Lanes], ...]
-    largest: tuple[Lanes, ...]
-
-
-@dataclass(frozen=True)
-class Rest(Gauge[Scene[Any]]):
-    """at_rest: 1 if no state changes by more than 1e-6 of its largest value.
-
-    The largest value is that in the observation, or the typical magnitude of the motion from its initial state.
-    """
-
-    def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Extent:
-        states = [lane.state[scene.place(name)] for name in c.typical]
-        return Extent(tuple((x, x) for x in states), tuple(c.typical.values()))
-
-    def step(self, scene: Scene[Any], c: Any, carry: Extent, moment: Moment) -> Extent:
-        states = [moment.lane.state[scene.place(name)] for name in c.typical]
-        return carry._replace(ranges=tuple(widened(swung, x) for swung, x in zip(carry.ranges, states, strict=True)))
-
-    def read(self, scene: Scene[Any], c: Any, carry: Extent, whole: Whole) -> dict[str, Lanes]:
-        rests = [
-            high - low <= REST_SWING * jnp.maximum(largest, jnp.maximum(jnp.abs(low), jnp.abs(high)))
-            for (low, high), largest in zip(carry.ranges, carry.largest, strict=True)
-        ]
-        return {"at_rest": jnp.stack(rests).all(axis=0).astype(carry.largest[0].dtype)}
-
-
 @dataclass(frozen=True)
 class Shares(Gauge[HasFriction[Any]]):
     """stick_fraction, reverse_fraction, stick_slip_index [1], drive_power [W], and with a striker striker_turns [1].

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from vibrojax.measures import ledger, repeats, section
+from vibrojax.measures import ledger, repeats, section, since_start
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.measures.ledger import Ledger
 from vibrojax.measures.motion import section_of
@@ -134,7 +134,7 @@ class Recorder(Records):
         crossing = Return(here, number, interval, section.amplitudes(returns.seen.ranges), share, lane, sums)
         own = zip(self.gauges, carry.gauges, strict=True)
         gauges = tuple(gauge.section(scene, c, mine, crossing) for gauge, mine in own)
-        return Observed(section.take_in(scene, returns, lane), totals, gauges)
+        return Observed(section.take_in(scene, c, returns, lane), totals, gauges)
 
     def read(self, scene: Scene[Any], c: Any, carry: Observed) -> Features:
         """Return the features of the gauges, and in addition returns, cycles, period and settling_time."""
@@ -147,10 +147,12 @@ class Recorder(Records):
         everything, intervals = ledger.whole(carry.ledger, returns.number, jnp.zeros_like(returns.number))
         first = features(Whole(intervals, everything["time"], everything, jnp.zeros_like(intervals)))
         period = everything["time"] / intervals
-        amplitudes = tuple(first[swing.amplitude] for swing in section_of(scene).swings)
-        cycles = repeats.cycles(section_of(scene), returns, amplitudes, period)
+        lasting = since_start.features(scene, c, first, returns.seen.since_start)
+        halves = tuple((first | lasting)[name] for name in since_start.half_names(section_of(scene)))
+        cycles = repeats.cycles(section_of(scene), returns, halves, period)
         sums, whole_returns = ledger.whole(carry.ledger, returns.number, cycles)
-        return features(Whole(whole_returns, sums["time"], sums, cycles)) | {
+        measured = features(Whole(whole_returns, sums["time"], sums, cycles)) | lasting
+        return measured | {
             "returns": returns.number,
             "cycles": cycles,
             "period": sums["time"] / whole_returns,

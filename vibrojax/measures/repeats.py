@@ -34,6 +34,7 @@ class Seen(NamedTuple):
       none. The states on which periodicity is checked come first, then the other states of the return map.
     - `settled` (8, lanes) [s]: for p = 1 to 8, the time of the last crossing that differs from the crossing p later.
     - `frequency` [rad/s]: angular frequency of the crossings, 0 before the second crossing.
+    - `since_start`: ranges since t = 0, empty if scales do not depend on them, see [vibrojax.measures.since_start][].
     """
 
     armed: Flags
@@ -43,6 +44,7 @@ class Seen(NamedTuple):
     times: Array
     settled: Array
     frequency: Lanes
+    since_start: tuple[Range, ...] = ()
 
 
 class Returns(NamedTuple):
@@ -100,8 +102,8 @@ def _rate(times: Array, repeats: Array, now: Lanes) -> Lanes:
 def cycles(section: Section, carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.Array:
     """Return the number p of return intervals per period, 1 to 8, or 0 if no period is found.
 
-    A period of p intervals is recognised after 3 p + 1 section crossings. `amplitudes` and `period`: amplitudes and
-    mean return interval in the whole observation.
+    A period of p intervals is recognised after 3 p + 1 section crossings. `amplitudes` and `period`: amplitudes, with
+    their lower bounds, and mean return interval in the whole observation.
     """
     scale = jnp.stack(section.scales(amplitudes, period))
     repeating = jnp.zeros_like(carry.number)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from vibrojax.measures import since_start
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.motion import positions, section_of, widened
 from vibrojax.measures.repeats import Range, Returns, Seen, returned
@@ -52,6 +53,7 @@ def begin(scene: Scene[Any], lane: Lane) -> Settling:
     zero, never = jnp.zeros_like(first), jnp.zeros_like(first, bool)
     ranges, states = tuple((x, x) for x in places), jnp.stack([nothing] * kept, axis=1)
     seen = Seen(never, zero, ranges, states, times=nothing, settled=jnp.zeros_like(nothing), frequency=zero)
+    seen = seen._replace(since_start=since_start.begin(scene, lane))
     return Settling(seen, Passed(never, jnp.stack([zero] * kept), zero, (zero,) * len(section_of(scene).compared)))
 
 
@@ -94,7 +96,9 @@ def pass_by(scene: Scene[Any], c: Any, carry: Settling, lane: Lane, step: Step) 
     returns = keep(turns & (velocity[0] < 0) & armed)
     since = seen.since + step.dt
     remaining = step.dt - tau * step.h
-    scales = tuple(section.scales(amplitudes(ranges), since - remaining))
+    whole = since_start.extended(scene, seen.since_start, lane)
+    halves = since_start.repeat_halves(scene, c, amplitudes(ranges), whole)
+    scales = tuple(section.scales(halves, since - remaining))
     new = (there, lane.clock.high - remaining, scales)
     last = jax.tree.map(lambda now, before: jnp.where(returns, now, before), new, tuple(passed[1:]))
     rows = {name: there[row] for row, name in enumerate(section.compared)}
@@ -104,6 +108,7 @@ def pass_by(scene: Scene[Any], c: Any, carry: Settling, lane: Lane, step: Step) 
         armed=jnp.where(returns, after < 0, armed),
         since=jnp.where(returns, remaining, since),
         ranges=_restarted(returns, starts, widest),
+        since_start=whole,
     )
     return Settling(known, Passed(passed.waiting | returns, *last))
 
@@ -158,8 +163,9 @@ def step(scene: Scene[Any], c: Any, carry: Returns, lane: Lane, step: Step) -> R
     marker = scene.marker_of(section.velocity)
     falls = step.falling[marker] if section.rising else ~step.falling[marker]
     ranges = tuple(widened(swung, x) for swung, x in zip(seen.ranges, positions(scene, lane), strict=True))
+    whole = since_start.extended(scene, seen.since_start, lane)
     return carry._replace(
-        seen=seen._replace(armed=armed, since=seen.since + step.dt, ranges=ranges),
+        seen=seen._replace(armed=armed, since=seen.since + step.dt, ranges=ranges, since_start=whole),
         waiting=carry.waiting | (step.hits[marker] & ~falls & armed),
         phase=carry.phase + seen.frequency * step.dt,
     )
@@ -187,11 +193,12 @@ def amplitudes(ranges: Iterable[Range]) -> tuple[Lanes, ...]:
     return tuple((greatest - least) / 2 for least, greatest in ranges)
 
 
-def take_in(scene: Scene[Any], carry: Returns, lane: Lane) -> Returns:
+def take_in(scene: Scene[Any], c: Any, carry: Returns, lane: Lane) -> Returns:
     """Return the carry after recording the section crossings of the waiting lanes, which then continue."""
     seen, here = carry.seen, carry.waiting
     state = jnp.stack([lane.state[place] for place in _kept(scene)])
-    scales = section_of(scene).scales(amplitudes(seen.ranges), seen.since)
+    halves = since_start.repeat_halves(scene, c, amplitudes(seen.ranges), seen.since_start)
+    scales = section_of(scene).scales(halves, seen.since)
     known, differs = returned(seen, here, state, lane.clock.high, tuple(scales))
     back = jnp.arange(MOST_CYCLES, dtype=carry.number.dtype).reshape(-1, *[1] * carry.number.ndim)
     compared = here[None] & (back < carry.number[None])

@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool
 
+from vibrojax.measures import since_start
 from vibrojax.periodic.approach import (
     DISTINCT_STATES,
     NEAR_ORBIT,
@@ -273,6 +274,8 @@ class EarlyEnds:
             "settling_time": settled[repeat, np.arange(len(repeat))].astype(precision),
             "steps": features["steps"] + batch.underway.steps,
         }
+        ranges = tuple((np.asarray(low), np.asarray(high)) for low, high in batch.underway.carry.seen.since_start)
+        own |= since_start.features(self._scene, None, features, ranges, np)
         return Ended(batch.lanes, features | own)
 
 

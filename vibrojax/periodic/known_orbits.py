@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, orbit_name
 from vibrojax.measures.labels import REGIMES
+from vibrojax.measures.since_start import half_names, scale_names, stored_scales
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.return_map import Segments
 from vibrojax.sweep.engine.batch import Index
@@ -56,8 +57,10 @@ def known_orbits(
     swings = (traced.greatest - traced.least) / 2
     size = np.where(swings > 0, swings, 1.0).T
     if scene.section is not None:
-        amplitudes = tuple(column(swing.amplitude)[lanes] for swing in scene.section.swings)
-        for k, scale in enumerate(scene.section.scales(amplitudes, column("period")[lanes])):
+        names = list(map(orbit_name, scale_names(scene.section))) or half_names(scene.section)
+        halves = [column(name)[lanes] for name in names]
+        compared = begin[: len(scene.section.compared)]
+        for k, scale in enumerate(stored_scales(scene.section, halves, column("period")[lanes], [*compared])):
             size[:, k] = scale
     return KnownOrbits(lanes, traced.states, size, STEP_ALLOWANCE * traced.steps)
 

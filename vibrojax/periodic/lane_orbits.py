@@ -8,6 +8,7 @@ from jaxtyping import Bool, Int
 from vibrojax.io.variables import ORBIT_REASONS, orbit_name
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.repeats import REPEATS_WITHIN, TIME, state_name
+from vibrojax.measures.since_start import half_names, scale_names, stored_scales
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.margin import GRAZING, HOW, Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import (
@@ -15,9 +16,11 @@ from vibrojax.periodic.newton import (
     MIN_RELATIVE_SWING,
     PerLane,
     States,
+    held_states,
     multipliers,
     orbits,
     repeats_after,
+    spectral_radius,
 )
 from vibrojax.periodic.return_map import STEPS, ReturnMap, Segments
 from vibrojax.sweep.engine.batch import Features, Index
@@ -80,6 +83,7 @@ class Orbits:
             "orbit_residual": np.full(lanes, np.nan),
             "grazing_margin": np.full(lanes, np.nan),
             **{orbit_name(name): np.full(lanes, np.nan) for name in self._scene.return_states},
+            **{orbit_name(name): features[name].copy() for name in scale_names(self._scene.section)},
             "orbit_cycles": np.zeros(lanes),
             "orbit_reason": np.full(lanes, reason("not-repeating")),
             "error_estimate": features["error_estimate"].copy(),
@@ -127,7 +131,10 @@ class Orbits:
         values = multipliers(orbit.product[right])
         result["multiplier_abs"][lanes[right]] = np.abs(values)
         result["multiplier_arg"][lanes[right]] = np.abs(np.angle(values))
-        result["stable"][lanes[right]] = np.abs(values[:, 0]) < 1
+        # A held state neither returns nor departs after a perturbation; the others decide.
+        moves = ~held_states(orbit.product[right])
+        decisive = orbit.product[right] * moves[:, None, :] * moves[:, :, None]
+        result["stable"][lanes[right]] = spectral_radius(decisive) < 1
         growth = np.log(np.abs(values[:, 0]))
         leaves = growth > MULTIPLIER_ERROR
         unstable = right[leaves]
@@ -162,7 +169,8 @@ class Orbits:
         self._remove(orbit.lanes[~whole], result)
         if "period" in measures:
             measures["period"] = orbit.length / orbit.cycles
-        excluded = LANE_FEATURES | {state_name(name) for name in self._scene.return_states}
+        own_features = ("at_rest", *scale_names(self._scene.section), *map(state_name, self._scene.return_states))
+        excluded = LANE_FEATURES.union(own_features)
         merged = {name: own[name].copy() for name, x in measures.items() if x.ndim == 1 and name not in excluded}
         for name, x in merged.items():
             x[kept] = measures[name][whole]
@@ -207,8 +215,9 @@ def last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> t
     rows = [features[state_name(name)][lanes][:, -repeat:].astype(float) for name in scene.return_states]
     known: list[Any] = []
     if scene.section is not None:
-        swings = tuple(features[swing.amplitude][lanes] for swing in scene.section.swings)
-        known = scene.section.scales(swings, features["period"][lanes])
+        halves = [features[name][lanes] for name in half_names(scene.section)]
+        newest = [row[:, -1] for row in rows[: len(scene.section.compared)]]
+        known = stored_scales(scene.section, halves, features["period"][lanes], newest)
     unknown = [np.full(len(lanes), np.nan)] * (len(rows) - len(known))
     return np.stack(rows, axis=-1), np.stack([*known, *unknown], axis=-1).astype(float)
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Complex, Float, Inexact, Int
+from jaxtyping import Bool, Complex, Float, Inexact, Int
 
 from vibrojax.periodic.return_map import Mapped, ReturnMap
 
@@ -160,6 +160,11 @@ def multipliers(product: Float[np.ndarray, "lanes states states"]) -> Complex[np
     return np.take_along_axis(values, np.argsort(-np.abs(values), axis=1, kind="stable"), axis=1)
 
 
+def held_states(jacobian: Float[np.ndarray, "... states states"]) -> Bool[np.ndarray, "... states"]:
+    """Return a mask of the states that a map holds, such as the position of a body that sticks for good."""
+    return np.all(jacobian == np.eye(jacobian.shape[-1]), axis=-1)
+
+
 def spectral_radius(product: Float[np.ndarray, "lanes states states"]) -> PerLane:
     """Return the greatest modulus of each lane's multipliers; NaN where the derivative is not finite."""
     return np.abs(multipliers(product)[:, 0])
@@ -213,9 +218,17 @@ def _distance(states: States, begin: States, scales: np.ndarray) -> PerLane:
 
 
 def _newton_step(states: States, images: Any, scales: np.ndarray) -> States:
-    """Return the Newton steps, computed in scaled unknowns; NaN where the matrix is singular."""
+    """Return the Newton steps, computed in scaled unknowns; NaN where the matrix is singular.
+
+    A state that the map holds keeps its value: every value belongs to an orbit, so the matrix would be singular.
+    """
     lanes, cycles, rows = states.shape
     jacobian = images.jacobian * scales[:, None, None, :] / scales[:, None, :, None]
     off = (np.roll(states, -1, axis=1) - images.state) / scales[:, None]
-    step = solve(shooting_matrix(jacobian), off.reshape(lanes, cycles * rows, 1))
+    matrix, off = shooting_matrix(jacobian), off.reshape(lanes, cycles * rows, 1)
+    lane, held = np.nonzero(held_states(images.jacobian).all(axis=1))
+    last = (cycles - 1) * rows + held
+    matrix[lane, last], off[lane, last] = 0.0, 0.0
+    matrix[lane, last, held] = 1.0
+    step = solve(matrix, off)
     return step.reshape(states.shape) * scales[:, None]

@@ -40,7 +40,7 @@ from vibrojax.io.kinds import OF_ATTRACTORS
 from vibrojax.io.variables import VARIABLES, described
 from vibrojax.measures.derived import blow_frequency
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
-from vibrojax.sweep.engine.labelled import of_orbits, shared_attributes
+from vibrojax.sweep.engine.labelled import measured_besides, of_orbits, shared_attributes
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.starts import DEFAULT_STARTS, list_of
 
@@ -238,7 +238,7 @@ def _dataset(
     assigned = np.flatnonzero(of_lane >= 0)
     np.add.at(share, (assigned // starts, of_lane.ravel()[assigned]), 1 / starts)
     columns = {"share": share, "share_stderr": np.sqrt(share * (1 - share).clip(0) / starts), **columns}
-    about = VARIABLES | of_orbits(sweep.system) | OF_ATTRACTORS
+    about = VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system) | OF_ATTRACTORS
     grid = sweep.dims[:-1]
     data: dict[str, Any] = {name: ((*grid, "attractor"), x.reshape(*shape, -1)) for name, x in columns.items()}
     data |= {"unassigned": (grid, (of_lane < 0).sum(axis=-1)), "lane_attractor": (sweep.dims, of_lane)}

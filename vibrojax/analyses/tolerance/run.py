@@ -191,7 +191,8 @@ def simulate_box(box: ToleranceBox, progress: bool) -> xr.Dataset:
             extreme = np.where(unknown, np.nan, np.take_along_axis(x, index[None], axis=0)[0])
             sample = np.where(unknown, -1, index).astype(np.int32)
             for (variable, about), values in zip(_extreme(name, word).items(), (extreme, sample), strict=True):
-                ds[variable] = (rest, values, about.attributes())
+                unit = {"units": ds[name].attrs["units"]} if variable == f"{name}_{word}" else {}
+                ds[variable] = (rest, values, about.attributes() | unit)
     attributes = dataset_attributes("tolerance", str(ds.attrs["title"]), f"tolerance {box.sweep.scene}")
     widths = {f"tolerance_{name}": width for name, width in box.half_widths.items()}
     return ds.assign_attrs({**attributes, **widths})

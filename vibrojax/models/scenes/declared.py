@@ -1,7 +1,7 @@
 """Declarations of a scene: states, modes, markers, guards, and the Poincaré section."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -126,6 +126,10 @@ class Section:
     A periodically forced motion is autonomous with one more state, the forcing's phase. A guard reduces that phase by
     one full period at a phase other than zero. A section `at` the phase is stroboscopic.
 
+    `typical(constants)` returns typical magnitudes of the positions by name. With it, a state's scale is at least 1e-3
+    of half its range and 1e-9 of its greatest magnitude since t = 0, so that a state that stands still or decays does
+    not decide. A motion is at rest if no position moves by more than 1e-6 of its greatest magnitude since t = 0.
+
     **Example:**
 
     >>> section = vj.Section((vj.Swing("x", "v", "amplitude"),), rearm=lambda c: -0.1, at="phase")
@@ -137,6 +141,7 @@ class Section:
     rearm: Callable[[Any], Any]
     rising: bool = True
     at: str | None = None
+    typical: Callable[[Any], Mapping[str, Any]] | None = None
 
     @property
     def velocity(self) -> str:

@@ -4,6 +4,7 @@ The step bounds, resolutions, scales and the Poincaré section that a scene need
 """
 
 import math
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
@@ -147,11 +148,12 @@ class System(SystemEquations):
         self.markers = (Marker("strobe", section_state), *(Marker(f"{speed}_zero", speed) for speed in turning))  # type: ignore[misc]
         if not self._measured:
             self.markers = self.markers[1:]  # type: ignore[misc]
-        self.section = Section(tuple(swings), self._rearm, at=section_state) if self._measured else None  # type: ignore[misc]
-        self.starts, self.start_states, self.measures = ("zero",), self._own, ("rest",)  # type: ignore[misc]
-        struck = [units[event.velocity] for event in self.events if isinstance(event, Impact) and event.velocity]
-        if struck and isinstance(self, ImpactSystem):
-            self.impact_unit = struck[0]
+        section = Section(tuple(swings), self._rearm, at=section_state, typical=lambda c: c.typical)
+        self.section = section if self._measured else None  # type: ignore[misc]
+        self.starts, self.start_states, self.measures = ("zero",), self._own, ()  # type: ignore[misc]
+        if isinstance(self, ImpactSystem):
+            defaults = {key: jnp.asarray(parameter.default) for key, parameter in self._parameters.items()}
+            self.impact_unit = impact_unit(self.events, units, speeds, defaults)
         # The return map of a single autonomous state has no other state.
         alone = self.autonomous and len(self._flow.names) == 1
         self.drifting = (APPROACH,) if isinstance(self, HasImpacts) and not alone else ()  # type: ignore[misc]
@@ -220,6 +222,33 @@ class ImpactSystem(System, HasImpacts[SystemConstants]):
             if _is_impact(event)
         ]
         return jnp.stack(masks).any(axis=0)
+
+
+def impact_unit(
+    events: Sequence[Event], units: Mapping[str, str], speeds: Mapping[str, str], p: Mapping[str, Any]
+) -> str:
+    """Return the unit of impact velocities: of the rate of the first gap or contact that is a sum of states.
+
+    Otherwise it is the unit of the first struck velocity, else of the rate of the first state on which a contact
+    depends. `speeds`: the rate of change of each state that has one among the states; `p`: values of the parameters.
+    """
+    rates = {name: units[speeds[name]] if name in speeds else _per_second(unit) for name, unit in units.items()}
+    y = {name: jnp.asarray(0.3 + 0.2 * number) for number, name in enumerate(units)}
+    found: list[list[str]] = [[], [], []]
+    for event in filter(_is_impact, events):
+        slopes = jax.grad(lambda y, surface=event.surface: jnp.sum(surface(jnp.asarray(0.1), y, p)))(y)
+        known = list(dict.fromkeys(rates[name] for name, slope in slopes.items() if slope != 0))
+        found[0] += known if len(known) == 1 and all(abs(float(slope)) in (0, 1) for slope in slopes.values()) else []
+        found[1] += [units[event.velocity]] if isinstance(event, Impact) and event.velocity else []
+        found[2] += known
+    return [*found[0], *found[1], *found[2], ImpactSystem.impact_unit][0]
+
+
+def _per_second(unit: str) -> str:
+    """Return the unit of a rate of change of a quantity with the unit `unit`."""
+    powers = {base: int(power or 1) for base, power in re.findall(r"([^\W\d]+)(-?\d+)?", unit)}
+    powers["s"] = powers.get("s", 0) - 1
+    return " ".join(base if power == 1 else f"{base}{power}" for base, power in powers.items() if power) or "1"
 
 
 def _is_impact(event: object) -> bool:

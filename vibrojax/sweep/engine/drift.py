@@ -12,6 +12,7 @@ from jaxtyping import Bool, Int
 
 from vibrojax.measures.repeats import INTERVAL, TIME, state_name
 from vibrojax.measures.section import Settling
+from vibrojax.measures.since_start import half_names, stored_scales
 from vibrojax.models.scenes import Section
 from vibrojax.sweep.engine.batch import Batch, Engine
 from vibrojax.sweep.engine.recurrence import (
@@ -76,11 +77,11 @@ def _crossings(features: Features, lanes: PerLaneInt, cycles: PerLaneInt, sectio
     def newest_first(name: str) -> Series:
         return np.take(features[name].T, lanes, axis=1)[::-1].astype(float)
 
-    swings = tuple(features[swing.amplitude][lanes] for swing in section.swings)
+    halves = [features[name][lanes] for name in half_names(section)]
     period = features["period"][lanes]
-    scales = [np.asarray(x, float) for x in section.scales(swings, period)]
-    names = map(state_name, section.compared)
-    states = np.stack([newest_first(name) / scale for name, scale in zip(names, scales, strict=True)])
+    rows = [newest_first(state_name(name)) for name in section.compared]
+    scales = stored_scales(section, halves, period, [row[0] for row in rows])
+    states = np.stack([row / np.asarray(scale, float) for row, scale in zip(rows, scales, strict=True)])
     sums: list[SumsAndMean] = [(newest_first(INTERVAL), None, period)]
     if "return_impacts" in features:
         impacts = newest_first("return_impacts")

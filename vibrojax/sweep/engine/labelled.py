@@ -20,6 +20,7 @@ from vibrojax.measures import gauge_named
 from vibrojax.measures.derived import derived
 from vibrojax.measures.labels import LABELLED_BY, REGIMES, hides_another, label
 from vibrojax.measures.repeats import state_name
+from vibrojax.measures.since_start import scale_names
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import differing, substitutes
 from vibrojax.models.scenes import HasContact, HasFriction, HasImpacts, Scene
@@ -49,8 +50,8 @@ def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = T
 
 def variables_of(sweep: Sweep) -> dict[str, Variable]:
     """Return all variables that the dataset of a sweep may have, by name and in dataset order."""
-    known = VARIABLES | regime_variables(sweep.system) | measured_besides(sweep.system) | of_orbits(sweep.system)
-    radius = sweep.hole_radius
+    scene, radius = sweep.system, sweep.hole_radius
+    known = VARIABLES | regime_variables(scene) | measured_besides(scene) | of_orbits(scene) | scales_of_orbits(scene)
     return known if radius is None else known | with_radius(radius)
 
 
@@ -95,6 +96,16 @@ def of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
         orbit_name(state.name): Variable(state.unit, f"{state.long_name}, on the orbit at the section")
         for state in scene.states
         if state.name in scene.driving_part().return_states
+    }
+
+
+def scales_of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
+    """Return the variables that hold the scales of repeats, if these are not amplitudes."""
+    section = scene.driving_part().section
+    states = [scene.states[scene.place(swing.position)] for swing in section.swings] if section is not None else []
+    return {
+        orbit_name(name): Variable(state.unit, f"scale of {state.long_name} in the test of repeats")
+        for name, state in zip(scale_names(section), states, strict=False)
     }
 
 

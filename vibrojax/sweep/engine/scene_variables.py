@@ -13,7 +13,7 @@ from vibrojax.measures.derived import derived_names
 from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.models.scenes import Scene
 from vibrojax.stepping import AccuracyRequest, stepper_named
-from vibrojax.sweep.engine.labelled import measured_besides, of_orbits
+from vibrojax.sweep.engine.labelled import measured_besides, of_orbits, scales_of_orbits
 
 _OF_ALL = {"status", "reason", "error_estimate"}
 _WITH_SECTION = {"regime", "check_regime", "drift_estimate", "sensitive", "hidden_motion"}
@@ -24,7 +24,7 @@ _WITH_ORBITS_AND_SECTION = {"nearby_cycles", "nearby_impacts", "nearby_distance"
 
 def sweep_variables(scene: Scene[Any]) -> dict[str, Variable]:
     """Return the variables that datasets of the scene's sweeps may have, by name."""
-    orbit_states = of_orbits(scene)
+    orbit_states = of_orbits(scene) | scales_of_orbits(scene)
     held = {*_OF_ALL, *feature_names(scene), *derived_names(scene)}
     held |= {*_WITH_ORBITS, *orbit_states} if orbit_states else set()
     held |= _WITH_SECTION | _WITH_ORBITS_AND_SECTION if scene.section is not None else set()

@@ -1,0 +1,147 @@
+"""Labels of systems in which some states stand still or decay, and units of their impact velocities."""
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.measures import since_start
+
+DAMPING, RATE, DECAY, PERIOD = 0.2, 0.7, 0.05, np.pi
+OSCILLATOR = {"x": "m", "v": "m s-1"}
+
+
+def oscillation(t, y):
+    return {"x": y["v"], "v": vj.elementary.cos(2.0 * t) - DAMPING * y["v"] - y["x"]}
+
+
+# z decays, w approaches an equilibrium, and y slides on its zero; some starts have w and y there at once.
+BESIDE = vj.System(
+    "beside",
+    states={"z": "m", "w": "1", "y": "m"} | OSCILLATOR,
+    parameters={"q": 0.3},
+    field=lambda t, y, p, s: (
+        oscillation(t, y) | {"z": -DECAY * y["z"], "w": p["q"] - RATE * y["w"], "y": p["q"] - s["side"]}
+    ),
+    period=PERIOD,
+    events=[vj.Switch("side", lambda t, y, p: y["y"])],
+)
+
+HELD = vj.System(
+    "held",
+    states=OSCILLATOR | {"x2": "m", "v2": "m s-1"},
+    parameters={"N": 1.0},
+    field=lambda t, y, p: oscillation(t, y) | {"x2": y["v2"], "v2": -0.01 * y["x2"]},
+    period=PERIOD,
+    events=[
+        vj.Friction("base", lambda t, y, p: y["v2"], lambda t, y, p: p["N"], law=0.3, acts_on="v2", mass=lambda p: 1.0)
+    ],
+)
+
+
+def test_states_that_stand_still_or_decay_do_not_decide():
+    starts = [[1.0, 3 / 7, 0.0, 0.0, 0.0], [1.0, 0.0, 0.5, 0.3, 1.0], [0.0] * 5]
+    sweep = {"scene": BESIDE, "grid": {"q": [0.3]}, "starts": starts, "run": {"orbits": True, "lyapunov": True}}
+    ds = vj.run_sweep(sweep, progress=False)
+    assert ds.cycles.values.ravel().tolist() == [1, 1, 1] and regimes_of(ds) == {"periodic"}
+    assert (ds.error_estimate < 2e-6).all() and (ds.orbit_reason == 0).all() and (ds.stable == 1).all()
+    own = np.exp(-PERIOD * np.array([DECAY, DAMPING / 2, DAMPING / 2, RATE, np.inf]))
+    np.testing.assert_allclose(ds.multiplier_abs.values[0], np.tile(own, (3, 1)), atol=1e-9)
+    np.testing.assert_allclose(ds.lyapunov, -DECAY, rtol=1e-6)
+    np.testing.assert_allclose(ds.orbit_w, 3 / 7, rtol=1e-9)
+
+
+def test_mass_that_friction_holds_does_not_decide():
+    """Every position of the held mass belongs to an orbit, so that one multiplier is 1."""
+    run = {"orbits": True}
+    starts = [[0.0] * 4, [0.5, 0.0, 0.2, 0.5]]
+    ds = vj.run_sweep({"scene": HELD, "grid": {"N": [1.0]}, "starts": starts, "run": run}, progress=False)
+    assert ds.cycles.values.ravel().tolist() == [1, 1] and regimes_of(ds) == {"periodic"}
+    assert (ds.orbit_reason == 0).all() and (ds.stable == 1).all()
+    own = [1.0, *np.exp(-PERIOD * np.array([DAMPING / 2, DAMPING / 2, np.inf]))]
+    np.testing.assert_allclose(ds.multiplier_abs.values[0], np.tile(own, (2, 1)), atol=1e-9)
+    assert len(np.unique(ds.orbit_x2)) == 2
+
+
+def test_motions_on_standing_states_match_one_attractor():
+    rates = lambda t, y, p: {"x": y["v"], "v": (1 - y["x"] * y["x"]) * y["v"] - y["x"], "z": p["q"] - RATE * y["z"]}  # noqa: E731
+    scene = vj.System("relaxes", states=OSCILLATOR | {"z": "1"}, parameters={"q": 0.3}, field=rates, section="x")
+    starts = [[0.1, 0.0, 0.0], [2.0, 1.0, 3 / 7], [1.0, 0.0, -1.0]]
+    attractors = vj.attractors({"scene": scene, "grid": {"q": [0.0, 0.3]}, "starts": starts}, progress=False)
+    assert attractors.sizes["attractor"] == 1 and (attractors.share == 1).all()
+    assert attractors.attrs["kind"] == "attractors"
+
+
+def test_large_swing_on_stiff_contact_is_no_equilibrium():
+    """A ball bounces without loss on a spring of 1e9 N/m, as high as it is dropped."""
+    height, g, k = 1.5, 9.81, 1e9
+    ball = vj.System(
+        "stiff-ball",
+        states=OSCILLATOR,
+        parameters={"k": k},
+        field=lambda t, y, p, s: {"x": y["v"], "v": -g - (1 + s["ground"]) / 2 * p["k"] * y["x"]},
+        section="v",
+        events=[vj.Switch("ground", lambda t, y, p: -y["x"], impact=True)],
+    )
+    run = {"settle": 5.0, "observe": 20.0}
+    ds = vj.run_sweep({"scene": ball, "grid": {"k": [k]}, "starts": [[height, 0.0]], "run": run}, progress=False)
+    speed = (2 * g * height) ** 0.5
+    assert regimes_of(ds) == {"single-impact"}
+    assert ds.impact_velocity.item() == pytest.approx(speed, rel=1e-6)
+    # Half of a period of the contact, longer by the static deflection.
+    contact = (np.pi + 2 * np.arctan(g / k**0.5 / speed)) / k**0.5
+    assert ds.period.item() == pytest.approx(2 * speed / g + contact, rel=1e-6)
+
+
+def test_scale_of_repeats_and_rest():
+    h, least, greatest = (np.array(x) for x in ([0.2, 1e-6, 1e-6, 0.0], [-1.0, 0.0, 1.0, 0.0], [1.0, 4.0, 1.0, 0.0]))
+    halves, ranges = [h] * 5, ((least, greatest),) * 5
+    scales = since_start.repeat_halves(BESIDE, None, halves, ranges, np)
+    np.testing.assert_allclose(scales[0], [0.2, 2e-3, 1e-6, 1.0])
+    swings = {swing.amplitude: half for swing, half in zip(BESIDE.section.swings, halves, strict=True)}
+    features = since_start.features(BESIDE, None, swings | {"trend": np.ones(4)}, ranges, np)
+    assert features["at_rest"].tolist() == [0.0, 1.0, 0.0, 1.0]
+    assert features["trend"].tolist() == [1.0, 0.0, 1.0, 0.0]
+    np.testing.assert_array_equal(features["z_scale"], scales[0])
+
+
+def pendulum(name, *events):
+    return vj.System(
+        name,
+        states={"angle": "rad", "speed": "rad s-1"},
+        parameters={"w": 1.5, "L": (2.0, "m")},
+        field=lambda t, y, p, s: {
+            "angle": y["speed"],
+            "speed": 0.5 * vj.elementary.cos(p["w"] * t) - 0.1 * y["speed"] - vj.elementary.sin(y["angle"]),
+        },
+        period=lambda p: 2 * np.pi / p["w"],
+        events=events,
+    )
+
+
+@pytest.mark.parametrize(
+    "unit, events",
+    [
+        ("rad s-1", [vj.Impact("stop", gap=lambda t, y, p: 0.3 - y["angle"], velocity="speed", restitution=0.6)]),
+        ("rad s-1", [vj.Switch("stop", lambda t, y, p: y["angle"] - 0.3, impact=True)]),
+        ("rad s-1", [vj.Switch("stop", lambda t, y, p: p["L"] * y["angle"] - 0.3, impact=True)]),
+        ("rad s-2", [vj.Switch("stop", lambda t, y, p: y["speed"] - 0.3, impact=True)]),
+    ],
+)
+def test_impact_velocity_has_unit_of_rate_of_gap(unit, events):
+    assert pendulum("unit", *events).impact_unit == unit
+
+
+def test_unit_of_soft_contact_in_variables_and_captions():
+    scene = pendulum("soft", vj.Switch("stop", lambda t, y, p: y["angle"] - 0.3, impact=True))
+    grid = {"w": {"start": 1.4, "stop": 1.6, "num": 3}}
+    ds = vj.run_sweep({"scene": scene, "grid": grid, "starts": [[0.0, 0.0]]}, progress=False)
+    assert ds.impact_velocity.units == "rad s-1" and ds.angle_amplitude.units == "rad"
+    labels = [axes.get_ylabel() for axes in vj.picture(ds).axes]
+    assert any("rad/s" in label for label in labels) and not any("[m/s]" in label for label in labels)
+    box = vj.tolerance(scene, start=[0.0, 0.0], w=(1.5, 0.01), progress=False)
+    assert box.impact_velocity_least.units == box.impact_velocity_most.units == "rad s-1"
+
+
+def regimes_of(ds):
+    names = ds.regime.attrs["flag_meanings"].split()
+    return {names[flag] for flag in ds.regime.values.ravel()}
