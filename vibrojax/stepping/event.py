@@ -98,7 +98,7 @@ def locate(event: Event, trial: Trial) -> Landing:
     signs: list[Any] = [1.0] * n_guards
     signs += [_sign_at_start(f, tiny) for f, tiny in zip(trial.functions[n_guards:], small[n_guards:], strict=True)]
     functions: list[Coefficients] = [[sign * c for c in f] for sign, f in zip(signs, trial.functions, strict=True)]
-    crossed, guesses = _crossings(functions, n_guards, reach, small, moving)
+    crossed, guesses = _crossings(functions, n_guards, reach, small, moving, event.scene.ends_at_once)
 
     first = reduce(jnp.minimum, guesses)
     ending = first < jnp.inf
@@ -147,16 +147,20 @@ def _by_name(names: tuple[str, ...], flags: list[Flags], like: Flags) -> dict[st
 
 
 def _crossings(
-    functions: list[Coefficients], n_guards: int, reach: Array, small: list[Small], moving: Array
+    functions: list[Coefficients], n_guards: int, reach: Array, small: list[Small], moving: Array, at_once: bool
 ) -> tuple[list[Array], list[Array]]:
     """Return, for each function, a mask of the lanes in which it is negative at the end of the step, and a guess.
 
     The guess is the crossing as a fraction of the step, infinite without a crossing. The polynomials describe only the
     branch of |.| and max at the start of the step; the caller evaluates the true functions at the located end.
+    `at_once`: True if a guard that is negative at the start ends the step there, whatever its value at the end.
     """
     ends = keep([value(f, reach) for f in functions])
     guesses = [_guess(f, end, reach, tiny) for f, end, tiny in zip(functions, ends, small, strict=True)]
     crossed: list[Array] = [moving & (end < 0) for end in ends]
+    if at_once:
+        for index in range(n_guards):
+            crossed[index] = crossed[index] | (moving & (functions[index][0] < -small[index].value))
     # If a marker starts at a tangency and ends on the wrong side, only its sign was misjudged: there is no crossing.
     # Crossings within rounding error of zero do not count, because they would occur again and again.
     for index in range(n_guards, len(functions)):

@@ -54,6 +54,7 @@ class Scene(ABC, Generic[C]):
     - `choice_meanings`: meanings of the choices that set several parameters, for datasets in which they vary.
     - `autonomous`: True if the equations do not depend on time, so that a state at rest stays at rest.
     - `usual_times`: default times of settling and of the observation [s].
+    - `ends_at_once`: True if a mode may begin with a negative guard. The mode then ends at once.
     - `drifting`: states that grow without bound and do not affect the others; the return map does not include them.
 
     **Example:**
@@ -81,6 +82,7 @@ class Scene(ABC, Generic[C]):
     choice_meanings: ClassVar[Mapping[str, str]] = {}
     autonomous: ClassVar[bool] = True
     drifting: ClassVar[tuple[str, ...]] = ()
+    ends_at_once: ClassVar[bool] = False
     usual_times: ClassVar[tuple[float, float]] = (40.0, 8.0)
 
     @abstractmethod

@@ -66,6 +66,7 @@ class SystemEquations(Scene[SystemConstants]):
     - `_discrete`: initial values of discrete states; `_at_section`: indices of the events whose surface is the section.
     """
 
+    ends_at_once = True
     events: tuple[Event, ...]
     _flow: Flow
     _own: tuple[str, ...]

@@ -81,6 +81,7 @@ class Dependences:
     - `speeds`: the states that are the rate of change of another state, by the name of that state.
     - `switching`: the states on which the function of each switch depends, by the name of the switch.
     - `coupled`: pairs of indices of events; the constraint of the second changes what the first keeps at zero.
+    - `parallel`: for each event, those whose constraints act along the same direction; only one of them can hold.
     - `jumping`: the events on whose other side a jump may put the state.
     - `mixing`: pairs of switches whose sides do not act on the field independently of each other.
     - `linear`: True if the field is linear in the states on each side, and friction coefficients are constant.
@@ -90,6 +91,7 @@ class Dependences:
     speeds: Mapping[str, str]
     switching: Mapping[str, Sequence[str]]
     coupled: frozenset[tuple[int, int]]
+    parallel: Mapping[int, Sequence[int]]
     jumping: frozenset[int]
     mixing: tuple[tuple[int, int], ...]
     linear: bool

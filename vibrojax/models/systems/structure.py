@@ -120,6 +120,7 @@ class Structure(Probe):
                 for i, event in events.items()
                 if isinstance(event, Switch)
             },
+            parallel={i: [j for j in held if j != i and self._are_parallel(events[i], events[j])] for i in held},
             coupled=frozenset((i, j) for i in held for j in held if i != j and depends[i] & moves[j]),
             jumping=frozenset(
                 i
@@ -155,6 +156,20 @@ class Structure(Probe):
         high, low = (self._rates_at({event.name: side}) for side in (1.0, -1.0))
         sided = {other.acts_on for other in self._events if isinstance(other, Friction) and other.takes_sides}
         return sided | {name for name in self._y if not equal(high[name], low[name])}
+
+    def _are_parallel(self, first: Event, second: Event) -> bool:
+        """Return whether the constraints of two events act along the same direction at all random states."""
+        a, b = self._direction(first), self._direction(second)
+        products = [(a[i] * b[j], a[j] * b[i]) for i, j in itertools.combinations(self._y, 2)]
+        return all(equal(*pair) for pair in products) and any(not equal(a[name] * b[name], 0.0) for name in self._y)
+
+    def _direction(self, event: Event) -> dict[str, Any]:
+        """Return the direction along which the constraint of an event acts, by name of the states."""
+        if isinstance(event, Switch):
+            high, low = (self._rates_at({event.name: side}) for side in (1.0, -1.0))
+            return {name: high[name] - low[name] for name in self._y}
+        acts_on = event.acts_on if isinstance(event, Friction) else event.velocity
+        return {name: jnp.where(name == acts_on, 1.0, 0.0) + 0.0 * x for name, x in self._y.items()}
 
     def _jumped(self, event: Event) -> set[str]:
         """Return the states that the jump of an event changes."""

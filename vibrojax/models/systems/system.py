@@ -139,9 +139,11 @@ class System(SystemEquations):
         ]
         shown += [State(name, "1", name, True) for name in self._discrete]
         turning = [speed for speed in dict.fromkeys(speeds.values()) if speed not in (section_state, *surfaces)]
-        swings = (
+        swings: tuple[Swing, ...] = tuple(
             Swing(name, speeds[name] if speeds.get(name) in turning else None, f"{name}_amplitude") for name in units
         )
+        if self.autonomous and len(self._flow.names) == 1:  # a single state that jumps
+            swings = (*swings, Swing(APPROACH, None, f"{APPROACH}_amplitude"))
         self.states = (*shown, *(State(name, unit, name, shown=False) for name, unit in hidden.items()))  # type: ignore[misc]
         modes = (*map(_mode, self.events), *map(_mode_of_kink, self._flow.kinks))
         self.modes = modes or (Mode("flow", "0", 0.0),)  # type: ignore[misc]

@@ -55,12 +55,15 @@ def decided(flow: Flow, c: SystemConstants, mode: Values, t: Any, y: States, pla
     margins, pulls = {}, {}
     if held:
         for index, _ in held:
-            modes[index] = jnp.where(places.open[index] & places.near[index], 0.0, mode[index])
+            holds = places.open[index] & places.near[index]
+            for other in flow.structure.parallel[index]:  # the first of them may hold
+                holds = holds & (modes[other] != 0) if other < index and not is_impact(flow, other) else holds
+            modes[index] = jnp.where(holds, 0.0, mode[index])
         motion = flow.at(c, tuple(modes), t, y)
         for index, event in held:
             margins[index], pulls[index] = motion.margins[index], motion.pulls[index]
             stays = margins[index] >= 0 if isinstance(event, Friction) else margins[index] > 0
-            leaves = places.open[index] & places.near[index] & ~stays
+            leaves = places.open[index] & (modes[index] == 0) & ~stays
             modes[index] = jnp.where(leaves, jnp.where(pulls[index] < 0, -2.0, 2.0), modes[index])
     if len(held) < len(flow.events):
         motion = flow.at(c, tuple(modes), t, y)
@@ -75,6 +78,11 @@ def decided(flow: Flow, c: SystemConstants, mode: Values, t: Any, y: States, pla
             own = jnp.where(rests, 1.0, jnp.where(places.near[index] & (rate >= -c.slow[index]), -1.0, 0.0))
             modes[index] = jnp.where(places.open[index], own, mode[index])
     return Decision(modes, margins, pulls)
+
+
+def is_impact(flow: Flow, index: int) -> bool:
+    """Return whether an event is an impact."""
+    return isinstance(flow.events[index], Impact)
 
 
 def least_push(c: SystemConstants, index: int) -> Any:
@@ -243,10 +251,11 @@ def _modes_after(
         opened[index] = jumped & changed & ~hit[index]
         near[index] = hit[index] | (distance <= NEAR_ROUNDINGS / LIFT_ROUNDINGS * lift)
     blocked = {}
-    for index, event in flow.of(Friction):
-        rests = [mode[other] == 1 for other, stop in flow.of(Impact) if stop.velocity == event.acts_on]
-        blocked[index] = reduce(jnp.logical_or, rests) if rests else never
-        near[index] = near[index] & ~blocked[index]
+    for index, event in enumerate(flow.events):
+        if not isinstance(event, Impact):
+            holds = [mode[other] == int(is_impact(flow, other)) for other in flow.structure.parallel[index]]
+            blocked[index] = (mode[index] != 0) & reduce(jnp.logical_or, holds) if holds else never
+            near[index] = near[index] & ~blocked[index]
     places = Places({index: opened.get(index, never) | hit[index] for index in range(len(hit))}, near, touches)
     modes, margins, pulls = decided(flow, c, tuple(new), t, y, places)
     for index, event in enumerate(flow.events):
