@@ -116,7 +116,7 @@ class Located(Stepper):
         reach = keep(lax.stop_gradient(reach if validity is None else jnp.minimum(reach, validity)))
         trial = Trial(polynomials, functions, h, reach, goal.moving & ~rest)
         landing = locate(event, trial)
-        scales = scene.defect_scales(constants, lane.mode, lane.state)
+        scales = scene.defect_scales(constants, lane.mode, lane.state, polynomials)
         if scales is not None:
             landing = self._confirmed(event, trial, landing, scales, accuracy.tolerance)
         h = jnp.where(goal.moving & rest, lane.clock.until(goal.end), h)

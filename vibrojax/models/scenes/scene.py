@@ -161,7 +161,7 @@ class Scene(ABC, Generic[C]):
         """Return the fastest rate of change at a state [1/s], which determines the step from there; here, `rate`."""
         return self.rate(c, mode)
 
-    def defect_scales(self, c: C, mode: Values, state: Values) -> Any:
+    def defect_scales(self, c: C, mode: Values, state: Values, polynomials: tuple[list[Array], ...]) -> Any:
         """Return, for the first states, a scale of their defect at the end of a step, in units of the tolerance.
 
         A step is repeated with half its length if the slope of a series at its end differs by more from the field

@@ -178,11 +178,11 @@ class SystemEquations(Scene[SystemConstants]):
     def error_terms(
         self, c: SystemConstants, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
     ) -> tuple[list[list[Array]], Any]:
-        sizes, _ = self._rounded(c, mode, state)
+        sizes = self._step_sizes(c, mode, state, polynomials)
         speed, one = self.rate(c, mode), jnp.ones_like(state[0])
         # Where the field bends sharply, as a friction law that falls steeply, an error of the states counts for more.
         sharp = jnp.maximum(self.rate_along(c, mode, state) / speed, 1.0)
-        tiny = jnp.finfo(one.dtype).tiny
+        tiny = jnp.finfo(one.dtype).tiny / jnp.finfo(one.dtype).eps
         rates = self.field(c, mode, state)
         terms, none = [], jnp.zeros((), one.dtype)
         for index, name in enumerate(self._own):
@@ -370,9 +370,20 @@ class SystemEquations(Scene[SystemConstants]):
             return self.rate(c, mode)
         return self._flow.quickest(c, mode, *self._known(state))
 
-    def defect_scales(self, c: SystemConstants, mode: Values, state: Values) -> list[Any]:
+    def defect_scales(
+        self, c: SystemConstants, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
+    ) -> list[Any]:
+        return [DEFECT_TOLERANCES * size for size in self._step_sizes(c, mode, state, polynomials)]
+
+    def _step_sizes(
+        self, c: SystemConstants, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
+    ) -> list[Any]:
+        """Return the magnitudes of the user's states in a step; a state at zero has that of its change."""
         sizes, _ = self._rounded(c, mode, state)
-        return [DEFECT_TOLERANCES * size for size in sizes[: len(self._own)]]
+        # From rest, the last of n states in a chain begins to move with the n-th derivative.
+        orders = range(2, min(len(self._own) + 1, len(polynomials[0]) // 2) + 1)
+        own = zip(sizes, polynomials[: len(self._own)], strict=False)
+        return [jnp.maximum(size, sum(jnp.abs(series[k]) for k in orders)) for size, series in own]
 
     def speed_scale(self, c: SystemConstants) -> Any:
         """Return the typical magnitude of the section's state."""
