@@ -222,7 +222,7 @@ def test_ratios_match_race():
 
 
 def test_limits_of_systems():
-    from vibrojax.measures.motion import REST_SWING
+    from vibrojax.measures.since_start import REST_SWING
     from vibrojax.models.systems.equations import AT_REST
     from vibrojax.models.systems.system import CYCLES_OBSERVED, CYCLES_SETTLING
 

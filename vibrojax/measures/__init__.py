@@ -9,7 +9,7 @@ from vibrojax.errors import InputError, shown
 from vibrojax.measures.gauge import Gauge, Moment, Return, Whole
 from vibrojax.measures.impacts import Hole, Impacts, PulseRecorder
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.measures.motion import Harmonics, Shares, Swings
+from vibrojax.measures.motion import Faults, Harmonics, Shares, Swings
 from vibrojax.measures.recorder import Recorder, Records
 from vibrojax.measures.repeats import KeptReturns
 from vibrojax.models.scenes import Driven, HasImpacts, Scene
@@ -25,6 +25,7 @@ GAUGES: dict[str, Gauge[Any]] = {
     "shares": Shares(),
     "impacts": Impacts(),
     "harmonics": Harmonics(),
+    "faults": Faults(),
     "drilling": Hole(),
 }
 
@@ -49,7 +50,8 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
     if scene.section is None:
         if isinstance(scene, Driven):
             return PulseRecorder()
-        raise InputError(f"scene: {scene.name} declares neither a section nor pulses; there is nothing to measure over")
+        give = "give period= or section= to measure it" if scene.ends_at_once else "there is nothing to measure over"
+        raise InputError(f"scene: {scene.name} declares neither a section nor pulses; {give}")
     unknown = [gauge for gauge in scene.measures if not isinstance(gauge, Gauge) and gauge not in GAUGES]
     if unknown:
         raise InputError(f"scene: {scene.name} measures {shown(unknown[0])}; choose from {', '.join(GAUGES)}")

@@ -100,6 +100,20 @@ def _trend(greatest: Array) -> jax.Array:
 
 
 @dataclass(frozen=True)
+class Faults(Gauge[Scene[Any]]):
+    """fault: why the motion cannot go on, an index into the scene's `fault_reasons`."""
+
+    def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Lanes:
+        return scene.fault(lane.mode)
+
+    def step(self, scene: Scene[Any], c: Any, carry: Lanes, moment: Moment) -> Lanes:
+        return scene.fault(moment.lane.mode)
+
+    def read(self, scene: Scene[Any], c: Any, carry: Lanes, whole: Whole) -> dict[str, Lanes]:
+        return {"fault": carry}
+
+
+@dataclass(frozen=True)
 class Shares(Gauge[HasFriction[Any]]):
     """stick_fraction, reverse_fraction, stick_slip_index [1], drive_power [W], and with a striker striker_turns [1].
 

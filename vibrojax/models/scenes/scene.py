@@ -55,6 +55,7 @@ class Scene(ABC, Generic[C]):
     - `autonomous`: True if the equations do not depend on time, so that a state at rest stays at rest.
     - `usual_times`: default times of settling and of the observation [s].
     - `ends_at_once`: True if a mode may begin with a negative guard. The mode then ends at once.
+    - `fault_reasons`: reasons of `fault`, among the flags of the variable `reason`.
     - `drifting`: states that grow without bound and do not affect the others; the return map does not include them.
 
     **Example:**
@@ -83,6 +84,7 @@ class Scene(ABC, Generic[C]):
     autonomous: ClassVar[bool] = True
     drifting: ClassVar[tuple[str, ...]] = ()
     ends_at_once: ClassVar[bool] = False
+    fault_reasons: ClassVar[tuple[str, ...]] = ()
     usual_times: ClassVar[tuple[float, float]] = (40.0, 8.0)
 
     @abstractmethod
@@ -141,6 +143,10 @@ class Scene(ABC, Generic[C]):
     def states_across_impacts(self, p: Mapping[str, Any], state: Mapping[str, Any]) -> list[Any]:
         """Return the states on the other side of a rigid impact, if `state` is at one."""
         return []
+
+    def fault(self, mode: Values) -> Any:
+        """Return why the motion cannot go on in a mode, indices into `fault_reasons`; None if it always can."""
+        return None
 
     def scaled(self, c: C, state: Values) -> C:
         """Return the constants adapted to an initial `state` that causes a much faster motion than usual.

@@ -35,9 +35,6 @@ DEFECT_TOLERANCES = 100.0
 """Greatest defect of the series at the end of a step, in tolerances: how far its slope is from the field there. Where
 series converge it is below ten. It is large where the field bends more sharply than the start of the step shows."""
 
-FAULTS = ("none", "negative-normal-force", "slides-on-two-switches")
-"""Why a motion cannot go on, which the modes show."""
-
 AT_STOP = 1e-5
 """Largest gap at which a state is at an impact, relative to a typical gap."""
 
@@ -67,6 +64,7 @@ class SystemEquations(Scene[SystemConstants]):
     """
 
     ends_at_once = True
+    fault_reasons = ("none", "negative-normal-force", "slides-on-two-switches")
     events: tuple[Event, ...]
     _flow: Flow
     _own: tuple[str, ...]
@@ -229,10 +227,9 @@ class SystemEquations(Scene[SystemConstants]):
     def _ended(self, mode: Values, state: Values) -> Values:
         """Return the state, not a number where the modes show that the motion cannot go on."""
         fault = self.fault(mode)
-        return state if fault is None else (jnp.where(fault > 0, jnp.nan, state[0]), *state[1:])
+        return state if fault is None else tuple(jnp.where(fault > 0, jnp.nan, x) for x in state)
 
     def fault(self, mode: Values) -> Any:
-        """Return why a motion cannot go on, indices into `FAULTS`; None if this cannot happen."""
         flow = self._flow
         forces = [mode[len(self.events) + i] < 0 for i, kink in enumerate(flow.kinks) if kink.ends]
         slides = [(mode[i] == 0) & (mode[j] == 0) for i, j in flow.structure.mixing]

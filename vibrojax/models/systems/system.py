@@ -50,7 +50,8 @@ class System(SystemEquations):
       returns the time derivative of each state by name.
     - `period`: period of the forcing [s], a number or a function of `p`. The section is then at the times 0, T, ...
     - `section`: for a system without forcing, the name of a state, or a pair of a name and a number: the section is
-      where the state rises through zero, or through the number.
+      where the state rises through zero, or through the number. Without `period` and `section`, as for a field that
+      does not repeat, a system can be simulated but not measured.
     - `events`: any of `vj.Impact`, `vj.Switch` and `vj.Friction`.
     - `modes`: initial value of each discrete state by name. The resets of events change them; the field and other
       functions read them as `s[name]`. In datasets they are among the states.
@@ -118,7 +119,7 @@ class System(SystemEquations):
             first = TIME if period is not None else self._own[0]
             self._section_state, self._level = section if isinstance(section, tuple) else (section or first, 0.0)
             # A single autonomous state cannot return to a section unless it jumps.
-            returns = section is not None and (len(states) > 1 or isinstance(self, HasImpacts))
+            returns = section is not None and (len(self._own) > 1 or isinstance(self, HasImpacts))
             self._measured = period is not None or returns
             self._at_section = frozenset(probe.events_at(self._section_state, self._level))
             speeds = self._flow.structure.speeds
@@ -142,7 +143,7 @@ class System(SystemEquations):
         swings: tuple[Swing, ...] = tuple(
             Swing(name, speeds[name] if speeds.get(name) in turning else None, f"{name}_amplitude") for name in units
         )
-        if self.autonomous and len(self._flow.names) == 1:  # a single state that jumps
+        if self.autonomous and len(self._own) == 1:  # a single state that jumps
             swings = (*swings, Swing(APPROACH, None, f"{APPROACH}_amplitude"))
         self.states = (*shown, *(State(name, unit, name, shown=False) for name, unit in hidden.items()))  # type: ignore[misc]
         modes = (*map(_mode, self.events), *map(_mode_of_kink, self._flow.kinks))
@@ -153,11 +154,13 @@ class System(SystemEquations):
         section = Section(tuple(swings), self._rearm, at=section_state, typical=lambda c: c.typical)
         self.section = section if self._measured else None  # type: ignore[misc]
         self.starts, self.start_states, self.measures = ("zero",), self._own, ()  # type: ignore[misc]
+        if self.fault(tuple(jnp.ones(()) for _ in self.modes)) is not None:
+            self.measures = ("faults",)  # type: ignore[misc]
         if isinstance(self, ImpactSystem):
             defaults = {key: jnp.asarray(parameter.default) for key, parameter in self._parameters.items()}
             self.impact_unit = impact_unit(self.events, units, speeds, defaults)
         # The return map of a single autonomous state has no other state.
-        alone = self.autonomous and len(self._flow.names) == 1
+        alone = self.autonomous and len(self._own) == 1
         self.drifting = (APPROACH,) if isinstance(self, HasImpacts) and not alone else ()  # type: ignore[misc]
 
     def __reduce__(self) -> Any:

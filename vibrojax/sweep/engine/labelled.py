@@ -119,6 +119,9 @@ def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
     reason = np.select([unfit, stiff, slow, ~features["finite"], ~features["finished"]], flags, 0)
     if not features["finite"].all():
         reason = np.where(reason == REASONS.index("not-finite"), _reasons_of_starts(sweep, first, end), reason)
+    for number, name in enumerate(sweep.system.fault_reasons[1:] if "fault" in features else (), start=1):
+        ends = (reason == REASONS.index("not-finite")) & (features["fault"] == number)
+        reason = np.where(ends, REASONS.index(name), reason)
     failed = reason != 0
     labels = {}
     if "cycles" in features:

@@ -1,0 +1,495 @@
+"""Systems whose events meet: jumps across the surfaces of other events, kinks, discrete states, and their refusals.
+
+Right values are closed forms, or follow from an independent integration by SciPy (stated at the test).
+"""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import vibrojax as vj
+
+E = vj.elementary
+cos = E.cos
+
+
+def ends(system, start, duration, **options):
+    """Return the states at the end of a trajectory."""
+    motion = vj.simulate(system, start=start, duration=duration, progress=False, **options)
+    return [float(motion[name][-1]) for name in system.start_states]
+
+
+def events_of(motion, kind):
+    flag = motion.event_kind.attrs["flag_meanings"].split().index(kind)
+    return motion.event_time.values[motion.event_kind.values == flag]
+
+
+# After a jump, everything is decided anew.
+
+WALL = vj.Impact("wall", gap=lambda t, y, p: 1.0 - y["x"], velocity="v", restitution=0.5)
+WALL_RESET = vj.Impact("wall", gap=lambda t, y, p: 1.0 - y["x"], reset=lambda t, y, p: {"v": -0.5 * y["v"]})
+RUB = vj.Friction("rub", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")
+
+
+@pytest.mark.parametrize("events", [[WALL, RUB], [RUB, WALL], [WALL_RESET, RUB]], ids=["wall", "rub", "reset"])
+def test_block_rebounds_against_friction(events):
+    """It arrives with vi² = v0² - 2 mu L, and stops at L - (r vi)²/(2 mu) = 0.625."""
+    block = vj.System(
+        "block",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"q": 1.0},
+        field=lambda t, y, p: {"x": y["v"], "v": 0.0 * y["v"]},
+        period=1.0,
+        events=events,
+    )
+    assert ends(block, [0.0, 1.0], 4.0) == pytest.approx([0.625, 0.0], abs=1e-8)
+
+
+@pytest.mark.parametrize("pushes", [0.2, 0.0])
+def test_switch_follows_velocity_through_impact(pushes):
+    block = vj.System(
+        "block",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"push": pushes},
+        field=lambda t, y, p, s: {"x": y["v"], "v": -p["push"] * s["dir"]},
+        period=1.0,
+        events=[WALL, vj.Switch("dir", lambda t, y, p: y["v"])],
+    )
+    right = [0.625, 0.0] if pushes else [0.5, -0.5]
+    assert ends(block, [0.0, 1.0], 4.0 if pushes else 2.0) == pytest.approx(right, abs=1e-8)
+
+
+def test_shaken_block_with_stop_and_friction():
+    """By SciPy: the impact velocity of the periodic motion is 3.54601 m/s."""
+    rub = vj.Friction("rub", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")
+    block = vj.System(
+        "shaken",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"a": 3.0},
+        field=lambda t, y, p: {"x": y["v"], "v": p["a"] * cos(2 * np.pi * t) - 10.0 * y["x"]},
+        period=1.0,
+        events=[vj.Impact("stop", gap=lambda t, y, p: 0.05 - y["x"], velocity="v", restitution=0.7), rub],
+    )
+    ds = vj.run_sweep(
+        {"scene": block, "starts": [[0.0, 0.0]], "grid": {"a": [3.0]}, "run": {"settle": 50.0, "observe": 20.0}},
+        progress=False,
+    )
+    assert float(ds.impact_velocity[0, 0]) == pytest.approx(3.54601, abs=1e-5) and int(ds.impacts[0, 0]) == 1
+    assert float(ds.error_estimate[0, 0]) < 1e-4
+
+
+def test_driven_block_with_stop_and_friction():
+    """x'' = cos(0.9 t) - x, friction 0.1, stop at 0.5, r = 0.7: values by SciPy."""
+    rub = vj.Friction("rub", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law=0.1, acts_on="v")
+    block = vj.System(
+        "driven",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"w": 0.9},
+        field=lambda t, y, p: {"x": y["v"], "v": cos(p["w"] * t) - y["x"]},
+        period=lambda p: 2 * np.pi / p["w"],
+        events=[rub, vj.Impact("stop", gap=lambda t, y, p: 0.5 - y["x"], velocity="v", restitution=0.7)],
+    )
+    assert ends(block, [0.0, 0.3], 0.9) == pytest.approx([0.4628, -0.5335], abs=5e-5)
+
+
+def test_resets_cross_surface_of_switch():
+    """A sawtooth x over a switch at 1/2, and a reset to 0 over a switch at 0.7, with q' = -q + s."""
+    saw = vj.System(
+        "saw",
+        states={"x": "m", "y": "m", "q": "m"},
+        parameters={"at": 0.5},
+        field=lambda t, y, p, s: {"x": 1.0, "y": s["half"], "q": -y["q"] + s["half"]},
+        period=1.0,
+        events=[
+            vj.Impact("wrap", gap=lambda t, y, p: 1.0 - y["x"], reset=lambda t, y, p: {"x": y["x"] - 1.0}),
+            vj.Switch("half", lambda t, y, p: y["x"] - p["at"]),
+        ],
+    )
+    assert ends(saw, [0.25, 0.0, 0.0], 2.5)[:2] == pytest.approx([0.75, 0.0], abs=1e-9)
+    assert ends(saw, [0.2, 0.0, 0.0], 6.0, at=0.7)[2] == pytest.approx(-0.3278, abs=5e-5)
+
+
+@pytest.mark.parametrize("ramp", ["state", "forcing"])
+def test_buck_converter_with_sawtooth(ramp):
+    """E = 20 V, L = 20 mH, C = 47 µF, R = 22 Ohm, gain 8.4, reference 11.3 V, ramp 3.8 to 8.2 V in 400 µs."""
+    period, states = 400e-6, {"v": "V", "i": "A"}
+    clock = vj.Impact("clock", gap=lambda t, y, p: period - y["r"], reset=lambda t, y, p: {"r": 0.0})
+    by_state = ramp == "state"
+
+    def share(t, y):
+        return y["r"] / period if by_state else E.sawtooth(t / period)
+
+    converter = vj.System(
+        "buck",
+        states=states | ({"r": "s"} if by_state else {}),
+        parameters={"E": 20.0},
+        field=lambda t, y, p, s: (
+            {
+                "v": (y["i"] - y["v"] / 22.0) / 47e-6,
+                "i": (p["E"] * (1 - s["off"]) / 2 - y["v"]) / 20e-3,
+            }
+            | ({"r": 1.0} if by_state else {})
+        ),
+        period=period,
+        events=[
+            *([clock] if by_state else []),
+            vj.Switch("off", lambda t, y, p: 8.4 * (y["v"] - 11.3) - (3.8 + 4.4 * share(t, y))),
+        ],
+    )
+    start = [12.0, 0.55, *([0.0] if by_state else [])]
+    assert ends(converter, start, 3 * period)[:2] == pytest.approx([11.9612, 0.5277], abs=5e-5)
+
+
+def test_section_at_value_with_impact_on_that_state():
+    oscillator = vj.System(
+        "offset",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"k": 1.0},
+        section=("x", -0.1),
+        field=lambda t, y, p: {"x": y["v"], "v": -y["x"] + 0.1 * y["v"]},
+        events=[vj.Impact("stop", gap=lambda t, y, p: 0.5 - y["x"], velocity="v", restitution=0.7)],
+    )
+    assert ends(oscillator, [0.0, 1.0], 0.6)[0] == pytest.approx(0.4391, abs=5e-5)
+
+
+# Kinks
+
+RUBBED_BY_SURPLUS = vj.Friction(
+    "rub", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: E.maximum(cos(t), 0.0), law=0.5, acts_on="v"
+)
+
+
+@pytest.mark.parametrize(
+    "rate, events, right",
+    [
+        (lambda t: E.maximum(cos(t), 0.0), [], 4.0),
+        (lambda t: abs(cos(t)), [], 8.0),
+        (lambda t: E.minimum(cos(t), 0.0), [], -4.0),
+        (lambda t: 0.2, [RUBBED_BY_SURPLUS], 0.7396757961189339),
+    ],
+    ids=["maximum", "abs", "minimum", "friction"],
+)
+def test_kinks_are_located(rate, events, right):
+    system = vj.System(
+        "kink",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"load": 0.2},
+        period=2 * np.pi,
+        field=lambda t, y, p: {"x": y["v"], "v": rate(t)},
+        events=events,
+    )
+    for error in (1e-4, 1e-9):
+        assert ends(system, [0.0, 0.0], 4 * np.pi, error=error)[1] == pytest.approx(right, abs=10 * error)
+
+
+def test_square_wave_is_a_forcing():
+    """x' = -x + square wave: the amplitude is tanh(T/4), the multiplier exp(-T)."""
+    system = vj.System(
+        "square",
+        states={"x": "m"},
+        parameters={"T": 2.0},
+        period=lambda p: p["T"],
+        field=lambda t, y, p: {"x": -y["x"] + E.square(t / p["T"])},
+    )
+    ds = vj.run_sweep(
+        {"scene": system, "starts": [[0.0]], "grid": {"T": [2.0, 3.0]}, "run": {"orbits": True}}, progress=False
+    )
+    assert ds.cycles.values.ravel().tolist() == [1, 1]
+    assert ds.x_amplitude.values.ravel() == pytest.approx(np.tanh([0.5, 0.75]), abs=1e-8)
+    assert ds.multiplier_abs.values.ravel() == pytest.approx(np.exp([-2.0, -3.0]), abs=1e-8)
+
+
+def test_floor_of_a_state_is_refused():
+    with pytest.raises(vj.InputError, match="floor of a value that depends on states"):
+        vj.System(
+            "steps",
+            states={"x": "m"},
+            parameters={"k": 1.0},
+            period=1.0,
+            field=lambda t, y, p: {"x": E.floor(y["x"])},
+        )
+
+
+# Limits
+
+
+def rubbed(normal, **options):
+    return vj.System(
+        "rubbed",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"n": 0.5},
+        period=2 * np.pi,
+        field=lambda t, y, p: {"x": y["v"], "v": 0.2},
+        events=[vj.Friction("rub", relative=lambda t, y, p: y["v"], normal=normal, law=0.5, acts_on="v", **options)],
+    )
+
+
+def test_negative_normal_force_ends_the_motion_or_lifts_off():
+    system = rubbed(lambda t, y, p: cos(t))
+    ds = vj.run_sweep({"scene": system, "starts": [[0.0, 0.0]], "grid": {"n": [0.5]}}, progress=False)
+    reasons = ds.reason.attrs["flag_meanings"].split()
+    assert reasons[int(ds.reason[0, 0])] == "negative-normal-force"
+    with pytest.raises(vj.InputError, match="negative normal force"):
+        vj.simulate(system, start=[0.0, 0.0], duration=6.0, progress=False)
+    lifted = rubbed(lambda t, y, p: cos(t), lift_off=True)
+    assert ends(lifted, [0.0, 0.0], 4 * np.pi)[1] == pytest.approx(0.7396757961189339, abs=1e-7)
+    with pytest.raises(vj.InputError, match="normal force of rub is -1"):
+        vj.simulate(rubbed(lambda t, y, p: -1.0), start=[0.0, 0.0], progress=False)
+
+
+def test_events_with_one_surface_are_refused():
+    """Two relations on the surface x = y (an issue of OpenModelica)."""
+    with pytest.raises(vj.InputError, match="a and b have the same surface"):
+        vj.System(
+            "two",
+            states={"x": "m", "y": "m"},
+            parameters={"q": 1.0},
+            period=1.0,
+            field=lambda t, y, p, s: {"x": -2.0 * s["a"], "y": -3.0 * (1 + s["b"]) / 2 + 1.5 * (1 - s["b"]) / 2},
+            events=[
+                vj.Switch("a", lambda t, y, p: y["x"] - y["y"]),
+                vj.Switch("b", lambda t, y, p: 2.0 * (y["y"] - y["x"])),
+            ],
+        )
+
+
+def test_two_surfaces_that_change_each_others_sliding():
+    """x' = -2 a - b + 0.3, y' = -a - 2 b + 0.1 with a = sgn x, b = sgn y: both slide at 0, and do not before."""
+    system = vj.System(
+        "pair",
+        states={"x": "m", "y": "m", "z": "m"},
+        parameters={"q": 1.0},
+        period=1.0,
+        field=lambda t, y, p, s: {
+            "x": -2.0 * s["a"] - s["b"] + 0.3,
+            "y": -s["a"] - 2.0 * s["b"] + 0.1,
+            "z": s["a"] + 3.0 * s["b"],
+        },
+        events=[vj.Switch("a", lambda t, y, p: y["x"]), vj.Switch("b", lambda t, y, p: y["y"])],
+    )
+    # From (1, 1): x falls at 2.7, y at 2.9. At t = 1/2.9, y slides with b = (0.1 - 1)/2, until x = 0 at its speed
+    # 0.3 - 2 - b. Then both slide, with a and b from the two equations.
+    first = 1 / 2.9
+    b = (0.1 - 1) / 2
+    second = (1 - 2.7 * first) / (1.7 + b)
+    both = np.linalg.solve([[2.0, 1.0], [1.0, 2.0]], [0.3, 0.1])
+    z = 4 * first + (1 + 3 * b) * second + (both @ [1.0, 3.0]) * (2 - first - second)
+    assert ends(system, [1.0, 1.0, 0.0], 2.0) == pytest.approx([0.0, 0.0, z], abs=1e-8)
+
+
+def test_sliding_on_two_switches_with_a_product_ends_with_a_reason():
+    system = vj.System(
+        "product",
+        states={"x": "m", "y": "m"},
+        parameters={"q": 0.5},
+        period=1.0,
+        field=lambda t, y, p, s: {"x": -2.0 * s["a"] - p["q"] * s["a"] * s["b"], "y": -s["b"]},
+        events=[vj.Switch("a", lambda t, y, p: y["x"]), vj.Switch("b", lambda t, y, p: y["y"])],
+    )
+    with pytest.raises(vj.InputError, match=r"ends at t = 1 s: slides on two switches"):
+        vj.simulate(system, start=[1.0, 1.0], duration=6.0, progress=False)
+
+
+def test_friction_holds_a_body_at_a_stop():
+    """The pull grows as 0.5 t - 1: the stop carries -1 + 0.2 and less; friction holds until the pull exceeds 0.2."""
+    rub = vj.Friction("rub", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")
+    system = vj.System(
+        "held",
+        states={"x": "m", "v": "m s-1", "pull": "m s-2"},
+        parameters={"d": 0.0},
+        field=lambda t, y, p: {"x": y["v"], "v": y["pull"], "pull": 0.5},
+        events=[vj.Impact("stop", gap=lambda t, y, p: y["x"] - p["d"], velocity="v", restitution=0.3), rub],
+    )
+    free = 4.0 - 2.4  # s since the pull exceeded the friction
+    x, v, _ = ends(system, [0.0, 0.0, -1.0], 4.0)
+    assert (x, v) == pytest.approx((0.5 * free**3 / 6, 0.5 * free**2 / 2), abs=1e-8)
+
+
+def steep_system(scale):
+    law = vj.FrictionLaw(
+        name="falling",
+        reference="",
+        parameters=vj.parameters.table(vj.parameters.positive("v_s", scale, "m s-1", "scale", "v_s")),
+        mu=lambda u, p: 0.2 + 0.2 * E.exp(-u / p["v_s"]),
+    )
+    return vj.System(
+        "steep",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"b": 0.1},
+        section="v",
+        field=lambda t, y, p: {"x": y["v"], "v": -y["x"]},
+        events=[
+            vj.Friction(
+                "belt", relative=lambda t, y, p: y["v"] - p["b"], normal=lambda t, y, p: 1.0, law=law, acts_on="v"
+            )
+        ],
+    )
+
+
+def test_steep_friction_law_from_two_starts():
+    """By SciPy: 8.3544943 s at v_s = 1e-2 and 8.068988 s at 1e-6."""
+    ds = vj.run_sweep(
+        {"scene": steep_system(1e-2), "starts": [[0.0, 0.0], [0.3, 0.1]], "grid": {"v_s": [1e-2, 1e-3, 1e-4, 1e-6]}},
+        progress=False,
+    )
+    periods = ds.period.transpose("v_s", "start").values
+    assert periods[0] == pytest.approx(8.3544943, rel=5e-7) and periods[3] == pytest.approx(8.068988, rel=1e-6)
+    assert periods[:, 0] == pytest.approx(periods[:, 1], rel=1e-7)
+    assert np.all(ds.error_estimate.values < 1e-5)
+
+
+def test_rate_where_the_zero_state_has_no_derivative():
+    """A shot with quadratic drag. Landing by SciPy at rtol 1e-12: 4.6333461886 s."""
+    speed = lambda y: E.sqrt(y["u"] ** 2 + y["w"] ** 2)  # noqa: E731
+    shot = vj.System(
+        "shot",
+        states={"r": "m", "h": "m", "u": "m s-1", "w": "m s-1"},
+        parameters={"cd": 0.5},
+        period=20.0,
+        field=lambda t, y, p: {
+            "r": y["u"],
+            "h": y["w"],
+            "u": -p["cd"] * 0.003 * speed(y) * y["u"],
+            "w": -9.80665 - p["cd"] * 0.003 * speed(y) * y["w"],
+        },
+        events=[vj.Impact("ground", gap=lambda t, y, p: y["h"], velocity="w", restitution=0.5)],
+    )
+    motion = vj.simulate(shot, start=[0.0, 100.0, 5.0, 0.0], duration=6.0, progress=False)
+    assert float(motion.event_time[0]) == pytest.approx(4.6333461886, abs=1e-7)
+
+
+# Systems that run
+
+
+def test_integrate_and_fire():
+    """One autonomous state: x' = I - x, fires at 1. The period is ln(I/(I - 1))."""
+    neuron = vj.System(
+        "neuron",
+        states={"x": "1"},
+        parameters={"I": 1.5},
+        section=("x", 0.5),
+        field=lambda t, y, p: {"x": p["I"] - y["x"]},
+        events=[vj.Impact("fire", gap=lambda t, y, p: 1 - y["x"], reset=lambda t, y, p: {"x": 0.0})],
+    )
+    ds = vj.run_sweep({"scene": neuron, "starts": [[0.0]], "grid": {"I": [1.5, 2.0]}}, progress=False)
+    assert ds.period.values.ravel() == pytest.approx(np.log([3.0, 2.0]), rel=1e-8)
+    assert ds.cycles.values.ravel().tolist() == [1, 1] and ds.impacts.values.ravel().tolist() == [1, 1]
+
+
+def test_relay_feedback_with_section_on_the_switch():
+    """The relay -sgn(x) with the plant 1/(s + 1)³: the multipliers of its cycle are 0.147449 and 1.089e-4."""
+    relay = vj.System(
+        "relay",
+        states={"x": "1", "y": "1", "z": "1"},
+        parameters={"k": 1.0},
+        section="x",
+        field=lambda t, y, p, s: {
+            "x": y["y"],
+            "y": y["z"],
+            "z": -3 * y["z"] - 3 * y["y"] - y["x"] - p["k"] * s["relay"],
+        },
+        events=[vj.Switch("relay", lambda t, y, p: y["x"])],
+    )
+    ds = vj.run_sweep(
+        {"scene": relay, "starts": [[0.3, 0.0, 0.0]], "grid": {"k": [1.0]}, "run": {"orbits": True}}, progress=False
+    )
+    assert int(ds.cycles[0, 0]) == 1
+    assert ds.multiplier_abs.values.ravel() == pytest.approx([0.147449, 1.089e-4], rel=1e-4)
+
+
+def test_field_that_does_not_repeat():
+    ramp = vj.System(
+        "ramp",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"k": 1.0},
+        field=lambda t, y, p: {"x": y["v"], "v": 0.1 * t - p["k"] * y["x"]},
+    )
+    assert ends(ramp, [0.0, 0.0], 10.0)[0] == pytest.approx(0.1 * (10 - np.sin(10)), abs=1e-7)
+    with pytest.raises(vj.InputError, match="period= or section="):
+        vj.run_sweep({"scene": ramp, "grid": {"k": [1.0, 2.0]}}, progress=False)
+
+
+def test_thermostat_with_discrete_state():
+    """T' = 15 h - (T - 10), h off at 22 and on at 18: the period is ln(7/3) + ln(12/8)."""
+    thermostat = vj.System(
+        "thermostat",
+        states={"T": "1"},
+        parameters={"k": 1.0},
+        modes={"heating": 1},
+        section=("T", 20.0),
+        field=lambda t, y, p, s: {"T": 15 * s["heating"] - p["k"] * (y["T"] - 10)},
+        events=[
+            vj.Impact("off", gap=lambda t, y, p: 22 - y["T"], reset=lambda t, y, p, s: {"heating": 0}),
+            vj.Impact("on", gap=lambda t, y, p: y["T"] - 18, reset=lambda t, y, p, s: {"heating": 1}),
+        ],
+    )
+    motion = vj.simulate(thermostat, start=[20.0], duration=5.0, progress=False)
+    assert set(np.unique(motion.heating)) == {0.0, 1.0}
+    ds = vj.run_sweep(
+        {"scene": thermostat, "starts": [[20.0]], "grid": {"k": [1.0]}, "run": {"orbits": True}}, progress=False
+    )
+    assert float(ds.period[0, 0]) == pytest.approx(np.log(7 / 3) + np.log(1.5), rel=1e-8)
+    assert int(ds.stable[0, 0]) == 1
+
+
+def test_hysteresis_of_a_second_order_plant_by_directions():
+    """The state passes both thresholds after the relay has switched. Reference: SciPy."""
+    plant = vj.System(
+        "hysteresis",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"F": 1.0},
+        modes={"h": 1},
+        section="x",
+        field=lambda t, y, p, s: {"x": y["v"], "v": p["F"] * (2 * s["h"] - 1) - y["x"] - 0.2 * y["v"]},
+        events=[
+            vj.Impact("off", gap=lambda t, y, p: y["x"] - 0.5, direction=1, reset=lambda t, y, p, s: {"h": 0}),
+            vj.Impact("on", gap=lambda t, y, p: y["x"] + 0.5, direction=-1, reset=lambda t, y, p, s: {"h": 1}),
+        ],
+    )
+    t, y, on, switched = 0.0, np.zeros(2), 1, []
+    while t < 20:
+        passes = lambda t, y, on=on: y[0] - 0.5 if on else y[0] + 0.5  # noqa: E731
+        passes.terminal, passes.direction = True, 1 if on else -1
+        part = solve_ivp(
+            lambda t, y, on=on: [y[1], 2 * on - 1 - y[0] - 0.2 * y[1]],
+            (t, 20.0),
+            y,
+            events=passes,
+            rtol=1e-11,
+            atol=1e-13,
+        )
+        t, y = part.t[-1], part.y[:, -1]
+        if part.status == 1:
+            switched, on = [*switched, t], 1 - on
+    motion = vj.simulate(plant, start=[0.0, 0.0], duration=20.0, progress=False)
+    assert events_of(motion, "impact") == pytest.approx(switched, abs=1e-6)
+    assert float(motion.x[-1]) == pytest.approx(y[0], abs=1e-6)
+
+
+def test_argument_with_default_is_not_a_side():
+    systems = [
+        vj.System(
+            "loop",
+            states={"x": "m"},
+            parameters={"k": 1.0},
+            period=1.0,
+            field=lambda t, y, p, rate=rate: {"x": -rate * y["x"]},
+        )
+        for rate in (1.0, 2.0)
+    ]
+    assert [ends(system, [1.0], 1.0)[0] for system in systems] == pytest.approx(np.exp([-1.0, -2.0]), abs=1e-7)
+
+
+@pytest.mark.parametrize("start", [[0.5, -0.5], [0.3, -0.3]])
+def test_motion_that_begins_on_a_sliding_surface(start, recwarn):
+    """On x + y = 0, x decays as exp(-t). The kernel agrees with XLA: no warning."""
+    relay = vj.System(
+        "sliding",
+        states={"x": "1", "y": "1"},
+        parameters={"gain": 1.0},
+        section="x",
+        field=lambda t, y, p, s: {"x": y["y"], "y": -p["gain"] * s["surface"]},
+        events=[vj.Switch("surface", lambda t, y, p: y["x"] + y["y"])],
+    )
+    assert ends(relay, start, 2.0)[0] == pytest.approx(start[0] * np.exp(-2.0), abs=1e-7)
+    assert not [warning for warning in recwarn if "kernel" in str(warning.message)]
