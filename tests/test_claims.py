@@ -222,11 +222,12 @@ def test_ratios_match_race():
 
 
 def test_limits_of_systems():
-    from vibrojax.measures.since_start import REST_SWING
+    from vibrojax.measures.since_start import LEAST_MAGNITUDE, LEAST_SWING, REST_SWING
     from vibrojax.models.systems.equations import AT_REST
     from vibrojax.models.systems.system import CYCLES_OBSERVED, CYCLES_SETTLING
 
     assert (CYCLES_SETTLING, CYCLES_OBSERVED, REST_SWING) == (100, 40, 1e-6)
+    assert (LEAST_SWING, LEAST_MAGNITUDE) == (1e-3, 1e-9)
     assert AT_REST * np.finfo(float).eps ** 0.5 == pytest.approx(2.4e-7, rel=0.02)
 
 

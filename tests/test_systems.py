@@ -199,7 +199,6 @@ GOOD = {
 MISTAKES = {
     "is not a state": {"section": "z"},
     "are both given; give only one": {"period": 6.0},
-    "give period=": {"section": None},
     "field gave no rate of v": {"field": lambda t, y, p: {"x": y["v"]}},
     'a rate of "z"': {"field": lambda t, y, p: {"x": y["v"], "v": 0.0, "z": 1.0}},
     "field gave tuple": {"field": lambda t, y, p: (y["v"], 0.0)},

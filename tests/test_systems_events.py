@@ -31,7 +31,14 @@ WALL_RESET = vj.Impact("wall", gap=lambda t, y, p: 1.0 - y["x"], reset=lambda t,
 RUB = vj.Friction("rub", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")
 
 
-@pytest.mark.parametrize("events", [[WALL, RUB], [RUB, WALL], [WALL_RESET, RUB]], ids=["wall", "rub", "reset"])
+@pytest.mark.parametrize(
+    "events",
+    [
+        pytest.param([WALL, RUB], id="wall"),
+        pytest.param([RUB, WALL], id="rub", marks=pytest.mark.long),
+        pytest.param([WALL_RESET, RUB], id="reset", marks=pytest.mark.long),
+    ],
+)
 def test_block_rebounds_against_friction(events):
     """It arrives with vi² = v0² - 2 mu L, and stops at L - (r vi)²/(2 mu) = 0.625."""
     block = vj.System(
@@ -109,7 +116,7 @@ def test_resets_cross_surface_of_switch():
     assert ends(saw, [0.2, 0.0, 0.0], 6.0, at=0.7)[2] == pytest.approx(-0.3278, abs=5e-5)
 
 
-@pytest.mark.parametrize("ramp", ["state", "forcing"])
+@pytest.mark.parametrize("ramp", [pytest.param("state", marks=pytest.mark.long), "forcing"])
 def test_buck_converter_with_sawtooth(ramp):
     """E = 20 V, L = 20 mH, C = 47 µF, R = 22 Ohm, gain 8.4, reference 11.3 V, ramp 3.8 to 8.2 V in 400 µs."""
     period, states = 400e-6, {"v": "V", "i": "A"}
@@ -162,12 +169,11 @@ RUBBED_BY_SURPLUS = vj.Friction(
 @pytest.mark.parametrize(
     "rate, events, right",
     [
-        (lambda t: E.maximum(cos(t), 0.0), [], 4.0),
-        (lambda t: abs(cos(t)), [], 8.0),
-        (lambda t: E.minimum(cos(t), 0.0), [], -4.0),
-        (lambda t: 0.2, [RUBBED_BY_SURPLUS], 0.7396757961189339),
+        pytest.param(lambda t: E.maximum(cos(t), 0.0), [], 4.0, id="maximum", marks=pytest.mark.long),
+        pytest.param(lambda t: abs(cos(t)), [], 8.0, id="abs"),
+        pytest.param(lambda t: E.minimum(cos(t), 0.0), [], -4.0, id="minimum", marks=pytest.mark.long),
+        pytest.param(lambda t: 0.2, [RUBBED_BY_SURPLUS], 0.7396757961189339, id="friction"),
     ],
-    ids=["maximum", "abs", "minimum", "friction"],
 )
 def test_kinks_are_located(rate, events, right):
     system = vj.System(
@@ -288,6 +294,19 @@ def test_sliding_on_two_switches_with_a_product_ends_with_a_reason():
     )
     with pytest.raises(vj.InputError, match=r"ends at t = 1 s: slides on two switches"):
         vj.simulate(system, start=[1.0, 1.0], duration=6.0, progress=False)
+
+
+def test_events_without_end_are_refused():
+    system = vj.System(
+        "stuck-clock",
+        states={"x": "m", "y": "m"},
+        parameters={"k": 1.0},
+        period=1.0,
+        field=lambda t, y, p: {"x": 1.0, "y": -p["k"] * y["y"]},
+        events=[vj.Impact("clock", gap=lambda t, y, p: 1 - y["x"], reset=lambda t, y, p: {"y": 1.0})],
+    )
+    with pytest.raises(vj.InputError, match="at 1 s, events follow one another without end"):
+        vj.simulate(system, start=[0.0, 0.0], duration=3.0, progress=False)
 
 
 def test_friction_holds_a_body_at_a_stop():

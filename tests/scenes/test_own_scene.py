@@ -142,5 +142,5 @@ def test_unknown_gauge_is_refused():
     class Misnamed(DrillWithString):
         measures = ("swing",)
 
-    with pytest.raises(InputError, match='with-string measures "swing"; choose from swings, rest, shares'):
+    with pytest.raises(InputError, match='with-string measures "swing"; choose from swings, shares'):
         recorder_for(Misnamed())

@@ -31,6 +31,12 @@ PERTURBED_COPIES = 16
 """Number of perturbed copies of the arguments. A comparison whose outcome is determined by rounding error almost surely
 has the other outcome in at least one of 16 copies."""
 
+COPIES_WITH_ZEROS = 4
+"""Number of further copies in which zeros among other values are perturbed, such as a velocity that a surface holds."""
+
+DERIVATIVE = "derivative"
+"""Part of the names of results that are derivatives."""
+
 AMPLIFICATION_LIMIT = 100.0
 """Largest accepted ratio of a difference to the change that the perturbation causes."""
 
@@ -57,10 +63,14 @@ def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: A
     by_kernel = jax.tree_util.tree_flatten_with_path(kernel(*arguments))[0]
     random = np.random.default_rng(0)
     changes = [np.zeros(value.shape) for _, value in by_kernel]
-    for _ in range(PERTURBED_COPIES):
-        copy = jax.tree.leaves(kernel(*jax.tree.map(lambda x: _perturb(x, random), arguments)))
-        for k, (_, value) in enumerate(by_kernel):
-            changes[k] = np.asarray(np.maximum(changes[k], _distance(value, copy[k])))
+    for number in range(PERTURBED_COPIES + COPIES_WITH_ZEROS):
+        zeros = number >= PERTURBED_COPIES
+        perturbed = jax.tree.map(lambda x, zeros=zeros: _perturb(x, random, zeros), arguments)
+        copy = jax.tree.leaves(kernel(*perturbed))
+        for k, (path, value) in enumerate(by_kernel):
+            # At a zero, a derivative is that of one side.
+            if not zeros or DERIVATIVE not in jax.tree_util.keystr(path):
+                changes[k] = np.asarray(np.maximum(changes[k], _distance(value, copy[k])))
     traced = trace(function, *arguments).jaxpr
     variables = traced.jaxpr.invars
     leaves = [jnp.asarray(x, var.aval.dtype) for x, var in zip(jax.tree.leaves(arguments), variables, strict=True)]
@@ -73,20 +83,22 @@ def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: A
     return None
 
 
-def _perturb(x: Any, random: np.random.Generator) -> Any:
-    """Return numbers perturbed by a few units of rounding. Rows of integers are modes and counts and stay unchanged.
+def _perturb(x: Any, random: np.random.Generator, zeros: bool) -> Any:
+    """Return numbers perturbed by a few units of rounding. Integer values are modes and counts and stay unchanged.
 
-    A zero among other values, such as a velocity that a surface holds, has the rounding errors of these values.
+    `zeros`: whether a zero in a row of other values is perturbed too, by the rounding errors of these values.
     """
     x = np.asarray(x)
     if x.dtype.kind != "f" or not x.ndim:
         return x
     with np.errstate(invalid="ignore"):
         finite = np.isfinite(x)
-        row = np.where(finite, np.abs(x), 0).max(axis=-1, keepdims=True, initial=0)
-        measured = (finite & (x != np.round(x))).any(axis=-1, keepdims=True)
-        size = np.where(x == 0, row * measured / PERTURBATION_ROUNDINGS, np.where(x == np.round(x), 0, x))
-        off = x + size * PERTURBATION_ROUNDINGS * np.finfo(x.dtype).eps * random.uniform(-1, 1, x.shape)
+        size = np.where(x == np.round(x), 0, PERTURBATION_ROUNDINGS * x)
+        if zeros:
+            row = np.where(finite, np.abs(x), 0).max(axis=-1, keepdims=True, initial=0)
+            measured = (finite & (x != np.round(x))).any(axis=-1, keepdims=True)
+            size = np.where(x == 0, row * measured, size)
+        off = x + size * np.finfo(x.dtype).eps * random.uniform(-1, 1, x.shape)
         return np.where(finite, off, x).astype(x.dtype)
 
 

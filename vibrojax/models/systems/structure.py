@@ -66,11 +66,10 @@ class Structure(Probe):
         rng = np.random.default_rng(11)
         t = Dual(self._t, jnp.asarray(rng.uniform(0.5, 1.5, len(self._t))), 1)
         y = {key: Dual(x, jnp.asarray(rng.uniform(0.5, 1.5, len(x))), 1) for key, x in self._y.items()}
-        still = {key: Dual(x, jnp.zeros(len(x)), 1) for key, x in self._y.items()}
         plain, numbers = Function(function, {}), {}
         found = plain.found(t, y, self._p, *more)
         for number, (kind, _) in found.items():
-            if kind == "floor" and not self._same_floor(plain, number, t, still, more):
+            if kind == "floor" and not self._same_floor(plain, number, t, y, more):
                 raise self._refuse(f"{place} takes the floor of a value that depends on states; write a vj.Impact")
             friction = next((event for event in self._events if place == f"event {event.name}: normal"), None)
             ends = kind == "positive" and isinstance(friction, Friction) and not friction.lift_off

@@ -114,6 +114,7 @@ class System(SystemEquations):
                 probe.dependences(),
                 rate,
             )
+            self._module = getattr(field, "__module__", "")
             self._parameters, self._renamed = probe.parameters, dict(regimes or {})
             self.autonomous = period is None and not probe.depends_on_time()  # type: ignore[misc]
             first = TIME if period is not None else self._own[0]
@@ -165,7 +166,7 @@ class System(SystemEquations):
 
     def __reduce__(self) -> Any:
         # The functions of a system cannot be pickled if they are lambdas. Other processes import the system instead.
-        module = sys.modules.get(getattr(self._flow.function.function, "__module__", ""), None)
+        module = sys.modules.get(self._module, None)
         for key, value in vars(module).items() if module is not None else ():
             if value is self and module is not None and module.__name__ != "__main__":
                 return _system_of, (module.__name__, key)

@@ -71,7 +71,7 @@ def record(
     **Arguments:** `constants`, `state`: constants of the scene and initial state, each (1,); `report(t)`: is called
     after each batch of steps; `recorder`: recorder that measures the features, None if there are none.
 
-    **Raises:** `InputError` if the motion takes more than `most_steps` steps.
+    **Raises:** `InputError` if the motion takes more than `most_steps` steps, or if events follow each other for ever.
     """
     constants, lane = begun(scene, constants, state)
     settled = carry = () if recorder is None else recorder.settling(scene, lane)
@@ -94,6 +94,11 @@ def record(
                 report(float(lane.clock.high[0]))
             if not float(lane.clock.until(end)[0]) > 0:
                 break
+            if not parts[-1]["dt"].any():
+                raise InputError(
+                    f"simulate: at {float(lane.clock.high[0]):.6g} s, events follow one another without end; "
+                    "check that the reset of an event moves the state off the event's own surface"
+                )
         if recorder is not None:
             settled = recorder.settled(settled, carry)
     whole = Record(**{name: np.concatenate([part[name] for part in parts]) for name in Record._fields})
