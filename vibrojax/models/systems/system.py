@@ -30,6 +30,10 @@ CYCLES_SETTLING, CYCLES_OBSERVED = 100, 40
 """Default durations of settling and observation, in periods of the forcing or of the slowest oscillation about
 the zero state."""
 
+TURNING_SHARE = 1e-3
+"""Least imaginary part of an eigenvalue that counts as an oscillation, as a fraction of the eigenvalue. Rounding errors
+split a multiple real eigenvalue into complex ones."""
+
 DEFINED: "WeakValueDictionary[str, System]" = WeakValueDictionary()
 """The systems of this process by name, for the pages of their datasets. A later system replaces an earlier one."""
 
@@ -197,7 +201,8 @@ class System(SystemEquations):
         matrices = np.array(jax.jit(jacobians)(p), float)
         values = np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))]).ravel()
         turning, moving = np.abs(values.imag), np.abs(values)
-        chosen = turning[turning > 0] if (turning > 0).any() else moving[moving > 0]
+        turns = turning > TURNING_SHARE * moving
+        chosen = turning[turns] if turns.any() else moving[moving > 0]
         rate = float(max(self.constants(p).rates)) if not chosen.size else chosen.min()
         return float(rate) if np.isfinite(rate) else 1.0
 
