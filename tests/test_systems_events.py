@@ -519,3 +519,15 @@ def test_motion_that_begins_on_a_sliding_surface(start, recwarn):
     )
     assert ends(relay, start, 2.0)[0] == pytest.approx(start[0] * np.exp(-2.0), abs=1e-7)
     assert not [warning for warning in recwarn if "kernel" in str(warning.message)]
+
+
+def test_switch_on_the_first_state_of_a_system_without_section():
+    """x'' = -sgn(x) from (0.5, 0) falls for 1 s, and then mirrors its fall."""
+    system = vj.System(
+        "unmeasured",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"k": 1.0},
+        field=lambda t, y, p, s: {"x": y["v"], "v": -p["k"] * s["side"]},
+        events=[vj.Switch("side", lambda t, y, p: y["x"])],
+    )
+    assert ends(system, [0.5, 0.0], 2.0) == pytest.approx([-0.5, 0.0], abs=1e-9)

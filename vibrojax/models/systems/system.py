@@ -126,7 +126,8 @@ class System(SystemEquations):
             # A single autonomous state cannot return to a section unless it jumps.
             returns = section is not None and (len(self._own) > 1 or isinstance(self, HasImpacts))
             self._measured = period is not None or returns
-            self._at_section = frozenset(probe.events_at(self._section_state, self._level))
+            at_section = probe.events_at(self._section_state, self._level) if self._measured else []
+            self._at_section = frozenset(at_section)
             speeds = self._flow.structure.speeds
             # The error of these positions follows from that of their velocities.
             self._integrated = frozenset(speeds) if set(speeds) < set(states) else frozenset()
