@@ -101,6 +101,40 @@ def test_driven_block_with_stop_and_friction():
     assert ends(block, [0.0, 0.3], 0.9) == pytest.approx([0.4628, -0.5335], abs=5e-5)
 
 
+def test_start_on_the_surface_of_a_reset():
+    """x'' = -x begins at x = 1, where v becomes -0.8 v. With v > 0 it does so at once, though the spring alone would
+    bring the mass back soon; with v < 0, where the mass returns after 2 pi - 2 arctan(-v)."""
+    mass = vj.System(
+        "mass",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"r": 0.8},
+        field=lambda t, y, p: {"x": y["v"], "v": -y["x"]},
+        period=1.0,
+        events=[
+            vj.Impact("wall", gap=lambda t, y, p: 1.0 - y["x"], reset=lambda t, y, p: {"v": -p["r"] * y["v"]}),
+        ],
+    )
+    assert ends(mass, [1.0, 0.1], 1.0)[0] == pytest.approx(np.cos(1.0) - 0.08 * np.sin(1.0), abs=1e-8)
+    after = 8.0 - (2 * np.pi - 2 * np.arctan(0.5))
+    right = [np.cos(after) - 0.4 * np.sin(after), -np.sin(after) - 0.4 * np.cos(after)]
+    assert ends(mass, [1.0, -0.5], 8.0) == pytest.approx(right, abs=1e-8)
+
+
+def test_slide_that_pauses_within_a_step():
+    """y' = a sin(t + 3) - s slides on y = 0 except while |a sin| > 1, first for y' = a sin(t + 3) + 1 around 3 pi/2."""
+    slide = vj.System(
+        "slide",
+        states={"y": "m"},
+        parameters={"a": 1.002},
+        field=lambda t, y, p, s: {"y": p["a"] * E.sin(t + 3.0) - s["side"]},
+        period=2 * np.pi,
+        events=[vj.Switch("side", lambda t, y, p: y["y"])],
+    )
+    leaves, low = np.pi + np.arcsin(1 / 1.002), 1.5 * np.pi
+    motion = vj.simulate(slide, start=[0.0], duration=2.5 * (low - 3.0), sampling=(low - 3.0) / 100, progress=False)
+    assert float(motion.y[100]) == pytest.approx(1.002 * (np.cos(leaves) - np.cos(low)) + low - leaves, abs=1e-9)
+
+
 def test_resets_cross_surface_of_switch():
     """A sawtooth x over a switch at 1/2, and a reset to 0 over a switch at 0.7, with q' = -q + s."""
     saw = vj.System(

@@ -122,7 +122,10 @@ def locate(event: Event, trial: Trial) -> Landing:
         others.append(~over & ~here & beyond & (f[0] > 0))
     early = keep(_any(earlier))
     missed = keep(moving & ~at_start & _any(roots + others[:n_guards]))
-    dips = [jnp.where(here, jnp.inf, _dip(f, end, tau)) for f, end, here in zip(functions, landed, mine, strict=True)]
+    dips = []
+    for f, end, here, tiny in zip(functions, landed, mine, small, strict=True):
+        dip = _dip_in_halves(f, end, tau, tiny) if event.scene.ends_at_once else _dip(f, end, tau)
+        dips.append(jnp.where(here, jnp.inf, dip))
     dip = keep(reduce(jnp.minimum, dips))
     dipped = moving & ~early & (dip < 1)
     repeat = keep(early | missed | dipped)
@@ -153,14 +156,17 @@ def _crossings(
 
     The guess is the crossing as a fraction of the step, infinite without a crossing. The polynomials describe only the
     branch of |.| and max at the start of the step; the caller evaluates the true functions at the located end.
-    `at_once`: True if a guard that is negative at the start ends the step there, whatever its value at the end.
+    `at_once`: True if a guard that is negative at the start, or zero and falling, ends the step there, whatever its
+    value at the end.
     """
     ends = keep([value(f, reach) for f in functions])
     guesses = [_guess(f, end, reach, tiny) for f, end, tiny in zip(functions, ends, small, strict=True)]
     crossed: list[Array] = [moving & (end < 0) for end in ends]
     if at_once:
         for index in range(n_guards):
-            crossed[index] = crossed[index] | (moving & (functions[index][0] < -small[index].value))
+            f, tiny = functions[index], small[index]
+            below = (f[0] < -tiny.value) | ((f[0] <= 0) & (f[1] < -tiny.slope))
+            crossed[index] = crossed[index] | (moving & below)
     # If a marker starts at a tangency and ends on the wrong side, only its sign was misjudged: there is no crossing.
     # Crossings within rounding error of zero do not count, because they would occur again and again.
     for index in range(n_guards, len(functions)):
@@ -223,11 +229,26 @@ def _guess(f: Coefficients, end: Array, reach: Array, small: Small) -> jax.Array
 
 
 def _dip(f: Coefficients, end: Array, tau: Array) -> jax.Array:
-    """Return the fraction of the step to `tau` near which a function may have dipped below zero, else infinity.
+    """Return the fraction of the step to `tau` near which a function may have dipped below zero, else infinity."""
+    return _dip_between(f[0], f[1] * tau, end, slope(f, tau) * tau)
+
+
+def _dip_in_halves(f: Coefficients, end: Array, tau: Array, small: Small) -> jax.Array:
+    """Return the same for functions that may turn several times in a step, such as those of a user's system."""
+    half = 0.5 * tau
+    middle, rate = value(f, half), slope(f, half) * half
+    first = _dip_between(f[0], f[1] * half, middle, rate)
+    second = _dip_between(middle, rate, end, slope(f, tau) * half)
+    below = jnp.where((f[0] > small.value) & (middle < -small.value), 0.5, jnp.inf)
+    both = jnp.where(f[0] > small.value, jnp.minimum(0.5 * first, 0.5 + 0.5 * second), jnp.inf)
+    return jnp.minimum(both, below)
+
+
+def _dip_between(start: Array, rate: Array, end: Array, end_rate: Array) -> jax.Array:
+    """Return the fraction of an interval near which a function may have dipped below zero, else infinity.
 
     A convex function is above the tangents at both ends. If these tangents meet above zero, there is no dip.
     """
-    start, rate, end_rate = f[0], f[1] * tau, slope(f, tau) * tau
     falls_then_rises = (start > 0) & (end >= 0) & (rate < 0) & (end_rate > 0)
     curvature = end_rate - rate
     # start + rate * meeting < 0, with the tangents' meeting at (start - end + end_rate) / curvature.

@@ -144,8 +144,8 @@ class SystemEquations(Scene[SystemConstants]):
             rests, lifted, side = jnp.where(where == 0, 1.0, 0.0), jnp.abs(where) == 2, jnp.sign(where)
         return (side * (1.0 - rests)) * surface + jnp.where(lifted, lift, 0.0) + rests * motion.margins[index]
 
-    def _rounded(self, c: SystemConstants, mode: Values, state: Values) -> tuple[list[Any], list[Any]]:
-        """Return bounds on the rounding errors of the states and of the guards, in machine epsilons."""
+    def _rounded(self, c: SystemConstants, mode: Values, state: Values) -> tuple[list[Any], list[Any], list[Any]]:
+        """Return bounds on the rounding errors of states, guards, and changes of the user's states, in epsilons."""
         arguments = (c, *mode, *state)
         known = _ROUNDINGS.get(self)
         if known is not None and len(known[0]) == len(arguments) and all(map(operator.is_, known[0], arguments)):
@@ -158,14 +158,16 @@ class SystemEquations(Scene[SystemConstants]):
         sizes = [size + _size(motion.rates.get(name, 0.0)) / speed for name, size in zip(names, near, strict=True)]
         if self._period is not None:
             sizes[names.index(TIME)] = jnp.zeros_like(state[0]) + c.period
-        motion = motion._replace(surfaces=self._flow.values(c, mode, *self._known(rounded(sizes))))
+        again = self._motion(c, mode, rounded(sizes))
+        motion = motion._replace(surfaces=again.surfaces)
         guards = [_size(self._guard_value(c, index, mode[index], motion)) for index in range(len(motion.surfaces))]
-        bounds = sizes, guards + ([] if self._period is None else [jnp.zeros_like(state[0]) + c.period])
+        changes = [_size(again.rates[name]) / speed for name in self._own]
+        bounds = sizes, guards + ([] if self._period is None else [jnp.zeros_like(state[0]) + c.period]), changes
         _ROUNDINGS[self] = arguments, bounds
         return bounds
 
     def resolutions(self, c: SystemConstants, mode: Values, state: Values, marked: bool = True) -> Values:
-        sizes, guards = self._rounded(c, mode, state)
+        sizes, guards, _ = self._rounded(c, mode, state)
         noise = ROUNDINGS * jnp.finfo(sizes[0].dtype).eps
         markers = [sizes[self.place(marker.velocity)] for marker in self.markers if marked]
         return tuple(noise * size for size in (*guards, *markers))
@@ -370,13 +372,15 @@ class SystemEquations(Scene[SystemConstants]):
     def defect_scales(
         self, c: SystemConstants, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
     ) -> list[Any]:
-        return [DEFECT_TOLERANCES * size for size in self._step_sizes(c, mode, state, polynomials)]
+        sizes, (_, _, changes) = self._step_sizes(c, mode, state, polynomials), self._rounded(c, mode, state)
+        # A state that stays at zero, because a surface holds the motion, changes by the rounding errors of the others.
+        return [DEFECT_TOLERANCES * jnp.maximum(size, change) for size, change in zip(sizes, changes, strict=True)]
 
     def _step_sizes(
         self, c: SystemConstants, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
     ) -> list[Any]:
         """Return the magnitudes of the user's states in a step; a state at zero has that of its change."""
-        sizes, _ = self._rounded(c, mode, state)
+        sizes, _, _ = self._rounded(c, mode, state)
         # From rest, the last of n states in a chain begins to move with the n-th derivative.
         orders = range(2, min(len(self._own) + 1, len(polynomials[0]) // 2) + 1)
         own = zip(sizes, polynomials[: len(self._own)], strict=False)

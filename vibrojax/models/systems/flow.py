@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from vibrojax.models.arrays import Array
-from vibrojax.models.physics import elementary
 from vibrojax.models.scenes.declared import Values
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch
 from vibrojax.models.systems.kinks import Differences, Function, Kink
@@ -247,10 +246,11 @@ class Flow:
             margin, pull = zero + 1.0, drifts.get(index, zero)
             if isinstance(event, Switch):
                 gain = constraints[index].gain
-                margin = -elementary.maximum(pull + gain, gain - pull)
+                margin = -(gain * abs(gain)) - pull * pull
             elif isinstance(event, Friction):
                 # The margin is that of the field without this friction, for a body that slides or sticks.
-                margin = holds[index] * abs(constraints[index].gain) - elementary.absolute(pull)
+                bears, gain = holds[index], constraints[index].gain
+                margin = (bears * abs(bears)) * (gain * gain) - pull * pull
             elif index in constraints:
                 margin = -pull
             margins.append(margin)

@@ -265,8 +265,13 @@ def _modes_after(
             passes = jnp.abs(value) <= 2.0 * c.lifts[index]
             own = jnp.where(passes, -2.0 * jnp.sign(where), jnp.where(value < 0, -2.0, 2.0))
         elif isinstance(event, Impact):
-            own = jnp.where(margins[index] > least_push(c, index), 1.0, -1.0)
-            own = jnp.where(where == 1, -1.0, jnp.where(slow.get(index, never), own, 0.0))
+            if event.velocity is None:
+                # The state is on the surface up to the offset of a departure, and must not repeat the event.
+                value, rate = flow.surface(c, after, index, t, y), flow.closing(c, after, index, t, y)
+                own = jnp.where((jnp.abs(value) <= 2.0 * c.lifts[index]) & (rate > 0), -1.0, 0.0)
+            else:
+                own = jnp.where(margins[index] > least_push(c, index), 1.0, -1.0)
+                own = jnp.where(where == 1, -1.0, jnp.where(slow[index], own, 0.0))
         else:
             crosses = jnp.where(modes[index] == 0, 0.0, -jnp.sign(where)) if isinstance(event, Switch) else modes[index]
             crosses = jnp.where(blocked[index], -jnp.sign(where), crosses) if index in blocked else crosses
