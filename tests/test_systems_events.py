@@ -432,15 +432,25 @@ def test_integrate_and_fire():
 
 
 def test_relay_feedback_with_section_on_the_switch():
-    """The relay -sgn(x) with the plant 1/(s + 1)³. After half a period h of its cycle, the state is reversed."""
+    """The relay -sgn(x) with the plant 1/(s + 1)³. After half a period h of its cycle, the state is reversed.
+
+    The multipliers are the squares of the eigenvalues of the half return map (1 - v c / c v) e^(A h), where v is the
+    velocity before the switch, and c the row (1, 0, 0).
+    """
     plant = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, -3.0, -3.0]])
 
-    def position(half):
-        """Return x where the relay becomes -1: y(h) = e (y(0) - r) + r = -y(0), with the equilibrium r = (-1, 0, 0)."""
-        e, r = expm(half * plant), np.array([-1.0, 0.0, 0.0])
-        return np.linalg.solve(np.eye(3) + e, (e - np.eye(3)) @ r)[0]
+    rest = np.array([-1.0, 0.0, 0.0])
 
-    period = 2 * brentq(position, 1.0, 3.0, xtol=1e-12)
+    def begin(half):
+        """Return y(0) where the relay becomes -1: y(h) = e (y(0) - r) + r = -y(0), with the equilibrium r."""
+        e = expm(half * plant)
+        return np.linalg.solve(np.eye(3) + e, (e - np.eye(3)) @ rest)
+
+    half = brentq(lambda half: begin(half)[0], 1.0, 3.0, xtol=1e-12)
+    v = plant @ (-begin(half) - rest)
+    back = (np.eye(3) - np.outer(v, [1.0, 0.0, 0.0]) / v[0]) @ expm(half * plant)
+    multipliers = np.sort(np.abs(np.linalg.eigvals(back)))[:0:-1] ** 2
+    assert multipliers == pytest.approx([0.147449, 1.089e-4], abs=5e-7)  # published
     relay = vj.System(
         "relay",
         states={"x": "1", "y": "1", "z": "1"},
@@ -453,8 +463,11 @@ def test_relay_feedback_with_section_on_the_switch():
         },
         events=[vj.Switch("relay", lambda t, y, p: y["x"])],
     )
-    ds = vj.run_sweep({"scene": relay, "starts": [[0.3, 0.0, 0.0]], "grid": {"k": [1.0]}}, progress=False)
-    assert int(ds.cycles[0, 0]) == 1 and float(ds.period[0, 0]) == pytest.approx(period, rel=1e-7)
+    ds = vj.run_sweep(
+        {"scene": relay, "starts": [[0.3, 0.0, 0.0]], "grid": {"k": [1.0]}, "run": {"orbits": True}}, progress=False
+    )
+    assert int(ds.cycles[0, 0]) == 1 and float(ds.period[0, 0]) == pytest.approx(2 * half, rel=1e-9)
+    assert ds.multiplier_abs.values.ravel() == pytest.approx(multipliers, rel=1e-7)
 
 
 def test_field_that_does_not_repeat():
@@ -565,3 +578,43 @@ def test_switch_on_the_first_state_of_a_system_without_section():
         events=[vj.Switch("side", lambda t, y, p: y["x"])],
     )
     assert ends(system, [0.5, 0.0], 2.0) == pytest.approx([-0.5, 0.0], abs=1e-9)
+
+
+CIRCLE = {"x": "1", "y": "1"}
+TURNS = {"straight": lambda t, y, p: y["y"] - p["k"] * y["x"], "hyperbola": lambda t, y, p: y["x"] * y["y"] - p["k"]}
+
+
+def circle(t, y, p):
+    """r' = r (1 - r²), phi' = 1.4: on the unit circle, the multiplier is exp(-2 T) with the period T = 2 pi/1.4."""
+    growth = 1 - (y["x"] * y["x"] + y["y"] * y["y"])
+    return {"x": growth * y["x"] - 1.4 * y["y"], "y": 1.4 * y["x"] + growth * y["y"]}
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_section_is_a_function(turn):
+    """On a circle, y - k x rises through zero once a turn, and x y - k twice. One of the multipliers is zero."""
+    system = vj.System("circle", states=CIRCLE, parameters={"k": 0.3}, field=circle, section=TURNS[turn])
+    ds = vj.run_sweep(
+        {"scene": system, "starts": [[0.5, 0.0]], "grid": {"k": [0.3]}, "run": {"orbits": True}}, progress=False
+    )
+    returns = 1 if turn == "straight" else 2
+    assert int(ds.cycles[0, 0]) == returns and float(ds.error_estimate[0, 0]) < 1e-6
+    assert returns * float(ds.period[0, 0]) == pytest.approx(2 * np.pi / 1.4, rel=1e-8)
+    assert ds.multiplier_abs.values.ravel() == pytest.approx([np.exp(-4 * np.pi / 1.4), 0.0], abs=1e-9)
+    x, y = float(ds.orbit_x[0, 0]), float(ds.orbit_y[0, 0])
+    assert x * x + y * y == pytest.approx(1.0, abs=1e-9)
+    assert TURNS[turn](0.0, {"x": x, "y": y}, {"k": 0.3}) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        (lambda t, y, p: y["x"] - t, "must depend on states, and not on t"),
+        (lambda t, y, p: np.sin(y["x"]), "cannot expand"),
+        (lambda t, y, p: y["x"] - p["q"], "asks for 'q'"),
+        (3.0, "a pair of a state and a number, or a function"),
+    ],
+)
+def test_section_functions_that_cannot_be_used(section, message):
+    with pytest.raises(vj.InputError, match=message):
+        vj.System("circle", states=CIRCLE, parameters={"k": 0.3}, field=circle, section=section)

@@ -130,7 +130,7 @@ class ReturnLoop(NamedTuple):
     def begin(self, c: Any, state: Array) -> _Flight:
         """Return lanes at the section in a state (states, lanes). `c`: the scene's constants, scaled for the motion."""
         scene = self.scene
-        lane = lane_at(scene, c, at_section(scene, state))
+        lane = lane_at(scene, c, scene.onto_section(c, at_section(scene, state)))
         zero = jnp.zeros_like(state[0])
         none = jnp.zeros_like(zero, bool)
         own = jax.lax.stop_gradient(map_state(scene, lane))

@@ -182,10 +182,10 @@ def trial_length(lane: Lane, nominal: Array, longest: Real, goal: Goal) -> jax.A
 def taken(event: Event, lane: Lane, trial: Trial, h: Lanes, landing: Landing) -> tuple[Lane, Step]:
     """Return the lane after a trial step, and the step; `h`: unit of tau [s]; `landing`: end of the trial step."""
     scene, accepted = event.scene, landing.accepted
-    hits = scene.joined_hits(lane.mode, landing.hits)
+    hits, falling = scene.joined(lane.mode, landing.hits, landing.falling)
     dt = jnp.where(accepted, landing.tau * h, 0.0)
     reached = tuple(jnp.where(accepted, new, old) for new, old in zip(landing.state, lane.state, strict=True))
     mode, state = keep(scene.after_event(event.constants, lane.mode, reached, hits))
     tau = jnp.where(accepted, landing.tau, 0.0)
-    step = Step(lane.state, lane.mode, trial.polynomials, h, tau, dt, state, hits, landing.falling)
+    step = Step(lane.state, lane.mode, trial.polynomials, h, tau, dt, state, hits, falling)
     return Lane(lane.clock.advanced(dt), state, mode, jnp.where(accepted, jnp.inf, landing.tau * h)), step

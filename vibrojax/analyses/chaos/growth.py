@@ -192,7 +192,13 @@ def _returns(
     zero = jnp.zeros_like(state[0])
     rows = jnp.full((RETURNS_PER_CALL, 2 + len(state), *zero.shape), jnp.nan, zero.dtype)
     unarmed = jnp.zeros_like(zero, bool)
-    carry = _Carry(lane_at(scene, c, begin), at_section(scene, tangent * scale), unarmed, zero, zero, zero, rows)
+
+    def along_section(tangent: Array) -> Values:
+        moved: Values = jax.jvp(lambda x: scene.onto_section(c, at_section(scene, x)), (state,), (tangent,))[1]
+        return moved
+
+    lane = lane_at(scene, c, scene.onto_section(c, begin))
+    carry = _Carry(lane, along_section(tangent * scale), unarmed, zero, zero, zero, rows)
 
     def return_states(state: Values) -> Array:
         return jnp.stack([state[scene.place(name)] for name in scene.return_states])
@@ -217,7 +223,7 @@ def _returns(
         scaled = return_states(moved) / scale
         norm = jnp.sqrt(jnp.sum(scaled * scaled, axis=0))
         # If everything sticks, the tangent may vanish. It then starts again in an arbitrary direction.
-        unit = at_section(scene, jnp.where(norm[None] > 0, scaled / norm[None], len(state) ** -0.5) * scale)
+        unit = along_section(jnp.where(norm[None] > 0, scaled / norm[None], len(state) ** -0.5) * scale)
         since = carry.since + step.dt
         row = jnp.stack([jnp.log(norm), since, *return_states(lane.state)])
         place = jnp.where(here, carry.number, RETURNS_PER_CALL).astype(jnp.int32)

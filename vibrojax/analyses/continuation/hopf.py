@@ -53,10 +53,14 @@ SAME_FREQUENCY = 0.05
 
 
 class Equilibrium(NamedTuple):
-    """An equilibrium: its states, and the derivative of the field, without drifting states."""
+    """An equilibrium: its states, and the derivatives of the field and of the section's velocity (`normal`).
+
+    Drifting and redundant states are left out.
+    """
 
     states: Float[np.ndarray, " states"]
     jacobian: Float[np.ndarray, "states states"]
+    normal: Float[np.ndarray, " states"]
 
     def pair(self, frequency: float) -> tuple[complex, np.ndarray]:
         """Return the eigenvalue nearest to i `frequency` [1/s], and its eigenvector."""
@@ -144,16 +148,16 @@ def section_product(
     """Return the derivative of the return map to the section in the limit of zero amplitude, in scaled states."""
     assert scene.section is not None
     names = moving_states(scene)
-    rows, velocity = [names.index(name) for name in scene.return_states], names.index(scene.section.velocity)
-    away = (vector / vector[velocity] * 1j).real  # on the section: its velocity is zero
+    rows, normal = [names.index(name) for name in scene.return_states], known.normal
+    away = (vector / (normal @ vector) * 1j).real  # on the section: its velocity is zero
     flow, whole = known.jacobian @ away, expm(known.jacobian * (2 * np.pi / eigenvalue.imag))
-    product = whole - np.outer(flow / flow[velocity], whole[velocity])
+    product = whole - np.outer(flow / (normal @ flow), normal @ whole)
     return np.asarray(product[np.ix_(rows, rows)] * scale / scale[:, None])
 
 
 def moving_states(scene: Scene[Any]) -> list[str]:
-    """Return the names of the states that do not drift."""
-    return [name for name in scene.state_names if name not in scene.drifting]
+    """Return the names of the states that do not drift and do not follow from others."""
+    return [name for name in scene.state_names if name not in (*scene.drifting, *scene.redundant)]
 
 
 class Field:
@@ -166,6 +170,10 @@ class Field:
         self, scene: Scene[Any], parameters: Mapping[str, Any], begin: Float[np.ndarray, " states"], scale: float
     ) -> None:
         self._begin, self._scale, names = begin, scale, moving_states(scene)
+        assert scene.section is not None
+        velocity = scene.section.velocity
+        beside = () if velocity in names else (velocity,)
+        self._normal = None if beside else np.eye(len(names))[names.index(velocity)]
 
         def whole(states: Any) -> tuple[Any, ...]:
             known = dict(zip(names, states, strict=True))
@@ -176,7 +184,7 @@ class Field:
             mode = scene.mode_at(c, whole(jnp.asarray(self._begin)))
             rates = dict(zip(scene.state_names, scene.field(c, mode, y), strict=True))
             inside = [jnp.ravel(value > 0).all() for value in scene.guard_values(c, mode, y)]
-            return jnp.stack([rates[name] for name in names]), jnp.stack([jnp.asarray(True), *inside]).all()
+            return jnp.stack([rates[name] for name in (*names, *beside)]), jnp.stack([jnp.asarray(True), *inside]).all()
 
         self._rates = jax.jit(lambda states, at: (*field(states, at), jax.jacfwd(lambda x: field(x, at)[0])(states)))
 
@@ -186,12 +194,15 @@ class Field:
         for _ in range(EQUILIBRIUM_MAX_ITERATIONS):
             with precision("float64"):
                 rates, inside, jacobian = map(np.asarray, self._rates(states, values))
+            rates, jacobian, beside = rates[: len(states)], jacobian[: len(states)], jacobian[len(states) :]
             if not np.isfinite(jacobian).all() or np.linalg.matrix_rank(jacobian) < len(states):
                 return None
             step = np.linalg.solve(jacobian, -rates)
             states = states + step
             if np.abs(step).max() <= EQUILIBRIUM_STEP * max(np.abs(states).max(), self._scale):
-                return Equilibrium(states, jacobian) if inside else None
+                # The rate of a section's function is its gradient times the field, which is zero here.
+                normal = self._normal if self._normal is not None else np.linalg.solve(jacobian.T, beside[0])
+                return Equilibrium(states, jacobian, normal) if inside else None
         return None
 
 

@@ -57,6 +57,7 @@ class Scene(ABC, Generic[C]):
     - `ends_at_once`: True if a mode may begin with a negative guard. The mode then ends at once.
     - `fault_reasons`: reasons of `fault`, among the flags of the variable `reason`.
     - `drifting`: states that grow without bound and do not affect the others; the return map does not include them.
+    - `redundant`: states that follow from the others, as `on_surfaces` determines them.
 
     **Example:**
 
@@ -83,6 +84,7 @@ class Scene(ABC, Generic[C]):
     choice_meanings: ClassVar[Mapping[str, str]] = {}
     autonomous: ClassVar[bool] = True
     drifting: ClassVar[tuple[str, ...]] = ()
+    redundant: ClassVar[tuple[str, ...]] = ()
     ends_at_once: ClassVar[bool] = False
     fault_reasons: ClassVar[tuple[str, ...]] = ()
     usual_times: ClassVar[tuple[float, float]] = (40.0, 8.0)
@@ -309,9 +311,15 @@ class Scene(ABC, Generic[C]):
         speed = SLOPE_ROUNDINGS * self.velocity_resolution(c)
         return (*slopes, *(speed for _ in self.markers if marked))
 
-    def joined_hits(self, mode: Values, hits: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the masks of events in which a step ends, with markers whose zero is that of a guard; here, `hits`."""
-        return hits
+    def onto_section(self, c: C, state: Values) -> Values:
+        """Return a state of the return map moved onto the section; here, as it is: its velocity is a state of zero."""
+        return state
+
+    def joined(
+        self, mode: Values, hits: Mapping[str, Any], falling: Mapping[str, Any]
+    ) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+        """Return `hits` and `falling` with those of the markers whose zeros are those of a guard; here, as they are."""
+        return hits, falling
 
     @property
     def section_on_guard(self) -> bool:

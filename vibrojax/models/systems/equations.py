@@ -16,7 +16,7 @@ from vibrojax.models.scenes.declared import Guard, Start, Values
 from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch
 from vibrojax.models.systems.flow import Flow, Motion, SystemConstants
-from vibrojax.models.systems.numbers import Magnitude, Rounded
+from vibrojax.models.systems.numbers import Magnitude, Rounded, slope_along
 from vibrojax.models.systems.transitions import (
     LIFT_ROUNDINGS,
     Places,
@@ -46,8 +46,17 @@ The height of a bounce is of second order in its speed: below, it is lost in rou
 BEYOND_RETURN = 1.5
 """Longest step in units of the time until a surface's parabola returns to zero: beyond it, the function is negative."""
 
+NEAR_SECTION, DRIFT = 0.1, 1e-6
+"""Distance from a section, and error of that distance, up to which the error is kept, relative to a typical value."""
+
+ONTO_SECTION = 3
+"""Newton iterations that move a state next to the section onto it."""
+
 TIME = "t"
 """Name of the hidden state with the time within a period of the forcing [s]."""
+
+SECTION = "section_value"
+"""Name of the hidden state with the value of the function that defines the section."""
 
 _ROUNDINGS: "WeakKeyDictionary[SystemEquations, tuple[Values, Any]]" = WeakKeyDictionary()
 """Arguments and result of the last call of `SystemEquations._rounded` for each system."""
@@ -60,7 +69,9 @@ class SystemEquations(Scene[SystemConstants]):
     - `_own`: names of the states; `_integrated`: the states whose rate of change is a state itself.
     - `_period`: period of the forcing [s], a number or a function of `p`, or None.
     - `_section_state`: the state that crosses the value `_level` at the section; for a forced system the hidden time.
-    - `_discrete`: initial values of discrete states; `_at_section`: indices of the events whose surface is the section.
+    - `_section_function`: function of t, y and p that is zero at the section; None: a state decides.
+    - `_discrete`: initial values of discrete states; `_at_section`: the events whose surface is the
+      section, by index, with the sign of their function above it.
     """
 
     ends_at_once = True
@@ -72,8 +83,9 @@ class SystemEquations(Scene[SystemConstants]):
     _period: float | Callable[[Mapping[str, Any]], Any] | None
     _section_state: str
     _level: float
+    _section_function: Callable[..., Any] | None
     _discrete: Mapping[str, float]
-    _at_section: frozenset[int]
+    _at_section: Mapping[int, float]
 
     # The user's functions know the states without the shift of the section. Only these two functions shift.
 
@@ -106,7 +118,42 @@ class SystemEquations(Scene[SystemConstants]):
         rates = self._motion(c, mode, state).rates
         zero = 0.0 * state[0]
         hidden = {TIME: zero + 1.0, APPROACH: zero}
+        if self._section_function is not None:
+            t, y = self._known(state)
+            along = [rates.get(name, 0.0) for name in y]
+            hidden[SECTION] = slope_along(lambda t, y: self._section_value(c, y), t, y, along)
         return tuple(rates[name] if name in rates else hidden[name] for name in self.state_names)
+
+    def _section_value(self, c: SystemConstants, y: Mapping[str, Any]) -> Any:
+        assert self._section_function is not None
+        return self._section_function(0.0, y, c.p)
+
+    def _section_state_after(self, c: SystemConstants, state: Values, y: Mapping[str, Any]) -> Any:
+        """Return the hidden state with the section's function, where the states have become `y`.
+
+        It would drift by the errors of steps. Next to the section, a correction would cross the section again.
+        """
+        own, value, typical = state[self.place(SECTION)], self._section_value(c, y), c.typical[SECTION]
+        near = (jnp.abs(value) <= NEAR_SECTION * typical) & (jnp.abs(value - own) <= DRIFT * typical)
+        return jnp.where(near, own, value)
+
+    def _section_slopes(self, c: SystemConstants, y: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the derivatives of the section's function with respect to the states, by name."""
+        one_by_one = {name: [float(key == name) for key in y] for name in self._own}
+        value = lambda t, y: self._section_value(c, y)  # noqa: E731
+        return {name: slope_along(value, 0.0, dict(y), along, 0.0) for name, along in one_by_one.items()}
+
+    def onto_section(self, c: SystemConstants, state: Values) -> Values:
+        if self._section_function is None:
+            return state
+        _, y = self._known(state)
+        for _ in range(ONTO_SECTION):
+            value, slopes = self._section_value(c, y), self._section_slopes(c, y)
+            steps = {name: slope * c.typical[name] ** 2 for name, slope in slopes.items()}
+            total = sum(steps[name] * slope for name, slope in slopes.items())
+            share = jnp.where(total == 0, 0.0, value / jnp.where(total == 0, 1.0, total))
+            y = y | {name: y[name] - step * share for name, step in steps.items()}
+        return self._with_known(state, y, **{SECTION: 0.0 * state[0]})
 
     # Guards and resets
 
@@ -217,6 +264,8 @@ class SystemEquations(Scene[SystemConstants]):
             hidden = {APPROACH: approach} if APPROACH in self.state_names else {}
             # A discrete state depends on no state that varies continuously.
             y = y | {name: lax.stop_gradient(y[name]) for name in self._discrete}
+        if self._section_function is not None:
+            hidden[SECTION] = self._section_state_after(c, state, y)
         if self._period is not None:
             hidden[TIME] = jnp.where(hits["turned"], -0.5 * c.period, state[self.place(TIME)])
             if any(kink.whole for kink in self._flow.kinks):
@@ -284,10 +333,13 @@ class SystemEquations(Scene[SystemConstants]):
         return tuple(decided(self._flow, c, free, t, y, places).modes)
 
     def on_surfaces(self, c: SystemConstants, mode: Values, state: Values) -> Values:
-        if not self.events and not self._flow.kinks:
+        if not self.events and not self._flow.kinks and self._section_function is None:
             return state
         t, y = self._known(state)
-        return self._ended(mode, self._with_known(state, onto_surfaces(self._flow, c, mode, t, y)))
+        if self.events:
+            y = onto_surfaces(self._flow, c, mode, t, y)
+        hidden = {} if self._section_function is None else {SECTION: self._section_state_after(c, state, y)}
+        return self._ended(mode, self._with_known(state, y, **hidden))
 
     def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
         kinds: dict[str, Any] = {}
@@ -311,9 +363,10 @@ class SystemEquations(Scene[SystemConstants]):
         values = {name: jnp.asarray(x) for name, x in p.items()}
         period = self._period(values) if callable(self._period) else self._period
         period = None if period is None else period + like
-        zero = {name: like for name in self._own} | {name: like + x for name, x in self._discrete.items()}
+        zero = dict.fromkeys(self._own, like) | {name: like + x for name, x in self._discrete.items()}
         none = (like,) * len(self.events)
-        c = SystemConstants(values, period, zero, (), none + (like,) * len(self._flow.kinks), none)
+        typical = zero | dict.fromkeys(self.redundant, like)
+        c = SystemConstants(values, period, typical, (), none + (like,) * len(self._flow.kinks), none)
         return c._replace(rates=self._flow.fastest(c, free_modes(self._flow, c, like, zero, like), like, zero))
 
     def scaled(self, c: SystemConstants, state: Values) -> SystemConstants:
@@ -351,6 +404,8 @@ class SystemEquations(Scene[SystemConstants]):
             _size(self._flow.closing(c, mode, index, clock, known)) + like if isinstance(event, Impact) else like
             for index, event in enumerate(self.events)
         ]
+        if self._section_function is not None:
+            typical[SECTION] = _size(self._section_value(c, known)) + like
         return typical, surfaces, closing
 
     def rate(self, c: SystemConstants, mode: Values) -> Any:
@@ -390,11 +445,15 @@ class SystemEquations(Scene[SystemConstants]):
         """Return the typical magnitude of the section's state."""
         return c.typical[self._section_state] if self._period is None else c.period
 
-    def joined_hits(self, mode: Values, hits: Mapping[str, Any]) -> Mapping[str, Any]:
-        if not self._at_section:
-            return hits
-        crossed = [hits[self.events[index].name] & (mode[index] != 0) for index in self._at_section]
-        return {**hits, "strobe": functools.reduce(jnp.logical_or, crossed, hits["strobe"])}
+    def joined(
+        self, mode: Values, hits: Mapping[str, Any], falling: Mapping[str, Any]
+    ) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+        for index, sign in self._at_section.items():
+            crossed = hits[self.events[index].name] & (mode[index] != 0)
+            hits = {**hits, "strobe": hits["strobe"] | crossed}
+            # The section may be crossed before the event, whose surface moves away after a departure from it.
+            falling = {**falling, "strobe": jnp.where(crossed, mode[index] * sign > 0, falling["strobe"])}
+        return hits, falling
 
     @property
     def section_on_guard(self) -> bool:

@@ -18,7 +18,10 @@ from vibrojax.models.systems.numbers import Dual
 LANES = 3
 """Number of lanes with which the functions are tried."""
 
-RESERVED = ("t", "approach", "start", "direction", "point", "return", "time", "rock", "friction", "regime", "period")
+RESERVED = (
+    *("t", "approach", "section_value", "start", "direction", "point", "return", "time", "rock", "friction", "regime"),
+    "period",
+)
 """Names that datasets and sweep files use for other things."""
 
 RENAMED = ("periodic", "impact-free", "single-impact", "multi-impact", "subharmonic", "irregular", "equilibrium")
@@ -262,14 +265,14 @@ class Probe:
             raise self._refuse(f"event {event.name}: {what}")
 
     def _check_series(self) -> None:
-        """Try the functions on the number types of a step, which `jnp` and `np` functions do not accept."""
-        y = {key: Dual(x, 1.0, 1) for key, x in self._y.items()}
-        what = "field"
+        self._check_expands("field", lambda t, y, p: self.rates(t, y, number=False))
+        for event in self._events:
+            self._check_expands(*self._surface(event))
+
+    def _check_expands(self, what: str, function: Callable[..., Any]) -> None:
+        """Try a function on the number types of a step, which `jnp` and `np` functions do not accept."""
         try:
-            self.rates(Dual(self._t, 1.0, 1), y, number=False)
-            for event in self._events:
-                what, function = self._surface(event)
-                function(Dual(self._t, 1.0, 1), y, self._p)
+            function(Dual(self._t, 1.0, 1), {key: Dual(x, 1.0, 1) for key, x in self._y.items()}, self._p)
         except InputError as error:
             text = str(error)
             if "TypeError" in text or "AttributeError" in text:
@@ -284,12 +287,19 @@ class Probe:
             raise self._refuse(f"period= and section= are both given; give only one: {need}")
         if period is None and section is None:
             return
-        if section is not None:
+        if callable(section):
+            value = self._number("section", self._call("section", section, self._t, self._y, self._p))
+            if not equal(value, section(self._t + 0.37, self._y, self._p)) or equal(value, value[0]):
+                raise self._refuse("section must depend on states, and not on t; write section(t, y, p)")
+            self._check_expands("section", section)
+        elif section is not None:
             name, known = section[0] if isinstance(section, tuple) else section, ", ".join(self._states)
             if name not in self._states or (isinstance(section, tuple) and not _is_level(section)):
                 raise self._refuse(
-                    f"section: {shown(section)} is not a state, or a pair of a state and a number; states are {known}"
+                    f"section: {shown(section)} is not a state, a pair of a state and a number, or a function; "
+                    f"states are {known}"
                 )
+        if section is not None:
             if not self._same(self._t, self._t + 0.37):
                 raise self._refuse("field depends on t; give period= (of the forcing) instead of section=")
             return

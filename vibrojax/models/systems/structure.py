@@ -83,12 +83,16 @@ class Structure(Probe):
         values = [function.found(t, states, self._p, *more)[number][1] for states in (y, moved)]
         return equal(*values)
 
-    def events_at(self, name: str, level: float) -> list[int]:
-        """Return the indices of switches and frictions whose surface is that of a state at `level`."""
-        if name not in self._y:
-            return []
-        events = [(i, event) for i, event in enumerate(self._events) if not isinstance(event, Impact)]
-        return [i for i, event in events if _proportional(self._value(event), self._y[name] - level)]
+    def events_at(self, section: Callable[..., Any]) -> dict[int, float]:
+        """Return the switches and frictions whose surface is a section, by index, with the sign of their functions.
+
+        The sign is that above the section, on which the function `section(t, y, p)` is zero.
+        """
+        above, found = section(self._t, self._y, self._p), {}
+        for index, event in enumerate(self._events):
+            if not isinstance(event, Impact) and _proportional(value := self._value(event), above):
+                found[index] = float(jnp.sign(jnp.ravel(value / above)[0]))
+        return found
 
     def depends_on_time(self) -> bool:
         """Return whether the field or an event depends on the time."""

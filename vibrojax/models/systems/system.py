@@ -19,7 +19,7 @@ from vibrojax.errors import InputError
 from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.scenes.capabilities import HasImpacts
 from vibrojax.models.scenes.declared import Marker, Mode, Section, State, Swing, Values
-from vibrojax.models.systems.equations import APPROACH, TIME, SystemEquations
+from vibrojax.models.systems.equations import APPROACH, SECTION, TIME, SystemEquations
 from vibrojax.models.systems.events import Event, Impact, Switch
 from vibrojax.models.systems.flow import Flow, SystemConstants
 from vibrojax.models.systems.kinks import Kink
@@ -54,8 +54,9 @@ class System(SystemEquations):
       returns the time derivative of each state by name.
     - `period`: period of the forcing [s], a number or a function of `p`. The section is then at the times 0, T, ...
     - `section`: for a system without forcing, the name of a state, or a pair of a name and a number: the section is
-      where the state rises through zero, or through the number. Without `period` and `section`, as for a field that
-      does not repeat, a system can be simulated but not measured.
+      where the state rises through zero, or through the number. A function `section(t, y, p)` of the states rises
+      through zero there. Without `period` and `section`, as for a field that does not repeat, a system can be simulated
+      but not measured.
     - `events`: any of `vj.Impact`, `vj.Switch` and `vj.Friction`.
     - `modes`: initial value of each discrete state by name. The resets of events change them; the field and other
       functions read them as `s[name]`. In datasets they are among the states.
@@ -122,12 +123,15 @@ class System(SystemEquations):
             self._parameters, self._renamed = probe.parameters, dict(regimes or {})
             self.autonomous = period is None and not probe.depends_on_time()  # type: ignore[misc]
             first = TIME if period is not None else self._own[0]
-            self._section_state, self._level = section if isinstance(section, tuple) else (section or first, 0.0)
+            self._section_function = section if callable(section) else None
+            name = SECTION if callable(section) else section or first
+            self._section_state, self._level = section if isinstance(section, tuple) else (name, 0.0)
+            self.redundant = (SECTION,) if callable(section) else ()  # type: ignore[misc]
             # A single autonomous state cannot return to a section unless it jumps.
             returns = section is not None and (len(self._own) > 1 or isinstance(self, HasImpacts))
             self._measured = period is not None or returns
-            at_section = probe.events_at(self._section_state, self._level) if self._measured else []
-            self._at_section = frozenset(at_section)
+            at = self._section_function or (lambda t, y, p: y[self._section_state] - self._level)
+            self._at_section = probe.events_at(at) if self._measured and period is None else {}
             speeds = self._flow.structure.speeds
             # The error of these positions follows from that of their velocities.
             self._integrated = frozenset(speeds) if set(speeds) < set(states) else frozenset()
@@ -139,6 +143,7 @@ class System(SystemEquations):
         """Set the declarations of a scene; `speeds`: the rate of change of each state that has one among the states."""
         hidden = {TIME: "s"} if not self.autonomous else {}
         hidden |= {APPROACH: "1"} if isinstance(self, HasImpacts) else {}
+        hidden |= dict.fromkeys(self.redundant, "1")
         section_state = self._section_state
         shown = [
             State(name, unit, name, True, offset=self._level if name == section_state else 0.0)
