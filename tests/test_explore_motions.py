@@ -186,6 +186,7 @@ def test_sliders_reach_all_values_of_the_sweep():
     axes = {"delta": {"start": -0.2, "stop": 0.1, "num": 3}, "gamma": [0.01, 0.7]}
     motions = motions_of(vj.read_sweep({"scene": "vibro-impact", "grid": axes}))
     sliders = {entry["name"]: entry for entry in motions.offered()["parameters"]}
+    assert motions.offered()["state_labels"][:2] == ["x1 at the start [m]", "v1 at the start [m/s]"]
     assert sliders["delta"]["low"] == -0.2 and sliders["delta"]["high"] == 0.1 and not sliders["delta"]["log"]
     assert sliders["gamma"]["low"] == 0.01 and sliders["gamma"]["log"]
     assert sliders["delta"]["units"] == "mm" and sliders["delta"]["factor"] == 1e3

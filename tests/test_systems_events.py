@@ -273,6 +273,15 @@ def test_negative_normal_force_ends_the_motion_or_lifts_off():
     assert reasons[int(ds.reason[0, 0])] == "negative-normal-force"
     with pytest.raises(vj.InputError, match="negative normal force"):
         vj.simulate(system, start=[0.0, 0.0], duration=6.0, progress=False)
+    unmeasured = vj.System(
+        "block",
+        states={"x": "m"},
+        parameters={"push": 1.0},
+        field=lambda t, y, p: {"x": p["push"] + 0.0 * y["x"]},
+        events=[vj.Friction("rub", lambda t, y, p: y["x"], lambda t, y, p: 1.0 - y["x"], law=0.2, acts_on="x")],
+    )
+    with pytest.raises(vj.InputError, match="negative normal force"):
+        vj.simulate(unmeasured, start=[0.5], duration=6.0, progress=False)
     lifted = rubbed(lambda t, y, p: cos(t), lift_off=True)
     assert ends(lifted, [0.0, 0.0], 4 * np.pi)[1] == pytest.approx(0.7396757961189339, abs=1e-7)
     with pytest.raises(vj.InputError, match="normal force of rub is -1"):

@@ -27,7 +27,7 @@ from vibrojax.explorer.views import sweep_of
 from vibrojax.io.attributes import differing_of, text_of
 from vibrojax.models.physics.parameters import ROTATION, Parameter
 from vibrojax.models.scenes import Scene
-from vibrojax.plot.axes import pretty_unit, scale
+from vibrojax.plot.axes import pretty_unit, scale, with_unit
 from vibrojax.stepping import AccuracyRequest, Located
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.names import Names, read_names
@@ -165,15 +165,18 @@ class LiveMotions:
         """Return a JSON description of the possible requests.
 
         `parameters` contains the slider of each parameter. `values` and `start` describe the parameter point. `states`
-        are the names of the elements of an initial state. Numbers are in SI units; times `factor`, they are in the
+        are the names of the elements of an initial state, `state_labels` with their units. Numbers are in SI units; times `factor`, they are in the
         displayed unit.
         """
+        system = self.names.system
+        units = {state.name: state.unit for state in system.states}
         return {
             "scene": self.point.scene,
             "parameters": [self._slider(parameter) for parameter in self.names.parameters.values()],
             "values": self.point.parameters,
             "starts": list(self.names.starts),
-            "states": list(self.names.system.start_states),
+            "states": list(system.start_states),
+            "state_labels": [with_unit(f"{name} at the start", units[name]) for name in system.start_states],
             "start": list(self.point.start) if isinstance(self.point.start, tuple) else self.point.start,
             "duration": self.duration,
             "whole": self.whole,

@@ -55,13 +55,13 @@ export class Sliders {
   }
 
   startControls() {
-    const { starts, states } = this.offered;
+    const { starts, states, state_labels: labels } = this.offered;
     if (!starts.length && !states.length) return [];
     const options = [...starts, ...(states.length ? [VECTOR] : [])];
     this.which = make("select", { id: `${this.id}-start` }, ...options.map((text) => make("option", { value: text, textContent: text })));
-    this.vector = states.map((name) => {
+    this.vector = labels.map((label) => {
       const one = make("input", { type: "number", step: "any", value: "0" });
-      one.setAttribute("aria-label", `${name} at the start [${name.startsWith("v") ? "m/s" : "m"}]`);
+      one.setAttribute("aria-label", label);
       one.addEventListener("input", () => this.started());
       return one;
     });

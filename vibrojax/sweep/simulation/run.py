@@ -254,10 +254,12 @@ def recorded(
             _compiled.add((scene, stepper))
         with timed("step"):
             steps, features = run(duration, report, most_steps)
-        fault = int(features["fault"][0]) if "fault" in features else 0
+        ended = np.flatnonzero(np.isnan(steps.after).any(axis=1))
+        # The modes after a step are those before the next.
+        fault = int(scene.fault(tuple(steps.mode[min(ended[0] + 1, len(steps.mode) - 1)])) or 0) if ended.size else 0
         if fault:
-            last = int(np.argmax(np.isnan(steps.after).any(axis=1)))
-            why, end = scene.fault_reasons[fault].replace("-", " "), steps.start[last] + steps.dt[last]
+            last, why = ended[0], scene.fault_reasons[fault].replace("-", " ")
+            end = steps.start[last] + steps.dt[last]
             raise Place("simulate").error(f"the motion of {scene.name} ends at t = {end:.6g} s: {why}")
         with timed("measure"):
             return Recorded(steps, labelled_features(point, features, accuracy.tolerance))
