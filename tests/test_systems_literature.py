@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
-from scipy.optimize import brentq
+from scipy.optimize import brentq, fsolve
 
 import vibrojax as vj
 
@@ -35,13 +35,9 @@ def specials(family):
 
 
 def walking(t, y, p):
-    lean = y["stance"] + p["slope"]
-    return {
-        "stance": y["rate"],
-        "rate": sin(lean),
-        "swing": y["swing_rate"],
-        "swing_rate": sin(lean) + (y["rate"] ** 2 - cos(lean)) * sin(y["swing"]),
-    }
+    falls, weight = sin(y["stance"] + p["slope"]), cos(y["stance"] + p["slope"])
+    swings = falls + (y["rate"] * y["rate"] - weight) * sin(y["swing"])
+    return {"stance": y["rate"], "rate": falls, "swing": y["swing_rate"], "swing_rate": swings}
 
 
 def heel_strike(t, y, p):
@@ -60,13 +56,55 @@ WALKER = vj.System(
 )
 
 
+def step_by_scipy(after, slope=0.009):
+    """Return the angle and rate of the stance leg after the next heel strike, its speed, and the duration of the step.
+
+    `after`: angle and rate of the stance leg after a heel strike. The swing foot may pass the ground before midstance.
+    """
+
+    def rates(t, y):
+        lean = y[0] + slope
+        return [y[1], np.sin(lean), y[3], np.sin(lean) + (y[1] ** 2 - np.cos(lean)) * np.sin(y[2])]
+
+    angle, rate = after
+    midstance, strike = lambda t, y: y[0], lambda t, y: 2 * y[0] - y[2]
+    midstance.terminal = strike.terminal = strike.direction = 1
+    first = [angle, rate, 2 * angle, (1 - np.cos(2 * angle)) * rate]
+    part = solve_ivp(rates, (0.0, 9.0), first, events=midstance, **PRECISE)
+    part = solve_ivp(rates, (part.t[-1], 9.0), part.y[:, -1], events=strike, **PRECISE)
+    stance, rate, _, swing_rate = part.y[:, -1]
+    return np.array([-stance, np.cos(2 * stance) * rate]), 2 * rate - swing_rate, part.t[-1]
+
+
+def long_gait():
+    """Return the state after a heel strike in the long one of both gaits."""
+    return fsolve(lambda after: step_by_scipy(after)[0] - after, [-0.2003, 0.1998], xtol=1e-12)
+
+
 def test_long_gait_of_the_simplest_walker():
-    """On the slope 0.009: step period 3.882464 and two multipliers of modulus 0.5891131, checked by SciPy."""
+    _, speed, duration = step_by_scipy(long_gait())
+    assert duration == pytest.approx(3.882464, abs=1e-6)
+    ds = sweep(WALKER, {"slope": [0.009]}, [-0.2, 0.2, -0.4, 0.016])
+    assert int(ds.cycles[0, 0]) == 1 and int(ds.impacts[0, 0]) == 1
+    assert float(ds.period[0, 0]) == pytest.approx(duration, rel=1e-7)
+    assert float(ds.impact_velocity[0, 0]) == pytest.approx(speed, rel=1e-6)
+
+
+@pytest.mark.long
+def test_multipliers_of_the_simplest_walker():
+    """Both have the modulus 0.589113. The state after a heel strike depends on two values: a third one is zero."""
+    gait = long_gait()
+
+    def slopes(h):
+        changes = [step_by_scipy(gait + d)[0] - step_by_scipy(gait - d)[0] for d in np.eye(2) * h]
+        return np.transpose(changes) / (2 * h)
+
+    modulus = np.sqrt(np.linalg.det((4 * slopes(1e-5) - slopes(2e-5)) / 3))
+    assert modulus == pytest.approx(0.589113, abs=1e-6)
     ds = sweep(WALKER, {"slope": [0.009]}, [-0.2, 0.2, -0.4, 0.016], orbits=True)
-    assert int(ds.cycles[0, 0]) == 1 and int(ds.impacts[0, 0]) == 1 and int(ds.stable[0, 0]) == 1
-    assert float(ds.period[0, 0]) == pytest.approx(3.88246375285, rel=1e-9)
-    # The state after a heel strike depends on two values, so that one of the three multipliers is zero.
-    assert ds.multiplier_abs.values.ravel() == pytest.approx([0.58911383, 0.58911383, 0.0], abs=1e-7)
+    assert int(ds.stable[0, 0]) == 1
+    assert float(ds.period[0, 0]) == pytest.approx(step_by_scipy(gait)[2], rel=1e-9)
+    assert ds.multiplier_abs.values.ravel() == pytest.approx([modulus, modulus, 0.0], abs=1e-7)
 
 
 # A buck converter with a ramp: Fossas and Olivar, IEEE Transactions on Circuits and Systems I 43 (1996), 13.
@@ -217,7 +255,7 @@ def test_cycle_of_two_blocks_on_a_belt():
     ds = sweep(BLOCKS, {"belt": [0.2, 0.3]}, [0.0] * 4)
     assert ds.cycles.values.ravel().tolist() == [2, 2]
     for number, belt in enumerate((0.2, 0.3)):
-        overtakes = [t for t, block, slip in blocks_by_scipy(belt, 200.0)[1] if (block, slip) == (0, 1)]
+        overtakes = [t for t, block, slip in blocks_by_scipy(belt, 400.0)[1] if (block, slip) == (0, 1)]
         assert 2 * float(ds.period[number, 0]) == pytest.approx(overtakes[-1] - overtakes[-2], rel=1e-7)
 
 
@@ -272,6 +310,7 @@ def test_block_meets_wall_and_stops_at_known_times():
     assert float(motion.x[-1]) == pytest.approx(0.625, abs=1e-8)
 
 
+@pytest.mark.long
 def test_sawtooth_stays_above_zero():
     """x' = 1 with x reset from 1 to 0, and y' = 1 or -1 on the sides of x = 1/2."""
     saw = vj.System(
@@ -308,7 +347,7 @@ def test_opposite_functions_of_two_switches_are_refused():
 @pytest.mark.parametrize(
     "added, options",
     [
-        pytest.param(0.0, {"rate": lambda p: 1.0}, id="rate"),
+        pytest.param(0.0, {"rate": lambda p: 1.0}, id="rate", marks=pytest.mark.long),
         pytest.param(1e-12, {}, id="smooth", marks=pytest.mark.long),
     ],
 )
@@ -347,7 +386,9 @@ RUBBED = vj.Friction(
 @pytest.mark.parametrize(
     "field, events, right",
     [
-        pytest.param(lambda t, y, p: {"x": y["v"], "v": E.absolute(cos(t))}, [], 8.0, id="absolute"),
+        pytest.param(
+            lambda t, y, p: {"x": y["v"], "v": E.absolute(cos(t))}, [], 8.0, id="absolute", marks=pytest.mark.long
+        ),
         pytest.param(
             lambda t, y, p, s: {"x": y["v"], "v": p["load"]}, [POSITIVE, RUBBED], 0.7396757961189339, id="friction"
         ),
@@ -420,6 +461,7 @@ ABOUT_EQUILIBRIUM = planar("brusselator-about-equilibrium", ("u", "w"), OF_REACT
             0.9,
             2 * np.pi / np.sqrt(3),
             id="A",
+            marks=pytest.mark.long,
         ),
     ],
 )
