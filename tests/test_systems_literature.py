@@ -252,7 +252,7 @@ def test_trajectory_of_two_blocks_on_a_belt():
 
 def test_cycle_of_two_blocks_on_a_belt():
     """Two returns of the first block make one period. At both speeds it also overtakes the belt."""
-    ds = sweep(BLOCKS, {"belt": [0.2, 0.3]}, [0.0] * 4)
+    ds = sweep(BLOCKS, {"belt": [0.2, 0.3]}, [0.0] * 4, error=1e-6)
     assert ds.cycles.values.ravel().tolist() == [2, 2]
     for number, belt in enumerate((0.2, 0.3)):
         overtakes = [t for t, block, slip in blocks_by_scipy(belt, 400.0)[1] if (block, slip) == (0, 1)]
