@@ -185,7 +185,8 @@ def after_events(
         resting = mode[index] == 1
         struck[index] = hit[index] & event.happens(mode[index])
         rate = flow.closing(c, mode, index, t, y)
-        approach = jnp.where(struck[index], -rate, approach)
+        # An event in the direction 1 happens where its function rises.
+        approach = jnp.where(struck[index], rate if event.direction == 1 else -rate, approach)
         if event.velocity is None:
             y = _where(struck[index], flow.resets[index](t, y, c.p, flow.sides_of(mode)), y)
             continue

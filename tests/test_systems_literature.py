@@ -1,0 +1,475 @@
+"""Systems of the literature, written with `vj.System`, against closed forms, published values and SciPy."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.optimize import brentq, fsolve
+
+import vibrojax as vj
+
+E = vj.elementary
+cos, sin = E.cos, E.sin
+PRECISE = {"rtol": 1e-12, "atol": 1e-14, "method": "DOP853"}
+
+
+def sweep(system, grid, start, **run):
+    return vj.run_sweep({"scene": system, "grid": grid, "starts": [start], "run": run}, progress=False)
+
+
+def events_of(motion, kind):
+    flag = motion.event_kind.attrs["flag_meanings"].split().index(kind)
+    return motion.event_time.values[motion.event_kind.values == flag]
+
+
+def specials(family):
+    """Return kind and parameter value of the special points, in the order of the values."""
+    names = family.special_kind.attrs["flag_meanings"].split()
+    values = family.special_value.values
+    return [(names[int(family.special_kind[k])], float(values[k])) for k in np.argsort(values)]
+
+
+# The simplest walker: Garcia, Chatterjee, Ruina and Coleman, Journal of Biomechanical Engineering 120 (1998), 281.
+# The angles of both legs have the opposite sign here, so that the stance leg rises through zero. At midstance the swing
+# foot passes the ground downwards, which the model allows; upwards it strikes.
+
+
+def walking(t, y, p):
+    falls, weight = sin(y["stance"] + p["slope"]), cos(y["stance"] + p["slope"])
+    swings = falls + (y["rate"] * y["rate"] - weight) * sin(y["swing"])
+    return {"stance": y["rate"], "rate": falls, "swing": y["swing_rate"], "swing_rate": swings}
+
+
+def heel_strike(t, y, p):
+    share = cos(2 * y["stance"])
+    rate = share * y["rate"]
+    return {"stance": -y["stance"], "rate": rate, "swing": -2 * y["stance"], "swing_rate": (1 - share) * rate}
+
+
+WALKER = vj.System(
+    "walker",
+    states={"stance": "rad", "rate": "rad s-1", "swing": "rad", "swing_rate": "rad s-1"},
+    parameters={"slope": (0.009, "rad")},
+    field=walking,
+    section="stance",
+    events=[vj.Impact("heel", gap=lambda t, y, p: 2 * y["stance"] - y["swing"], direction=1, reset=heel_strike)],
+)
+
+
+def step_by_scipy(after, slope=0.009):
+    """Return the angle and rate of the stance leg after the next heel strike, its speed, and the duration of the step.
+
+    `after`: angle and rate of the stance leg after a heel strike. The swing foot may pass the ground before midstance.
+    """
+
+    def rates(t, y):
+        lean = y[0] + slope
+        return [y[1], np.sin(lean), y[3], np.sin(lean) + (y[1] ** 2 - np.cos(lean)) * np.sin(y[2])]
+
+    angle, rate = after
+    midstance, strike = lambda t, y: y[0], lambda t, y: 2 * y[0] - y[2]
+    midstance.terminal = strike.terminal = strike.direction = 1
+    first = [angle, rate, 2 * angle, (1 - np.cos(2 * angle)) * rate]
+    part = solve_ivp(rates, (0.0, 9.0), first, events=midstance, **PRECISE)
+    part = solve_ivp(rates, (part.t[-1], 9.0), part.y[:, -1], events=strike, **PRECISE)
+    stance, rate, _, swing_rate = part.y[:, -1]
+    return np.array([-stance, np.cos(2 * stance) * rate]), 2 * rate - swing_rate, part.t[-1]
+
+
+def long_gait():
+    """Return the state after a heel strike in the long one of both gaits."""
+    return fsolve(lambda after: step_by_scipy(after)[0] - after, [-0.2003, 0.1998], xtol=1e-12)
+
+
+def test_long_gait_of_the_simplest_walker():
+    _, speed, duration = step_by_scipy(long_gait())
+    assert duration == pytest.approx(3.882464, abs=1e-6)
+    ds = sweep(WALKER, {"slope": [0.009]}, [-0.2, 0.2, -0.4, 0.016])
+    assert int(ds.cycles[0, 0]) == 1 and int(ds.impacts[0, 0]) == 1
+    assert float(ds.period[0, 0]) == pytest.approx(duration, rel=1e-7)
+    assert float(ds.impact_velocity[0, 0]) == pytest.approx(speed, rel=1e-6)
+
+
+@pytest.mark.long
+def test_multipliers_of_the_simplest_walker():
+    """Both have the modulus 0.589113. The state after a heel strike depends on two values: a third one is zero."""
+    gait = long_gait()
+
+    def slopes(h):
+        changes = [step_by_scipy(gait + d)[0] - step_by_scipy(gait - d)[0] for d in np.eye(2) * h]
+        return np.transpose(changes) / (2 * h)
+
+    modulus = np.sqrt(np.linalg.det((4 * slopes(1e-5) - slopes(2e-5)) / 3))
+    assert modulus == pytest.approx(0.589113, abs=1e-6)
+    ds = sweep(WALKER, {"slope": [0.009]}, [-0.2, 0.2, -0.4, 0.016], orbits=True)
+    assert int(ds.stable[0, 0]) == 1
+    assert float(ds.period[0, 0]) == pytest.approx(step_by_scipy(gait)[2], rel=1e-9)
+    assert ds.multiplier_abs.values.ravel() == pytest.approx([modulus, modulus, 0.0], abs=1e-7)
+
+
+# A buck converter with a ramp: Fossas and Olivar, IEEE Transactions on Circuits and Systems I 43 (1996), 13.
+# L = 20 mH, C = 47 µF, R = 22 Ohm, gain 8.4, reference 11.3 V, ramp 3.8 to 8.2 V in 400 µs.
+
+RAMP = 400e-6
+CIRCUIT = np.array([[-1 / (22.0 * 47e-6), 1 / 47e-6], [-1 / 20e-3, 0.0]])
+BUCK = vj.System(
+    "buck-from-input",
+    states={"v": "V", "i": "A"},
+    parameters={"E": (20.0, "V")},
+    field=lambda t, y, p, s: {
+        "v": (y["i"] - y["v"] / 22.0) / 47e-6,
+        "i": (p["E"] * (1 - s["off"]) / 2 - y["v"]) / 20e-3,
+    },
+    period=RAMP,
+    events=[vj.Switch("off", lambda t, y, p: 8.4 * (y["v"] - 11.3) - (3.8 + 4.4 * E.sawtooth(t / RAMP)))],
+)
+
+
+def buck_orbit(supply):
+    """Return the state (v, i) at the beginning of the ramp and the multipliers: off until one instant, then on."""
+    gained = np.linalg.solve(CIRCUIT, np.array([0.0, supply / 20e-3]))
+
+    def first(at):
+        off, on = expm(CIRCUIT * at), expm(CIRCUIT * (RAMP - at))
+        return np.linalg.solve(np.eye(2) - on @ off, (on - np.eye(2)) @ gained)
+
+    def excess(at):
+        return 8.4 * ((expm(CIRCUIT * at) @ first(at))[0] - 11.3) - (3.8 + 4.4 * at / RAMP)
+
+    at = brentq(excess, 0.1 * RAMP, 0.95 * RAMP, xtol=1e-18, rtol=1e-14)
+    off, on = expm(CIRCUIT * at), expm(CIRCUIT * (RAMP - at))
+    falls = 8.4 * (CIRCUIT @ off @ first(at))[0] - 4.4 / RAMP
+    jump = np.eye(2) + np.outer([0.0, supply / 20e-3], [8.4, 0.0]) / falls
+    return first(at), np.linalg.eigvals(on @ jump @ off)
+
+
+def test_buck_converter_doubles_its_period():
+    """The first period doubling, where an eigenvalue passes -1, lies between 24.4 V and 24.6 V."""
+    doubling = brentq(lambda supply: buck_orbit(supply)[1].real.min() + 1, 24.0, 25.0)
+    assert 24.4 < doubling < 24.6
+    ds = sweep(BUCK, {"E": [24.4, 24.6]}, [12.0, 0.55], settle=0.4, observe=0.04, orbits=True)
+    assert ds.cycles.values.ravel().tolist() == [1, 2] and ds.orbit_cycles.values.ravel().tolist() == [1, 2]
+    assert (ds.stable == 1).all() and (ds.orbit_reason == 0).all() and (ds.error_estimate < 1e-8).all()
+    state, multipliers = buck_orbit(24.4)
+    assert [float(ds.orbit_v[0, 0]), float(ds.orbit_i[0, 0])] == pytest.approx(state, abs=1e-9)
+    assert ds.multiplier_abs.values[0, 0] == pytest.approx(sorted(abs(multipliers), reverse=True), abs=1e-7)
+
+
+@pytest.mark.long
+def test_place_of_period_doubling_of_buck_converter():
+    doubling = brentq(lambda supply: buck_orbit(supply)[1].real.min() + 1, 24.0, 25.0)
+    family = vj.follow(
+        BUCK, along="E", at=24.4, span=(24.2, 24.8), start=[12.0, 0.55], cycles=1, settle=0.4, progress=False
+    )
+    places = [value for kind, value in specials(family) if kind == "period-doubling"]
+    assert places == pytest.approx([doubling], abs=1e-8)
+
+
+# Two blocks on a belt, coupled by a spring: Galvanetto, Bishop and Briseghella, International Journal of Bifurcation
+# and Chaos 5 (1995), 637. The masses and the springs to the ground are 1, the second block rubs 1.3 times as strongly,
+# and the friction 1/(1 + 3 |u|) falls with the sliding speed u.
+
+COUPLING, FALL, STRONGER = 1.2, 3.0, 1.3
+
+
+def extension(y, p):
+    return p["coupling"] * (y["x1"] - y["x2"])
+
+
+FALLING = vj.FrictionLaw(
+    name="hyperbolic",
+    reference="",
+    parameters=vj.parameters.table(vj.parameters.positive("fall", FALL, "s m-1", "fall with the speed", "fall")),
+    mu=lambda u, p: 1 / (1 + p["fall"] * u),
+)
+BLOCKS = vj.System(
+    "two-blocks",
+    states={"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"},
+    parameters={"belt": (0.3, "m s-1"), "coupling": COUPLING, "stronger": STRONGER},
+    field=lambda t, y, p: {
+        "x1": y["v1"],
+        "v1": -y["x1"] - extension(y, p),
+        "x2": y["v2"],
+        "v2": -y["x2"] + extension(y, p),
+    },
+    section="v1",
+    events=[
+        vj.Friction("first", lambda t, y, p: y["v1"] - p["belt"], lambda t, y, p: 1.0, law=FALLING, acts_on="v1"),
+        vj.Friction(
+            "second", lambda t, y, p: y["v2"] - p["belt"], lambda t, y, p: p["stronger"], law=FALLING, acts_on="v2"
+        ),
+    ],
+)
+
+
+def blocks_by_scipy(belt, duration):
+    """Return the state at the end and the changes (time, block, slip), from rest; slip is the sign of the sliding."""
+    limits, t, y, slips, changes = (1.0, STRONGER), 0.0, np.zeros(4), [-1, -1], []
+
+    def pulls(y):
+        spring = COUPLING * (y[0] - y[2])
+        return -y[0] - spring, -y[2] + spring
+
+    def rate(y, block):
+        slip, v, pull = slips[block], y[2 * block + 1], pulls(y)[block]
+        return pull - slip * limits[block] / (1 + FALL * slip * (v - belt)) if slip else 0.0
+
+    def rates(t, y):
+        return [y[1], rate(y, 0), y[3], rate(y, 1)]
+
+    def until(block):
+        slides, stays = lambda t, y: y[2 * block + 1] - belt, lambda t, y: limits[block] - abs(pulls(y)[block])
+        event = slides if slips[block] else stays
+        event.terminal, event.direction = True, -slips[block] or -1
+        return event
+
+    while t < duration:
+        part = solve_ivp(rates, (t, duration), y, events=[until(0), until(1)], **PRECISE)
+        t, y = part.t[-1], part.y[:, -1].copy()
+        if part.status != 1:
+            break
+        block = [len(times) > 0 for times in part.t_events].index(True)
+        pull = pulls(y)[block]
+        if slips[block]:
+            y[2 * block + 1] = belt
+            slips[block] = 0 if abs(pull) < limits[block] else -slips[block]
+        else:
+            slips[block] = int(np.sign(pull))
+        changes.append((t, block, slips[block]))
+    return y, changes
+
+
+def test_trajectory_of_two_blocks_on_a_belt():
+    """A motion without a short period, through more than 20 sticks of each kind."""
+    y, changes = blocks_by_scipy(0.1, 100.0)
+    motion = vj.simulate(BLOCKS, start=[0.0] * 4, duration=100.0, belt=0.1, error=1e-9, progress=False)
+    assert [float(motion[name][-1]) for name in BLOCKS.start_states] == pytest.approx(y, abs=1e-7)
+    sticks, slips = ([t for t, _, slip in changes if (slip != 0) == slides] for slides in (False, True))
+    assert min(len(sticks), len(slips)) > 20
+    assert events_of(motion, "stick") == pytest.approx(sticks, abs=1e-7)
+    assert events_of(motion, "slip") == pytest.approx(slips, abs=1e-7)
+
+
+def test_cycle_of_two_blocks_on_a_belt():
+    """Two returns of the first block make one period. At both speeds it also overtakes the belt."""
+    ds = sweep(BLOCKS, {"belt": [0.2, 0.3]}, [0.0] * 4, error=1e-6)
+    assert ds.cycles.values.ravel().tolist() == [2, 2]
+    for number, belt in enumerate((0.2, 0.3)):
+        overtakes = [t for t, block, slip in blocks_by_scipy(belt, 400.0)[1] if (block, slip) == (0, 1)]
+        assert 2 * float(ds.period[number, 0]) == pytest.approx(overtakes[-1] - overtakes[-2], rel=1e-7)
+
+
+# Van der Pol's oscillator
+
+VAN_DER_POL = vj.System(
+    "relaxation",
+    states={"x": "1", "v": "s-1"},
+    parameters={"mu": 1.0},
+    field=lambda t, y, p: {"x": y["v"], "v": p["mu"] * (1 - y["x"] ** 2) * y["v"] - y["x"]},
+    section="x",
+)
+AT_ONE = 6.6632868593231301896996820305  # s: the period at mu = 1
+
+
+def test_periods_and_multiplier_of_van_der_pol():
+    """Periods are published for 1 and 5. At 0.1, the series of the frequency has an error of 1e-11."""
+    series = 2 * np.pi / (1 - 0.1**2 / 16 + 17 * 0.1**4 / 3072 + 35 * 0.1**6 / 884736)
+    ds = sweep(VAN_DER_POL, {"mu": [0.1, 1.0, 5.0]}, [1.0, 0.0], orbits=True)
+    right = np.array([series, AT_ONE, 11.612230667])
+    difference = np.abs(ds.period.values.ravel() - right)
+    assert (difference <= 3 * ds.error_estimate.values.ravel() * right).all()
+    np.testing.assert_allclose(ds.period.values.ravel(), right, rtol=1e-9)
+    # The multiplier of a planar orbit is the exponential of the integral of the field's divergence.
+    rates = lambda t, y: [y[1], (1 - y[0] ** 2) * y[1] - y[0], 1 - y[0] ** 2]  # noqa: E731
+    settled = solve_ivp(rates, (0.0, 10 * AT_ONE), [2.0, 0.0, 0.0], **PRECISE).y[:2, -1]
+    exponent = solve_ivp(rates, (0.0, AT_ONE), [*settled, 0.0], **PRECISE).y[2, -1]
+    assert exponent == pytest.approx(-7.0589, abs=1e-3)
+    assert float(ds.multiplier_abs[1, 0, 0]) == pytest.approx(np.exp(exponent), rel=1e-6)
+
+
+# Systems that users of simulators have reported as difficult
+
+
+def test_block_meets_wall_and_stops_at_known_times():
+    """Friction 0.2 from v = 1: it arrives after 5 (1 - sqrt(0.6)) s, rebounds with half its speed, and stops."""
+    block = vj.System(
+        "timed-block",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"r": 0.5},
+        field=lambda t, y, p: {"x": y["v"], "v": 0.0},
+        period=1.0,
+        events=[
+            vj.Impact("wall", gap=lambda t, y, p: 1.0 - y["x"], velocity="v", restitution=lambda p: p["r"]),
+            vj.Friction("rub", lambda t, y, p: y["v"], lambda t, y, p: 1.0, law=0.2, acts_on="v"),
+        ],
+    )
+    motion = vj.simulate(block, start=[0.0, 1.0], duration=4.0, progress=False)
+    arrives = 5 * (1 - np.sqrt(0.6))
+    assert events_of(motion, "impact") == pytest.approx([arrives], abs=1e-8)
+    assert events_of(motion, "stick") == pytest.approx([arrives + 2.5 * np.sqrt(0.6)], abs=1e-8)
+    assert float(motion.x[-1]) == pytest.approx(0.625, abs=1e-8)
+
+
+@pytest.mark.long
+def test_sawtooth_stays_above_zero():
+    """x' = 1 with x reset from 1 to 0, and y' = 1 or -1 on the sides of x = 1/2."""
+    saw = vj.System(
+        "saw-above-zero",
+        states={"x": "m", "y": "m"},
+        parameters={"speed": 1.0},
+        field=lambda t, y, p, s: {"x": p["speed"], "y": s["half"]},
+        period=1.0,
+        events=[
+            vj.Impact("wrap", gap=lambda t, y, p: 1.0 - y["x"], reset=lambda t, y, p: {"x": y["x"] - 1.0}),
+            vj.Switch("half", lambda t, y, p: y["x"] - 0.5),
+        ],
+    )
+    motion = vj.simulate(saw, start=[0.25, 0.0], duration=2.5, progress=False)
+    assert [float(motion.x[-1]), float(motion.y[-1])] == pytest.approx([0.75, 0.0], abs=1e-9)
+    assert float(motion.x.min()) > -1e-9 and float(motion.x.max()) < 1 + 1e-9
+
+
+def test_opposite_functions_of_two_switches_are_refused():
+    with pytest.raises(vj.InputError, match="a and b have the same surface"):
+        vj.System(
+            "opposite",
+            states={"x": "m", "y": "m"},
+            parameters={"q": 1.0},
+            period=1.0,
+            field=lambda t, y, p, s: {"x": -2.0 * s["a"], "y": (-3.0 * (1 + s["b"]) + 1.5 * (1 - s["b"])) / 2},
+            events=[
+                vj.Switch("a", lambda t, y, p: y["x"] - y["y"]),
+                vj.Switch("b", lambda t, y, p: y["y"] - y["x"]),
+            ],
+        )
+
+
+@pytest.mark.parametrize(
+    "added, options",
+    [
+        pytest.param(0.0, {"rate": lambda p: 1.0}, id="rate", marks=pytest.mark.long),
+        pytest.param(1e-12, {}, id="smooth", marks=pytest.mark.long),
+    ],
+)
+def test_landing_of_shot_with_drag(added, options):
+    """By SciPy with a relative tolerance of 1e-12: 4.6333461886 s. The drag has no second derivative at rest."""
+    drag = lambda y, p: 0.003 * p["cd"] * E.sqrt(y["u"] ** 2 + y["w"] ** 2 + added)  # noqa: E731
+    shot = vj.System(
+        f"shot-{added}",
+        states={"r": "m", "h": "m", "u": "m s-1", "w": "m s-1"},
+        parameters={"cd": 0.5},
+        period=20.0,
+        field=lambda t, y, p: {
+            "r": y["u"],
+            "h": y["w"],
+            "u": -drag(y, p) * y["u"],
+            "w": -9.80665 - drag(y, p) * y["w"],
+        },
+        events=[vj.Impact("ground", gap=lambda t, y, p: y["h"], velocity="w", restitution=0.5)],
+        **options,
+    )
+    motion = vj.simulate(shot, start=[0.0, 100.0, 5.0, 0.0], duration=6.0, progress=False)
+    assert float(motion.event_time[0]) == pytest.approx(4.6333461886, abs=1e-7)
+
+
+POSITIVE = vj.Switch("on", lambda t, y, p: cos(t))
+RUBBED = vj.Friction(
+    "rub",
+    relative=lambda t, y, p: y["v"],
+    normal=lambda t, y, p, s: cos(t) * (1 + s["on"]) / 2,
+    law=0.5,
+    acts_on="v",
+)
+
+
+@pytest.mark.parametrize("error", [1e-4, 1e-9])
+@pytest.mark.parametrize(
+    "field, events, right",
+    [
+        pytest.param(
+            lambda t, y, p: {"x": y["v"], "v": E.absolute(cos(t))}, [], 8.0, id="absolute", marks=pytest.mark.long
+        ),
+        pytest.param(
+            lambda t, y, p, s: {"x": y["v"], "v": p["load"]}, [POSITIVE, RUBBED], 0.7396757961189339, id="friction"
+        ),
+    ],
+)
+def test_speed_after_two_periods_of_a_force_with_kinks(field, events, right, error):
+    """Friction under the normal force max(cos t, 0), written with a switch, against a load of 0.2."""
+    system = vj.System(
+        "kinks",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"load": 0.2},
+        period=2 * np.pi,
+        field=field,
+        events=events,
+    )
+    motion = vj.simulate(system, start=[0.0, 0.0], duration=4 * np.pi, error=error, progress=False)
+    assert float(motion.v[-1]) == pytest.approx(right, abs=10 * error)
+
+
+# Families that end at a Hopf point: B = 1 + A² for the Brusselator (Prigogine and Lefever, 1968), with the period
+# 2 pi/A; zero for the normal form
+
+
+def normal_form(t, y, p):
+    growth = p["m"] - (y["x"] ** 2 + y["y"] ** 2)
+    return {"x": growth * y["x"] - y["y"], "y": y["x"] + growth * y["y"]}
+
+
+def reaction(u, w, p):
+    return {"u": p["A"] + u**2 * w - (p["B"] + 1) * u, "w": p["B"] * u - u**2 * w}
+
+
+def about_equilibrium(t, y, p):
+    return reaction(p["A"] + y["u"], p["B"] / p["A"] + y["w"], p)
+
+
+def planar(name, states, parameters, field, section):
+    return vj.System(name, states=dict.fromkeys(states, "1"), parameters=parameters, field=field, section=section)
+
+
+OF_REACTION = {"A": 1.0, "B": 3.0}
+NORMAL_FORM = planar("normal-form", ("x", "y"), {"m": 0.25}, normal_form, "y")
+CONCENTRATIONS = planar("brusselator", ("u", "w"), OF_REACTION, lambda t, y, p: reaction(*y.values(), p), ("u", 1.0))
+ABOUT_EQUILIBRIUM = planar("brusselator-about-equilibrium", ("u", "w"), OF_REACTION, about_equilibrium, "u")
+
+
+@pytest.mark.parametrize(
+    "system, settings, hopf, last, period",
+    [
+        pytest.param(
+            NORMAL_FORM,
+            {"along": "m", "at": 0.25, "span": (-0.5, 1.0), "start": [0.4, 0.0]},
+            0.0,
+            1.0,
+            2 * np.pi,
+            id="m",
+        ),
+        pytest.param(
+            CONCENTRATIONS,
+            {"along": "B", "at": 3.0, "span": (1.5, 3.5), "start": [1.3, 3.0]},
+            2.0,
+            3.5,
+            2 * np.pi,
+            id="B",
+        ),
+        pytest.param(
+            ABOUT_EQUILIBRIUM,
+            {"along": "A", "at": 1.4, "span": (0.9, 2.2), "start": [0.3, 0.0], "B": 4.0},
+            np.sqrt(3),
+            0.9,
+            2 * np.pi / np.sqrt(3),
+            id="A",
+            marks=pytest.mark.long,
+        ),
+    ],
+)
+def test_families_end_at_hopf_points(system, settings, hopf, last, period):
+    family = vj.follow(system, cycles=1, progress=False, **settings)
+    assert sorted(kind for kind, _ in specials(family)) == ["end", "hopf"]
+    places = dict(specials(family))
+    assert places["hopf"] == pytest.approx(hopf, abs=1e-9) and places["end"] == pytest.approx(last, abs=1e-9)
+    values = family[settings["along"]].values
+    assert values.min() >= min(hopf, last) - 1e-9 and values.max() <= max(hopf, last) + 1e-9
+    assert float(family.period[np.abs(values - hopf).argmin()]) == pytest.approx(period, rel=1e-6)
