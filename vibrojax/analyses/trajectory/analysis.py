@@ -108,7 +108,9 @@ def _power_line(ds: xr.Dataset, values: dict[str, float]) -> str:
     for name in ("impact_power", "specific_energy", "stick_slip_index"):
         if math.isfinite(values.get(name, math.nan)) and (name != "impact_power" or values[name] > 0):
             factor, unit = scale(ds[name])
-            parts.append(f"{name.replace('_', ' ')} {factor * values[name]:.4g} {pretty_unit(unit)}".rstrip())
+            radius = ds[name].attrs.get("bit_radius")
+            hole = "" if radius is None else f" (hole of radius {radius:g} m)"
+            parts.append(f"{name.replace('_', ' ')} {factor * values[name]:.4g} {pretty_unit(unit)}".rstrip() + hole)
     return ", ".join(parts).replace("stick slip", "stick-slip")
 
 
