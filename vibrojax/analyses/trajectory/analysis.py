@@ -71,7 +71,9 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
     regime = flags(ds["regime"])[int(ds["regime"])]
     returns, period = int(values["returns"]), values.get("period", math.nan)
     if regime == "equilibrium":
-        return "equilibrium: the bit stands still" if "x1" in ds else "equilibrium: nothing moves"
+        speed = parameters_of(ds).get("v") if "x1" in ds else None
+        moves = "nothing moves" if speed is None else f"the bit moves steadily with the drive, at {speed:.4g} m/s"
+        return f"equilibrium: {'the bit rests' if speed == 0 else moves}"
     if regime == "undecided" and returns < FEWEST_RETURNS:
         advice = "give a longer duration"
         if returns > 1:
