@@ -68,7 +68,9 @@ def test_each_parameter_reaches_the_equations_by_every_way(scene, monkeypatch, t
         ways = [given, {"bit_radius": 0.11}] if name == "bit_radius" and "threshold" in names.parameters else [given]
         for given in ways:
             axis = next(other for other in names.parameters if other not in (name, "v", "k1", "gamma"))
-            sweep = vj.read_sweep({"scene": scene, "parameters": given, "grid": {axis: [names.parameters[axis].default]}})
+            sweep = vj.read_sweep(
+                {"scene": scene, "parameters": given, "grid": {axis: [names.parameters[axis].default]}}
+            )
             vj.simulate(scene, progress=False, **given)
             main(["simulate", scene, *(f"{key}={value!r}" for key, value in given.items()), "--quiet"])
             [called, commanded] = seen
