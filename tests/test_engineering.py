@@ -9,7 +9,7 @@ import vibrojax as vj
 from vibrojax.cli import main, points
 from vibrojax.errors import InputError, Place
 from vibrojax.sweep.input.names import read_names
-from vibrojax.sweep.simulation import run
+from vibrojax.sweep.simulation import run as simulation
 
 RUN = {"end_early": False, "settle": 20.0}  # one program for all sweeps of the scene
 DRILL = {"scene": "drilling", "parameters": {"k1": 625000.0}, "run": RUN}
@@ -59,7 +59,7 @@ def test_wider_hole_takes_less_energy_per_volume():
 def test_each_parameter_reaches_the_equations_by_every_way(scene, monkeypatch, tmp_path):
     """`vj.simulate`, the command and a sweep of one lane resolve each parameter to the same values."""
     seen = []
-    monkeypatch.setattr(run, "simulate_point", lambda point, **_: seen.append(point) or xr.Dataset())
+    monkeypatch.setattr(simulation, "simulate_point", lambda point, **_: seen.append(point) or xr.Dataset())
     monkeypatch.setattr(points, "answer", lambda options, name, identity, compute, *_, **__: compute())
     names = read_names(Place("test"), scene, {}, Place("test"))
     for name, parameter in names.writable.items():

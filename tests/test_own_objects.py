@@ -248,7 +248,7 @@ class LostSum(Plain):
         (Undeclared, 'read gave "b", which is not declared'),
         (Unknown, "read asks for 'vs'"),
         (Text, "read, a, gave str; it must give a number"),
-        (NoDict, "it must give a dict of numbers by name"),
+        (NoDict, "read gave .*; it must give a dict of numbers by name"),
         (LostSum, 'increments gave "z", which is not declared; add it to `summed`'),
     ],
 )
@@ -264,5 +264,5 @@ def test_wrong_gauges_end_in_one_line(gauge, message, capfd):
 
 @pytest.mark.parametrize("order", [1, -3, True])
 def test_orders_that_steps_cannot_have_are_refused(order):
-    with pytest.raises(vj.InputError, match="Located: the order is .*; give a whole number from 3 on"):
+    with pytest.raises(vj.InputError, match=r"Located: the order is .*; give a whole number from 3 on"):
         Located(order=order)

@@ -284,5 +284,5 @@ def test_wrong_shapes_are_refused(f):
     ],
 )
 def test_names_that_occur_twice_are_refused(call):
-    with pytest.raises(InputError, match="is there already, at .0.; give each"):
+    with pytest.raises(InputError, match=r"is there already, at \[0\]; give each"):
         call()

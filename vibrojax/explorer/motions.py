@@ -165,8 +165,8 @@ class LiveMotions:
         """Return a JSON description of the possible requests.
 
         `parameters` contains the slider of each parameter. `values` and `start` describe the parameter point. `states`
-        are the names of the elements of an initial state, `state_labels` with their units. Numbers are in SI units; times `factor`, they are in the
-        displayed unit.
+        are the names of the elements of an initial state, `state_labels` their labels. Numbers are in SI units; times
+        `factor`, they are in the displayed unit.
         """
         system = self.names.system
         units = {state.name: state.unit for state in system.states}

@@ -184,7 +184,7 @@ def _named(gauge: Gauge[Any], method: str, known: Collection[str], where: str, *
         if name not in known:
             raise InputError(f"{what} gave {shown(name)}, which is not declared; add it to `{where}` of the gauge")
         number_of(f"{what}, {name},", value)
-    return values
+    return dict(values)
 
 
 STEPS_PER_TURN = 4
