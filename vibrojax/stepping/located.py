@@ -69,7 +69,7 @@ class Located(Stepper):
     rests = True
 
     def __post_init__(self) -> None:
-        if isinstance(self.order, bool) or not isinstance(self.order, int) or not LEAST_ORDER <= self.order:
+        if isinstance(self.order, bool) or not isinstance(self.order, int) or not self.order >= LEAST_ORDER:
             raise InputError(f"Located: the order is {shown(self.order)}; give a whole number from {LEAST_ORDER} on")
 
     @property
