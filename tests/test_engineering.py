@@ -6,7 +6,10 @@ import xarray as xr
 from read_off import legend
 
 import vibrojax as vj
-from vibrojax.errors import InputError
+from vibrojax.cli import main, points
+from vibrojax.errors import InputError, Place
+from vibrojax.sweep.input.names import read_names
+from vibrojax.sweep.simulation import run as simulation
 
 RUN = {"end_early": False, "settle": 20.0}  # one program for all sweeps of the scene
 DRILL = {"scene": "drilling", "parameters": {"k1": 625000.0}, "run": RUN}
@@ -50,6 +53,31 @@ def test_wider_hole_takes_less_energy_per_volume():
     assert alone.hole_radius == 0.05 and alone.parameters["v"] == 2.0
     with pytest.raises(InputError, match="v is given as well"):
         vj.read_sweep(shared | {"parameters": rotation | {"v": 1.0}, "grid": {"gamma": [0.75]}})
+
+
+@pytest.mark.parametrize("scene", vj.SCENES)
+def test_each_parameter_reaches_the_equations_by_every_way(scene, monkeypatch, tmp_path):
+    """`vj.simulate`, the command and a sweep of one lane resolve each parameter to the same values."""
+    seen = []
+    monkeypatch.setattr(simulation, "simulate_point", lambda point, **_: seen.append(point) or xr.Dataset())
+    monkeypatch.setattr(points, "answer", lambda options, name, identity, compute, *_, **__: compute())
+    names = read_names(Place("test"), scene, {}, Place("test"))
+    for name, parameter in names.writable.items():
+        given = {name: 1.03 * parameter.default or 0.01}
+        given |= {"bit_radius": 0.11} if name == "rpm" else {"rpm": 100.0} if name == "bit_radius" else {}
+        ways = [given, {"bit_radius": 0.11}] if name == "bit_radius" and "threshold" in names.parameters else [given]
+        for given in ways:
+            axis = next(other for other in names.parameters if other not in (name, "v", "k1", "gamma"))
+            sweep = vj.read_sweep(
+                {"scene": scene, "parameters": given, "grid": {axis: [names.parameters[axis].default]}}
+            )
+            vj.simulate(scene, progress=False, **given)
+            main(["simulate", scene, *(f"{key}={value!r}" for key, value in given.items()), "--quiet"])
+            [called, commanded] = seen
+            seen.clear()
+            expected = {key: float(x[0]) for key, x in sweep.lane_values(0, 1)[0].items()}
+            assert called.parameters == commanded.parameters == pytest.approx(expected, rel=1e-15)
+            assert called.hole_radius == commanded.hole_radius == sweep.hole_radius
 
 
 def test_stick_slip_index_of_a_harmonic_motion():

@@ -63,6 +63,12 @@ def test_undecided_motion_names_a_sufficient_duration():
     assert longer["returns"] >= 9
 
 
+@pytest.mark.parametrize(("v", "text"), [(1.2, "moves steadily with the drive, at 1.2 m/s"), (0.0, "rests")])
+def test_text_of_equilibrium_says_whether_the_bit_slides(v, text):
+    motion = vj.simulate("rotary", v=v, friction="coulomb", duration=100.0, progress=False)
+    assert feature_lines(motion)[0] == f"equilibrium: the bit {text}"
+
+
 def test_text_names_regime_period_velocity_and_energy():
     motion = vj.simulate("vibro-impact", duration=20.0, progress=False)
     period, velocity, energy = (float(motion[name]) for name in ("period", "impact_velocity", "impact_energy"))

@@ -180,3 +180,89 @@ def test_objects_of_installed_package(tmp_path):
         "it is left out",
         "mine: vibrojax.scenes: b: mine:law is not a System or a subclass of Scene; it is left out",
     ], process.stderr
+
+
+def own_law(mu):
+    slow = vj.parameters.table(vj.parameters.positive("vs", 1.0, "m s-1", "speed scale", "v_s"))
+    return FrictionLaw("mine", "own", slow, mu)
+
+
+@pytest.mark.parametrize(
+    ("mu", "message"),
+    [
+        (lambda u, p: p["vx"] * u, "friction law mine: mu asks for 'vx'; there is vs"),
+        (lambda u, p: "0.3", "friction law mine: mu gave str; it must give a number"),
+        (lambda u, p: 0.3 if u < 1 else 0.2, "friction law mine: mu decides by a value"),
+        (lambda u, p: 1 / 0, "friction law mine: mu fails with ZeroDivisionError: division by zero"),
+        (lambda u, p: np.exp(-u), "friction law mine: mu uses a function that steps cannot expand"),
+        (lambda u, p: 0.1 * u - p["vs"], "the point cannot be run: negative friction at rest"),
+    ],
+)
+def test_wrong_laws_end_in_one_line(mu, message):
+    with pytest.raises(vj.InputError, match=message):
+        vj.simulate("rotary", friction=own_law(mu), duration=2.0, progress=False)
+
+
+def test_lanes_with_negative_friction_have_a_reason():
+    law = own_law(lambda u, p: 0.4 - 0.2 * p["vs"])
+    ds = vj.run_sweep({"scene": "rotary", "parameters": {"friction": law}, "grid": {"vs": [1.0, 3.0]}}, progress=False)
+    names = ds.reason.attrs["flag_meanings"].split()
+    assert [names[int(k)] for k in ds.reason.values[:, 0]] == ["none", "negative-friction-at-rest"]
+
+
+class Plain(Gauge):
+    variables: ClassVar = {"a": ("1", "a number")}
+
+    def read(self, scene, c, carry, whole):
+        return {"a": whole.returns}
+
+
+class Undeclared(Plain):
+    def read(self, scene, c, carry, whole):
+        return {"a": whole.returns, "b": whole.returns}
+
+
+class Unknown(Plain):
+    def read(self, scene, c, carry, whole):
+        return {"a": whole.sums["vs"]}
+
+
+class Text(Plain):
+    def read(self, scene, c, carry, whole):
+        return {"a": "3"}
+
+
+class NoDict(Plain):
+    def read(self, scene, c, carry, whole):
+        return whole.returns
+
+
+class LostSum(Plain):
+    def increments(self, scene, c, moment):
+        return {"z": moment.step.dt}
+
+
+@pytest.mark.parametrize(
+    ("gauge", "message"),
+    [
+        (Undeclared, 'read gave "b", which is not declared'),
+        (Unknown, "read asks for 'vs'"),
+        (Text, "read, a, gave str; it must give a number"),
+        (NoDict, "read gave .*; it must give a dict of numbers by name"),
+        (LostSum, 'increments gave "z", which is not declared; add it to `summed`'),
+    ],
+)
+def test_wrong_gauges_end_in_one_line(gauge, message, capfd):
+    class Measured(vj.SCENES["rotary"]):
+        name = "measured"
+        measures = (*vj.SCENES["rotary"].measures, gauge())
+
+    with pytest.raises(vj.InputError, match=f"gauge {gauge.__name__}: {message}"):
+        vj.run_sweep({"scene": Measured(), "starts": ["drive"], "grid": {"v": [1.0]}}, progress=False)
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("order", [1, -3, True])
+def test_orders_that_steps_cannot_have_are_refused(order):
+    with pytest.raises(vj.InputError, match=r"Located: the order is .*; give a whole number from 3 on"):
+        Located(order=order)

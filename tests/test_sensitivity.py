@@ -271,3 +271,18 @@ def test_wrong_arguments_are_refused(arguments, message):
 def test_wrong_shapes_are_refused(f):
     with pytest.raises(InputError, match=r"shape \(3,\); give \(2,\), one number for each of beta, gamma"):
         f(jnp.zeros(3))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: vj.as_jax("vibro-impact", of="period", by=["beta", "beta"]),
+        lambda: vj.as_jax("vibro-impact", of=["period", "period"], by=["beta"]),
+        lambda: vj.derivatives("vibro-impact", of=["period"], by=["beta", "beta"]),
+        lambda: vj.derivatives("vibro-impact", of=["period", "period"], by=["beta"]),
+        lambda: vj.sensitivity({"scene": "vibro-impact", "grid": {"beta": [0.4]}}, by=["v", "v"], progress=False),
+    ],
+)
+def test_names_that_occur_twice_are_refused(call):
+    with pytest.raises(InputError, match=r"is there already, at \[0\]; give each"):
+        call()

@@ -3,7 +3,7 @@
 All tables are derived from the definitions that the simulation uses.
 """
 
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import pandas as pd
@@ -15,6 +15,7 @@ from vibrojax.analyses.study.run import SCHEMA as STUDY_SCHEMA
 from vibrojax.analyses.tolerance.run import tolerance_variables
 from vibrojax.errors import Place
 from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
+from vibrojax.measures.derived import HOLE_RADIUS
 from vibrojax.models.physics.friction import FRICTION_LAWS
 from vibrojax.models.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
 from vibrojax.models.physics.rock import ROCKS
@@ -65,7 +66,11 @@ def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
     for choice, parameters in choices.items():
         groups.append((choice, [parameter for name, parameter in parameters.items() if name not in shared]))
     for name, parameter in substitutes(names.parameters).items():
-        groups.append((f"{'both ' * (name in ROTATION)}in place of {REPLACED[name]}", [parameter]))
+        where = f"{'both ' * (name in ROTATION)}in place of {REPLACED[name]}"
+        if name == "bit_radius" and isinstance(names.system, HasRock):
+            parameter = replace(parameter, default=HOLE_RADIUS, long_name="radius of the hole, at which the bit slides")
+            where = "of specific_energy; with rpm in place of v"
+        groups.append((where, [parameter]))
     rows = [
         {
             "name": parameter.name,

@@ -1,7 +1,6 @@
 """The commands `scenes`, `simulate`, `follow`, `push` and `tolerance`, which take a scene and NAME=VALUE."""
 
 import re
-import warnings
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.analyses import FAMILY_WORDS
@@ -75,9 +74,10 @@ def simulate(options: Options) -> None:
     place = Place("simulate")
     settings, parameters = named_values(place, options.values, SIMULATE_SETTINGS, lists=False)
     from vibrojax.models.physics.parameters import positive
+    from vibrojax.models.scenes import HasRock
     from vibrojax.sweep.input.own_code import code_identity
     from vibrojax.sweep.input.read import read_point
-    from vibrojax.sweep.input.values import UnusualValue, quantity
+    from vibrojax.sweep.input.values import quantity
 
     point = read_point(place, options.scene, parameters, settings.pop("start", None))
     for name, value in settings.items():
@@ -86,16 +86,12 @@ def simulate(options: Options) -> None:
         elif not isinstance(value, str) or not value:  # `simulate` itself checks the names of methods and solvers
             raise place.at(name).error(f"{shown(value)} is not a name; give one, like {name}=...")
     # Each value is checked at run time; its static type does not state that it fits the function's argument.
-    arguments: dict[str, Any] = settings | point.options | point.parameters
-    if point.start is not None:
-        arguments["start"] = point.start
+    arguments: dict[str, Any] = settings
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.sweep.simulation import simulate
+        from vibrojax.sweep.simulation.run import simulate_point
 
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UnusualValue)  # `read_point` has already warned
-            return simulate(point.scene, **arguments, progress=not options.quiet)
+        return simulate_point(point, **arguments, progress=not options.quiet)
 
     def facts(dataset: "xarray.Dataset") -> dict[str, object]:
         from vibrojax.analyses.frequencies import frequency_part
@@ -107,6 +103,7 @@ def simulate(options: Options) -> None:
             **point.options,
             "start": point.start,
             "parameters": point.parameters,
+            **({"bit_radius": point.hole_radius} if isinstance(point.system, HasRock) else {}),
             "duration": float(dataset["time"][-1]),
             "run": attribute_of(dataset, "run"),
             "found": features(dataset),
@@ -114,7 +111,7 @@ def simulate(options: Options) -> None:
             "solver": attribute_of(dataset, "solver"),
         }
 
-    identity = {"scene": point.scene, **arguments, **code_identity(point.system, point.options)}
+    identity = {**point.identity(), **arguments, **code_identity(point.system, point.options)}
     answer(options, f"{point.scene}.nc", identity, compute, facts, numbered=True)
 
 

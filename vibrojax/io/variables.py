@@ -76,6 +76,7 @@ REASONS = (
     "restitution-not-0-to-1",
     "negative-normal-force",
     "slides-on-two-switches",
+    "negative-friction-at-rest",
 )
 """Meaning of each flag of `reason`."""
 

@@ -4,13 +4,15 @@ A program lets lanes settle (any number of times), then observes them and return
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from vibrojax.errors import InputError, shown
+from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import ledger, repeats, section, since_start
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.measures.ledger import Ledger
@@ -18,6 +20,7 @@ from vibrojax.measures.motion import section_of
 from vibrojax.measures.repeats import Returns
 from vibrojax.measures.section import Settling
 from vibrojax.models.arrays import Array, Flags, Lanes, Real
+from vibrojax.models.own_code import asked, number_of
 from vibrojax.models.scenes.declared import Values
 from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
@@ -104,7 +107,7 @@ class Recorder(Records):
 
     def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: Settling) -> Observed:
         names = ("time", *(name for gauge in self.gauges for name in gauge.summed))
-        gauges = tuple(gauge.begin(scene, c, lane) for gauge in self.gauges)
+        gauges = tuple(_ask(gauge, "begin", scene, c, lane) for gauge in self.gauges)
         return Observed(section.observe(scene, settled), ledger.begin(names, lane.state[0]), gauges)
 
     def step(self, scene: Scene[Any], c: Any, carry: Observed, lane: Lane, step: Step) -> Observed:
@@ -112,9 +115,9 @@ class Recorder(Records):
         moment = Moment(lane, step, returns.seen.since, returns.seen.frequency, returns.phase)
         increments = {"time": step.dt}
         for gauge in self.gauges:
-            increments |= gauge.increments(scene, c, moment)
+            increments |= _named(gauge, "increments", gauge.summed, "summed", scene, c, moment)
         own = zip(self.gauges, carry.gauges, strict=True)
-        gauges = tuple(gauge.step(scene, c, mine, moment) for gauge, mine in own)
+        gauges = tuple(_ask(gauge, "step", scene, c, mine, moment) for gauge, mine in own)
         return Observed(returns, ledger.add(carry.ledger, increments), gauges)
 
     def waiting(self, carry: Observed) -> Flags:
@@ -127,13 +130,13 @@ class Recorder(Records):
         def close(sums: Sums) -> Sums:
             replaced: Sums = {}
             for gauge in self.gauges:
-                replaced |= gauge.close(sums, interval)
+                replaced |= _ask(gauge, "close", sums, interval)
             return replaced
 
         totals, sums = ledger.section(carry.ledger, here, number, close)
         crossing = Return(here, number, interval, section.amplitudes(returns.seen.ranges), share, lane, sums)
         own = zip(self.gauges, carry.gauges, strict=True)
-        gauges = tuple(gauge.section(scene, c, mine, crossing) for gauge, mine in own)
+        gauges = tuple(_ask(gauge, "section", scene, c, mine, crossing) for gauge, mine in own)
         return Observed(section.take_in(scene, c, returns, lane), totals, gauges)
 
     def read(self, scene: Scene[Any], c: Any, carry: Observed) -> Features:
@@ -141,7 +144,7 @@ class Recorder(Records):
 
         def features(whole: Whole) -> Features:
             gauges = zip(self.gauges, carry.gauges, strict=True)
-            return {name: x for gauge, own in gauges for name, x in gauge.read(scene, c, own, whole).items()}
+            return {name: x for gauge, own in gauges for name, x in _read(gauge, scene, c, own, whole).items()}
 
         returns = carry.returns
         everything, intervals = ledger.whole(carry.ledger, returns.number, jnp.zeros_like(returns.number))
@@ -158,6 +161,30 @@ class Recorder(Records):
             "period": sums["time"] / whole_returns,
             "settling_time": repeats.settling_time(returns, cycles),
         }
+
+
+def _ask(gauge: Gauge[Any], method: str, *arguments: Any) -> Any:
+    return asked(f"gauge {type(gauge).__name__}: {method}", getattr(gauge, method), *arguments)
+
+
+def _read(gauge: Gauge[Any], scene: Scene[Any], c: Any, own: Any, whole: Whole) -> Features:
+    """Return the features of a gauge."""
+    return _named(gauge, "read", (*gauge.variables, *VARIABLES), "variables", scene, c, own, whole)
+
+
+def _named(gauge: Gauge[Any], method: str, known: Collection[str], where: str, *arguments: Any) -> dict[str, Any]:
+    """Return the numbers by name that a method gives; names that are not `known` would be lost."""
+    values: Any = _ask(gauge, method, *arguments)
+    if type(gauge).__module__.split(".")[0] == __name__.split(".")[0]:
+        return values
+    what = f"gauge {type(gauge).__name__}: {method}"
+    if not isinstance(values, Mapping):
+        raise InputError(f"{what} gave {type(values).__name__}; it must give a dict of numbers by name")
+    for name, value in values.items():
+        if name not in known:
+            raise InputError(f"{what} gave {shown(name)}, which is not declared; add it to `{where}` of the gauge")
+        number_of(f"{what}, {name},", value)
+    return dict(values)
 
 
 STEPS_PER_TURN = 4

@@ -14,6 +14,7 @@ from typing import Any
 import jax.numpy as jnp
 from jax import lax
 
+from vibrojax.errors import InputError, shown
 from vibrojax.models.arrays import Array, keep
 from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Landing, Trial, locate
@@ -40,6 +41,10 @@ LOCATED_STRIDE = 2.0
 """Longest step in units of 1/rate; within such a step, no guard is reached and left twice."""
 
 
+LEAST_ORDER = 3
+"""Least order of the series: the length of a step follows from the last two terms, and events need a parabola."""
+
+
 @dataclass(frozen=True)
 class Located(Stepper):
     """The located stepper with Taylor series up to `order`.
@@ -62,6 +67,10 @@ class Located(Stepper):
     # estimate is an upper bound for 95 % of periodic lanes.
     error_share = 0.4
     rests = True
+
+    def __post_init__(self) -> None:
+        if isinstance(self.order, bool) or not isinstance(self.order, int) or not self.order >= LEAST_ORDER:
+            raise InputError(f"Located: the order is {shown(self.order)}; give a whole number from {LEAST_ORDER} on")
 
     @property
     def degree(self) -> int:

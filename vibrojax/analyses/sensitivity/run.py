@@ -20,7 +20,7 @@ from vibrojax.periodic.orbit_derivatives import COUNTED
 from vibrojax.sweep.engine.labelled import measured_besides, unresolved
 from vibrojax.sweep.engine.scene_variables import feature_names
 from vibrojax.sweep.input.read import Point, read_point, several_and_single
-from vibrojax.sweep.input.values import quantity
+from vibrojax.sweep.input.values import check_distinct, quantity
 
 _POINTWISE = ("point", "variable", "parameter")
 _TABLE = {
@@ -196,6 +196,7 @@ def read_names(place: Place, value: str | Sequence[str], known: Collection[str])
         if name not in known:
             hint = suggest_parameter(str(name), known) if isinstance(known, Mapping) else suggestion(str(name), known)
             raise place.error(f"the scene has no {shown(name)} to differentiate; {hint}")
+    check_distinct(place, names, "name")
     return names
 
 

@@ -71,7 +71,9 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
     regime = flags(ds["regime"])[int(ds["regime"])]
     returns, period = int(values["returns"]), values.get("period", math.nan)
     if regime == "equilibrium":
-        return "equilibrium: the bit stands still" if "x1" in ds else "equilibrium: nothing moves"
+        speed = parameters_of(ds).get("v") if "x1" in ds else None
+        moves = "nothing moves" if speed is None else f"the bit moves steadily with the drive, at {speed:.4g} m/s"
+        return f"equilibrium: {'the bit rests' if speed == 0 else moves}"
     if regime == "undecided" and returns < FEWEST_RETURNS:
         advice = "give a longer duration"
         if returns > 1:
@@ -108,7 +110,9 @@ def _power_line(ds: xr.Dataset, values: dict[str, float]) -> str:
     for name in ("impact_power", "specific_energy", "stick_slip_index"):
         if math.isfinite(values.get(name, math.nan)) and (name != "impact_power" or values[name] > 0):
             factor, unit = scale(ds[name])
-            parts.append(f"{name.replace('_', ' ')} {factor * values[name]:.4g} {pretty_unit(unit)}".rstrip())
+            radius = ds[name].attrs.get("bit_radius")
+            hole = "" if radius is None else f" (hole of radius {radius:g} m)"
+            parts.append(f"{name.replace('_', ' ')} {factor * values[name]:.4g} {pretty_unit(unit)}".rstrip() + hole)
     return ", ".join(parts).replace("stick slip", "stick-slip")
 
 

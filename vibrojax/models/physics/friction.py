@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vibrojax.models.arrays import Value
+from vibrojax.models.own_code import asked, number_of
 from vibrojax.models.physics.elementary import arctan, exp, maximum
 from vibrojax.models.physics.parameters import Parameter, not_negative, positive, table
 
@@ -62,11 +63,15 @@ class FrictionLaw:
 
     def on_weight(self, speed: Value, p: Numbers) -> Any:
         """Return the friction coefficient [1] under the weight m1 g at `speed` >= 0 [m/s] of any shape."""
-        return self.mu(speed, p)
+        return self._value("mu", self.mu, speed, p)
 
     def on_impact(self, speed: Value, p: Numbers) -> Any:
         """Return the friction coefficient [1] under the impact force J at `speed` >= 0 [m/s] of any shape."""
-        return (self.mu_impact or self.mu)(speed, p)
+        return self._value("mu_impact" if self.mu_impact else "mu", self.mu_impact or self.mu, speed, p)
+
+    def _value(self, name: str, function: Coefficient, speed: Value, p: Numbers) -> Any:
+        what = f"friction law {self.name}: {name}"
+        return number_of(what, asked(what, function, speed, p, known=self.parameters))
 
 
 def _law(name: str) -> FrictionLaw:

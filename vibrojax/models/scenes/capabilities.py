@@ -41,6 +41,12 @@ class HasFriction(Scene[C]):
     bit_velocity: ClassVar[str] = "v1"
     choices: ClassVar[dict[str, Mapping[str, object]]] = {"friction": FRICTION_LAWS}
 
+    def refused(self, p: Mapping[str, Any]) -> tuple[str, Any] | None:
+        law = self.friction
+        if FRICTION_LAWS.get(law.name) is law:  # the ranges of their parameters exclude it
+            return None
+        return "negative-friction-at-rest", law.on_weight(0.0, {name: p[name] for name in law.parameters}) < 0 * p["m1"]
+
     @abstractmethod
     def bit(self, c: C) -> Bit:
         """Return the bit's mass, weight and drive speed."""

@@ -4,6 +4,7 @@ Between calls of the programs, the lanes of a batch are NumPy arrays. For each c
 all workers compute in parallel.
 """
 
+import contextlib
 import threading
 from collections.abc import Callable, Sequence
 from copy import copy
@@ -204,7 +205,7 @@ class Engine:
                 pass
             self.programs = alone.programs
             if not self.accelerated:
-                threading.Thread(target=alone.observe, args=(still,), daemon=True).start()
+                threading.Thread(target=_early, args=(partial(alone.observe, still),), daemon=True).start()
 
     def _effort(self, accuracy: Accuracy) -> Effort:
         run = self.sweep.run
@@ -252,3 +253,9 @@ class Engine:
         # Only the last block may be incomplete, and it is the last block of its call.
         number = np.arange(len(by_pace)) // block % calls
         return [(bound, by_pace[number == call]) for call in range(calls)]
+
+
+def _early(task: Callable[[], object]) -> None:
+    """Do ahead what is done again when its result is needed; only then are its errors raised."""
+    with contextlib.suppress(Exception):
+        task()

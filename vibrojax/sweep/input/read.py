@@ -10,7 +10,7 @@ import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.measures.derived import HOLE_RADIUS
-from vibrojax.models.scenes import SCENES, Scene
+from vibrojax.models.scenes import SCENES, HasRock, Scene
 from vibrojax.sweep.input.definition import Sweep, with_substitutes
 from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.points import VECTOR, Points, read_points
@@ -192,6 +192,12 @@ class Point:
     parameters: dict[str, float]
     system: Scene[Any]
     hole_radius: float = HOLE_RADIUS
+
+    def identity(self) -> dict[str, object]:
+        """Return everything that determines a motion of the point, but the code of the user's own scenes and laws."""
+        known: dict[str, object] = {"scene": self.scene, **self.options, **self.parameters}
+        known |= {} if self.start is None else {"start": self.start}
+        return known | ({"bit_radius": self.hole_radius} if isinstance(self.system, HasRock) else {})
 
 
 def read_point(place: Place, scene: object, parameters: Mapping[str, object], start: object = None) -> Point:

@@ -91,9 +91,33 @@ def simulate(
     >>> sorted(motion[["x1", "v1", "x2", "v2", "impact_force"]].data_vars)
     ['impact_force', 'v1', 'v2', 'x1', 'x2']
     """
-    place = Place("simulate")
-    point = read_point(place, scene, parameters, start)
-    system = point.system
+    return simulate_point(
+        read_point(Place("simulate"), scene, parameters, start),
+        duration=duration,
+        method=method,
+        solver=solver,
+        step=step,
+        smoothing=smoothing,
+        error=error,
+        sampling=sampling,
+        progress=progress,
+    )
+
+
+def simulate_point(
+    point: Point,
+    *,
+    duration: float | None = None,
+    method: str | Stepper | None = None,
+    solver: "str | AbstractSolver | None" = None,
+    step: float | None = None,
+    smoothing: float | None = None,
+    error: float = 1e-4,
+    sampling: float | None = None,
+    progress: bool = True,
+) -> xr.Dataset:
+    """Simulate a point; see `simulate`."""
+    place, system = Place("simulate"), point.system
     method = method or ("diffrax" if solver is not None else "located")
     methods = (*STEPPERS, "diffrax")
     if not isinstance(method, Stepper) and method not in methods:
