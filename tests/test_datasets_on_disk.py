@@ -145,12 +145,49 @@ def test_temporary_files_of_dead_writers_are_removed(tmp_path):
 
     dead = subprocess.Popen(["true"])
     dead.wait()
-    (tmp_path / f".out.nc.{dead.pid}.tmp").write_text("half")
-    (tmp_path / f".out.nc.{os.getppid()}.tmp").write_text("half")
-    (tmp_path / ".out.nc.tmp").write_text("somebody's")
+    some = "0123456789abcdef"
+    others = [f".out.nc.{os.getppid()}-{some}.tmp", ".out.nc.tmp", f".out.nc.{dead.pid}.tmp"]
+    for name in (f".out.nc.{dead.pid}-{some}.tmp", *others):
+        (tmp_path / name).write_text("somebody's")
     write_dataset(xr.Dataset({"x": 1.0}), tmp_path / "out.nc")
-    remaining = {path.name for path in tmp_path.iterdir()}
-    assert remaining == {"out.nc", f".out.nc.{os.getppid()}.tmp", ".out.nc.tmp"}
+    assert {path.name for path in tmp_path.iterdir()} == {"out.nc", *others}
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_links_in_place_of_temporary_files_are_not_followed(kind, tmp_path, monkeypatch):
+    """Someone who guesses the temporary name, which takes 2^64 trials, must not make us write elsewhere."""
+    from vibrojax.io import atomic
+
+    target, folder = tmp_path / "target", tmp_path / "folder"
+    target.write_text("somebody's")
+    folder.mkdir()
+    names = []
+    monkeypatch.setattr(atomic, "_temporary", lambda path, ending: names.append(ending) or tmp_path / f"part.{ending}")
+    (tmp_path / "part.tmp").symlink_to(target if kind == "file" else folder)
+    write = atomic.atomic_write if kind == "file" else atomic.atomic_folder
+    try:
+        with write(tmp_path / "out") as part:
+            (part if kind == "file" else part / "x").write_text("ours")
+    except FileExistsError:
+        assert kind == "folder"
+    assert names and target.read_text() == "somebody's" and not list(folder.iterdir())
+
+
+def test_temporary_names_are_random(tmp_path):
+    from vibrojax.io.atomic import atomic_write
+
+    names = set()
+    for _ in range(3):
+        with atomic_write(tmp_path / "out.nc") as part:
+            assert part.stat().st_size == 0 and not part.is_symlink()
+            names.add(part.name)
+    assert len(names) == 3
+
+
+def test_empty_output_name_is_refused(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert "-o: the name is empty" in refused(capsys, "simulate", "rotary", "duration=0.1", "-o", "")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("before", ["nothing", "a file", "a store"])

@@ -142,6 +142,8 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
         elif options.command is None:
             raise InputError(f"no command; choose from {', '.join(_commands())}, or see vibrojax --help")
         else:
+            if getattr(options, "out", None) == "":
+                raise InputError("-o: the name is empty; give the name of a file, or leave out -o")
             command = _commands()[options.command]
             with _verbosely(options):
                 do(lambda: _run(command.run, options))

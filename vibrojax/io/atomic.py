@@ -5,12 +5,14 @@ It therefore appears complete or not at all.
 
 import os
 import re
+import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from vibrojax.io.claims import GONE, process_start
+from vibrojax.io.files import new_file
 
 ZARR = ".zarr"
 """Suffix of a dataset stored as a folder (Zarr store)."""
@@ -20,17 +22,15 @@ ZARR = ".zarr"
 def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:
     """Yield a temporary path, which is renamed to `path` when the `with` block ends, or deleted if the block raises.
 
-    Temporary files for `path` left by killed processes are also removed. `ending` is the suffix of the temporary name,
-    for libraries that derive the file format from the suffix.
+    The temporary file exists and is empty. Its name cannot be guessed, so that in a folder to which others can write,
+    no link of theirs takes its place. Temporary files for `path` left by killed processes are removed. `ending` is the
+    suffix of the temporary name, for libraries that derive the file format from the suffix.
 
     **Raises:** `OSError` if the disk is full or the folder is not writable.
     """
-    temporary = re.compile(re.escape(f".{path.name}.") + r"(\d+)" + re.escape(f".{ending}"))
-    for other in path.parent.iterdir():
-        match = temporary.fullmatch(other.name)
-        if match and process_start(int(match[1])) == GONE:
-            other.unlink(missing_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}.{ending}")
+    _remove_leftovers(path, ending)
+    part = _temporary(path, ending)
+    new_file(part).close()
     try:
         yield part
         commit(part, path)
@@ -41,9 +41,9 @@ def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary folder: renamed to `path` when the `with` block ends, or deleted if the block raises."""
-    part, before = (path.with_name(f".{path.name}.{kind}") for kind in ("tmp", "before"))
-    for leftover in (part, before):  # left by a killed process
-        _remove(leftover)
+    for ending in ("tmp", "before"):
+        _remove_leftovers(path, ending)
+    part, before = (_temporary(path, ending) for ending in ("tmp", "before"))
     part.mkdir()  # raises `OSError` now if the parent folder is missing or not writable
     try:
         yield part
@@ -59,6 +59,20 @@ def atomic_folder(path: Path) -> Iterator[Path]:
             _remove(leftover)
 
 
+def _temporary(path: Path, ending: str) -> Path:
+    """Return a name next to `path` with the number of this process and a random part."""
+    return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(8)}.{ending}")
+
+
+def _remove_leftovers(path: Path, ending: str) -> None:
+    """Remove what processes that have ended left for `path` under temporary names."""
+    temporary = re.compile(re.escape(f".{path.name}.") + r"(\d+)-[0-9a-f]{16}" + re.escape(f".{ending}"))
+    for other in path.parent.iterdir():
+        match = temporary.fullmatch(other.name)
+        if match and process_start(int(match[1])) == GONE:
+            _remove(other)
+
+
 def commit(part: Path, path: Path) -> None:
     """Rename the finished file `part` to `path`; on return, content and name are synced to disk."""
     _sync(part)
@@ -67,10 +81,11 @@ def commit(part: Path, path: Path) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove a folder with all that it contains, or a file."""
-    if path.is_file():
-        path.unlink()
-    shutil.rmtree(path, ignore_errors=True)
+    """Remove a folder with all that it contains, or a file or link."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _sync(path: Path) -> None:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 from filelock import FileLock, Timeout
 
 from vibrojax.errors import InputError
+from vibrojax.io.files import new_file
 
 BEAT = 15.0
 """Interval [s] at which an owner updates the modification times of its claims."""
@@ -91,7 +92,8 @@ class Claims:
         try:
             # Hard-link a complete file: no process ever sees a half-written claim, and even on network file systems
             # only one process succeeds.
-            part.write_text(text)
+            with new_file(part) as file:
+                file.write(text.encode())
             try:
                 os.link(part, path)
             except PermissionError:  # a file system without links

@@ -17,6 +17,7 @@ from jaxtyping import Shaped
 
 from vibrojax.errors import InputError, counted
 from vibrojax.io.atomic import commit
+from vibrojax.io.files import new_file
 from vibrojax.io.claims import Claims, lock, this_process
 from vibrojax.io.manifest import MANIFEST, canonical, changes_since, digest
 
@@ -247,7 +248,7 @@ class Shards:
             if not self._shared:
                 self.folder.mkdir(exist_ok=True)
             try:
-                with open(temporary, "wb") as file:
+                with new_file(temporary) as file:
                     file.writelines(parts)
                 commit(temporary, path)
                 return

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 
 from vibrojax.errors import InputError, shown
-from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import ledger, repeats, section, since_start
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.measures.ledger import Ledger
@@ -169,6 +168,8 @@ def _ask(gauge: Gauge[Any], method: str, *arguments: Any) -> Any:
 
 def _read(gauge: Gauge[Any], scene: Scene[Any], c: Any, own: Any, whole: Whole) -> Features:
     """Return the features of a gauge."""
+    from vibrojax.io.variables import VARIABLES  # which needs the regimes of this folder
+
     return _named(gauge, "read", (*gauge.variables, *VARIABLES), "variables", scene, c, own, whole)
 
 
