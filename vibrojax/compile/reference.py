@@ -37,9 +37,7 @@ def evaluate(closed: Any, *arguments: Any) -> list[Any]:
 def _by_xla(jaxpr: Any, equation: Any, values: Sequence[Any]) -> list[Any]:
     """Return the results of one equation of a jaxpr, with all of its arguments given."""
     pairs = {var: value for var, value in zip(equation.invars, values, strict=True) if not hasattr(var, "val")}
-    alone = jaxpr.replace(
-        constvars=[], invars=[*pairs], outvars=equation.outvars, eqns=[equation], debug_info=None, effects=set()
-    )
+    alone = jaxpr.replace(constvars=[], invars=[*pairs], outvars=equation.outvars, eqns=[equation])
     return list(map(np.asarray, jax.core.eval_jaxpr(alone, (), *pairs.values())))
 
 
