@@ -1,173 +1,65 @@
-"""Test the reference cases (tests/data) against an event-exact integrator. Each file runs as one sweep of points."""
+"""Tests of the reference of kernels: numpy's rules give the bits of XLA."""
 
-import json
-from pathlib import Path
-
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 
-import vibrojax as vj
+from vibrojax.compile import reference
 
-DATA = Path(__file__).parent / "data"
+SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 1e300, -1e-300, np.inf, -np.inf, np.nan, 3.0]
+FLOATS = np.array(SPECIAL + list(np.random.default_rng(3).normal(size=52)))
+OTHERS = np.random.default_rng(4).permutation(FLOATS)
+INTEGERS = np.arange(-32, 32)
 
-ERROR_BOUNDS = {
-    # Bounds of the relative error (absolute for shares of time) at error = 1e-4. They are at least ten times the
-    # measured errors, so that a lost order shows.
-    "period": 3e-8,
-    "impact_velocity": 2e-7,
-    "impact_velocity_min": 2e-6,
-    "impact_velocity_max": 2e-6,
-    "bit_velocity_at_impact": 5e-6,
-    "peak_impact_force": 1e-4,  # the accuracy of the reference, which samples this and the amplitudes
-    "mean_impact_force": 2e-7,
-    "stick_fraction": 1e-7,
-    "reverse_fraction": 2e-7,
-    "bit_amplitude": 1e-4,
-    "striker_amplitude": 1e-4,
+
+def integers(x, y):
+    return x + y, x - y, x * y, -x, abs(x), x & y, x | y, x ^ y, ~x, x // 3, jnp.maximum(x, y), x < y, ~(x < y)
+
+
+CASES = {
+    "arithmetic": lambda x, y: (x + y, x - y, x * y, x / y, lax.rem(x, y), -x, abs(x), jnp.sqrt(x)),
+    "order": lambda x, y: (jnp.maximum(x, y), lax.min(x, y), x < y, x <= y, x > y, x >= y, x == y, x != y),
+    "rounding": lambda x, y: (lax.floor(x), lax.ceil(x), lax.is_finite(x), lax.round(x)),
+    "choice": lambda x, y: (jnp.where(x > y, x, y), jnp.where(x > 0, 1.0, y), lax.select_n(x > 0, y, x)),
+    "types": lambda x, y: (x.astype("float32"), (x > y).astype(float), jnp.floor(3 * jnp.tanh(y)).astype(int)),
+    "integers": lambda x, y: integers((x > y).astype(int) + INTEGERS, (y > 0).astype(int)),
+    "arrangement": lambda x, y: (
+        jnp.stack([x, y])[:, ::3],
+        jnp.concatenate([x, y]).reshape(8, -1).T,
+        jnp.broadcast_to(x[:, None], (64, 3)),
+        lax.optimization_barrier((x, y)),
+        jnp.stack([x, y], axis=1)[2:3].squeeze(0),
+    ),
+    "loop": lambda x, y: lax.fori_loop(0, 3, lambda _, z: 0.5 * (z + jnp.sin(y)), x),
 }
-README_BOUNDS = {"period": 3e-9, "impact_velocity": 3e-8}
-"""Accuracy that the README states."""
-
-FINE_ERROR_BOUNDS = {  # the same at error = 1e-5
-    "period": 1e-9,
-    "impact_velocity": 1e-7,
-    "impact_velocity_min": 1e-7,
-    "impact_velocity_max": 1e-7,
-    "bit_velocity_at_impact": 1e-7,
-    "mean_impact_force": 1e-7,
-    "stick_fraction": 1e-7,
-    "reverse_fraction": 1e-7,
-}
-HARD = {  # stiff contacts, with c0 and c2 at their extremes
-    "period": 1e-6,
-    "impact_velocity": 2e-4,  # the accuracy of the reference
-    "peak_impact_force": 1e-4,
-    "mean_impact_force": 1e-5,
-    "stick_fraction": 1e-6,
-    "reverse_fraction": 1e-6,
-}
-SHARES = ("stick_fraction", "reverse_fraction")
-
-BURSTS = 14
-"""Case of vibro_impact_cases.json that is chaotic with slow bursts.
-
-In about one of six realisations, decided by rounding, its swings rise or fall strictly over the eight eighths of the
-observation. Then the rule for "undecided", which comes first, applies.
-"""
 
 
-def read(name, error=1e-4):
-    """Return the cases and the dataset of their sweep."""
-    # The program depends on the order in which starts first appear. With "stuck" first, both files share one program.
-    cases = json.loads((DATA / name).read_text())
-    cases = (
-        cases
-        if cases[0]["point"]["start"] == "stuck"
-        else sorted(cases, key=lambda case: case["point"]["start"] != "stuck")
-    )
-    points = {key: [case["point"][key] for case in cases] for key in cases[0]["point"]}
-    sweep = {"scene": "vibro-impact", "points": points, "run": {"error": error}}
-    return cases, vj.run_sweep(sweep, progress=False)
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_rules_have_bits_of_xla(name, dtype):
+    with np.errstate(over="ignore"):
+        x, y = FLOATS.astype(dtype), OTHERS.astype(dtype)
+    x, y = (np.where(np.abs(z) < np.finfo(dtype).tiny, 0.0, z).astype(dtype) for z in (x, y))
+    with jax.debug_nans(False):
+        traced = jax.jit(CASES[name]).trace(x, y)
+        values = reference.evaluate(traced.jaxpr, x, y)
+        by_xla = jax.core.eval_jaxpr(traced.jaxpr.jaxpr, traced.jaxpr.consts, x, y)
+    for value, other in zip(values, by_xla, strict=True):
+        assert np.asarray(value).dtype == other.dtype
+        np.testing.assert_array_equal(value, other)
 
 
-def regimes(dataset):
-    """Return the names of the regimes."""
-    return [dataset.regime.attrs["flag_meanings"].split()[flag] for flag in dataset.regime.values]
+def test_every_rule_is_tested():
+    used = set()
 
+    def add(jaxpr):
+        for equation in jaxpr.eqns:
+            used.add(equation.primitive.name)
+            if equation.primitive.name in reference.CALLS:
+                add(equation.params[reference.CALLS[equation.primitive.name]].jaxpr)
 
-def errors(cases, dataset, name):
-    """Return the deviations from the reference by case, where the quantity is defined."""
-    deviations = {}
-    for index, case in enumerate(cases):
-        expected = case["expected"]
-        if expected["regime"] != "irregular" and name in expected:
-            value = float(dataset[name][index])
-            # The swings of an equilibrium are rounding errors, and an impact-free lane has no force.
-            scale = 1.0 if name in SHARES or abs(expected[name]) < 1e-9 else expected[name]
-            deviations[index] = abs(value - expected[name]) / scale
-    return deviations
-
-
-def check_bounds(cases, dataset, bounds):
-    for name, bound in bounds.items():
-        deviations = errors(cases, dataset, name)
-        assert deviations, name
-        worst = max(deviations, key=lambda index: deviations[index] if np.isfinite(deviations[index]) else np.inf)
-        assert deviations[worst] < bound, (
-            f"{name} of case {worst} is {deviations[worst]:.2g} off: {cases[worst]['point']}"
-        )
-
-
-def check_counts(cases, dataset):
-    for name in ("cycles", "impacts"):
-        for index, case in enumerate(cases):
-            if case["expected"]["regime"] != "irregular" and name in case["expected"]:
-                assert dataset[name][index] == case["expected"][name], (name, index, case["point"])
-
-
-@pytest.fixture(scope="module")
-def usual_cases():
-    return read("vibro_impact_cases.json")
-
-
-@pytest.fixture(scope="module")
-def hard_cases():
-    return read("hard_cases.json")
-
-
-def test_regimes(usual_cases):
-    cases, dataset = usual_cases
-    for index, (case, regime) in enumerate(zip(cases, regimes(dataset), strict=True)):
-        if index == BURSTS:
-            assert regime in ("irregular", "undecided")
-            assert dataset.cycles[index] == 0
-        else:
-            assert regime == case["expected"]["regime"], (index, case["point"])
-
-
-def test_counts_of_cycles_and_impacts(usual_cases):
-    check_counts(*usual_cases)
-
-
-def test_reached_accuracy(usual_cases):
-    check_bounds(*usual_cases, ERROR_BOUNDS)
-
-
-def test_accuracy_that_the_readme_states(usual_cases):
-    cases, dataset = usual_cases
-    check_bounds(cases, dataset, README_BOUNDS)
-    seconds = 48.0 * len(cases)
-    assert 40 < json.loads(dataset.solver)["steps"] / seconds < 50  # "some 45"
-
-
-def test_reached_accuracy_of_finer_steps():
-    check_bounds(*read("vibro_impact_cases.json", error=1e-5), FINE_ERROR_BOUNDS)
-
-
-def test_error_estimate_bounds_the_error(usual_cases):
-    """The estimate is below 1e-4, and above the true error of period and impact velocity, as far as that is known."""
-    cases, dataset = usual_cases
-    for name, known in (("period", 1e-9), ("impact_velocity", 1e-7)):
-        for index, error in errors(cases, dataset, name).items():
-            assert error < dataset.error_estimate[index] + known, (name, index)
-    periodic = dataset.cycles.values > 0
-    assert np.all(dataset.error_estimate.values[periodic] < 1e-4)
-    assert np.all(np.isnan(dataset.error_estimate.values[~periodic]))
-
-
-def test_certificate_counts_lanes_and_flips(usual_cases):
-    """The header counts the lanes with an estimate. Only irregular lanes change their regime."""
-    _, dataset = usual_cases
-    counts = json.loads(dataset.certified)
-    periodic = int((dataset.cycles > 0).sum())
-    assert counts["lanes"] == dataset.sizes["point"] and counts["estimated"] == counts["within"] == periodic
-    flips = dataset.check_regime.values != dataset.regime.values
-    assert counts["regime_flips"] == flips.sum()
-    assert not flips[dataset.cycles.values > 0].any()
-
-
-def test_hard_cases(hard_cases):
-    cases, dataset = hard_cases
-    assert regimes(dataset) == [case["expected"]["regime"] for case in cases]
-    check_counts(cases, dataset)
-    check_bounds(cases, dataset, HARD)
+    for function in CASES.values():
+        add(jax.make_jaxpr(function)(FLOATS, OTHERS).jaxpr)
+    assert set(reference.RULES) - used <= {"stack", "stop_gradient"}  # primitives of some versions of jax
