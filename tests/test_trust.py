@@ -132,6 +132,9 @@ FAULTY = {
 }
 
 
+SELECT = elementwise.COMPOSED["select_n"]
+
+
 def compare_kernel(scene, derives=False):
     kind = Kind(scene, vj.Located(), recorder_for(scene), scene.starts)
     return Comparison(kind, lanes_of(kind, ()), derives).difference()
@@ -195,6 +198,18 @@ def test_warning_names_differing_quantity(where, translation_fault):
     scene, quantity = FAULTY[where]
     differs = compare_kernel(scene)
     assert differs is not None and quantity in differs.quantity and 1e-5 < differs.relative < 10
+
+
+@pytest.mark.parametrize("primitive", ["max", "abs", "select_n"])
+def test_fault_of_common_operation_is_detected(primitive, fresh_process, monkeypatch):
+    """numpy takes the place of XLA for these."""
+    if primitive == "select_n":
+        monkeypatch.setitem(
+            elementwise.COMPOSED, primitive, lambda asm, entries: SELECT(asm, [entries[0], *entries[:0:-1]])
+        )
+    else:
+        monkeypatch.setitem(elementwise.RULES, primitive, elementwise.RULES["min" if primitive == "max" else "neg"])
+    assert compare_kernel(Switched()) is not None
 
 
 def twice(scene, x):

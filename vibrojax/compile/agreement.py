@@ -1,7 +1,8 @@
 """Numerical agreement of a kernel with XLA, and of compiled elementary functions with numpy.
 
-XLA evaluates the same function one instruction at a time, for all lanes at once. This takes about a second; compiling
-the function as one XLA program would take about ten.
+XLA evaluates the same function one instruction at a time, for all lanes at once; numpy takes its place for instructions
+that both compute to the same bits (see [vibrojax.compile.reference][]). This takes about a second; compiling the
+function as one XLA program would take about ten.
 
 Rounding errors differ between kernel and XLA, and are amplified near a switch between modes or by cancellation. The
 kernel is therefore also run on arguments that are perturbed by a few units of rounding. A difference from XLA counts
@@ -14,10 +15,10 @@ from inspect import signature
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from vibrojax.compile import reference
 from vibrojax.compile.kernels import LANES, Kernel, trace
 from vibrojax.errors import InputError
 
@@ -73,9 +74,9 @@ def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: A
                 changes[k] = np.asarray(np.maximum(changes[k], _distance(value, copy[k])))
     traced = trace(function, *arguments).jaxpr
     variables = traced.jaxpr.invars
-    leaves = [jnp.asarray(x, var.aval.dtype) for x, var in zip(jax.tree.leaves(arguments), variables, strict=True)]
+    leaves = [np.asarray(x, var.aval.dtype) for x, var in zip(jax.tree.leaves(arguments), variables, strict=True)]
     with jax.debug_nans(False):  # features of lanes without a section crossing are NaN
-        by_xla = jax.core.eval_jaxpr(traced.jaxpr, traced.consts, *leaves)
+        by_xla = reference.evaluate(traced, *leaves)
     for (path, value), other, change in zip(by_kernel, by_xla, changes, strict=True):
         relative = _relative_difference(value, np.asarray(other), change)
         if relative > 0:

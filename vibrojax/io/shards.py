@@ -17,8 +17,8 @@ from jaxtyping import Shaped
 
 from vibrojax.errors import InputError, counted
 from vibrojax.io.atomic import commit
-from vibrojax.io.files import new_file
 from vibrojax.io.claims import Claims, lock, this_process
+from vibrojax.io.files import new_file
 from vibrojax.io.manifest import MANIFEST, canonical, changes_since, digest
 
 LOCK = "lock"

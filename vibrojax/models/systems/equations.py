@@ -16,7 +16,7 @@ from vibrojax.models.scenes.declared import Guard, Start, Values
 from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch
 from vibrojax.models.systems.flow import Flow, Motion, SystemConstants
-from vibrojax.models.systems.numbers import Magnitude, Rounded, slope_along
+from vibrojax.models.systems.numbers import Magnitude, Plain, Rounded, slope_along
 from vibrojax.models.systems.transitions import (
     LIFT_ROUNDINGS,
     Places,
@@ -476,8 +476,11 @@ class SystemEquations(Scene[SystemConstants]):
 
     def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
         """Return stops that are passed at the start, restitutions outside 0 to 1, and rates that are not finite."""
-        p = {name: jnp.asarray(x) for name, x in p.items()}
-        y = {name: jnp.asarray(x) for name, x in zip(self._own, state, strict=True)}
+        with np.errstate(all="ignore"):
+            p = {name: Plain.of(x) for name, x in p.items()}
+            return self._start_faults(p, {name: Plain.of(x) for name, x in zip(self._own, state, strict=True)})
+
+    def _start_faults(self, p: Mapping[str, Any], y: dict[str, Any]) -> list[tuple[str, str, Any]]:
         t = 0.0 * next(iter(y.values()))
         y |= {name: t + value for name, value in self._discrete.items()}
         faults: list[tuple[str, str, Any]] = []
@@ -486,7 +489,7 @@ class SystemEquations(Scene[SystemConstants]):
             faults.append(("beyond-a-stop", text, gap < 0))
             text = f"the restitution of {name} is {_first(r):.6g}; it must lie between 0 and 1"
             faults.append(("restitution-not-0-to-1", text, (r < 0) | (r > 1)))
-        sides = {event.name: jnp.sign(event.surface(t, y, p)) for event in self.events if isinstance(event, Switch)}
+        sides = {event.name: np.sign(event.surface(t, y, p)) for event in self.events if isinstance(event, Switch)}
         for _, event in self._flow.of(Friction):
             force = event.force(t, y, p, sides | {name: y[name] for name in self._discrete}) + t
             text = f"the normal force of {event.name} is {_first(force):.6g} at the start; it must not be negative"
@@ -495,12 +498,12 @@ class SystemEquations(Scene[SystemConstants]):
         for name, rate in self._flow.function.function(t, y, p, *([sides] if self._flow.takes_sides else [])).items():
             rate = rate + t
             text = f"the field, {name}, is {_first(rate):g} at the start; it must be finite"
-            faults.append(("not-finite", text, ~jnp.isfinite(rate)))
+            faults.append(("not-finite", text, ~np.isfinite(rate)))
         return faults
 
 
 def _first(x: Any) -> float:
-    return float(jnp.ravel(jnp.asarray(x))[0])
+    return float(np.ravel(x)[0])
 
 
 def _size(x: Any) -> Any:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics import elementary
@@ -115,7 +116,7 @@ class Function:
         return {
             number: (kind, array_of(x))
             for number, (kind, x) in pairs
-            if isinstance(x, Dual) and bool(jnp.any(jnp.asarray(array_of(x.slope)) != 0))
+            if isinstance(x, Dual) and bool(np.any(np.asarray(array_of(x.slope)) != 0))
         }
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from vibrojax.models.physics import elementary
 
@@ -183,6 +184,27 @@ def _register() -> None:
 
 
 _register()
+
+
+class Plain(np.ndarray):
+    """A numpy array whose elementary functions are those of numpy.
+
+    XLA compiles a program for each operation on a jax array, which takes seconds for functions that run only once.
+    """
+
+    @classmethod
+    def of(cls, x: Any) -> Any:
+        """Return numbers as an array of floats that cannot be changed."""
+        array = np.array(x, float).view(cls)
+        array.flags.writeable = False
+        return array
+
+
+for _name in (*_DERIVATIVES, "absolute", "floor"):
+    getattr(elementary, {"absolute": "magnitude", "floor": "whole"}.get(_name, _name)).register(
+        Plain, getattr(np, _name)
+    )
+elementary.greater.register(Plain, np.maximum)
 
 
 @elementary.magnitude.register

@@ -5,15 +5,15 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.errors import InputError, shown, suggestion
+from vibrojax.models.own_code import CANNOT_EXPAND
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.physics.units import is_drawn_unit
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch, required_arguments
-from vibrojax.models.systems.numbers import Dual
+from vibrojax.models.systems.numbers import Dual, Plain
 
 LANES = 3
 """Number of lanes with which the functions are tried."""
@@ -27,7 +27,6 @@ RESERVED = (
 RENAMED = ("periodic", "impact-free", "single-impact", "multi-impact", "subharmonic", "irregular", "equilibrium")
 """Regimes that may have names of the system's own."""
 
-CANNOT_EXPAND = "uses a function that steps cannot expand; use + - * / ** and vj.elementary, not jnp, np or math"
 """End of a message on functions that do not accept a Taylor series."""
 
 _UNIT_EXAMPLES = "give one such as 'm s-1', 'rad', 'deg', 'N m', or '1'"
@@ -78,22 +77,19 @@ class Probe:
             self._sides[key] = float(value)
         self._check_events()
         rng = np.random.default_rng(5)
-        self._p = {
-            key: jnp.full(LANES, x.default) if x.default else jnp.zeros(LANES) for key, x in self.parameters.items()
-        }
+        self._p = {key: Plain.of(np.full(LANES, x.default or 0.0)) for key, x in self.parameters.items()}
         # Other values than the defaults show the structure: a forcing whose amplitude is zero by default is a forcing.
         defaults = self._p
         self._others = {
-            key: x * jnp.asarray(rng.uniform(0.9, 1.1, LANES))
-            + jnp.where(x == 0, jnp.asarray(rng.uniform(0.1, 0.3, LANES)), 0.0)
+            key: Plain.of(x * rng.uniform(0.9, 1.1, LANES) + np.where(x == 0, rng.uniform(0.1, 0.3, LANES), 0.0))
             for key, x in defaults.items()
         }
-        self._y = {key: jnp.asarray(rng.uniform(0.2, 0.9, LANES)) for key in states}
-        self._t = jnp.asarray(rng.uniform(0.1, 0.2, LANES))
+        self._y = {key: Plain.of(rng.uniform(0.2, 0.9, LANES)) for key in states}
+        self._t = Plain.of(rng.uniform(0.1, 0.2, LANES))
         self._check_functions()
         if period is not None:
             T = self._number("period", self._call("period", period, defaults) if callable(period) else period)
-            if not bool((jnp.isfinite(T) & (T > 0)).all()):
+            if not bool((np.isfinite(T) & (T > 0)).all()):
                 raise self._refuse(f"period is {float(T[0]):g}; it must be above zero")
         self._p = self._others
         self._check_section(period, section)
@@ -170,7 +166,8 @@ class Probe:
 
     def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            return function(*arguments)
+            with np.errstate(all="ignore"):
+                return function(*arguments)
         except KeyError as error:
             known, sides = ", ".join([*self._states, *self.parameters]), ", ".join(self._sides) or "none"
             raise self._refuse(
@@ -182,14 +179,16 @@ class Probe:
             text = str(error).strip().split("\n")[0]
             if "truth value" in text:
                 raise self._refuse(f"{what} decides by a value (if, max or min); write a vj.Switch instead") from None
-            if "scalar arrays" in text:
+            if "scalar arrays" in text or "Python scalars" in text:
                 raise self._refuse(f"{what} {CANNOT_EXPAND}") from None
             raise self._refuse(f"{what} fails with {type(error).__name__}: {text}") from None
 
     def _number(self, what: str, value: Any) -> Any:
         """Return a number per lane as an array; anything else is refused."""
         try:
-            array = jnp.asarray(value)
+            array = np.asarray(value)
+            if array.dtype.kind not in "biufc":
+                raise TypeError
         except (TypeError, ValueError):
             raise self._refuse(f"{what} gave {type(value).__name__}; it must give one number per lane") from None
         if array.dtype.kind not in "fiu":
@@ -198,7 +197,7 @@ class Probe:
             raise self._refuse(
                 f"{what} gave an array of shape {array.shape} for {LANES} lanes; it must give one number per lane"
             )
-        return jnp.broadcast_to(array.astype(float), (LANES,))
+        return Plain.of(np.broadcast_to(array, (LANES,)))
 
     def rates(self, t: Any, y: Mapping[str, Any], number: bool = True) -> dict[str, Any]:
         """Return the field at a time and state, with all switches on the positive side."""
@@ -221,8 +220,8 @@ class Probe:
 
     def _check_functions(self) -> None:
         for key, rate in self.rates(self._t, self._y).items():
-            if not bool(jnp.isfinite(rate).all()):
-                lane = int(jnp.argmax(~jnp.isfinite(rate)))
+            if not bool(np.isfinite(rate).all()):
+                lane = int(np.argmax(~np.isfinite(rate)))
                 place = ", ".join(f"{name} = {float(y[lane]):.2g}" for name, y in self._y.items())
                 raise self._refuse(f"field, {key}, is {float(rate[lane])} at {place}; it must be finite there")
         for event in self._events:
@@ -340,8 +339,9 @@ def _is_level(section: tuple[Any, ...]) -> bool:
 
 def equal(a: Any, b: Any) -> bool:
     """Return whether two values are equal within `EQUAL` in all lanes."""
-    a, b = jnp.asarray(a), jnp.asarray(b)
-    return bool((jnp.abs(a - b) <= EQUAL * (1 + jnp.abs(a))).all())
+    a, b = np.asarray(a), np.asarray(b)
+    with np.errstate(all="ignore"):
+        return bool((np.abs(a - b) <= EQUAL * (1 + np.abs(a))).all())
 
 
 def _is_unit(unit: object) -> bool:

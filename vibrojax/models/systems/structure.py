@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch, required_arguments
 from vibrojax.models.systems.flow import Dependences
 from vibrojax.models.systems.kinks import Function, Kink
-from vibrojax.models.systems.numbers import Dual, array_of, slope_along
+from vibrojax.models.systems.numbers import Dual, Plain, array_of, slope_along
 from vibrojax.models.systems.probe import EQUAL, Probe, equal
 
 MOVED = 0.1
@@ -34,7 +33,7 @@ class Structure(Probe):
         field, still = self._with_discrete(self._field, self.takes_sides), dict.fromkeys(self._discrete, 0.0)
         self.function = self._with_kinks("field", lambda *arguments: {**field(*arguments), **still}, sided)
         self.surface_functions = tuple(self._with_kinks(*self._surface(event), []) for event in self._events)
-        one = jnp.ones(len(self._t))
+        one = Plain.of(np.ones(len(self._t)))
         self.limits = {
             index: self._with_kinks(f"event {event.name}: normal", self._limits_of(event), [self._sides, one])
             for index, event in enumerate(self._events)
@@ -64,8 +63,8 @@ class Structure(Probe):
 
     def _with_kinks(self, place: str, function: Callable[..., Any], more: list[Any]) -> Function:
         rng = np.random.default_rng(11)
-        t = Dual(self._t, jnp.asarray(rng.uniform(0.5, 1.5, len(self._t))), 1)
-        y = {key: Dual(x, jnp.asarray(rng.uniform(0.5, 1.5, len(x))), 1) for key, x in self._y.items()}
+        t = Dual(self._t, Plain.of(rng.uniform(0.5, 1.5, len(self._t))), 1)
+        y = {key: Dual(x, Plain.of(rng.uniform(0.5, 1.5, len(x))), 1) for key, x in self._y.items()}
         plain, numbers = Function(function, {}), {}
         found = plain.found(t, y, self._p, *more)
         for number, (kind, _) in found.items():
@@ -91,7 +90,7 @@ class Structure(Probe):
         above, found = section(self._t, self._y, self._p), {}
         for index, event in enumerate(self._events):
             if not isinstance(event, Impact) and _proportional(value := self._value(event), above):
-                found[index] = float(jnp.sign(jnp.ravel(value / above)[0]))
+                found[index] = float(np.sign(np.ravel(value / above)[0]))
         return found
 
     def depends_on_time(self) -> bool:
@@ -148,7 +147,7 @@ class Structure(Probe):
         rates = self.rates(self._t, y)
         function = self._surface(event)[1]
         rate = slope_along(lambda t, y: function(t, y, self._p), self._t, y, [rates[name] for name in y])
-        return jnp.concatenate([jnp.ravel(value + 0.0 * self._t), jnp.ravel(rate + 0.0 * self._t)])
+        return np.concatenate([np.ravel(value + 0.0 * self._t), np.ravel(rate + 0.0 * self._t)])
 
     def _moves(self, event: Event) -> set[str]:
         """Return the states that the constraint of an event changes."""
@@ -172,7 +171,7 @@ class Structure(Probe):
             high, low = (self._rates_at({event.name: side}) for side in (1.0, -1.0))
             return {name: high[name] - low[name] for name in self._y}
         acts_on = event.acts_on if isinstance(event, Friction) else event.velocity
-        return {name: jnp.where(name == acts_on, 1.0, 0.0) + 0.0 * x for name, x in self._y.items()}
+        return {name: float(name == acts_on) + 0.0 * x for name, x in self._y.items()}
 
     def _jumped(self, event: Event) -> set[str]:
         """Return the states that the jump of an event changes."""
@@ -212,8 +211,8 @@ class Structure(Probe):
         for event in self._events:
             if isinstance(event, Friction):
                 for speed in (0.0, 0.3):  # a steep law is flat at most speeds
-                    coefficient = event.coefficient(Dual(jnp.asarray(speed), 1.0, 1), self._p)
-                    if isinstance(coefficient, Dual) and bool(jnp.any(jnp.asarray(coefficient.slope) != 0)):
+                    coefficient = event.coefficient(Dual(Plain.of(speed), 1.0, 1), self._p)
+                    if isinstance(coefficient, Dual) and bool(np.any(np.asarray(coefficient.slope) != 0)):
                         return False
         moved = {key: x + MOVED * (2 + k) for k, (key, x) in enumerate(self._y.items())}
         middle = {key: 0.5 * (x + moved[key]) for key, x in self._y.items()}
@@ -249,7 +248,7 @@ class Structure(Probe):
                 return slope_along(lambda t, y: gap(t, y, self._p), self._t, self._y, directions, float(unit is None))
 
             moves = [slope(key) for key in self._y if key != position] + [slope(None)]
-            sign = float(jnp.ravel(jnp.asarray(slope(position)))[0])
+            sign = float(np.ravel(slope(position))[0])
             linear = bool(equal(slope(position), sign)) and abs(abs(sign) - 1.0) < EQUAL
             if linear and all(bool(equal(x, 0.0)) for x in moves):
                 signs[index] = math.copysign(1.0, sign)
@@ -258,6 +257,6 @@ class Structure(Probe):
 
 def _proportional(a: Any, b: Any) -> bool:
     """Return whether two functions have the same ratio at all random states."""
-    a, b = jnp.atleast_1d(jnp.asarray(a)), jnp.atleast_1d(jnp.asarray(b))
-    ratio = jnp.broadcast_to(a / b, (len(a) if len(a) > len(b) else len(b),))
-    return bool(jnp.isfinite(ratio).all()) and len(ratio) > 1 and equal(ratio, ratio[0])
+    with np.errstate(all="ignore"):
+        ratio = np.atleast_1d(np.asarray(a) / np.asarray(b))
+    return bool(np.isfinite(ratio).all()) and len(ratio) > 1 and equal(ratio, ratio[0])

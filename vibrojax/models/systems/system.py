@@ -7,6 +7,7 @@ import math
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from importlib import import_module
 from typing import Any
 from weakref import WeakValueDictionary
@@ -23,6 +24,7 @@ from vibrojax.models.systems.equations import APPROACH, SECTION, TIME, SystemEqu
 from vibrojax.models.systems.events import Event, Impact, Switch
 from vibrojax.models.systems.flow import Flow, SystemConstants
 from vibrojax.models.systems.kinks import Kink
+from vibrojax.models.systems.numbers import Plain, slope_along
 from vibrojax.models.systems.structure import Structure
 from vibrojax.models.systems.transitions import free_modes
 
@@ -168,7 +170,7 @@ class System(SystemEquations):
         if self.fault(tuple(jnp.ones(()) for _ in self.modes)) is not None:
             self.measures = ("faults",)  # type: ignore[misc]
         if isinstance(self, ImpactSystem):
-            defaults = {key: jnp.asarray(parameter.default) for key, parameter in self._parameters.items()}
+            defaults = {key: Plain.of(parameter.default) for key, parameter in self._parameters.items()}
             self.impact_unit = impact_unit(self.events, units, speeds, defaults)
         # The return map of a single autonomous state has no other state.
         alone = self.autonomous and len(self._own) == 1
@@ -250,15 +252,23 @@ def impact_unit(
     depends. `speeds`: the rate of change of each state that has one among the states; `p`: values of the parameters.
     """
     rates = {name: units[speeds[name]] if name in speeds else _per_second(unit) for name, unit in units.items()}
-    y = {name: jnp.asarray(0.3 + 0.2 * number) for number, name in enumerate(units)}
+    y = {name: Plain.of(0.3 + 0.2 * number) for number, name in enumerate(units)}
     found: list[list[str]] = [[], [], []]
     for event in filter(_is_impact, events):
-        slopes = jax.grad(lambda y, surface=event.surface: jnp.sum(surface(jnp.asarray(0.1), y, p)))(y)
+        surface = partial(_at, event.surface, p)
+        slopes = {
+            name: float(slope_along(surface, Plain.of(0.1), y, [float(other == name) for other in y], 0.0))
+            for name in y
+        }
         known = list(dict.fromkeys(rates[name] for name, slope in slopes.items() if slope != 0))
-        found[0] += known if len(known) == 1 and all(abs(float(slope)) in (0, 1) for slope in slopes.values()) else []
+        found[0] += known if len(known) == 1 and all(abs(slope) in (0, 1) for slope in slopes.values()) else []
         found[1] += [units[event.velocity]] if isinstance(event, Impact) and event.velocity else []
         found[2] += known
     return [*found[0], *found[1], *found[2], ImpactSystem.impact_unit][0]
+
+
+def _at(surface: Callable[..., Any], p: Mapping[str, Any], t: Any, y: Mapping[str, Any]) -> Any:
+    return surface(t, y, p)
 
 
 def _per_second(unit: str) -> str:

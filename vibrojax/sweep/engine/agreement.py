@@ -3,7 +3,8 @@
 A kernel integrates some lanes over their first time steps. XLA computes each of these steps from the same state as the
 kernel, so that rounding errors do not accumulate. The comparison covers:
 
-- the constants, the guards, and the jumps at all events, whether the events occur or not
+- the constants, the guards, and the jumps at all events, whether the events occur or not: one event in each lane, all
+  events in turn
 - the state and the mode after the step
 - the values that recorders and gauges accumulate and the features that they return
 
@@ -43,59 +44,80 @@ class LaneProgress(NamedTuple):
     observed: Any
 
 
+class Beginning(NamedTuple):
+    """Constants of lanes, and the lanes at t = 0."""
+
+    constants: Any
+    way: LaneProgress
+
+
 class ComparedStep(NamedTuple):
     """Quantities of one step. Causes come before effects, so that the first difference causes the others.
 
     - `guards`: value of each guard function before the step.
-    - `jumps`: mode and state that each event would give, had it occurred before the step.
+    - `jump`: mode and state that the event with the lane's number would give, had it occurred before the step.
     - `derivative`: directional derivative of the state after the step with respect to state and parameters before it.
     - `way`: the lanes after the step.
     """
 
-    constants: Any
     guards: dict[str, Any]
-    jumps: dict[str, Any]
+    jump: Any
     derivative: Any
     way: LaneProgress
+
+
+class Read(NamedTuple):
+    """Features that the recorder returns, by name."""
+
     features: Any
 
 
-def begin(kind: Kind, given: Given) -> LaneProgress:
+def begin(kind: Kind, given: Given) -> Beginning:
     """Return lanes at t = 0, without recorder values if the scene cannot be measured."""
     scene, recorder, c = kind.scene, kind.recorder, constants_of(kind, given)
     lane = lane_at(scene, c, state_of(kind, scene.constants(given.parameters), given))
     if recorder is None:
-        return LaneProgress(lane, (), ())
+        return Beginning(c, LaneProgress(lane, (), ()))
     settling = recorder.settling(scene, lane)
-    return LaneProgress(lane, settling, recorder.begin(scene, c, lane, settling))
+    return Beginning(c, LaneProgress(lane, settling, recorder.begin(scene, c, lane, settling)))
 
 
-def step(kind: Kind, derives: bool, given: Given, way: LaneProgress, accuracy: Accuracy) -> ComparedStep:
-    """Compute one step of lanes, and its derivative if `derives`."""
+def step(
+    kind: Kind, derives: bool, given: Given, c: Any, way: LaneProgress, accuracy: Accuracy, event: Any
+) -> ComparedStep:
+    """Compute one step of lanes with the constants `c`, and its derivative if `derives`.
+
+    `event`: the number of a guard in each lane, as floats.
+    """
     scene, recorder, before = kind.scene, kind.recorder, way.lane
 
     def advance(state: tuple[Any, ...], parameters: Mapping[str, Any]) -> Any:
-        c = constants_of(kind, given._replace(parameters=dict(parameters)))
+        own = constants_of(kind, given._replace(parameters=dict(parameters))) if derives else c
         goal = Goal(jnp.inf, jnp.ones_like(state[0], bool))
-        lane, taken = kind.stepper.step(scene, c, before._replace(state=state), accuracy, goal, marked=True)
-        return lane.state, (c, lane, taken)
+        lane, taken = kind.stepper.step(scene, own, before._replace(state=state), accuracy, goal, marked=True)
+        return lane.state, (lane, taken)
 
     inputs, derivative = (before.state, given.parameters), None
     if derives:
-        _, derivative, (c, lane, taken) = jax.jvp(advance, inputs, inputs, has_aux=True)
+        _, derivative, (lane, taken) = jax.jvp(advance, inputs, inputs, has_aux=True)
     else:
-        _, (c, lane, taken) = advance(*inputs)
-    none = jnp.zeros_like(before.state[0], bool)
-    hits = {event: {name: none | (name == event) for name in scene.event_names} for event in scene.guard_names}
-    jumps = {event: scene.after_event(c, before.mode, before.state, hits[event]) for event in scene.guard_names}
-    after, features = LaneProgress(lane, (), ()), None
+        _, (lane, taken) = advance(*inputs)
+    hits = {name: jnp.zeros_like(event, bool) for name in scene.event_names}
+    hits |= {name: event == number for number, name in enumerate(scene.guard_names)}
+    jump = scene.after_event(c, before.mode, before.state, hits)
+    after = LaneProgress(lane, (), ())
     if recorder is not None:
         settling = recorder.settle_returns(recorder.settle(scene, c, way.settling, lane, taken))
         observed = recorder.step(scene, c, way.observed, lane, taken)
         observed = recorder.take_returns(scene, c, observed, lane, jnp.full_like(lane.state[0], 0.5))
-        after, features = LaneProgress(lane, settling, observed), recorder.read(scene, c, way.observed)
+        after = LaneProgress(lane, settling, observed)
     guards = dict(zip(scene.guard_names, scene.guard_values(c, before.mode, before.state), strict=True))
-    return ComparedStep(c, guards, jumps, derivative, after, features)
+    return ComparedStep(guards, jump, derivative, after)
+
+
+def read(kind: Kind, c: Any, observed: Any) -> Read:
+    """Return the features of lanes. A trajectory reads them by a kernel with the same text."""
+    return Read(kind.recorder.read(kind.scene, c, observed))
 
 
 class Comparison:
@@ -110,25 +132,37 @@ class Comparison:
         accuracy = kind.stepper.accuracy(AccuracyRequest(precision=dtype.name), kind.scene)
         lanes = np.resize(np.arange(min(COMPARED_LANES, len(given.start))), COMPARED_LANES)
         self._given, self._accuracy = take_lanes(given, lanes), Accuracy(*(np.asarray(x, dtype) for x in accuracy))
-        self._begin, self._step = partial(begin, kind), partial(step, kind, derives)
+        self._begin, self._step, self._read = partial(begin, kind), partial(step, kind, derives), partial(read, kind)
         self._begin_kernel = Kernel(self._begin, self._given)
-        self._start: LaneProgress = self._begin_kernel(self._given)
-        self._step_kernel = Kernel(self._step, self._given, self._start, self._accuracy)
+        self._start: Beginning = self._begin_kernel(self._given)
+        # Lane by lane and step by step, the events come in turn.
+        events = max(len(kind.scene.guard_names), 1)
+        self._events = np.add.outer(np.arange(COMPARED_STEPS), np.arange(COMPARED_LANES)).astype(dtype) % events
+        arguments = self._given, *self._start, self._accuracy, self._events[0]
+        self._step_kernel = Kernel(self._step, *arguments)
+        observed = self._start.way.observed
+        self._read_kernel = None if kind.recorder is None else Kernel(self._read, self._start.constants, observed)
 
     @property
     def key(self) -> str:
         """Hash of the kernels that are compared with XLA."""
-        return self._begin_kernel.key + self._step_kernel.key
+        kernels = self._begin_kernel, self._step_kernel, self._read_kernel
+        return "".join(kernel.key for kernel in kernels if kernel is not None)
 
     def difference(self) -> Difference | None:
         """Return the first quantity in which kernel and XLA differ, or None if they agree."""
-        ways = [self._start]
-        for _ in range(COMPARED_STEPS - 1):
-            ways.append(self._step_kernel(self._given, ways[-1], self._accuracy).way)
+        c, ways = self._start.constants, [self._start.way]
+        for events in self._events[:-1]:
+            ways.append(self._step_kernel(self._given, c, ways[-1], self._accuracy, events).way)
         every = jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *ways)
-        repeated = take_lanes(self._given, np.tile(np.arange(COMPARED_LANES), COMPARED_STEPS))
-        in_steps = first_difference(self._step, self._step_kernel, repeated, every, self._accuracy)
-        return in_steps or first_difference(self._begin, self._begin_kernel, self._given)
+        given, c = take_lanes((self._given, c), np.tile(np.arange(COMPARED_LANES), COMPARED_STEPS))
+        difference = first_difference(self._begin, self._begin_kernel, self._given)
+        difference = difference or first_difference(
+            self._step, self._step_kernel, given, c, every, self._accuracy, self._events.ravel()
+        )
+        if difference is None and self._read_kernel is not None:
+            return first_difference(self._read, self._read_kernel, c, every.observed)
+        return difference
 
 
 def scene_subject(static: tuple[Hashable, ...], arguments: tuple[Any, ...], derives: bool) -> Subject | None:

@@ -74,7 +74,7 @@ def record(
     **Raises:** `InputError` if the motion takes more than `most_steps` steps, or if events follow each other for ever.
     """
     constants, lane = begun(scene, constants, state)
-    settled = carry = () if recorder is None else recorder.settling(scene, lane)
+    settled = carry = () if recorder is None else _settling(scene, recorder, lane)
     parts: list[Any] = []
     for first, end in ((0.0, begin), (begin, duration)) if recorder is not None else ((0.0, duration),):
         if recorder is not None:
@@ -106,6 +106,11 @@ def record(
     return Record(*(x[(whole.dt > 0) | whole.hits.any(axis=1)] for x in whole)), {
         name: np.moveaxis(np.asarray(x), -1, 0) for name, x in features.items()
     }
+
+
+@lane_function(static=2)
+def _settling(scene: Scene[Any], recorder: Records, lane: Lane) -> Any:
+    return recorder.settling(scene, lane)
 
 
 @lane_function(static=2)
