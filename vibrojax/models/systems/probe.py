@@ -27,8 +27,6 @@ RESERVED = (
 RENAMED = ("periodic", "impact-free", "single-impact", "multi-impact", "subharmonic", "irregular", "equilibrium")
 """Regimes that may have names of the system's own."""
 
-"""End of a message on functions that do not accept a Taylor series."""
-
 _UNIT_EXAMPLES = "give one such as 'm s-1', 'rad', 'deg', 'N m', or '1'"
 
 EQUAL = 1e-9
