@@ -1,7 +1,9 @@
 """Tests of untrusted datasets: each command soon gives its result or one line, without control characters."""
 
 import json
+import os
 import unicodedata
+from pathlib import Path
 
 import netCDF4
 import pytest
@@ -14,6 +16,7 @@ from vibrojax.errors import InputError, escape_json, printable, shell_assignment
 from vibrojax.explorer.document import check_names
 from vibrojax.explorer.live import Live
 from vibrojax.explorer.motions import LiveMotions
+from vibrojax.io.files import read_regular
 
 SWEEP = {
     "scene": "vibro-impact",
@@ -176,3 +179,37 @@ def test_suggested_columns_are_one_shell_word(tmp_path, capsys):
     assert main(["fit", str(path)]) == 2
     err = capsys.readouterr().err
     assert "'rate_of_penetration=ROP $(touch hacked)" in err and err.count("\n") == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in the file system")
+@pytest.mark.parametrize("kind", ["/dev/zero", "pipe"])
+@pytest.mark.parametrize("read", ["points", "sweep", "log"])
+def test_devices_and_pipes_are_not_read(kind, read, tmp_path):
+    """One has no end, and the other never begins."""
+    path = tmp_path / "pipe" if kind == "pipe" else Path(kind)
+    if kind == "pipe":
+        os.mkfifo(path)
+    ways = {
+        "points": lambda: vj.read_sweep({"scene": "vibro-impact", "points": str(path)}),
+        "sweep": lambda: vj.read_sweep(path),
+        "log": lambda: vj.read_log(path),
+    }
+    with pytest.raises(InputError, match="is a device or a pipe"):
+        ways[read]()
+
+
+def test_files_have_a_greatest_size(tmp_path):
+    path = tmp_path / "large.csv"
+    path.write_bytes(b"x" * (2**20 + 1))
+    assert len(read_regular(path, 2**20 + 1)) == 2**20 + 1
+    with pytest.raises(InputError, match="is larger than 1 MiB"):
+        read_regular(path, 2**20)
+
+
+def test_messages_quote_few_characters_of_a_file(tmp_path):
+    """A file may hold what nobody should read in a log, such as the environment of a process."""
+    path = tmp_path / "secret.csv"
+    path.write_text("beta,PASSWORD=" + "x" * 500 + "\n0.4,0.5\n")
+    with pytest.raises(InputError) as raised:
+        vj.read_sweep({"scene": "vibro-impact", "points": str(path)})
+    assert str(raised.value).count("x") < 100

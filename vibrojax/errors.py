@@ -12,6 +12,9 @@ from typing import SupportsInt
 _LONGEST_VALUE = 60
 """Greatest number of characters of a value that an error message quotes."""
 
+_LONGEST_KEY = 80
+"""Greatest number of characters of a key, which may be the name of a column in a file from others."""
+
 _SIMILARITY = 0.5
 """Least similarity between a suggestion and the misspelt word; the default of `difflib` for close matches is 0.6."""
 
@@ -50,7 +53,8 @@ class Place:
 
     def error(self, problem: str) -> InputError:
         """Return the error `FILE: KEY: problem`, on one line even if the parts contain line breaks."""
-        parts = (part for part in (self.file, self.key, problem) if part)
+        key = self.key if len(self.key) <= _LONGEST_KEY else f"{self.key[: _LONGEST_KEY - 3]}..."
+        parts = (part for part in (self.file, key, problem) if part)
         return InputError(" ".join(": ".join(parts).split()))
 
 

@@ -1,11 +1,37 @@
 """Files that are opened with care: new ones where no link is followed, and regular ones of a limited size."""
 
+import errno
 import os
+import stat
 from pathlib import Path
 from typing import BinaryIO
+
+from vibrojax.errors import InputError
+
+LARGEST = 512 * 2**20
+"""Greatest size of a text file [bytes], a log of ten million rows or so."""
 
 
 def new_file(path: Path) -> BinaryIO:
     """Open a new file for writing, in place of what is at `path`; no link there is followed."""
     path.unlink(missing_ok=True)
     return os.fdopen(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0), 0o666), "wb")
+
+
+def read_regular(path: Path, most: int = LARGEST) -> bytes:
+    """Return the content of a regular file of at most `most` bytes.
+
+    Devices, pipes and sockets are refused: they may have no end, or never begin.
+
+    **Raises:** `OSError` if the file cannot be opened; `InputError` for another kind of file, or a larger one.
+    """
+    with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as file:
+        kind = os.fstat(file.fileno()).st_mode
+        if stat.S_ISDIR(kind):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        if not stat.S_ISREG(kind):
+            raise InputError(f"{path}: is a device or a pipe; give the path of a file")
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise InputError(f"{path}: is larger than {most // 2**20} MiB; give a part of it, or a dataset (.nc)")
+    return content

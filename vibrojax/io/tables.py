@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.errors import InputError, Place, nearest, shown
+from vibrojax.io.files import read_regular
 from vibrojax.models.physics.units import is_unit
 
 Rows = list[tuple[int, list[str]]]
@@ -33,7 +34,7 @@ def read_text(path: Path, windows: bool = False) -> str:
     """
     content = b""
     try:
-        content = path.read_bytes()
+        content = read_regular(path)
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         if windows and not _NOT_TEXT.search(content):
@@ -47,6 +48,8 @@ def read_text(path: Path, windows: bool = False) -> str:
         raise InputError(f"{path}: no such file; give the path of one that is there{hint}") from None
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder; give the path of a file") from None
+    except InputError:
+        raise
     except (OSError, ValueError) as error:  # ValueError: the path contains a null character
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
 
