@@ -8,6 +8,9 @@ import subprocess
 import sys
 import urllib.request
 from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import urlparse
+from urllib.request import url2pathname
 
 import pytest
 from browser import chromium, new_page, wrong
@@ -75,9 +78,14 @@ def test_contradictory_options_are_refused(file, capsys, words, line):
 
 
 def test_browser_opens_only_with_a_display(file, monkeypatch, capsys):
-    """Without a display, some browsers would open in the terminal."""
+    """Without a display, some browsers would open in the terminal. Others cannot read the address with its token."""
     opened = []
-    monkeypatch.setattr("webbrowser.open", opened.append)
+
+    def open_page(address):
+        path = Path(url2pathname(urlparse(address).path))
+        opened.append((path.stat().st_mode & 0o777, path.parent.stat().st_mode & 0o777, path.read_text()))
+
+    monkeypatch.setattr("webbrowser.open", open_page)
     monkeypatch.setattr("vibrojax.explorer.live.Live.wait", lambda self: None)
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -87,7 +95,8 @@ def test_browser_opens_only_with_a_display(file, monkeypatch, capsys):
     assert main(["explore", str(file), "--live", "--no-browser"]) == 0 and opened == []
     capsys.readouterr()
     assert main(["explore", str(file), "--live"]) == 0
-    assert opened == [capsys.readouterr().out.strip()]
+    [(of_file, of_folder, text)] = opened
+    assert (of_file, of_folder) == (0o600, 0o700) and f'url={capsys.readouterr().out.strip()}"' in text
 
 
 def test_scene_without_dataset(monkeypatch, capsys):

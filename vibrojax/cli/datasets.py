@@ -4,6 +4,7 @@ import os
 import sys
 import webbrowser
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli.command import (
@@ -251,7 +252,7 @@ def explore(options: Options) -> None:
 def _serve(options: Options, live: Any) -> None:
     from vibrojax.analyses.sweep.workers.lifetime import on_leaving
 
-    with live, on_leaving(lambda: live.close(1.0)):
+    with live, on_leaving(lambda: live.close(1.0)), TemporaryDirectory(prefix="vibrojax-") as private:
         words = [str(options.file), *options.values, *(["--over", str(options.over)] if options.over else [])]
         options.advise("the page is closed; to open it again", "explore", *words, "--live")
         print(live.url, flush=True)
@@ -262,5 +263,9 @@ def _serve(options: Options, live: Any) -> None:
             sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         )
         if not options.no_browser and has_display:
-            webbrowser.open(live.url)
+            # All users of a computer see the arguments of a browser, so the address is in a file of this user.
+            redirect = Path(private) / "page.html"
+            redirect.touch(0o600)
+            redirect.write_text(f'<meta http-equiv="refresh" content="0; url={live.url}"><a href="{live.url}">page</a>')
+            webbrowser.open(redirect.as_uri())
         live.wait()
