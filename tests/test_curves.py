@@ -151,6 +151,7 @@ def test_stops_against_friction_follow_published_boundary():
     curve = points_of_kind(ds, "stick")
     exact = [friction_stops(float(w), 0.1) for w in curve.w]
     assert np.abs(curve.grip.values - exact).max() < 1e-9
+    assert "multipliers of one side" in ds.multiplier_abs.attrs["comment"]
     assert ds.crossing_grip.values == pytest.approx([friction_stops(2.0, 0.1)], abs=1e-10)
     # Den Hartog's closed form has no damping.
     assert friction_stops(1.5, 0.0) == pytest.approx(0.8 / np.hypot(np.sqrt(3) / 1.5, 1 / 2.25), rel=1e-12)

@@ -15,7 +15,10 @@ from vibrojax.io.attributes import parameters_of
 from vibrojax.io.kinds import OF_CURVES, SPECIAL_KINDS, dataset_attributes
 from vibrojax.io.variables import VARIABLES, described
 from vibrojax.models.physics.parameters import differing
-from vibrojax.sweep.engine.labelled import of_orbits
+from vibrojax.sweep.engine.labelled import measured_besides, of_orbits
+
+ONE_SIDED = "on stick curves, the return map has a kink, and these are the multipliers of one side of it"
+"""Comment of the multipliers in a dataset with stick curves."""
 
 SAME_ACROSS = 1e-9
 """Scaled distance between two parts of a curve within which their end points are one point."""
@@ -49,8 +52,12 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve])
             about = _parameter(problem, name)
             about["long_name"] += f" {where}"
             variables[f"{dimension}_{name}"] = (dimension, values[:, k], about)
-    schema = VARIABLES | OF_CURVES | of_orbits(problem.scene)
-    return xr.Dataset(described(variables, schema), _coordinates(spec, problem, curves), _attributes(spec, problem))
+    schema = VARIABLES | OF_CURVES | measured_besides(problem.scene) | of_orbits(problem.scene)
+    ds = xr.Dataset(described(variables, schema), _coordinates(spec, problem, curves), _attributes(spec, problem))
+    if any(problem.kinds[curve.number] == "stick" for curve in curves):
+        for name in ("multiplier_abs", "multiplier_arg"):
+            ds[name].attrs["comment"] = ONE_SIDED
+    return ds
 
 
 def _coordinates(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve]) -> dict[str, Any]:
