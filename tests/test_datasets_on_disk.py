@@ -1,6 +1,8 @@
 """Test stored datasets: released versions stay readable, foreign files are refused, and all follow CF."""
 
+import json
 import os
+import pickle
 import re
 import subprocess
 import sys
@@ -15,6 +17,7 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax.cli import main
+from vibrojax.io.store import check_store
 from vibrojax.io.threads import in_own_thread
 from vibrojax.io.variables import VARIABLES
 
@@ -215,3 +218,53 @@ def test_zarr_store_that_cannot_be_written(tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError):
         vj.write_dataset(dataset, tmp_path / "nowhere" / "x.zarr")
     assert not list(tmp_path.iterdir())
+
+
+class Trap:
+    """An object whose pickle creates a file when it is loaded."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (str(self.path), "w"))
+
+
+def change_array(store, **changes):
+    """Change the metadata of an array `x`, in the file with all metadata and in its own."""
+    whole = json.loads((store / ".zmetadata").read_text())
+    whole["metadata"]["x/.zarray"] |= changes
+    (store / ".zmetadata").write_text(json.dumps(whole))
+    (store / "x/.zarray").write_text(json.dumps(whole["metadata"]["x/.zarray"]))
+
+
+@pytest.mark.parametrize("kind", ["pickle", "object", "compressor", "link", "format", "damaged", "nothing"])
+def test_stores_that_may_run_code_are_refused(kind, tmp_path):
+    pytest.importorskip("zarr")
+    from vibrojax.io.dataset import write_dataset
+
+    store, trap = tmp_path / "sent.zarr", tmp_path / "trap"
+    attributes = {"source": f"vibrojax {vj.__version__}"}
+    write_dataset(xr.Dataset({"x": ("k", [1.0, 2.0]), "word": ("k", ["a", "bc"])}, attrs=attributes), store)
+    assert check_store(store) is None
+    if kind == "pickle":
+        change_array(store, dtype="|O", filters=[{"id": "pickle", "protocol": 4}], compressor=None)
+        (store / "x/0").write_bytes(pickle.dumps(np.array([Trap(trap)] * 2, dtype=object)))
+    elif kind == "object":
+        change_array(store, dtype="|O")
+    elif kind == "compressor":
+        change_array(store, compressor={"id": "pickle"})
+    elif kind == "link":
+        (store / "x/0").unlink()
+        (store / "x/0").symlink_to("/dev/zero")
+    elif kind == "format":
+        (store / "zarr.json").write_text("{}")
+    elif kind == "damaged":
+        (store / ".zmetadata").write_text('{"metadata": 3}')
+    else:
+        (store / ".zmetadata").unlink()
+    messages = {"pickle": "the filter .pickle.|the type", "object": "the type", "compressor": "compressor .pickle."}
+    messages |= {"link": "is a link or a device", "format": "format 3", "damaged": "damaged", "nothing": "has no file"}
+    with pytest.raises(vj.InputError, match=messages[kind]):
+        vj.open_dataset(store)
+    assert not trap.exists()

@@ -13,6 +13,7 @@ from vibrojax.errors import InputError
 from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write
 from vibrojax.io.attributes import check_attributes
 from vibrojax.io.kinds import KIND, check_kind, check_structure, kind_of
+from vibrojax.io.store import check_store
 from vibrojax.io.threads import in_own_thread
 from vibrojax.io.variables import VARIABLES
 
@@ -108,6 +109,7 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
         raise InputError(f"{path}: is not a dataset; give the .nc file that {command} writes")
     if path.suffix == ZARR:
         check_zarr(path)
+        check_store(path)
     patience = _PATIENCE + path.stat().st_size / _SLOWEST
     try:
         dataset = in_own_thread(lambda: _opened(path), patience)
