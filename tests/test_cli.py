@@ -53,7 +53,7 @@ def calls(monkeypatch, tmp_path):
     cost |= {"compile_s": 8.0, "step_s": 182.0, "processor_s": 370.0, "hour_workers": 1}
     module("vibrojax.analyses.sweep.run", run_to_file=dataset, estimate=cost)
     module("vibrojax.sweep.engine.costs", check_size=None)
-    module("vibrojax.sweep.simulation", simulate=dataset)
+    module("vibrojax.sweep.simulation", simulate=dataset, simulate_point=dataset)
     module("vibrojax.io.dataset", write_dataset=None, open_dataset=dataset)
     module("vibrojax.analyses.pictures", save_picture=None, picture=None)
     monkeypatch.chdir(tmp_path)
@@ -225,12 +225,12 @@ def test_simulate_passes_checked_point(calls, capsys):
         "solver=Tsit5",
     ]
     assert main(["simulate", "vibro-impact", *words]) == 0
-    arguments, named = calls.of("simulate")
-    assert arguments == ("vibro-impact",)
-    assert named["beta"] == 0.3 and named["v"] == pytest.approx(0.2 * np.pi) and "rpm" not in named
-    assert named["friction"] == "coulomb" and named["start"] == (0.0, 0.0, 0.01, 0.0)
-    assert named["duration"] == 5.0 and named["solver"] == "Tsit5" and "v_cr" not in named
-    assert calls.names() == ["simulate", "write_dataset", "save_picture"]
+    [point], named = calls.of("simulate_point")
+    assert point.scene == "vibro-impact" and point.options["friction"] == "coulomb"
+    assert point.parameters["beta"] == 0.3 and point.parameters["v"] == pytest.approx(0.2 * np.pi)
+    assert not {"rpm", "v_cr"} & set(point.parameters) and point.start == (0.0, 0.0, 0.01, 0.0)
+    assert named["duration"] == 5.0 and named["solver"] == "Tsit5"
+    assert calls.names() == ["simulate_point", "write_dataset", "save_picture"]
     assert calls.of("write_dataset")[0][1] == Path("vibro-impact.nc")
     assert capsys.readouterr().out == "vibro-impact.nc; picture vibro-impact.png\n"
 

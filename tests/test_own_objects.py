@@ -264,5 +264,5 @@ def test_wrong_gauges_end_in_one_line(gauge, message, capfd):
 
 @pytest.mark.parametrize("order", [1, -3, True])
 def test_orders_that_steps_cannot_have_are_refused(order):
-    with pytest.raises(vj.InputError, match=r"Located: the order is .*; give a whole number from 3 on"):
+    with pytest.raises(vj.InputError, match=r"Located: the order is .*; give a whole number from 2 on"):
         Located(order=order)

@@ -1,7 +1,7 @@
 """Test a scene written outside the package, with a third degree of freedom: the drill string between drive and bit."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -70,7 +70,9 @@ class DrillWithString(VibroImpact):
 
 @dataclass(frozen=True)
 class FastestString(Gauge[Scene[Any]]):
-    """Gauge of fastest_string [m/s], the largest |x0'| at the ends of steps."""
+    """Gauge of the largest |x0'| at the ends of steps."""
+
+    variables: ClassVar = {"fastest_string": ("m s-1", "largest speed of the string")}
 
     def begin(self, scene, c, lane):
         return jnp.abs(lane.state[scene.place("v0")])

@@ -89,7 +89,7 @@ def simulate(options: Options) -> None:
     arguments: dict[str, Any] = settings
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.sweep.simulation.run import simulate_point
+        from vibrojax.sweep.simulation import simulate_point
 
         return simulate_point(point, **arguments, progress=not options.quiet)
 

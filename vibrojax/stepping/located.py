@@ -41,8 +41,8 @@ LOCATED_STRIDE = 2.0
 """Longest step in units of 1/rate; within such a step, no guard is reached and left twice."""
 
 
-LEAST_ORDER = 3
-"""Least order of the series: the length of a step follows from the last two terms, and events need a parabola."""
+LEAST_ORDER = 2
+"""Least order of the series: the length of a step follows from the last two terms."""
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+
 from vibrojax.models.physics import rock
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.scenes.declared import Values
@@ -45,7 +47,8 @@ class HasFriction(Scene[C]):
         law = self.friction
         if FRICTION_LAWS.get(law.name) is law:  # the ranges of their parameters exclude it
             return None
-        return "negative-friction-at-rest", law.on_weight(0.0, {name: p[name] for name in law.parameters}) < 0 * p["m1"]
+        at_rest = law.on_weight(0.0, {name: p[name] for name in law.parameters})
+        return "negative-friction-at-rest", np.asarray(at_rest) < 0 * np.asarray(p["m1"])
 
     @abstractmethod
     def bit(self, c: C) -> Bit:

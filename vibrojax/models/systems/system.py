@@ -126,8 +126,8 @@ class System(SystemEquations):
             self.autonomous = period is None and not probe.depends_on_time()  # type: ignore[misc]
             first = TIME if period is not None else self._own[0]
             self._section_function = section if callable(section) else None
-            name = SECTION if callable(section) else section or first
-            self._section_state, self._level = section if isinstance(section, tuple) else (name, 0.0)
+            state = SECTION if callable(section) else section or first
+            self._section_state, self._level = section if isinstance(section, tuple) else (state, 0.0)
             self.redundant = (SECTION,) if callable(section) else ()  # type: ignore[misc]
             # A single autonomous state cannot return to a section unless it jumps.
             returns = section is not None and (len(self._own) > 1 or isinstance(self, HasImpacts))

@@ -3,3 +3,4 @@
 from vibrojax.sweep.simulation.dense_output import Record as Record
 from vibrojax.sweep.simulation.dense_output import record as record
 from vibrojax.sweep.simulation.run import simulate as simulate
+from vibrojax.sweep.simulation.run import simulate_point as simulate_point
