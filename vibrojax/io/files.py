@@ -25,13 +25,17 @@ def read_regular(path: Path, most: int = LARGEST) -> bytes:
 
     **Raises:** `OSError` if the file cannot be opened; `InputError` for another kind of file, or a larger one.
     """
-    with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as file:
-        kind = os.fstat(file.fileno()).st_mode
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    try:
+        kind = os.fstat(handle).st_mode
         if stat.S_ISDIR(kind):
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         if not stat.S_ISREG(kind):
             raise InputError(f"{path}: is a device or a pipe; give the path of a file")
-        content = file.read(most + 1)
+        with open(handle, "rb", closefd=False) as file:
+            content = file.read(most + 1)
+    finally:
+        os.close(handle)
     if len(content) > most:
         raise InputError(f"{path}: is larger than {most // 2**20} MiB; give a part of it, or a dataset (.nc)")
     return content

@@ -13,6 +13,7 @@ METADATA, FORMAT_3 = ".zmetadata", "zarr.json"
 """Names of the file with all metadata of a store of format 2, and of the files of a store of format 3."""
 
 LARGEST_METADATA = 64 * 2**20
+"""Greatest size of the metadata [bytes]."""
 
 TYPES = re.compile(r"[<>|][biufSU]\d+")
 """Types of values: booleans, integers, floats, and strings of fixed length."""
@@ -21,6 +22,7 @@ TEXT = ("|O", "vlen-utf8")
 """Type and filter of strings of variable length."""
 
 COMPRESSORS = ("blosc", "zstd", "zlib", "gzip", "bz2", "lz4")
+"""Compressors that only decompress; others may run code."""
 
 
 def check_store(path: Path) -> None:
