@@ -32,10 +32,13 @@ def read_regular(path: Path, most: int = LARGEST) -> bytes:
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         if not stat.S_ISREG(kind):
             raise InputError(f"{path}: is a device or a pipe; give the path of a file")
+        content = bytearray()
+        # In pieces: one read of the limit would allocate the limit, and files in /proc say that they are empty.
         with open(handle, "rb", closefd=False) as file:
-            content = file.read(most + 1)
+            while len(content) <= most and (piece := file.read(2**20)):
+                content += piece
     finally:
         os.close(handle)
     if len(content) > most:
         raise InputError(f"{path}: is larger than {most // 2**20} MiB; give a part of it, or a dataset (.nc)")
-    return content
+    return bytes(content)
