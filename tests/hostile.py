@@ -34,10 +34,19 @@ def run(**changes: object) -> Change:
 
 def longer_sweep(ds: xr.Dataset) -> xr.Dataset:
     """Change the sweep text so that it settles for 30 years, and remove the identity."""
+    return _other_sweep(ds, "settle = 1e9")
+
+
+def shorter_steps(ds: xr.Dataset) -> xr.Dataset:
+    """Change the sweep text so that its steps are 1e-7 s long, and remove the identity."""
+    return _other_sweep(ds, "settle = 1.0\nstep = 1e-7")
+
+
+def _other_sweep(ds: xr.Dataset, settle: str) -> xr.Dataset:
     attributes = {name: value for name, value in ds.attrs.items() if name != "identity"}
     ds = ds.copy()
-    ds.attrs = attributes | {"sweep": ds.attrs["sweep"].replace("settle = 1.0", "settle = 1e9")}
-    assert "1e9" in ds.attrs["sweep"]
+    ds.attrs = attributes | {"sweep": ds.attrs["sweep"].replace("settle = 1.0", settle)}
+    assert settle in ds.attrs["sweep"]
     return ds
 
 

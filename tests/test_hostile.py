@@ -2,15 +2,17 @@
 
 import json
 import os
+import re
 import unicodedata
 from pathlib import Path
 
 import netCDF4
 import pytest
 import xarray as xr
-from hostile import HUGE, REFUSED, SHOWN, STEERING, longer_sweep
+from hostile import HUGE, REFUSED, SHOWN, STEERING, longer_sweep, shorter_steps
 
 import vibrojax as vj
+from vibrojax.analyses.orbits.analysis import sweep_of_dataset
 from vibrojax.cli import main
 from vibrojax.errors import InputError, escape_json, printable, shell_assignment
 from vibrojax.explorer.document import check_names
@@ -88,23 +90,26 @@ def test_unusual_dataset_is_shown_or_refused(sweep, run_command, name):
         assert "Traceback" not in err
 
 
+@pytest.mark.parametrize("change", [longer_sweep, shorter_steps], ids=["long", "many steps"])
 @pytest.mark.parametrize("words", [["explore"], *RUN], ids=lambda words: words[0])
-def test_overlong_sweep_is_not_run_for_dataset(sweep, run_command, words, tmp_path):
-    status, _, err = run_command(words, longer_sweep(sweep))
-    why = "4 lanes of 1e+09 s, more than is run for a dataset"
-    if words == ["explore"]:
-        assert status == 0 and "lanes of 1e+09 s, more than is run" in (tmp_path / "out.html").read_text()
-    else:
-        assert status == 2 and err.count("\n") == 1 and why.removeprefix("4 ") in err
+def test_overlong_sweep_is_not_run_for_dataset(sweep, run_command, words, change, tmp_path):
+    """Steps count: two seconds in steps of 1e-7 s take as long as years in usual steps."""
+    status, _, err = run_command(words, change(sweep))
+    steps = {longer_sweep: 1e9, shorter_steps: 2e7}[change]
+    text = (tmp_path / "out.html").read_text() if words == ["explore"] else err
+    [(lanes, most)] = re.findall(r"the sweep that the dataset names has (\d) lanes of up to (\S+) steps", text)
+    assert int(lanes) == sweep.lanes and float(most) >= steps
+    assert status == (0 if words == ["explore"] else 2) and err.count("\n") == status / 2
 
 
-def test_dataset_cannot_name_sweep_of_other_lanes(sweep, run_command, tmp_path):
-    """A small file cannot make its reader compute a large sweep."""
+def test_dataset_cannot_name_sweep_of_other_lanes(sweep):
+    """A small file cannot make its reader compute a large sweep: lanes are those of its coordinates."""
     text = sweep.attrs["sweep"].replace("beta = [0.3, 0.35]", "beta = {start = 0.3, stop = 0.6, num = 1000}")
     assert text != sweep.attrs["sweep"]
-    ds = sweep.assign_attrs(sweep=text, identity="{}")
-    assert run_command(["explore"], ds)[0] == 0
-    assert "other lanes than the sweep that it names" in (tmp_path / "out.html").read_text()
+    named = sweep_of_dataset(sweep.assign_attrs(sweep=text, identity="{}"))
+    assert named.axes["beta"].tolist() == [0.3, 0.35] and named.lanes == sweep.lanes
+    with pytest.raises(InputError, match=r"the sweep that the dataset names has changed: grid\.beta was"):
+        sweep_of_dataset(sweep.assign_attrs(sweep=text))
 
 
 def test_inconsistent_content_is_refused_in_one_line(sweep, run_command):

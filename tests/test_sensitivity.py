@@ -87,7 +87,7 @@ def test_picture_summary_and_refusals(map_of_motions):
     assert f"{elasticity:.2f}".replace("-", "−") in {t.get_text() for t in vj.picture(single).axes[0].texts}
     for source, by, message in (
         (ds, "gama", "by: the scene has no .gama. to differentiate; did you mean .gamma."),
-        (ds.isel(point=slice(0, 3)), "gamma", "the sweep that the dataset names has changed"),
+        (ds.isel(point=0, drop=True), "gamma", "dataset: has no coordinate"),
         (xr.Dataset({"x": 1.0}), "gamma", "not the dataset of a sweep"),
     ):
         with pytest.raises(InputError, match=message):

@@ -151,7 +151,7 @@ def _settings(analysis: "type[Analysis]") -> "dict[str, dataclasses.Field[Any]]"
 
 def _run(kind: str, options: Options) -> None:
     from vibrojax.analyses.analysis import analyse, checked_result
-    from vibrojax.analyses.orbits.analysis import SweepAnalysis
+    from vibrojax.analyses.orbits.analysis import SweepAnalysis, holds_orbits
     from vibrojax.io.dataset import open_dataset
 
     analysis_class = _analysis_class(kind)
@@ -179,7 +179,7 @@ def _run(kind: str, options: Options) -> None:
         line = stored_line(dataset, out, stored_picture(options, dataset, out))
     else:
         lanes_of: Any = nullcontext(source)
-        if sweep is not None and not (is_dataset and "orbit_reason" in source):
+        if sweep is not None and not (is_dataset and holds_orbits(source)):
             from vibrojax.analyses.sweep.run import lanes_beside
 
             # Finished chunks are kept next to OUT until the result is written, so an interrupt loses none of them.

@@ -252,7 +252,8 @@ def explore(options: Options) -> None:
 def _serve(options: Options, live: Any) -> None:
     from vibrojax.analyses.sweep.workers.lifetime import on_leaving
 
-    with live, on_leaving(lambda: live.close(1.0)), TemporaryDirectory(prefix="vibrojax-") as private:
+    private = TemporaryDirectory(prefix="vibrojax-")
+    with live, on_leaving(lambda: live.close(1.0)), on_leaving(private.cleanup), private:
         words = [str(options.file), *options.values, *(["--over", str(options.over)] if options.over else [])]
         options.advise("the page is closed; to open it again", "explore", *words, "--live")
         print(live.url, flush=True)
@@ -264,7 +265,7 @@ def _serve(options: Options, live: Any) -> None:
         )
         if not options.no_browser and has_display:
             # All users of a computer see the arguments of a browser, so the address is in a file of this user.
-            redirect = Path(private) / "page.html"
+            redirect = Path(private.name) / "page.html"
             redirect.touch(0o600)
             redirect.write_text(f'<meta http-equiv="refresh" content="0; url={live.url}"><a href="{live.url}">page</a>')
             webbrowser.open(redirect.as_uri())

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from vibrojax.analyses.orbits.analysis import rerun_problem
 from vibrojax.analyses.sweep.joining import join
 from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import Place, shown
@@ -28,7 +29,7 @@ def box_of(sweep: Sweep, lane: int, box: object, check: Callable[..., None]) -> 
 
     **Returns:** `axes`: values by name; `variables`: packed arrays over these axes by name.
 
-    **Raises:** `InputError` if the box does not belong to the sweep.
+    **Raises:** `InputError` if the box does not belong to the sweep, or takes too many steps.
     """
     ends = _ends(sweep, box)
     axes = {
@@ -44,6 +45,8 @@ def box_of(sweep: Sweep, lane: int, box: object, check: Callable[..., None]) -> 
         starts = replace(starts, number=starts.number[index], vectors=starts.vectors[index])
     run = replace(sweep.run, orbits=False, keep_returns=0)
     part = replace(sweep, axes=axes, parameters=sweep.parameters | fixed, starts=starts, run=run)
+    if problem := rerun_problem(part):
+        raise PLACE.error(f"it has {problem}")
     work, target = Work(part), InMemory()
     parts = dict(work.compute_each(range(work.chunks.count), check))
     join(part, work.chunks, parts.pop, target, lambda _: 0.0)

@@ -88,7 +88,8 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
     **Arguments:** `sweep`: the sweep of the dataset, if there is one.
     """
     if sweep is not None and has_lanes_of(ds, sweep):
-        ds = ds.assign({LANE: (sweep.dims, sweep.over_dims(np.arange(sweep.lanes)).astype(np.int32))})
+        numbers = xr.DataArray(sweep.over_dims(np.arange(sweep.lanes)).astype(np.int32), dims=sweep.dims)
+        ds = ds.assign({LANE: numbers.squeeze([name for name in sweep.dims if name not in ds.dims])})
     if START in ds.dims and START in ds.coords:
         ds = described(on_axes(ds))
     if FORM in ds.dims:

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.analysis import analysis_of
-from vibrojax.analyses.orbits.analysis import has_lanes_of, sweep_of_dataset
+from vibrojax.analyses.orbits.analysis import has_lanes_of, rerun_problem, sweep_of_dataset
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.explorer.document import (
@@ -32,7 +32,15 @@ from vibrojax.explorer.reading import BORDER_MEANINGS, REGIME_MEANINGS
 from vibrojax.explorer.recording import Excerpt, record_cells
 from vibrojax.explorer.trajectory_view import cell_of, motion_document
 from vibrojax.io.attributes import parameters_of, text_of
-from vibrojax.io.branches import FAMILY, along_name, kind_names, numbers_of, places, runs, stability
+from vibrojax.io.branches import (
+    along_name,
+    family_coordinates,
+    kind_names,
+    places,
+    runs,
+    stability,
+    with_selected_families,
+)
 from vibrojax.io.dataset import check_dataset
 from vibrojax.io.kinds import kind_of
 from vibrojax.io.variables import orbit_name
@@ -41,14 +49,12 @@ from vibrojax.plot.branches import MARKS, curves_of
 from vibrojax.plot.contents import FORM, START, long_axes
 from vibrojax.plot.starts import described
 from vibrojax.progress import LOG
-from vibrojax.sweep.input.definition import Sweep
+from vibrojax.sweep.input.definition import Sweep, with_substitutes
+from vibrojax.sweep.input.edited import at_coordinates
 from vibrojax.sweep.input.read import Point, read_point
 
 PAGE_MAX_LANES = 40_000
 """Number of lanes above which a page contains no motions; browsers open a larger file slowly."""
-
-RERUN_MAX_LANE_SECONDS = 4e7
-"""Simulated time of all lanes [s] above which a sweep is not run again; it takes about an hour to compute."""
 
 
 def with_map(
@@ -60,7 +66,11 @@ def with_map(
     """
     if not isinstance(ds, xr.Dataset):
         raise InputError(f"{shown(ds)} is not a dataset; open it first: vj.open_dataset(PATH)")
-    if over is not None or analysis_of(ds).view != "curves":
+    view = analysis_of(ds).view
+    if view == "families":
+        check_dataset(ds)
+        ds = with_selected_families(ds)
+    if over is not None or view != "curves":
         return ds, over
     check_dataset(ds)
     sweep = sweep_of_dataset(ds, orbits=False)
@@ -168,6 +178,7 @@ def sweep_of(ds: xr.Dataset, own: Sweep | None = None) -> tuple[Sweep | None, st
     **Raises:** `InputError` if the dataset does not have the lanes of the sweep `own`.
     """
     if own is not None:
+        own = at_coordinates(own, ds.coords)
         if not has_lanes_of(ds, own):
             sizes = dict(zip(own.dims, own.shape, strict=True))
             raise InputError(
@@ -195,10 +206,8 @@ def _rerun_problem(sweep: Sweep) -> str:
     """Return the reason why a sweep is not run again for a page, or an empty string if it is."""
     if sweep.lanes > PAGE_MAX_LANES:
         return f"a page keeps the motions of at most {PAGE_MAX_LANES} lanes"
-    seconds = sweep.lanes * (sweep.run.settle + sweep.run.observe)
-    if seconds > RERUN_MAX_LANE_SECONDS:
-        return f"its motions would take {seconds:.3g} simulated seconds, over {RERUN_MAX_LANE_SECONDS:.3g}"
-    return ""
+    problem = rerun_problem(sweep)
+    return f"its sweep has {problem}" if problem else ""
 
 
 MARK_SHAPES = {"s": "square", "o": "circle", "*": "diamond", "v": "triangle", "|": "bar", "D": "diamond", "x": "cross"}
@@ -211,7 +220,7 @@ def family_document(ds: xr.Dataset) -> Document:
     """Return the JSON document of families, given the dataset of `follow`."""
     along, point, count = along_name(ds), _base_point(ds), ds.sizes["point"]
     columns = [coordinate_document(ds[along])]
-    for name, values in _family_values(ds).items():
+    for name, values in family_coordinates(ds, "point").items():
         columns.append(coordinate_document(xr.DataArray(values, dims="point", name=name, attrs=ds[name].attrs)))
     for name in point.system.start_states:
         values = ds[orbit_name(name)].values if orbit_name(name) in ds else np.zeros(count)
@@ -267,9 +276,9 @@ def family_cells(ds: xr.Dataset) -> Iterator[Cell]:
     point = _base_point(ds)
     scene, count = point.system, ds.sizes["point"]
     driving = scene.driving_part()
-    parameters = {name: np.full(count, value) for name, value in point.parameters.items()}
-    varied = _family_values(ds) | {along_name(ds): ds[along_name(ds)].values}
-    parameters |= {name: np.asarray(x, float) for name, x in varied.items() if name in parameters}
+    varied = family_coordinates(ds, "point") | {along_name(ds): ds[along_name(ds)].values}
+    values = with_substitutes(scene, point.parameters | varied)
+    parameters = {name: np.broadcast_to(values[name], count).astype(float) for name in point.parameters}
     state = np.zeros((len(scene.states), count))
     for name in driving.return_states:
         state[scene.place(name)] = ds[orbit_name(name)].values
@@ -281,13 +290,6 @@ def family_cells(ds: xr.Dataset) -> Iterator[Cell]:
     for index, cell in enumerate(record_cells(scene, parameters, excerpt)):
         own = multipliers[index] if np.isfinite(multipliers[index]).all() else None
         yield replace(cell, lane=index, multipliers=own)
-
-
-def _family_values(ds: xr.Dataset) -> dict[str, np.ndarray]:
-    """Return the coordinates that distinguish families, by name, with one value per point."""
-    family = numbers_of(ds, "point")
-    names = [str(name) for name, data in ds.coords.items() if data.dims == (FAMILY,) and name != FAMILY]
-    return {name: ds[name].values[family] for name in names}
 
 
 def _base_point(ds: xr.Dataset) -> Point:

@@ -58,6 +58,35 @@ def numbers_of(ds: xr.Dataset, which: str) -> Int[np.ndarray, " which"]:
     return ds[name].values.astype(int) if name in ds else np.zeros(ds.sizes[which], int)
 
 
+def family_coordinates(ds: xr.Dataset, which: str) -> dict[str, np.ndarray]:
+    """Return the coordinates that distinguish families, by name: their values at each point or special point.
+
+    After a selection of one family, these are scalars. They are undefined at points of families that are left out.
+    """
+    numbers, labels = numbers_of(ds, which), family_numbers(ds)
+    same = numbers[:, None] == labels
+    coordinates = {}
+    for name, data in ds.coords.items():
+        if name != FAMILY and data.dims in ((), (FAMILY,)):
+            values = np.broadcast_to(data.values, len(labels))[same.argmax(axis=1)]
+            undefined = "" if values.dtype.kind in "UO" else np.nan
+            coordinates[str(name)] = np.where(same.any(axis=1), values, undefined)
+    return coordinates
+
+
+def with_selected_families(ds: xr.Dataset) -> xr.Dataset:
+    """Return the dataset with the points and special points of its families alone, for example after `isel`."""
+    labels = family_numbers(ds)
+    return ds.isel({name: np.isin(numbers_of(ds, name), labels) for name in ("point", "special")})
+
+
+def family_numbers(ds: xr.Dataset) -> Int[np.ndarray, " families"]:
+    """Return the numbers of a dataset's families."""
+    if FAMILY in ds.coords:
+        return np.atleast_1d(ds[FAMILY].values)
+    return np.unique(np.concatenate([numbers_of(ds, name) for name in ("point", "special")]))
+
+
 def branches(ds: xr.Dataset) -> Iterator[Branch]:
     """Yield the branches of all families, in stored order."""
     of_points, of_special = numbers_of(ds, "point"), numbers_of(ds, "special")

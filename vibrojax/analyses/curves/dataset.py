@@ -12,6 +12,7 @@ from vibrojax.analyses.curves.extended import CurveProblem
 from vibrojax.analyses.curves.following import Curve, crossings
 from vibrojax.analyses.curves.spec import CurvesSpec
 from vibrojax.io.attributes import parameters_of
+from vibrojax.io.branches import family_coordinates
 from vibrojax.io.kinds import OF_CURVES, SPECIAL_KINDS, dataset_attributes
 from vibrojax.io.variables import VARIABLES, described
 from vibrojax.models.physics.parameters import differing
@@ -63,10 +64,9 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve])
 def _coordinates(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve]) -> dict[str, Any]:
     """Return the parameters in which the families of the curves differ."""
     number = [curve.number for curve in curves]
-    several = [str(name) for name, data in spec.family.coords.items() if data.dims == ("family",) and name != "family"]
     return {
         name: ("curve", problem.parameters[name][number], _parameter(problem, name))
-        for name in several
+        for name in family_coordinates(spec.family, "special")
         if name in spec.parameters and name != spec.by
     }
 

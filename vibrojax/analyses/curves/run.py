@@ -13,7 +13,8 @@ from vibrojax.analyses.curves.dataset import curves_dataset
 from vibrojax.analyses.curves.event_map import conditions_of
 from vibrojax.analyses.curves.extended import EVENTS, CurveProblem
 from vibrojax.analyses.curves.following import follow_curves
-from vibrojax.analyses.curves.spec import CurvesSpec, read_curves
+from vibrojax.analyses.curves.spec import SAME_VALUE, CurvesSpec, read_curves
+from vibrojax.errors import InputError
 from vibrojax.io.branches import branches, kind_names, places
 from vibrojax.io.variables import orbit_name
 from vibrojax.models.scenes import Scene
@@ -146,6 +147,9 @@ def _orbit_at(spec: CurvesSpec, index: int) -> tuple[int, Float[np.ndarray, " st
     for branch in branches(family):
         if index in branch.special:
             point = int(places(family, branch)[list(branch.special).index(index)])
+            apart = abs(family[spec.along].values[point] - family["special_value"].values[index])
+            if apart > SAME_VALUE * (spec.first_span[1] - spec.first_span[0]):
+                raise InputError(f"curves: special: the point of {index} is not in the family; give the whole family")
             names = map(orbit_name, spec.scene.driving_part().return_states)
             return int(family["cycles"].values[point]), np.array([float(family[name].values[point]) for name in names])
     raise AssertionError(index)

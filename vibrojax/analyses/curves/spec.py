@@ -12,7 +12,7 @@ from vibrojax.analyses.continuation.run import read_span
 from vibrojax.analyses.curves.codim2 import CONTINUED
 from vibrojax.errors import Place, shown
 from vibrojax.io.attributes import parameters_of, text_of
-from vibrojax.io.branches import along_name, kind_names, numbers_of
+from vibrojax.io.branches import along_name, family_coordinates, family_numbers, kind_names, numbers_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.models.physics.meanings import suggest_parameter
 from vibrojax.models.physics.parameters import ROTATION
@@ -69,7 +69,7 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
         )
     if by == along:
         raise place.at("by").error(f"{by} is the parameter of the family; give another one")
-    several = {str(name) for name, data in family.coords.items() if data.dims == ("family",) and name != "family"}
+    several = family_coordinates(family, "special")
     if "rock" in several:
         raise place.at("family").error("holds families of several rocks; follow those of one rock")
     if by in (*ROTATION, "rpm") and by != "v":
@@ -77,9 +77,18 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
     low, high = read_span(place, names, by, span)
     kinds = kind_names(family)
     chosen = _special(place, special, family, kinds)
-    number = numbers_of(family, "special")[chosen]
     values = {name: np.full(len(chosen), value) for name, value in fixed.items() if name in names.parameters}
-    values |= {name: family[name].values[number].astype(float) for name in several if name in names.parameters}
+    for name in (name for name in several if name in names.parameters):
+        own = several[name][chosen].astype(float)
+        if name in fixed and np.any(own != fixed[name]):
+            raise place.at("family").error(
+                f"its orbits are at {name} = {fixed[name]:g}, not {own[0]:g}; follow it there"
+            )
+        values[name] = own
+    if missing := names.parameters.keys() - values.keys() - {along}:
+        raise place.at("family").error(
+            f"its value of {min(missing)} is not known; select families with isel, without drop=True"
+        )
     values[along] = family["special_value"].values[chosen].astype(float)
     outside = ~((values[by] >= low) & (values[by] <= high))
     if outside.any():
@@ -105,8 +114,9 @@ def _names(place: Place, family: xr.Dataset) -> Names:
 
 def _special(place: Place, special: object, family: xr.Dataset, kinds: list[str]) -> list[int]:
     """Return the indices of the special points to continue."""
+    held = np.flatnonzero(np.isin(numbers_of(family, "special"), family_numbers(family))).tolist()
     if special is None:
-        continued = _distinct(family, [k for k, kind in enumerate(kinds) if kind in CONTINUED])
+        continued = _distinct(family, [k for k in held if kinds[k] in CONTINUED])
         if not continued:
             raise place.error("the family has no special point that can be continued; follow it further")
         return continued
@@ -114,6 +124,8 @@ def _special(place: Place, special: object, family: xr.Dataset, kinds: list[str]
     for k in given:
         if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < len(kinds):
             raise place.at("special").error(f"{shown(k)} is not a number from 0 to {len(kinds) - 1}")
+        if k not in held:
+            raise place.at("special").error(f"{k} is of a family that the dataset does not hold")
         if kinds[k] not in CONTINUED:
             raise place.at("special").error(f"{k} is of the kind {kinds[k]}; continued are {', '.join(CONTINUED)}")
     return [int(k) for k in given]

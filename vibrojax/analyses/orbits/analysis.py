@@ -2,22 +2,27 @@
 
 import json
 import tomllib
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
+from math import inf
 from os import PathLike
 
 import xarray as xr
 
 from vibrojax.analyses.analysis import Analysis, Source
 from vibrojax.analyses.sweep.run import run_sweep
+from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import InputError
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.io.manifest import IDENTITY, changes, identity_text
+from vibrojax.sweep.engine.costs import estimated_steps
 from vibrojax.sweep.input.definition import Sweep
+from vibrojax.sweep.input.edited import POINTS, at_coordinates, check_dimensions, points_at, with_numbered_starts
 from vibrojax.sweep.input.own_code import is_code
-from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.read import read_sweep
+from vibrojax.sweep.input.values import UnusualValue
 
 
 class SweepAnalysis(Analysis):
@@ -57,12 +62,13 @@ class SweepAnalysis(Analysis):
         return self.of_lanes(sweep, orbits(source if isinstance(source, xr.Dataset) else sweep, progress), progress)
 
 
-RERUN_MAX_SECONDS = 10_000.0
-"""Simulated seconds per lane above which a dataset's sweep is not run again; a dataset may come from any source."""
+RERUN_LANE_MAX_STEPS = 2e6
+"""Estimated steps of a lane above which a dataset's sweep is not run again; a dataset may come from any source. The
+hardest bundled lanes take 1e6 steps."""
 
-RERUN_MAX_TOTAL_SECONDS = 1e8
-"""Simulated seconds, summed over all lanes, above which a dataset's sweep is not run again. The limit does not apply if
-the dataset contains a value for each lane."""
+RERUN_MAX_STEPS = 3e9
+"""Estimated steps of all lanes above which a dataset's sweep is not run again, about five minutes of one core. Analyses
+do not apply the limit if the dataset contains a value for each lane; pages, which run sweeps unasked, always do."""
 
 
 def orbits(
@@ -83,7 +89,8 @@ def orbits(
     **Arguments:**
 
     - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. A dataset does not contain the initial states for
-      Newton's method, so its sweep is run again. A dataset with orbits is returned unchanged.
+      Newton's method, so its sweep is run again, at the coordinates of the dataset. A dataset with orbits is returned
+      unchanged, unless its coordinates are not those of its sweep.
     - `progress`: True to report progress on stderr.
 
     **Returns:** the sweep's dataset, with these additional variables over its dimensions. For a lane with a found
@@ -117,7 +124,7 @@ def orbits(
     >>> int(orb.stable.item()), orb.multiplier_abs.values.ravel().round(3).tolist()  # the bit sticks: one is 0
     (1, [0.697, 0.697, 0.0])
     """
-    if isinstance(source, xr.Dataset) and "orbit_reason" in source:
+    if isinstance(source, xr.Dataset) and holds_orbits(source):
         return source
     return run_sweep(sweep_with_orbits(source), progress=progress)
 
@@ -131,43 +138,71 @@ def sweep_with_orbits(source: xr.Dataset | str | PathLike[str] | Mapping[str, ob
     return read_sweep(source, ["run.orbits=true"])
 
 
+def holds_orbits(dataset: xr.Dataset) -> bool:
+    """Return whether a dataset holds the orbits of its lanes: those of an edited dataset may be of other lanes."""
+    return "orbit_reason" in dataset and ("sweep" not in dataset.attrs or not _lanes_of_dataset(dataset, True)[1])
+
+
 def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
-    """Return the sweep of a dataset, from the attribute `sweep`, and from the coordinates if it is a list of points.
+    """Return the sweep of the lanes at a dataset's coordinates, with the settings in its attribute `sweep`.
 
     **Arguments:** `orbits`: True to set `orbits = true`.
 
-    **Raises:** `InputError` if the dataset has no sweep, if the sweep that it names has changed since, or if the sweep
-    is too expensive to run again.
+    **Raises:** `InputError` if the dataset has no sweep, if its coordinates do not define lanes, if the sweep that it
+    names has changed since, or if the sweep is too expensive to run again.
     """
+    sweep, _ = _lanes_of_dataset(dataset, orbits)
+    if problem := rerun_problem(sweep, inf if has_lanes_of(dataset, sweep) else RERUN_MAX_STEPS):
+        raise InputError(f"orbits: the sweep that the dataset names has {problem}; give the sweep itself")
+    return replace(sweep, title=sweep.title or title_of(dataset))
+
+
+def _lanes_of_dataset(dataset: xr.Dataset, orbits: bool) -> tuple[Sweep, bool]:
+    """Return the sweep of a dataset's lanes, and whether these are others than when the dataset was computed."""
     try:
         tables = tomllib.loads(str(dataset.attrs["sweep"]))
     except (KeyError, ValueError, RecursionError):
         kind = kind_of(dataset)
         why = f"its kind is {kind}" if kind and kind != "sweep" else "it has no attribute sweep"
         raise InputError(f"not the dataset of a sweep ({why}); give one, or a sweep") from None
-    if "points" in tables:
-        columns = {str(name): x.values.tolist() for name, x in dataset.coords.items() if x.dims == ("point",)}
-        vectors = any(name.startswith(VECTOR) for name in columns)
-        tables["points"] = {n: x for n, x in columns.items() if n != "point" and not (vectors and n == "start")}
-    sweep = read_sweep(tables, ["run.orbits=true"] if orbits else ())
     before = dict(table_of(dataset, IDENTITY))
-    for name in ("attractors", "borders"):  # these entries belong to derived results, not to the sweep
+    for name in ("attractors", "borders", "sensitivity"):  # these entries belong to derived results, not to the sweep
         before.pop(name, None)
-    now = json.loads(identity_text(sweep.identity()))
+    points = {name: x for name, x in before.items() if name.startswith(POINTS)}
+    if "points" in tables:
+        tables |= points_at(tables, [name.removeprefix(POINTS) for name in points], dataset.coords)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnusualValue)  # reported when the sweep was run
+        stored = with_numbered_starts(read_sweep(tables, ["run.orbits=true"] if orbits else ()), dataset.coords)
+    now = json.loads(identity_text(stored.identity()))
     # Version 0.1.0 did not state the code of the user's own scenes and laws.
-    codes = {} if any(map(is_code, before)) else {name: x for name, x in now.items() if is_code(name)}
-    differing = changes(before | codes | ({"run.orbits": True} if orbits else {}), now)
-    if before and differing:
+    known = {name: x for name, x in now.items() if is_code(name) and not any(map(is_code, before))}
+    # Points are in the coordinates alone; whether orbits were found does not change lanes.
+    free = {*points, "run.orbits", *(name for name in now if name.startswith(POINTS))}
+    if stored.points is not None:
+        free |= {"starts", *(f"parameters.{name}" for name in stored.points)}
+    same, other = ({name: x for name, x in values.items() if name not in free} for values in (before | known, now))
+    if before and (differing := changes(same, other)):
         raise InputError(f"orbits: the sweep that the dataset names has changed: {differing}; give the sweep itself")
-    seconds, lanes = sweep.run.settle + sweep.run.observe, 1 if has_lanes_of(dataset, sweep) else sweep.lanes
-    if seconds > RERUN_MAX_SECONDS or lanes * seconds > RERUN_MAX_TOTAL_SECONDS:
-        raise InputError(
-            f"orbits: the sweep that the dataset names has {sweep.lanes} lanes of {seconds:g} s, more than is run for "
-            "a dataset; give the sweep itself"
-        )
-    return replace(sweep, title=sweep.title or title_of(dataset))
+    edited = bool(before) and any(before.get(name) != now.get(name) for name in free - {"run.orbits"})
+    sweep = stored
+    if kind_of(dataset) != "borders":  # their coordinates are not those of lanes
+        sweep = at_coordinates(stored, dataset.coords)
+    check_dimensions(dataset, sweep)
+    return sweep, edited or sweep is not stored
+
+
+def rerun_problem(sweep: Sweep, most_steps: float = RERUN_MAX_STEPS) -> str:
+    """Return why a sweep is not run for a dataset, or an empty string.
+
+    **Arguments:** `most_steps`: limit on the estimated steps of all lanes.
+    """
+    steps = estimated_steps(Work(sweep).chunks)
+    if steps.slowest <= RERUN_LANE_MAX_STEPS and steps.total <= most_steps:
+        return ""
+    return f"{sweep.lanes} lanes of up to {steps.slowest:.3g} steps, more than is run for a dataset"
 
 
 def has_lanes_of(dataset: xr.Dataset, sweep: Sweep) -> bool:
     """Return whether a dataset has a value for each lane of a sweep."""
-    return all(dataset.sizes.get(name) == size for name, size in zip(sweep.dims, sweep.shape, strict=True))
+    return all(dataset.sizes.get(name, 1) == size for name, size in zip(sweep.dims, sweep.shape, strict=True))

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.analyses.orbits.analysis import has_lanes_of, orbits, sweep_with_orbits
+from vibrojax.analyses.orbits.analysis import orbits, sweep_with_orbits
 from vibrojax.analyses.sensitivity.run import read_names
-from vibrojax.errors import InputError, Place
+from vibrojax.errors import Place
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.known_orbits import known_orbits
@@ -51,8 +51,6 @@ OWN_ORBIT = 1e-3
 
 def at_orbits(sweep: Sweep, lanes: xr.Dataset, by: Sequence[str], progress: bool) -> xr.Dataset:
     """Return the dataset of [vibrojax.sensitivity][]; `lanes`: dataset of the sweep with orbits."""
-    if not has_lanes_of(lanes, sweep):
-        raise InputError("sensitivity: the dataset has not all lanes of its sweep; give the complete dataset")
     scene = sweep.system
     table = scene.parameters()
     by = read_names(Place("sensitivity").at("by"), by, table) if by else [*table]

@@ -86,7 +86,7 @@ def processor_time(chunks: Chunks) -> Seconds:
         step *= EXPONENTS
     # Orbits and exponents have programs of their own, about as large as those that step lanes.
     compiling = COMPILE_SECONDS * (1 + ends_on_orbits + run.orbits + run.lyapunov)
-    stepping = step * _steps(chunks) + LANE * chunks.sweep.lanes
+    stepping = step * estimated_steps(chunks).total + LANE * chunks.sweep.lanes
     return Seconds(speed * START_SECONDS, speed * compiling, speed * stepping)
 
 
@@ -113,10 +113,17 @@ def lane_steps(chunks: Chunks, numbers: LaneNumbers) -> LanesFloat:
         return np.minimum(np.nan_to_num(rates, nan=np.inf) * seconds, steps_at_most(seconds, accuracy))
 
 
-def _steps(chunks: Chunks) -> float:
-    """Return the estimated steps of all lanes.
+class Steps(NamedTuple):
+    """Estimated steps of the slowest lane of a sweep, and of all its lanes."""
 
-    Each lane counts as many steps as the slowest lane of its block, because the others wait for it.
+    slowest: float
+    total: float
+
+
+def estimated_steps(chunks: Chunks) -> Steps:
+    """Return the estimated steps of a sweep.
+
+    In the total, each lane counts as many steps as the slowest lane of its block, because the others wait for it.
     """
     lanes, block = chunks.sweep.lanes, chunks.engine.programs.block
     if lanes > STEPPED_MAX_LANES:
@@ -128,7 +135,7 @@ def _steps(chunks: Chunks) -> float:
         numbers = (firsts[:, None] + np.arange(SAMPLE)).ravel()
     # Blocks hold lanes of similar pace. After sorting, the first lane of each block is its slowest.
     slowest = np.sort(lane_steps(chunks, numbers))[::-1][::block]
-    return float(np.mean(slowest)) * block * -(-lanes // block)
+    return Steps(float(slowest[0]), float(np.mean(slowest)) * block * -(-lanes // block))
 
 
 @cache

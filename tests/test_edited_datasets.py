@@ -1,0 +1,199 @@
+"""Tests of analyses of edited datasets: the lanes that they run are those of the coordinates, as a new sweep has."""
+
+import tomllib
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import vibrojax as vj
+from vibrojax.analyses.attractors.run import sweep_of as sweep_of_attractors
+from vibrojax.analyses.orbits.analysis import holds_orbits, sweep_of_dataset
+from vibrojax.cli import main
+from vibrojax.errors import InputError
+from vibrojax.explorer.motions import motions_for
+from vibrojax.explorer.views import document_of, sweep_of
+
+RUN = {"settle": 1.0, "observe": 1.0}
+GRID = {"beta": [0.3, 0.35, 0.4], "gamma": [0.65, 0.7]}
+STARTS = {
+    "names": ["stuck", "drive", "touching"],
+    "vectors": ["stuck", [0.0, 0.1, 0.0, 0.2], [0.01, 0.0, 0.0, 0.0]],
+    "sample": {"sample": "random", "count": 3, "seed": 1, "box": {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0]}},
+}
+AXES = ("beta", "gamma", "start")
+
+
+def tables(starts="names"):
+    return {"scene": "vibro-impact", "parameters": {"delta": 0.005}, "grid": GRID, "starts": STARTS[starts], "run": RUN}
+
+
+@pytest.fixture(scope="module")
+def datasets():
+    return {name: vj.run_sweep(tables(name), progress=False) for name in STARTS}
+
+
+@pytest.fixture(scope="module")
+def points():
+    columns = {"beta": [0.3, 0.4, 0.5], "gamma": [0.6, 0.7, 0.8], "start": ["stuck", "drive", "stuck"]}
+    return vj.run_sweep({"scene": "vibro-impact", "points": columns, "run": RUN}, progress=False)
+
+
+def lanes(sweep):
+    """Return the parameters and initial states of all lanes, as rows that can be compared, in the sweep's order."""
+    values, index = sweep.lane_values(0, sweep.lanes)
+    start = [sweep.starts[i] for i in index]
+    return [(*(float(x[k]) for x in values.values()), start[k]) for k in range(sweep.lanes)]
+
+
+def expected_lanes(ds, starts):
+    """Return the lanes of a new sweep at the coordinates of a dataset."""
+    fresh = tables(starts) | {"grid": {}, "parameters": {"delta": float(ds.coords.get("delta", 0.005))}}
+    for name in GRID:
+        if ds[name].ndim:
+            fresh["grid"][name] = ds[name].values
+        else:
+            fresh["parameters"][name] = ds[name].item()
+    if starts == "names":
+        fresh["starts"] = np.atleast_1d(ds["start"].values).tolist()
+    else:
+        vectors = np.array([np.atleast_1d(ds[f"start_{name}"].values) for name in ("x1", "v1", "x2", "v2")]).T
+        fresh["starts"] = ["stuck" if np.isnan(row).any() else row.tolist() for row in vectors]
+    if not fresh["grid"]:
+        del fresh["grid"]
+    return lanes(vj.read_sweep(fresh))
+
+
+@st.composite
+def edits(draw):
+    """Draw some edits of a dataset; each is a function."""
+    name = draw(st.sampled_from(AXES))
+    size = 2 if name == "gamma" else 3
+    order = draw(st.permutations(range(size)))[: draw(st.integers(1, size))]
+    low = draw(st.integers(0, size - 1))
+    return draw(
+        st.sampled_from(
+            [
+                lambda ds: ds.isel({name: order}) if name in ds.dims and max(order) < ds.sizes[name] else ds,
+                lambda ds: ds.isel({name: slice(None, None, -1)}) if name in ds.dims else ds,
+                lambda ds: ds.isel({name: min(low, ds.sizes[name] - 1)}) if name in ds.dims else ds,
+                lambda ds: ds.sel({name: ds[name].values[:2]}) if name in ds.dims else ds,
+                lambda ds: (
+                    xr.concat([ds.isel({name: [-1]}), ds.isel({name: slice(0, -1)})], name)
+                    if name in ds.dims and ds.sizes[name] > 1
+                    else ds
+                ),
+                lambda ds: ds.assign_coords(beta=ds.beta + 0.01 * (1 + low)),
+                lambda ds: ds.assign_coords(delta=0.001 * low),
+            ]
+        )
+    )
+
+
+@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(st.sampled_from(list(STARTS)), st.lists(edits(), min_size=1, max_size=3))
+def test_lanes_are_those_of_the_coordinates(datasets, starts, changes):
+    ds = datasets[starts]
+    for change in changes:
+        ds = change(ds)
+    sweep, given = sweep_of_dataset(ds), vj.read_sweep(tables(starts))
+    for own in (sweep, sweep_of_attractors(ds), sweep_of(ds)[0], sweep_of(ds, given)[0]):
+        assert lanes(own) == expected_lanes(ds, starts)
+    assert lanes(vj.read_sweep(tomllib.loads(sweep.text))) == lanes(sweep)  # as the next dataset states
+
+
+def test_values_are_those_of_a_new_sweep(datasets, tmp_path):
+    """Orbits of an edited dataset, from memory and by the command, equal those of a sweep at its coordinates."""
+    ds = datasets["vectors"].isel(beta=1, start=[2, 0]).assign_coords(gamma=[0.68, 0.6])
+    fresh = tables() | {"parameters": {"delta": 0.005, "beta": 0.35}, "grid": {"gamma": [0.68, 0.6]}}
+    expected = vj.orbits(fresh | {"starts": [STARTS["vectors"][2], "stuck"]}, progress=False)
+    result = vj.orbits(ds, progress=False)
+    xr.testing.assert_equal(result, expected)
+    vj.write_dataset(ds, tmp_path / "edited.nc")
+    assert main(["orbits", str(tmp_path / "edited.nc"), "-o", str(tmp_path / "out.nc"), "--quiet"]) == 0
+    xr.testing.assert_equal(vj.open_dataset(tmp_path / "out.nc"), expected)
+
+
+def test_orbits_are_not_those_of_other_lanes(datasets):
+    """Stored orbits belong to the coordinates at which they were computed."""
+    ds = vj.orbits(datasets["names"].isel(start=[0]), progress=False)
+    assert holds_orbits(ds) and vj.orbits(ds) is ds
+    moved = ds.assign_coords(beta=[0.31, 0.36, 0.41])
+    assert not any(map(holds_orbits, (moved, ds.isel(beta=[0]), ds.isel(gamma=[1, 0]))))
+    result = vj.orbits(moved, progress=False)
+    assert result.beta.values.tolist() == [0.31, 0.36, 0.41] and holds_orbits(result)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda ds: ds.isel(beta=0, drop=True), "has no coordinate beta"),
+        (lambda ds: ds.isel(start=0, drop=True), "has no coordinate start"),
+        (lambda ds: ds.drop_vars("gamma"), "has no coordinate gamma"),
+        (lambda ds: ds.mean("start"), "has no coordinate start"),
+        (lambda ds: xr.concat([ds, ds], "copy"), 'lanes are along "copy"'),
+        (lambda ds: ds.stack(lane=("beta", "gamma")), "beta: varies along lane"),
+        (lambda ds: ds.assign_coords(mu=("beta", [0.1, 0.2, 0.3])), "mu: varies along beta"),
+        (lambda ds: ds.assign_coords(beta=[-0.1, 0.2, 0.3]), "grid.beta[0]: is -0.1"),
+        (lambda ds: ds.assign_coords(start=["stuck", "drive", "touch"]), 'starts[2]: "touch" is unknown'),
+    ],
+)
+def test_lanes_without_coordinates_are_refused(datasets, change, line):
+    ds = change(datasets["names"])
+    with pytest.raises(InputError) as refusal:
+        sweep_of_dataset(ds)
+    assert line in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_edited_starts(datasets):
+    """Either the label of a start or its states may be edited."""
+    ds, both = datasets["vectors"], ("start", [np.nan, 0.1, 0.5])
+    assert list(sweep_of_dataset(ds.assign_coords(start_v1=both)).starts)[2] == (0.01, 0.5, 0.0, 0.0)
+    label = "[0.02, 0.0, 0.0, 0.0]"
+    labels = ds.assign_coords(start=[*ds.start.values[:2], label])
+    assert list(sweep_of_dataset(labels).starts)[2] == (0.02, 0.0, 0.0, 0.0)
+    with pytest.raises(InputError, match="change both, or one"):
+        sweep_of_dataset(labels.assign_coords(start_v1=both))
+
+
+def test_edited_points(points):
+    for ds in (
+        points.isel(point=[2, 0]),
+        points.isel(point=1),
+        points.assign_coords(gamma=("point", [0.6, 0.66, 0.8])),
+    ):
+        sweep = sweep_of_dataset(ds)
+        for name in ("beta", "gamma"):
+            assert sweep.points[name].tolist() == np.atleast_1d(ds[name].values).tolist()
+        assert sweep.point_starts == np.atleast_1d(ds["start"].values).tolist()
+    assert sweep_of_dataset(points.assign_coords(delta=0.001)).points["delta"].tolist() == [0.001] * 3
+    for name in ("beta", "start"):
+        with pytest.raises(InputError, match=f"has no coordinate {name}"):
+            sweep_of_dataset(points.drop_vars(name))
+    with pytest.raises(InputError, match="has no coordinate beta"):
+        sweep_of_dataset(points.isel(point=0, drop=True))
+
+
+def test_rocks_and_carried_lanes():
+    rocks = {"scene": "drilling", "grid": {"rock": ["sandstone", "granite"], "v": [0.5, 1.0]}, "starts": ["stuck"]}
+    ds = vj.run_sweep(rocks | {"run": RUN}, progress=False)
+    one = sweep_of_dataset(ds.isel(rock=1, v=[1]))
+    fresh = rocks | {"parameters": {"rock": "granite"}, "grid": {"v": [1.0]}}
+    assert lanes(one) == lanes(vj.read_sweep(fresh))
+    carried = tables() | {"starts": ["stuck"], "run": RUN | {"carry": "gamma"}}
+    ds = vj.run_sweep(carried, progress=False)
+    assert sweep_of_dataset(ds.isel(beta=[2, 1])).axes["beta"].tolist() == [0.4, 0.35]
+    for change, line in (({"direction": [0]}, "run up and down"), ({"gamma": [1, 0]}, "do not rise")):
+        with pytest.raises(InputError, match=line):
+            sweep_of_dataset(ds.isel(change))
+
+
+def test_page_shows_the_motions_of_the_coordinates(datasets):
+    ds = datasets["names"].isel(start=0, beta=[2, 0]).assign_coords(delta=0.001)
+    document = document_of(ds)
+    assert document["without"] == "" and document["lanes"]["axes"] == ["beta", "gamma"]
+    motions = motions_for(ds)
+    values = [motions.sweep.lane_values(k, k + 1)[0] for k in range(motions.sweep.lanes)]
+    assert [x["beta"].item() for x in values] == [0.4, 0.4, 0.3, 0.3] and values[0]["delta"].item() == 0.001
