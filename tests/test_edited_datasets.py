@@ -10,11 +10,14 @@ from hypothesis import strategies as st
 
 import vibrojax as vj
 from vibrojax.analyses.attractors.run import sweep_of as sweep_of_attractors
+from vibrojax.analyses.curves.run import problem_of
+from vibrojax.analyses.curves.spec import read_curves
 from vibrojax.analyses.orbits.analysis import holds_orbits, sweep_of_dataset
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.explorer.motions import motions_for
-from vibrojax.explorer.views import document_of, sweep_of
+from vibrojax.explorer.views import document_of, family_cells, sweep_of, with_map
+from vibrojax.plot.selection import select
 
 RUN = {"settle": 1.0, "observe": 1.0}
 GRID = {"beta": [0.3, 0.35, 0.4], "gamma": [0.65, 0.7]}
@@ -197,3 +200,50 @@ def test_page_shows_the_motions_of_the_coordinates(datasets):
     motions = motions_for(ds)
     values = [motions.sweep.lane_values(k, k + 1)[0] for k in range(motions.sweep.lanes)]
     assert [x["beta"].item() for x in values] == [0.4, 0.4, 0.3, 0.3] and values[0]["delta"].item() == 0.001
+
+
+@pytest.fixture(scope="module")
+def families():
+    """Return families over gamma at three values of beta; of their special points, those at the ends count as folds."""
+    values = {"at": 0.72, "span": (0.715, 0.725), "start": "stuck", "beta": [0.35, 0.4, 0.5], "settle": 20.0}
+    ds = vj.follow("vibro-impact", along="gamma", progress=False, **values)
+    assert ds.beta.dims == ("family",) and set(ds.special_family.values) == {0, 1, 2}
+    return ds.assign(special_kind=ds.special_kind.copy(data=np.zeros_like(ds.special_kind)))
+
+
+def curves_of(ds, special=None):
+    return read_curves(ds, "v", (0.5, 2.5), special, None)
+
+
+def test_curves_begin_at_the_selected_families(families):
+    whole = curves_of(families)
+    assert sorted(set(whole.parameters["beta"])) == [0.35, 0.4, 0.5]
+    for ds, values in (
+        (families.isel(family=[2, 0]), {0: 0.35, 2: 0.5}),
+        (families.isel(family=1), {1: 0.4}),
+        (select(families, {"beta": 0.5}), {2: 0.5}),
+        (families.drop_vars("family"), {0: 0.35, 1: 0.4, 2: 0.5}),
+    ):
+        spec = curves_of(ds)
+        number = ds.special_family.values[spec.special]
+        assert spec.parameters["beta"].tolist() == [values[k] for k in number] and set(number) == set(values)
+    other = int(np.flatnonzero(families.special_family.values == 0)[0])
+    for ds, special, line in (
+        (families.isel(family=1), other, "of a family that the dataset does not hold"),
+        (families.isel(family=1, drop=True), None, "beta is not known"),
+        (families.assign_coords(delta=0.001), None, "at delta = -0.005, not 0.001"),
+    ):
+        with pytest.raises(InputError, match=line):
+            curves_of(ds, special)
+    with pytest.raises(InputError, match="is not in the family"):
+        problem_of(curves_of(families.isel(point=slice(2, 4)), [other]))
+
+
+def test_page_of_selected_families_records_their_orbits(families, monkeypatch):
+    recorded = []
+    monkeypatch.setattr("vibrojax.explorer.views.record_cells", lambda scene, p, excerpt: recorded.append(p) or [])
+    for ds, values in ((families.isel(family=[2, 0]), {0: 0.35, 2: 0.5}), (families.isel(family=1), {1: 0.4})):
+        shown, _ = with_map(ds)
+        list(family_cells(shown))
+        assert recorded[-1]["beta"].tolist() == [values[k] for k in shown.point_family.values]
+        assert set(shown.point_family.values) == set(values)

@@ -15,6 +15,7 @@ from vibrojax.analyses.continuation.analysis import family_lines
 from vibrojax.cli import main
 from vibrojax.cli.command import values_with
 from vibrojax.cli.points import FOLLOW_SETTINGS
+from vibrojax.explorer.views import family_cells
 from vibrojax.io.dataset import open_dataset
 
 ARGUMENTS = ("along=gamma", "at=0.45", "from=0.36", "to=0.5", "beta=0.4", "settle=30", "cycles=2")
@@ -229,7 +230,7 @@ def test_warning_of_unusual_value_has_its_name(here):
         vj.follow("vibro-impact", along="gamma", at=0.45, span=(0.44, 0.46), delta=5.0, settle=20.0, progress=False)
 
 
-def test_rocks_form_families():
+def test_rocks_form_families(monkeypatch):
     ds = vj.follow(
         "drilling",
         along="gamma",
@@ -242,6 +243,10 @@ def test_rocks_form_families():
     )
     assert ds["rock"].values.tolist() == ["sandstone", "granite"]
     assert (np.bincount(ds["point_family"].values) > 1).all()
+    recorded = []
+    monkeypatch.setattr("vibrojax.explorer.views.record_cells", lambda scene, p, excerpt: recorded.append(p) or [])
+    list(family_cells(ds))
+    assert len(set(recorded[0]["threshold"])) == 2  # of the rocks
 
 
 def test_completion_of_values():
