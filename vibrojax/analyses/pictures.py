@@ -23,6 +23,8 @@ from vibrojax.analyses.trajectory.time_history import trajectory as trajectory
 from vibrojax.errors import InputError, nearest, shown, suggestion
 from vibrojax.io.atomic import atomic_write
 from vibrojax.io.kinds import kind_of
+from vibrojax.io.ownership import PICTURE_KEYS
+from vibrojax.io.provenance import source
 from vibrojax.plot.axes import label, pad_constant
 from vibrojax.plot.colours import REGIME_COLOURS as REGIME_COLOURS
 from vibrojax.plot.colours import Values, shape_flags, value_of
@@ -163,7 +165,8 @@ def save_picture(
     figure = picture(ds, variable, where, colours, over, diagram)
     try:
         with settings(), atomic_write(path, "part") as part:
-            figure.savefig(part, format=suffix[1:], metadata=_METADATA[suffix])
+            metadata = {**_METADATA[suffix], PICTURE_KEYS[suffix]: source()}
+            figure.savefig(part, format=suffix[1:], metadata=metadata)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another file") from None
     return thinned_text(select(ds, where) if where else ds)

@@ -31,8 +31,11 @@ _MAX_WORDS = 3
 def output(path: str | Path, endings: Sequence[str] = (".nc",), *, drawn: bool = False) -> Path:
     """Return `path`, checked to be a writable file; `drawn`: also check the picture next to it.
 
-    **Raises:** `InputError` if the file cannot be written, or its name does not end in one of `endings`.
+    **Raises:** `InputError` if the file cannot be written, its name does not end in one of `endings`, or it exists and
+    this package has not written it.
     """
+    from vibrojax.io.ownership import check_ours
+
     path = Path(path)
     place = f"-o: {shown(str(path))}"
     if path.suffix not in endings:
@@ -40,6 +43,7 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",), *, drawn: bool =
     if path.is_dir() and path.suffix != ZARR:
         raise InputError(f"{place} is a folder; give the name of a file")
     folder = path.parent
+    check_ours(path)
     if not folder.is_dir():
         problem = "is not a folder" if folder.exists() else "does not exist"
         raise InputError(f"{place}: {shown(str(folder))} {problem}; give a file in a folder that exists")

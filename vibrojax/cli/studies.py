@@ -210,11 +210,14 @@ def accuracy(options: Options) -> None:
     options.advise("nothing is kept; to start again", "accuracy", "-o", options.out, *["--quick"] * options.quick)
     from vibrojax.analyses.accuracy.study import run_accuracy, table
     from vibrojax.analyses.pictures import save_picture
+    from vibrojax.io.atomic import atomic_write
     from vibrojax.io.dataset import write_dataset
+    from vibrojax.io.ownership import text_mark
 
     dataset = run_accuracy(quick=options.quick, progress=not options.quiet)
     write_dataset(dataset, dataset_path)
-    table_path.write_text(table(dataset), encoding="utf-8")
+    with atomic_write(table_path) as part:
+        part.write_text(table(dataset) + text_mark(), encoding="utf-8")
     dataset_written(options, dataset_path)
     save_picture(dataset, picture_path)
     if not options.quiet:

@@ -17,6 +17,7 @@ from vibrojax.explorer.motions import LiveMotions, motions_for
 from vibrojax.explorer.views import cells_of, document_of, with_map
 from vibrojax.io.atomic import atomic_write
 from vibrojax.io.content_policy import content_policy
+from vibrojax.io.provenance import source
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import read_sweep
 
@@ -58,7 +59,7 @@ def write_page(
     **Arguments:**
 
     - `ds`: any dataset of the package, or of an analysis with a picture.
-    - `path`: the file to write; an existing file is replaced.
+    - `path`: the file to write; a page that this package wrote is replaced.
     - `over`: result of `borders` or `curves`, to draw on a map of the same parameters, or of `follow`, to draw over the
       returns of a sweep.
     - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
@@ -66,8 +67,8 @@ def write_page(
 
     **Returns:** the path.
 
-    **Raises:** `InputError` if the dataset holds nothing to show, or `over` or `sweep` does not belong to it; `OSError`
-    if the file cannot be written.
+    **Raises:** `InputError` if the dataset holds nothing to show, or `over` or `sweep` does not belong to it, or
+    there is a file at `path` that this package has not written; `OSError` if the file cannot be written.
 
     **Example:**
 
@@ -132,7 +133,7 @@ def page_text(document: Document, blocks: Sequence[str] = ()) -> str:
     parts = {
         "POLICY": content_policy([script], [style], asks=is_live),
         "TITLE": html.escape(str(document["title"] or document["scene"] or "vibrojax")),
-        "SOURCE": html.escape(str(document["source"] or "vibrojax")),
+        "SOURCE": html.escape(source()),
         "STYLE": style,
         "DATA": data.replace("<", "\\u003c"),  # so that no text ends the script element
         "CELLS": "\n".join(blocks),

@@ -8,11 +8,12 @@ import re
 import secrets
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from vibrojax.io.claims import GONE, process_start
 from vibrojax.io.files import new_file
+from vibrojax.io.ownership import check_ours
 
 ZARR = ".zarr"
 """Suffix of a dataset stored as a folder (Zarr store)."""
@@ -26,8 +27,10 @@ def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:
     no link of theirs takes its place. Temporary files for `path` left by killed processes are removed. `ending` is the
     suffix of the temporary name, for libraries that derive the file format from the suffix.
 
-    **Raises:** `OSError` if the disk is full or the folder is not writable.
+    **Raises:** `OSError` if the disk is full or the folder is not writable; `InputError` if there is a file at `path`
+    that this package has not written.
     """
+    check_ours(path)
     _remove_leftovers(path, ending)
     part = _temporary(path, ending)
     new_file(part).close()
@@ -40,7 +43,12 @@ def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder: renamed to `path` when the `with` block ends, or deleted if the block raises."""
+    """Yield a temporary folder: renamed to `path` when the `with` block ends, or deleted if the block raises.
+
+    **Raises:** as for `atomic_write`.
+    """
+    restore(path)
+    check_ours(path)
     for ending in ("tmp", "before"):
         _remove_leftovers(path, ending)
     part, before = (_temporary(path, ending) for ending in ("tmp", "before"))
@@ -48,15 +56,32 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     try:
         yield part
         for file in part.rglob("*"):
-            if file.is_file():
-                _sync(file)
-        if path.exists():  # renaming cannot replace an existing folder
+            (_sync if file.is_file() else _sync_folder)(file)
+        _sync_folder(part)
+        if path.exists():  # renaming cannot replace an existing folder; if this process ends now, `restore` undoes it
             path.rename(before)
-        part.rename(path)
+        try:
+            part.rename(path)
+        except BaseException:
+            restore(path, before)
+            raise
         _sync_folder(path.parent)
     finally:
         for leftover in (part, before):
             _remove(leftover)
+
+
+def restore(path: Path, before: Path | None = None) -> None:
+    """Rename a folder back to `path` if the process that was replacing it has ended between two renames.
+
+    `before`: the temporary name of the folder; None: look for it.
+    """
+    if path.exists():
+        return
+    found = _leftovers(path, "before") if before is None else [before]
+    for other in found[:1]:
+        with suppress(OSError):  # there is none, or another process has restored it
+            other.rename(path)
 
 
 def _temporary(path: Path, ending: str) -> Path:
@@ -66,11 +91,14 @@ def _temporary(path: Path, ending: str) -> Path:
 
 def _remove_leftovers(path: Path, ending: str) -> None:
     """Remove what processes that have ended left for `path` under temporary names."""
+    for other in _leftovers(path, ending):
+        _remove(other)
+
+
+def _leftovers(path: Path, ending: str) -> list[Path]:
     temporary = re.compile(re.escape(f".{path.name}.") + r"(\d+)-[0-9a-f]{16}" + re.escape(f".{ending}"))
-    for other in path.parent.iterdir():
-        match = temporary.fullmatch(other.name)
-        if match and process_start(int(match[1])) == GONE:
-            _remove(other)
+    names = ((other, temporary.fullmatch(other.name)) for other in path.parent.iterdir())
+    return [other for other, match in names if match and process_start(int(match[1])) == GONE]
 
 
 def commit(part: Path, path: Path) -> None:

@@ -10,21 +10,14 @@ import netCDF4
 import xarray as xr
 
 from vibrojax.errors import InputError
-from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write
+from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write, restore
 from vibrojax.io.attributes import check_attributes
 from vibrojax.io.kinds import KIND, check_kind, check_structure, kind_of
-from vibrojax.io.store import check_store
+from vibrojax.io.ownership import MARK
+from vibrojax.io.seal import seal
 from vibrojax.io.threads import in_own_thread
+from vibrojax.io.untrusted import LAZY_FROM, readable
 from vibrojax.io.variables import VARIABLES
-
-MARK = "vibrojax"
-"""Prefix of the attribute `source` of every dataset that this package writes."""
-
-LAZY_FROM = 256e6
-"""Size of a dataset [bytes] above which its variables are read lazily."""
-
-MOST_PACKED = 2000
-"""Largest accepted ratio of dataset size to file size: zlib reaches 1000; a malicious file may claim any size."""
 
 COMPRESSED = 4096
 """Number of values above which a variable is compressed."""
@@ -35,9 +28,6 @@ LEVEL = 1
 _PROBE = 1 << 20
 """Number of bytes per write when testing whether the disk is full."""
 
-_PATIENCE, _SLOWEST = 20.0, 2e6
-"""Time limit for reading a file: `_PATIENCE` [s], plus the file size divided by `_SLOWEST` [bytes/s]."""
-
 
 def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     """Write a netCDF-4 file or a Zarr store under a temporary name, then rename it.
@@ -47,9 +37,10 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     **Arguments:**
 
     - `dataset`: the dataset to write.
-    - `path`: path of the file; an existing file is replaced. A name that ends in `.zarr` selects Zarr.
+    - `path`: path of the file; a file that this package wrote is replaced. A name that ends in `.zarr` selects Zarr.
 
-    **Raises:** `OSError` if the disk is full or the folder is not writable; `InputError` if zarr is not installed.
+    **Raises:** `OSError` if the disk is full or the folder is not writable; `InputError` if zarr is not installed,
+    or `path` is a file that this package has not written.
 
     **Example:**
 
@@ -66,6 +57,7 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
         with atomic_folder(path) as folder:
             plain = dataset.drop_encoding()  # Zarr has other compressors than netCDF, from which it may come
             plain.to_zarr(folder, mode="w", encoding=encoding, zarr_format=2, consolidated=True)
+            seal(folder)
         return
     for name, variable in dataset.data_vars.items():
         if variable.size > COMPRESSED and variable.dtype.kind in "fi":
@@ -73,6 +65,7 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     with atomic_write(path) as part:
         try:
             dataset.to_netcdf(part, engine="netcdf4", format="NETCDF4", encoding=encoding)
+            seal(part)
         except (RuntimeError, OSError) as error:
             raise write_failed(part, path, dataset.nbytes, error) from None
 
@@ -98,6 +91,8 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     True
     """
     path = Path(path)
+    if path.suffix == ZARR and path.parent.is_dir():
+        restore(path)
     if not path.exists():
         raise InputError(f"{path}: there is no such file")
     if path.is_dir() and path.suffix != ZARR:
@@ -109,15 +104,11 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
         raise InputError(f"{path}: is not a dataset; give the .nc file that {command} writes")
     if path.suffix == ZARR:
         check_zarr(path)
-        check_store(path)
-    patience = _PATIENCE + path.stat().st_size / _SLOWEST
     try:
-        dataset = in_own_thread(lambda: _opened(path), patience)
+        with readable(path) as source:
+            dataset = in_own_thread(lambda: _opened(source, is_copy=source != path))
     except InputError:
         raise
-    except TimeoutError:  # HDF5 never returns on some files that have lost a block
-        waited = f"cannot be read as netCDF within {patience:.0f} s"
-        raise InputError(f"{path}: {waited}: its structure is damaged, or this machine is overloaded") from None
     except Exception as error:  # the library raises many types of exceptions on a damaged or foreign file
         raise InputError(f"{path}: cannot be read as netCDF ({_first_line(error)})") from None
     if not str(dataset.attrs.get("source", "")).startswith(MARK):
@@ -138,21 +129,20 @@ def check_dataset(dataset: xr.Dataset) -> None:
     check_structure(dataset)
 
 
-def _opened(path: Path) -> xr.Dataset:
-    """Return the dataset, loaded into memory if it is small."""
-    kind = {"engine": "zarr", "consolidated": True} if path.suffix == ZARR else {"engine": "netcdf4"}
+def _opened(path: Path, is_copy: bool) -> xr.Dataset:
+    """Return the dataset, loaded into memory if it is small, or a copy that will be removed."""
+    kind = {"engine": "zarr", "consolidated": True} if path.is_dir() else {"engine": "netcdf4"}
     netCDF4.set_chunk_cache(1 << 20)  # bytes per variable; by default, 64 MB of each variable stay in memory
-    dataset = xr.open_dataset(path, cache=False, **kind)
-    if path.suffix == ZARR:  # a Zarr store does not keep the order of variables
+    # Times are seconds since the start of a motion; as dates, they would take a hundred times the memory.
+    dataset = xr.open_dataset(path, cache=False, decode_times=False, **kind)
+    if path.is_dir():  # a Zarr store does not keep the order of variables
         known = [name for name in VARIABLES if name in dataset]
         dataset = dataset[[*known, *(name for name in dataset.data_vars if name not in VARIABLES)]]
     if dataset.nbytes <= LAZY_FROM:
         with dataset:
             return dataset.load()
-    if path.is_file() and dataset.nbytes > MOST_PACKED * path.stat().st_size:
-        raise InputError(
-            f"{path}: claims {dataset.nbytes / 1e9:.3g} GB, which its {path.stat().st_size} bytes cannot hold"
-        )
+    if is_copy:
+        raise ValueError(f"its values take {dataset.nbytes / 1e9:.3g} GB when they are unpacked")
     return dataset.chunk({}) if find_spec("dask") is not None else dataset
 
 

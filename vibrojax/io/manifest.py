@@ -9,11 +9,9 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-import netCDF4
-
 from vibrojax.errors import InputError, shown
-from vibrojax.io.atomic import ZARR
-from vibrojax.io.threads import in_own_thread
+from vibrojax.io.ownership import check_ours
+from vibrojax.io.untrusted import global_attributes
 
 MANIFEST = "manifest.json"
 """Name of the manifest file in a folder of chunks."""
@@ -34,6 +32,15 @@ def canonical(values: Mapping[str, object]) -> bytes:
 def digest(values: Mapping[str, object]) -> str:
     """Return the SHA-256 of a manifest."""
     return hashlib.sha256(canonical(values)).hexdigest()
+
+
+def is_manifest(path: Path) -> bool:
+    """Return whether a file has the form of a manifest, intact or not."""
+    try:
+        stored = json.loads(path.read_bytes())
+        return isinstance(stored, dict) and {"sha256", "manifest"} <= set(stored)
+    except (OSError, ValueError, RecursionError):
+        return False
 
 
 def changes_since(path: Path, values: Mapping[str, object]) -> str:
@@ -74,9 +81,6 @@ IDENTITY = "identity"
 """Name of the attribute that holds, as JSON, everything that a result depends on. Runs with equal identities compute
 the same result."""
 
-_ATTRIBUTES_PATIENCE = 20.0
-"""Time limit [s] for reading the attributes of a possibly damaged file."""
-
 
 def identity_text(identity: Mapping[str, object]) -> str:
     """Return an identity as the JSON string that the attribute stores."""
@@ -91,6 +95,7 @@ def holds(out: Path, identity: Mapping[str, object]) -> bool:
 
 def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
     """Raise `InputError` if `out` exists and holds anything but a result with this `identity`."""
+    check_ours(out)
     if not out.exists():
         return
     stored = stored_identity(out)
@@ -104,17 +109,8 @@ def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
 
 def stored_identity(out: Path) -> dict[str, object] | None:
     """Return the identity of the result at `out`, or None if there is no result that states its identity."""
-
-    def read() -> object:
-        if out.suffix == ZARR:
-            import zarr
-
-            return json.loads(str(zarr.open_group(out, mode="r").attrs[IDENTITY]))
-        with netCDF4.Dataset(out) as dataset:
-            return json.loads(dataset.getncattr(IDENTITY))
-
     try:
-        stored = in_own_thread(read, _ATTRIBUTES_PATIENCE) if out.is_file() or out.suffix == ZARR else None
-    except Exception:  # the libraries raise many types of exceptions on a damaged or foreign file
+        stored = json.loads(str(global_attributes(out)[IDENTITY])) if out.exists() else None
+    except (InputError, KeyError, ValueError, RecursionError):
         stored = None
     return stored if isinstance(stored, dict) else None

@@ -19,7 +19,7 @@ from vibrojax.errors import InputError, counted
 from vibrojax.io.atomic import commit
 from vibrojax.io.claims import Claims, lock, this_process
 from vibrojax.io.files import new_file
-from vibrojax.io.manifest import MANIFEST, canonical, changes_since, digest
+from vibrojax.io.manifest import MANIFEST, canonical, changes_since, digest, is_manifest
 
 LOCK = "lock"
 """Name of the lock file in a folder of chunks."""
@@ -277,6 +277,10 @@ class Shards:
         except OSError as error:
             line = f"{self.folder}: cannot be made a folder ({error.strerror}); give another output"
             raise InputError(line) from None
+        manifest = self.folder / MANIFEST
+        if manifest.exists() and not self.there() and not is_manifest(manifest):
+            line = f"{manifest}: exists already, and does not say that vibrojax wrote it"
+            raise InputError(f"{line}; give another output, or remove it")
 
     def _write_manifest(self) -> None:
         content = {"sha256": self._digest, "manifest": self.manifest, "about": self._about}

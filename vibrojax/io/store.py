@@ -54,6 +54,8 @@ def check_store(path: Path) -> None:
             what = f"the filter {shown(codecs[0])}, which is not accepted"
         elif used is not None and used not in COMPRESSORS:
             what = f"the compressor {shown(used)}; accepted are {', '.join(COMPRESSORS)}"
+        elif not name or "/" in name or name.startswith("."):
+            what = "a name that is no variable's"
         if what:
             raise InputError(f"{path}: {shown(name)} has {what}")
 

@@ -17,6 +17,7 @@ import xarray as xr
 
 from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write
 from vibrojax.io.dataset import COMPRESSED, LEVEL, check_zarr, write_failed
+from vibrojax.io.seal import seal
 
 Box = tuple[slice, ...]
 """Slices along a sweep's dimensions."""
@@ -164,6 +165,7 @@ def file_target(path: Path) -> Iterator[Target]:
         check_zarr(path)
         with atomic_folder(path) as part:
             yield _Zarr(part)
+            seal(part)
         return
     with atomic_write(path) as part:
         size = 0
@@ -174,6 +176,7 @@ def file_target(path: Path) -> Iterator[Target]:
                     yield target
                 finally:
                     size = target.nbytes
+            seal(part)
         except (RuntimeError, OSError) as error:
             raise write_failed(part, path, size, error) from None
 

@@ -11,8 +11,10 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError
+from vibrojax.io.atomic import atomic_write
 from vibrojax.io.content_policy import content_policy
 from vibrojax.io.dataset import write_dataset
+from vibrojax.io.ownership import text_mark
 from vibrojax.io.provenance import source
 from vibrojax.reproduce.reproduction import FINDINGS, READINGS, Finding, Reproduction
 from vibrojax.reproduce.rules import DIFFERS, NOT_COMPARED, VERDICTS
@@ -25,7 +27,8 @@ CLASSES = dict(zip(VERDICTS, ("differs", "uncompared", "trend", "agrees"), stric
 def write_reproduction(reproduction: Reproduction, folder: str | Path) -> None:
     """Write `index.html`, `table.md` and the datasets into `folder`, which is created if necessary.
 
-    **Raises:** `InputError` if the folder cannot be written.
+    **Raises:** `InputError` if the folder cannot be written, or holds a file of such a name that this package has not
+    written.
 
     **Example:**
 
@@ -38,8 +41,12 @@ def write_reproduction(reproduction: Reproduction, folder: str | Path) -> None:
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "table.md").write_text(markdown_table(reproduction), encoding="utf-8")
-        (folder / "index.html").write_text(html_page(reproduction), encoding="utf-8")
+        for name, text in (
+            ("table.md", markdown_table(reproduction) + text_mark()),
+            ("index.html", html_page(reproduction)),
+        ):
+            with atomic_write(folder / name) as part:
+                part.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"-o: {error.filename}: cannot be written ({error.strerror})") from None
     for name, dataset in reproduction.datasets.items():

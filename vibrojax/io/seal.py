@@ -1,0 +1,162 @@
+"""Seals of datasets: a digest that shows damage, and a code that shows that this user wrote them on this account.
+
+A seal is part of the file and not of the dataset: bytes after the end of an HDF5 file, which its readers ignore, and a
+key of the file `.zmetadata` of a store. Whatever changes a dataset with another tool writes it without the seal, and
+the dataset then opens as one of unknown origin. A flipped bit, a lost block or a truncated end breaks the seal.
+
+The code is an HMAC of the digest with a secret in the user's cache folder. It tells the user's own files, which are
+read in this process, from files of unknown origin, which a process of their own reads (`io.untrusted`).
+"""
+
+import hashlib
+import hmac
+import json
+import os
+import secrets
+import stat
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import BinaryIO
+
+from platformdirs import user_cache_path
+
+from vibrojax.errors import InputError
+from vibrojax.io.files import read_regular
+from vibrojax.io.store import LARGEST_METADATA, METADATA
+
+MAGIC = b"\nvibrojax seal 1\n"
+"""First bytes of the seal of a file; the digest and the code follow."""
+
+KEY = "vibrojax_seal"
+"""Key of the seal in the metadata of a store."""
+
+_SIZE = hashlib.sha256().digest_size
+_LENGTH = len(MAGIC) + 2 * _SIZE
+_PIECE = 1 << 20
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_END_ADDRESS = {0: 40, 1: 44, 2: 28, 3: 28}
+"""Position of the address of the file's end in the superblock of HDF5, by its version."""
+
+
+def seal(path: Path) -> None:
+    """Seal a complete file or store; its content must not change afterwards."""
+    if path.is_dir():
+        metadata = json.loads((path / METADATA).read_bytes())
+        digest = _store_digest(path, metadata)
+        metadata[KEY] = {"sha256": digest.hex(), "code": _code(digest).hex()}
+        (path / METADATA).write_text(json.dumps(metadata))
+        return
+    with open(path, "r+b") as file:
+        digest = _file_digest(file, os.fstat(file.fileno()).st_size)
+        file.write(MAGIC + digest + _code(digest))
+
+
+def is_own(path: Path) -> bool:
+    """Return whether this user wrote a file or store, and nothing has changed it since.
+
+    **Raises:** `InputError` if the content is not what the seal states.
+    """
+    if path.is_dir():
+        metadata = json.loads(read_regular(path / METADATA, LARGEST_METADATA))
+        given = metadata.pop(KEY, None)
+        if given is None:
+            return False
+        digest, stated = _store_digest(path, metadata), (str(given.get(name, "")) for name in ("sha256", "code"))
+        sealed, code = (value.encode() for value in stated)
+        return _compare(path, digest.hex().encode(), sealed, code, _code(digest).hex().encode())
+    with open(path, "rb") as file:
+        size, given = os.fstat(file.fileno()).st_size, _given(file)
+        if given:
+            digest = _file_digest(file, size - _LENGTH)
+            return _compare(path, digest, given[:_SIZE], given[_SIZE:], _code(digest))
+        file.seek(0)
+        start = file.read(64)
+    end = _END_ADDRESS.get(start[8]) if len(start) == 64 and start.startswith(_HDF5) else None
+    if end is not None and size > struct.unpack_from("<Q", start, end)[0]:
+        raise _damaged(path)  # something follows the end, and it is no seal
+    return False
+
+
+def has_seal(path: Path) -> bool:
+    """Return whether a file has a seal, broken or not."""
+    with open(path, "rb") as file:
+        return bool(_given(file))
+
+
+def _given(file: BinaryIO) -> bytes:
+    """Return digest and code of the seal at the end of a file, or b"" if it has none."""
+    with suppress(OSError):  # the file is shorter
+        file.seek(-_LENGTH, os.SEEK_END)
+        end = file.read(_LENGTH)
+        if end.startswith(MAGIC):
+            return end[len(MAGIC) :]
+    return b""
+
+
+def _compare(path: Path, digest: bytes, sealed: bytes, code: bytes, own: bytes) -> bool:
+    if digest != sealed:
+        raise _damaged(path)
+    return _secret() is not None and hmac.compare_digest(code, own)
+
+
+def _damaged(path: Path) -> InputError:
+    problem = "is damaged: its content is not what was written"
+    return InputError(f"{path}: {problem}; take a copy, or compute it again (remove the file first)")
+
+
+def _file_digest(file: BinaryIO, size: int) -> bytes:
+    """Return the SHA-256 of the first `size` bytes of a file, after which it then is."""
+    file.seek(0)
+    digest = hashlib.sha256()
+    while size > 0 and (piece := file.read(min(_PIECE, size))):
+        digest.update(piece)
+        size -= len(piece)
+    return digest.digest()
+
+
+def _store_digest(path: Path, metadata: object) -> bytes:
+    """Return the SHA-256 of the names and contents of a store's files, and of its metadata without the seal."""
+    digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
+    for file in sorted(_files(path)):
+        with open(path / file, "rb") as content:
+            digest.update(json.dumps(file).encode() + _file_digest(content, os.fstat(content.fileno()).st_size))
+    return digest.digest()
+
+
+def _files(path: Path) -> Iterator[str]:
+    for file in path.rglob("*"):
+        if file.is_file() and (name := file.relative_to(path).as_posix()) != METADATA:
+            yield name
+
+
+def _code(digest: bytes) -> bytes:
+    return hmac.digest(_secret() or b"", digest, "sha256")
+
+
+@cache
+def _secret() -> bytes | None:
+    """Return the user's secret, which is made at its first use; None where no file can be private or be written."""
+    if not hasattr(os, "geteuid"):
+        return None
+    path = user_cache_path("vibrojax", appauthor=False) / "seal"
+    new = path.with_name(f".seal-{secrets.token_hex(8)}")
+    try:
+        if not path.exists():
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with os.fdopen(handle, "wb") as file:
+                file.write(secrets.token_bytes(_SIZE))
+            with suppress(FileExistsError):
+                os.link(new, path)  # of several processes, the first one decides
+            new.unlink()
+        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        with os.fdopen(handle, "rb") as file:
+            status, secret = os.fstat(handle), file.read(_SIZE + 1)
+    except OSError:
+        return None
+    private = stat.S_ISREG(status.st_mode) and status.st_uid == os.geteuid() and not status.st_mode & 0o077
+    return secret if private and len(secret) == _SIZE else None
