@@ -22,6 +22,7 @@ from vibrojax.explorer.encoding import EVENTS, MANTISSA_BITS, STATE_LEVELS, STUC
 from vibrojax.explorer.figure_view import figure_document
 from vibrojax.explorer.reading import first_cell
 from vibrojax.explorer.write import blocks_of
+from vibrojax.io.ownership import GENERATOR
 from vibrojax.sweep.input.read import read_sweep
 
 COLUMNS = (StateColumn("x1", "m", "position"), StateColumn("v1", "m s-1", "velocity"))
@@ -307,7 +308,7 @@ def test_page_with_borders_replaces_no_other_page(
         vj.write_dataset(plane.assign_attrs(title=name), tmp_path / name)
     monkeypatch.setattr(
         "vibrojax.explorer.write_page",
-        lambda ds, path, over, **_: path.write_text(ds.title + ("" if over is None else over.title)),
+        lambda ds, path, over, **_: path.write_text(GENERATOR + ds.title + ("" if over is None else over.title)),
     )
 
     def explore(*arguments: str) -> str:
@@ -318,8 +319,8 @@ def test_page_with_borders_replaces_no_other_page(
         assert explore() == "map.html: 0.0 MB"
         assert explore("--over", "a/borders.nc") == "map-over-borders.html: 0.0 MB"
         assert explore("--over", "b/borders.nc") == "map-over-borders-2.html: 0.0 MB"
-    assert (tmp_path / "map-over-borders.html").read_text() == "map.nca/borders.nc"
-    (tmp_path / "map.html").write_text("of an earlier dataset")
+    assert (tmp_path / "map-over-borders.html").read_text() == GENERATOR + "map.nca/borders.nc"
+    (tmp_path / "map.html").write_text(GENERATOR + "of an earlier dataset")
     assert explore() == "map.html: 0.0 MB; replaces another page"
 
 

@@ -3,6 +3,8 @@
 import json
 import os
 import re
+import resource
+import time
 import unicodedata
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import netCDF4
 import pytest
 import xarray as xr
 from hostile import HUGE, REFUSED, SHOWN, STEERING, longer_sweep, shorter_steps
+from mutants import write_mutant
 
 import vibrojax as vj
 from vibrojax.analyses.orbits.analysis import sweep_of_dataset
@@ -218,3 +221,37 @@ def test_messages_quote_few_characters_of_a_file(tmp_path):
     with pytest.raises(InputError) as raised:
         vj.read_sweep({"scene": "vibro-impact", "points": str(path)})
     assert str(raised.value).count("x") < 100
+
+
+SAMPLES = sorted((Path(__file__).parent / "data" / "versions").glob("*/*.nc"))
+MOST_SECONDS, MOST_MEMORY = 10.0, 2**20
+"""Greatest processor time of a command [s] and greatest growth of memory [KiB]."""
+
+
+def peak(who):
+    return resource.getrusage(who).ru_maxrss
+
+
+@pytest.mark.parametrize(
+    "seeds",
+    [range(6), *(pytest.param(range(first, first + 20), marks=pytest.mark.long) for first in range(0, 200, 20))],
+    ids=lambda seeds: f"{seeds.start}-{seeds.stop - 1}",
+)
+@pytest.mark.filterwarnings("default")
+def test_mutants_are_shown_or_refused(seeds, tmp_path, capsys):
+    """No command fails in more than one line, takes more than ten seconds, or fills the memory."""
+    for seed in seeds:
+        path = tmp_path / f"sent{seed}.nc"
+        what = write_mutant(seed, SAMPLES, path)
+        before, begun = peak(resource.RUSAGE_SELF), time.process_time()
+        for words in (["info"], ["plot"], ["explore"]):
+            status = main([*words, str(path)])
+            err = capsys.readouterr().err
+            assert status in (0, 2) and "Traceback" not in err and "arning" not in err, (what, words, err)
+            assert err.count("\n") == 1 if status == 2 else err.count("\n") <= 20, (what, words, err)
+        try:
+            vj.open_dataset(path)
+        except InputError as error:
+            assert "\n" not in str(error), what
+        assert time.process_time() - begun < 4 * MOST_SECONDS, what
+        assert peak(resource.RUSAGE_SELF) - before < MOST_MEMORY > peak(resource.RUSAGE_CHILDREN), what

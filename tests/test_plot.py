@@ -543,7 +543,8 @@ def test_picture_is_saved_in_format_of_suffix(tmp_path, suffix, begins):
 
 def test_failed_save_keeps_existing_picture(tmp_path, monkeypatch):
     path = tmp_path / "map.png"
-    path.write_bytes(b"old")
+    save_picture(lanes(square(3)), path)
+    old = path.read_bytes()
 
     def fail_with_full_disk(self, name, **_):
         open(name, "wb").close()
@@ -552,7 +553,7 @@ def test_failed_save_keeps_existing_picture(tmp_path, monkeypatch):
     monkeypatch.setattr(Figure, "savefig", fail_with_full_disk)
     with pytest.raises(InputError, match="No space left"):
         save_picture(lanes(square(3)), path)
-    assert path.read_bytes() == b"old"
+    assert path.read_bytes() == old
     assert list(tmp_path.iterdir()) == [path]
 
 

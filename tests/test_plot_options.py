@@ -268,7 +268,7 @@ def test_command_does_not_replace_other_pictures(tmp_path, monkeypatch, capsys):
     content = {}
 
     def save_picture(ds, path, *how):
-        path.write_bytes(content.setdefault("as", "").encode() + repr(how).encode())
+        path.write_bytes(b"\x89PNG Software\0vibrojax " + f"{content.get('as')} {how}".encode())
         return ""
 
     def command_output(*words):

@@ -93,7 +93,7 @@ def output_options(default: str) -> AddArguments:
 
     def add(parser: Any) -> None:
         argument("-o", "OUT.nc", f"where to write ({default} in this folder)", dest="out")(parser)
-        flag("--fresh", "compute again, and replace OUT, whatever it holds")(parser)
+        flag("--fresh", "compute again, and replace OUT, whatever result of vibrojax it holds")(parser)
 
     return add
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.cli.command import JSON, Options, argument, command, files, flag, output_options
-from vibrojax.cli.output import answer
+from vibrojax.cli.output import PICTURES, answer, output
 
 if TYPE_CHECKING:
     import xarray
@@ -39,6 +39,8 @@ def design(options: Options) -> None:
 
     identity = {**spec.identity(), **({"chart": True} if options.chart else {})}
     default = f"{spec.name}-{'chart' if options.chart else 'design'}.nc"
+    if options.chart:
+        output(Path(options.out or default).with_suffix(".pdf"), PICTURES)
     answer(options, default, identity, compute)
     if options.chart:
         from vibrojax.analyses.pictures import save_picture

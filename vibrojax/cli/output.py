@@ -28,8 +28,10 @@ _MAX_WORDS = 3
 """Maximum number of variables, values or datasets that a default name states."""
 
 
-def output(path: str | Path, endings: Sequence[str] = (".nc",), *, drawn: bool = False) -> Path:
+def output(path: str | Path, endings: Sequence[str] = (".nc",), *, drawn: bool = False, numbered: bool = False) -> Path:
     """Return `path`, checked to be a writable file; `drawn`: also check the picture next to it.
+
+    `numbered`: whether another file at `path` stays, and the new one gets a number.
 
     **Raises:** `InputError` if the file cannot be written, its name does not end in one of `endings`, or it exists and
     this package has not written it.
@@ -43,7 +45,8 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",), *, drawn: bool =
     if path.is_dir() and path.suffix != ZARR:
         raise InputError(f"{place} is a folder; give the name of a file")
     folder = path.parent
-    check_ours(path)
+    if not numbered:
+        check_ours(path)
     if not folder.is_dir():
         problem = "is not a folder" if folder.exists() else "does not exist"
         raise InputError(f"{place}: {shown(str(folder))} {problem}; give a file in a folder that exists")
@@ -65,7 +68,8 @@ def view_path(options: Options, file: Path, endings: Sequence[str], parts: Seque
     **Raises:** `InputError` if the name has none of the `endings`, or the file cannot be written.
     """
     name = "-".join([file.stem, *(re.sub(r"[^\w.+-]+", "_", part) for part in parts)])
-    return output(options.out or file.with_name(name[:_NAME_MAX_CHARACTERS] + endings[0]), endings)
+    default = file.with_name(name[:_NAME_MAX_CHARACTERS] + endings[0])
+    return output(options.out or default, endings, numbered=bool(parts) and not options.out)
 
 
 def write_view(path: Path, write: Callable[[Path], object], *, numbered: bool) -> tuple[Path, str]:

@@ -40,7 +40,7 @@ DEFAULT_JOBS = 10
     ),
     either(
         flag("--resume", "go on with the finished chunks beside OUT; a finished OUT is kept (the default)"),
-        flag("--fresh", "start over, and replace OUT whatever it holds"),
+        flag("--fresh", "start over, and replace OUT, whatever result of vibrojax it holds"),
     ),
     either(
         argument(

@@ -32,7 +32,7 @@ _MARKS = {
 }
 """Mark of each kind of file other than datasets."""
 
-_IN_STORE = re.compile(r"\.zgroup|\.zattrs|\.zmetadata|\.zarray|\d+(\.\d+)*|zarr\.json")
+_IN_STORE = re.compile(r"\.zgroup|\.zattrs|\.zmetadata|\.zarray|\d+(\.\d+)*")
 """Names of the files of a store: metadata and chunks."""
 
 

@@ -4,8 +4,9 @@ A seal is part of the file and not of the dataset: bytes after the end of an HDF
 key of the file `.zmetadata` of a store. Whatever changes a dataset with another tool writes it without the seal, and
 the dataset then opens as one of unknown origin. A flipped bit, a lost block or a truncated end breaks the seal.
 
-The code is an HMAC of the digest with a secret in the user's cache folder. It tells the user's own files, which are
-read in this process, from files of unknown origin, which a process of their own reads (`io.untrusted`).
+The code is an HMAC of the digest with a secret in the cache folder (see [vibrojax.compile.kernels.cache][]). It tells
+the user's own files, which are read in this process, from files of unknown origin, which a process of their own reads
+(`io.untrusted`).
 """
 
 import hashlib
@@ -139,10 +140,11 @@ def _code(digest: bytes) -> bytes:
 
 @cache
 def _secret() -> bytes | None:
-    """Return the user's secret, which is made at its first use; None where no file can be private or be written."""
-    if not hasattr(os, "geteuid"):
+    """Return the user's secret, which is made at its first use; None where no file can be private, or none is kept."""
+    chosen = os.environ.get("VIBROJAX_CACHE", "")
+    if chosen.lower() in ("off", "0", "no", "none") or not hasattr(os, "geteuid"):
         return None
-    path = user_cache_path("vibrojax", appauthor=False) / "seal"
+    path = (Path(chosen).expanduser() if chosen else user_cache_path("vibrojax", appauthor=False)) / "seal"
     new = path.with_name(f".seal-{secrets.token_hex(8)}")
     try:
         if not path.exists():

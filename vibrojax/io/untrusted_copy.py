@@ -18,7 +18,7 @@ from math import prod
 from pathlib import Path
 from typing import Any
 
-MOST_VARIABLES = 5000
+MOST_VARIABLES = 2000
 """Greatest number of variables: a wide design has some hundred."""
 
 MOST_MEMORY = 900 * 2**20
@@ -118,7 +118,9 @@ def main(source: str, destination: str, most: str, packed: str, seconds: str) ->
         (resource.RLIMIT_DATA, MOST_MEMORY),
         (resource.RLIMIT_FSIZE, MOST_MEMORY),
     ):
-        resource.setrlimit(kind, (limit, limit))
+        allowed = resource.getrlimit(kind)[1]
+        least = limit if allowed == resource.RLIM_INFINITY else min(limit, allowed)
+        resource.setrlimit(kind, (least, least))
     answer: dict[str, Any] = {}
     try:
         copy = copy_store if os.path.isdir(source) else copy_file

@@ -22,6 +22,7 @@ from vibrojax.analyses.sweep.workers.processes import by_processes, by_slurm
 from vibrojax.analyses.sweep.workers.work import MeasuredCosts, Work, by_cost, compute_shared
 from vibrojax.io.dataset import COMPRESSED, open_dataset
 from vibrojax.io.manifest import check_replaceable
+from vibrojax.io.ownership import check_ours
 from vibrojax.io.provenance import provenance
 from vibrojax.io.shards import DamagedShard, Shards, report_damage
 from vibrojax.io.targets import InMemory, Target, file_target
@@ -94,8 +95,8 @@ def run_to_file(
     """Run a sweep and write its dataset to the file `out`, netCDF or Zarr.
 
     Finished chunks are kept next to `out` until the dataset is complete. With `resume`, existing chunks are continued;
-    otherwise the run starts over and replaces `out`, whatever it holds. The chunks are computed by an `executor`, see
-    `run_sweep`, by a number of spawned `processes` on this machine, or by a number of SLURM `jobs`.
+    otherwise the run starts over and replaces `out`, whatever result of the package it holds. The chunks are computed
+    by an `executor`, see `run_sweep`, by a number of spawned `processes` on this machine, or by a number of SLURM `jobs`.
 
     **Returns:** the dataset that was written.
 
@@ -104,6 +105,7 @@ def run_to_file(
     """
     if resume:
         check_replaceable(out, sweep.identity())
+    check_ours(out)
     check_size(sweep, estimate(sweep, to_file=True), out)
     with (
         _computed(sweep, out, resume, progress, executor, processes, jobs) as write,

@@ -1,0 +1,197 @@
+"""Mutated datasets: random changes of content and structure, and random damage to the bytes of a file."""
+
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import netCDF4
+import numpy as np
+import xarray as xr
+
+import vibrojax as vj
+
+ODD_VALUES: tuple[object, ...] = (
+    "",
+    "text " * 3000,
+    "{}",
+    "[1, null]",
+    '{"a": 1e999}',
+    "days since 0001-01-01",
+    -1,
+    0,
+    2**62,
+    1e308,
+    float("nan"),
+    np.array([1.5, np.inf]),
+    np.array([], np.int8),
+    np.arange(200, dtype=np.int64),
+    ["a", "b"],
+)
+"""Values that an attribute may have in a file."""
+
+DTYPES = ("float32", "float64", "int8", "int64", "uint16", "U5", "S3", "bool")
+NAMES = ("__proto__", "x" * 150, "time", "start", "kind", "curve", "share", "special_kind", "region_area", "event_time")
+
+Change = Callable[[random.Random, xr.Dataset], xr.Dataset]
+
+
+def _any(rng: random.Random, ds: xr.Dataset) -> str:
+    return rng.choice([str(name) for name in ds.variables])
+
+
+def _with(ds: xr.Dataset, name: str, data: xr.Variable) -> xr.Dataset:
+    data.attrs.update({key: value for key, value in ds[name].attrs.items() if key not in data.attrs})
+    place = ds.assign_coords if name in ds.coords else ds.assign
+    return place({name: (data.dims, data.values, data.attrs)})
+
+
+def drop_variable(rng: random.Random, ds: xr.Dataset) -> xr.Dataset:
+    return ds.drop_vars(_any(rng, ds))
+
+
+def drop_attribute(rng: random.Random, ds: xr.Dataset) -> xr.Dataset:
+    attributes = rng.choice([ds.attrs, ds[_any(rng, ds)].attrs])
+    for name in rng.sample(sorted(attributes), min(len(attributes), rng.randint(1, 4))):
+        if name != "source":
+            del attributes[name]
+    return ds
+
+
+def change_attribute(rng: random.Random, ds: xr.Dataset) -> xr.Dataset:
+    attributes = rng.choice([ds.attrs, ds[_any(rng, ds)].attrs])
+    names = [name for name in attributes if name != "source"]
+    names += ["units", "flag_values", "flag_meanings", "scale_factor", "add_offset", "kind", "axes", "along", "form"]
+    attributes[rng.choice(names)] = rng.choice(ODD_VALUES)
+    return ds
+
+
+def change_dtype(rng: random.Random, ds: xr.Dataset) -> xr.Dataset:
+    name = _any(rng, ds)
+    with np.errstate(all="ignore"):
+        try:
+            return _with(ds, name, ds[name].variable.astype(rng.choice(DTYPES)))
+        except ValueError:  # a text that is no number
+            return ds.drop_vars(name)
+
+
+def change_values(rng: random.Random, ds: xr.Dataset) -> xr.Dataset:
+    name = _any(rng, ds)
+    values = ds[name].values.copy()
+    if values.dtype.kind == "f":
+        odd = [np.nan, np.inf, -np.inf, 1e308, -1e308, 1e-320, 0.0, 1e99]
+    elif values.dtype.kind in "iu":
+        odd = [np.iinfo(values.dtype).min, np.iinfo(values.dtype).max, 0, 1, 7]
+    else:
+        odd = ["", "x" * 300, "a\nb", "$\\frac{$"]
+        values = values.astype(object)
+    flat = values.reshape(-1)
+    share = rng.choice([0.1, 0.5, 1.0])
+    for index in range(flat.size):
+        if rng.random() < share:
+            flat[index] = rng.choice(odd)
+    return _with(ds, name, xr.Variable(ds[name].dims, values))
+
+
+def change_dimension(rng: random.Random, ds: xr.Dataset) -> xr.Dataset:
+    if not ds.sizes:
+        return ds
+    name = rng.choice(sorted(map(str, ds.sizes)))
+    kind = rng.choice(["none", "one", "many", "reversed", "renamed", "no coordinate", "transposed"])
+    if kind == "many":
+        return ds.isel({name: np.arange(rng.choice([50, 3000])) % max(1, ds.sizes[name])})
+    if kind == "reversed":
+        return ds.isel({name: slice(None, None, -1)})
+    if kind == "renamed":
+        return ds.rename({name: rng.choice([other for other in NAMES if other not in ds.variables])})
+    if kind == "no coordinate":
+        return ds.drop_vars(name, errors="ignore")
+    if kind == "transposed":
+        return ds.transpose()
+    return ds.isel({name: slice(0 if kind == "none" else 1)})
+
+
+def rename_variable(rng: random.Random, ds: xr.Dataset) -> xr.Dataset:
+    names = [name for name in NAMES if name not in ds.variables and name not in ds.dims]
+    data = [str(name) for name in ds.data_vars]
+    return ds.rename({rng.choice(data): rng.choice(names)}) if data else ds
+
+
+def change_kind(rng: random.Random, ds: xr.Dataset) -> xr.Dataset:
+    from vibrojax.io.kinds import STRUCTURES
+
+    return ds.assign_attrs(kind=rng.choice([*STRUCTURES, "sweep", "fit", "of nothing"]))
+
+
+CHANGES: tuple[Change, ...] = (
+    drop_variable,
+    drop_attribute,
+    change_attribute,
+    change_attribute,
+    change_dtype,
+    change_values,
+    change_values,
+    change_dimension,
+    rename_variable,
+    change_kind,
+)
+
+
+def damage(rng: random.Random, content: bytes) -> bytes:
+    """Return the content of a file after flips, a block of other bytes, a cut, or an insertion."""
+    changed, size = bytearray(content), len(content)
+    position, length = rng.randrange(size), rng.choice([1, 16, 64, 512, 4096])
+    kind = rng.choice(["flip", "flips", "zeros", "zeros", "ones", "cut", "insert", "repeat"])
+    if kind in ("flip", "flips"):
+        for _ in range(1 if kind == "flip" else 20):
+            changed[rng.randrange(size)] ^= 1 << rng.randrange(8)
+    elif kind in ("zeros", "ones"):
+        changed[position : position + length] = (b"\0" if kind == "zeros" else b"\xff") * length
+    elif kind == "cut":
+        del changed[position:]
+    elif kind == "insert":
+        changed[position:position] = rng.randbytes(length)
+    else:
+        changed[position : position + length] = changed[:length]
+    return bytes(changed)
+
+
+def claim(rng: random.Random, ds: xr.Dataset, path: Path) -> None:
+    """Write a file whose dimensions are huge, most of whose values are not stored."""
+    size = rng.choice([3000, 10**4, 10**6])
+    with netCDF4.Dataset(path, "w") as file:
+        file.setncatts({name: value for name, value in ds.attrs.items() if not isinstance(value, (dict, list))})
+        for name in ("beta", "gamma"):
+            file.createDimension(name, size)
+            x = file.createVariable(name, "f8", (name,), zlib=True, fill_value=False)
+            x[:] = np.arange(size) / size
+        for name, dtype in (("regime", "i1"), ("period", "f8")):
+            chunks = (min(size, 1000), min(size, 1000))
+            file.createVariable(name, dtype, ("beta", "gamma"), chunksizes=chunks, zlib=True, fill_value=False)
+
+
+def write_mutant(seed: int, sources: list[Path], path: Path) -> str:
+    """Write a mutant to `path`, from one of the datasets `sources`; return a description."""
+    rng = random.Random(seed)
+    original = rng.choice(sources)
+    ds = vj.open_dataset(original).drop_encoding()
+    kind = rng.choice(["damage", "change", "change", "claim"] if seed % 4 == 0 else ["damage", "change"])
+    if kind == "claim":
+        claim(rng, ds, path)
+        return f"{seed}: {original.stem}, huge"
+    if kind == "damage":
+        path.write_bytes(damage(rng, original.read_bytes()))
+        return f"{seed}: {original.stem}, damaged"
+    names = []
+    for change in rng.sample(CHANGES, rng.randint(1, 3)):
+        names.append(change.__name__)
+        ds = change(rng, ds)
+    try:
+        if rng.random() < 0.5:
+            vj.write_dataset(ds, path)
+        else:
+            ds.to_netcdf(path)
+    except (ValueError, TypeError, AttributeError, RuntimeError, KeyError, vj.InputError):  # netCDF has no such value
+        path.unlink(missing_ok=True)
+        path.write_bytes(damage(rng, original.read_bytes()))
+        names.append("damaged instead")
+    return f"{seed}: {original.stem}, {', '.join(names)}"

@@ -1,0 +1,273 @@
+"""Tests of seals and of files of unknown origin: damage is refused, edits open, and nothing hangs or reads elsewhere."""
+
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+
+import vibrojax as vj
+from vibrojax.io import atomic, seal, untrusted
+
+DATA = Path(__file__).parent / "data"
+RATES = DATA / "versions" / "0.1.0" / "rates.nc"
+LOOPING = 3430
+"""Position in `rates.nc` where 64 zeros make HDF5 loop."""
+
+
+@pytest.fixture(scope="module")
+def rates() -> xr.Dataset:
+    return vj.open_dataset(RATES)
+
+
+@pytest.fixture(params=[".nc", ".zarr"])
+def written(request, rates, tmp_path) -> Path:
+    if request.param == ".zarr":
+        pytest.importorskip("zarr")
+    path = tmp_path / f"rates{request.param}"
+    vj.write_dataset(rates, path)
+    return path
+
+
+def refusal(path: Path) -> str:
+    """Return the line in which a dataset is refused."""
+    with pytest.raises(vj.InputError) as raised:
+        vj.open_dataset(path)
+    assert str(raised.value).startswith(f"{path}: ") and "\n" not in str(raised.value)
+    return str(raised.value)
+
+
+def check_flips(path: Path, rates: xr.Dataset, count: int) -> None:
+    """Flip single bits: the dataset is the original, or refused."""
+    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
+    sizes, rng = [file.stat().st_size for file in files], random.Random(1)
+    for _ in range(count):
+        file = rng.choices(files, sizes)[0]
+        content = file.read_bytes()
+        flipped = bytearray(content)
+        flipped[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
+        file.write_bytes(flipped)
+        try:
+            xr.testing.assert_identical(vj.open_dataset(path), rates)
+        except vj.InputError as error:
+            assert "\n" not in str(error)
+        file.write_bytes(content)
+    xr.testing.assert_identical(vj.open_dataset(path), rates)
+
+
+def test_no_flip_opens_with_other_values(written, rates):
+    check_flips(written, rates, 120)
+
+
+@pytest.mark.long
+def test_none_of_many_flips_opens_with_other_values(written, rates):
+    check_flips(written, rates, 1000)
+
+
+def test_damage_of_every_kind_breaks_the_seal(rates, tmp_path):
+    path = tmp_path / "rates.nc"
+    vj.write_dataset(rates, path)
+    content = path.read_bytes()
+    assert seal.is_own(path) and len(content) > RATES.stat().st_size / 2
+    for damaged in (content[:-1], content[:-20], content[:-100] + bytes(100), content + b"\0", content[:9000]):
+        path.write_bytes(damaged)
+        assert "damaged" in refusal(path) or "netCDF" in refusal(path)
+
+
+def test_edited_datasets_open(written, rates):
+    """A dataset that other software writes has no seal, whether it was opened here or there."""
+    edited = rates.isel(frequency=slice(2)).assign_attrs(title="mine")
+    if written.suffix == ".nc":
+        with xr.open_dataset(written) as stored:
+            stored.isel(frequency=slice(2)).assign_attrs(title="mine").to_netcdf(written.with_name("selected.nc"))
+        with netCDF4.Dataset(written, "a") as file:
+            file.title = "mine"
+            file["rate_of_penetration"][:] = 1.0
+        assert (vj.open_dataset(written)["rate_of_penetration"] == 1.0).all()
+    else:
+        xr.open_zarr(written).isel(frequency=slice(2)).assign_attrs(title="mine").to_zarr(
+            written.with_name("selected.zarr"), zarr_format=2
+        )
+        ones = xr.ones_like(rates[["rate_of_penetration"]])
+        ones.to_zarr(written, mode="a", zarr_format=2, consolidated=True)
+        assert (vj.open_dataset(written)["rate_of_penetration"] == 1.0).all()
+    selected = vj.open_dataset(written.with_name(f"selected{written.suffix}"))
+    for name in edited.data_vars:
+        np.testing.assert_array_equal(selected[name].values, edited[name].values)
+    assert selected.attrs["title"] == "mine"
+    vj.write_dataset(selected, written.with_name(f"selected{written.suffix}"))
+    assert seal.is_own(written.with_name(f"selected{written.suffix}"))
+
+
+def test_dataset_without_secret_is_read_as_unknown(written, rates, monkeypatch):
+    """Another user's dataset opens with the same values, after a check in a process of its own."""
+    monkeypatch.setattr(seal, "_secret", lambda: b"another")
+    assert not seal.is_own(written)
+    xr.testing.assert_identical(vj.open_dataset(written), rates)
+
+
+@pytest.mark.parametrize("private", [True, False])
+def test_secret_is_private(private, tmp_path, monkeypatch):
+    monkeypatch.setenv("VIBROJAX_CACHE", str(tmp_path / "cache"))
+    secret = seal._secret.__wrapped__()
+    path = tmp_path / "cache" / "seal"
+    assert len(secret) == 32 and path.stat().st_mode & 0o777 == 0o600 and len(list(path.parent.iterdir())) == 1
+    path.chmod(0o600 if private else 0o640)
+    assert seal._secret.__wrapped__() == (secret if private else None)
+    monkeypatch.setenv("VIBROJAX_CACHE", "off")
+    assert seal._secret.__wrapped__() is None
+
+
+def test_looping_file_leaves_no_lock(rates, tmp_path, monkeypatch):
+    monkeypatch.setattr(untrusted, "PROCESSOR_SECONDS", 1.0)
+    content = bytearray(RATES.read_bytes())
+    content[LOOPING : LOOPING + 64] = bytes(64)
+    (tmp_path / "damaged.nc").write_bytes(content)
+    assert "its structure is damaged" in refusal(tmp_path / "damaged.nc")
+    began = time.monotonic()
+    xr.testing.assert_identical(vj.open_dataset(RATES), rates)
+    vj.write_dataset(rates, tmp_path / "whole.nc")
+    xr.testing.assert_identical(vj.open_dataset(tmp_path / "whole.nc"), rates)
+    assert time.monotonic() - began < 20
+
+
+@pytest.mark.long
+def test_blocks_of_zeros_leave_no_lock(rates, tmp_path, monkeypatch):
+    monkeypatch.setattr(untrusted, "PROCESSOR_SECONDS", 2.0)
+    content, path = RATES.read_bytes(), tmp_path / "damaged.nc"
+    for size in (16, 64, 512):
+        for position in np.linspace(0, len(content) - size, 100).astype(int):
+            path.write_bytes(content[:position] + bytes(size) + content[position + size :])
+            try:
+                vj.open_dataset(path)
+            except vj.InputError as error:
+                assert "\n" not in str(error)
+    xr.testing.assert_identical(vj.open_dataset(RATES), rates)
+    vj.write_dataset(rates, tmp_path / "whole.nc")
+
+
+@pytest.mark.parametrize("kind", ["storage", "link", "virtual"])
+def test_other_files_are_not_read(kind, tmp_path, monkeypatch):
+    """Values of `period` are those of `secret.bin` or `other.h5`; see `tests/data/README.md`."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "secret.bin").write_bytes(np.arange(4.0).tobytes())
+    for file in (DATA / "links").iterdir():
+        shutil.copy(file, tmp_path)
+    if kind == "storage":
+        with xr.open_dataset("storage.nc") as ds:
+            assert ds["period"].values.tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert "refers to other files" in (line := refusal(Path(f"{kind}.nc"))) or "values of other files" in line
+
+
+def test_store_cannot_name_files_elsewhere(rates, tmp_path):
+    pytest.importorskip("zarr")
+    store, metadata = tmp_path / "rates.zarr", tmp_path / "rates.zarr" / ".zmetadata"
+    vj.write_dataset(rates, store)
+    (tmp_path / "elsewhere").mkdir()
+    whole = json.loads(metadata.read_text())
+    whole["metadata"]["../elsewhere/.zarray"] = whole["metadata"]["relief/.zarray"]
+    metadata.write_text(json.dumps(whole))
+    assert "a name that is no variable's" in refusal(store)
+
+
+def write_many(path: Path) -> None:
+    with netCDF4.Dataset(path, "w") as file:
+        file.source = "vibrojax 0"
+        for number in range(2001):
+            file.createVariable(f"x{number}", "i1")
+
+
+def write_dates(path: Path) -> None:
+    """Write 30 kB that are 30 MB as numbers, and 3 GB as dates."""
+    with netCDF4.Dataset(path, "w") as file:
+        file.source = "vibrojax 0"
+        file.createDimension("row", 30_000_000)
+        x = file.createVariable("x", "i1", ("row",), zlib=True, complevel=9, chunksizes=(10_000_000,), fill_value=False)
+        x.units = "days since 0001-01-01"
+        x.calendar = "noleap"
+        x[:] = np.zeros(30_000_000, np.int8)
+
+
+def write_scaled(path: Path) -> None:
+    """Write values that take eight times as much memory when they are unpacked."""
+    with netCDF4.Dataset(path, "w") as file:
+        file.source = "vibrojax 0"
+        file.createDimension("row", 40_000_000)
+        x = file.createVariable("x", "i1", ("row",), zlib=True, chunksizes=(10_000_000,), fill_value=False)
+        x.scale_factor = 0.5
+        x[:] = np.zeros(40_000_000, np.int8)
+
+
+BOMBS = {"2001 variables": write_many, "dates": write_dates, "unpacked": write_scaled}
+MEASURED = """
+import resource, sys, vibrojax as vj
+try:
+    print(vj.open_dataset(sys.argv[1]).sizes)
+except vj.InputError as error:
+    print(error)
+print(max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 2**20)
+"""
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_memory_is_bounded(name, tmp_path):
+    path = tmp_path / "sent.nc"
+    BOMBS[name](path)
+    words = [sys.executable, "-c", MEASURED, str(path)]
+    ended = subprocess.run(words, capture_output=True, text=True, check=True, timeout=120)
+    line, gigabytes = ended.stdout.splitlines()
+    assert float(gigabytes) < 1.0, ended.stdout
+    assert {"2001 variables": "it has 2001 variables", "dates": "30000000", "unpacked": "0.32 GB"}[name] in line
+
+
+CUT_OFF = """
+import os, sys
+from pathlib import Path
+from vibrojax.io.atomic import atomic_folder
+rename = Path.rename
+def rename_and_end(self, target):
+    rename(self, target)
+    os._exit(9)
+Path.rename = rename_and_end
+with atomic_folder(Path(sys.argv[1])) as part:
+    (part / ".zattrs").write_text("{}")
+"""
+
+
+def test_store_survives_a_kill_while_it_is_replaced(rates, tmp_path):
+    pytest.importorskip("zarr")
+    store = tmp_path / "rates.zarr"
+    for restored in (lambda: vj.open_dataset(store), lambda: vj.write_dataset(rates, store)):
+        vj.write_dataset(rates, store)
+        assert subprocess.run([sys.executable, "-c", CUT_OFF, str(store)], check=False).returncode == 9
+        assert not store.exists()
+        restored()
+        xr.testing.assert_identical(vj.open_dataset(store), rates)
+    assert os.listdir(tmp_path) == ["rates.zarr"]
+
+
+def test_store_stays_if_its_replacement_cannot_be_renamed(rates, tmp_path, monkeypatch):
+    pytest.importorskip("zarr")
+    store = tmp_path / "rates.zarr"
+    vj.write_dataset(rates, store)
+    rename = Path.rename
+
+    def fail(self, target):
+        if self.suffix == ".tmp":
+            raise OSError(28, "No space left on device")
+        return rename(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", fail)
+        with pytest.raises(OSError), atomic.atomic_folder(store):
+            pass
+    xr.testing.assert_identical(vj.open_dataset(store), rates)
+    assert os.listdir(tmp_path) == ["rates.zarr"]
