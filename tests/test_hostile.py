@@ -12,7 +12,7 @@ import netCDF4
 import pytest
 import xarray as xr
 from hostile import HUGE, REFUSED, SHOWN, STEERING, longer_sweep, shorter_steps
-from mutants import write_mutant
+from mutants import write_mutant, write_sources
 
 import vibrojax as vj
 from vibrojax.analyses.orbits.analysis import sweep_of_dataset
@@ -224,8 +224,8 @@ def test_messages_quote_few_characters_of_a_file(tmp_path):
 
 
 SAMPLES = sorted((Path(__file__).parent / "data" / "versions").glob("*/*.nc"))
-MOST_SECONDS, MOST_MEMORY = 10.0, 2**20
-"""Greatest processor time of a command [s] and greatest growth of memory [KiB]."""
+MOST_SECONDS, MOST_MEMORY = 20.0, 2**20
+"""Greatest processor time of all commands [s] and greatest growth of memory [KiB]."""
 
 
 def peak(who):
@@ -239,10 +239,11 @@ def peak(who):
 )
 @pytest.mark.filterwarnings("default")
 def test_mutants_are_shown_or_refused(seeds, tmp_path, capsys):
-    """No command fails in more than one line, takes more than ten seconds, or fills the memory."""
+    """No command fails in more than one line, takes long, or fills the memory."""
+    sources = write_sources(SAMPLES, tmp_path)
     for seed in seeds:
         path = tmp_path / f"sent{seed}.nc"
-        what = write_mutant(seed, SAMPLES, path)
+        what = write_mutant(seed, sources, path)
         before, begun = peak(resource.RUSAGE_SELF), time.process_time()
         for words in (["info"], ["plot"], ["explore"]):
             status = main([*words, str(path)])
@@ -253,5 +254,5 @@ def test_mutants_are_shown_or_refused(seeds, tmp_path, capsys):
             vj.open_dataset(path)
         except InputError as error:
             assert "\n" not in str(error), what
-        assert time.process_time() - begun < 4 * MOST_SECONDS, what
+        assert time.process_time() - begun < MOST_SECONDS, what
         assert peak(resource.RUSAGE_SELF) - before < MOST_MEMORY > peak(resource.RUSAGE_CHILDREN), what

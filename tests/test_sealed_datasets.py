@@ -1,4 +1,4 @@
-"""Tests of seals and of files of unknown origin: damage is refused, edits open, and nothing hangs or reads elsewhere."""
+"""Tests of seals and of files of unknown origin: damage is refused, edits open, nothing hangs or reads elsewhere."""
 
 import json
 import os

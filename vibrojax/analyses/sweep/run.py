@@ -96,7 +96,8 @@ def run_to_file(
 
     Finished chunks are kept next to `out` until the dataset is complete. With `resume`, existing chunks are continued;
     otherwise the run starts over and replaces `out`, whatever result of the package it holds. The chunks are computed
-    by an `executor`, see `run_sweep`, by a number of spawned `processes` on this machine, or by a number of SLURM `jobs`.
+    by an `executor`, see `run_sweep`, by a number of spawned `processes` on this machine, or by a number of SLURM
+    `jobs`.
 
     **Returns:** the dataset that was written.
 
