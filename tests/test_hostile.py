@@ -256,3 +256,10 @@ def test_mutants_are_shown_or_refused(seeds, tmp_path, capsys):
             assert "\n" not in str(error), what
         assert time.process_time() - begun < MOST_SECONDS, what
         assert peak(resource.RUSAGE_SELF) - before < MOST_MEMORY > peak(resource.RUSAGE_CHILDREN), what
+
+
+def test_motion_that_is_not_finite_has_no_page(tmp_path):
+    motion = vj.simulate("rotary", duration=0.5, progress=False)
+    motion["x1"][-3] = float("inf")
+    with pytest.raises(InputError, match="the motion has values that are not finite"):
+        vj.write_page(motion, tmp_path / "page.html", progress=False)

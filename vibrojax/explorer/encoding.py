@@ -43,6 +43,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from vibrojax.errors import InputError
+
 EVENTS = ("none", "stick", "slip", "impact", "release", "section", "switch", "slide")
 """Meanings of the event number in a sample's flag; the same as in `event_kind` of a trajectory."""
 
@@ -156,6 +158,8 @@ def _quantised(values: np.ndarray) -> tuple[np.ndarray, list[float]]:
     """Return values quantised to integer levels, and the values of the lowest and the highest level."""
     if not values.size:
         return np.zeros(0, np.uint16), [0.0, 0.0]
+    if not np.isfinite(values).all():
+        raise InputError("explore: the motion has values that are not finite")
     least, greatest = float(values.min()), float(values.max())
     step = (greatest - least) / STATE_LEVELS
     levels = np.round((values - least) / step) if step > 0 else np.zeros(values.shape)
