@@ -4,10 +4,21 @@ import json
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.tolerance.run import INTERIOR_SAMPLES, PLACES, QUANTITIES, sample_box, tolerance_variables
+from vibrojax.analyses.analysis import analysis_of
+from vibrojax.analyses.tolerance import refinement
+from vibrojax.analyses.tolerance.run import (
+    INTERIOR_SAMPLES,
+    PLACES,
+    QUANTITIES,
+    REFINED,
+    sample_box,
+    tolerance_variables,
+)
 from vibrojax.cli import main
+from vibrojax.measures.labels import REGIMES
 
 RUN = {"settle": 10.0, "observe": 5.0}
 MACHINE = {"beta": 0.4, "gamma": (0.75, 0.01), "delta": (0.005, 0.001), "start": "stuck"}
@@ -32,7 +43,7 @@ def test_samples_of_box(dimensions):
 
 
 def test_lanes_agree_with_single_machines(box):
-    assert box.sizes["sample"] == 1 + 4 + 4 + INTERIOR_SAMPLES and box.attrs["kind"] == "tolerance"
+    assert (box.place != REFINED).sum() == 1 + 4 + 4 + INTERIOR_SAMPLES and box.attrs["kind"] == "tolerance"
     assert {name: box.attrs[f"tolerance_{name}"] for name in ("gamma", "delta")} == {"gamma": 0.01, "delta": 0.001}
     corner = int(np.flatnonzero((box.gamma == 0.76) & (box.delta == 0.004))[0])
     for sample, gamma, delta in ((0, 0.75, 0.005), (corner, 0.76, 0.004)):
@@ -53,6 +64,44 @@ def test_extremes_and_shares(box):
             assert float(lane[int(box[f"{name}_{word}_sample"][0])]) == float(extreme)
     np.testing.assert_allclose(box.regime_share.sum("label"), 1.0)
     assert float(box.regime_share.sel(label="single-impact")[0]) == float(box.regime_kept[0]) == 1.0
+    assert float(box.irregular_share[0]) == 0.0 and "not bounds of the box" in box.attrs["extremes"]
+
+
+def closed_form(units):
+    """Return lanes whose impact velocity is least inside the box and greatest at a corner, and whose period is odd."""
+    x, y = units[:, :1] - 0.37, units[:, 1:] + 0.21
+    lanes = {"impact_velocity": np.abs(x) + y**2, "period": x + y, "cycles": np.ones_like(x)}
+    return xr.Dataset({name: (("point", "start"), values) for name, values in lanes.items()})
+
+
+def test_search_from_extreme_samples_finds_extremes_of_box(monkeypatch):
+    monkeypatch.setattr(refinement, "run_sweep", lambda units, progress: closed_form(units))
+    monkeypatch.setattr(refinement, "_with_attributes", lambda sweep, ds: ds)
+    units, _ = sample_box(2)
+    sampled = closed_form(units)
+    ds, tried, added = refinement.refine(lambda points: points, units, sampled, QUANTITIES)
+    assert float(sampled.impact_velocity.min()) > 0.02 and float(ds.impact_velocity.min()) < 0.01
+    assert 0 < added <= tried < 200 and ds.sizes["point"] == len(units) + added
+    for name in ("impact_velocity", "period"):  # the corners are the greatest, and nothing leaves the box
+        assert float(ds[name].max()) == float(sampled[name].max())
+
+
+def test_refined_samples_are_consistent_and_irregular_boxes_say_so_first():
+    machine = {"beta": 0.4, "gamma": (0.64, 0.0064), "delta": (-0.002, 0.001), "start": "drive"}
+    box = vj.tolerance("vibro-impact", **machine, progress=False)
+    sampled, refined = box.isel(sample=box.place != REFINED), box.isel(sample=box.place == REFINED)
+    assert refined.sizes["sample"] and box.attrs["lanes"] == box.sizes["sample"]
+    assert float(box.impact_velocity_most[0]) > float(sampled.impact_velocity.max())
+    assert (np.abs(refined.gamma - 0.64) <= 0.0064 * (1 + 1e-9)).all()
+    alone = vj.run_sweep(
+        {"scene": "vibro-impact", "starts": ["drive"], "parameters": {"beta": 0.4},
+         "points": {name: refined[name].values.tolist() for name in ("gamma", "delta")}}, progress=False,
+    )  # fmt: skip
+    np.testing.assert_allclose(alone.impact_velocity, refined.impact_velocity, rtol=1e-9)
+    irregular = float((sampled.regime == REGIMES.index("irregular")).mean())
+    assert float(box.irregular_share[0]) >= irregular > 0
+    lines = analysis_of(box).summary(box)[0].lines
+    assert lines[0].startswith("irregular motions in the box") and lines[-1] == box.attrs["extremes"]
 
 
 def test_catalogue_lists_variables(box):
@@ -123,5 +172,5 @@ def test_invalid_input_gives_one_line(words, line, tmp_path, monkeypatch, capsys
 
 def test_long_name_does_not_repeat_greatest():
     names = [variable.long_name for variable in tolerance_variables(["peak_impact_force"]).values()]
-    assert "greatest contact force over the box" in names
+    assert "greatest contact force of the samples" in names
     assert not any("greatest greatest" in name for name in names)

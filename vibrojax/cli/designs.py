@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     JSON,
 )
 def design(options: Options) -> None:
-    """Find the best drill under constraints that hold from every start and within the tolerances."""
+    """Find the best drill under constraints that hold from every start and at samples of the tolerances."""
     from vibrojax.analyses.design.run import find_design
     from vibrojax.analyses.design.spec import read_design
 

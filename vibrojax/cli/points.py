@@ -190,14 +190,14 @@ def push(options: Options) -> None:
     point_arguments(
         TOLERANCE_SETTINGS,
         "parameters; those with a tolerance as NAME=VALUE+-HALF_WIDTH, like delta=-0.002+-0.001 or gamma=0.64+-1%% "
-        "(± is accepted). start (a name, or [x1,x1',x2,x2']; by default all starts), settle and observe (s: 40, 8), "
-        "error (1e-4)",
+        "(± is accepted). start (a name, or [x1,x1',x2,x2']; by default drive and stuck, where the scene has them), "
+        "settle and observe (s: 40, 8), error (1e-4)",
     ),
     output_options("SCENE-tolerance.nc"),
     JSON,
 )
 def tolerance(options: Options) -> None:
-    """Simulate a machine over the box of its parameter tolerances: regimes, worst case, and where it occurs."""
+    """Simulate a machine at samples of the box of its tolerances: regimes, worst sample, and where it occurs."""
     place = Place("tolerance")
     pairs = dict(_pair(place, word) for word in options.values if _HALF_WIDTH.search(word))
     words = [word for word in options.values if not _HALF_WIDTH.search(word)]

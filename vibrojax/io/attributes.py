@@ -200,7 +200,7 @@ def _pair(place: Place, value: object, kind: type, what: str) -> list[Any]:
 _READERS: dict[str, Callable[[Place, object], Any]] = {
     **dict.fromkeys(("title", "scene", "friction", "pulse_shape", "start", "source", "jax", "history"), _text),
     **dict.fromkeys(("sweep", "along", "formulas", "reference", "settings"), _text),
-    **dict.fromkeys(("dialect", "detected", "notes"), _text),
+    **dict.fromkeys(("dialect", "detected", "notes", "error_model"), _text),
     **dict.fromkeys(("solver", "identity", "machine", "attractors"), _json),
     **dict.fromkeys(("lanes", "wall_time_s", "rows_read", "reference_force"), _number),
     "run": _run,

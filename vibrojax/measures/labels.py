@@ -23,6 +23,9 @@ REGIMES = (
 LABELLED_BY = ("finite", "finished", "at_rest", "bit_amplitude", "returns", "trend", "cycles", "impacts")
 """Features on which the regime of a lane depends."""
 
+UNBOUNDED = (UNDECIDED, IRREGULAR, FAILED)
+"""Regimes whose extremes depend on the time of observation."""
+
 EQUILIBRIUM_SWING = 1e-3
 """Amplitude below which a bit counts as being at rest, as a fraction of its static deflection mu(0+) m1 g/k1 [1]."""
 

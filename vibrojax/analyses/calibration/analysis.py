@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, Source, SummaryPart
-from vibrojax.analyses.calibration.run import REASONS, SCHEMA, USES, VAGUE, calibrate
+from vibrojax.analyses.calibration.run import SCHEMA, VAGUE, calibrate
 from vibrojax.errors import counted
+from vibrojax.io.attributes import flags, text_of
 from vibrojax.io.variables import Variable
 from vibrojax.plot.axes import pretty_unit, scale, with_unit
 from vibrojax.plot.sheet import write_margins
@@ -81,12 +82,15 @@ def _value(ds: xr.Dataset, k: int) -> xr.DataArray:
 
 
 def _estimates(ds: xr.Dataset) -> list[str]:
-    """Return each parameter with its estimate, standard error and unit."""
-    lines = []
+    """Return each parameter with its estimate, its 95 % interval and its unit, or as a value at a bound."""
+    lines, reasons = [], flags(ds["reason"])
     for k, name in enumerate(str(x) for x in ds["parameter"].values):
         factor, unit = scale(_value(ds, k))
-        value, error = factor * float(ds["estimate"][k]), factor * float(ds["estimate_stderr"][k])
-        lines.append(f"{name} = {value:.5g} ± {error:.2g} {pretty_unit(unit)}".rstrip())
+        columns = ("estimate", "estimate_stderr", "estimate_low", "estimate_high")
+        value, error, low, high = (f"{factor * float(ds[x][k]):.{2 if 'std' in x else 5}g}" for x in columns)
+        bound = reasons[int(ds["reason"][k])] == "at-bound"
+        line = f"{name} = {value}{' at its bound' if bound else f' ± {error}'} {pretty_unit(unit)}".rstrip()
+        lines.append(f"{line}, 95 %: {low} to {high}")
     return lines
 
 
@@ -114,7 +118,7 @@ class Calibrations(Analysis):
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the estimates, the combinations that the data determine, and what speaks against the estimates."""
-        reasons = [REASONS[int(flag)] for flag in ds["reason"].values]
+        reasons = [flags(ds["reason"])[int(flag)] for flag in ds["reason"].values]
         lines = [
             f"{text}{'' if reason == 'identified' else f' ({reason})'}"
             for text, reason in zip(_estimates(ds), reasons, strict=True)
@@ -125,11 +129,12 @@ class Calibrations(Analysis):
             determined = f"{', '.join(texts)}, and not the parameters by themselves" if texts else "no parameter"
             lines.append(f"the data determine {determined}")
         elif "at-bound" in reasons:
-            lines.append("an estimate at a bound has no standard error; widen the bounds, or examine the model")
-        used = int((ds["used"] == USES.index("used")).sum())
+            lines.append("the data suggest values beyond a bound; widen the bounds, or examine the model")
+        used = int(ds["used"].sum())
         size, freedom = ds.sizes["observation"], int(ds["freedom"])
-        others = "; the others have no orbit of this kind" if used < size else ""
+        others = "; the others have no stable orbit of this kind near the estimate" if used < size else ""
         lines.append(f"{used} of {counted(size, 'observation')} used{others}")
+        lines.append(f"error model: {text_of(ds, 'error_model')}")
         if np.isfinite(ds["noise"]):
             lines.append(f"the observations scatter by {_percent(float(ds['noise']))} around the model")
         elif freedom > 0:
@@ -144,13 +149,17 @@ class Calibrations(Analysis):
             )
         facts = {
             "parameters": {
-                str(name): {"estimate": float(value), "stderr": float(error), "reason": reason}
-                for name, value, error, reason in zip(
-                    ds["parameter"].values, ds["estimate"].values, ds["estimate_stderr"].values, reasons, strict=True
-                )
+                str(name): {
+                    "estimate": float(ds["estimate"][k]),
+                    "stderr": float(ds["estimate_stderr"][k]),
+                    "interval": [float(ds["estimate_low"][k]), float(ds["estimate_high"][k])],
+                    "reason": reasons[k],
+                }
+                for k, name in enumerate(ds["parameter"].values)
             },
             "combinations": {_combination(ds, k): float(errors[k]) for k in range(len(errors))},
             "used": used,
+            "error_model": text_of(ds, "error_model"),
             "noise": float(ds["noise"]),
             "nonlinearity": nonlinearity,
         }

@@ -4,25 +4,36 @@ from collections.abc import Mapping
 from os import PathLike
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
+import scipy.stats
 import xarray as xr
-from jaxtyping import Bool, Float
 
-from vibrojax.analyses.calibration.model import TOLERANCE, Model, Theta, model_of, search, target_of
+from vibrojax.analyses.calibration.model import (
+    ORBIT_ERROR,
+    SCREENED,
+    TOLERANCE,
+    Fit,
+    Model,
+    errors_at,
+    fit_from,
+    starts,
+)
 from vibrojax.analyses.calibration.spec import CONSTANT, CalibrationSpec, read_calibration
-from vibrojax.analyses.calibration.uncertainty import nonlinearity, posterior_draws, uncertainty_of
+from vibrojax.analyses.calibration.uncertainty import moved, nonlinearity, posterior_draws, uncertainty_of
 from vibrojax.compile.xla import precision
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, counted
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.progress import Progress
 
-REASONS = ("identified", "confounded", "at-bound", "not-converged", "too-few-observations")
-"""Why an estimate holds or does not."""
+REASONS = ("identified", "confounded", "at-bound")
+"""Whether the data determine a parameter."""
 
-USES = ("used", "no-orbit")
-"""Use of an observation: it is left out where the followed orbit does not exist, or is not stable."""
+USES = ("no", "yes")
+"""Whether an observation is used: it is not where the followed orbit does not exist, or is not stable."""
+
+INTERVAL = 0.95
+"""Probability with which an interval covers the true value."""
 
 VAGUE = 0.5
 """Relative standard error from which on a parameter is not identified."""
@@ -35,14 +46,20 @@ LARGEST_OFFSET = 0.05
 """Length of the residuals along the tangent plane, in standard errors, up to which a search has reached a minimum
 (Bates and Watts 1981)."""
 
-MAX_ROUNDS = 3
-"""Number of fits, each without the observations for which the fit before found no orbit."""
+ERROR_MODELS = {
+    False: "all values have the same relative error (normal, proportional to the predicted value), which the residuals "
+    "give; 95 % intervals by Student's t with {freedom} degrees of freedom",
+    True: "normal errors with the standard errors given; 95 % intervals by the normal distribution",
+}
+"""Error models without and with standard errors of the observations."""
 
 _OF, _PARAMETER = ("observation", "of"), ("parameter",)
 
 SCHEMA: dict[str, tuple[tuple[str, ...], Variable]] = {
     "estimate": (_PARAMETER, Variable("", "estimate, in the parameter's own unit")),
     "estimate_stderr": (_PARAMETER, Variable("", "standard error of the estimate, in the parameter's own unit")),
+    "estimate_low": (_PARAMETER, Variable("", "lower end of the 95 % interval, not below the bound")),
+    "estimate_high": (_PARAMETER, Variable("", "upper end of the 95 % interval, not above the bound")),
     "low": (_PARAMETER, Variable("", "lower bound, in the parameter's own unit")),
     "high": (_PARAMETER, Variable("", "upper bound, in the parameter's own unit")),
     "reason": (_PARAMETER, Variable("1", "whether the data determine the parameter", np.int8, REASONS)),
@@ -53,7 +70,7 @@ SCHEMA: dict[str, tuple[tuple[str, ...], Variable]] = {
     "observed": (_OF, Variable("", "observation, in the variable's own unit")),
     "predicted": (_OF, Variable("", "value of the orbit at the estimate, in the variable's own unit")),
     "residual": (_OF, Variable("1", "predicted minus observed, in standard errors of the observation")),
-    "used": (("observation",), Variable("1", "use of the observation", np.int8, USES)),
+    "used": (("observation",), Variable("1", "whether the observation is used", np.int8, USES)),
     "chi_squared": ((), Variable("1", "sum of the squared residuals")),
     "freedom": ((), Variable("1", "number of used values minus number of unknowns", np.int32)),
     "noise": ((), Variable("1", "relative error of the observations that the residuals give; NaN if it was given")),
@@ -71,10 +88,11 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
         fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})
 
     Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed values
-    of variables of the orbit (period, forces, velocities, powers, rates). The residuals are differentiated by
-    [vibrojax.as_jax][] and minimised by optimistix's Levenberg-Marquardt method inside the bounds, from several points.
-    The motion from `start` settles on an orbit at the first row, which is continued to the other rows. Attractors
-    coexist: observations of another motion are fitted by the wrong orbit, and their residuals show it. To fit
+    of variables of the orbit (period, forces, velocities, powers, rates). At a sample of points inside the bounds, the
+    motions from `start` are simulated. From the best of these points, the orbit is continued to all rows, and SciPy's
+    `least_squares` minimises the residuals with the derivatives of the orbits. Rows without a stable orbit at the end
+    of a search are left out. The best end has many rows and small residuals, by their likelihood. Attractors coexist:
+    observations of another motion are fitted by the wrong orbit, and their residuals show it. To fit
     friction to the velocity of the bit over time, use [vibrojax.fit_friction][].
 
     The Fisher information J'J of the residuals, in logarithms of positive parameters, has eigenvectors: combinations of
@@ -89,15 +107,16 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     - `data`: path of a CSV file or, in a dict, a table. Headers are names of parameters and variables, with units as in
       `peak_impact_force (kN)`; columns `NAME_error` hold standard errors. In `drilling`, `C` [m/s] may be unknown too:
       then `rate_of_penetration` is C ln(relief).
-    - `[unknown]` NAME = [low, high]; `[error]` NAME = standard error of a variable (without errors, all variables have
-      the same relative error, which the residuals give); `[prior]` NAME = [mean, standard deviation].
+    - `[unknown]` NAME = [low, high]; `[error]` NAME = standard error of a variable (without errors, all values have
+      the same relative error, which the residuals give; a value below a hundredth of its variable's mean size has the
+      error of that hundredth); `[prior]` NAME = [mean, standard deviation].
     - `searches` (3), `draws` (1000), `seed` (0), `title`.
 
-    **Returns:** a dataset with `estimate`, `estimate_stderr` and `reason` along `parameter`, `correlation`, `direction`
-    and `direction_error` along `combination`, `posterior` along `draw`; `observed`, `predicted`, `residual` and `used`
-    along `observation`.
+    **Returns:** a dataset with `estimate`, `estimate_stderr`, the 95 % interval from `estimate_low` to `estimate_high`,
+    and `reason` along `parameter`; `correlation`, `direction` and `direction_error` along `combination`, `posterior`
+    along `draw`; `observed`, `predicted`, `residual` and `used` (1 or 0) along `observation`; attribute `error_model`.
 
-    **Raises:** `InputError`.
+    **Raises:** `InputError` for invalid input, too few observations with an orbit, or if no search reaches a minimum.
 
     **Example:**
 
@@ -113,41 +132,36 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
 def find_calibration(spec: CalibrationSpec, progress: bool = True) -> xr.Dataset:
     """Return the dataset of a checked calibration."""
     with precision("float64"), Progress(spec.searches, "searches", progress) as bar:
-        model = model_of(spec)
-        theta = (spec.low + spec.high) / 2
-        valid = np.asarray(model.predict(jnp.asarray(theta))[1])
-        if not valid.any():
-            where = ", ".join(f"{name} = {x:g}" for name, x in zip(spec.names, theta, strict=True))
+        begins = starts(spec)
+        if not begins:
             raise InputError(
-                f"{spec.file}: no observation has a stable orbit from the start at the centre of the bounds, {where}; "
-                "choose other bounds, or another start"
+                f"{spec.file}: no observation has a stable orbit from the start at any of {SCREENED} points inside the "
+                "bounds; choose narrower bounds around plausible values, or another start"
             )
-        used = np.ones(len(valid), bool)
-        for number in range(MAX_ROUNDS):
-            theta, cost = search(spec, model, target_of(spec, used), bar if number == 0 else None)
-            predicted, valid = map(np.asarray, model.predict(jnp.asarray(theta)))
-            if (valid | ~used).all() or not (valid & used).any():
-                break
-            used &= valid
-        return _dataset(spec, model, theta, cost, predicted, used & valid)
+        fits = []
+        for theta, row in begins[: spec.searches]:
+            model = Model(spec, theta, row)
+            fits.append((fit_from(spec, model, theta), model))
+            bar.add(1)
+        fit, model = min(fits, key=lambda pair: pair[0].score)
+        used = fit.target.used
+        if problem := spec.shortage(used):
+            orbits = f"{used.sum()} of {counted(len(used), 'observation')} {'has' if used.sum() == 1 else 'have'}"
+            raise InputError(
+                f"{spec.file}: {orbits} an orbit of one kind inside the bounds: {problem}; narrower bounds, another "
+                "start or more searches may find others"
+            )
+        return _dataset(spec, model, fit)
 
 
-def _dataset(
-    spec: CalibrationSpec,
-    model: Model,
-    theta: Theta,
-    cost: float,
-    predicted: Float[np.ndarray, "observations of"],
-    used: Bool[np.ndarray, " observations"],
-) -> xr.Dataset:
-    target = target_of(spec, used)
-    residuals, jacobian = (np.asarray(f(jnp.asarray(theta), *target)) for f in (model.residuals, model.jacobian))
-    freedom = int((target.weight > 0).sum()) + int(np.isfinite(spec.prior_error).sum()) - len(theta)
-    variance = 1.0 if spec.errors is not None else cost / freedom if freedom > 0 else np.nan
-    noise = np.nan if spec.errors is not None else float(np.sqrt(variance))
-    known = uncertainty_of(spec, theta, jacobian, variance if np.isfinite(variance) else 1.0)
+def _dataset(spec: CalibrationSpec, model: Model, fit: Fit) -> xr.Dataset:
+    theta, prediction, target, cost, freedom, _ = fit
+    residuals, jacobian = target.residuals(prediction, theta), target.jacobian(prediction)
+    given = spec.errors is not None
+    variance = 1.0 if given else max(cost / freedom, ORBIT_ERROR**2)
+    noise = np.nan if given else float(np.sqrt(variance))
+    known = uncertainty_of(spec, theta, jacobian, variance)
     width = np.sqrt(np.diag(known.covariance))
-    stderr = known.scale * width
     step = -np.linalg.lstsq(jacobian, residuals)[0]
     margin = AT_BOUND * (spec.high - spec.low)
     beyond = ((theta < spec.low + margin) & (theta + step < spec.low)) | (
@@ -155,17 +169,25 @@ def _dataset(
     )
     free = jacobian * ~beyond
     offset = np.linalg.norm(free @ np.linalg.lstsq(free, residuals)[0])
-    converged = offset <= LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE
-    determined = "identified" if converged else "not-converged"
-    reason = np.where(width < VAGUE, REASONS.index(determined), REASONS.index("confounded"))
+    if offset > LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE:
+        where = ", ".join(f"{name} = {x:.4g}" for name, x in zip(spec.names, theta, strict=True))
+        raise InputError(
+            f"{spec.file}: no search has reached a minimum of the residuals; the best one ended at {where}, where "
+            f"{target.used.sum()} of {counted(len(spec.labels), 'observation')} have an orbit; give other "
+            "bounds, another start, more searches, or leave out observations of other motions"
+        )
+    reason = np.where(width < VAGUE, REASONS.index("identified"), REASONS.index("confounded"))
     reason = np.where(beyond, REASONS.index("at-bound"), reason)
-    if freedom < 0 or (freedom == 0 and spec.errors is None):
-        reason[:], stderr = REASONS.index("too-few-observations"), np.full_like(stderr, np.nan)
     draws = posterior_draws(spec, theta, known, freedom)
-    error = spec.scales if spec.errors is not None else noise * spec.scales
+    quantile = scipy.stats.norm.ppf(0.5 + INTERVAL / 2) if given else scipy.stats.t.ppf(0.5 + INTERVAL / 2, freedom)
+    with np.errstate(over="ignore"):
+        ends = [moved(spec, theta, known.scale, sign * quantile * width) for sign in (-1, 1)]
+    error = errors_at(spec, prediction.values) * (1.0 if given else noise)
     table: dict[str, Any] = {
         "estimate": theta,
-        "estimate_stderr": stderr,
+        "estimate_stderr": known.scale * width,
+        "estimate_low": ends[0],
+        "estimate_high": ends[1],
         "low": spec.low,
         "high": spec.high,
         "reason": reason,
@@ -174,13 +196,13 @@ def _dataset(
         "direction_error": known.errors,
         "posterior": draws,
         "observed": spec.values,
-        "predicted": predicted,
-        "residual": np.where(target.weight > 0, (predicted - spec.values) / error, np.nan),
-        "used": np.where(used, USES.index("used"), USES.index("no-orbit")),
-        "chi_squared": cost / variance if freedom > 0 else cost,
+        "predicted": prediction.values,
+        "residual": np.where(target.weight > 0, (prediction.values - spec.values) / error, np.nan),
+        "used": target.used,
+        "chi_squared": cost / variance,
         "freedom": freedom,
         "noise": noise,
-        "nonlinearity": np.nan if reason.any() else nonlinearity(model, target, theta, jacobian, draws),
+        "nonlinearity": np.nan if reason.any() else nonlinearity(model, fit, jacobian, draws),
     }
     parameters = spec.point.system.parameters()
     about = {name: (parameters[name].unit, parameters[name].long_name) for name in spec.names if name != CONSTANT}
@@ -202,5 +224,6 @@ def _dataset(
         for name, (dims, schema) in SCHEMA.items()
     }
     attributes = dataset_attributes("calibration", spec.title, "calibrate", scene=spec.point.scene)
-    fixed = {"specification": spec.text, "searches": spec.searches}
+    model_text = ERROR_MODELS[given].format(freedom=freedom)
+    fixed = {"specification": spec.text, "searches": spec.searches, "error_model": model_text}
     return xr.Dataset(variables, coordinates, attributes | fixed)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from vibrojax.errors import Place, shown, suggestion
+from vibrojax.errors import Place, counted, shown, suggestion
 from vibrojax.io.riglog.columns import split_unit
 from vibrojax.io.tables import column_numbers, read_table, rows_without_units
 from vibrojax.io.variables import VARIABLES
@@ -75,12 +75,15 @@ class CalibrationSpec:
         """Observations of all variables, NaN where there is none."""
         return np.stack([*self.observed.values()], axis=1)
 
-    @property
-    def scales(self) -> Float[np.ndarray, "observations of"]:
-        """Standard errors of the observations; without these, the mean size of each variable."""
-        if self.errors is not None:
-            return np.stack([self.errors[name] for name in self.observed], axis=1)
-        return np.broadcast_to(np.nanmean(np.abs(self.values), axis=0), self.values.shape)
+    def shortage(self, used: Bool[np.ndarray, " observations"]) -> str:
+        """Return why the observations `used` do not determine the unknowns with an error; empty if they do."""
+        count = int(np.isfinite(self.values[used]).sum()) + int(np.isfinite(self.prior_error).sum())
+        least = len(self.names) + (self.errors is None)
+        if count >= least:
+            return ""
+        wanted = counted(len(self.names), "unknown parameter") + " and the size of the noise" * (self.errors is None)
+        more = "give standard errors in [error], " if self.errors is None else "give a [prior], "
+        return f"{counted(count, 'value')} for {wanted}; add rows or observed variables, {more}or leave an unknown out"
 
     def identity(self) -> dict[str, object]:
         """Return all settings on which the result depends, as flat JSON values."""
@@ -123,7 +126,7 @@ def read_calibration(source: str | PathLike[str] | Mapping[str, object]) -> Cali
     if not {*bounds, *conditions} - {CONSTANT}:
         raise file.error(f"has no operating conditions, and only {CONSTANT} is unknown; use vibrojax fit")
     low, high = (np.array([pair[k] for pair in bounds.values()]) for k in (0, 1))
-    return CalibrationSpec(
+    spec = CalibrationSpec(
         title=str(tables.get("title") or f"Calibration of {', '.join(bounds)}"),
         file=origin.file,
         text=origin.text,
@@ -144,6 +147,9 @@ def read_calibration(source: str | PathLike[str] | Mapping[str, object]) -> Cali
         draws=count(place.at("draws"), tables.get("draws", DEFAULT_DRAWS), 2, MAX_DRAWS),
         seed=count(place.at("seed"), tables.get("seed", 0), 0),
     )
+    if problem := spec.shortage(np.ones(len(labels), bool)):
+        raise file.error(problem)
+    return spec
 
 
 def _read_unknown(

@@ -2,11 +2,10 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.analyses.calibration.model import Model, Target, Theta
+from vibrojax.analyses.calibration.model import Fit, Model, Theta
 from vibrojax.analyses.calibration.spec import CalibrationSpec
 
 CHECKED_DRAWS = 32
@@ -53,20 +52,25 @@ def posterior_draws(
     steps = (rng.standard_normal((spec.draws, len(theta))) * finite) @ known.directions
     if spec.errors is None and freedom > 0:
         steps /= np.sqrt(rng.chisquare(freedom, (spec.draws, 1)) / freedom)
+    return moved(spec, theta, known.scale, steps)
+
+
+def moved(spec: CalibrationSpec, theta: Theta, scale: Theta, steps: np.ndarray) -> np.ndarray:
+    """Return theta changed by `steps` in units of `scale`, in logarithms of positive parameters, inside the bounds."""
     with np.errstate(over="ignore"):
-        draws = np.where(spec.low > 0, theta * np.exp(steps), theta + known.scale * steps)
-    return np.clip(draws, spec.low, spec.high)
+        return np.clip(np.where(spec.low > 0, theta * np.exp(steps), theta + scale * steps), spec.low, spec.high)
 
 
-def nonlinearity(model: Model, target: Target, theta: Theta, jacobian: np.ndarray, draws: np.ndarray) -> float:
+def nonlinearity(model: Model, fit: Fit, jacobian: np.ndarray, draws: np.ndarray) -> float:
     """Return the error of the linear prediction at draws of the posterior, relative to the spread of the prediction."""
-    rows = slice(0, target.values.size)
-    centre = np.asarray(model.residuals(jnp.asarray(theta), *target))
+    rows, width = slice(0, fit.target.values.size), fit.target.values.shape[1]
+    centre = fit.target.residuals(fit.prediction, fit.theta)
     off, spread = [], []
-    for draw in draws[:CHECKED_DRAWS]:
-        valid = np.repeat(model.predict(jnp.asarray(draw))[1], target.values.shape[1])
-        linear = jacobian @ (draw - theta)
-        exact = np.asarray(model.residuals(jnp.asarray(draw), *target)) - centre
-        off.append((exact - linear)[rows][valid])
+    checked = draws[:CHECKED_DRAWS]
+    for draw, prediction in zip(checked, model.predict_all(checked), strict=True):
+        valid = np.repeat(prediction.valid, width)
+        linear = jacobian @ (draw - fit.theta)
+        off.append((fit.target.residuals(prediction, draw) - centre - linear)[rows][valid])
         spread.append(linear[rows][valid])
-    return float(np.sqrt(np.sum(np.concatenate(off) ** 2) / np.sum(np.concatenate(spread) ** 2)))
+    total = np.sum(np.concatenate(spread) ** 2)
+    return float(np.sqrt(np.sum(np.concatenate(off) ** 2) / total)) if total > 0 else np.nan

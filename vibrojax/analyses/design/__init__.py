@@ -1,1 +1,1 @@
-"""The best drill under constraints that hold from every start and everywhere within the tolerances."""
+"""The best drill under constraints that hold from every start and at samples of the tolerances."""

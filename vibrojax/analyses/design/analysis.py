@@ -99,7 +99,7 @@ def _draw_front(axes: Axes, ds: xr.Dataset) -> None:
         axes.plot(values_along(limit), worst, ":", color=BIT, lw=1.0)
     axes.set_xlabel(label(limit))
     axes.set_ylabel(_objective_label(ds))
-    axes.set_title("front (dotted: worst over the tolerances)" if "tolerance" not in against else "front")
+    axes.set_title("front (dotted: worst of the samples of the tolerances)" if "tolerance" not in against else "front")
     axes.grid(True)
 
 
@@ -126,7 +126,7 @@ def quantity_text(value: float, data: xr.DataArray) -> str:
 
 
 class Designs(Analysis):
-    """The best drill under constraints that hold from every start and everywhere within the tolerances."""
+    """The best drill under constraints that hold from every start and at samples of the tolerances."""
 
     kind = "design"
     variables = DESIGN_VARIABLES
@@ -143,11 +143,15 @@ class Designs(Analysis):
         where = ", ".join(f"{name} = {float(best[name]):.6g}" for name in names)
         objective = quantity_text(float(best["objective"]), ds["objective"])
         what = str(ds.attrs.get("maximise", "objective")).replace("_", " ")
-        lines = [f"{what} {objective} at {where}", f"  requirements: {ds.attrs.get('requirements', '')}"]
+        share = float(best["irregular_share"]) if "irregular_share" in best else 0.0
+        lines = [
+            f"irregular motions within the tolerances ({100 * share:.2g} % of the lanes): worst values depend on the "
+            "time of observation"
+        ] * (share > 0)
+        lines += [f"{what} {objective} at {where}", f"  requirements: {ds.attrs.get('requirements', '')}"]
         if any(str(key).startswith("tolerance_") for key in ds.attrs):
-            lines.append(
-                f"  worst within the tolerances: {quantity_text(float(best['objective_worst']), ds['objective'])}"
-            )
+            worst = quantity_text(float(best["objective_worst"]), ds["objective"])
+            lines.append(f"  worst of the samples of the tolerances: {worst}")
         for name in _subject(ds):
             worst = quantity_text(float(best[f"{name}_worst"]), ds[name])
             lines.append(f"  {name.replace('_', ' ')} {quantity_text(float(best[name]), ds[name])}, worst {worst}")

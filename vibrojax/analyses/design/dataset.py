@@ -12,17 +12,18 @@ from vibrojax.analyses.design.search import Candidate
 from vibrojax.analyses.design.spec import DesignSpec
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
-from vibrojax.measures.labels import REGIMES
+from vibrojax.measures.labels import REGIMES, UNBOUNDED
 
 _YES_NO = ("no", "yes")
 
 DESIGN_VARIABLES = {
     "share": Variable("1", "share of the starts from which all requirements hold at the nominal point"),
-    "share_worst": Variable("1", "least such share over the tolerances"),
-    "feasible": Variable("1", "whether all requirements hold over the tolerances", np.int8, _YES_NO),
+    "share_worst": Variable("1", "least such share at the samples of the tolerances"),
+    "feasible": Variable("1", "whether all requirements hold at the samples of the tolerances", np.int8, _YES_NO),
+    "irregular_share": Variable("1", "share of the lanes of the samples that are irregular, undecided or failed"),
     "gradient": Variable("", "derivative of the objective at the nominal orbit, in its unit per the parameter's"),
     "limit_value": Variable("", "value of the limit, in the unit of its variable"),
-    "slack": Variable("", "distance to the limit over the tolerances, in the unit of the limit"),
+    "slack": Variable("", "least distance to the limit at the samples of the tolerances, in its unit"),
     "binds": Variable("1", "whether the limit binds", np.int8, _YES_NO),
     "relaxation": Variable("", "gain of the objective per unit by which the limit is relaxed"),
     "unexplained": Variable("1", "share of the gradient that no limit balances; a border of the regime does"),
@@ -76,11 +77,14 @@ def design_dataset(
             Variable(objective.units, f"{objective.long_name} at the nominal point, worst over the starts"),
             [a.objective for a in checked], "candidate"),
         "objective_worst": _described(
-            Variable(objective.units, f"least {objective.long_name} over the tolerances and starts"),
+            Variable(objective.units, f"least {objective.long_name} of the samples of the tolerances, from all starts"),
             [extreme(held(a, spec.maximise), "least") for a in checked], "candidate"),
     }  # fmt: skip
     for name, end in ends.items():
-        extremes = {"": "at the nominal point, worst over the starts", "_worst": "worst over the tolerances and starts"}
+        extremes = {
+            "": "at the nominal point, worst over the starts",
+            "_worst": "worst of the samples of the tolerances",
+        }
         for suffix, words in extremes.items():
             rows = slice(0, 1) if not suffix else slice(None)
             values = [extreme(held(a, name, rows), end) for a in checked]
@@ -89,7 +93,7 @@ def design_dataset(
         flags = [a.lanes.dataset["regime"].values for a in checked]
         data["regime"] = _described(VARIABLES["regime"], [_other(spec, x[:1]) for x in flags], "candidate")
         about = Variable(
-            "1", "first other regime over the tolerances and starts, else that asked for", np.int8, REGIMES
+            "1", "first other regime at the samples of the tolerances, else that asked for", np.int8, REGIMES
         )
         data["regime_worst"] = _described(about, [_other(spec, x) for x in flags], "candidate")
     shares = np.array([[a.good[0].mean(), a.good.mean(axis=1).min()] for a in checked])
@@ -98,6 +102,7 @@ def design_dataset(
         "share": ("candidate", shares[:, 0]),
         "share_worst": ("candidate", shares[:, 1]),
         "feasible": ("candidate", [a.feasible for a in checked]),
+        "irregular_share": ("candidate", [_irregular(a) for a in checked]),
         "gradient": (("candidate", "parameter"), [result.gradient for result in results]),
         "limit_value": ("limit", limit_values(spec)),
         "slack": (("candidate", "limit"), [c.slack for c in limits]),
@@ -147,6 +152,12 @@ def held(assessment: Assessment, name: str, rows: slice = slice(None)) -> np.nda
     """Return a variable's values in the lanes of the regime, or in all lanes if none is in it."""
     values, fit = assessment.lanes.values[name][rows], assessment.lanes.in_regime[rows]
     return np.asarray(values[fit] if fit.any() else values)
+
+
+def _irregular(assessment: Assessment) -> float:
+    """Return the share of lanes whose extremes depend on the time of observation; 0 for scenes without regimes."""
+    ds = assessment.lanes.dataset
+    return float(np.isin(ds["regime"].values, UNBOUNDED).mean()) if "regime" in ds else 0.0
 
 
 def _other(spec: DesignSpec, regimes: np.ndarray) -> int:

@@ -31,7 +31,7 @@ SAME_POINT = 0.01
 
 
 def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool = True) -> xr.Dataset:
-    """Find the values of varied parameters that maximise a variable, under constraints held over the tolerances.
+    """Find the values of varied parameters that maximise a variable, under constraints at samples of the tolerances.
 
         best = vj.design("design.toml")
         best.isel(candidate=0)
@@ -39,7 +39,8 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
     A coarse map over the varied parameters, from every start, gives the points from which the search begins. The search
     uses derivatives at the periodic orbits; each of its points is simulated from every start, at the nominal values and
     at corners of the tolerance box. Finished candidates are simulated again at all corners and at 256 draws; those that
-    fail are repaired, or marked as not feasible.
+    fail are repaired, or left out. Worst values are those of these samples, no bounds of the tolerance box: where
+    `irregular_share` is above 0, they depend on the time of observation as well.
 
     **Arguments:**
 
@@ -49,8 +50,8 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
 
     **Returns:** a dataset along `candidate`, best first:
 
-    - the varied parameters; `objective` at the nominal point, worst over the starts; `objective_worst` over the
-      tolerances; the variables of the subject, each at the nominal point and as `NAME_worst`; `feasible`.
+    - the varied parameters; `objective` at the nominal point, worst over the starts; `objective_worst` of the samples
+      of the tolerances; the variables of the subject, each at the nominal point and as `NAME_worst`; `feasible`.
     - `gradient` along `parameter`; along `limit`, for constraints and bounds: `slack`, `binds`, and `relaxation`, the
       gain of the objective per unit by which the limit is relaxed (Lagrange multiplier).
     - with a front: along `front`, `front_objective`, the varied parameters, and what the front is drawn against.
