@@ -228,8 +228,7 @@ def lane_cells(sweep: Sweep, progress: bool = True) -> Iterator[Cell]:
         whole = features | (orbits(first, end, features) if orbits is not None else {})
         kept = {name: x for name, x in whole.items() if x.ndim == 1 or name in ("multiplier_abs", "multiplier_arg")}
         returns = {name: features[state_name(name)] for name in names if state_name(name) in features}
-        # A scene under pulses stores only the last crossing.
-        return kept | {f"last_{name}": x if x.ndim == 1 else x[:, -1] for name, x in returns.items()}
+        return kept | {f"last_{name}": x[:, -1] for name, x in returns.items()}
 
     is_carried = sweep.run.carry is not None
     chunks = Carried(sweep, last_returns) if is_carried else Chunks(sweep, last_returns, early_stopping_of(sweep))

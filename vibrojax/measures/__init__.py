@@ -49,7 +49,7 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
     """
     if scene.section is None:
         if isinstance(scene, Driven):
-            return PulseRecorder()
+            return PulseRecorder(RETURNS_FOR_DRIFT)
         give = "give period= or section= to measure it" if scene.ends_at_once else "there is nothing to measure over"
         raise InputError(f"scene: {scene.name} declares neither a section nor pulses; {give}")
     unknown = [gauge for gauge in scene.measures if not isinstance(gauge, Gauge) and gauge not in GAUGES]

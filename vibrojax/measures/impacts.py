@@ -13,7 +13,7 @@ from vibrojax.measures import ledger
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.measures.ledger import Ledger
 from vibrojax.measures.recorder import Features, Records
-from vibrojax.measures.repeats import state_name
+from vibrojax.measures.repeats import GROWTH, TIME, in_order, pulse_scale, put_row, state_name
 from vibrojax.models.arrays import Array, Flags, Lanes, keep
 from vibrojax.models.scenes.capabilities import Driven, HasContact, HasFriction, HasImpacts, HasRock
 from vibrojax.models.scenes.scene import Scene
@@ -161,13 +161,16 @@ class Pulses(NamedTuple):
 
     - `waiting`: mask of the lanes at the beginning of a pulse; `number`: number of pulses that have begun so far.
     - `ledger`: the sums; `deepest` [m]: least compression of the rock so far, at most 0; -d at a distance d above it.
-    - `last`: states at the beginning of the last pulse (states, lanes).
+    - `tightest` [m]: greatest compression so far.
+    - `last`: time, states, and growth of the hole since the previous pulse, at the beginning of the last pulses; a ring
+      buffer (pulses, features, lanes).
     """
 
     waiting: Flags
     number: Lanes
     ledger: Ledger
     deepest: Lanes
+    tightest: Lanes
     last: Array
 
 
@@ -176,16 +179,21 @@ class PulseRecorder(Records):
     """rate_of_penetration [m/s], slip_per_impact [m], mean_force [N], relief [1], deepest_gap [m], pulses, yields.
 
     Means are over complete pulse periods, and NaN if there are none. Under a swept sine, means are over the whole
-    observation. Nothing is recorded before the observation. The states at the beginning of the last pulse are features.
+    observation. Nothing is recorded before the observation. Further features, from which the error is estimated: the
+    states at the beginning of the last `keep` pulses with their scales, and `load`, the greatest force of the rock over
+    its yield force.
     """
+
+    keep: int
 
     def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: tuple[()]) -> Pulses:
         compression = lane.state[scene.place("compression")]
         # The first pulse begins at t = 0, without an event.
         first = (lane.clock.high == 0) & _driven(scene).has_pulses
         sums = ledger.begin(("time", "growth", "force", "yields"), compression)
-        last = jnp.full((len(scene.return_states), *compression.shape), jnp.nan, compression.dtype)
-        return Pulses(first, jnp.zeros_like(compression), sums, jnp.minimum(compression, 0), last)
+        rows = self.keep if _driven(scene).has_pulses else 0
+        last = jnp.full((rows, len(_kept(scene)), *compression.shape), jnp.nan, compression.dtype)
+        return Pulses(first, jnp.zeros_like(compression), sums, jnp.minimum(compression, 0), compression, last)
 
     def step(self, scene: Scene[Any], c: Any, carry: Pulses, lane: Lane, step: Step) -> Pulses:
         states = tuple(known(polynomial) for polynomial in step.polynomials)
@@ -201,6 +209,7 @@ class PulseRecorder(Records):
             waiting=carry.waiting | _driven(scene).pulse_begins(c, step.mode, step.hits),
             ledger=ledger.add(carry.ledger, increments),
             deepest=jnp.minimum(carry.deepest, lane.state[scene.place("compression")]),
+            tightest=jnp.maximum(carry.tightest, lane.state[scene.place("compression")]),
         )
 
     def waiting(self, carry: Pulses) -> Flags:
@@ -208,12 +217,14 @@ class PulseRecorder(Records):
 
     def take_returns(self, scene: Scene[Any], c: Any, carry: Pulses, lane: Lane, share: Lanes) -> Pulses:
         here, number = carry.waiting, carry.number
-        totals, _ = ledger.section(carry.ledger, here, number)
+        totals, since = ledger.section(carry.ledger, here, number)
         last = carry.last
-        if scene.return_states:
-            states = jnp.stack([lane.state[scene.place(name)] for name in scene.return_states])
-            last = jnp.where(here[None], states, last)
-        return Pulses(jnp.zeros_like(here), jnp.where(here, number + 1, number), totals, carry.deepest, last)
+        if len(last):
+            states = [lane.state[scene.place(name)] for name in scene.return_states]
+            growth = jnp.where(number > 0, since["growth"], jnp.nan)
+            last = put_row(last, here, number, [lane.clock.high, *states, growth])
+        number = jnp.where(here, number + 1, number)
+        return carry._replace(waiting=jnp.zeros_like(here), number=number, ledger=totals, last=last)
 
     def read(self, scene: Scene[Any], c: Any, carry: Pulses) -> Features:
         number = carry.number
@@ -222,10 +233,23 @@ class PulseRecorder(Records):
         alone = jnp.zeros_like(number, bool) if _driven(scene).has_pulses else number == 0
         sums = {name: jnp.where(alone, carry.ledger.sums[name], whole[name]) for name in whole}
         return {
-            **{state_name(name): carry.last[index] for index, name in enumerate(scene.return_states)},
+            **(self._last_pulses(_driven(scene), c, carry) if len(carry.last) else {}),
             **_rates(_driven(scene), c, sums, sums["time"], pulses, carry.deepest),
             "pulses": pulses,
             "yields": sums["yields"],
+        }
+
+    def _last_pulses(self, scene: HasRock[Any], c: Any, carry: Pulses) -> Features:
+        """Return the features from which the error is estimated."""
+        rows = in_order(carry.last, _kept(scene))
+        states = {name: scene.states[scene.place(name)] for name in scene.return_states}
+        # The kinetic energy at the second scale is the elastic energy at the first.
+        length = scene.threshold(c) / scene.stiffness(c)
+        velocity = length / scene.rock_period(c)
+        return {
+            **{name: row for name, row in rows.items() if name != TIME},
+            **{pulse_scale(name): velocity if state.is_velocity else length for name, state in states.items()},
+            "load": carry.tightest / length,
         }
 
 
@@ -233,6 +257,11 @@ def _driven(scene: Scene[Any]) -> Any:
     """Return the scene after checking that it has a prescribed force and rock."""
     assert isinstance(scene, Driven) and isinstance(scene, HasRock)
     return scene
+
+
+def _kept(scene: Scene[Any]) -> tuple[str, ...]:
+    """Return the names of the features at the beginning of a pulse."""
+    return (TIME, *map(state_name, scene.return_states), GROWTH)
 
 
 def _growth(scene: Scene[Any], step: Step) -> Lanes:

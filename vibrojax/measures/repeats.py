@@ -1,5 +1,6 @@
 """Periodicity: the period of a motion in return intervals, since when it repeats, and the last crossings themselves."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -125,7 +126,7 @@ def settling_time(carry: Returns, cycles: Lanes) -> jax.Array:
     return time
 
 
-TIME, INTERVAL = "return_time", "return_interval"
+TIME, INTERVAL, GROWTH = "return_time", "return_interval", "return_growth"
 IMPACTS = ("return_impacts", "return_impact_velocity")
 
 
@@ -152,21 +153,35 @@ class KeptReturns(Gauge[Scene[Any]]):
             whole = crossing.number > 0
             new.append(jnp.where(whole, crossing.sums["impacts"], jnp.nan))
             new.append(jnp.where(whole, crossing.sums["velocity"] / crossing.sums["impacts"], jnp.nan))
-        row = jnp.where(crossing.here, crossing.number % self.keep, self.keep).astype(jnp.int32)
-        put = jax.vmap(lambda rows, row, new: rows.at[row].set(new, mode="drop"), in_axes=-1, out_axes=-1)
-        return put(jnp.asarray(carry), row, jnp.stack(new))
+        return put_row(carry, crossing.here, crossing.number, new)
 
     def read(self, scene: Scene[Any], c: Any, carry: Array, whole: Whole) -> dict[str, Array]:
-        # Oldest crossing first. In a full ring buffer, the oldest row follows the newest.
-        time = carry[:, 0]
-        order = jnp.argsort(jnp.where(jnp.isnan(time), -jnp.inf, time), axis=0)
-        columns = enumerate(_names(scene))
-        return {name: jnp.take_along_axis(carry[:, index], order, axis=0) for index, name in columns}
+        return in_order(carry, _names(scene))
+
+
+def put_row(rows: Array, here: Flags, number: Lanes, new: Sequence[Lanes]) -> jax.Array:
+    """Return the ring buffer `rows` with the values `new` of the crossing `number` of the lanes `here`."""
+    keep = len(rows)
+    row = jnp.where(here, number % keep, keep).astype(jnp.int32)
+    put = jax.vmap(lambda rows, row, new: rows.at[row].set(new, mode="drop"), in_axes=-1, out_axes=-1)
+    return put(jnp.asarray(rows), row, jnp.stack(list(new)))
+
+
+def in_order(rows: Array, names: Sequence[str]) -> dict[str, Array]:
+    """Return the columns of a ring buffer by name, the oldest crossing first. The first column is the time."""
+    time = rows[:, 0]  # in a full ring buffer, the oldest row follows the newest
+    order = jnp.argsort(jnp.where(jnp.isnan(time), -jnp.inf, time), axis=0)
+    return {name: jnp.take_along_axis(rows[:, index], order, axis=0) for index, name in enumerate(names)}
 
 
 def state_name(name: str) -> str:
     """Return the name of the feature that stores a state at section crossings."""
     return f"return_{name}"
+
+
+def pulse_scale(name: str) -> str:
+    """Return the name of the feature that stores the scale of a state at the beginning of pulses."""
+    return f"{name}_scale"
 
 
 def _names(scene: Scene[Any]) -> tuple[str, ...]:

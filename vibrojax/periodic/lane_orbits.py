@@ -229,7 +229,7 @@ def _repeats_under_pulses(scene: Scene[Any], features: Features, go: ReturnMap) 
     8, after which every state is back to within 1e-3 of its swing; it is 0 if there is none.
     """
     names = [state_name(name) for name in scene.return_states]
-    begin = np.stack([features[name] for name in names]).astype(float)
+    begin = np.stack([features[name][:, -1] for name in names]).astype(float)
     rows, count = begin.shape
     passed = np.full((rows, count, MOST_CYCLES), np.nan)
     cycles = np.zeros(count)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.compile.xla import precision, workers
 from vibrojax.io.variables import VARIABLES
-from vibrojax.measures import Recorder, recorder_for
+from vibrojax.measures import PulseRecorder, Recorder, recorder_for
 from vibrojax.measures.derived import HOLE_RADIUS
 from vibrojax.measures.derived import derived as derived_quantities
 from vibrojax.measures.recorder import Effort, Underway, observe_block, settle_block
@@ -227,6 +227,8 @@ def _features(scene: Scene[Any], on: _OnOrbit, past: Array, settle: Lanes, obser
     recorder = recorder_for(scene)
     if isinstance(recorder, Recorder):
         recorder = replace(recorder, gauges=tuple(g for g in recorder.gauges if not isinstance(g, KeptReturns)))
+    elif isinstance(recorder, PulseRecorder):
+        recorder = replace(recorder, keep=0)
     lane = lane_at(scene, c, state)
     carry = recorder.settling(scene, lane)
     if isinstance(recorder, Recorder):

@@ -168,6 +168,10 @@ class Stepper(ABC):
     def coarser(self, accuracy: Accuracy) -> Accuracy:
         """Return the settings of the coarser check run, from which the error is estimated."""
 
+    def error_floor(self, accuracy: Accuracy) -> float:
+        """Return an error that lanes may have although main run and check run agree."""
+        return 0.0
+
 
 def trial_length(lane: Lane, nominal: Array, longest: Real, goal: Goal) -> jax.Array:
     """Return the length of the next trial step [s], 0 for lanes that do not move.

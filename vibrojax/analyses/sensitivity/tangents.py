@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.compile.xla import precision
-from vibrojax.measures import Gauge, Moment, Recorder, Whole, recorder_for
+from vibrojax.measures import Gauge, Moment, PulseRecorder, Recorder, Whole, recorder_for
 from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.measures.repeats import KeptReturns
 from vibrojax.models.arrays import Array
@@ -135,6 +135,8 @@ def _features(scene: Scene[Any], start: Start | None, p: Features, times: tuple[
     if isinstance(recorder, Recorder):
         gauges = (gauge for gauge in recorder.gauges if not isinstance(gauge, KeptReturns))
         recorder = replace(recorder, gauges=(*gauges, _EventCount()))
+    elif isinstance(recorder, PulseRecorder):
+        recorder = replace(recorder, keep=0)
     c = scene.constants(p)
     state = scene.start(c, start, times[0].shape)
     effort = Effort(Accuracy(tolerance=1e-12, stride=1.0, step=jnp.inf), 1e7)

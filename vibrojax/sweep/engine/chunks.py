@@ -13,8 +13,8 @@ from vibrojax.measures.labels import LABELLED_BY
 from vibrojax.measures.repeats import INTERVAL
 from vibrojax.progress import Portions, timed
 from vibrojax.stepping import Accuracy
-from vibrojax.sweep.engine.batch import Batch, Engine, Features, Report, unreported
-from vibrojax.sweep.engine.drift import drift, sensitive
+from vibrojax.sweep.engine.batch import Batch, Engine, Features, PerLane, Report, unreported
+from vibrojax.sweep.engine.drift import drift, drift_under_pulses, sensitive
 from vibrojax.sweep.engine.programs import END
 from vibrojax.sweep.engine.underway import (
     OBSERVING,
@@ -37,6 +37,10 @@ same steps, and the difference between the runs underestimates the error."""
 
 DRIFT_MARGIN = 1.25
 """Safety factor on the drift, which assumes a linear return map. One estimate in ten is off by 10 %."""
+
+LOAD_MARGIN = 10.0
+"""Multiple of the distance of the states from their limit by which the greatest force of the rock may still change, as
+a fraction of the yield force."""
 
 COMPARED = {*LABELLED_BY, "period", "impact_velocity", "rate_of_penetration"}
 """Features by which the check run is compared with the main run."""
@@ -153,9 +157,12 @@ class Chunks:
     def _certified(self, fine: Features, check: Features) -> Features:
         """Return the features of observed lanes, with drift and error estimates."""
         run, section, tolerance = self.sweep.run, self.sweep.system.section, self.accuracy.tolerance
-        if section is not None:
-            fine = fine | {"drift_estimate": drift(fine, section, run.precision, tolerance)}
         least = 4 * float(np.finfo(run.precision).eps) + ERROR_FLOOR * tolerance
+        least += self.stepper.error_floor(self.accuracy)
+        if section is None:
+            away = drift_under_pulses(fine, self.sweep.system.return_states, run.precision, tolerance)
+            return fine | {"error_estimate": error_under_pulses(fine, check, away, self.stepper.error_share, least)}
+        fine = fine | {"drift_estimate": drift(fine, section, run.precision, tolerance)}
         return certified(fine, check, self.stepper.error_share, least)
 
 
@@ -177,9 +184,6 @@ def error_estimate(fine: Features, coarse: Features, share: float, least: float)
     number of section crossings or impacts per period differs between the runs, or if the drift is unbounded.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        if "cycles" not in fine:  # penetration
-            rate, check = fine["rate_of_penetration"], coarse["rate_of_penetration"]
-            return share * np.where(rate == check, 0.0, np.abs(check / rate - 1)) + least
         names = [name for name in ("period", "impact_velocity") if name in fine]
         differences = [np.abs(coarse[name] / fine[name] - 1) for name in names]
         error = share * reduce(np.fmax, differences) + least + DRIFT_MARGIN * fine["drift_estimate"]
@@ -187,6 +191,22 @@ def error_estimate(fine: Features, coarse: Features, share: float, least: float)
     if "impacts" in fine:
         agree &= coarse["impacts"] == fine["impacts"]
     return np.where(fine["cycles"] > 0, np.where(agree, error, np.inf), np.nan)
+
+
+def error_under_pulses(
+    fine: Features, coarse: Features, away: PerLane, share: float, least: float
+) -> Float[np.ndarray, " lanes"]:
+    """Return the estimated relative error of the rate of penetration, as `error_estimate` does.
+
+    The rate is a mean over the pulses of the observation. Its distance `away` from the limit therefore also contains
+    the error of a mean over incomplete periods. A rate of zero has no relative error. It is certified if the force of
+    the rock stays below its yield force by a multiple of this distance, else its error is infinite.
+    """
+    rate, check = fine["rate_of_penetration"], coarse["rate_of_penetration"]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        error = share * np.where(rate == check, 0.0, np.abs(check / rate - 1)) + least + DRIFT_MARGIN * away
+        yields = (fine.get("load", np.nan) + LOAD_MARGIN * away) >= 1
+    return np.where((rate == 0) & yields, np.inf, error)
 
 
 def joined(parts: list[Features]) -> Features:

@@ -4,13 +4,15 @@ Near a periodic orbit, the distance of a section crossing from the orbit is a li
 crossing. A recurrence that is fitted to the last crossings gives the limit, see [vibrojax.sweep.engine.recurrence][].
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import reduce
 
 import numpy as np
 from jaxtyping import Bool, Int
 
-from vibrojax.measures.repeats import INTERVAL, TIME, state_name
+from vibrojax.measures.ledger import MOST_CYCLES
+from vibrojax.measures.repeats import GROWTH, INTERVAL, REPEATS_WITHIN, TIME, pulse_scale, state_name
 from vibrojax.measures.section import Settling
 from vibrojax.measures.since_start import half_names, stored_scales
 from vibrojax.models.scenes import Section
@@ -59,6 +61,34 @@ def drift(features: Features, section: Section, precision: str, tolerance: float
     `precision`: that of the features, "float64" or "float32"; `tolerance`: relative error tolerance of the steps.
     """
     cycles = np.nan_to_num(features["cycles"]).astype(int)
+    return _in_parts(cycles, lambda lanes: _crossings(features, lanes, cycles[lanes], section), precision, tolerance)
+
+
+def drift_under_pulses(features: Features, states: Sequence[str], precision: str, tolerance: float) -> PerLane:
+    """Return the same for scenes under pulses, of the growth of the hole per pulse instead of period and velocity.
+
+    The beginnings of pulses take the place of section crossings. A motion is periodic if the `states` at the last
+    pulses repeat within 1e-3 of their scales. Without pulses nothing repeats, and the result is NaN.
+    """
+    if not states:
+        return np.full(len(features["rate_of_penetration"]), np.nan)
+    rows = np.stack([features[state_name(name)].T[::-1] / features[pulse_scale(name)] for name in states]).astype(float)
+    known = np.sum(np.isfinite(rows[0]), axis=0)
+    cycles = np.zeros(len(known), int)
+    with np.errstate(invalid="ignore"):
+        for repeat in range(MOST_CYCLES, 0, -1):
+            moves = np.any(np.abs(rows[:, repeat:] - rows[:, :-repeat]) > REPEATS_WITHIN, axis=(0, 1))
+            cycles[~moves & (known > 3 * repeat)] = repeat
+
+    def crossings(lanes: Index) -> Crossings:
+        growth = (features[GROWTH].T[::-1, lanes].astype(float), None, features["slip_per_impact"][lanes])
+        return Crossings(rows[..., lanes], known[lanes], cycles[lanes], (growth,))
+
+    return _in_parts(cycles, crossings, precision, tolerance)
+
+
+def _in_parts(cycles: PerLaneInt, crossings: Callable[[Index], Crossings], precision: str, tolerance: float) -> PerLane:
+    """Return the distances of all lanes; `crossings` returns those of the lanes with these indices."""
     distance = np.where(cycles > 0, np.inf, np.nan)
     noise = 64 * float(np.finfo(precision).eps)
     resolved = max(DRIFT_RESOLVED * noise, 10 * tolerance)
@@ -66,8 +96,7 @@ def drift(features: Features, section: Section, precision: str, tolerance: float
     with np.errstate(all="ignore"):
         for first in range(0, len(periodic), LANES_AT_ONCE):
             lanes = periodic[first : first + LANES_AT_ONCE]
-            crossings = _crossings(features, lanes, cycles[lanes], section)
-            distance[lanes] = _drift(crossings, noise, resolved)
+            distance[lanes] = _drift(crossings(lanes), noise, resolved)
     return distance
 
 
