@@ -29,6 +29,10 @@ from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
 from vibrojax.sweep.input.points import VECTOR
 
 
+ERROR_UNDER_PULSES = "estimated relative error of the settled rate of penetration (none if pulses do not repeat)"
+"""Meaning of `error_estimate` of scenes without a section."""
+
+
 def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = True) -> dict[str, np.ndarray]:
     """Return the stored variables of the lanes from `first` (inclusive) to `end` (exclusive), in dataset order.
 
@@ -71,9 +75,9 @@ def regime_variables(scene: Scene[Any]) -> dict[str, Variable]:
 
 
 def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
-    """Return the variables that the scene's section and the scene's own gauges declare."""
+    """Return the variables that the scene's section and the scene's own gauges declare, or that mean something else."""
     if scene.section is None:
-        return {}
+        return {"error_estimate": replace(VARIABLES["error_estimate"], long_name=ERROR_UNDER_PULSES)}
     variables = {}
     for swing in scene.section.swings:
         state = scene.states[scene.place(swing.position)]
