@@ -16,7 +16,7 @@ CANCELLING = {
     "delta": [-0.00134, -0.00536, 0.00338, 0.00056, -0.0059, -0.00505],
     "start": ["drive", "drive", "drive", "stuck", "drive", "stuck"],
 }
-"""Lanes whose smoothing errors cancel in the difference of two widths, or are hidden by those of steps in the contact."""
+"""Lanes whose smoothing errors cancel in the difference of two widths, or are hidden by steps in the contact."""
 
 LANES = 512
 SETTLED = 400.0  # s

@@ -106,7 +106,7 @@ def test_mean_over_incomplete_periods(pulses):
 @pytest.mark.parametrize("multiplier", [0.98, 0.9, -0.95])
 def test_growth_that_settles(multiplier):
     def away(k):
-        return 1e-4 * multiplier**k.astype(float)
+        return 1e-4 * multiplier ** k.astype(float)
 
     settling = lane(lambda k: 1e-3 * (1 + 0.4 * away(k)), away)
     error = abs(1e-3 / settling["slip_per_impact"][0] - 1)

@@ -64,4 +64,5 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
             if not isinstance(scene, need):
                 lacks = f"{scene.name} is no {need.__name__}; {type(gauge).__name__} measures only those"
                 raise InputError(f"scene: {lacks}")
-    return Recorder((*gauges, KeptReturns(max(keep_returns, RETURNS_FOR_DRIFT))))
+    grows = any(isinstance(gauge, Hole) for gauge in gauges)
+    return Recorder((*gauges, KeptReturns(max(keep_returns, RETURNS_FOR_DRIFT), grows)))

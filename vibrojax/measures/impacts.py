@@ -3,7 +3,7 @@
 Means over the hole are over return intervals for a drill, and over pulse periods for a prescribed force.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from vibrojax.measures import ledger
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.measures.ledger import Ledger
 from vibrojax.measures.recorder import Features, Records
-from vibrojax.measures.repeats import GROWTH, TIME, in_order, pulse_scale, put_row, state_name
+from vibrojax.measures.repeats import GROWTH, ROCK_STATES, TIME, in_order, put_row, rock_scale, state_name
 from vibrojax.models.arrays import Array, Flags, Lanes, keep
 from vibrojax.models.scenes.capabilities import Driven, HasContact, HasFriction, HasImpacts, HasRock
 from vibrojax.models.scenes.scene import Scene
@@ -144,16 +144,18 @@ class Hole(Gauge[HasRock[Any]]):
     def increments(self, scene: HasRock[Any], c: Any, moment: Moment) -> Sums:
         return {"growth": _growth(scene, moment.step)}
 
-    def begin(self, scene: HasRock[Any], c: Any, lane: Lane) -> Lanes:
-        return jnp.minimum(lane.state[scene.place("compression")], 0)
+    def begin(self, scene: HasRock[Any], c: Any, lane: Lane) -> Pair:
+        compression = lane.state[scene.place("compression")]
+        return jnp.minimum(compression, 0), compression
 
-    def step(self, scene: HasRock[Any], c: Any, carry: Lanes, moment: Moment) -> Lanes:
+    def step(self, scene: HasRock[Any], c: Any, carry: Pair, moment: Moment) -> Pair:
         compression = moment.step.polynomials[scene.place("compression")]
         lowest = -highest([-coefficient for coefficient in compression], moment.step.tau)
-        return jnp.minimum(carry, lowest)
+        return jnp.minimum(carry[0], lowest), jnp.maximum(carry[1], highest(compression, moment.step.tau))
 
-    def read(self, scene: HasRock[Any], c: Any, carry: Lanes, whole: Whole) -> Sums:
-        return _rates(scene, c, whole.sums, whole.time, whole.sums["impacts"], carry)
+    def read(self, scene: HasRock[Any], c: Any, carry: Pair, whole: Whole) -> Sums:
+        rates = _rates(scene, c, whole.sums, whole.time, whole.sums["impacts"], carry[0])
+        return rates | _scales(scene, c, ROCK_STATES) | {"load": _load(scene, c, carry[1])}
 
 
 class Pulses(NamedTuple):
@@ -242,14 +244,10 @@ class PulseRecorder(Records):
     def _last_pulses(self, scene: HasRock[Any], c: Any, carry: Pulses) -> Features:
         """Return the features from which the error is estimated."""
         rows = in_order(carry.last, _kept(scene))
-        states = {name: scene.states[scene.place(name)] for name in scene.return_states}
-        # The kinetic energy at the second scale is the elastic energy at the first.
-        length = scene.threshold(c) / scene.stiffness(c)
-        velocity = length / scene.rock_period(c)
         return {
             **{name: row for name, row in rows.items() if name != TIME},
-            **{pulse_scale(name): velocity if state.is_velocity else length for name, state in states.items()},
-            "load": carry.tightest / length,
+            **_scales(scene, c, scene.return_states),
+            "load": _load(scene, c, carry.tightest),
         }
 
 
@@ -262,6 +260,19 @@ def _driven(scene: Scene[Any]) -> Any:
 def _kept(scene: Scene[Any]) -> tuple[str, ...]:
     """Return the names of the features at the beginning of a pulse."""
     return (TIME, *map(state_name, scene.return_states), GROWTH)
+
+
+def _scales(scene: HasRock[Any], c: Any, names: Sequence[str]) -> Features:
+    """Return the scales of lengths and velocities at which the elastic and the kinetic energy make the rock yield."""
+    length = scene.threshold(c) / scene.stiffness(c)
+    velocity = length / scene.rock_period(c)
+    states = {name: scene.states[scene.place(name)] for name in names}
+    return {rock_scale(name): velocity if state.is_velocity else length for name, state in states.items()}
+
+
+def _load(scene: HasRock[Any], c: Any, tightest: Lanes) -> Lanes:
+    """Return the greatest force of the rock over its yield force, from the greatest compression [m]."""
+    return tightest * scene.stiffness(c) / scene.threshold(c)
 
 
 def _growth(scene: Scene[Any], step: Step) -> Lanes:

@@ -127,6 +127,7 @@ def settling_time(carry: Returns, cycles: Lanes) -> jax.Array:
 
 
 TIME, INTERVAL, GROWTH = "return_time", "return_interval", "return_growth"
+ROCK_STATES = ("compression", "v3")
 IMPACTS = ("return_impacts", "return_impact_velocity")
 
 
@@ -137,13 +138,15 @@ class KeptReturns(Gauge[Scene[Any]]):
     The carry is a ring buffer of the crossings, an array (keep, features, lanes).
 
     The interval is the time since the previous crossing. The states are the states of the return map. The number of
-    impacts since the previous crossing and their mean velocity are stored if the scene has a contact.
+    impacts since the previous crossing and their mean velocity are stored if the scene has a contact, and the growth of
+    the hole since then if `grows`.
     """
 
     keep: int
+    grows: bool = False
 
     def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Array:
-        shape = (self.keep, len(_names(scene)), *lane.state[0].shape)
+        shape = (self.keep, len(self._names(scene)), *lane.state[0].shape)
         return jnp.full(shape, jnp.nan, lane.state[0].dtype)
 
     def section(self, scene: Scene[Any], c: Any, carry: Array, crossing: Return) -> Array:
@@ -153,10 +156,17 @@ class KeptReturns(Gauge[Scene[Any]]):
             whole = crossing.number > 0
             new.append(jnp.where(whole, crossing.sums["impacts"], jnp.nan))
             new.append(jnp.where(whole, crossing.sums["velocity"] / crossing.sums["impacts"], jnp.nan))
+        if self.grows:
+            new.append(jnp.where(crossing.number > 0, crossing.sums["growth"], jnp.nan))
         return put_row(carry, crossing.here, crossing.number, new)
 
     def read(self, scene: Scene[Any], c: Any, carry: Array, whole: Whole) -> dict[str, Array]:
-        return in_order(carry, _names(scene))
+        return in_order(carry, self._names(scene))
+
+    def _names(self, scene: Scene[Any]) -> tuple[str, ...]:
+        impacts = IMPACTS if isinstance(scene, HasImpacts) else ()
+        growth = (GROWTH,) if self.grows else ()
+        return (TIME, INTERVAL, *(state_name(name) for name in scene.return_states), *impacts, *growth)
 
 
 def put_row(rows: Array, here: Flags, number: Lanes, new: Sequence[Lanes]) -> jax.Array:
@@ -179,11 +189,6 @@ def state_name(name: str) -> str:
     return f"return_{name}"
 
 
-def pulse_scale(name: str) -> str:
-    """Return the name of the feature that stores the scale of a state at the beginning of pulses."""
+def rock_scale(name: str) -> str:
+    """Return the name of the feature that stores the scale of a state of the bit on the rock."""
     return f"{name}_scale"
-
-
-def _names(scene: Scene[Any]) -> tuple[str, ...]:
-    impacts = IMPACTS if isinstance(scene, HasImpacts) else ()
-    return (TIME, INTERVAL, *(state_name(name) for name in scene.return_states), *impacts)

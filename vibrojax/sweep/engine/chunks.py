@@ -14,7 +14,7 @@ from vibrojax.measures.repeats import INTERVAL
 from vibrojax.progress import Portions, timed
 from vibrojax.stepping import Accuracy
 from vibrojax.sweep.engine.batch import Batch, Engine, Features, PerLane, Report, unreported
-from vibrojax.sweep.engine.drift import drift, drift_under_pulses, sensitive
+from vibrojax.sweep.engine.drift import drift, drift_under_pulses, rock_error, sensitive
 from vibrojax.sweep.engine.programs import END
 from vibrojax.sweep.engine.underway import (
     OBSERVING,
@@ -176,17 +176,20 @@ def certified(fine: Features, check: Features, share: float, least: float) -> Fe
 
 
 def error_estimate(fine: Features, coarse: Features, share: float, least: float) -> Float[np.ndarray, " lanes"]:
-    """Return the estimated relative error of period and impact velocity, whichever is larger.
+    """Return the estimated relative error of period, impact velocity and rate of penetration, whichever is largest.
 
-    It is the error of the limits that the lane approaches, the sum of three parts: the fraction `share` of the
-    difference between the two runs; `least`, in case this difference is small by chance; and a multiple of the
-    remaining distance from the limit, `drift_estimate`. It is NaN if a lane is not periodic. It is infinite if the
-    number of section crossings or impacts per period differs between the runs, or if the drift is unbounded.
+    It is the error of the limits that the lane approaches, the sum of four parts: the fraction `share` of the
+    difference between the two runs; `least`, in case this difference is small by chance; a multiple of the remaining
+    distance from the limit, `drift_estimate`; and the error of a bit that still moves on the rock. It is NaN if a lane
+    is not periodic. It is infinite if the number of section crossings or impacts per period differs between the runs,
+    or if the drift is unbounded.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        names = [name for name in ("period", "impact_velocity") if name in fine]
-        differences = [np.abs(coarse[name] / fine[name] - 1) for name in names]
-        error = share * reduce(np.fmax, differences) + least + DRIFT_MARGIN * fine["drift_estimate"]
+        names = [name for name in ("period", "impact_velocity", "rate_of_penetration") if name in fine]
+        differences = [
+            np.where(coarse[name] == fine[name], 0.0, np.abs(coarse[name] / fine[name] - 1)) for name in names
+        ]
+        error = share * reduce(np.fmax, differences) + least + DRIFT_MARGIN * fine["drift_estimate"] + rock_error(fine)
     agree = coarse["cycles"] == fine["cycles"]
     if "impacts" in fine:
         agree &= coarse["impacts"] == fine["impacts"]

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.measures.repeats import GROWTH, INTERVAL, REPEATS_WITHIN, TIME, pulse_scale, state_name
+from vibrojax.measures.repeats import GROWTH, INTERVAL, REPEATS_WITHIN, ROCK_STATES, TIME, rock_scale, state_name
 from vibrojax.measures.section import Settling
 from vibrojax.measures.since_start import half_names, stored_scales
 from vibrojax.models.scenes import Section
@@ -52,7 +52,7 @@ Features = dict[str, np.ndarray]
 
 
 def drift(features: Features, section: Section, precision: str, tolerance: float) -> PerLane:
-    """Return the relative distance of period and impact velocity from their limits, whichever is larger.
+    """Return the relative distance of period, impact velocity and rate of penetration from their limits, the largest.
 
     It is NaN for a lane that is not periodic. It is infinite if the section crossings move away from the orbit,
     approach an orbit with a shorter period, or determine neither.
@@ -72,7 +72,7 @@ def drift_under_pulses(features: Features, states: Sequence[str], precision: str
     """
     if not states:
         return np.full(len(features["rate_of_penetration"]), np.nan)
-    rows = np.stack([features[state_name(name)].T[::-1] / features[pulse_scale(name)] for name in states]).astype(float)
+    rows = np.stack([features[state_name(name)].T[::-1] / features[rock_scale(name)] for name in states]).astype(float)
     known = np.sum(np.isfinite(rows[0]), axis=0)
     cycles = np.zeros(len(known), int)
     with np.errstate(invalid="ignore"):
@@ -85,6 +85,38 @@ def drift_under_pulses(features: Features, states: Sequence[str], precision: str
         return Crossings(rows[..., lanes], known[lanes], cycles[lanes], (growth,))
 
     return _in_parts(cycles, crossings, precision, tolerance)
+
+
+ROCK_MARGIN, ROCK_MARGIN_SHORT = 4.0, 100.0
+"""Multiple of the changes of the rock's states from period to period that bounds their distance from the limit: in an
+observation of many periods, and of one. For a multiplier m, all future changes add up to m/(1 - m) times the last."""
+
+
+def rock_error(features: Features) -> PerLane:
+    """Return the relative error of the rate of penetration that is due to the motion of the bit on the rock.
+
+    A lightly damped bit may still move on the rock, from blow to blow in another way, when the drill has settled. Its
+    states at the section are compared over all stored periods. A deviation of the compression by some length may change
+    the growth of the hole in a period by this length. Without growth, the error is infinite if a deviation of the
+    greatest force might break the rock, else zero. It is zero for a drill without rock.
+    """
+    cycles = np.nan_to_num(features["cycles"]).astype(int)
+    moved = np.zeros(len(cycles))
+    if GROWTH not in features:
+        return moved
+    states = [features[state_name(name)] / features[rock_scale(name)][:, None] for name in ROCK_STATES]
+    count = np.sum(np.isfinite(features[TIME]), axis=1)
+    for repeat in range(1, MOST_CYCLES + 1):
+        lanes = np.flatnonzero(cycles == repeat)
+        for state in states if len(lanes) else ():
+            for phase in range(repeat):
+                same = state[lanes, ::-1][:, phase::repeat]
+                ranges = np.fmax.reduce(same, axis=1) - np.fmin.reduce(same, axis=1)
+                moved[lanes] = np.fmax(moved[lanes], ranges)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        growth = features["rate_of_penetration"] * features["period"] * cycles / features[rock_scale(ROCK_STATES[0])]
+        away = np.where(count > 2 * cycles, ROCK_MARGIN, ROCK_MARGIN_SHORT) * moved
+        return np.where(growth > 0, away / growth, np.where(features["load"] + away < 1, 0.0, np.inf))
 
 
 def _in_parts(cycles: PerLaneInt, crossings: Callable[[Index], Crossings], precision: str, tolerance: float) -> PerLane:
@@ -116,6 +148,9 @@ def _crossings(features: Features, lanes: PerLaneInt, cycles: PerLaneInt, sectio
         impacts = newest_first("return_impacts")
         velocity = np.where(impacts > 0, impacts * newest_first("return_impact_velocity"), 0.0)
         sums.append((velocity, impacts, features["impact_velocity"][lanes]))
+    if GROWTH in features:
+        growth = features["rate_of_penetration"][lanes] * period
+        sums.append((newest_first(GROWTH), None, growth))
     count = np.sum(np.isfinite(features[TIME][lanes]), axis=1)
     return Crossings(states, count, cycles, tuple(sums))
 

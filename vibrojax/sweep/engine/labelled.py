@@ -28,7 +28,6 @@ from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
 from vibrojax.sweep.input.points import VECTOR
 
-
 ERROR_UNDER_PULSES = "estimated relative error of the settled rate of penetration (none if pulses do not repeat)"
 """Meaning of `error_estimate` of scenes without a section."""
 
