@@ -151,3 +151,33 @@ def test_slowly_growing_amplitude_has_drift():
     for name in ("return_interval", "return_impact_velocity"):
         features[name] = np.full((1, 25), features[name][0, 0])
     assert drift(features, "float64", 1e-7)[0] == pytest.approx(swing[-1], rel=1e-3)
+
+
+def on_rock(compression, rate=0.0, load=0.5, cycles=1):
+    """Return features of a settled drill of which the bit has this compression at the section."""
+    compression = np.asarray(compression)[None]
+    rows = np.zeros_like(compression)
+    return {
+        "cycles": np.array([cycles]),
+        "period": np.array([0.2]),
+        "rate_of_penetration": np.array([rate]),
+        "load": np.array([load]),
+        "return_growth": rows + 0.2 * rate,
+        "return_time": rows,
+        "return_compression": compression,
+        "return_v3": rows,
+        "compression_scale": np.array([1e-3]),
+        "v3_scale": np.array([1.0]),
+    }
+
+
+def test_bit_that_still_moves_on_the_rock():
+    """The change of the compression counts against the growth per period; without growth, against the yield force."""
+    beats = 0.3e-3 + 1e-6 * np.sin(np.arange(25))
+    assert drift_module.rock_error(on_rock(beats, rate=5e-3)) == pytest.approx(8e-6 / 1e-3, rel=0.01)
+    assert drift_module.rock_error(on_rock(beats)) == 0
+    assert np.isinf(drift_module.rock_error(on_rock(beats, load=0.995)))
+    alternating = 1e-4 * (-1.0) ** np.arange(25)
+    assert drift_module.rock_error(on_rock(alternating, rate=5e-3, cycles=2)) == 0
+    assert drift_module.rock_error(on_rock(alternating, rate=5e-3)) == pytest.approx(0.8)
+    assert drift_module.rock_error(lane(spiral_map(0.5, 0.3), 1e-3)[0]) == 0

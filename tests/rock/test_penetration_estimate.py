@@ -128,3 +128,22 @@ def test_pulses_that_do_not_repeat_have_no_estimate():
     rng = np.random.default_rng(0)
     assert np.isnan(estimate(lane(settled, lambda k: 0.1 * rng.standard_normal(len(k)))))
     assert np.isnan(estimate(lane(settled, settled, pulses=3)))
+
+
+def test_undamped_rock_under_a_drill():
+    """The drill has settled after 5 s, but the bit still moves on the rock: the rate of penetration is 20 % too low."""
+    point = {
+        "beta": 0.1342515580221152,
+        "gamma": 0.48801906227391845,
+        "v": 1.2542774914090655,
+        "c2": 141.5584516830171,
+        "delta": -0.00381931693952789,
+    }
+    rock = {"zeta": 0.0, "threshold": 54599.84978859603, "k3": 21316867.615476258}
+    estimates = {}
+    for scene, parameters in (("vibro-impact", point), ("drilling", point | rock)):
+        sweep = {"scene": scene, "parameters": parameters, "grid": {"mu": [0.4]}, "starts": ["stuck"]}
+        ds = vj.run_sweep(sweep | {"run": {"settle": 5.0, "observe": 3.0}}, progress=False)
+        assert ds.cycles.item() == 1
+        estimates[scene] = float(ds.error_estimate.item())
+    assert estimates["vibro-impact"] < 1e-4 < 0.2 < estimates["drilling"]

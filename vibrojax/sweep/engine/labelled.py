@@ -23,13 +23,14 @@ from vibrojax.measures.repeats import state_name
 from vibrojax.measures.since_start import scale_names
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import differing, substitutes
-from vibrojax.models.scenes import HasContact, HasFriction, HasImpacts, Scene
+from vibrojax.models.scenes import HasContact, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
 from vibrojax.sweep.input.points import VECTOR
 
 ERROR_UNDER_PULSES = "estimated relative error of the settled rate of penetration (none if pulses do not repeat)"
-"""Meaning of `error_estimate` of scenes without a section."""
+ERROR_OF_DRILL = "estimated relative error of the settled period, impact velocity and rate of penetration, the largest"
+"""Meanings of `error_estimate` of scenes without a section, and of scenes with a section and rock."""
 
 
 def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = True) -> dict[str, np.ndarray]:
@@ -78,6 +79,8 @@ def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
     if scene.section is None:
         return {"error_estimate": replace(VARIABLES["error_estimate"], long_name=ERROR_UNDER_PULSES)}
     variables = {}
+    if isinstance(scene, HasRock):
+        variables["error_estimate"] = replace(VARIABLES["error_estimate"], long_name=ERROR_OF_DRILL)
     for swing in scene.section.swings:
         state = scene.states[scene.place(swing.position)]
         if swing.amplitude not in VARIABLES:
