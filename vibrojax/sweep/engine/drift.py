@@ -167,10 +167,16 @@ def _drift(crossings: Crossings, noise: float, resolved: float) -> PerLane:
         differences = part.differences(order)
         fits = [fit_recurrence(part, differences, k, noise) for k in range(max(order - 1, 1), order + 1)]
         distance[lanes] = np.where(_is_unknown(part, fits, resolved), np.inf, _distance(part, fits))
-    # A slow spiral towards an orbit with a shorter period seems periodic after each revolution.
     for shorter in range(1, crossings.lag.max(initial=0)):
         divided = np.flatnonzero((crossings.lag > shorter) & (crossings.lag % shorter == 0))
-        part = crossings.of(divided)._replace(lag=np.full(len(divided), shorter))
+        part = crossings.of(divided)
+        # At the end of a transient, only the first crossings fail the test of the shorter period.
+        number = np.arange(part.lag.max(initial=0))[:, None]
+        changes = np.abs(part.at(number) - part.at(number + shorter))
+        apart = np.max(changes, axis=(0, 1), where=number < part.lag, initial=0.0)
+        distance[divided[apart <= REPEATS_WITHIN + 2 * distance[divided]]] = np.inf
+        # A slow spiral towards an orbit with a shorter period seems periodic after each revolution.
+        part = part._replace(lag=np.full(len(divided), shorter))
         for order, lanes in _by_order(np.where(part.are_resolved(resolved), part.highest, 0)):
             subset = part.of(lanes)
             fit = fit_recurrence(subset, subset.differences(order), order, noise)
