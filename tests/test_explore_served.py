@@ -1,5 +1,6 @@
 """Tests of `vibrojax explore OUT.nc --live`: its output, how it ends, and the page in a browser."""
 
+import json
 import os
 import re
 import shutil
@@ -210,11 +211,20 @@ def test_stopped_server_is_reported():
         page.locator(".vx-wrong", has_text="the server does not answer; it may have been stopped").wait_for()
 
 
-def test_quick_requests_are_sent_one_at_a_time():
-    """The page sends only the first and the last of many simultaneous requests, and refuses those between."""
+def run_module(script):
+    """Return what a script prints that imports modules of the page."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("no node here")
+    call = [node, "--input-type=module", "-e", script]
+    page = ROOT / "vibrojax" / "explorer" / "page"
+    process = subprocess.run(call, capture_output=True, text=True, cwd=page, timeout=300)
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout)
+
+
+def test_quick_requests_are_sent_one_at_a_time():
+    """The page sends only the first and the last of many simultaneous requests, and refuses those between."""
     script = """
       import { newest, Overtaken } from "./live.js";
       const sent = [];
@@ -229,7 +239,41 @@ def test_quick_requests_are_sent_one_at_a_time():
       if (!refused.every((one) => one.reason instanceof Overtaken)) throw new Error("refused otherwise");
       console.log(JSON.stringify([sent, answered]));
     """
-    call = [node, "--input-type=module", "-e", script]
-    page = ROOT / "vibrojax" / "explorer" / "page"
-    process = subprocess.run(call, capture_output=True, text=True, cwd=page, timeout=300)
-    assert process.stdout.strip() == "[[[0,1],[999,2]],[0,999]]", process.stderr
+    assert run_module(script) == [[[0, 1], [999, 2]], [0, 999]]
+
+
+def test_text_of_motion_agrees_with_label():
+    """A motion that is simulated anew may be another one; the text never contradicts the label."""
+    script = """
+      import { described } from "./cell.js";
+      const text = (kind, returns, ...labelled) => described({ kind, returns, duration: 1, flags: [], note: "" }, ...labelled);
+      console.log(JSON.stringify([text("orbit", 1), text("orbit", 1, 1), text("motion", 5), text("motion", 5, 0),
+        text("motion", 5, 1), text("orbit", 1, 2), text("orbit", 2, 0), text("orbit", 2, null), text("motion", 5, null)]));
+    """
+    texts = run_module(script)
+    assert texts[:4] == ["repeats after 1 return, 1 s"] * 2 + ["does not repeat; 5 returns are shown, 1 s"] * 2
+    another = "simulated anew it ends in another motion"
+    assert texts[4:7] == [
+        f"repeats after 1 return; {another}: 5 returns are shown, 1 s",
+        f"repeats after 2 returns; {another}: 1 return are shown, 1 s",
+        f"does not repeat; {another}: 2 returns are shown, 1 s",
+    ]
+    assert texts[7:] == ["2 returns are shown, 1 s", "5 returns are shown, 1 s"]
+
+
+def test_badge_and_text_of_cell_agree(dataset, tmp_path):
+    """Badge and text follow the dataset, also where the motion that is simulated for the page does not."""
+    changed = dataset.copy(deep=True)
+    for name, value in (("regime", 6), ("cycles", 0)):
+        changed[name][...] = value
+    path = vj.write_page(changed, tmp_path / "page.html", progress=False)
+    with serve(changed) as live, chromium() as browser:
+        for url in (live.url, path.as_uri()):
+            page, messages, _ = new_page(browser)
+            page.goto(url)
+            page.wait_for_selector("[data-ready]")
+            text = page.locator(".vx-motion", has_text="does not repeat;").first
+            text.wait_for()
+            assert page.locator(".vx-badge").inner_text() == "irregular"
+            assert text.inner_text().startswith("does not repeat; simulated anew it ends in another motion")
+            assert not wrong(messages)

@@ -107,6 +107,19 @@ def hides_another(
     return hidden.ravel().astype(np.int8)
 
 
+def shares_transient(
+    features: Mapping[str, Shaped[np.ndarray, " lanes"]], regime: Int8[np.ndarray, " lanes"], starts: int
+) -> Int8[np.ndarray, " lanes"]:
+    """Return `sensitive` with 1 also for aperiodic lanes of a grid point at which another lane is sensitive.
+
+    The other lane was on the same chaotic transient, which ends at a time that rounding decides. Arguments are those of
+    `hides_another`.
+    """
+    sensitive = features["sensitive"].reshape(-1, starts) == 1
+    aperiodic = (np.isin(regime, (UNDECIDED, IRREGULAR)) & (features["cycles"] == 0)).reshape(-1, starts)
+    return (sensitive | (sensitive.any(axis=1, keepdims=True) & aperiodic)).ravel().astype(np.int8)
+
+
 def _away(x: PerStart, error: PerStart, among: Bool[np.ndarray, "points starts"]) -> Bool[np.ndarray, "points starts"]:
     """Return a mask of the lanes that differ in `x` from another lane of their grid point.
 

@@ -224,14 +224,21 @@ export function drawMultipliers(canvas, cell) {
   }, { square: true });
 }
 
-/** What a picture of the cell shows, in words, for who does not see it. */
-export function described(cell) {
+/**
+ * What a picture of the cell shows, in words, for who does not see it. `labelled`: after how many returns the motion
+ * repeats by its label, 0 if it does not, null if the label does not say; without a label the motion itself tells. The
+ * motion is simulated anew, and where rounding decides it may be another than the one with the label.
+ */
+export function described(cell, labelled = cell.kind === "orbit" ? cell.returns : 0) {
   if (cell.kind === "none") return cell.note;
   const events = ["stick", "slip", "impact"].map((kind) => [kind, cell.flags.reduce((n, flag) => n + (EVENTS[flag & 7] === kind), 0)]);
   const listed = events.filter(([, n]) => n).map(([kind, n]) => `${n} × ${kind}`).join(", ");
-  const [f, unit] = shownIn("s", [cell.duration]);
-  const long = `${numberText(cell.duration * f, 4)} ${unit}`;
-  const returns = `${cell.returns} return${cell.returns === 1 ? "" : "s"}`;
-  const what = cell.kind === "orbit" ? `repeats after ${returns}, ${long}` : cell.returns ? `does not repeat; ${returns} are shown, ${long}` : `${cell.note}; ${long} are shown`;
+  const [f, unit] = shownIn("s", [cell.duration]), own = cell.kind === "orbit" ? cell.returns : 0;
+  const long = `${numberText(cell.duration * f, 4)} ${unit}`, after = (n) => `${n} return${n === 1 ? "" : "s"}`;
+  const shown = cell.returns ? `${after(cell.returns)} are shown, ${long}` : `${cell.note}; ${long} are shown`;
+  const repeats = labelled ? `repeats after ${after(labelled)}` : "does not repeat";
+  let what = shown;
+  if (labelled === own && cell.returns) what = own ? `${repeats}, ${long}` : `${repeats}; ${shown}`;
+  else if (labelled !== own && labelled !== null) what = `${repeats}; simulated anew it ends in another motion: ${shown}`;
   return listed ? `${what}: ${listed}` : what;
 }

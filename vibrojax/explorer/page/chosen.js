@@ -9,19 +9,33 @@ import { inkOf, line, mark, numberText, prepared } from "./plots.js";
 const EVENT_KEYS = { 1: ["stick", "vx-k-stick"], 2: ["slip", "vx-k-slip"], 3: ["impact", "vx-k-impact"] };
 const MASS_KEYS = [["x1", "bit", "vx-k-bit"], ["x2", "striker", "vx-k-striker"], ["x3", "bit on rock", "vx-k-rock"], ["x4", "hole", "vx-k-hole"]];
 
-/** The regime of the motion that is shown and what it means, where it is known of the lane. */
-function regimeOf(page, motion) {
+const PERIODIC = [2, 3, 4, 5], IRREGULAR = 6;
+
+/** The regime of the motion that is shown, where it is known of the lane. */
+function regimeValue(page, motion) {
   const { grid, point, named } = page, regime = grid.variables.get("regime");
-  const value = point ? motion?.numbers?.regime : regime && grid.value("regime", page.cell);
-  const ofLane = point ? Boolean(regime) : page.apart !== "attractor" && regime?.axes.every((axis) => named.includes(axis));
-  if (!ofLane || value === undefined) return [[], ""];
+  if (!regime) return undefined;
+  if (point) return motion?.numbers?.regime;
+  return page.apart !== "attractor" && regime.axes.every((axis) => named.includes(axis)) ? grid.value("regime", page.cell) : undefined;
+}
+
+/** The regime as a badge, and what it means. */
+function regimeOf(page, motion) {
+  const { grid } = page, regime = grid.variables.get("regime"), value = regimeValue(page, motion);
+  if (value === undefined) return [[], ""];
   const swatch = el("span", { class: "vx-swatch", style: `background:${grid.colour(regime, value)}` });
   return [[el("span", { class: "vx-badge" }, swatch, grid.valueText(regime, value))], page.data.meanings?.[regime.flags?.[String(value)]] ?? ""];
 }
 
+/** The motion in words that agree with the badge. */
+function textOf(page, motion) {
+  const value = regimeValue(page, motion);
+  return described(motion, value === undefined ? undefined : PERIODIC.includes(value) ? cyclesOf(page, motion) : value === IRREGULAR ? 0 : null);
+}
+
 function head(page, motion) {
   let text = page.data.without ?? "no motion is kept of this dataset";
-  if (motion) text = described(motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "");
+  if (motion) text = textOf(page, motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "");
   const [badge, meaning] = regimeOf(page, motion), moves = motion && motion.kind !== "none";
   return el("div", { class: "vx-cellhead" }, el("h2", { text: page.titleOf() }), ...badge,
     ...(moves ? [el("span", { class: "vx-cellbuttons" }, page.pins.button(), fileButton(page, motion))] : []),
@@ -92,7 +106,7 @@ function planePanels(page, motion, planes) {
       });
       page.player.to(motion.time[best]);
     };
-    return panel(`Phase plane, ${title(k)}`, (canvas) => drawPlane(canvas, motion, plane, k, page.pinned(motion)), described(motion),
+    return panel(`Phase plane, ${title(k)}`, (canvas) => drawPlane(canvas, motion, plane, k, page.pinned(motion)), textOf(page, motion),
       { extra: size, at, click, keys: () => pinKeys(page, motion), table: () => motionTable(motion) });
   });
 }
@@ -103,7 +117,7 @@ function historyPanels(page, motion) {
     const title = twice === 2 ? "Two cycles" : "Time history", [ft] = shownIn("s", [length]);
     const at = (time) => Array.from({ length: twice }, (_, i) => [(time + i * motion.duration) * ft, null]);
     const one = panel(k ? "" : title, (canvas) => drawHistory(canvas, motion, some, k === groups.length - 1),
-      `${some.map((column) => column.long_name).join(", ")} over time; ${described(motion)}`,
+      `${some.map((column) => column.long_name).join(", ")} over time; ${textOf(page, motion)}`,
       { extra: "vx-wide", at, table: () => motionTable(motion), scrub: ([px]) => { const { frame } = one.canvas; if (frame) page.player.to(frame.x.inverse(px) / ft); } });
     return one;
   });
@@ -164,10 +178,9 @@ function pinnedNumber(grid, variable, value, pin) {
   return cell;
 }
 
-/** Whether the motion that is shown, or the chosen lane, does not repeat: its measures are means then. */
-function doesNotRepeat(page, motion) {
-  const cycles = page.point ? motion?.numbers?.cycles : page.grid.value("cycles", page.cell);
-  return cycles === 0;
+/** After how many returns the chosen lane, or the motion at a point beside it, repeats; 0 if it does not. */
+function cyclesOf(page, motion) {
+  return page.point ? motion?.numbers?.cycles : page.grid.value("cycles", page.cell);
 }
 
 /** A mean of a motion that does not repeat: as many digits as it has, with the least and greatest where they are known. */
@@ -185,7 +198,7 @@ function spreadText(page, motion, variable, value) {
 
 /** The numbers of the chosen cell, or of a motion at a point beside it. */
 export function numbersOf(page, motion, pins = []) {
-  const { grid, named } = page, irregular = doesNotRepeat(page, motion), rows = [], apart = [...grid.startAxes, "attractor"].filter((axis) => !named.includes(axis));
+  const { grid, named } = page, irregular = cyclesOf(page, motion) === 0, rows = [], apart = [...grid.startAxes, "attractor"].filter((axis) => !named.includes(axis));
   for (const variable of grid.variables.values()) {
     if (variable.inner) continue;
     const { name } = variable, ofMotion = motion?.numbers && name in motion.numbers;

@@ -14,7 +14,7 @@ from vibrojax.measures.repeats import INTERVAL
 from vibrojax.progress import Portions, timed
 from vibrojax.stepping import Accuracy
 from vibrojax.sweep.engine.batch import Batch, Engine, Features, PerLane, Report, unreported
-from vibrojax.sweep.engine.drift import drift, drift_under_pulses, rock_error, sensitive
+from vibrojax.sweep.engine.drift import drift, drift_under_pulses, ends_differ, rock_error, sensitive
 from vibrojax.sweep.engine.programs import END
 from vibrojax.sweep.engine.underway import (
     OBSERVING,
@@ -96,8 +96,11 @@ class Chunks:
         parts = [item for item in items if isinstance(item, ReadyLanes)]
         ended = [item for item in items if isinstance(item, Ended)]
         observed = self._observed([part.fine for part in parts] + [part.check for part in parts], portions)
-        features = [item.features for item in ended]
+        features, apart = [item.features for item in ended], np.zeros(0, int)
         if parts:
+            if (section := self.sweep.system.section) is not None:
+                pairs = zip(parts, observed[: len(parts)], observed[len(parts) :], strict=True)
+                apart = np.concatenate([part.fine.lanes[ends_differ(*runs, section)] for part, *runs in pairs])
             check = [{name: x for name, x in one.items() if name in COMPARED} for one in observed[len(parts) :]]
             features.insert(0, self._certified(joined(observed[: len(parts)]), joined(check)))
         if not run.keep_returns and self._beyond is None:  # the crossings are needed only for the estimate
@@ -105,7 +108,7 @@ class Chunks:
         order = np.argsort(np.concatenate([part.fine.lanes for part in parts] + [item.lanes for item in ended]))
         whole = {name: x[order] for name, x in joined(features).items()}
         if "cycles" in whole:
-            whole["sensitive"] = sensitive(self.engine, batch, whole)
+            whole["sensitive"] = sensitive(self.engine, batch, whole, np.searchsorted(batch.lanes, apart))
         return whole
 
     def finished(self, index: int, features: Features) -> Features:

@@ -12,7 +12,16 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.measures.repeats import GROWTH, INTERVAL, REPEATS_WITHIN, ROCK_STATES, TIME, rock_scale, state_name
+from vibrojax.measures.repeats import (
+    GROWTH,
+    INTERVAL,
+    REPEATS_WITHIN,
+    ROCK_STATES,
+    SETTLED_WITHIN,
+    TIME,
+    rock_scale,
+    state_name,
+)
 from vibrojax.measures.section import Settling
 from vibrojax.measures.since_start import half_names, stored_scales
 from vibrojax.models.scenes import Section
@@ -239,6 +248,36 @@ def _means(total: Series, count: Series | None, window: PerLaneInt, first: Numbe
     return sums[0] / (window if count is None else sums[1])
 
 
+def ends_differ(fine: Features, check: Features, section: Section) -> PerLaneBool:
+    """Return a mask of aperiodic lanes of which only one run becomes periodic by the end, or each at another time.
+
+    The two runs separate long before the observation, so that the end of a regular transient is the same in both.
+    `fine`, `check`: features of main run and check run, including the last section crossings (lanes, returns).
+    """
+    differ = np.zeros(len(fine["cycles"]), bool)
+    lanes = np.flatnonzero((fine["cycles"] == 0) & fine["finished"] & fine["finite"])
+    with np.errstate(invalid="ignore"):
+        times, others = (_periodic_since(run, lanes, section) for run in (fine, check))
+        same = (times == others) | (np.abs(times - others) < SAME_TIME * fine["period"][lanes])
+    differ[lanes] = ~(same | (np.isnan(times) & np.isnan(others)))
+    return differ
+
+
+def _periodic_since(features: Features, lanes: PerLaneInt, section: Section) -> PerLane:
+    """Return the time of the last section crossing before lanes became periodic, NaN if the last crossings are not.
+
+    It is -inf if all stored crossings are periodic.
+    """
+    states = _crossings(features, lanes, np.ones_like(lanes), section).states
+    times, since = features[TIME][lanes].T[::-1], np.full(len(lanes), np.nan)
+    for repeat in range(ENDS_WITHIN // 2, 0, -1):
+        differs = ~(np.max(np.abs(states[:, :-repeat] - states[:, repeat:]), axis=0) < SETTLED_WITHIN)
+        number = np.where(differs.any(axis=0), differs.argmax(axis=0) + repeat, len(times))
+        time = np.where(number < len(times), pick(times, np.minimum(number, len(times) - 1)), -np.inf)
+        since = np.where(number >= ENDS_WITHIN, time, since)
+    return since
+
+
 GROWTH_RETURNS = 40
 """Number of section crossings in the shortest transient in which a step error can grow to the size of the motion. If a
 perturbation of 1e-9 m at t = 0 leads to another attractor on the default map, the transient has at least 50."""
@@ -247,26 +286,36 @@ CHANGE, ROUNDINGS = 1e-9, 4
 """Relative perturbation of all parameters in the second run, and its minimum in units of machine epsilon. The errors of
 the default steps have the same size."""
 
+SAME_TIME = 0.05
+"""Difference of the settling times of two runs that settle in the same way, in return intervals. Runs that separate in
+a chaotic transient also settle within this time of each other, but rarely."""
+
+ENDS_WITHIN = 8
+"""Number of last section crossings that must repeat in a lane that becomes periodic during its observation."""
+
 SECOND_RUNS, LANE_SECONDS = 8, 25e3
 """Number of second runs of an aperiodic lane, and size of the largest sweep in which they are made [lanes times
 simulated seconds]. In such a sweep they take a second. In a large sweep of irregular lanes, they would take five times
 as long as everything else."""
 
 
-def sensitive(engine: Engine, start: Batch, features: Features) -> Int[np.ndarray, " lanes"]:
+def sensitive(engine: Engine, start: Batch, features: Features, apart: Index) -> Int[np.ndarray, " lanes"]:
     """Return 1 for each lane whose attractor is determined by rounding error, else 0.
 
-    `start`: the lanes at t = 0; `features`: features of the lanes and of their check run.
+    `start`: the lanes at t = 0; `features`: features of the lanes and of their check run; `apart`: numbers of lanes
+    whose two runs become periodic at different times, see `ends_differ`.
     """
     period, cycles, settled = (np.asarray(features[name], float) for name in ("period", "cycles", "settling_time"))
     flags = ((cycles == 0) & (features["check_cycles"] > 0)).astype(int)
+    flags[apart] = 1
     with np.errstate(invalid="ignore"):
         slow = np.flatnonzero((cycles > 0) & (settled > GROWTH_RETURNS * period))
     if len(slow):
-        # Two periods after the lane has settled, compare the time since which the second run has been settled.
-        returns = _returns(engine, _changed(engine, start.of(slow), 1), (settled + 2 * cycles * period)[slow])
+        # Between two crossings, some periods after the lane has settled, compare the time since when the second run has
+        # been settled. If that run has not settled yet, this time is later by more than half of its `cycles` intervals.
+        returns = _returns(engine, _changed(engine, start.of(slow), 1), (settled + (2 * cycles + 1.5) * period)[slow])
         times = np.asarray(returns.seen.settled)[cycles[slow].astype(int) - 1, np.arange(len(slow))]
-        flags[slow] = ~(np.abs(times - settled[slow]) < period[slow] / 2)
+        flags[slow] = ~(np.abs(times - settled[slow]) < SAME_TIME * period[slow])
     # Lanes that have failed are labelled as such; up to their limit of steps they take longer than all others together.
     run, irregular = engine.sweep.run, np.flatnonzero((cycles == 0) & features["finished"] & features["finite"])
     end = run.settle + run.observe

@@ -18,7 +18,7 @@ from vibrojax.io.manifest import IDENTITY, identity_text
 from vibrojax.io.variables import ORBIT_REASONS, OWN_REGIMES, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.measures import gauge_named
 from vibrojax.measures.derived import derived
-from vibrojax.measures.labels import LABELLED_BY, REGIMES, hides_another, label
+from vibrojax.measures.labels import LABELLED_BY, REGIMES, hides_another, label, shares_transient
 from vibrojax.measures.repeats import state_name
 from vibrojax.measures.since_start import scale_names
 from vibrojax.models.arrays import Array
@@ -38,11 +38,12 @@ def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = T
 
     `features`: (lanes,), or (lanes, rows) for stored section crossings; the variables have the same shapes. `whole`:
     True if the lanes include all initial conditions of each point; otherwise `hidden_motion`, which compares them, is
-    omitted.
+    omitted, and `sensitive` is that of each lane alone.
     """
     features = _finished(sweep, first, end, features)
     if whole and sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in features:
-        features["hidden_motion"] = hides_another(features, features["regime"], len(sweep.starts))
+        of_points = (features, features["regime"], len(sweep.starts))
+        features |= {"hidden_motion": hides_another(*of_points), "sensitive": shares_transient(*of_points)}
     variables = {}
     for name, variable in variables_of(sweep).items():
         if name in features:
