@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import vibrojax as vj
 from vibrojax.models.scenes import SCENES
 from vibrojax.sweep.engine import drift as drift_module
 
@@ -97,6 +98,29 @@ def test_drift_of_longer_repeats(cycles, returns):
         assert 0.99 * true <= estimate[0] <= 3 * true
     else:
         assert np.isinf(estimate)  # the returns are closer to a repeat after one return
+
+
+@pytest.mark.parametrize("cycles, alternating", [(2, 0.0), (3, 0.0), (4, 0.1), (6, 0.1), (8, 0.1)])
+def test_period_that_a_divisor_explains_has_infinite_drift(cycles, alternating):
+    """At the end of a transient, the last returns also repeat after a divisor of the period that the label gives."""
+    features, _ = lane(real_map(-0.6, 0.1), 5e-3, returns=40, cycles=cycles, alternating=alternating)
+    assert np.isinf(drift(features, "float64", 1e-6)[0])
+
+
+@pytest.mark.parametrize("alternating", [2e-3, 0.1])
+def test_resolved_period_keeps_its_drift(alternating):
+    features, true = lane(real_map(-0.6, 0.1), 1e-4, returns=40, cycles=2, alternating=alternating)
+    assert 0.99 * true < drift(features, "float64", 1e-6)[0] < 1e-5
+
+
+def test_certified_periods_remain_after_settling():
+    """Near the border of stick, some transients of rotary lanes end during the observation."""
+    sweep = {"scene": "rotary", "parameters": {"beta": 0.3, "gamma": 0.7}, "starts": ["drive"]}
+    sweep["points"] = {"v": np.linspace(2.05, 2.2, 151).tolist()}
+    early, late = (vj.run_sweep(sweep | {"run": {"settle": settle}}, progress=False) for settle in (40.0, 100.0))
+    certified = early.error_estimate <= 1e-4
+    assert certified.sum() > 50
+    assert (early.cycles == late.cycles).where(certified, True).all()
 
 
 def test_settled_lane_has_no_drift():

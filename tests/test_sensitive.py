@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.measures.labels import IRREGULAR, MULTI_IMPACT
+from vibrojax.measures.labels import IRREGULAR, MULTI_IMPACT, shares_transient
+from vibrojax.models.scenes import SCENES
 from vibrojax.sweep.engine import drift as module
 
 POINT = {
@@ -83,6 +84,43 @@ def _differ(lanes, others):
     counts = (lanes.cycles != others.cycles) | (lanes.impacts.round() != others.impacts.round())
     repeat = (lanes.cycles > 0) | (others.cycles > 0)
     return (repeat & counts).values
+
+
+def test_lanes_on_a_chaotic_transient_are_flagged():
+    """Here a chaotic transient ends on a single impact, at a time that rounding decides."""
+    points = {"beta": (0.8944 * (1 + 1e-10 * np.arange(64))).tolist(), "gamma": [0.8] * 64, "delta": [0.005] * 64}
+    sweep = {"scene": "vibro-impact", "starts": ["drive"], "points": points, "run": {"settle": 52.0}}
+    lanes = vj.run_sweep(sweep, progress=False)
+    periodic = lanes.sensitive.values[lanes.cycles.values > 0]
+    assert len(periodic) >= 5 and periodic.mean() >= 0.9
+
+
+def crossings(periodic_since, seed, lanes=1):
+    """Return features of aperiodic lanes whose crossings are equal from the crossing with this number on."""
+    rng = np.random.default_rng(seed)
+    time = 0.2 * np.arange(25.0)
+    later = np.arange(25) >= periodic_since
+    features = {f"return_{name}": np.where(later, 0.3, rng.random((lanes, 25))) for name in ("x1", "x2", "v2")}
+    features |= {name: np.ones(lanes) for name in ("bit_amplitude", "striker_amplitude")}
+    features |= {"cycles": np.zeros(lanes), "finished": np.ones(lanes, bool), "finite": np.ones(lanes, bool)}
+    features["period"] = np.full(lanes, 0.2)
+    return features | {"return_time": np.tile(time, (lanes, 1)), "return_interval": np.full((lanes, 25), 0.2)}
+
+
+@pytest.mark.parametrize(
+    ("fine", "check", "differ"),
+    [(99, 99, False), (10, 10, False), (10, 13, True), (10, 99, True), (99, 10, True), (0, 0, False), (22, 99, False)],
+)
+def test_ends_of_transients_are_compared(fine, check, differ):
+    """A lane is flagged if only one of its two runs becomes periodic, or each at another time."""
+    runs = crossings(fine, 1), crossings(check, 2)
+    assert module.ends_differ(*runs, SCENES["rotary"].section).tolist() == [differ]
+
+
+def test_aperiodic_lanes_of_a_sensitive_point_are_flagged():
+    features = {"sensitive": np.array([1, 0, 0, 0, 0, 0]), "cycles": np.array([1, 0, 1, 0, 2, 1])}
+    regime = np.array([3, IRREGULAR, 3, IRREGULAR, 5, 3], np.int8)
+    assert shares_transient(features, regime, 2).tolist() == [1, 1, 0, 0, 0, 0]
 
 
 def test_short_transients_do_not_run_again(monkeypatch):
