@@ -58,7 +58,6 @@ CHECKED = [
     "vibrojax.periodic",
     "vibrojax.plot",
     "vibrojax.progress",
-    "vibrojax.reproduce",
     "vibrojax.stepping",
     "vibrojax.sweep.engine",
     "vibrojax.sweep.input.definition",

@@ -1,10 +1,6 @@
-"""Test the output options of commands: --json, --quiet, --verbose, and completion."""
+"""Test the output options of commands: --json, --quiet and --verbose."""
 
 import json
-import os
-import subprocess
-import sys
-from argparse import Namespace
 from pathlib import Path
 
 import pytest
@@ -12,8 +8,6 @@ import pytest
 import vibrojax as vj
 from vibrojax.analyses import WORDS
 from vibrojax.cli import main
-from vibrojax.cli.command import files, scene_names, sweep_names, values_with
-from vibrojax.cli.points import SIMULATE_SETTINGS
 
 ROOT = Path(__file__).parents[1]
 SWEEP = """scene = "penetration"
@@ -129,7 +123,7 @@ def test_verbose_prints_choices_and_times(here, capsys):
 
 
 def test_help_explains_quiet_and_verbose(capsys):
-    for command in ("sweep", "simulate", "plot", "info", "fit", "accuracy", "reproduce", "scenes"):
+    for command in ("sweep", "simulate", "plot", "info", "fit", "accuracy", "scenes"):
         assert main([command, "--help"]) == 0
         text = " ".join(capsys.readouterr().out.split())
         assert "print only errors, warnings and the result" in text and "how long each part took" in text
@@ -147,49 +141,3 @@ def test_output_explains_its_words(here, capsys):
     assert main(["fit", "map.nc"]) == 0
     text = capsys.readouterr().out
     assert f"eta: the relief P/D, {WORDS['relief P/D']}" in text and "literal: C ln(eta)" in text
-
-
-# completion
-
-
-def test_completions(here):
-    parsed = Namespace(scene="vibro-impact", values=["beta=0.4"])
-    assert (
-        scene_names("vi") == ["vibro-impact"]
-        and sweep_names("regime") == ["regime-map"]
-        and sweep_names("m") == ["map.toml"]
-    )
-    assert files(".nc")("map.") == ["map.nc"] and files(".nc")(f"{here}/map.") == [f"{here}/map.nc"]
-    assert files(".nc")("/no/such/folder/") == []
-    values = values_with(SIMULATE_SETTINGS)
-    assert values("b", parsed) == ["bit_radius=", "bit_frequency="]  # beta already has a value
-    assert values("start=", parsed) == ["start=drive", "start=stuck", "start=touching"]
-    assert values("friction=cou", parsed) == ["friction=coulomb"]
-    parsed.scene = "nothing"
-    assert values("", parsed) == []
-
-
-@pytest.mark.parametrize(
-    ("line", "word"),
-    [("vibrojax sim", "simulate"), ("vibrojax simulate rot", "rotary"), ("vibrojax simulate rotary gam", "gamma=")],
-)
-def test_shell_completion(tmp_path, line, word):
-    pytest.importorskip("argcomplete")
-    answer = tmp_path / "answer"
-    completion = {
-        "COMP_LINE": line,
-        "COMP_POINT": str(len(line)),
-        "_ARGCOMPLETE": "1",
-        "_ARGCOMPLETE_IFS": "\n",
-        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
-        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
-    }
-    subprocess.run([sys.executable, "-m", "vibrojax"], env=os.environ | completion, check=True, capture_output=True)
-    assert answer.read_text().strip() == word
-
-
-def test_command_runs_without_completion_extra(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "argcomplete", None)
-    monkeypatch.setenv("_ARGCOMPLETE", "1")
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out.startswith("vibrojax ")

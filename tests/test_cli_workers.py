@@ -1,13 +1,11 @@
 """Test the options for workers: one-line refusals, and the progress of a sweep."""
 
-import json
 import sys
 import tracemalloc
 from types import SimpleNamespace
 
 import pytest
 
-from vibrojax.analyses.sweep.run import run_share
 from vibrojax.analyses.sweep.workers.work import by_cost
 from vibrojax.cli import main
 from vibrojax.sweep.engine.chunks import CHUNK, Chunks
@@ -43,18 +41,11 @@ def refused(capsys, *argv) -> str:
 @pytest.mark.parametrize(
     "words, problem",
     [
-        (["--only", "4/3"], '--only: "4/3" is not I/N with I from 1 to N; write 2/3'),
-        (["--only", "0/3"], "is not I/N"),
-        (["--only", "1"], "is not I/N"),
-        (["--only", "a/b"], "is not I/N"),
-        (["--only", "1/2", "--fresh"], "--fresh: has no use with --only"),
-        (["--only", "1/2", "--workers", "2"], "not allowed with argument"),
-        (["--workers", "nonsense"], '--workers: "nonsense" is not a number (1 to 1000), dask://HOST:PORT, slurm'),
-        (["--workers", "0"], "is not a number (1 to 1000)"),
-        (["--workers", "-1"], "--workers"),
-        (["--workers", "dask://host"], "is not a number (1 to 1000), dask://HOST:PORT"),
-        (["--workers", "slurm:0"], "slurm or slurm:JOBS"),
-        (["--workers", "slurm"], "--workers slurm: there is no sbatch and no srun on this machine"),
+        (["--workers", "nonsense"], '--workers: "nonsense" is not dask://HOST:PORT, slurm or slurm:N'),
+        (["--workers", "2"], "is not dask://HOST:PORT, slurm or slurm:N"),
+        (["--workers", "dask://host"], "is not dask://HOST:PORT"),
+        (["--workers", "slurm:0"], "slurm:N (N from 1 to 1000)"),
+        (["--workers", "slurm"], "--workers slurm: there is no sbatch and no srun here"),
         (["--measure"], "--measure: has no use without --dry-run"),
     ],
 )
@@ -82,54 +73,6 @@ def test_unreachable_scheduler_is_reported(capsys, monkeypatch):
     monkeypatch.setattr("vibrojax.cli.sweeps.SCHEDULER_TIMEOUT", "0.3 s")
     line = refused(capsys, "sweep", "map.toml", "--workers", "dask://127.0.0.1:1")
     assert "--workers dask://127.0.0.1:1: no scheduler of dask answers there" in line
-
-
-def test_progress_of_shared_sweep(capsys, folder):
-    assert main(["sweep", "map.toml", "--only", "1/3"]) == 0
-    assert capsys.readouterr().out == "map.nc: share 1/3 is done; 3 of 5 chunks are left to others\n"
-    (folder / "map.nc.chunks" / "chunk-00000002.failed").write_text(
-        json.dumps({"chunk": 2, "by": "far, process 7", "why": "MemoryError: too much"})
-    )
-    for name in ("map.nc", "map.nc.chunks"):
-        assert main(["info", name]) == 0
-        lines = capsys.readouterr().out.splitlines()
-        assert lines[:3] == ["title     a map", "finished  2 of 5 chunks (40 %)", "lanes     8 of 20"]
-        assert "failed    chunk 2: MemoryError: too much (far, process 7)" in lines
-        assert "at work   none" in lines
-    assert main(["info", "map.nc", "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["chunks"] == {"finished": 2, "all": 5, "size": 4} and facts["lanes"] == {"finished": 8, "all": 20}
-    assert [failure["chunk"] for failure in facts["failures"]] == [2]
-    assert main(["sweep", "map.toml", "--only", "2/3", "--quiet"]) == 0
-    assert main(["sweep", "map.toml", "--only", "3/3"]) == 0
-    assert capsys.readouterr().out.startswith("map.nc: 20 lanes (a point from one start each); picture map.png")
-    assert not (folder / "map.nc.chunks").exists()
-
-
-def test_shares_of_another_sweep_are_refused(capsys):
-    assert main(["sweep", "map.toml", "--only", "1/3", "--quiet"]) == 0
-    line = refused(capsys, "sweep", "map.toml", "--only", "2/3", "--set", "mu=0.3")
-    assert "holds chunks of another sweep: parameters.mu was 0.4, is 0.3" in line
-
-
-def test_failed_chunk_is_reported(capsys, monkeypatch, folder):
-    from vibrojax.sweep.engine.chunks import Chunks
-    from vibrojax.sweep.input.read import read_sweep
-
-    def compute(self, index, *rest):
-        raise MemoryError("too much")
-
-    monkeypatch.setattr(Chunks, "compute", compute)
-    with pytest.raises(MemoryError):
-        run_share(read_sweep("map.toml"), folder / "map.nc", (2, 3), progress=False)
-    assert main(["info", "map.nc"]) == 0
-    assert "failed    chunk 1: MemoryError: too much (" in capsys.readouterr().out
-
-
-def test_folder_without_chunks_is_refused(capsys, folder):
-    (folder / "other.nc.chunks").mkdir()
-    assert "other.nc.chunks: is not a folder of a sweep's chunks" in refused(capsys, "info", "other.nc.chunks")
-    assert "none.nc: there is no such file" in refused(capsys, "info", "none.nc")
 
 
 def test_dry_run_with_measurement(capsys):

@@ -1,7 +1,6 @@
 """Tests of `vibrojax follow`: its files and output, refused input, and `info` and `plot` of its files."""
 
 import json
-from argparse import Namespace
 from contextlib import redirect_stdout
 
 import numpy as np
@@ -13,8 +12,6 @@ import vibrojax as vj
 from vibrojax.analyses import FAMILY_WORDS
 from vibrojax.analyses.continuation.analysis import family_lines
 from vibrojax.cli import main
-from vibrojax.cli.command import values_with
-from vibrojax.cli.points import FOLLOW_SETTINGS
 from vibrojax.explorer.views import family_cells
 from vibrojax.io.dataset import open_dataset
 
@@ -247,13 +244,6 @@ def test_rocks_form_families(monkeypatch):
     monkeypatch.setattr("vibrojax.explorer.views.record_cells", lambda scene, p, excerpt: recorded.append(p) or [])
     list(family_cells(ds))
     assert len(set(recorded[0]["threshold"])) == 2  # of the rocks
-
-
-def test_completion_of_values():
-    parsed = Namespace(scene="vibro-impact", values=["along=gamma"])
-    follow_values = values_with(FOLLOW_SETTINGS)
-    assert follow_values("a", parsed) == ["at="] and follow_values("f", parsed) == ["friction=", "from="]
-    assert follow_values("along=b", parsed) == ["along=beta"]
 
 
 def test_help_explains_terms(capsys):

@@ -63,26 +63,6 @@ def test_plan(folder):
     assert lines[0] == "lanes   60 (6 beta x 5 gamma x 2 start) in 8 chunks"
 
 
-def test_one_machine(folder, expected):
-    out = output_of(start_script(folder, ["-c", BLOCKS["single"]]))
-    assert "single.nc: 60 lanes" in out and "lanes     60" in out
-    assert_same(folder / "single.nc", expected)
-
-
-def test_array_job(folder, expected):
-    """Run the script as SLURM does: three times at once, each time with its number."""
-    numbers = re.search(r"--array=1-(\d+)", BLOCKS["job.sh"])[1]
-    tasks = [
-        start_script(
-            folder, ["job.sh"], SLURM_ARRAY_TASK_ID=str(number), SLURM_ARRAY_TASK_COUNT=numbers, SLURM_CPUS_PER_TASK="1"
-        )
-        for number in range(1, int(numbers) + 1)
-    ]
-    assert [output_of(task) for task in tasks] == [""] * int(numbers)
-    assert_same(folder / "slurm.nc", expected)
-    assert not (folder / "slurm.nc.chunks").exists()
-
-
 def test_dask(folder, expected):
     pytest.importorskip("distributed")
     output_of(start_script(folder, ["-c", BLOCKS["dask"]]))

@@ -144,17 +144,14 @@ def test_objects_of_installed_package(tmp_path):
     (tmp_path / "mine-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
     (tmp_path / "mine-1.0.dist-info" / "entry_points.txt").write_text(
         dedent("""
-        [vibrojax.friction_laws]
+        [vibrojax.objects]
         a = mine:law
         b = mine:taken
         c = mine:none
-        [vibrojax.scenes]
-        a = mine:Scene
-        b = mine:law
-        c = mine:system
-        [vibrojax.steppers]
-        a = mine:stepper
-        [vibrojax.gauges]
+        d = mine:Scene
+        e = mine:vj
+        f = mine:system
+        g = mine:stepper
         my-gauge = mine:gauge
         """)
     )
@@ -175,10 +172,10 @@ def test_objects_of_installed_package(tmp_path):
     process = subprocess.run([sys.executable, "-c", dedent(code)], capture_output=True, text=True, cwd=tmp_path)
     assert process.stdout.splitlines() == [
         "my-scene mine my-stepper Gauge my-system",
-        'mine: vibrojax.friction_laws: b: the name "coulomb" is taken; it is left out',
-        "mine: vibrojax.friction_laws: c: mine:none cannot be imported (module 'mine' has no attribute 'none'); "
+        'mine: vibrojax.objects: b: the name "coulomb" is taken; it is left out',
+        "mine: vibrojax.objects: c: mine:none cannot be imported (module 'mine' has no attribute 'none'); "
         "it is left out",
-        "mine: vibrojax.scenes: b: mine:law is not a System or a subclass of Scene; it is left out",
+        "mine: vibrojax.objects: e: mine:vj is neither a law, a scene, a stepper nor a gauge; it is left out",
     ], process.stderr
 
 

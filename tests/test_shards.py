@@ -15,8 +15,7 @@ import pytest
 
 from vibrojax.errors import InputError
 from vibrojax.io import atomic
-from vibrojax.io.claims import lock
-from vibrojax.io.shards import DamagedShard, Shards
+from vibrojax.io.shards import DamagedShard, Shards, _locked
 
 MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
 
@@ -230,13 +229,13 @@ def test_lock_of_killed_process_is_free(shards):
 def test_lock_is_retried_if_its_file_was_removed(shards):
     """A process that ends removes the file first and then releases the lock."""
     path = shards.folder / "lock"
-    first = lock(path)
+    first = _locked(path)
     ending = Timer(0.05, lambda: (path.unlink(), first.release()))
     ending.start()
-    second = lock(path)
+    second = _locked(path)
     assert path.exists()
     with pytest.raises(InputError, match="another process"):
-        lock(shards.folder / "lock")
+        _locked(shards.folder / "lock")
     second.release()
     ending.join()
 
@@ -244,7 +243,7 @@ def test_lock_is_retried_if_its_file_was_removed(shards):
 def test_lock_that_cannot_be_created_is_refused(tmp_path):
     (tmp_path / "lock").mkdir()
     with pytest.raises(InputError, match="lock: cannot be written"):
-        lock(tmp_path / "lock")
+        _locked(tmp_path / "lock")
 
 
 def test_file_system_without_locks_is_accepted(tmp_path, monkeypatch):
@@ -252,7 +251,7 @@ def test_file_system_without_locks_is_accepted(tmp_path, monkeypatch):
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr("fcntl.flock", refuse)
-    lock(tmp_path / "lock").release()
+    _locked(tmp_path / "lock").release()
 
 
 def test_folder_is_removed_at_end(shards):

@@ -3,7 +3,6 @@
 import json
 import multiprocessing
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -12,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import ROOT, TEXT, start
+from commands import ROOT, TEXT
 
 import vibrojax as vj
-from vibrojax.analyses.sweep.run import run_share, run_to_file
+from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.analyses.sweep.workers.executor import by_executor, compute_chunk
 from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import InputError
@@ -61,33 +60,6 @@ def assert_same(dataset, expected):
 def test_spawned_pool_in_memory(file, expected):
     with ProcessPoolExecutor(2, mp_context=SPAWN) as executor:
         assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
-
-
-def test_four_workers_write_file(file, expected, capfd, caplog):
-    """The command does not wait until the worker processes themselves end, which may take a second."""
-    caplog.set_level("INFO", "vibrojax")
-    out = file.with_name("out.nc")
-    run_to_file(read_sweep(file), out, processes=4)
-    assert_same(vj.open_dataset(out), expected)
-    assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.nc"}
-    lines = capfd.readouterr().err.splitlines()
-    assert lines[-1].startswith("24/24 lanes, ") and all(
-        "lanes" in line for line in lines
-    )  # one progress report over all
-    [line] = [line for line in caplog.messages if line.startswith("workers: ")]
-    assert re.fullmatch(r"workers: [1-4] in [\d.]+ s; busy for [\d.]+ s, idle at the end for [\d.]+ s(; for .+)?", line)
-
-
-def test_three_concurrent_shares(file, expected):
-    out = file.with_name("out.nc")
-    shares = [start("sweep", file, "-o", out, "--only", f"{part}/3", "--quiet") for part in (1, 2, 3)]
-    for share in shares:
-        assert (share.wait(), share.communicate()) == (0, ("", ""))
-    assert_same(vj.open_dataset(out), expected)
-    assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.nc", "out.png"}
-    assert (
-        run_share(read_sweep(file), out, (2, 3), progress=False) == out
-    )  # the dataset is complete, so nothing is left to do
 
 
 def test_dask_cluster(file, expected):

@@ -28,12 +28,12 @@ def slurm(tmp_path):
     return partial(start, environment=path, cwd=tmp_path)
 
 
-def test_array_jobs_compute_sweep(slurm, tmp_path):
+def test_jobs_compute_sweep(slurm, tmp_path):
     driver = slurm("sweep", "map.toml", "-o", "out.nc", "--workers", "slurm:2")
     out, messages = driver.communicate()
     assert driver.returncode == 0, messages + "".join(log.read_text() for log in (tmp_path / "bin").glob("*.log"))
     assert out.startswith("out.nc: 24 lanes") and messages.splitlines()[-1].startswith("24/24 lanes")
-    assert sorted(job.name for job in (tmp_path / "bin/jobs").iterdir()) == ["100_0", "100_1"]
+    assert len(list((tmp_path / "bin/jobs").iterdir())) == 5  # one for each chunk
     dataset, expected = vj.open_dataset(tmp_path / "out.nc"), vj.run_sweep(tmp_path / "map.toml", progress=False)
     xr.testing.assert_identical(dataset.drop_attrs(), expected.drop_attrs())
     assert {path.name for path in tmp_path.iterdir()} == {"bin", "map.toml", "out.nc", "out.png"}
@@ -43,7 +43,7 @@ def test_interrupt_cancels_jobs(slurm, tmp_path):
     (tmp_path / "map.toml").write_text(TEXT.replace("settle = 3.0", "settle = 20000.0\nend_early = false"))
     driver = slurm("sweep", "map.toml", "-o", "out.nc", "--workers", "slurm:2", "--quiet")
     end = time.monotonic() + 300.0
-    while not list(tmp_path.glob("out.nc.chunks/chunk-*.claim")):
+    while len(list(tmp_path.glob("bin/jobs/*"))) < 4:  # two that run, and two that wait
         assert driver.poll() is None and time.monotonic() < end
         time.sleep(0.05)
     driver.send_signal(signal.SIGINT)
@@ -51,7 +51,7 @@ def test_interrupt_cancels_jobs(slurm, tmp_path):
     assert driver.returncode == 130 and "to go on: vibrojax sweep map.toml -o out.nc --workers slurm:2" in messages, (
         messages
     )
-    assert {path.name for path in (tmp_path / "bin").glob("cancelled-*")} == {"cancelled-100_0", "cancelled-100_1"}
+    assert len(list((tmp_path / "bin").glob("cancelled-*"))) == 4
     jobs = [int(path.read_text()) for path in (tmp_path / "bin/jobs").iterdir()]
     while any(fake_slurm.runs(job) for job in jobs):
         assert time.monotonic() < end

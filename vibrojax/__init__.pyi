@@ -24,7 +24,6 @@ from vibrojax.analyses.push.run import smallest_push as smallest_push
 from vibrojax.analyses.rig.measures import rig as rig
 from vibrojax.analyses.rop_law.joint import fit_joint as fit_joint
 from vibrojax.analyses.rop_law.rop import fit_rop as fit_rop
-from vibrojax.analyses.rotary_fits.frequency import refit_frequency as refit_frequency
 from vibrojax.analyses.rotary_fits.friction import fit_friction as fit_friction
 from vibrojax.analyses.sensitivity.gradients import as_jax as as_jax
 from vibrojax.analyses.sensitivity.maps import sensitivity as sensitivity
@@ -64,8 +63,6 @@ from vibrojax.models.systems.events import Friction as Friction
 from vibrojax.models.systems.events import Impact as Impact
 from vibrojax.models.systems.events import Switch as Switch
 from vibrojax.models.systems.system import System as System
-from vibrojax.reproduce import run_reproduction as run_reproduction
-from vibrojax.reproduce import write_reproduction as write_reproduction
 from vibrojax.stepping import Located as Located
 from vibrojax.stepping import Smoothed as Smoothed
 from vibrojax.stepping import Stepper as Stepper

@@ -14,22 +14,20 @@ import warnings
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from importlib.metadata import entry_points
 from typing import NoReturn
 
 from vibrojax.analyses import glossary
-from vibrojax.analyses.sweep.workers.lifetime import leave
 from vibrojax.cli.analyses import analysis_command, curves, orbits
 from vibrojax.cli.command import Command, Options, either, flag
 from vibrojax.cli.datasets import explore, info, plot
 from vibrojax.cli.designs import design
 from vibrojax.cli.points import follow, push, scenes, simulate, tolerance
-from vibrojax.cli.studies import accuracy, calibrate, fit, reproduce, rig, study
+from vibrojax.cli.studies import accuracy, calibrate, fit, rig, study
 from vibrojax.cli.sweeps import sweep
 from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.provenance import package_version
-from vibrojax.io.threads import asked_to_end, in_own_thread
+from vibrojax.io.threads import asked_to_end, in_own_thread, leave
 from vibrojax.progress import LOG, end_lines, timed
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
@@ -73,7 +71,6 @@ _COMMANDS: dict[str, Command] = {
     "fit": fit,
     "rig": rig,
     "accuracy": accuracy,
-    "reproduce": reproduce,
     "scenes": scenes,
 }
 
@@ -132,11 +129,7 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
     options = Options()
     try:
         words = sys.argv[1:] if argv is None else argv
-        parser = _parser([*words, *os.environ.get("COMP_LINE", "").split()])
-        if "_ARGCOMPLETE" in os.environ:
-            with suppress(ImportError):  # an optional dependency: without it, nothing is completed
-                import_module("argcomplete").autocomplete(parser, always_complete_options="long")
-        parser.parse_args(words, options)
+        _parser(words).parse_args(words, options)
         if options.version:
             print(f"vibrojax {package_version()}")
         elif options.command is None:

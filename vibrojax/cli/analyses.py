@@ -14,7 +14,6 @@ from vibrojax.cli.command import (
     Options,
     argument,
     command,
-    files,
     named_values,
     output_options,
     whole,
@@ -43,7 +42,7 @@ _ORBIT_VARIABLES = ("stable", "multiplier_abs", "regime")
 
 
 @command(
-    argument("file", "FILE", _SWEEP + "a sweep's dataset (.nc), whose sweep is then run again", files(".toml", ".nc")),
+    argument("file", "FILE", _SWEEP + "a sweep's dataset (.nc), whose sweep is then run again"),
     output_options("NAME-orbits.nc"),
 )
 def orbits(options: Options) -> None:
@@ -77,7 +76,7 @@ _CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
 
 
 @command(
-    argument("file", "FAMILY.nc", "what vibrojax follow has made", files(".nc")),
+    argument("file", "FAMILY.nc", "what vibrojax follow has made"),
     argument(
         "values",
         "NAME=VALUE",
@@ -128,7 +127,7 @@ def analysis_command(kind: str, summary: str) -> Command:
             parser.add_argument(option, metavar=metavar, help=field.metadata.get("help"))
 
     about = "the dataset of a sweep (.nc), which is run again where it lacks what the analysis needs"
-    file = argument("file", "FILE", _SWEEP + about, files(".toml", ".nc"))
+    file = argument("file", "FILE", _SWEEP + about)
     return Command(
         summary, (file, add_settings, output_options(f"NAME-{kind}.nc")), lambda options: _run(kind, options)
     )

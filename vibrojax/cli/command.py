@@ -1,20 +1,13 @@
-"""Commands and their arguments: SCENE, NAME=VALUE, FILE and options, and the shell completion of each.
-
-Completion needs `pip install vibrojax[completion]`, and in the shell: eval "$(register-python-argcomplete vibrojax)".
-"""
+"""Commands and their arguments: SCENE, NAME=VALUE, FILE and options."""
 
 import json
-import os
 import shlex
 from argparse import Namespace, RawDescriptionHelpFormatter
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 from vibrojax.analyses import glossary
-from vibrojax.errors import InputError, Place, shown
-
-Completer = Callable[..., Iterable[str]]
-"""Function that returns the words beginning with `prefix`, given the arguments parsed before."""
+from vibrojax.errors import Place, shown
 
 AddArguments = Callable[[Any], None]
 """Function that adds arguments to a parser, or to a group of arguments of a parser."""
@@ -52,14 +45,9 @@ def command(*arguments: AddArguments) -> Callable[[Callable[[Options], None]], C
     return lambda run: Command(str(run.__doc__).splitlines()[0].rstrip("."), arguments, run)
 
 
-def argument(name: str, metavar: str, help_: str, completer: Completer | None = None, **settings: Any) -> AddArguments:
+def argument(name: str, metavar: str, help_: str, **settings: Any) -> AddArguments:
     """Declare an argument with a value; `settings` are those of `ArgumentParser.add_argument`."""
-
-    def add(parser: Any) -> None:
-        # argcomplete reads the attribute `completer`.
-        parser.add_argument(name, metavar=metavar, help=help_, **settings).completer = completer
-
-    return add
+    return lambda parser: parser.add_argument(name, metavar=metavar, help=help_, **settings)
 
 
 def flag(name: str, help_: str) -> AddArguments:
@@ -101,75 +89,16 @@ def output_options(default: str) -> AddArguments:
 JSON = flag("--json", "print one JSON object on stdout, and nothing else there; a number that is not finite is null")
 
 
-def scene_names(prefix: str, **_: object) -> list[str]:
-    """Return the names of scenes that begin with `prefix`."""
-    from vibrojax.models.scenes import SCENES
-
-    return [name for name in SCENES if name.startswith(prefix)]
-
-
-def sweep_names(prefix: str, **_: object) -> list[str]:
-    """Return bundled sweeps, and sweep files, that begin with `prefix`."""
-    from vibrojax.sweep.input.source import bundled_names
-
-    return [name for name in bundled_names() if name.startswith(prefix)] + files(".toml")(prefix)
-
-
-def files(*endings: str) -> Callable[..., list[str]]:
-    """Return a completer for folders, and for files with one of the suffixes `endings`."""
-
-    def completer(prefix: str, **_: object) -> list[str]:
-        folder, slash, start = prefix.rpartition("/")
-        try:
-            entries = sorted(os.scandir(folder + "/" if slash else "."), key=lambda entry: entry.name)
-        except OSError:
-            return []
-        names = (entry.name + "/" if entry.is_dir() else entry.name for entry in entries)
-        matches = (name for name in names if name.startswith(start) and name.endswith(("/", *endings)))
-        return [f"{folder}{slash}{name}" for name in matches if start or not name.startswith(".")]
-
-    return completer
-
-
-def values_with(settings: Collection[str]) -> Completer:
-    """Return a completer for NAME=VALUE, where NAME is a parameter of the scene or one of a command's `settings`."""
-
-    def completer(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
-        from vibrojax.stepping import STEPPERS
-        from vibrojax.sweep.input.names import read_names
-
-        words = [str(word).partition("=") for word in getattr(parsed_args, "values", None) or ()]
-        options: dict[str, object] = {name: value for name, _, value in words}
-        try:
-            names = read_names(Place("simulate"), getattr(parsed_args, "scene", None) or parsed_args.file, options)
-        except InputError:
-            return []
-        choices = {name: tuple(names.system.choices[name]) for name in names.options}
-        choices |= {"start": names.starts} if names.starts else {}
-        choices |= {name: tuple(values) for name, values in names.presets.items()}
-        of_settings = {"along": tuple(names.parameters), "method": tuple(STEPPERS)}
-        choices |= {name: values for name, values in of_settings.items() if name in settings}
-        name, equals, _value = prefix.partition("=")
-        if equals:
-            return [word for value in choices.get(name, ()) if (word := f"{name}={value}").startswith(prefix)]
-        taken = {word[0] for word in words}
-        keys = dict.fromkeys([*choices, *names.writable, *settings])
-        return [f"{key}=" for key in keys if key.startswith(prefix) and key not in taken]
-
-    return completer
-
-
 def point_arguments(
-    settings: tuple[str, ...],
     about: str,
     scenes: str = "rotary, vibro-impact, penetration, drilling or coupled-drilling",
 ) -> AddArguments:
     """Declare SCENE, with the help string `scenes`, and NAME=VALUE, with the help string `about`."""
 
     def add(parser: Any) -> None:
-        argument("scene", "SCENE", scenes, scene_names)(parser)
+        argument("scene", "SCENE", scenes)(parser)
         # Without a default, argparse before Python 3.13 requires the values.
-        argument("values", "NAME=VALUE", about, values_with(settings), nargs="*", default=[])(parser)
+        argument("values", "NAME=VALUE", about, nargs="*", default=[])(parser)
 
     return add
 

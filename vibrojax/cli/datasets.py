@@ -5,37 +5,28 @@ import sys
 import webbrowser
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from vibrojax.cli.command import (
     JSON,
     Options,
     argument,
     command,
-    files,
     flag,
     named_values,
     number_or_name,
-    values_with,
 )
 from vibrojax.cli.output import PICTURES, print_json, shortened, view_path, write_view
 from vibrojax.cli.points import SIMULATE_SETTINGS
 from vibrojax.errors import InputError, Place, shown
-from vibrojax.io.formatting import size_text, time_text
+from vibrojax.io.threads import on_leaving
 from vibrojax.progress import timed
-
-if TYPE_CHECKING:
-    from vibrojax.analyses.analysis import SummaryPart
-    from vibrojax.io.standing import Standing
-
-_MAX_ITEMS = 8
-"""Maximum number of claims or failures that are listed."""
 
 _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
 
 
 @command(
-    argument("file", "OUT.nc", "a dataset written by vibrojax", files(".nc")),
+    argument("file", "OUT.nc", "a dataset written by vibrojax"),
     argument(
         "-o",
         "PICTURE.png",
@@ -48,14 +39,12 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
         "--over",
         "FAMILY.nc",
         "over the returns of a sweep: what vibrojax follow has found along its axis; over a map: borders or curves",
-        files(".nc"),
         **_SEVERAL,
     ),
     argument(
         "--diagram",
         "NAME",
         "of a sweep: campbell (frequencies over the speed) or rate-over-force (rate of penetration with its onset)",
-        lambda prefix, **_: [name for name in ("campbell", "rate-over-force") if name.startswith(prefix)],
     ),
     argument("--colours", "MAP", "matplotlib's colour map for quantities"),
 )
@@ -95,72 +84,20 @@ def plot(options: Options) -> None:
 
 
 @command(
-    argument(
-        "file", "OUT.nc", "a dataset written by vibrojax, or the folder of chunks of an unfinished one", files(".nc")
-    ),
+    argument("file", "OUT.nc", "a dataset written by vibrojax"),
     JSON,
 )
 def info(options: Options) -> None:
-    """Show what a dataset holds: scene, grid, regimes, failures, accuracy, provenance; or the progress of a sweep."""
+    """Show what a dataset holds: scene, grid, regimes, failures, accuracy, provenance."""
     from vibrojax.analyses.summary import summarise, summary_facts, summary_lines
     from vibrojax.io.dataset import open_dataset
-    from vibrojax.io.standing import CHUNKS, standing
 
-    path = folder = Path(options.file)
-    if path.name and not path.exists():  # "." and "/" have no name
-        folder = path.with_name(path.name + CHUNKS)
-    if folder.name.endswith(CHUNKS) and folder.is_dir():
-        parts = _standing_parts(standing(folder))
-        facts = {name: value for part in parts for name, value in part.facts.items()}
-    else:
-        with timed("read"):
-            dataset = open_dataset(path)
-        if options.json:
-            facts = summary_facts(dataset, options.file)
-        else:
-            parts = summarise(dataset)
+    with timed("read"):
+        dataset = open_dataset(Path(options.file))
     if options.json:
-        print_json(facts)
+        print_json(summary_facts(dataset, options.file))
     else:
-        print("\n".join(summary_lines(parts)))
-
-
-def _standing_parts(state: "Standing") -> "list[SummaryPart]":
-    """Return the progress of an unfinished sweep as parts of a summary; the keys of the facts are stable."""
-    from vibrojax.analyses.analysis import SummaryPart
-
-    def first(lines: list[str], otherwise: str) -> list[str]:
-        more = len(lines) - _MAX_ITEMS
-        return [*lines[:_MAX_ITEMS], f"and {more} more"] if more > 0 else lines or [otherwise]
-
-    finished = len(state.finished)
-    pace = "not known yet"
-    if state.per_second is not None:
-        seconds = (state.chunks - finished) / state.per_second
-        pace = f"{state.per_second * state.size:.3g} lanes/s"
-        pace += f", {time_text(seconds)} left at that" if seconds else ""
-    claims = [
-        f"{claim.name}: {claim.owner.text}, since {claim.since}{' (has ended)' if claim.stale else ''}"
-        for claim in state.held
-    ]
-    held = [{"what": c.name, "by": c.owner.text, "since": c.since, "stale": c.stale} for c in state.held]
-    share = f"{finished} of {state.chunks} chunks ({100 * finished / max(state.chunks, 1):.3g} %)"
-    lanes = {"finished": state.finished_lanes, "all": state.lanes}
-    chunks = {"finished": finished, "all": state.chunks, "size": state.size}
-    failures = [f"chunk {failure.chunk}: {failure.why} ({failure.by})" for failure in state.failures]
-    return [
-        SummaryPart("title", [state.title], {"folder": str(state.folder), "title": state.title, "lanes": lanes}),
-        SummaryPart("finished", [share], {"chunks": chunks}),
-        SummaryPart("lanes", [f"{state.finished_lanes} of {state.lanes}"]),
-        SummaryPart("disk", [size_text(state.nbytes)], {"bytes": state.nbytes}),
-        SummaryPart("pace", [pace], {"chunks_per_second": state.per_second}),
-        SummaryPart(
-            "at work",
-            first(claims, "a process of this machine" if state.whole_held else "none"),
-            {"held": held, "locked": state.whole_held},
-        ),
-        SummaryPart("failed", first(failures, "none"), {"failures": [vars(failure) for failure in state.failures]}),
-    ]
+        print("\n".join(summary_lines(summarise(dataset))))
 
 
 @command(
@@ -169,13 +106,11 @@ def _standing_parts(state: "Standing") -> "list[SummaryPart]":
         "OUT.nc",
         "a dataset of vibrojax: of a sweep, its orbits, attractors or borders, families, one motion, or a fit; "
         "with --live also a scene",
-        files(".nc"),
     ),
     argument(
         "values",
         "NAME=VALUE",
         "of a scene: where its motion begins, as for vibrojax simulate",
-        values_with(SIMULATE_SETTINGS),
         nargs="*",
         default=[],  # without it, argparse before Python 3.13 requires the values
     ),
@@ -186,7 +121,6 @@ def _standing_parts(state: "Standing") -> "list[SummaryPart]":
         "--over",
         "CURVES.nc",
         "lay over the map what vibrojax borders or curves has found in the same plane",
-        files(".nc"),
     ),
     flag(
         "--live", "open the page from a server on this machine alone, with sliders for every parameter; Ctrl-C ends it"
@@ -250,8 +184,6 @@ def explore(options: Options) -> None:
 
 
 def _serve(options: Options, live: Any) -> None:
-    from vibrojax.analyses.sweep.workers.lifetime import on_leaving
-
     private = TemporaryDirectory(prefix="vibrojax-")
     with live, on_leaving(lambda: live.close(1.0)), on_leaving(private.cleanup), private:
         words = [str(options.file), *options.values, *(["--over", str(options.over)] if options.over else [])]

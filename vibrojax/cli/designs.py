@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vibrojax.cli.command import JSON, Options, argument, command, files, flag, output_options
+from vibrojax.cli.command import JSON, Options, argument, command, flag, output_options
 from vibrojax.cli.output import PICTURES, answer, output
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
         "FILE",
         "a design: the path of a TOML file with scene, maximise, [vary] and, as needed, [subject], [tolerance], "
         "[parameters], starts, [run], [front]; or a bundled name: energy, rate-in-sandstone, power-at-120-kn",
-        files(".toml"),
     ),
     flag("--chart", "draw the designer's chart, an A4 page over mass ratio and frequency ratio: OUT.png and OUT.pdf"),
     output_options("NAME-design.nc, or NAME-chart.nc with --chart,"),

@@ -13,7 +13,6 @@ from vibrojax.cli.command import (
     named_values,
     output_options,
     point_arguments,
-    scene_names,
     whole,
 )
 from vibrojax.cli.output import answer
@@ -47,7 +46,7 @@ TOLERANCE_SETTINGS = ("start", "settle", "observe", "error")
 _HALF_WIDTH = re.compile(r"\+-|±|\+/-")
 
 
-@command(argument("scene", "SCENE", "one of them, in full", scene_names, nargs="?"))
+@command(argument("scene", "SCENE", "one of them, in full", nargs="?"))
 def scenes(options: Options) -> None:
     """List the scenes, or a scene's parameters, initial conditions, friction laws, variables and settings."""
     from vibrojax.analyses.catalogue import list_scenes, scene_text
@@ -62,7 +61,6 @@ def scenes(options: Options) -> None:
 
 @command(
     point_arguments(
-        SIMULATE_SETTINGS,
         "a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, sampling, error, method, solver, step, "
         "smoothing",
     ),
@@ -118,7 +116,6 @@ def simulate(options: Options) -> None:
 @command(
     explained(*FAMILY_WORDS),
     point_arguments(
-        FOLLOW_SETTINGS,
         f"{_FOLLOW_SYNTAX}: the parameter, where the family begins, and its bounds; start (a name, or [x1,x1',x2,x2'])"
         ", settle and observe (s, for which the motion at VALUE settles and is then watched: 40, 8) and cycles (the "
         "most returns of doubled branches: 8); parameters, and friction. A list, beta=0.3,0.4,0.5, is as many "
@@ -158,7 +155,6 @@ def follow(options: Options) -> None:
 
 @command(
     point_arguments(
-        PUSH_SETTINGS,
         "parameters, and friction; a list, beta=0.3,0.4,0.5, is as many machines, pushed together. start (a name, "
         "or [x1,x1',x2,x2']: of the motion whose cycle is pushed), most_x1, most_v1, most_x2, most_v2 (the greatest "
         "push, m or m/s; by default the whole swing), scan (pushes of each scan in a direction: 256), precision "
@@ -188,7 +184,6 @@ def push(options: Options) -> None:
 
 @command(
     point_arguments(
-        TOLERANCE_SETTINGS,
         "parameters; those with a tolerance as NAME=VALUE+-HALF_WIDTH, like delta=-0.002+-0.001 or gamma=0.64+-1%% "
         "(± is accepted). start (a name, or [x1,x1',x2,x2']; by default drive and stuck, where the scene has them), "
         "settle and observe (s: 40, 8), error (1e-4)",

@@ -1,11 +1,11 @@
-"""The commands `fit`, `rig`, `study`, `calibrate`, `accuracy` and `reproduce`."""
+"""The commands `fit`, `rig`, `study`, `calibrate` and `accuracy`."""
 
 import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.analyses import WORDS
-from vibrojax.cli.command import JSON, Options, argument, command, files, flag, output_options
+from vibrojax.cli.command import JSON, Options, argument, command, flag, output_options
 from vibrojax.cli.output import (
     answer,
     dataset_written,
@@ -32,7 +32,6 @@ _DIGEST_LENGTH = 12
         "FILE",
         "a sweep's .nc, or a rig log as it is exported (CSV, LAS), or a CSV with columns relief (P/D, mean force over "
         "the force at which the rock yields) and rate_of_penetration, or others that --columns names",
-        files(".nc", ".csv", ".las"),
         nargs="?",
     ),
     argument("--along", "AXIS", "the axis to fit along (frequency, else v; of a CSV: its rows)"),
@@ -118,7 +117,7 @@ def _digest(file: Path) -> str:
 
 
 @command(
-    argument("file", "FILE", "a rig log as it is exported (CSV, LAS)", files(".csv", ".las")),
+    argument("file", "FILE", "a rig log as it is exported (CSV, LAS)"),
     argument(
         "--columns",
         "NAME=COLUMN",
@@ -149,7 +148,7 @@ def rig(options: Options) -> None:
 
 
 @command(
-    argument("file", "FILE", "a study: a bundled name, like drill, or the path of a TOML file", files(".toml")),
+    argument("file", "FILE", "a study: a bundled name, like drill, or the path of a TOML file"),
     output_options("NAME-study.nc"),
     JSON,
 )
@@ -178,7 +177,6 @@ def study(options: Options) -> None:
         "FILE",
         "a calibration: the path of a TOML file with scene, data (a CSV of operating conditions and observations), "
         "[unknown] NAME = [low, high] and, as needed, start, [parameters], [error], [prior]",
-        files(".toml"),
     ),
     output_options("NAME-calibration.nc"),
     JSON,
@@ -222,23 +220,3 @@ def accuracy(options: Options) -> None:
     save_picture(dataset, picture_path)
     if not options.quiet:
         print(f"{table_path}: {dataset.sizes['setting']} settings; dataset {dataset_path}, picture {picture_path}")
-
-
-@command(
-    argument("-o", "DIR", "the folder (reproduction)", dest="out", default="reproduction"),
-    flag("--quick", "only what half a minute answers, to see that it works"),
-)
-def reproduce(options: Options) -> None:
-    """Compare each table and figure of the source that the model can reproduce with its result: a page and a table.
-
-    An interrupted run keeps nothing.
-    """
-    page, table = output_folder(options.out, ("index.html", "table.md"))
-    options.advise("nothing is kept; to start again", "reproduce", "-o", options.out, *["--quick"] * options.quick)
-    from vibrojax.reproduce import run_reproduction, write_reproduction
-
-    reproduction = run_reproduction(quick=options.quick, progress=not options.quiet)
-    write_reproduction(reproduction, page.parent)
-    if not options.quiet:
-        score = ", ".join(f"{count} {verdict}" for verdict, count in reversed(reproduction.score.items()))
-        print(f"{page}: {len(reproduction.results)} results: {score}; table {table}")

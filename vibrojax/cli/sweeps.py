@@ -1,17 +1,18 @@
 """The command `sweep`, and its options for workers."""
 
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from vibrojax.cli.command import Options, argument, command, either, flag, sweep_names
+from vibrojax.cli.command import Options, argument, command, either, flag
 from vibrojax.cli.output import ZARR, draw, output, stored_line, stored_picture, stored_result
 from vibrojax.errors import InputError, counted, shown
 from vibrojax.io.formatting import size_text, time_text
 
 if TYPE_CHECKING:
+    from vibrojax.analyses.sweep.workers.executor import Executor
     from vibrojax.sweep.engine.costs import Cost
     from vibrojax.sweep.input.definition import Sweep
 
@@ -20,15 +21,15 @@ _DASK, _SLURM = "dask://", "slurm"
 SCHEDULER_TIMEOUT = "10 s"
 """Maximum time to wait for a response of the scheduler."""
 
-MAX_WORKERS = 1000
-"""Maximum number of processes or jobs; a larger number is assumed to be a typing error."""
+MAX_JOBS = 1000
+"""Maximum number of SLURM jobs at a time; a larger number is assumed to be a typing error."""
 
 DEFAULT_JOBS = 10
-"""Number of SLURM jobs if the option specifies none."""
+"""Number of SLURM jobs at a time if the option specifies none."""
 
 
 @command(
-    argument("sweep", "SWEEP", "a bundled name, like regime-map, or the path of a TOML file", sweep_names),
+    argument("sweep", "SWEEP", "a bundled name, like regime-map, or the path of a TOML file"),
     argument("-o", "OUT.nc", "where to write (NAME.nc in this folder); .zarr too", dest="out"),
     argument(
         "--set",
@@ -42,17 +43,10 @@ DEFAULT_JOBS = 10
         flag("--resume", "go on with the finished chunks beside OUT; a finished OUT is kept (the default)"),
         flag("--fresh", "start over, and replace OUT, whatever result of vibrojax it holds"),
     ),
-    either(
-        argument(
-            "--workers",
-            "N | dask://HOST:PORT | slurm",
-            "compute by N processes on this machine, the workers of a dask scheduler, or jobs of SLURM (slurm:JOBS)",
-        ),
-        argument(
-            "--only",
-            "I/N",
-            "compute each N-th chunk from the I-th, beside other processes that do the rest in the same folder",
-        ),
+    argument(
+        "--workers",
+        "dask://HOST:PORT | slurm[:N]",
+        "compute by the workers of a dask scheduler, or by jobs of SLURM, N at a time (10)",
     ),
     flag("--dry-run", "print lanes, memory, disk and time; compute nothing"),
     flag("--measure", "have --dry-run compute some chunks, to know better"),
@@ -62,15 +56,9 @@ def sweep(options: Options) -> None:
     from vibrojax.analyses.sweep.run import run_to_file
     from vibrojax.sweep.input.read import read_sweep
 
-    workers, share = _read_workers(options.workers), _read_share(options.only)
-    if share and options.fresh:
-        raise InputError("--fresh: has no use with --only, whose processes share what is there; remove the folder")
+    engine = _read_workers(options.workers)
     if options.measure and not options.dry_run:
         raise InputError("--measure: has no use without --dry-run")
-    if "jobs" in workers:
-        from vibrojax.analyses.sweep.workers.processes import check_slurm
-
-        check_slurm(f"--workers {options.workers}")
     plan = read_sweep(options.sweep, options.changes)
     out = output(options.out or f"{plan.name}.nc", (".nc", ZARR), drawn=True)
     if out.suffix == ZARR:
@@ -78,7 +66,7 @@ def sweep(options: Options) -> None:
 
         check_zarr(out)
     if options.dry_run:
-        _print_cost(plan, out, workers.get("processes", 0), options.measure)
+        _print_cost(plan, out, options.measure)
         return
     stored = stored_result(options, out, plan.identity())
     if stored is not None:
@@ -87,23 +75,13 @@ def sweep(options: Options) -> None:
             print(stored_line(stored, out, drawn))
         return
     words = [word for change in options.changes for word in ("--set", change)]
-    by = [word for name in ("workers", "only") if (value := getattr(options, name)) for word in (f"--{name}", value)]
+    by = ["--workers", options.workers] if options.workers else []
     options.advise("finished chunks are kept; to go on", "sweep", options.sweep, *words, "-o", str(out), *by)
     # Stepping releases the interpreter lock.
     threading.Thread(target=_prepare_output, daemon=True).start()
     progress = not options.quiet
-    if share:
-        from vibrojax.analyses.sweep.run import run_share
-        from vibrojax.io.dataset import open_dataset
-
-        if run_share(plan, out, share, progress) is None:
-            if progress:
-                print(f"{out}: share {options.only} is done; {_remaining_work(out)}")
-            return
-        dataset = open_dataset(out)
-    else:
-        with _executor(workers) as engine:
-            dataset = run_to_file(plan, out, resume=not options.fresh, progress=progress, **engine)
+    with engine(out) as executor:
+        dataset = run_to_file(plan, out, resume=not options.fresh, progress=progress, executor=executor)
     drawn = draw(options, dataset, out)
     if progress:
         each = "a point from one start each" if plan.starts is not None or plan.point_vectors else "a point each"
@@ -127,44 +105,24 @@ def _prepare_output() -> None:
         figure.savefig(BytesIO(), format="png")
 
 
-def _read_workers(text: str | None) -> dict[str, Any]:
-    """Return the workers that `--workers` specifies: `processes`, a `dask` scheduler HOST:PORT, SLURM `jobs`, or none.
+def _read_workers(text: str | None) -> "Callable[[Path], AbstractContextManager[Executor | None]]":
+    """Return a function that opens, for an output file, the executor that `--workers` specifies.
 
     **Raises:** `InputError` if the option is malformed.
     """
     if text is None:
-        return {}
-    if text.isdecimal() and 1 <= int(text) <= MAX_WORKERS:
-        return {"processes": int(text)}
+        return lambda _: nullcontext()
     if text.startswith(_DASK) and text.rpartition(":")[2].isdecimal():
-        return {"dask": text.removeprefix(_DASK)}
+        return lambda _: _dask_executor(text.removeprefix(_DASK))
     kind, colon, count = text.partition(":")
-    if kind == _SLURM and (not colon or (count.isdecimal() and 1 <= int(count) <= MAX_WORKERS)):
-        return {"jobs": int(count or DEFAULT_JOBS)}
-    choices = f"a number (1 to {MAX_WORKERS}), dask://HOST:PORT, slurm or slurm:JOBS"
-    raise InputError(f"--workers: {shown(text)} is not {choices}")
-
-
-def _read_share(text: str | None) -> tuple[int, int] | None:
-    """Return (I, N) of `--only I/N`, or None without the option; raise `InputError` if it is malformed."""
-    if text is None:
-        return None
-    part, slash, whole = text.partition("/")
-    if slash and part.isdecimal() and whole.isdecimal() and 1 <= int(part) <= int(whole):
-        return int(part), int(whole)
-    raise InputError(f"--only: {shown(text)} is not I/N with I from 1 to N; write 2/3 for the second of three shares")
+    if kind == _SLURM and (not colon or (count.isdecimal() and 1 <= int(count) <= MAX_JOBS)):
+        return lambda out: _slurm_executor(out, int(count or DEFAULT_JOBS))
+    raise InputError(f"--workers: {shown(text)} is not dask://HOST:PORT, slurm or slurm:N (N from 1 to {MAX_JOBS})")
 
 
 @contextmanager
-def _executor(workers: dict[str, Any]) -> "Iterator[dict[str, Any]]":
-    """Yield `workers` as arguments of `run_to_file`, with the executor of a dask scheduler in place of its address.
-
-    **Raises:** `InputError` if dask or the scheduler is missing.
-    """
-    if "dask" not in workers:
-        yield workers
-        return
-    address = workers["dask"]
+def _dask_executor(address: str) -> "Iterator[Executor]":
+    """Yield an executor of the dask scheduler at `address`; raise `InputError` if dask or the scheduler is missing."""
     place = f"--workers {_DASK}{address}"
     try:
         from distributed import Client
@@ -176,23 +134,24 @@ def _executor(workers: dict[str, Any]) -> "Iterator[dict[str, Any]]":
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{place}: no scheduler of dask answers there ({reason}); start one: dask scheduler") from None
     with client:
-        yield {"executor": client.get_executor()}
+        yield client.get_executor()
 
 
-def _remaining_work(out: Path) -> str:
-    """Return the state of a sweep whose chunks several processes compute for the dataset `out`, as a string."""
-    from vibrojax.io.standing import CHUNKS, standing
+@contextmanager
+def _slurm_executor(out: Path, jobs: int) -> "Iterator[Executor]":
+    """Yield an executor that computes each chunk in a job of SLURM, at most `jobs` at a time.
 
-    try:
-        state = standing(out.with_name(out.name + CHUNKS))
-    except InputError:  # the sweep has just been finished, and the folder removed
-        return "the dataset is whole"
-    missing = state.chunks - len(state.finished)
-    left = f"of {state.chunks} chunks {{}} left to others".format
-    return counted(missing, left("is"), left("are")) if missing else "another process writes the dataset"
+    Further options of SLURM (partition, account, memory, time) are read from the environment variables SBATCH_*.
+
+    **Raises:** `InputError` if no job can be submitted, or if others can write to the folder of the jobs.
+    """
+    from vibrojax.analyses.sweep.workers.slurm import SlurmExecutor
+
+    with SlurmExecutor(out.with_name(out.name + ".jobs").absolute(), jobs) as executor:
+        yield executor
 
 
-def _print_cost(plan: "Sweep", out: Path, processes: int, measure: bool) -> None:
+def _print_cost(plan: "Sweep", out: Path, measure: bool) -> None:
     """Print the estimated cost of a sweep; raise `InputError` if memory or disk of this machine are too small."""
     from vibrojax.analyses.sweep.run import estimate
     from vibrojax.sweep.engine.costs import check_size
@@ -205,7 +164,7 @@ def _print_cost(plan: "Sweep", out: Path, processes: int, measure: bool) -> None
         from vibrojax.analyses.sweep.workers.work import measured as measure_lanes
 
         measured = measure_lanes(plan)
-    cost: Cost = estimate(plan, to_file=True, processes=processes, measured=measured)
+    cost: Cost = estimate(plan, to_file=True, measured=measured)
     grid = " x ".join(f"{size} {name}" for name, size in zip(plan.dims, plan.shape, strict=True))
     print(f"lanes   {cost['lanes']} ({grid}) in {counted(cost['chunks'], 'chunk')}")
     print(f"memory  {size_text(cost['memory_bytes'])}")

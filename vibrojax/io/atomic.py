@@ -11,12 +11,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from vibrojax.io.claims import GONE, process_start
 from vibrojax.io.files import new_file
 from vibrojax.io.ownership import check_ours
 
 ZARR = ".zarr"
 """Suffix of a dataset stored as a folder (Zarr store)."""
+
+GONE = "gone"
+"""Start time that `process_start` returns for a process that has ended."""
 
 
 @contextmanager
@@ -129,3 +131,20 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(file)
     finally:
         os.close(file)
+
+
+def process_start(process: int) -> str:
+    """Return the start time of a process of this machine: "gone" if it has ended, "" if unknown."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        return GONE if fields[0] in "ZX" else fields[19]
+    except OSError:  # no such process, another user's, or a system without /proc
+        pass
+    if os.name == "posix":  # on other systems this call ends the process
+        try:
+            os.kill(process, 0)
+        except (ProcessLookupError, OverflowError):
+            return GONE
+        except OSError:  # a process of another user
+            pass
+    return ""

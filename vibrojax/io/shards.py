@@ -9,26 +9,24 @@ import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
-from filelock import FileLock
+from filelock import FileLock, Timeout
 from jaxtyping import Shaped
 
 from vibrojax.errors import InputError, counted
 from vibrojax.io.atomic import commit
-from vibrojax.io.claims import Claims, lock, this_process
 from vibrojax.io.files import new_file
 from vibrojax.io.manifest import MANIFEST, canonical, changes_since, digest, is_manifest
 
 LOCK = "lock"
 """Name of the lock file in a folder of chunks."""
 
-_ALL = "all"
-"""Name of the claim on all chunks."""
+CHUNKS = ".chunks"
+"""Suffix of the folder of chunks next to an output file."""
 
-_SHARE_PATIENCE = 30.0
-"""Time [s] that a process waits while others, started at the same time, check the manifest."""
+_LOCK_PATIENCE = 0.2
+"""Time [s] to wait for the lock, so that a process that is just ending can release it and remove its file."""
 
 _HEADER_SIZE = 1 << 16
 """Largest header [bytes] that is parsed: each of the many arrays takes about 40."""
@@ -45,10 +43,8 @@ _DIGEST_SIZE = hashlib.sha256().digest_size
 SHARD = re.compile(r"chunk-(\d{8,})\.shard")
 """Pattern of the file name of a finished chunk; its group is the chunk's index."""
 
-_LEFTOVER = re.compile(
-    r"(manifest\.json|clock|chunk-\d{8,}\.shard)(\.\d+)*\.tmp|(chunk-\d{8,}\.failed|[\w-]+\.claim)((\.\d+)*\.tmp)?"
-)
-"""Files that a new run removes: unfinished files, failure records and claims of a killed process. Other files stay."""
+_LEFTOVER = re.compile(r"(manifest\.json|chunk-\d{8,}\.shard)(\.\d+)*\.tmp")
+"""Unfinished files of a killed process, which a new run removes. Other files stay."""
 
 Arrays = Mapping[str, Shaped[np.ndarray, "..."]]
 """The arrays of a chunk by name: features of shape (lanes,) or (lanes, rows)."""
@@ -71,19 +67,10 @@ class Shards:
 
     - `folder`: the folder `OUT.nc.chunks`.
     - `manifest`: everything that the results depend on, as JSON values.
-    - `about`: further facts about the sweep, as JSON values.
-    - `shared`: whether another process has opened the folder, and this process writes into it.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        manifest: Mapping[str, object],
-        about: Mapping[str, object] = MappingProxyType({}),
-        shared: bool = False,
-    ) -> None:
-        self.folder, self._about, self._shared = folder, dict(about), shared
-        self.claims = Claims(folder)
+    def __init__(self, folder: Path, manifest: Mapping[str, object]) -> None:
+        self.folder = folder
         self.manifest: dict[str, object] = json.loads(canonical(manifest))
         self._digest = digest(self.manifest)
         self._lock: FileLock | None = None
@@ -97,34 +84,15 @@ class Shards:
         chunks belong to another manifest.
         """
         self._make_folder()
-        self._lock = lock(self.folder / LOCK)
+        self._lock = _locked(self.folder / LOCK)
         try:
-            self._check_claims()
             if resume:
                 self._check_manifest()
             self._clear(shards=not resume)
             self._write_manifest()
-            self.claims.take(_ALL)
         except BaseException:
             self.close()
             raise
-
-    def share(self) -> None:
-        """Prepare the folder for several processes, each of which claims single chunks; finished chunks are kept.
-
-        **Raises:** `InputError` if a process has claimed all chunks, the folder is not writable, or its manifest
-        differs.
-        """
-        self._make_folder()
-        self._check_claims(_ALL)
-        held = lock(self.folder / LOCK, _SHARE_PATIENCE)
-        try:
-            self._check_manifest()
-            if not (self.folder / MANIFEST).exists():
-                self._write_manifest()
-        finally:
-            held.release()
-        self._shared = True
 
     def finished(self) -> set[int]:
         """Return the indices of the intact chunks; report damaged chunks on stderr."""
@@ -150,34 +118,11 @@ class Shards:
         except FileNotFoundError:  # the sweep is finished, and the folder removed
             return set()
 
-    def discard(self, index: int) -> None:
-        self._path(index).unlink(missing_ok=True)
-
-    def claim(self, index: int) -> bool:
-        """Claim a chunk for this process; return False if another process holds the claim, or the chunk exists."""
-        if not self.claims.take(_chunk_name(index)):
-            return False
-        if self._path(index).exists():  # finished between the caller's check and the claim
-            self.release(index)
-            return False
-        return True
-
-    def release(self, index: int) -> None:
-        self.claims.release(_chunk_name(index))
-
-    def record_failure(self, index: int, reason: str) -> None:
-        failure = {"chunk": index, "by": this_process().text, "why": reason}
-        self._put(self._failure_path(index), json.dumps(failure).encode())
-
-    def has_failed(self, index: int) -> bool:
-        return self._failure_path(index).exists()
-
     def write(self, index: int, arrays: Arrays) -> None:
         """Store the arrays of a chunk; on return, the file is complete on the disk."""
         header = json.dumps({name: (x.dtype.str, x.shape) for name, x in arrays.items()}).encode() + b"\n"
         content = b"".join([header, *(x.tobytes() for x in arrays.values())])
         self._put(self._path(index), self._checksum(index, content), content)
-        self._failure_path(index).unlink(missing_ok=True)
 
     def read(self, index: int) -> dict[str, np.ndarray]:
         """Return the arrays of a chunk by name.
@@ -193,10 +138,9 @@ class Shards:
     def remove(self) -> None:
         """Remove the chunks and release the folder; remove the folder, too, unless it holds other files."""
         self._clear(shards=True)
-        self.claims.close()
         (self.folder / MANIFEST).unlink(missing_ok=True)
         with suppress(InputError):  # another process has just locked the folder
-            self._lock = self._lock or lock(self.folder / LOCK)
+            self._lock = self._lock or _locked(self.folder / LOCK)
             with suppress(PermissionError):  # Windows cannot delete an open file; releasing the lock removes it
                 (self.folder / LOCK).unlink(missing_ok=True)  # while no other process can hold the lock
         self.close()
@@ -205,7 +149,6 @@ class Shards:
 
     def close(self) -> None:
         """Release the folder and keep its content."""
-        self.claims.close()
         if self._lock is not None:
             self._lock.release()
             self._lock = None
@@ -218,9 +161,6 @@ class Shards:
 
     def _path(self, index: int) -> Path:
         return self.folder / f"{_chunk_name(index)}.shard"
-
-    def _failure_path(self, index: int) -> Path:
-        return self.folder / f"{_chunk_name(index)}.failed"
 
     def _checksum(self, index: int, content: bytes | memoryview) -> bytes:
         digest = hashlib.sha256(f"{self._digest} {index}\n".encode())
@@ -244,9 +184,8 @@ class Shards:
         A folder that the user removes meanwhile is made again, and the file is then written once more.
         """
         temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-        for attempt in reversed(range(1 if self._shared else _WRITE_ATTEMPTS)):
-            if not self._shared:
-                self.folder.mkdir(exist_ok=True)
+        for attempt in reversed(range(_WRITE_ATTEMPTS)):
+            self.folder.mkdir(exist_ok=True)
             try:
                 with new_file(temporary) as file:
                     file.writelines(parts)
@@ -264,13 +203,6 @@ class Shards:
             if _LEFTOVER.fullmatch(path.name) or (shards and SHARD.fullmatch(path.name)):
                 path.unlink(missing_ok=True)
 
-    def _check_claims(self, prefix: str = "") -> None:
-        """Raise `InputError` if another process holds a claim whose name begins with `prefix`."""
-        for held in self.claims.held():
-            if not held.stale and held.name.startswith(prefix):
-                line = f"{self.folder}: another process is at work there ({held.owner.text}, at {held.name})"
-                raise InputError(f"{line}; wait for it, or give another output")
-
     def _make_folder(self) -> None:
         try:
             self.folder.mkdir(exist_ok=True)
@@ -283,7 +215,7 @@ class Shards:
             raise InputError(f"{line}; give another output, or remove it")
 
     def _write_manifest(self) -> None:
-        content = {"sha256": self._digest, "manifest": self.manifest, "about": self._about}
+        content = {"sha256": self._digest, "manifest": self.manifest}
         self._put(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
 
     def _check_manifest(self) -> None:
@@ -322,3 +254,24 @@ def report_damage(damage: object) -> None:
 
 def _chunk_name(index: int) -> str:
     return f"chunk-{index:08d}"
+
+
+def _locked(path: Path) -> FileLock:
+    """Return an exclusive lock on the file at `path`.
+
+    The operating system locks the open file, and releases the lock when the process ends, even if it is killed. A file
+    that remains therefore blocks no other process. On a file system without locks there is no protection.
+
+    **Raises:** `InputError` if another process holds the lock, or the file is not writable.
+    """
+    # Any thread may release it: a sweep runs in a thread of its own.
+    lock = FileLock(path, timeout=_LOCK_PATIENCE, thread_local=False)
+    try:
+        lock.acquire()  # creates the folder again if another process has just finished and removed it
+    except Timeout:
+        line = f"{path.parent}: another process is at work there; wait for it, or give another output"
+        raise InputError(line) from None
+    except OSError as error:
+        if error.filename is not None:  # the file could not even be opened
+            raise InputError(f"{path}: cannot be written ({error.strerror}); give another output") from None
+    return lock

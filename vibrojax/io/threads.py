@@ -1,10 +1,11 @@
-"""Running work in a separate thread, so that the caller can always be interrupted."""
+"""Work in a separate thread, so that the caller can always be interrupted, and clean-up after an interrupt."""
 
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager, suppress
 from typing import TypeVar
 
 Result = TypeVar("Result")
@@ -15,6 +16,25 @@ garbage collection."""
 
 _POLL_SECONDS = 0.2
 """Longest delay [s] before an interrupt is handled."""
+
+_CLEAN_UP: list[Callable[[], object]] = []
+
+
+@contextmanager
+def on_leaving(action: Callable[[], object]) -> Iterator[None]:
+    """Register `action`, which `leave` calls if the process is interrupted within this context."""
+    _CLEAN_UP.append(action)
+    try:
+        yield
+    finally:
+        _CLEAN_UP.remove(action)
+
+
+def leave() -> None:
+    """Call the registered actions and ignore their errors; an interrupt ends the command without its threads."""
+    for action in list(_CLEAN_UP):
+        with suppress(Exception):
+            action()
 
 
 def in_own_thread(work: Callable[[], Result], seconds: float | None = None) -> Result:

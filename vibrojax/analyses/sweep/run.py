@@ -18,13 +18,12 @@ import xarray as xr
 
 from vibrojax.analyses.sweep.joining import REGION, WallTime, join
 from vibrojax.analyses.sweep.workers.executor import Executor, Store, by_executor, check_executor
-from vibrojax.analyses.sweep.workers.processes import by_processes, by_slurm
-from vibrojax.analyses.sweep.workers.work import MeasuredCosts, Work, by_cost, compute_shared
+from vibrojax.analyses.sweep.workers.work import MeasuredCosts, Work, by_cost
 from vibrojax.io.dataset import COMPRESSED, open_dataset
 from vibrojax.io.manifest import check_replaceable
 from vibrojax.io.ownership import check_ours
 from vibrojax.io.provenance import provenance
-from vibrojax.io.shards import DamagedShard, Shards, report_damage
+from vibrojax.io.shards import CHUNKS, DamagedShard, Shards, report_damage
 from vibrojax.io.targets import InMemory, Target, file_target
 from vibrojax.progress import Progress, timed
 from vibrojax.sweep.engine.batch import Features
@@ -37,9 +36,6 @@ MEMORY = 450e6
 """Memory [bytes] that a process needs for imported and compiled code."""
 
 HOUR = 3600.0
-
-DATASET = "dataset"
-"""Name of the claim of the process that assembles the dataset, if several processes share the chunks."""
 
 
 def run_sweep(
@@ -89,15 +85,12 @@ def run_to_file(
     resume: bool = True,
     progress: bool = True,
     executor: Executor | None = None,
-    processes: int = 0,
-    jobs: int = 0,
 ) -> xr.Dataset:
     """Run a sweep and write its dataset to the file `out`, netCDF or Zarr.
 
     Finished chunks are kept next to `out` until the dataset is complete. With `resume`, existing chunks are continued;
-    otherwise the run starts over and replaces `out`, whatever result of the package it holds. The chunks are computed
-    by an `executor`, see `run_sweep`, by a number of spawned `processes` on this machine, or by a number of SLURM
-    `jobs`.
+    otherwise the run starts over and replaces `out`, whatever result of the package it holds. `executor`: see
+    `run_sweep`.
 
     **Returns:** the dataset that was written.
 
@@ -109,7 +102,7 @@ def run_to_file(
     check_ours(out)
     check_size(sweep, estimate(sweep, to_file=True), out)
     with (
-        _computed(sweep, out, resume, progress, executor, processes, jobs) as write,
+        _computed(sweep, out, resume, progress, executor) as write,
         timed("write"),
         file_target(out) as target,
     ):
@@ -140,8 +133,6 @@ def _computed(
     resume: bool,
     progress: bool,
     executor: Executor | None = None,
-    processes: int = 0,
-    jobs: int = 0,
 ) -> Iterator[Callable[[Target], None]]:
     """Compute the missing chunks next to `out`, and yield a function that writes the dataset to a target.
 
@@ -155,56 +146,15 @@ def _computed(
             finished = shards.finished()
             bar.resume(sum(map(work.chunks.width, finished)))
             missing = sorted(set(range(work.chunks.count)) - finished)
-            for compute, count in ((by_processes, processes), (by_slurm, jobs)):
-                if not count or not missing:
-                    continue
-                for index in missing:  # workers check only whether a chunk's file exists: delete damaged files
-                    shards.discard(index)
-                with timed("compile and step"):
-                    order = by_cost(work.chunks, missing)
-                    missing = compute(sweep, shards, order, count, lambda index, _: bar.add(work.chunks.width(index)))
             _compute(sweep, work, missing, shards.write, bar, executor)
         # The wall time includes interrupted runs, but not the time between runs.
         yield partial(_write, sweep, work, shards, wall_time=lambda seconds: max(seconds, time.monotonic() - began))
         shards.remove()
 
 
-def run_share(sweep: Sweep, out: Path, part: tuple[int, int], progress: bool = True) -> Path | None:
-    """Compute the chunks I, I + N, ... (counted from 1) in a folder next to `out` that several processes share.
-
-    A process that finds all chunks finished writes `out`. `part`: the pair (I, N).
-
-    **Returns:** `out` if the dataset is complete, else None.
-
-    **Raises:** `InputError` if the existing chunks or the existing dataset belong to another sweep, or if a process has
-    claimed all chunks.
-    """
-    began = time.monotonic()
-    check_replaceable(out, sweep.identity())
-    check_size(sweep, estimate(sweep, to_file=True), out)
-    work = Work(sweep)
-    number, count = part
-    order = range(number - 1, work.chunks.count, count)
-    with _shards(sweep, work.chunks, out) as shards:
-        if out.exists() and not shards.folder.exists():
-            return out
-        shards.share()
-        with Progress(sum(map(work.chunks.width, order)), "lanes", progress) as bar, timed("compile and step"):
-            bar.resume(sum(map(work.chunks.width, shards.there().intersection(order))))
-            compute_shared(shards, work, order, report=bar.add)
-        if len(shards.there()) < work.chunks.count or not shards.claims.take(DATASET):
-            return out if out.exists() and not shards.folder.exists() else None
-        with timed("write"), file_target(out) as target:
-            _write(sweep, work, shards, target, lambda seconds: max(seconds / count, time.monotonic() - began))
-        shards.remove()
-    return out
-
-
 def _shards(sweep: Sweep, chunks: Chunks, out: Path) -> Shards:
     manifest = sweep.identity() | provenance() | {"chunk size": chunks.size}
-    title = sweep.title or f"{sweep.scene}: {sweep.name}"
-    about = {"title": title, "lanes": sweep.lanes, "chunks": chunks.count, "size": chunks.size}
-    return Shards(out.with_name(out.name + ".chunks"), manifest, about)
+    return Shards(out.with_name(out.name + CHUNKS), manifest)
 
 
 def _write(sweep: Sweep, work: Work, shards: Shards, target: Target, wall_time: WallTime) -> None:
@@ -238,20 +188,19 @@ def _compute(
         by_executor(sweep, executor, by_cost(work.chunks, indices), store_and_report)
 
 
-def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: MeasuredCosts | None = None) -> Cost:
+def estimate(sweep: Sweep, to_file: bool = False, measured: MeasuredCosts | None = None) -> Cost:
     """Estimate the cost of a sweep before running it; the time is rough (see [vibrojax.sweep.engine.costs][]).
 
     **Arguments:**
 
     - `to_file`: whether finished chunks are stored on the disk, as in `run_to_file`, or in memory.
-    - `processes`: number of processes on this machine that compute the sweep; 0: this process.
     - `measured`: measured costs of some lanes of the sweep, see [vibrojax.analyses.sweep.workers.work][], for a
       better estimate.
     """
     chunks = Work(sweep).chunks
     in_chunk, in_file = map(float, lane_bytes(sweep))
     packed = PACKED if sweep.lanes > COMPRESSED else 1.0
-    processor, cores = processor_time(chunks), processes or len(chunks.engine.workers)
+    processor, cores = processor_time(chunks), len(chunks.engine.workers)
     if measured is not None:
         in_chunk, in_file = measured.chunk_bytes, measured.file_bytes
         processor = processor._replace(compile=measured.compile_s, step=measured.lane_s * sweep.lanes)
@@ -259,8 +208,7 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
     before = elapsed.start + elapsed.compile
     # The time loop holds some 500 numbers per lane. The array regions of `join` hold features, variables, and
     # variables being written.
-    at_once = processes or min(cores, chunks.count)
-    memory = MEMORY * (1 + processes) + at_once * chunks.size * 8 * 500
+    memory = MEMORY + min(cores, chunks.count) * chunks.size * 8 * 500
     memory += 3 * min(REGION, sweep.lanes) * (in_chunk + in_file) if to_file else sweep.lanes * (in_chunk + in_file)
     return Cost(
         lanes=sweep.lanes,

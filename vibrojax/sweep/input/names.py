@@ -216,46 +216,49 @@ def read_names(
     return Names(system, {option: str(getattr(value, "name", value)) for option, value in options.items()})
 
 
-_GROUPS: dict[str, tuple[dict[str, Any], type]] = {
-    "vibrojax.friction_laws": (FRICTION_LAWS, FrictionLaw),
-    "vibrojax.scenes": (SCENES, Scene),
-    "vibrojax.steppers": (STEPPERS, Stepper),
-    "vibrojax.gauges": (GAUGES, Gauge),
-}
-"""Groups of entry points. For each group: the registry of the objects, and their required type. Scenes are registered
-as classes, systems as instances."""
+_GROUP = "vibrojax.objects"
+"""Group of entry points for laws, scenes, steppers and gauges of other packages."""
+
+_REGISTRIES: tuple[tuple[dict[str, Any], type], ...] = (
+    (FRICTION_LAWS, FrictionLaw),
+    (STEPPERS, Stepper),
+    (GAUGES, Gauge),
+)
+"""Registries of instances, with the type of their objects. Scenes are registered as classes."""
 
 
 @cache
 def enter_offered() -> None:
-    """Register the plug-ins of installed packages by name, once per process.
+    """Register the objects of installed packages by name, once per process.
 
-    A package declares, for example, `[project.entry-points."vibrojax.friction_laws"]` with `mine = "its_module:LAW"`.
+    A package declares `[project.entry-points."vibrojax.objects"]` with, for example, `mine = "its_module:LAW"`.
     Friction laws, scenes and steppers are registered under their own name, gauges under the name of the entry point. An
     unusable object is skipped with a one-line warning, so that a broken package does not affect anything else.
 
     This function is called when names are read, not on import, because the packages import this one.
     """
-    for group, (table, kind) in _GROUPS.items():
-        for entry in entry_points(group=group):
-            problem = _enter(entry, table, kind)
-            if problem is not None:
-                owner = entry.dist.name if entry.dist is not None else "a package"
-                warnings.warn(f"{owner}: {group}: {entry.name}: {problem}; it is left out", stacklevel=2)
+    for entry in entry_points(group=_GROUP):
+        problem = _enter(entry)
+        if problem is not None:
+            owner = entry.dist.name if entry.dist is not None else "a package"
+            warnings.warn(f"{owner}: {_GROUP}: {entry.name}: {problem}; it is left out", stacklevel=2)
 
 
-def _enter(entry: EntryPoint, table: dict[str, Any], kind: type) -> str | None:
+def _enter(entry: EntryPoint) -> str | None:
     """Register one object; return a description of its problem, or None if it has been registered."""
     try:
         offered = entry.load()
     except Exception as error:  # the package's code may raise any exception
         return " ".join(f"{entry.value} cannot be imported ({error})".split())
-    if kind is Scene and isinstance(offered, System):
+    if isinstance(offered, System):
         return None  # a system is known by name once it is defined
-    is_subclass = isinstance(offered, type) and issubclass(offered, Scene)
-    fits = is_subclass if kind is Scene else isinstance(offered, kind)
-    if not fits:
-        return f"{entry.value} is not a {'System or a subclass of Scene' if kind is Scene else kind.__name__}"
+    if isinstance(offered, type) and issubclass(offered, Scene):
+        table: dict[str, Any] = SCENES
+    else:
+        tables = [table for table, kind in _REGISTRIES if isinstance(offered, kind)]
+        if not tables:
+            return f"{entry.value} is neither a law, a scene, a stepper nor a gauge"
+        [table] = tables
     name = getattr(offered, "name", entry.name)
     if name in table:
         return f'the name "{name}" is taken'

@@ -1,5 +1,4 @@
-"""Workers that compute the chunks of a sweep: this process, any executor, or processes that share a folder.
+"""Workers that compute the chunks of a sweep: this process, or any executor.
 
-The bits of a chunk do not depend on the worker. Finished chunks are files ([vibrojax.io.shards][]); only the files
-determine which chunks are finished.
+The bits of a chunk do not depend on the worker. This process stores each finished chunk ([vibrojax.io.shards][]).
 """

@@ -1,11 +1,9 @@
-"""The chunks of a sweep: computing one, sharing many with other processes, and measuring their cost."""
+"""The chunks of a sweep: computing them, and measuring their cost."""
 
-import pickle
 import time
 import warnings
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -34,19 +32,6 @@ COST_CHUNKS = 8192
 
 MEASURED_CHUNKS, MEASURING_SECONDS = 8, 20.0
 """Number of evenly spaced chunks that `measured` computes, and the time [s] after which no further chunk begins."""
-
-RELEASE_POLL_SECONDS = 0.3
-"""Interval [s] between two checks for chunks that other processes have released."""
-
-Finished = Callable[[int, float], object]
-"""Function that receives the index of a chunk that a worker has finished, and the computing time [s]."""
-
-Failed = Callable[[int], object]
-"""Function that receives the index of a chunk that a worker could not compute."""
-
-
-class WorkersDied(OSError):
-    """An error: workers ended before they finished their chunks."""
 
 
 class Work:
@@ -118,74 +103,6 @@ def _beyond(sweep: Sweep) -> PostProcessor | None:
         return results
 
     return analyse if parts else None
-
-
-@dataclass(frozen=True)
-class Job:
-    """The work of one process among several: compute chunks of `order` until none remains. A job can be pickled.
-
-    `task` is the pickled sweep; `folder` and `manifest` are those of its `Shards`; `threads` is that of `Work`.
-    """
-
-    task: bytes
-    folder: str
-    manifest: dict[str, object]
-    order: list[int]
-    threads: int | None = None
-
-    def __call__(self, finished: Finished = lambda *_: None, failed: Failed = lambda _: None) -> None:
-        """Compute chunks, including those of processes that die meanwhile."""
-        shards = Shards(Path(self.folder), self.manifest, shared=True)
-        try:
-            work = Work(pickle.loads(self.task), self.threads)
-            compute_shared(shards, work, self.order, finished, failed, patient=True)
-        finally:
-            shards.claims.close()
-
-    def checkpoint(self) -> object:
-        """Return the object that submitit submits again after SLURM has stopped the job."""
-        from submitit.helpers import DelayedSubmission
-
-        return DelayedSubmission(self)
-
-
-def compute_shared(
-    shards: Shards,
-    work: Work,
-    order: Sequence[int],
-    finished: Finished = lambda *_: None,
-    failed: Failed | None = None,
-    report: Report = unreported,
-    patient: bool = False,
-) -> None:
-    """Compute the chunks of `order` that do not exist and that no other process has claimed.
-
-    With `patient`, also wait for the claimed chunks, and take over the chunk of a process that dies. Without `failed`,
-    the error of a chunk is raised.
-    """
-    remaining = list(order)
-    while True:
-        existing = shards.there()
-        remaining = [index for index in remaining if index not in existing]
-        index = next((index for index in remaining if shards.claim(index)), None)
-        if index is None:
-            if not remaining or not patient:
-                return
-            time.sleep(RELEASE_POLL_SECONDS)
-            continue
-        try:
-            features = work.compute(index, report)
-            shards.write(index, features)
-        except Exception as error:
-            shards.record_failure(index, f"{type(error).__name__}: {error}")
-            if failed is None:
-                raise
-            remaining.remove(index)
-            failed(index)
-        else:
-            finished(index, float(features[SECONDS]))
-        finally:
-            shards.release(index)
 
 
 class MeasuredCosts(NamedTuple):

@@ -13,10 +13,8 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vibrojax.models.physics.contact import restitution
-from vibrojax.plot.style import BIT, FAINT, IMPACT, INK, ROCK, STICK, STRIKER, new_figure
-from vibrojax.reproduce.closed_forms import LOSS_FACTORS
-from vibrojax.reproduce.motions import (
+from source.closed_forms import LOSS_FACTORS
+from source.motions import (
     DRIVE_SPEED,
     envelope,
     events,
@@ -25,6 +23,8 @@ from vibrojax.reproduce.motions import (
     swept_frequency,
     within,
 )
+from vibrojax.models.physics.contact import restitution
+from vibrojax.plot.style import BIT, FAINT, IMPACT, INK, ROCK, STICK, STRIKER, new_figure
 
 FIGURE_WIDTH = 6.4
 """Width of a figure [inch]: half the width of the text on the reproduction page."""

@@ -2,23 +2,23 @@
 
 import base64
 import re
-from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
+from source.reproduction import FINDINGS, READINGS, Finding, Reproduction
+from source.rules import DIFFERS, NOT_COMPARED, VERDICTS
 from vibrojax.errors import InputError
 from vibrojax.io.atomic import atomic_write
 from vibrojax.io.content_policy import content_policy
 from vibrojax.io.dataset import write_dataset
 from vibrojax.io.ownership import text_mark
 from vibrojax.io.provenance import source
-from vibrojax.reproduce.reproduction import FINDINGS, READINGS, Finding, Reproduction
-from vibrojax.reproduce.rules import DIFFERS, NOT_COMPARED, VERDICTS
 
+FOLDER = Path(__file__).parent
 COLUMNS = ("id", "what", "source", "here", "verdict", "reading")
 CLASSES = dict(zip(VERDICTS, ("differs", "uncompared", "trend", "agrees"), strict=True))
 """CSS class of each outcome of a comparison."""
@@ -29,14 +29,6 @@ def write_reproduction(reproduction: Reproduction, folder: str | Path) -> None:
 
     **Raises:** `InputError` if the folder cannot be written, or holds a file of such a name that this package has not
     written.
-
-    **Example:**
-
-    >>> from pathlib import Path
-    >>> from vibrojax.reproduce import GROUPS
-    >>> vj.write_reproduction(vj.run_reproduction(GROUPS[:1], progress=False), "reproduction")
-    >>> sorted(path.name for path in Path("reproduction").iterdir() if path.is_file())
-    ['index.html', 'table.md']
     """
     folder = Path(folder)
     try:
@@ -65,12 +57,10 @@ def markdown_table(reproduction: Reproduction) -> str:
 
 def html_page(reproduction: Reproduction) -> str:
     """Return the page as an HTML string with embedded pictures."""
-    environment = Environment(
-        loader=PackageLoader("vibrojax.reproduce", ""), autoescape=True, undefined=StrictUndefined
-    )
+    environment = Environment(loader=FileSystemLoader(FOLDER), autoescape=True, undefined=StrictUndefined)
     environment.trim_blocks = environment.lstrip_blocks = environment.keep_trailing_newline = True
     environment.filters |= {"code": _code, "picture": _picture}
-    style = "\n" + files("vibrojax.reproduce").joinpath("page.css").read_text(encoding="utf-8")
+    style = "\n" + (FOLDER / "page.css").read_text(encoding="utf-8")
     differing = {result.entry.id: result for result in reproduction.results if result.here.verdict == DIFFERS}
     explained = {name for finding in FINDINGS for name in finding.ids}
     rest = Finding("Not explained:", tuple(name for name in differing if name not in explained))

@@ -11,9 +11,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from source.rules import Here, verdict
 from vibrojax.analyses.rop_law.rop import fit_rop
 from vibrojax.errors import counted
-from vibrojax.reproduce.rules import Here, verdict
 
 Values = Float[np.ndarray, " values"]
 

@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -19,14 +19,14 @@ import xarray as xr
 from jinja2 import Environment, StrictUndefined
 from matplotlib.figure import Figure
 
+from source import closed_forms, maps, motions, pictures_maps, pictures_motions, rules
+from source.computations import Answer, Labelled, Need, SourceAnswers, Unanswered, collect, read_needs
+from source.rules import DIFFERS, FIELD, VERDICTS, Here, Verdict, formatted
 from vibrojax.compile.xla import precision
 from vibrojax.models.physics.contact import contact_time, restitution
 from vibrojax.models.physics.rock import ROCKS
 from vibrojax.plot.style import styled
 from vibrojax.progress import Progress
-from vibrojax.reproduce import closed_forms, maps, motions, pictures_maps, pictures_motions, rules
-from vibrojax.reproduce.computations import Answer, Labelled, Need, SourceAnswers, Unanswered, collect, read_needs
-from vibrojax.reproduce.rules import DIFFERS, FIELD, VERDICTS, Here, Verdict, formatted
 
 T = TypeVar("T")
 
@@ -188,14 +188,6 @@ def run_reproduction(groups: Iterable[Group] | None = None, quick: bool = False,
     - `progress`: whether to report the current computation and the progress on stderr.
 
     **Returns:** a `Reproduction`; `write_reproduction` writes it as an HTML page.
-
-    **Example:**
-
-    >>> from vibrojax.reproduce import GROUPS
-    >>> classical = [group for group in GROUPS if group.name == "classical"]
-    >>> reproduction = vj.run_reproduction(classical, progress=False)
-    >>> reproduction.score["agrees"], len(reproduction.results)
-    (8, 8)
     """
     began = time.monotonic()
     groups = list(GROUPS if groups is None else groups)
@@ -234,7 +226,7 @@ def _is_quick(item: Entry | Picture) -> bool:
     )
 
 
-_FOLDER = files("vibrojax.reproduce")
+_FOLDER = Path(__file__).parent
 _SOURCE = tomllib.loads((_FOLDER / "source.toml").read_text(encoding="utf-8"))
 ROWS = list(csv.DictReader((_FOLDER / "results.csv").read_text(encoding="utf-8").splitlines()))
 

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from source.struck_mass import EXACT, STRUCK, struck_mass
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, Place, counted
-from vibrojax.reproduce.struck_mass import EXACT, STRUCK, struck_mass
 from vibrojax.sweep.input.read import read_point
 from vibrojax.sweep.input.values import UnusualValue
 from vibrojax.sweep.simulation import simulate
