@@ -246,9 +246,11 @@ def test_text_of_motion_agrees_with_label():
     """A motion that is simulated anew may be another one; the text never contradicts the label."""
     script = """
       import { described } from "./cell.js";
-      const text = (kind, returns, ...labelled) => described({ kind, returns, duration: 1, flags: [], note: "" }, ...labelled);
+      const cell = { duration: 1, flags: [], note: "" };
+      const text = (kind, returns, ...labelled) => described({ ...cell, kind, returns }, ...labelled);
       console.log(JSON.stringify([text("orbit", 1), text("orbit", 1, 1), text("motion", 5), text("motion", 5, 0),
-        text("motion", 5, 1), text("orbit", 1, 2), text("orbit", 2, 0), text("orbit", 2, null), text("motion", 5, null)]));
+        text("motion", 5, 1), text("orbit", 1, 2), text("orbit", 2, 0), text("orbit", 2, null),
+        text("motion", 5, null)]));
     """
     texts = run_module(script)
     assert texts[:4] == ["repeats after 1 return, 1 s"] * 2 + ["does not repeat; 5 returns are shown, 1 s"] * 2

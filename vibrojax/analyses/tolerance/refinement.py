@@ -77,7 +77,9 @@ def _periodic(ds: xr.Dataset, name: str) -> Float[np.ndarray, "samples starts"]:
     return np.asarray(x.reshape(len(x), -1))
 
 
-def _proposals(units: Units, y: Float[np.ndarray, " samples"], best: int, step: float) -> Float[np.ndarray, "points dimensions"]:
+def _proposals(
+    units: Units, y: Float[np.ndarray, " samples"], best: int, step: float
+) -> Float[np.ndarray, "points dimensions"]:
     """Return points of the box around the sample `best` at which `y` may be greater.
 
     The sensitivities are those of a linear fit to the nearest samples.
