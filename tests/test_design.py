@@ -73,6 +73,14 @@ def test_draws_within_tolerance_satisfy_constraints(designed):
         assert float(ds.impact_power.min()) >= float(designed.objective_worst[candidate]) * (1 - 1e-6)
 
 
+def test_worst_values_are_those_of_samples_and_irregular_motions_come_first(designed):
+    assert (designed.irregular_share == 0).all()
+    for name in ("objective_worst", "peak_impact_force_worst", "feasible", "slack"):
+        assert "samples of the tolerances" in designed[name].attrs["long_name"], name
+    first = Designs().summary(designed.assign(irregular_share=designed.irregular_share + 0.1))[0].lines[0]
+    assert first.startswith("irregular motions within the tolerances (10 %")
+
+
 def test_gradient_and_multiplier_are_slopes(designed):
     best, step = designed.isel(candidate=0), 1e-5
     ds = lanes(float(best.gamma) + step * np.array([1.0, -1.0]))
