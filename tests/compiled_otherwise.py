@@ -22,12 +22,18 @@ jax.config.update("jax_enable_x64", True)
 
 from test_sweep_against_simulate import DRILLS, columns, run_points  # noqa: E402
 
-from vibrojax.compile import Untranslatable, agreement, xla  # noqa: E402
-from vibrojax.compile.kernels import elementwise, kernels, native  # noqa: E402
-from vibrojax.compile.kernels.elementwise import NUMBERS, Rule  # noqa: E402
+from vibrojax.compile import (  # noqa: E402
+    Untranslatable,
+    agreement,
+    elementwise,
+    native,
+    xla,
+)
+from vibrojax.compile.elementwise import NUMBERS, Rule  # noqa: E402
+from vibrojax.compile.native import kernels  # noqa: E402
 from vibrojax.errors import InputError  # noqa: E402
-from vibrojax.models.physics.friction import FRICTION_LAWS  # noqa: E402
-from vibrojax.sweep.engine import compiler  # noqa: E402
+from vibrojax.lanes import compiler  # noqa: E402
+from vibrojax.physics.friction import FRICTION_LAWS  # noqa: E402
 
 WIDTH, PASSES = "xla_cpu_prefer_vector_width", "xla_disable_hlo_passes"
 OF_XLA = xla.compiler_options("cpu")

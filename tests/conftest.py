@@ -2,6 +2,7 @@
 
 import atexit
 import os
+import re
 import shutil
 import tempfile
 from importlib.metadata import version
@@ -35,37 +36,18 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # The tests check annotations, including array shapes, at no cost to users. Exceptions are functions that users call
-# with any argument (modules `run`, sweep.input.read and source), because their errors name the wrong argument;
-# sweep.input.values, whose warnings count the frames up to the caller; and kernels, which call their functions a
-# hundred thousand times while they are written, so that checks would take two minutes.
-UNCHECKED = ("run.py", "joining.py", "catalogue.py")
-ANALYSES = Path(__file__).parents[1] / "vibrojax" / "analyses"
+# with any argument (modules `run` and `read`), because their errors name the wrong argument; settings/values.py, whose
+# warnings count the frames up to the caller; and kernels, which call their functions a hundred thousand times while
+# they are written, so that checks would take two minutes.
+PACKAGE = Path(__file__).parents[1] / "vibrojax"
+UNCHECKED = re.compile(
+    r"(compile/(?!agreement|trust|xla)|maps/(run|read|joining|bounds|starts|edited)|settings/(toml|values|code_identity)"
+    r"|studies/(\w+_run|catalogue)).*"
+)
 CHECKED = [
-    *(
-        ".".join(file.relative_to(ANALYSES.parents[1]).with_suffix("").parts)
-        for file in sorted(ANALYSES.rglob("[a-z]*.py"))
-        if file.name not in UNCHECKED
-    ),
-    "vibrojax.cli",
-    "vibrojax.compile.agreement",
-    "vibrojax.compile.trust",
-    "vibrojax.compile.xla",
-    "vibrojax.errors",
-    "vibrojax.explorer",
-    "vibrojax.io",
-    "vibrojax.measures",
-    "vibrojax.models",
-    "vibrojax.periodic",
-    "vibrojax.plot",
-    "vibrojax.progress",
-    "vibrojax.stepping",
-    "vibrojax.sweep.engine",
-    "vibrojax.sweep.input.definition",
-    "vibrojax.sweep.input.names",
-    "vibrojax.sweep.input.points",
-    "vibrojax.sweep.input.run_settings",
-    "vibrojax.sweep.simulation.dense_output",
-    "vibrojax.sweep.simulation.trajectory",
+    f"vibrojax.{file.removesuffix('.py').replace('/', '.')}"
+    for path in sorted(PACKAGE.rglob("[a-z]*.py"))
+    if not UNCHECKED.fullmatch(file := path.relative_to(PACKAGE).as_posix())
 ]
 install_import_hook(CHECKED, "beartype.beartype")
 jaxtyping.jaxtyped = checked  # the import hook writes this decorator into the modules
@@ -100,7 +82,7 @@ def few_mappings():
 @pytest.fixture(params=[16, 32, 64])
 def width(request, monkeypatch):
     """Force the bytes of a vector: SSE2 or NEON, AVX2, AVX-512. LLVM splits vectors that the processor lacks."""
-    from vibrojax.compile.kernels import native
+    from vibrojax.compile import native
 
     monkeypatch.setattr(native, "vector_bytes", lambda: request.param)
     return request.param

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 import vibrojax as vj
-from vibrojax.models.physics.parameters import positive, table
-from vibrojax.models.scenes import stick_slip as slips
-from vibrojax.models.scenes.capabilities import Bit
+from vibrojax.physics.parameters import positive, table
+from vibrojax.scenes import stick_slip as slips
+from vibrojax.scenes.capabilities import Bit
 
 
 class LorenzConstants(NamedTuple):

@@ -17,9 +17,9 @@ import numpy as np
 from lane_steps import as_on_accelerator
 
 from vibrojax.compile.xla import BoundProgram
-from vibrojax.sweep.engine import compiler
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.lanes import compiler
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.maps.read import read_sweep
 
 compiler.XLA_BLOCK_ON_ACCELERATOR = 64  # instead of 16384: a step of lanes that only fill a block takes as long
 precision, within = sys.argv[1], float(sys.argv[2])

@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from vibrojax.analyses.accuracy.cases import SCENES, lanes_of, settings_of
-from vibrojax.analyses.accuracy.measurement import STATUSES, errors_of, measure, statuses_of, usable
-from vibrojax.analyses.accuracy.programs import Program
-from vibrojax.analyses.accuracy.study import dataset_of, pareto, run_accuracy, table
-from vibrojax.analyses.pictures import work_precision
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.maps.read import read_sweep
+from vibrojax.pictures.choose import work_precision
+from vibrojax.studies.accuracy_cases import SCENES, lanes_of, settings_of
+from vibrojax.studies.accuracy_measurement import STATUSES, errors_of, measure, statuses_of, usable
+from vibrojax.studies.accuracy_programs import Program
+from vibrojax.studies.accuracy_run import dataset_of, pareto, run_accuracy, table
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_study_records_times_and_front_of_each_scene(study):
 
 
 def test_command_writes_dataset_table_and_picture(study, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("vibrojax.analyses.accuracy.study.run_accuracy", lambda quick, progress: study)
+    monkeypatch.setattr("vibrojax.studies.accuracy_run.run_accuracy", lambda quick, progress: study)
     out = tmp_path / "new" / "folder"
     assert main(["accuracy", "--quick", "-o", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == {"accuracy.nc", "accuracy.md", "accuracy.png"}
@@ -103,7 +103,7 @@ def test_interrupt_prints_command_to_start_again(tmp_path, monkeypatch, capsys):
     def interrupted(**_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vibrojax.analyses.accuracy.study.run_accuracy", interrupted)
+    monkeypatch.setattr("vibrojax.studies.accuracy_run.run_accuracy", interrupted)
     assert main(["accuracy", "-o", str(tmp_path)]) == 130
     line = f"vibrojax: interrupted; nothing is kept; to start again: vibrojax accuracy -o {tmp_path}\n"
     assert capsys.readouterr().err == line

@@ -11,10 +11,10 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax import cli
-from vibrojax.analyses.analysis import _USED, analysis_named, analysis_of, offered_analyses
 from vibrojax.cli import main
 from vibrojax.cli.analyses import analysis_command
 from vibrojax.io.kinds import STRUCTURES, kind_of
+from vibrojax.studies.analysis import _USED, analysis_named, analysis_of, offered_analyses
 
 OUTSIDE = Path(__file__).parent / "outside"
 SWEEP = """scene = "rotary"
@@ -81,7 +81,7 @@ def test_help_info_and_plot_include_analysis_of_another_package(command):
 
 def test_broken_entry_point_is_refused_in_one_line(command):
     refused = command("broken", "speeds.toml", status=2)
-    assert refused.count("\n") == 1 and "entry point vibrojax.analyses: broken" in refused
+    assert refused.count("\n") == 1 and "entry point vibrojax.studies: broken" in refused
     command("scenes")  # does not import analyses that it does not need
 
 

@@ -10,15 +10,15 @@ from matplotlib.collections import PolyCollection, QuadMesh
 from read_off import note
 
 import vibrojax as vj
-from vibrojax.analyses.attractors.analysis import Attractors
-from vibrojax.analyses.attractors.grouping import PointMotion, PointMotions, classify_motions, is_ambiguous, join_chains
-from vibrojax.analyses.attractors.matching import number_attractors
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.provenance import source
 from vibrojax.io.variables import NATURES
+from vibrojax.lanes.chunks import Chunks
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
-from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.periodic.matching import number_attractors
+from vibrojax.studies.attractor_analysis import Attractors
+from vibrojax.studies.attractor_grouping import PointMotion, PointMotions, classify_motions, is_ambiguous, join_chains
 
 BOX = {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 GAMMA = [0.35, 0.3625, 0.7375, 0.75, 0.7625]
@@ -342,7 +342,7 @@ def test_finished_chunks_survive_an_interrupt(by, tmp_path, capsys, monkeypatch)
 
     monkeypatch.setattr(Chunks, "compute", counted)
     if by == "links":
-        monkeypatch.setattr("vibrojax.analyses.attractors.analysis.attractors_of", interrupted)
+        monkeypatch.setattr("vibrojax.studies.attractor_analysis.attractors_of", interrupted)
     assert main(["attractors", "few.toml", "-o", "out.nc", "--quiet"]) == 130
     assert "finished chunks are kept; to go on: vibrojax attractors few.toml -o out.nc" in capsys.readouterr().err
     kept = len(list((tmp_path / "out.nc.chunks").glob("*.shard")))

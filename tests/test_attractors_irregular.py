@@ -6,15 +6,17 @@ import xarray as xr
 from test_attractors import BOX, groups, irregular
 
 import vibrojax as vj
-from vibrojax.analyses.attractors import long_run
-from vibrojax.analyses.attractors.grouping import (
+from vibrojax.maps.rerun import sweep_of_dataset
+from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
+from vibrojax.studies import attractor_long_run as long_run
+from vibrojax.studies.attractor_grouping import (
     IRREGULAR_WITHIN,
     RESOLUTION_STDERRS,
     STATISTICS,
     join_chains,
     stderr_name,
 )
-from vibrojax.analyses.attractors.long_run import (
+from vibrojax.studies.attractor_long_run import (
     BATCHES,
     CONVERGED_STDERR,
     FEWEST_WINDOWS,
@@ -23,8 +25,6 @@ from vibrojax.analyses.attractors.long_run import (
     statistics,
     with_long_statistics,
 )
-from vibrojax.analyses.orbits.analysis import sweep_of_dataset
-from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
 
 SCENE = {"scene": "vibro-impact", "parameters": {"delta": 0.005, "v": 1.5}}
 

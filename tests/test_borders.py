@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.borders.analysis import Borders
-from vibrojax.analyses.borders.chains import Vertex, around_region
-from vibrojax.analyses.borders.continued import ContinuedBorders
-from vibrojax.analyses.borders.propagation import OrbitGrid
-from vibrojax.analyses.borders.run import BORDER_KINDS
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.provenance import source
 from vibrojax.measures.labels import SINGLE_IMPACT
+from vibrojax.studies.border_analysis import Borders
+from vibrojax.studies.border_chains import Vertex, around_region
+from vibrojax.studies.border_continued import ContinuedBorders
+from vibrojax.studies.border_propagation import OrbitGrid
+from vibrojax.studies.border_run import BORDER_KINDS
 
 SWEEP = {
     "scene": "vibro-impact",

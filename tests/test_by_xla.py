@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.compile.kernels import Untranslatable
-from vibrojax.sweep.engine import compiler
+from vibrojax.compile.assembly import Untranslatable
+from vibrojax.lanes import compiler
 
 RUN = {"settle": 12.0, "observe": 6.0, "error": 1e-4}
 SWEEPS = {

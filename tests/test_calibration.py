@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.analysis import analysis_of
-from vibrojax.analyses.calibration import run
-from vibrojax.analyses.calibration.model import Model, Prediction
-from vibrojax.analyses.calibration.run import REASONS
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.studies import calibration_run as run
+from vibrojax.studies.analysis import analysis_of
+from vibrojax.studies.calibration_model import Model, Prediction
+from vibrojax.studies.calibration_run import REASONS
 
 SPEEDS = np.linspace(1.1, 2.0, 6)
 TRUE_VALUES = {"mu": 0.4, "v_cr": 3.0}

@@ -5,14 +5,14 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.sweep.returns import jumps
-from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
-from vibrojax.io.shards import Shards
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.run import run_to_file
+from vibrojax.maps.shards import Shards
 from vibrojax.measures.labels import FAILED, IRREGULAR, SINGLE_IMPACT
-from vibrojax.plot.overlays import special_points
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.pictures.overlays import special_points
+from vibrojax.pictures.returns import jumps
 
 BETAS, GAMMAS = [0.3, 0.4], [0.59, 0.61, 0.63, 0.7, 0.75]
 MAP = {

@@ -7,13 +7,13 @@ import pytest
 from known_scenes import ImpactOscillator, Lorenz
 
 import vibrojax as vj
-from vibrojax.analyses.chaos.growth import TANGENT_ACCURACY, exponents, grow, zero_one
 from vibrojax.errors import InputError
 from vibrojax.io.variables import NATURES
+from vibrojax.lanes.chunks import Chunks
 from vibrojax.measures.labels import IRREGULAR
+from vibrojax.periodic.growth import TANGENT_ACCURACY, exponents, grow, zero_one
 from vibrojax.periodic.lane_orbits import last_returns
 from vibrojax.periodic.return_map import Segments
-from vibrojax.sweep.engine.chunks import Chunks
 
 GAP = {"scene": "vibro-impact", "starts": ["stuck"], "parameters": {"delta": 0.005}}
 # One irregular, one quasi-periodic and two periodic lanes (see test_natures).

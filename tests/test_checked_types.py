@@ -5,9 +5,9 @@ import pytest
 from checked_types import checked
 from jaxtyping import Float
 
-from vibrojax.models.scenes import SCENES
+from vibrojax.lanes.drift import _means
 from vibrojax.periodic.return_map import Segments, in_calls
-from vibrojax.sweep.engine.drift import _means
+from vibrojax.scenes import SCENES
 
 SEGMENTS = Segments(SCENES["rotary"]())
 

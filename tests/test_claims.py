@@ -16,10 +16,10 @@ import pytest
 import vibrojax as vj
 from vibrojax import cli
 from vibrojax.io.dataset import LAZY_FROM
-from vibrojax.plot.selection import MOST_LANES
+from vibrojax.lanes.chunks import CHUNK, CHUNK_SHARING_ORBITS
+from vibrojax.pictures.selection import MOST_LANES
+from vibrojax.settings.toml import bundled_names
 from vibrojax.stepping import Located
-from vibrojax.sweep.engine.chunks import CHUNK, CHUNK_SHARING_ORBITS
-from vibrojax.sweep.input.source import bundled_names
 
 ROOT = Path(__file__).parents[1]
 
@@ -204,8 +204,8 @@ def test_ratios_match_race():
 
 def test_limits_of_systems():
     from vibrojax.measures.since_start import LEAST_MAGNITUDE, LEAST_SWING, REST_SWING
-    from vibrojax.models.systems.equations import AT_REST
-    from vibrojax.models.systems.system import CYCLES_OBSERVED, CYCLES_SETTLING
+    from vibrojax.systems.equations import AT_REST
+    from vibrojax.systems.system import CYCLES_OBSERVED, CYCLES_SETTLING
 
     assert (CYCLES_SETTLING, CYCLES_OBSERVED, REST_SWING) == (100, 40, 1e-6)
     assert (LEAST_SWING, LEAST_MAGNITUDE) == (1e-3, 1e-9)

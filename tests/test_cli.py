@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from vibrojax.analyses.summary import summarise, summary_lines
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.formatting import size_text, time_text
+from vibrojax.studies.summary import summarise, summary_lines
 
 ROOT = Path(__file__).parents[1]
 MAP = 'scene = "vibro-impact"\n[grid]\nbeta = [0.3, 0.4]\n'
@@ -51,11 +51,11 @@ def calls(monkeypatch, tmp_path):
     dataset = xr.Dataset()
     cost = {"lanes": 4, "chunks": 1, "memory_bytes": 2.5e6, "disk_bytes": 1234, "file_bytes": 512, "time_s": 190.0}
     cost |= {"compile_s": 8.0, "step_s": 182.0, "processor_s": 370.0, "hour_workers": 1}
-    module("vibrojax.analyses.sweep.run", run_to_file=dataset, estimate=cost)
-    module("vibrojax.sweep.engine.costs", check_size=None)
-    module("vibrojax.sweep.simulation", simulate=dataset, simulate_point=dataset)
+    module("vibrojax.maps.run", run_to_file=dataset, estimate=cost)
+    module("vibrojax.maps.costs", check_size=None)
+    module("vibrojax.studies.trajectory_run", simulate=dataset, simulate_point=dataset)
     module("vibrojax.io.dataset", write_dataset=None, open_dataset=dataset)
-    module("vibrojax.analyses.pictures", save_picture=None, picture=None)
+    module("vibrojax.pictures.choose", save_picture=None, picture=None)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "map.toml").write_text(MAP)
     return made
@@ -128,7 +128,7 @@ def test_dry_run_only_prints_estimate(calls, capsys):
 
 
 def test_interrupted_sweep_prints_command_to_resume(calls, capsys, monkeypatch):
-    failing("vibrojax.analyses.sweep.run", "run_to_file", KeyboardInterrupt(), monkeypatch)
+    failing("vibrojax.maps.run", "run_to_file", KeyboardInterrupt(), monkeypatch)
     assert main(["sweep", "map.toml", "-o", "my map.nc"]) == 130
     line = "vibrojax: interrupted; finished chunks are kept; to go on: vibrojax sweep map.toml -o 'my map.nc'\n"
     assert capsys.readouterr().err == line
@@ -137,14 +137,14 @@ def test_interrupted_sweep_prints_command_to_resume(calls, capsys, monkeypatch):
 @pytest.mark.parametrize("argv", [["sweep", "map.toml", "-o", "a b.nc"], ["simulate", "rotary", "-o", "a b.nc"]])
 def test_interrupted_picture_keeps_dataset(calls, capsys, monkeypatch, argv):
     """The dataset is complete by then, and all chunks are removed."""
-    failing("vibrojax.analyses.pictures", "save_picture", KeyboardInterrupt(), monkeypatch)
+    failing("vibrojax.pictures.choose", "save_picture", KeyboardInterrupt(), monkeypatch)
     assert main(argv) == 130
     line = "vibrojax: interrupted; a b.nc is whole; for its picture: vibrojax plot 'a b.nc'\n"
     assert capsys.readouterr().err == line
 
 
 def test_full_disk_is_reported_in_one_line(calls, capsys, monkeypatch):
-    failing("vibrojax.analyses.sweep.run", "run_to_file", OSError(28, "No space left on device", "map.nc"), monkeypatch)
+    failing("vibrojax.maps.run", "run_to_file", OSError(28, "No space left on device", "map.nc"), monkeypatch)
     assert main(["sweep", "map.toml"]) == 1
     line = "vibrojax: map.nc: No space left on device; finished chunks are kept; to go on: vibrojax sweep map.toml"
     assert capsys.readouterr().err == f"{line} -o map.nc\n"

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses import WORDS
 from vibrojax.cli import main
+from vibrojax.studies import WORDS
 
 ROOT = Path(__file__).parents[1]
 SWEEP = """scene = "penetration"

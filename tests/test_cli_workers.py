@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from vibrojax.analyses.sweep.workers.work import by_cost
 from vibrojax.cli import main
-from vibrojax.sweep.engine.chunks import CHUNK, Chunks
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.lanes.chunks import CHUNK, Chunks
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.work import by_cost
 
 TEXT = """
 scene = "rotary"
@@ -92,7 +92,7 @@ MANY_CHUNKS = -(-(10**8) // CHUNK)
 def test_hundred_million_lanes_need_only_disk(free, fits, capsys, folder, monkeypatch):
     """Neither the memory of the plan nor that of the estimate grows with the number of lanes."""
     (folder / "map.toml").write_text(MANY)
-    monkeypatch.setattr("vibrojax.sweep.engine.costs.shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    monkeypatch.setattr("vibrojax.maps.costs.shutil.disk_usage", lambda _: SimpleNamespace(free=free))
     tracemalloc.start()
     status = main(["sweep", "map.toml", "--dry-run"])
     _, peak = tracemalloc.get_traced_memory()

@@ -12,8 +12,8 @@ from vibrojax.compile import agreement, xla
 from vibrojax.compile.agreement import check
 from vibrojax.compile.xla import compiler_options
 from vibrojax.errors import InputError
-from vibrojax.sweep.engine import compiler
-from vibrojax.sweep.engine.compiler import EQUATION_FUNCTIONS
+from vibrojax.lanes import compiler
+from vibrojax.lanes.compiler import EQUATION_FUNCTIONS
 
 TOML = 'scene = "rotary"\n[grid]\nbeta = [0.4]\n[run]\nsettle = 1.0\nobserve = 1.0\n'
 

@@ -11,13 +11,13 @@ from systems import IMPACT_OSCILLATOR, SHAKEN, friction_stops
 from test_follow import eigenvalue
 
 import vibrojax as vj
-from vibrojax.analyses.continuation.problem import FAMILY_ACCURACY
-from vibrojax.analyses.curves.branching import other_kind
-from vibrojax.analyses.curves.codim2 import name_of
-from vibrojax.analyses.curves.singular import compound, compound_along, signed_singular
 from vibrojax.io.kinds import SPECIAL_KINDS
-from vibrojax.models.scenes import SCENES
+from vibrojax.periodic.codim2 import name_of
+from vibrojax.periodic.curve_branching import other_kind
+from vibrojax.periodic.problem import FAMILY_ACCURACY
 from vibrojax.periodic.return_map import Segments
+from vibrojax.periodic.singular import compound, compound_along, signed_singular
+from vibrojax.scenes import SCENES
 
 R, W, FOLDING = 0.7, 0.9, 1.25
 FIXED = {"stiffness": 1.0, "damping": 0.1, "stop": 1.0}

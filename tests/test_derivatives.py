@@ -16,7 +16,7 @@ from vibrojax.measures import RETURNS_FOR_DRIFT
 from vibrojax.measures.motion import Swings
 from vibrojax.measures.recorder import Effort, Recorder, run_block
 from vibrojax.measures.repeats import KeptReturns
-from vibrojax.models.scenes import SCENES
+from vibrojax.scenes import SCENES
 from vibrojax.stepping import Accuracy, Located
 
 EXACT = Effort(Accuracy(tolerance=1e-12, stride=1.0, step=1e9), 1e6)

@@ -6,17 +6,22 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.design import chart, evaluation, orbit_search, robustness, run, search
-from vibrojax.analyses.design.analysis import Designs
-from vibrojax.analyses.design.chart import A4, chart_page
-from vibrojax.analyses.design.evaluation import Simulator, coarse_map, ranked
-from vibrojax.analyses.design.fronts import front_limits, without_limit
-from vibrojax.analyses.design.orbits import scene_parameters
-from vibrojax.analyses.design.robustness import DRAWS, MAX_CORNERS, box_samples, search_offsets
-from vibrojax.analyses.design.search import Candidate
-from vibrojax.analyses.design.spec import read_design
 from vibrojax.cli import main
 from vibrojax.measures.labels import REGIMES
+from vibrojax.studies import design_chart as chart
+from vibrojax.studies import design_evaluation as evaluation
+from vibrojax.studies import design_orbit_search as orbit_search
+from vibrojax.studies import design_robustness as robustness
+from vibrojax.studies import design_run as run
+from vibrojax.studies import design_search as search
+from vibrojax.studies.design_analysis import Designs
+from vibrojax.studies.design_chart import A4, chart_page
+from vibrojax.studies.design_evaluation import Simulator, coarse_map, ranked
+from vibrojax.studies.design_fronts import front_limits, without_limit
+from vibrojax.studies.design_orbits import scene_parameters
+from vibrojax.studies.design_robustness import DRAWS, MAX_CORNERS, box_samples, search_offsets
+from vibrojax.studies.design_search import Candidate
+from vibrojax.studies.design_spec import read_design
 
 FORCE, WIDTH = 165e3, 0.004
 RUN = {"settle": 25.0, "observe": 6.0}

@@ -63,7 +63,7 @@ UNIT = 1 if sys.platform == "darwin" else 1024
 
 def mutated(rng: random.Random) -> str:
     """Return the text of a design with one or two changes of values, keys or lines."""
-    from vibrojax.sweep.input.source import render
+    from vibrojax.settings.toml import render
 
     tables = copy.deepcopy(DESIGN)
     for _ in range(rng.randint(1, 2)):
@@ -94,8 +94,8 @@ class Begun(BaseException):
 
 def read_by_command(text: str, file: Path) -> dict[str, Any]:
     """Run the command on a design until its work begins, and return what happened."""
-    from vibrojax.analyses.design import evaluation
     from vibrojax.cli import main
+    from vibrojax.studies import design_evaluation as evaluation
 
     def stop(kind: type[BaseException]) -> Any:
         def stopped(*_: Any, **__: Any) -> None:

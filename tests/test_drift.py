@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.models.scenes import SCENES
-from vibrojax.sweep.engine import drift as drift_module
+from vibrojax.lanes import drift as drift_module
+from vibrojax.scenes import SCENES
 
 
 def drift(features, precision, tolerance):

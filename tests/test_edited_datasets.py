@@ -9,15 +9,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import vibrojax as vj
-from vibrojax.analyses.attractors.run import sweep_of as sweep_of_attractors
-from vibrojax.analyses.curves.run import problem_of
-from vibrojax.analyses.curves.spec import read_curves
-from vibrojax.analyses.orbits.analysis import holds_orbits, sweep_of_dataset
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.explorer.motions import motions_for
 from vibrojax.explorer.views import document_of, family_cells, sweep_of, with_map
-from vibrojax.plot.selection import select
+from vibrojax.maps.rerun import holds_orbits, sweep_of_dataset
+from vibrojax.pictures.selection import select
+from vibrojax.studies.attractor_run import sweep_of as sweep_of_attractors
+from vibrojax.studies.curve_run import problem_of
+from vibrojax.studies.curve_spec import read_curves
 
 RUN = {"settle": 1.0, "observe": 1.0}
 GRID = {"beta": [0.3, 0.35, 0.4], "gamma": [0.65, 0.7]}

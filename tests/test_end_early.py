@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.lanes.underway import settled
 from vibrojax.measures.repeats import Seen
 from vibrojax.measures.section import Passed, Settling
-from vibrojax.sweep.engine.underway import settled
 
 LANES, ERROR = 128, 1e-4
 IMPACT_VARIABLES = (

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.maps.read import read_sweep
 from vibrojax.periodic import early_stopping as ends
 from vibrojax.periodic.approach import Approach, extrapolate, will_reach
 from vibrojax.periodic.newton import PeriodicOrbits
-from vibrojax.sweep.input.read import read_sweep
 
 LANES = 384
 WIDE = {"beta": (0.1, 1.2), "gamma": (0.3, 1.2), "v": (0.3, 3.0), "delta": (-0.006, 0.012)}

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.sweep.workers.work import Work
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.work import Work
 from vibrojax.periodic import early_stopping as ends
 from vibrojax.periodic.early_stopping import candidates, rank_in_point
-from vibrojax.sweep.input.read import read_sweep
 
 BOX = {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 GRID = {"beta": [0.3, 0.4], "gamma": [0.35, 0.75]}

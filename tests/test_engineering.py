@@ -6,10 +6,10 @@ import xarray as xr
 from read_off import legend
 
 import vibrojax as vj
-import vibrojax.sweep.simulation as simulation
+import vibrojax.studies.trajectory_run as simulation
 from vibrojax.cli import main, points
 from vibrojax.errors import InputError, Place
-from vibrojax.sweep.input.names import read_names
+from vibrojax.settings.names import read_names
 
 RUN = {"end_early": False, "settle": 20.0}  # one program for all sweeps of the scene
 DRILL = {"scene": "drilling", "parameters": {"k1": 625000.0}, "run": RUN}

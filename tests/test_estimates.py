@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from vibrojax.analyses.sweep.run import estimate
-from vibrojax.analyses.sweep.workers.work import Work
-from vibrojax.sweep.engine import costs
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.costs import lane_steps, processor_time
-from vibrojax.sweep.input.read import read_sweep
-from vibrojax.sweep.input.source import bundled_names
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.maps import costs
+from vibrojax.maps.costs import lane_steps, processor_time
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.run import estimate
+from vibrojax.maps.work import Work
+from vibrojax.settings.toml import bundled_names
 
 MAP = {"scene": "vibro-impact", "grid": {"beta": {"start": 0.2, "stop": 0.6, "num": 512}}, "starts": ["stuck"]}
 

@@ -23,7 +23,7 @@ from vibrojax.explorer.figure_view import figure_document
 from vibrojax.explorer.reading import first_cell
 from vibrojax.explorer.write import blocks_of
 from vibrojax.io.ownership import GENERATOR
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.maps.read import read_sweep
 
 COLUMNS = (StateColumn("x1", "m", "position"), StateColumn("v1", "m s-1", "velocity"))
 PLANE = {
@@ -201,7 +201,7 @@ def test_document_holds_numbers_of_dataset(plane: xr.Dataset) -> None:
 def test_colours_match_picture(plane: xr.Dataset) -> None:
     from matplotlib.colors import to_hex
 
-    from vibrojax.plot.colours import REGIME_COLOURS, value_of
+    from vibrojax.pictures.colours import REGIME_COLOURS, value_of
 
     variables = {entry["name"]: entry for entry in document_of(plane)["variables"]}
     assert variables["regime"]["colours"]["3"] == REGIME_COLOURS[3]

@@ -8,7 +8,7 @@ import pytest
 from cell_blocks import decode
 
 import vibrojax as vj
-from vibrojax.compile.kernels import kernels
+from vibrojax.compile.native import kernels
 from vibrojax.errors import InputError
 from vibrojax.explorer import encoding
 from vibrojax.explorer import motions as live_motions

@@ -11,11 +11,11 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import vibrojax as vj
-from vibrojax.analyses.continuation.families import FamilyContinuation
-from vibrojax.analyses.continuation.run import family_spec, problem_of
-from vibrojax.analyses.continuation.segments import Segment
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import SPECIAL_KINDS
+from vibrojax.periodic.families import FamilyContinuation
+from vibrojax.periodic.segments import Segment
+from vibrojax.studies.family_run import family_spec, problem_of
 
 ENDS = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["ends_of_families"]
 STATES = ("orbit_x1", "orbit_x2", "orbit_v2")

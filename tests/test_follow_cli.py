@@ -9,11 +9,11 @@ from exact import run
 from exact.measures import sections
 
 import vibrojax as vj
-from vibrojax.analyses import FAMILY_WORDS
-from vibrojax.analyses.continuation.analysis import family_lines
 from vibrojax.cli import main
 from vibrojax.explorer.views import family_cells
 from vibrojax.io.dataset import open_dataset
+from vibrojax.studies import FAMILY_WORDS
+from vibrojax.studies.family_analysis import family_lines
 
 ARGUMENTS = ("along=gamma", "at=0.45", "from=0.36", "to=0.5", "beta=0.4", "settle=30", "cycles=2")
 DOUBLING = 0.392500037

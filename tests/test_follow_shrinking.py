@@ -5,11 +5,11 @@ import pytest
 from systems import IMPACT_OSCILLATOR
 
 import vibrojax as vj
-from vibrojax.analyses.continuation.hopf import hopf_point
-from vibrojax.analyses.continuation.problem import Points
-from vibrojax.analyses.continuation.run import family_spec, problem_of
-from vibrojax.analyses.curves.branching import condition_at
-from vibrojax.analyses.curves.run import problem_through
+from vibrojax.periodic.curve_branching import condition_at
+from vibrojax.periodic.hopf import hopf_point
+from vibrojax.periodic.problem import Points
+from vibrojax.studies.curve_run import problem_through
+from vibrojax.studies.family_run import family_spec, problem_of
 
 e = vj.elementary
 

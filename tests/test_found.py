@@ -7,10 +7,10 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.frequencies import frequency_part
-from vibrojax.analyses.trajectory.analysis import feature_lines
-from vibrojax.sweep.simulation import run as _recorded
-from vibrojax.sweep.simulation.trajectory import window
+from vibrojax.lanes.trajectory import window
+from vibrojax.studies import trajectory_run as _recorded
+from vibrojax.studies.frequencies import frequency_part
+from vibrojax.studies.trajectory_analysis import feature_lines
 
 STRONG = {"threshold": 30e3, "delta": 0.002}
 POINTS = {

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.pictures import picture
-from vibrojax.analyses.summary import summarise, summary_lines
 from vibrojax.errors import counted
 from vibrojax.measures.labels import SINGLE_IMPACT, hides_another
+from vibrojax.pictures.choose import picture
+from vibrojax.studies.summary import summarise, summary_lines
 
 STARTS = ["drive", "stuck", "touching"]
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.maps.read import read_sweep
 from vibrojax.periodic.early_stopping import EarlyEnds
 from vibrojax.stepping import Accuracy
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.input.read import read_sweep
 
 CANCELLING = {
     "beta": [0.23313, 0.59836, 0.12977, 0.21448, 0.22961, 0.51845],

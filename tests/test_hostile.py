@@ -15,13 +15,13 @@ from hostile import HUGE, REFUSED, SHOWN, STEERING, longer_sweep, shorter_steps
 from mutants import write_mutant, write_sources
 
 import vibrojax as vj
-from vibrojax.analyses.orbits.analysis import sweep_of_dataset
 from vibrojax.cli import main
 from vibrojax.errors import InputError, escape_json, printable, shell_assignment
 from vibrojax.explorer.document import check_names
 from vibrojax.explorer.live import Live
 from vibrojax.explorer.motions import LiveMotions
 from vibrojax.io.files import read_regular
+from vibrojax.maps.rerun import sweep_of_dataset
 
 SWEEP = {
     "scene": "vibro-impact",

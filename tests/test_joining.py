@@ -13,13 +13,13 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrojax.analyses.sweep import joining
-from vibrojax.analyses.sweep.run import run_sweep, run_to_file
 from vibrojax.io import dataset as on_disk
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.targets import Regions
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.maps import joining
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.run import run_sweep, run_to_file
 
 SWEEP = {
     "scene": "vibro-impact",
@@ -132,10 +132,10 @@ JOIN_SCRIPT = """
 import resource, sys
 from pathlib import Path
 import numpy as np
-from vibrojax.sweep.input.read import read_sweep
-from vibrojax.analyses.sweep.joining import join
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.joining import join
 from vibrojax.io.targets import file_target
-from vibrojax.analyses.sweep.workers.work import Work
+from vibrojax.maps.work import Work
 sweep = read_sweep({"scene": "rotary", "starts": ["stuck"], "run": {"settle": 0.1, "observe": 0.1},
                     "grid": {"v": {"start": 0.5, "stop": 2.0, "num": int(sys.argv[2])}, "k1": {"start": 1e5, "stop": 2e5, "num": 1000}}})
 work = Work(sweep)

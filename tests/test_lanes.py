@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.compile import xla
-from vibrojax.compile.kernels import kernels, native
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.compile import native, xla
+from vibrojax.compile.native import kernels
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.maps.read import read_sweep
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]

@@ -7,7 +7,7 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.models.physics.meanings import suggest_by_meaning
+from vibrojax.physics.meanings import suggest_by_meaning
 
 SPEEDS = "v (drive speed [m/s]), v_cr (Stribeck speed [m/s]) or rpm (rotation speed of the drive [1/min])"
 STIFFNESSES = "k1 (main spring stiffness [N/m]) or k0 (contact stiffness [N/m])"

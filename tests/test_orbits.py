@@ -10,13 +10,13 @@ from exact import orbits as exact
 from random_orbits import in_upper_half
 
 import vibrojax as vj
-from vibrojax.analyses.sweep.analysis import orbit_lines
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.maps.read import read_sweep
 from vibrojax.periodic import Orbits
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.studies.sweep import orbit_lines
 
 CASES = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["orbits"]
 ORBITS = {"orbits": True}

@@ -12,8 +12,8 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.measures import Gauge
-from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.models.scenes.vibro_impact import VibroImpact
+from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping import Located
 
 RUN = {"settle": 6.0, "observe": 6.0}

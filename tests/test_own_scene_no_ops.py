@@ -7,7 +7,7 @@ import numpy as np
 from jax import lax
 
 import vibrojax as vj
-from vibrojax.models.scenes.vibro_impact import VibroImpact
+from vibrojax.scenes.vibro_impact import VibroImpact
 
 
 def no_ops(x):

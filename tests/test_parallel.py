@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from vibrojax.sweep.engine.parallel import free_threads, in_parallel
+from vibrojax.lanes.parallel import free_threads, in_parallel
 
 WORKERS = ["a", "b", "c"]
 

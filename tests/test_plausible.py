@@ -9,10 +9,10 @@ import pytest
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import Place
-from vibrojax.models.physics.friction import FRICTION_LAWS
-from vibrojax.models.scenes import SCENES
-from vibrojax.sweep.input.read import read_point
-from vibrojax.sweep.input.source import bundled_names
+from vibrojax.maps.read import read_point
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.scenes import SCENES
+from vibrojax.settings.toml import bundled_names
 
 SWEEPS = Path(__file__).parents[1] / "sweeps"
 

@@ -14,10 +14,10 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from read_off import axis_labels, check_texts, legend, meshes, note, outlines, panel, titles
 
-from vibrojax.analyses.pictures import REGIME_COLOURS, bifurcation, picture, save_picture, trajectory
 from vibrojax.errors import InputError, counted
-from vibrojax.plot.axes import certified_text, label, point_text, scale, share_text, short, value_text
-from vibrojax.plot.style import NO_VALUE, nested_line
+from vibrojax.pictures.axes import certified_text, label, point_text, scale, share_text, short, value_text
+from vibrojax.pictures.choose import REGIME_COLOURS, bifurcation, picture, save_picture, trajectory
+from vibrojax.pictures.style import NO_VALUE, nested_line
 
 MEANINGS = "undecided equilibrium impact-free single-impact multi-impact subharmonic irregular failed"
 COORDINATES = {
@@ -521,7 +521,7 @@ def test_user_settings_are_ignored_and_unchanged(kind):
 
 
 def test_pyplot_is_not_imported():
-    code = "import sys, vibrojax.analyses.pictures; sys.exit('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, vibrojax.pictures.choose; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

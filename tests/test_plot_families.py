@@ -9,11 +9,11 @@ from matplotlib.colors import to_hex
 from read_off import axis_labels, check_texts, legend, meshes, note, panel, titles
 from test_plot import lanes, returns, square
 
-from vibrojax.analyses.continuation.analysis import family_lines
-from vibrojax.analyses.pictures import bifurcation, picture
 from vibrojax.errors import InputError
-from vibrojax.io.branches import branches, places, stability, stable_intervals
-from vibrojax.plot.branches import smooth
+from vibrojax.pictures.branch_data import branches, places, stability, stable_intervals
+from vibrojax.pictures.branches import smooth
+from vibrojax.pictures.choose import bifurcation, picture
+from vibrojax.studies.family_analysis import family_lines
 
 KINDS = "fold period-doubling torus grazing stick section end"
 FOLD, DOUBLING, TORUS, GRAZING, STICK, SECTION, END = range(7)

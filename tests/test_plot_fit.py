@@ -8,9 +8,9 @@ from read_off import axis_labels, legend, note, titles
 from test_plot_rock import FORMS, law
 
 import vibrojax as vj
-from vibrojax.analyses.pictures import picture
-from vibrojax.analyses.rop_law.rop import FORMS as LAWS
-from vibrojax.plot.colours import FORM_COLOURS
+from vibrojax.pictures.choose import picture
+from vibrojax.pictures.colours import FORM_COLOURS
+from vibrojax.studies.rop_law import FORMS as LAWS
 
 SIZES = {"literal": 1, "percent": 1, "onset": 2, "line": 2, "power": 2}
 FORMULAS = {form.name: form.rate for form in LAWS}

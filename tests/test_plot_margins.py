@@ -7,10 +7,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from read_off import panel, texts
 from test_plot import lanes, returns, run, square
 
-from vibrojax.analyses.pictures import picture, pulses, trajectory
-from vibrojax.plot.curves import is_band
-from vibrojax.plot.sheet import write_margins
-from vibrojax.plot.style import new_figure, settings
+from vibrojax.pictures.choose import picture, pulses, trajectory
+from vibrojax.pictures.curves import is_band
+from vibrojax.pictures.sheet import write_margins
+from vibrojax.pictures.style import new_figure, settings
 
 
 def artist(axes, label):

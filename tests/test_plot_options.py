@@ -13,11 +13,11 @@ from test_plot_rock import law, rock
 from test_plot_starts import LONG, basin, line, plane, sample
 
 import vibrojax as vj
-from vibrojax.analyses.pictures import REGIME_COLOURS, picture
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.plot.selection import select
-from vibrojax.plot.sheet import PAGE
+from vibrojax.pictures.choose import REGIME_COLOURS, picture
+from vibrojax.pictures.selection import select
+from vibrojax.pictures.sheet import PAGE
 
 
 def with_shares(ds):
@@ -230,7 +230,7 @@ def test_command_accepts_same_options(written, monkeypatch):
         received.update(path=path, how=how)
         return ""
 
-    monkeypatch.setattr("vibrojax.analyses.pictures.save_picture", save_picture)
+    monkeypatch.setattr("vibrojax.pictures.choose.save_picture", save_picture)
     argv = ["plot", str(written), "--variable", "stick_fraction", "regime", "--variable", "period"]
     assert main([*argv, "--where", "delta=0.005", "start=stuck", "--colours", "magma"]) == 0
     name = "map-stick_fraction-regime-period-delta-0.005-start-stuck-magma.png"
@@ -275,7 +275,7 @@ def test_command_does_not_replace_other_pictures(tmp_path, monkeypatch, capsys):
         assert main(["plot", "map.nc", *words]) == 0
         return capsys.readouterr().out.rstrip()
 
-    monkeypatch.setattr("vibrojax.analyses.pictures.save_picture", save_picture)
+    monkeypatch.setattr("vibrojax.pictures.choose.save_picture", save_picture)
     many = ("--variable", "a", "b", "c", "d", "e", "--where", "start=[0, 0,1,0]")
     for _ in range(2):  # the same picture is written again to the same file
         assert command_output() == "map.png"

@@ -10,8 +10,8 @@ from matplotlib.colors import LogNorm, to_hex
 from read_off import axis_labels, check_texts, legend, meshes, note, panel, titles
 
 import vibrojax as vj
-from vibrojax.analyses.pictures import picture, pulses, rates, response
 from vibrojax.errors import InputError
+from vibrojax.pictures.choose import picture, pulses, rates, response
 
 AXES = {
     "k3": ("stiffness of the rock", "k₃", "N m-1"),

@@ -10,8 +10,8 @@ from read_off import axis_labels, legend, meshes, note, titles
 from test_plot import COORDINATES, flagged, returns
 
 import vibrojax as vj
-from vibrojax.analyses.pictures import picture
-from vibrojax.plot.sheet import PAGE
+from vibrojax.pictures.choose import picture
+from vibrojax.pictures.sheet import PAGE
 
 UNITS = {"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"}
 

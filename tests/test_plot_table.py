@@ -10,9 +10,9 @@ import test_plot_rock as rocks
 import test_plot_starts as starts
 import xarray as xr
 
-from vibrojax.analyses.analysis import analysis_named, analysis_of
 from vibrojax.io.kinds import STRUCTURES
-from vibrojax.plot.contents import Contents
+from vibrojax.pictures.contents import Contents
+from vibrojax.studies.analysis import analysis_named, analysis_of
 
 
 def first_rule(ds):

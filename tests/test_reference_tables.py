@@ -5,9 +5,9 @@ import re
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.catalogue import scene_text
 from vibrojax.cli import main
-from vibrojax.sweep.input.run_settings import RunSettings
+from vibrojax.settings.run_settings import RunSettings
+from vibrojax.studies.catalogue import scene_text
 
 
 @pytest.mark.parametrize("scene", ["rotary", "vibro-impact", "penetration", "drilling", "coupled-drilling"])

@@ -15,8 +15,8 @@ from source.reproduction import EXPRESSIONS, FINDINGS, GROUPS, READINGS, ROWS, E
 from source.rules import AGREES, DIFFERS, FIELD, IN_TREND, VERDICTS, number, printed, trend, within_range
 from wrong_signs import WRONG
 
-from vibrojax.io.content_policy import content_policy
-from vibrojax.models.scenes import SCENES
+from vibrojax.explorer.content_policy import content_policy
+from vibrojax.scenes import SCENES
 
 SOURCE = Path(__file__).parent / "source"
 ENTRIES = {entry.id: entry for group in GROUPS for entry in group.entries}
@@ -266,8 +266,8 @@ def test_wrong_sign_is_detected(quick, monkeypatch, term):
     Many lanes with a wrong sign never end, so steps are limited. With these limits, nothing turns red under the right
     signs.
     """
-    monkeypatch.setattr("vibrojax.sweep.engine.batch.LANE_MAX_STEPS", 1e4)
-    monkeypatch.setattr("vibrojax.sweep.engine.batch.LANE_MAX_RATE", 300.0)
+    monkeypatch.setattr("vibrojax.lanes.batch.LANE_MAX_STEPS", 1e4)
+    monkeypatch.setattr("vibrojax.lanes.batch.LANE_MAX_RATE", 300.0)
     monkeypatch.setitem(SCENES, "vibro-impact", WRONG[term])
     groups = [group for group in GROUPS if group.name in ("frequency-ratio", "mass-ratio")]
     wrong = run_reproduction(groups, quick=True, progress=False)

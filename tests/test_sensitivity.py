@@ -12,13 +12,13 @@ from jax.test_util import check_grads
 from scipy.optimize import minimize
 
 import vibrojax as vj
-from vibrojax.analyses.analysis import analysis_of
-from vibrojax.analyses.sensitivity import branch
 from vibrojax.errors import InputError
-from vibrojax.models.scenes import SCENES
 from vibrojax.periodic.orbit_derivatives import DERIVATIVE_REASONS, orbit_features, orbit_variables
 from vibrojax.periodic.return_map import Segments
 from vibrojax.periodic.variations import eigenvalues
+from vibrojax.scenes import SCENES
+from vibrojax.studies import sensitivity_branch as branch
+from vibrojax.studies.analysis import analysis_of
 
 BY = ("gamma", "v")
 STEP = 1e-6

@@ -15,7 +15,7 @@ import pytest
 
 from vibrojax.errors import InputError
 from vibrojax.io import atomic
-from vibrojax.io.shards import DamagedShard, Shards, _locked
+from vibrojax.maps.shards import DamagedShard, Shards, _locked
 
 MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
 
@@ -193,14 +193,14 @@ def test_folder_removed_during_write_is_recreated(shards, monkeypatch):
             shutil.rmtree(opened.folder)
         finish(part, path)
 
-    monkeypatch.setattr("vibrojax.io.shards.commit", commit)
+    monkeypatch.setattr("vibrojax.maps.shards.commit", commit)
     opened.write(1, arrays(1))
     assert opened.finished() == {1}
 
 
 def test_two_processes_cannot_use_same_folder(shards):
     with reopen(shards):
-        code = "import sys; from pathlib import Path; from vibrojax.io.shards import Shards; "
+        code = "import sys; from pathlib import Path; from vibrojax.maps.shards import Shards; "
         code += "Shards(Path(sys.argv[1]), {}).open(resume=False)"
         other = subprocess.run([sys.executable, "-c", code, str(shards.folder)], capture_output=True, text=True)
         assert other.returncode == 1 and "another process is at work there" in other.stderr
@@ -210,7 +210,7 @@ def test_two_processes_cannot_use_same_folder(shards):
 
 def test_lock_of_killed_process_is_free(shards):
     """The operating system releases the lock when the process ends. The lock file that remains has no effect."""
-    code = "import sys, time; from pathlib import Path; from vibrojax.io.shards import Shards; "
+    code = "import sys, time; from pathlib import Path; from vibrojax.maps.shards import Shards; "
     code += (
         "taken = Shards(Path(sys.argv[1]), {}); taken.open(resume=False); print('taken', flush=True); time.sleep(60)"
     )

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.push.analysis import push_lines
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
+from vibrojax.studies.push_analysis import push_lines
 
 PARAMETERS = {"beta": 0.4, "delta": 0.005}
 STATES = ("x1", "v1", "x2", "v2")
@@ -146,7 +146,7 @@ def test_push_command(strong_cycle, tmp_path, capsys, monkeypatch):
     np.testing.assert_array_equal(stored.push_x1, strong_cycle.push_x1)
     assert push_lines(stored) == push_lines(strong_cycle)
     assert main(["info", "vibro-impact-push.nc"]) == 0
-    monkeypatch.setattr("vibrojax.analyses.push.run.find_pushes", lambda *_, **__: strong_cycle)
+    monkeypatch.setattr("vibrojax.studies.push_run.find_pushes", lambda *_, **__: strong_cycle)
     capsys.readouterr()
     assert main(["push", "vibro-impact", *words]) == 0
     assert capsys.readouterr().out.splitlines()[:-1] == output.splitlines()[:-1]

@@ -8,21 +8,21 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.study import sampling as samples
-from vibrojax.analyses.study.analysis import Studies
-from vibrojax.analyses.study.run import SCHEMA, study_of, values_of
-from vibrojax.analyses.study.sampling import (
+from vibrojax.cli import main
+from vibrojax.errors import InputError
+from vibrojax.maps.bounds import MAX_VARIED
+from vibrojax.settings.toml import read_source
+from vibrojax.studies import effects_sampling as samples
+from vibrojax.studies.effects_analysis import Studies
+from vibrojax.studies.effects_run import SCHEMA, study_of, values_of
+from vibrojax.studies.effects_sampling import (
     REASONS,
     Sampling,
     factorial_effects,
     factorial_signs,
     indices,
 )
-from vibrojax.analyses.study.spec import read_study
-from vibrojax.cli import main
-from vibrojax.errors import InputError
-from vibrojax.sweep.input.bounds import MAX_VARIED
-from vibrojax.sweep.input.source import read_source
+from vibrojax.studies.effects_spec import read_study
 
 STUDY = {
     "scene": "vibro-impact",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.models.physics.friction import FRICTION_LAWS
+from vibrojax.physics.friction import FRICTION_LAWS
 
 LANES = 96
 COMPARED = (0, 63, 64, 95)

@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 
 from vibrojax.errors import InputError, Place
-from vibrojax.sweep.input import source
-from vibrojax.sweep.input.read import read_point, read_sweep
-from vibrojax.sweep.input.run_settings import RunSettings
-from vibrojax.sweep.input.source import render
+from vibrojax.maps.read import read_point, read_sweep
+from vibrojax.settings import toml as source
+from vibrojax.settings.run_settings import RunSettings
+from vibrojax.settings.toml import render
 
 FULL = """
 scene = "vibro-impact"

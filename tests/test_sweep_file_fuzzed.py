@@ -18,14 +18,14 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from vibrojax.analyses.sweep.run import estimate
-from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.cli import main
 from vibrojax.cli.command import named_values
 from vibrojax.cli.points import SIMULATE_SETTINGS
 from vibrojax.errors import InputError, Place
-from vibrojax.sweep.engine.costs import check_size, estimated_steps
-from vibrojax.sweep.input.read import read_point, read_sweep
+from vibrojax.maps.costs import check_size, estimated_steps
+from vibrojax.maps.read import read_point, read_sweep
+from vibrojax.maps.run import estimate
+from vibrojax.maps.work import Work
 
 SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
 fuzzed = settings(

@@ -4,8 +4,8 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import InputError, Place
-from vibrojax.sweep.input import source
-from vibrojax.sweep.input.read import read_point, read_sweep
+from vibrojax.maps.read import read_point, read_sweep
+from vibrojax.settings import toml as source
 
 GRID = {"beta": [0.4]}
 

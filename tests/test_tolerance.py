@@ -7,9 +7,11 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.analysis import analysis_of
-from vibrojax.analyses.tolerance import refinement
-from vibrojax.analyses.tolerance.run import (
+from vibrojax.cli import main
+from vibrojax.measures.labels import REGIMES
+from vibrojax.studies import tolerance_refinement as refinement
+from vibrojax.studies.analysis import analysis_of
+from vibrojax.studies.tolerance_run import (
     INTERIOR_SAMPLES,
     PLACES,
     QUANTITIES,
@@ -17,8 +19,6 @@ from vibrojax.analyses.tolerance.run import (
     sample_box,
     tolerance_variables,
 )
-from vibrojax.cli import main
-from vibrojax.measures.labels import REGIMES
 
 RUN = {"settle": 10.0, "observe": 5.0}
 MACHINE = {"beta": 0.4, "gamma": (0.75, 0.01), "delta": (0.005, 0.001), "start": "stuck"}

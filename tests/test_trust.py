@@ -14,18 +14,18 @@ from own_scenes import Shaken, Switched
 
 import vibrojax as vj
 from vibrojax import cli
-from vibrojax.compile import KernelRefused, Untranslatable, agreement, trust, xla
-from vibrojax.compile.kernels import elementwise, kernels
+from vibrojax.compile import KernelRefused, Untranslatable, agreement, elementwise, trust, xla
+from vibrojax.compile.native import kernels
 from vibrojax.compile.trust import is_foreign
 from vibrojax.compile.xla import workers
+from vibrojax.lanes.agreement import Comparison, lanes_of, scene_subject
+from vibrojax.lanes.batch import Batch, Engine
+from vibrojax.lanes.compiler import lane_function
+from vibrojax.lanes.programs import Kind
 from vibrojax.measures import recorder_for
-from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.models.scenes.penetration import PULSE_SHAPES
-from vibrojax.models.scenes.vibro_impact import VibroImpact
-from vibrojax.sweep.engine.agreement import Comparison, lanes_of, scene_subject
-from vibrojax.sweep.engine.batch import Batch, Engine
-from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.engine.programs import Kind
+from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.scenes.penetration import PULSE_SHAPES
+from vibrojax.scenes.vibro_impact import VibroImpact
 
 RUN = {"settle": 6.0, "observe": 6.0}
 POINT = {"beta": 0.4, "gamma": 0.7, "delta": 0.005}

@@ -9,7 +9,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.io.variables import ORBIT_REASONS
-from vibrojax.models.physics.parameters import positive, table
+from vibrojax.physics.parameters import positive, table
 
 DOUBLED = {"gamma": 1.032361, "v": 1.124847, "c2": 62.5, "delta": 0.001271, "k0": 6815244.917454, "c0": 0.0}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.compile.kernels import kernels
+from vibrojax.compile.native import kernels
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset, write_dataset
 

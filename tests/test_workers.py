@@ -14,11 +14,11 @@ import pytest
 from commands import ROOT, TEXT
 
 import vibrojax as vj
-from vibrojax.analyses.sweep.run import run_to_file
-from vibrojax.analyses.sweep.workers.executor import by_executor, compute_chunk
-from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import InputError
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.maps.executor import by_executor, compute_chunk
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.run import run_to_file
+from vibrojax.maps.work import Work
 
 SPAWN = multiprocessing.get_context("spawn")
 
@@ -259,8 +259,8 @@ def test_workers_share_cores(file):
 
 
 def test_worker_compiles_once(file, monkeypatch):
-    from vibrojax.analyses.sweep.workers.executor import pickled
-    from vibrojax.sweep.engine.batch import Engine
+    from vibrojax.lanes.batch import Engine
+    from vibrojax.maps.executor import pickled
 
     compiled = []
     compile_ = Engine.compile

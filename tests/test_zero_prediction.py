@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vibrojax.analyses.continuation.brackets import predict_zero, push_history
+from vibrojax.periodic.brackets import predict_zero, push_history
 
 ZERO = 0.3
 

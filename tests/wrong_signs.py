@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from vibrojax.models.scenes.vibro_impact import VibroImpact
+from vibrojax.scenes.vibro_impact import VibroImpact
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import re
 from sphinx.application import Sphinx
 
 REFERENCE = re.compile(r"\[([\w.]+)\]\[\]")
-"""A reference to a name of the package: `[vibrojax.models.scenes][]`."""
+"""A reference to a name of the package: `[vibrojax.scenes][]`."""
 
 LITERAL = re.compile(r"(`[^`]*`)")
 

@@ -12,10 +12,10 @@ from sphinx.util.docutils import SphinxDirective
 import vibrojax as vj
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.io.variables import NATURES, VARIABLES
-from vibrojax.models.physics.rock import ROCKS
-from vibrojax.models.scenes import HasFriction
-from vibrojax.sweep.input.read import read_sweep
-from vibrojax.sweep.input.source import bundled_names
+from vibrojax.maps.read import read_sweep
+from vibrojax.physics.rock import ROCKS
+from vibrojax.scenes import HasFriction
+from vibrojax.settings.toml import bundled_names
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -1,6 +1,6 @@
 """Glossary of the package's terms, and links to it from the first use of each term on a page.
 
-The directive `{code-glossary}` writes the definitions of `vibrojax.analyses.glossary`.
+The directive `{code-glossary}` writes the definitions of `vibrojax.studies.glossary`.
 """
 
 import re
@@ -10,7 +10,7 @@ from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from vibrojax.analyses import WORDS
+from vibrojax.studies import WORDS
 
 PAGE = "glossary"
 LINKED = ("lane", "regime", "relief P/D", "orbit", "multiplier", "family")

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 import vibrojax as vj
-from vibrojax.analyses.chaos import natures
-from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.io.variables import NATURES
+from vibrojax.maps.run import run_to_file
 from vibrojax.measures.labels import IRREGULAR
+from vibrojax.periodic import natures
 
 BOX = {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 STARTS = {"sample": "sobol", "count": 64, "seed": 0, "box": BOX}

@@ -21,7 +21,7 @@ import sys
 import vibrojax as vj
 if sys.argv[1] == "XLA":
     from vibrojax.compile import Untranslatable, trust
-    from vibrojax.sweep.engine import compiler
+    from vibrojax.lanes import compiler
     def refuse(*arguments, **options):
         raise Untranslatable("measured without kernels")
     compiler.run_kernel = trust.run_kernel = refuse

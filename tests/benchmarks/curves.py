@@ -13,10 +13,10 @@ import numpy as np
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.curves.following import crossings, follow_curves
-from vibrojax.analyses.curves.run import problem_of
-from vibrojax.analyses.curves.spec import read_curves
-from vibrojax.io.branches import kind_names
+from vibrojax.periodic.curve_following import crossings, follow_curves
+from vibrojax.pictures.branch_data import kind_names
+from vibrojax.studies.curve_run import problem_of
+from vibrojax.studies.curve_spec import read_curves
 
 NEARBY = 1e-5
 """Distance, relative to the range of the parameter, within which special points of one kind are compared."""

@@ -16,8 +16,8 @@ from itertools import product
 import numpy as np
 
 import vibrojax as vj
-from vibrojax.analyses.design.evaluation import Simulator, assess
-from vibrojax.analyses.design.spec import DesignSpec, read_design
+from vibrojax.studies.design_evaluation import Simulator, assess
+from vibrojax.studies.design_spec import DesignSpec, read_design
 
 DESIGNS = ("energy", "rate-in-sandstone", "power-at-120-kn")
 FINE, CELLS_AT_ONCE = 160, 4096

@@ -2,7 +2,7 @@
 
     python tests/benchmarks/estimates.py [NAME ...]
 
-A printout, not a test: a table with the ratios, and the constants of `vibrojax/sweep/engine/costs.py` on this machine
+A printout, not a test: a table with the ratios, and the constants of `vibrojax/maps/costs.py` on this machine
 with this version of jax. Each sweep runs in a separate process with an empty cache. The benchmark takes five minutes.
 Other work on the machine has little effect, since only the processor time of the process counts.
 """
@@ -18,10 +18,10 @@ from pathlib import Path
 import jax
 
 from vibrojax.cli import main
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.costs import STEP_SECONDS, YARDSTICK, machine_factor, processor_time
-from vibrojax.sweep.input.read import read_sweep
-from vibrojax.sweep.input.source import bundled_names
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.maps.costs import STEP_SECONDS, YARDSTICK, machine_factor, processor_time
+from vibrojax.maps.read import read_sweep
+from vibrojax.settings.toml import bundled_names
 
 WITHIN = 2.0
 """Factor within which the estimates should be."""

@@ -10,9 +10,9 @@ import time
 import numpy as np
 
 import vibrojax as vj
-from vibrojax.analyses.continuation.families import FamilyContinuation
-from vibrojax.analyses.continuation.problem import Problem
-from vibrojax.analyses.continuation.run import family_spec, problem_of
+from vibrojax.periodic.families import FamilyContinuation
+from vibrojax.periodic.problem import Problem
+from vibrojax.studies.family_run import family_spec, problem_of
 
 SPAN = (0.3, 1.6)
 

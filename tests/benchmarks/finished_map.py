@@ -15,8 +15,8 @@ import time
 from pathlib import Path
 
 import vibrojax as vj
-from vibrojax.analyses.accuracy.study import machine
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.maps.read import read_sweep
+from vibrojax.studies.accuracy_run import machine
 
 COMMAND = (sys.executable, "-m", "vibrojax")
 BOX = {

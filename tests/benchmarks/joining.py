@@ -16,11 +16,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from vibrojax.analyses.sweep.joining import join
-from vibrojax.analyses.sweep.workers.work import Work
-from vibrojax.io.shards import Shards
 from vibrojax.io.targets import file_target
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.maps.joining import join
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.shards import Shards
+from vibrojax.maps.work import Work
 
 COMPUTED = 16
 """Number of chunks that are computed."""

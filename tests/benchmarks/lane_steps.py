@@ -18,9 +18,9 @@ import numpy as np
 
 import vibrojax as vj
 from vibrojax.compile.xla import usable_cores
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.compiler import Programs
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.lanes.compiler import Programs
+from vibrojax.maps.read import read_sweep
 
 REPEATS = 3
 SETTLE, OBSERVE = 12.0, 8.0  # s

@@ -23,13 +23,13 @@ import numpy as np
 from peers.lanes import box, columns
 from peers.numba_loop import NumbaTaylor, Series, numba
 
-from vibrojax.compile.kernels import native
+from vibrojax.compile import native
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.lanes.compiler import KERNEL_REGISTERS
+from vibrojax.lanes.programs import observe_lanes, settle_lanes
+from vibrojax.maps.read import read_sweep
 from vibrojax.measures.recorder import STEPS_PER_PASS, STEPS_PER_TURN
 from vibrojax.stepping.polynomial import ROOT_ITERATIONS
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.compiler import KERNEL_REGISTERS
-from vibrojax.sweep.engine.programs import observe_lanes, settle_lanes
-from vibrojax.sweep.input.read import read_sweep
 
 REPEATS, LANES = 5, 2048
 SETTLE, OBSERVE = 12.0, 4.0  # s

@@ -19,9 +19,9 @@ import time
 from statistics import median
 
 import vibrojax as vj
-from vibrojax.compile.kernels import native
+from vibrojax.compile import native
 from vibrojax.compile.xla import with_threads
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.maps.read import read_sweep
 
 REPEATS = 3
 CASES = {"long": (6000, {"settle": 40.0, "observe": 8.0}), "short": (18000, {"settle": 3.0, "observe": 2.0})}

@@ -19,9 +19,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from vibrojax.analyses.sweep.run import estimate
 from vibrojax.compile.xla import usable_cores
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.run import estimate
 
 MAP = """
 scene = "vibro-impact"

@@ -43,8 +43,8 @@ _SCRIPT = """
 import sys, multiprocessing
 from pathlib import Path
 if __name__ == "__main__":
-    import vibrojax.analyses.sweep.run as sweeping
-    from vibrojax.sweep.input.read import read_sweep
+    import vibrojax.maps.run as sweeping
+    from vibrojax.maps.read import read_sweep
     sweep, out = read_sweep(sys.argv[1]), Path(sys.argv[2])
 """
 _POOL = """

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.maps.read import read_sweep
 
 POINTS = {
     "beta": np.linspace(0.25, 0.6, 32).tolist(),

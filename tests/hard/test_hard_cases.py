@@ -13,8 +13,8 @@ import pytest
 from cases import DRILL, USUAL, bound_of, columns, lanes, reference, verdict
 
 import vibrojax as vj
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.labelled import too_stiff_or_slow
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.lanes.labelled import too_stiff_or_slow
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 OBSERVE = 0.5

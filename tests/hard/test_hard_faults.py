@@ -17,7 +17,7 @@ import pytest
 import xarray as xr
 
 from vibrojax.io.dataset import open_dataset, write_dataset
-from vibrojax.io.shards import Shards
+from vibrojax.maps.shards import Shards
 
 ROOT = Path(__file__).parents[2]
 CHUNKS = 12

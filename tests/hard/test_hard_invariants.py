@@ -12,8 +12,8 @@ from cases import DRILL, ROCK, USUAL, lanes
 from flat import Flat
 
 import vibrojax as vj
-from vibrojax.compile.kernels import Kernel
-from vibrojax.models.scenes.vibro_impact import VibroImpact
+from vibrojax.compile.native import Kernel
+from vibrojax.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping import Accuracy, Goal, Located, keep, lane_at
 
 SCENE = VibroImpact()

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vibrojax.compile.kernels import assembly, control, elementwise, selection
-from vibrojax.compile.kernels.assembly import literal
-from vibrojax.compile.kernels.elementwise import FLOATS, INTEGERS, NUMBERS, Application, Rule
+from vibrojax.compile import assembly, control, elementwise, selection
+from vibrojax.compile.assembly import literal
+from vibrojax.compile.elementwise import FLOATS, INTEGERS, NUMBERS, Application, Rule
 
 
 def _loop_without_turns(patch: pytest.MonkeyPatch) -> None:

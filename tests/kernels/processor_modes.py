@@ -8,7 +8,7 @@ from functools import cache
 
 import llvmlite.binding as llvm
 
-from vibrojax.compile.kernels import native
+from vibrojax.compile import native
 
 IS_X86 = platform.machine() in ("x86_64", "AMD64")
 

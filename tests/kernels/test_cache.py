@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from vibrojax import cli
-from vibrojax.compile.kernels import Kernel, cache, kernels, native
+from vibrojax.compile import cache, native
+from vibrojax.compile.native import Kernel, kernels
 
 X = np.linspace(0.0, 1.0, 5)
 STRANGER = 12345

@@ -11,7 +11,9 @@ import pytest
 from jax import lax
 from random_functions import put
 
-from vibrojax.compile.kernels import Kernel, Untranslatable, translation
+from vibrojax.compile import translation
+from vibrojax.compile.assembly import Untranslatable
+from vibrojax.compile.native import Kernel
 
 RANDOM = np.random.default_rng(20)
 X, Y = RANDOM.normal(size=(2, 21))

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.compile.kernels import Kernel, native
+from vibrojax.compile import native
+from vibrojax.compile.native import Kernel
 
 RELOCATIONS, WHOLE_ADDRESS = 4, 1  # SHT_RELA, R_X86_64_64 (ELF-64 and x86-64 psABI)
 

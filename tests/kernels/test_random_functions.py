@@ -18,8 +18,10 @@ from random_functions import Function, functions, random_function
 from scopes import ROUNDED, Scope, Value
 from writers import WRITERS, write
 
-from vibrojax.compile.kernels import Kernel, Untranslatable, native
-from vibrojax.compile.kernels.translation import primitives
+from vibrojax.compile import native
+from vibrojax.compile.assembly import Untranslatable
+from vibrojax.compile.native import Kernel
+from vibrojax.compile.translation import primitives
 
 COUNT = int(os.environ.get("VIBROJAX_FUNCTIONS", 100))
 SEED = int(os.environ.get("VIBROJAX_FUNCTIONS_SEED", 0))

@@ -9,13 +9,13 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law.joint import fit_joint
-from vibrojax.analyses.rop_law.results import recommended, verdict
-from vibrojax.analyses.rop_law.rop import fit_rop
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.io.riglog.columns import read_columns, split_unit
-from vibrojax.models.physics.units import factor, is_unit
+from vibrojax.io.log_columns import read_columns, split_unit
+from vibrojax.physics.units import factor, is_unit
+from vibrojax.studies.rop_joint import fit_joint
+from vibrojax.studies.rop_law import fit_rop
+from vibrojax.studies.rop_results import recommended, verdict
 
 C, ETA0, D = 1.2e-3, 0.08, 150e3
 FORCE = np.linspace(20e3, 60e3, 9)

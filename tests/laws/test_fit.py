@@ -9,12 +9,12 @@ import xarray as xr
 from scipy import optimize, stats
 from unchecked import unchecked
 
-from vibrojax.analyses.rop_law import rop
-from vibrojax.analyses.rop_law.forms import FORMS
-from vibrojax.analyses.rop_law.joint import fit_joint
-from vibrojax.analyses.rop_law.least_squares import REASONS, LinearRates, minimise, residuals
-from vibrojax.analyses.rop_law.results import recommended, verdict
-from vibrojax.analyses.rop_law.rop import fit_rop
+from vibrojax.studies import rop_law as rop
+from vibrojax.studies.rop_forms import FORMS
+from vibrojax.studies.rop_joint import fit_joint
+from vibrojax.studies.rop_law import fit_rop
+from vibrojax.studies.rop_least_squares import REASONS, LinearRates, minimise, residuals
+from vibrojax.studies.rop_results import recommended, verdict
 
 C, ETA0, EXPONENT = 1.3e-3, 0.21, 1.4
 RELIEF = np.linspace(0.25, 1.5, 20)

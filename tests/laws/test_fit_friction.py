@@ -8,11 +8,11 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law.least_squares import REASONS
-from vibrojax.analyses.rotary_fits.friction import _velocity, fit_friction
-from vibrojax.analyses.rotary_fits.recording import contact_free_parts, open_recording
 from vibrojax.errors import InputError, Place
-from vibrojax.models.scenes.rotary import Rotary
+from vibrojax.scenes.rotary import Rotary
+from vibrojax.studies.friction_fit import _velocity, fit_friction
+from vibrojax.studies.friction_recording import contact_free_parts, open_recording
+from vibrojax.studies.rop_least_squares import REASONS
 
 TRUTH = {"mu": 0.35, "v_cr": 2.5}
 INTERVAL = 4e-3

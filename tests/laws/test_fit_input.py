@@ -10,13 +10,13 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law.joint import fit_joint
-from vibrojax.analyses.rop_law.least_squares import REASONS
-from vibrojax.analyses.rop_law.results import law_facts, law_table
-from vibrojax.analyses.rop_law.rop import fit_rop
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset, write_dataset
+from vibrojax.studies.rop_joint import fit_joint
+from vibrojax.studies.rop_law import fit_rop
+from vibrojax.studies.rop_least_squares import REASONS
+from vibrojax.studies.rop_results import law_facts, law_table
 
 C, ETA0 = 1.3e-3, 0.21
 RELIEF = np.linspace(0.25, 1.5, 8)

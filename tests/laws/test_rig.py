@@ -5,8 +5,8 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rig.measures import FOUNDER_REASONS, founder_point, torque_stick_slip
 from vibrojax.cli import main
+from vibrojax.studies.rig_measures import FOUNDER_REASONS, founder_point, torque_stick_slip
 
 HEADER = "YYYY/MM/DD,Depth (ft),WOB (klbf),ROP (ft/h),Rotary Speed (rpm),Torque (ft lbf)"
 

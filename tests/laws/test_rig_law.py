@@ -12,7 +12,9 @@ import xarray as xr
 from unchecked import unchecked
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law.blocks import (
+from vibrojax.cli import main
+from vibrojax.errors import InputError
+from vibrojax.studies.rop_blocks import (
     LEAST_ROWS,
     STANDINGS,
     Standing,
@@ -20,12 +22,10 @@ from vibrojax.analyses.rop_law.blocks import (
     prediction_errors,
     segments,
 )
-from vibrojax.analyses.rop_law.forms import FORMS
-from vibrojax.analyses.rop_law.least_squares import LinearRates
-from vibrojax.analyses.rop_law.results import recommended, verdict
-from vibrojax.analyses.rop_law.rop import fit_rop
-from vibrojax.cli import main
-from vibrojax.errors import InputError
+from vibrojax.studies.rop_forms import FORMS
+from vibrojax.studies.rop_law import fit_rop
+from vibrojax.studies.rop_least_squares import LinearRates
+from vibrojax.studies.rop_results import recommended, verdict
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "notebooks"))
 import rig_logs

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law.results import verdict
+from vibrojax.studies.rop_results import verdict
 
 SWEEP = {
     "scene": "penetration",

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.special import hyp2f1
 
-from vibrojax.models.physics.contact import contact_time, damping_ratio, force, raw_force, restitution
+from vibrojax.physics.contact import contact_time, damping_ratio, force, raw_force, restitution
 
 MASS, K0 = 100.0, 50e6
 XIS = [0.0, 0.1, 0.5, 0.9, 0.999, 0.9995, 1.0, 1.0005, 1.001, 2.0, 5.0]

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.models.physics.elementary import exp
-from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.models.physics.parameters import not_negative, positive, table
-from vibrojax.models.scenes.rotary import Rotary
+from vibrojax.physics.elementary import exp
+from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.physics.parameters import not_negative, positive, table
+from vibrojax.scenes.rotary import Rotary
 
 SPEEDS = np.array([1e-6, 1e-3, 0.02, 0.3, 1.5, 3.0, 4.2])
 

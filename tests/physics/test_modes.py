@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.models.physics.modes import empirical_frequency, linearised, natural_frequencies, striker
-from vibrojax.models.scenes.rotary import Rotary
+from vibrojax.physics.modes import empirical_frequency, linearised, natural_frequencies, striker
+from vibrojax.scenes.rotary import Rotary
 
 
 def drill(w1, beta, gamma, m1=250.0, c2=250.0):

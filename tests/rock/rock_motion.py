@@ -6,9 +6,9 @@ import numpy as np
 from flat import Flat
 from numpy.polynomial import polynomial
 
-from vibrojax.models.scenes.penetration import Penetration
+from vibrojax.lanes.dense_output import record, sample
+from vibrojax.scenes.penetration import Penetration
 from vibrojax.stepping import Accuracy, Located
-from vibrojax.sweep.simulation.dense_output import record, sample
 
 FINE = Accuracy(tolerance=1e-12, stride=1.0, step=np.inf)
 ELASTIC, YIELDING, OFF, REST = 0, 1, -1, 2

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.sweep.engine.chunks import error_under_pulses
-from vibrojax.sweep.engine.drift import drift_under_pulses
+from vibrojax.lanes.chunks import error_under_pulses
+from vibrojax.lanes.drift import drift_under_pulses
 
 BEATING = {
     "force": 364187.2,

@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.summary import summarise
 from vibrojax.cli import main
+from vibrojax.studies.summary import summarise
 
 PENETRATION = {"scene": "penetration", "run": {"settle": 0.5, "observe": 0.5}}
 

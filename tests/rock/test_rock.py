@@ -7,9 +7,9 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import InputError, Place
-from vibrojax.models.physics.rock import ROCKS, damping, ratchet, resistance
-from vibrojax.models.scenes.penetration import mean_force
-from vibrojax.sweep.input.read import read_point, read_sweep
+from vibrojax.maps.read import read_point, read_sweep
+from vibrojax.physics.rock import ROCKS, damping, ratchet, resistance
+from vibrojax.scenes.penetration import mean_force
 
 K3, D = 300e6, 150e3
 SHORT = {"settle": 0.3, "observe": 0.2}

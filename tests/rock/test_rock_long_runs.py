@@ -7,9 +7,9 @@ import pytest
 from rock_motion import FINE, constants
 
 import vibrojax as vj
-from vibrojax.compile.kernels import Kernel
+from vibrojax.compile.native import Kernel
 from vibrojax.compile.xla import precision
-from vibrojax.models.scenes.penetration import Penetration
+from vibrojax.scenes.penetration import Penetration
 from vibrojax.stepping import Accuracy, Goal, Located, lane_at
 
 SCENE, STEPPER = Penetration(), Located()

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.models.physics.friction import FRICTION_LAWS
-from vibrojax.models.scenes import SCENES
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.scenes import SCENES
 
 Rotary, VibroImpact = SCENES["rotary"], SCENES["vibro-impact"]
 LANES = 40

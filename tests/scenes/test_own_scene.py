@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.compile.kernels import Kernel
+from vibrojax.compile.native import Kernel
 from vibrojax.errors import InputError
 from vibrojax.measures import Gauge, recorder_for
 from vibrojax.measures.recorder import Effort, run_block
-from vibrojax.models.physics.parameters import positive, table
-from vibrojax.models.scenes import Marker, Scene, Section, State, Swing
-from vibrojax.models.scenes.vibro_impact import VibroImpact
+from vibrojax.physics.parameters import positive, table
+from vibrojax.scenes import Marker, Scene, Section, State, Swing
+from vibrojax.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping import AccuracyRequest, Located, Smoothed
 
 STRING = table(

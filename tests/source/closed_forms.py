@@ -6,9 +6,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.models.physics.friction import FRICTION_LAWS
-from vibrojax.models.physics.modes import empirical_frequency, natural_frequencies, striker
-from vibrojax.models.physics.rock import ROCKS
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.physics.modes import empirical_frequency, natural_frequencies, striker
+from vibrojax.physics.rock import ROCKS
 
 Values = Float[np.ndarray, " values"]
 Parameter = float | int | Values

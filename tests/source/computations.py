@@ -22,11 +22,11 @@ import numpy as np
 import xarray as xr
 
 from source.struck_mass import EXACT, STRUCK, struck_mass
-from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, Place, counted
-from vibrojax.sweep.input.read import read_point
-from vibrojax.sweep.input.values import UnusualValue
-from vibrojax.sweep.simulation import simulate
+from vibrojax.maps.read import read_point
+from vibrojax.maps.run import run_sweep
+from vibrojax.settings.values import UnusualValue
+from vibrojax.studies.trajectory_run import simulate
 
 STARTS = {"rotary": ("drive", "stuck"), "penetration": ()}
 """Initial conditions of all lanes, by scene, for the scenes in which bit and striker are not in contact."""

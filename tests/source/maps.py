@@ -12,8 +12,8 @@ import xarray as xr
 from jaxtyping import Float
 
 from source.rules import Here, verdict
-from vibrojax.analyses.rop_law.rop import fit_rop
 from vibrojax.errors import counted
+from vibrojax.studies.rop_law import fit_rop
 
 Values = Float[np.ndarray, " values"]
 

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from source.reproduction import FINDINGS, READINGS, Finding, Reproduction
 from source.rules import DIFFERS, NOT_COMPARED, VERDICTS
 from vibrojax.errors import InputError
+from vibrojax.explorer.content_policy import content_policy
 from vibrojax.io.atomic import atomic_write
-from vibrojax.io.content_policy import content_policy
 from vibrojax.io.dataset import write_dataset
 from vibrojax.io.ownership import text_mark
 from vibrojax.io.provenance import source

@@ -13,10 +13,10 @@ from matplotlib.patches import Patch, Rectangle
 from source.closed_forms import friction
 from source.maps import LISTED_RATE, REGION, coexisting, fit_law, single_impact, strong
 from source.pictures_motions import FIGURE_WIDTH, LINE_COLOURS, panels_for
-from vibrojax.analyses.pictures import REGIME_COLOURS
 from vibrojax.measures.labels import REGIMES
-from vibrojax.models.physics.friction import FRICTION_LAWS
-from vibrojax.plot.style import BIT, FAINT, INK, START_COLOURS, new_figure
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.pictures.choose import REGIME_COLOURS
+from vibrojax.pictures.style import BIT, FAINT, INK, START_COLOURS, new_figure
 
 LAWS = ("coulomb", "popp-exponential", "popp-arctan", "hyperbolic", "hyperbolic-quadratic", "stribeck")
 SINGLE_IMPACT_COLOURS = {

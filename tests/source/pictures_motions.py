@@ -23,8 +23,8 @@ from source.motions import (
     swept_frequency,
     within,
 )
-from vibrojax.models.physics.contact import restitution
-from vibrojax.plot.style import BIT, FAINT, IMPACT, INK, ROCK, STICK, STRIKER, new_figure
+from vibrojax.physics.contact import restitution
+from vibrojax.pictures.style import BIT, FAINT, IMPACT, INK, ROCK, STICK, STRIKER, new_figure
 
 FIGURE_WIDTH = 6.4
 """Width of a figure [inch]: half the width of the text on the reproduction page."""

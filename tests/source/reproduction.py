@@ -23,9 +23,9 @@ from source import closed_forms, maps, motions, pictures_maps, pictures_motions,
 from source.computations import Answer, Labelled, Need, SourceAnswers, Unanswered, collect, read_needs
 from source.rules import DIFFERS, FIELD, VERDICTS, Here, Verdict, formatted
 from vibrojax.compile.xla import precision
-from vibrojax.models.physics.contact import contact_time, restitution
-from vibrojax.models.physics.rock import ROCKS
-from vibrojax.plot.style import styled
+from vibrojax.physics.contact import contact_time, restitution
+from vibrojax.physics.rock import ROCKS
+from vibrojax.pictures.style import styled
 from vibrojax.progress import Progress
 
 T = TypeVar("T")

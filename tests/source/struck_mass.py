@@ -10,9 +10,9 @@ from functools import cache
 
 import numpy as np
 
-from vibrojax.models.physics.elementary import sin
-from vibrojax.models.systems.events import Impact
-from vibrojax.models.systems.system import System
+from vibrojax.physics.elementary import sin
+from vibrojax.systems.events import Impact
+from vibrojax.systems.system import System
 
 STRUCK = "struck"
 """Name of the system in the computations of `source.toml`."""

@@ -5,7 +5,7 @@ from functools import partial
 import jax
 import numpy as np
 
-from vibrojax.compile.kernels import Kernel
+from vibrojax.compile.native import Kernel
 
 
 def by_kernels(static):

@@ -7,11 +7,11 @@ import pytest
 from by_kernels import by_kernels
 from flat import Flat
 
-from vibrojax.models.physics.friction import FRICTION_LAWS
-from vibrojax.models.scenes.rotary import Rotary
-from vibrojax.models.scenes.vibro_impact import VibroImpact
+from vibrojax.lanes.dense_output import record
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.scenes.rotary import Rotary
+from vibrojax.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping import Accuracy, Goal, Located, lane_at
-from vibrojax.sweep.simulation.dense_output import record
 
 DRILL = VibroImpact()
 FINE = Accuracy(tolerance=1e-12, stride=1.0, step=np.inf)

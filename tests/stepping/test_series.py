@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.models.physics import elementary
-from vibrojax.models.physics.friction import FRICTION_LAWS
-from vibrojax.models.scenes.vibro_impact import VibroImpact
+from vibrojax.physics import elementary
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping.series import Sequence, Series, expand, known
 
 ORDER = 9

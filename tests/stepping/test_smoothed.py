@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from by_kernels import by_kernels
 
-from vibrojax.models.scenes.rotary import Rotary
-from vibrojax.models.scenes.vibro_impact import VibroImpact
+from vibrojax.scenes.rotary import Rotary
+from vibrojax.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping import Accuracy, Goal, Located, Smoothed, lane_at
 from vibrojax.stepping.smoothed import smoothed_trajectory
 

@@ -17,7 +17,6 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import entry_points
 from typing import NoReturn
 
-from vibrojax.analyses import glossary
 from vibrojax.cli.analyses import analysis_command, curves, orbits
 from vibrojax.cli.command import Command, Options, either, flag
 from vibrojax.cli.datasets import explore, info, plot
@@ -29,6 +28,7 @@ from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.provenance import package_version
 from vibrojax.io.threads import asked_to_end, in_own_thread, leave
 from vibrojax.progress import LOG, end_lines, timed
+from vibrojax.studies import glossary
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
 

@@ -33,7 +33,7 @@ from vibrojax.errors import InputError, Place, counted, shown
 if TYPE_CHECKING:
     import xarray
 
-    from vibrojax.analyses.analysis import Analysis
+    from vibrojax.studies.analysis import Analysis
 
 _SWEEP = "a sweep: a bundled name, like regime-map, or the path of a TOML file; or "
 
@@ -47,10 +47,10 @@ _ORBIT_VARIABLES = ("stable", "multiplier_abs", "regime")
 )
 def orbits(options: Options) -> None:
     """Find the periodic orbits of a sweep's lanes, with their multipliers and stability."""
-    from vibrojax.analyses.orbits.analysis import sweep_with_orbits
-    from vibrojax.analyses.sweep.analysis import orbit_lines
-    from vibrojax.analyses.sweep.run import run_to_file
     from vibrojax.io.dataset import open_dataset
+    from vibrojax.maps.rerun import sweep_with_orbits
+    from vibrojax.maps.run import run_to_file
+    from vibrojax.studies.sweep import orbit_lines
 
     file = str(options.file)
     is_dataset = file.endswith(".nc")
@@ -91,8 +91,8 @@ _CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
 )
 def curves(options: Options) -> None:
     """Continue the special points of a family in a second parameter: curves, and the points where several meet."""
-    from vibrojax.analyses.curves.spec import read_curves
     from vibrojax.io.dataset import open_dataset
+    from vibrojax.studies.curve_spec import read_curves
 
     place, file = Place("curves"), Path(str(options.file))
     settings, others = named_values(place, options.values, _CURVE_SETTINGS, lists=False)
@@ -106,12 +106,12 @@ def curves(options: Options) -> None:
     spec = read_curves(open_dataset(file), settings["by"], (settings["from"], settings["to"]), special, at)
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.analyses.curves.run import continue_curves
+        from vibrojax.studies.curve_run import continue_curves
 
         return continue_curves(spec, progress=not options.quiet)
 
     def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.curves.analysis import curves_facts
+        from vibrojax.studies.curve_analysis import curves_facts
 
         return curves_facts(dataset)
 
@@ -134,7 +134,7 @@ def analysis_command(kind: str, summary: str) -> Command:
 
 
 def _analysis_class(kind: str) -> "type[Analysis]":
-    from vibrojax.analyses.analysis import analysis_named
+    from vibrojax.studies.analysis import analysis_named
 
     analysis = analysis_named(kind)
     assert analysis is not None  # commands exist only for known kinds
@@ -149,9 +149,9 @@ def _settings(analysis: "type[Analysis]") -> "dict[str, dataclasses.Field[Any]]"
 
 
 def _run(kind: str, options: Options) -> None:
-    from vibrojax.analyses.analysis import analyse, checked_result
-    from vibrojax.analyses.orbits.analysis import SweepAnalysis, holds_orbits
     from vibrojax.io.dataset import open_dataset
+    from vibrojax.maps.rerun import SweepAnalysis, holds_orbits
+    from vibrojax.studies.analysis import analyse, checked_result
 
     analysis_class = _analysis_class(kind)
     given = {
@@ -179,7 +179,7 @@ def _run(kind: str, options: Options) -> None:
     else:
         lanes_of: Any = nullcontext(source)
         if sweep is not None and not (is_dataset and holds_orbits(source)):
-            from vibrojax.analyses.sweep.run import lanes_beside
+            from vibrojax.maps.run import lanes_beside
 
             # Finished chunks are kept next to OUT until the result is written, so an interrupt loses none of them.
             options.advise("finished chunks are kept; to go on", *words)

@@ -6,8 +6,8 @@ from argparse import Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
-from vibrojax.analyses import glossary
 from vibrojax.errors import Place, shown
+from vibrojax.studies import glossary
 
 AddArguments = Callable[[Any], None]
 """Function that adds arguments to a parser, or to a group of arguments of a parser."""

@@ -68,7 +68,7 @@ def plot(options: Options) -> None:
         parts = [*shortened(options.variable or ()), *filter(None, [options.diagram]), *shortened(places)]
         parts += [*filter(None, [options.colours]), *(["over", *shortened(stems)] if stems else [])]
         picture = view_path(options, path, PICTURES, parts)
-        from vibrojax.analyses.pictures import save_picture
+        from vibrojax.pictures.choose import save_picture
 
         asked = options.variable, where, options.colours, over, options.diagram
         drawn: list[str] = []
@@ -89,8 +89,8 @@ def plot(options: Options) -> None:
 )
 def info(options: Options) -> None:
     """Show what a dataset holds: scene, grid, regimes, failures, accuracy, provenance."""
-    from vibrojax.analyses.summary import summarise, summary_facts, summary_lines
     from vibrojax.io.dataset import open_dataset
+    from vibrojax.studies.summary import summarise, summary_facts, summary_lines
 
     with timed("read"):
         dataset = open_dataset(Path(options.file))
@@ -151,7 +151,7 @@ def explore(options: Options) -> None:
         out = view_path(options, path, (".html",), parts)
     over = None
     if scene:
-        from vibrojax.sweep.simulation import simulate
+        from vibrojax.studies.trajectory_run import simulate
 
         settings, parameters = named_values(Place("explore"), options.values, SIMULATE_SETTINGS, lists=False)
         arguments: dict[str, Any] = settings | parameters

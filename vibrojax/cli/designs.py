@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 )
 def design(options: Options) -> None:
     """Find the best drill under constraints that hold from every start and at samples of the tolerances."""
-    from vibrojax.analyses.design.run import find_design
-    from vibrojax.analyses.design.spec import read_design
+    from vibrojax.studies.design_run import find_design
+    from vibrojax.studies.design_spec import read_design
 
     spec = read_design(options.file)
 
     def compute() -> "xarray.Dataset":
         dataset = find_design(spec, progress=not options.quiet)
         if options.chart:
-            from vibrojax.analyses.design.chart import charted
+            from vibrojax.studies.design_chart import charted
 
             dataset = charted(dataset, spec, progress=not options.quiet)
         return dataset
@@ -42,8 +42,8 @@ def design(options: Options) -> None:
         output(Path(options.out or default).with_suffix(".pdf"), PICTURES)
     answer(options, default, identity, compute)
     if options.chart:
-        from vibrojax.analyses.pictures import save_picture
         from vibrojax.io.dataset import open_dataset
+        from vibrojax.pictures.choose import save_picture
 
         out = Path(options.out or default)
         save_picture(open_dataset(out), out.with_suffix(".pdf"))

@@ -147,7 +147,7 @@ def _numbered(default: Path, is_result: Callable[[Path], bool], fresh: bool = Fa
 def stored_result(options: Options, out: Path, identity: Mapping[str, object]) -> "xarray.Dataset | None":
     """Return the finished result with this `identity` at `out`, or None if there is none, or with `--fresh`."""
     from vibrojax.io.manifest import holds
-    from vibrojax.io.shards import CHUNKS
+    from vibrojax.maps.shards import CHUNKS
 
     # Chunks beside a dataset belong to a run that was interrupted while it replaced the dataset.
     if options.fresh or out.with_name(out.name + CHUNKS).exists() or not holds(out, identity):
@@ -187,7 +187,7 @@ def draw(options: Options, dataset: "xarray.Dataset", out: Path, variables: Sequ
     **Returns:** the end of an output line, which names the picture. If nothing can be drawn, the string is empty, and
     the reason is printed on stderr.
     """
-    from vibrojax.analyses.pictures import save_picture
+    from vibrojax.pictures.choose import save_picture
 
     dataset_written(options, out)
     picture = out.with_suffix(".png")
@@ -220,7 +220,7 @@ def answer(
     `default`, `identity`, `numbered`: as for `result_at`.
     """
     out = result_at(options, default, identity, numbered=numbered)
-    from vibrojax.analyses.analysis import analysis_of
+    from vibrojax.studies.analysis import analysis_of
 
     dataset = stored_result(options, out, identity)
     if dataset is None:

@@ -3,7 +3,6 @@
 import re
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.analyses import FAMILY_WORDS
 from vibrojax.cli.command import (
     JSON,
     Options,
@@ -17,6 +16,7 @@ from vibrojax.cli.command import (
 )
 from vibrojax.cli.output import answer
 from vibrojax.errors import Place, shown
+from vibrojax.studies import FAMILY_WORDS
 
 if TYPE_CHECKING:
     import xarray
@@ -49,7 +49,7 @@ _HALF_WIDTH = re.compile(r"\+-|±|\+/-")
 @command(argument("scene", "SCENE", "one of them, in full", nargs="?"))
 def scenes(options: Options) -> None:
     """List the scenes, or a scene's parameters, initial conditions, friction laws, variables and settings."""
-    from vibrojax.analyses.catalogue import list_scenes, scene_text
+    from vibrojax.studies.catalogue import list_scenes, scene_text
 
     if options.scene is not None:
         print(scene_text(options.scene))
@@ -71,11 +71,11 @@ def simulate(options: Options) -> None:
     """Simulate one point: write its trajectory as a dataset, and a picture."""
     place = Place("simulate")
     settings, parameters = named_values(place, options.values, SIMULATE_SETTINGS, lists=False)
-    from vibrojax.models.physics.parameters import positive
-    from vibrojax.models.scenes import HasRock
-    from vibrojax.sweep.input.own_code import code_identity
-    from vibrojax.sweep.input.read import read_point
-    from vibrojax.sweep.input.values import quantity
+    from vibrojax.maps.read import read_point
+    from vibrojax.physics.parameters import positive
+    from vibrojax.scenes import HasRock
+    from vibrojax.settings.code_identity import code_identity
+    from vibrojax.settings.values import quantity
 
     point = read_point(place, options.scene, parameters, settings.pop("start", None))
     for name, value in settings.items():
@@ -87,14 +87,14 @@ def simulate(options: Options) -> None:
     arguments: dict[str, Any] = settings
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.sweep.simulation import simulate_point
+        from vibrojax.studies.trajectory_run import simulate_point
 
         return simulate_point(point, **arguments, progress=not options.quiet)
 
     def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.frequencies import frequency_part
-        from vibrojax.analyses.trajectory.analysis import features
         from vibrojax.io.attributes import attribute_of
+        from vibrojax.studies.frequencies import frequency_part
+        from vibrojax.studies.trajectory_analysis import features
 
         return {
             "scene": point.scene,
@@ -132,8 +132,8 @@ def follow(options: Options) -> None:
     missing = [name for name in _REQUIRED if name not in settings]
     if missing:
         raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_FOLLOW_SYNTAX}")
-    from vibrojax.analyses.continuation.run import continue_families, family_spec
     from vibrojax.measures.ledger import MOST_CYCLES
+    from vibrojax.studies.family_run import continue_families, family_spec
 
     defaults = {"start": None, "settle": None, "observe": None, "cycles": MOST_CYCLES}
     arguments: dict[str, Any] = defaults | settings
@@ -144,8 +144,8 @@ def follow(options: Options) -> None:
         return continue_families(request, progress=not options.quiet)
 
     def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.analyses.continuation.analysis import family_facts
         from vibrojax.io.attributes import attribute_of
+        from vibrojax.studies.family_analysis import family_facts
 
         machine = {"scene": dataset.attrs["scene"], "start": dataset.attrs.get("start")}
         return {**machine, "parameters": attribute_of(dataset, "parameters"), **family_facts(dataset)}
@@ -166,7 +166,7 @@ def follow(options: Options) -> None:
 def push(options: Options) -> None:
     """Find the smallest push in each state variable after which a machine no longer returns to its working cycle."""
     settings, parameters = named_values(Place("push"), options.values, PUSH_SETTINGS, lists=True)
-    from vibrojax.analyses.push.spec import PRECISION, SCAN, push_spec
+    from vibrojax.studies.push_spec import PRECISION, SCAN, push_spec
 
     defaults = {"start": None, "scan": SCAN, "precision": PRECISION, "settle": None, "observe": None}
     arguments: dict[str, Any] = defaults | settings
@@ -175,7 +175,7 @@ def push(options: Options) -> None:
     request = push_spec(options.scene, parameters=parameters, **arguments)
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.analyses.push.run import find_pushes
+        from vibrojax.studies.push_run import find_pushes
 
         return find_pushes(request, progress=not options.quiet)
 
@@ -200,7 +200,7 @@ def tolerance(options: Options) -> None:
     for name in pairs:
         if name in parameters or name in settings:
             raise place.at(name).error("has a second value; give one")
-    from vibrojax.analyses.tolerance.run import read_box, simulate_box
+    from vibrojax.studies.tolerance_run import read_box, simulate_box
 
     box = read_box(options.scene, settings.pop("start", None), settings, parameters | pairs)
 

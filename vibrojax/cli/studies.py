@@ -4,7 +4,6 @@ import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vibrojax.analyses import WORDS
 from vibrojax.cli.command import JSON, Options, argument, command, flag, output_options
 from vibrojax.cli.output import (
     answer,
@@ -18,6 +17,7 @@ from vibrojax.cli.output import (
 )
 from vibrojax.errors import InputError, counted
 from vibrojax.progress import timed
+from vibrojax.studies import WORDS
 
 if TYPE_CHECKING:
     import xarray
@@ -62,10 +62,10 @@ def fit(options: Options) -> None:
         options.file = words.pop()  # FILE may follow the columns
     if options.file is None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
-    from vibrojax.analyses.rop_law.results import law_facts, law_table
-    from vibrojax.analyses.rop_law.rop import fit_groups, read_groups
+    from vibrojax.io.log_columns import read_columns
     from vibrojax.io.riglog import log_lines
-    from vibrojax.io.riglog.columns import read_columns
+    from vibrojax.studies.rop_law import fit_groups, read_groups
+    from vibrojax.studies.rop_results import law_facts, law_table
 
     file, columns, by = Path(options.file), read_columns(words), options.by or []
     output(options.out or f"{file.stem}-fit.nc")
@@ -135,8 +135,8 @@ def _digest(file: Path) -> str:
 )
 def rig(options: Options) -> None:
     """Compute specific energies, the founder point and stick-slip of a rig log, and draw tracks over depth."""
-    from vibrojax.analyses.rig.measures import rig as measures
-    from vibrojax.io.riglog.columns import read_columns
+    from vibrojax.io.log_columns import read_columns
+    from vibrojax.studies.rig_measures import rig as measures
 
     file, columns = Path(options.file), read_columns(list(options.columns or []))
     identity = {"rig": f"{file.name}, sha256 {_digest(file)}", "dialect": options.dialect, **columns}
@@ -154,15 +154,15 @@ def rig(options: Options) -> None:
 )
 def study(options: Options) -> None:
     """Find which parameters decide about a machine: effects, interactions and Sobol indices; FILE is a study (TOML)."""
-    from vibrojax.analyses.study.spec import read_study
+    from vibrojax.studies.effects_spec import read_study
 
     spec = read_study(options.file)
     name = f"{Path(options.file).stem}-study.nc"
     options.advise("finished chunks are kept; to go on", "study", options.file, "-o", options.out or name)
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.analyses.study.run import study_of
-        from vibrojax.analyses.sweep.run import lanes_beside
+        from vibrojax.maps.run import lanes_beside
+        from vibrojax.studies.effects_run import study_of
 
         out, resume = Path(options.out or name), not options.fresh
         with lanes_beside(spec.sweep, out, resume=resume, progress=not options.quiet) as lanes:
@@ -183,12 +183,12 @@ def study(options: Options) -> None:
 )
 def calibrate(options: Options) -> None:
     """Estimate parameters of a drill from observations of its periodic motion, and say which the data determine."""
-    from vibrojax.analyses.calibration.spec import read_calibration
+    from vibrojax.studies.calibration_spec import read_calibration
 
     spec = read_calibration(options.file)
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.analyses.calibration.run import find_calibration
+        from vibrojax.studies.calibration_run import find_calibration
 
         return find_calibration(spec, progress=not options.quiet)
 
@@ -206,11 +206,11 @@ def accuracy(options: Options) -> None:
     """
     dataset_path, table_path, picture_path = output_folder(options.out, ("accuracy.nc", "accuracy.md", "accuracy.png"))
     options.advise("nothing is kept; to start again", "accuracy", "-o", options.out, *["--quick"] * options.quick)
-    from vibrojax.analyses.accuracy.study import run_accuracy, table
-    from vibrojax.analyses.pictures import save_picture
     from vibrojax.io.atomic import atomic_write
     from vibrojax.io.dataset import write_dataset
     from vibrojax.io.ownership import text_mark
+    from vibrojax.pictures.choose import save_picture
+    from vibrojax.studies.accuracy_run import run_accuracy, table
 
     dataset = run_accuracy(quick=options.quick, progress=not options.quiet)
     write_dataset(dataset, dataset_path)

@@ -12,9 +12,9 @@ from vibrojax.errors import InputError, counted, shown
 from vibrojax.io.formatting import size_text, time_text
 
 if TYPE_CHECKING:
-    from vibrojax.analyses.sweep.workers.executor import Executor
-    from vibrojax.sweep.engine.costs import Cost
-    from vibrojax.sweep.input.definition import Sweep
+    from vibrojax.maps.costs import Cost
+    from vibrojax.maps.executor import Executor
+    from vibrojax.maps.sweep import Sweep
 
 _DASK, _SLURM = "dask://", "slurm"
 
@@ -53,8 +53,8 @@ DEFAULT_JOBS = 10
 )
 def sweep(options: Options) -> None:
     """Run a sweep file: write a dataset with the regime of each lane, and a picture."""
-    from vibrojax.analyses.sweep.run import run_to_file
-    from vibrojax.sweep.input.read import read_sweep
+    from vibrojax.maps.read import read_sweep
+    from vibrojax.maps.run import run_to_file
 
     engine = _read_workers(options.workers)
     if options.measure and not options.dry_run:
@@ -94,8 +94,8 @@ def _prepare_output() -> None:
 
     import xarray as xr
 
-    from vibrojax.analyses import pictures  # noqa: F401
-    from vibrojax.plot.style import new_figure
+    from vibrojax.pictures import choose as pictures  # noqa: F401
+    from vibrojax.pictures.style import new_figure
 
     with suppress(Exception):  # an error would be reported when it matters
         xr.backends.list_engines()
@@ -145,7 +145,7 @@ def _slurm_executor(out: Path, jobs: int) -> "Iterator[Executor]":
 
     **Raises:** `InputError` if no job can be submitted, or if others can write to the folder of the jobs.
     """
-    from vibrojax.analyses.sweep.workers.slurm import SlurmExecutor
+    from vibrojax.maps.slurm import SlurmExecutor
 
     with SlurmExecutor(out.with_name(out.name + ".jobs").absolute(), jobs) as executor:
         yield executor
@@ -153,15 +153,15 @@ def _slurm_executor(out: Path, jobs: int) -> "Iterator[Executor]":
 
 def _print_cost(plan: "Sweep", out: Path, measure: bool) -> None:
     """Print the estimated cost of a sweep; raise `InputError` if memory or disk of this machine are too small."""
-    from vibrojax.analyses.sweep.run import estimate
-    from vibrojax.sweep.engine.costs import check_size
+    from vibrojax.maps.costs import check_size
+    from vibrojax.maps.run import estimate
 
     def about(seconds: float) -> str:  # with two digits: an estimate is not more accurate
         return time_text(float(f"{seconds:.2g}"))
 
     measured = None
     if measure:
-        from vibrojax.analyses.sweep.workers.work import measured as measure_lanes
+        from vibrojax.maps.work import measured as measure_lanes
 
         measured = measure_lanes(plan)
     cost: Cost = estimate(plan, to_file=True, measured=measured)

@@ -11,10 +11,21 @@ CPUs, or through XLA where no kernel can be made:
 on scenes. The caller's `policy` decides which calls depend on foreign code (code from outside this package). Kernels of
 foreign code are compared with XLA before the first of them runs.
 
-- `kernels/`: translation of jax's trace to LLVM's intermediate representation (IR), compilation, and the disk cache.
+- `translation.py`, `assembly.py`, `native.py` and others: translation of jax's trace to LLVM's intermediate
+  representation (IR), compilation; `cache.py`: the disk cache.
 - `xla.py`: XLA's options, functions that run block by block, devices, threads, precision.
 - `agreement.py`, `trust.py`: comparison of a kernel with XLA and of elementary functions with numpy; the decision which
   compiler runs.
+
+A kernel has the semantics of jax. Each translation rule is correct for the types that it accepts. All other cases raise
+`Untranslatable`, and XLA runs the lanes. Three things differ from XLA on a CPU:
+
+- Subnormal numbers keep their value (XLA flushes them to 0).
+- Functions of the C library, such as `exp`, are rounded differently.
+- The sign of a sum of zeros and the bits of a NaN may differ.
+
+The width of the processor's vectors changes no bit of a lane, because the lanes of a group share only loops and
+branches. Fused multiply-add does change bits: a processor without it rounds each product before the sum.
 
 **Reason for a second compiler.** On CPUs, XLA recomputes values that several fusions share, and launches each fusion
 separately. One time step of all lanes is plain arithmetic with many shared values. LLVM compiles such a step, written
@@ -40,7 +51,7 @@ of all five scenes in both precisions; XLA did not. A lane's bits depend neither
 the width of the processor's vectors.
 """
 
-from vibrojax.compile.kernels import Untranslatable
+from vibrojax.compile.assembly import Untranslatable
 from vibrojax.compile.trust import KernelRefused, Policy, Subject, lane_function, trusted_kernel
 from vibrojax.compile.xla import jitted
 

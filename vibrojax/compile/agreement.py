@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.compile import reference
-from vibrojax.compile.kernels import LANES, Kernel, trace
+from vibrojax.compile.assembly import LANES
+from vibrojax.compile.native import Kernel, trace
 from vibrojax.errors import InputError
 
 AGREEMENT_TOLERANCE = {"float64": 1e-10, "float32": 1e-4}

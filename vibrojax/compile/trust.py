@@ -25,8 +25,9 @@ import jax.numpy as jnp
 import llvmlite
 from jaxlib import version as jaxlib
 
-from vibrojax.compile.kernels import Kernel, Untranslatable, kernel_for
-from vibrojax.compile.kernels import cache as store
+from vibrojax.compile import cache as store
+from vibrojax.compile.assembly import Untranslatable
+from vibrojax.compile.native import Kernel, kernel_for
 from vibrojax.compile.xla import jitted
 
 TESTED_VERSIONS = {"jax": ("0.10.2", "0.12.0.1"), "llvmlite": ("0.50.0",)}
@@ -88,7 +89,7 @@ def trusted_kernel(
     **Arguments:**
 
     - `static`, `arguments`: static and traced arguments of the function.
-    - `registers`: see `vibrojax.compile.kernels.Kernel`.
+    - `registers`: see `vibrojax.compile.Kernel`.
     - `derives`, `policy`: see `Policy`.
 
     **Raises:** `Untranslatable` if no kernel can be made, or if kernels of the same owner differ from XLA.

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.analyses.orbits.analysis import rerun_problem
-from vibrojax.analyses.sweep.joining import join
-from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import Place, shown
 from vibrojax.explorer.document import Document
 from vibrojax.explorer.encoding import pack
 from vibrojax.io.targets import InMemory
-from vibrojax.sweep.input.definition import Sweep
+from vibrojax.maps.joining import join
+from vibrojax.maps.rerun import rerun_problem
+from vibrojax.maps.sweep import Sweep
+from vibrojax.maps.work import Work
 
 BOX_MAX_SIDE = 50
 """Maximum number of values along an axis of a box; more cells would take minutes."""

@@ -12,19 +12,19 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm, to_hex
 
-from vibrojax.analyses.attractors.analysis import BEYOND
-from vibrojax.analyses.attractors.analysis import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.explorer.encoding import pack
 from vibrojax.explorer.reading import BORDER_MEANINGS, REGIME_MEANINGS, reading_text
 from vibrojax.io.attributes import LONGEST_TEXT, differing_of, flags, parameters_of, run_of, text_of, title_of
-from vibrojax.models.scenes import SCENES
-from vibrojax.plot.axes import is_geometric, point_text, pretty_unit, scale, symbol
-from vibrojax.plot.colours import REGIME_COLOURS, value_of
-from vibrojax.plot.contents import POINT, RETURN, START
-from vibrojax.plot.style import OTHER_COLOURS
-from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.names import known_options, read_names
+from vibrojax.maps.sweep import Sweep
+from vibrojax.pictures.axes import is_geometric, point_text, pretty_unit, scale, symbol
+from vibrojax.pictures.colours import REGIME_COLOURS, value_of
+from vibrojax.pictures.contents import POINT, RETURN, START
+from vibrojax.pictures.style import OTHER_COLOURS
+from vibrojax.scenes import SCENES
+from vibrojax.settings.names import known_options, read_names
+from vibrojax.studies.attractor_analysis import BEYOND
+from vibrojax.studies.attractor_analysis import COLOURS as ATTRACTOR_COLOURS
 
 Document = dict[str, Any]
 

@@ -33,8 +33,8 @@ from matplotlib.transforms import IdentityTransform, Transform
 
 from vibrojax.explorer.document import Document, json_value, one_line
 from vibrojax.explorer.encoding import pack
-from vibrojax.plot.axes import label, value_text
-from vibrojax.plot.colours import REGIME_COLOURS
+from vibrojax.pictures.axes import label, value_text
+from vibrojax.pictures.colours import REGIME_COLOURS
 
 ITEM_MAX_POINTS = 20_000
 """Number of points of an item above which only every n-th is described; a screen has fewer pixels."""

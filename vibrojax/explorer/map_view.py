@@ -12,10 +12,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from vibrojax.analyses.orbits.analysis import has_lanes_of
-from vibrojax.analyses.sweep.maps import REGION
-from vibrojax.analyses.sweep.returns import returns_label
-from vibrojax.analyses.sweep.workers.work import quiet
 from vibrojax.errors import InputError, shown
 from vibrojax.explorer.document import (
     SYMBOL_MAX_CHARACTERS,
@@ -34,11 +30,16 @@ from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SE
 from vibrojax.io.attributes import flags, parameters_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.io.variables import orbit_name
+from vibrojax.lanes.batch import Features
+from vibrojax.lanes.chunks import Carried, Chunks
+from vibrojax.maps.rerun import has_lanes_of
+from vibrojax.maps.sweep import Sweep
+from vibrojax.maps.work import quiet
 from vibrojax.measures.repeats import state_name
 from vibrojax.periodic import Orbits, early_stopping_of
 from vibrojax.periodic.margin import DRIVEN_RETURNS
-from vibrojax.plot.axes import scale, with_unit
-from vibrojax.plot.contents import (
+from vibrojax.pictures.axes import scale, with_unit
+from vibrojax.pictures.contents import (
     FORM,
     IMPACTS_OF_RETURNS,
     REGIME,
@@ -50,7 +51,8 @@ from vibrojax.plot.contents import (
     returns_in,
     swept,
 )
-from vibrojax.plot.overlays import (
+from vibrojax.pictures.maps import REGION
+from vibrojax.pictures.overlays import (
     LINES,
     OF_RETURNS,
     ON_MAPS,
@@ -61,11 +63,9 @@ from vibrojax.plot.overlays import (
     curves_on_map,
     draw_over,
 )
-from vibrojax.plot.starts import described, on_axes
+from vibrojax.pictures.returns import returns_label
+from vibrojax.pictures.starts import described, on_axes
 from vibrojax.progress import Progress
-from vibrojax.sweep.engine.batch import Features
-from vibrojax.sweep.engine.chunks import Carried, Chunks
-from vibrojax.sweep.input.definition import Sweep
 
 LANE = "lane_number"
 """Name of the variable with the number of the lane that each map cell shows."""

@@ -25,17 +25,17 @@ from vibrojax.explorer.recording import (
 )
 from vibrojax.explorer.views import sweep_of
 from vibrojax.io.attributes import differing_of, text_of
-from vibrojax.models.physics.parameters import ROTATION, Parameter
-from vibrojax.models.scenes import Scene
-from vibrojax.plot.axes import pretty_unit, scale, with_unit
+from vibrojax.lanes.dense_output import BATCH, Record, check_size
+from vibrojax.lanes.trajectory import window
+from vibrojax.maps.read import Point, read_point
+from vibrojax.maps.sweep import Sweep
+from vibrojax.physics.parameters import ROTATION, Parameter
+from vibrojax.pictures.axes import pretty_unit, scale, with_unit
+from vibrojax.scenes import Scene
+from vibrojax.settings.names import Names, read_names
+from vibrojax.settings.values import UnusualValue
 from vibrojax.stepping import AccuracyRequest, Located
-from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.names import Names, read_names
-from vibrojax.sweep.input.read import Point, read_point
-from vibrojax.sweep.input.values import UnusualValue
-from vibrojax.sweep.simulation.dense_output import BATCH, Record, check_size
-from vibrojax.sweep.simulation.run import Recorded, constants_at, recorded
-from vibrojax.sweep.simulation.trajectory import window
+from vibrojax.studies.trajectory_run import Recorded, constants_at, recorded
 
 PLACE = Place("explore")
 

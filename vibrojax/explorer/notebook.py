@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import xarray as xr
 
 from vibrojax.errors import InputError
-from vibrojax.sweep.input.definition import Sweep
+from vibrojax.maps.sweep import Sweep
 
 if TYPE_CHECKING:
     from vibrojax.explorer.widget import Explorer

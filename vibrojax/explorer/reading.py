@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.io.attributes import table_of
-from vibrojax.plot.axes import certified_text
-from vibrojax.plot.contents import FORM
+from vibrojax.pictures.axes import certified_text
+from vibrojax.pictures.contents import FORM
 
 REGIME_MEANINGS = {
     "undecided": "The motion still grows or decays, or returns too seldom, when the observation ends.",

@@ -12,12 +12,12 @@ from jaxtyping import Float, Int
 
 from vibrojax.compile.xla import precision
 from vibrojax.explorer.encoding import EVENTS, STUCK, TOUCHING, Cell, StateColumn
-from vibrojax.models.scenes import HasContact, HasFriction, Scene
-from vibrojax.models.scenes.declared import Values
+from vibrojax.lanes.compiler import lane_function
+from vibrojax.lanes.dense_output import Record, record_batch, sample
+from vibrojax.lanes.trajectory import SampledMotion, events, states_shown
+from vibrojax.scenes import HasContact, HasFriction, Scene
+from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at
-from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.simulation.dense_output import Record, record_batch, sample
-from vibrojax.sweep.simulation.trajectory import SampledMotion, events, states_shown
 
 RECORDED_LANES = 128
 """Number of lanes that are recorded at once; their steps take about 20 MB."""

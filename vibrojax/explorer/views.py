@@ -11,9 +11,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.analyses.analysis import analysis_of
-from vibrojax.analyses.orbits.analysis import has_lanes_of, rerun_problem, sweep_of_dataset
-from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.explorer.document import (
     Document,
@@ -32,7 +29,16 @@ from vibrojax.explorer.reading import BORDER_MEANINGS, REGIME_MEANINGS
 from vibrojax.explorer.recording import Excerpt, record_cells
 from vibrojax.explorer.trajectory_view import cell_of, motion_document
 from vibrojax.io.attributes import parameters_of, text_of
-from vibrojax.io.branches import (
+from vibrojax.io.dataset import check_dataset
+from vibrojax.io.kinds import kind_of
+from vibrojax.io.variables import orbit_name
+from vibrojax.maps.edited import at_coordinates
+from vibrojax.maps.read import Point, read_point
+from vibrojax.maps.rerun import has_lanes_of, rerun_problem, sweep_of_dataset
+from vibrojax.maps.run import run_sweep
+from vibrojax.maps.sweep import Sweep, with_substitutes
+from vibrojax.periodic.margin import DRIVEN_RETURNS
+from vibrojax.pictures.branch_data import (
     along_name,
     family_coordinates,
     kind_names,
@@ -41,17 +47,11 @@ from vibrojax.io.branches import (
     stability,
     with_selected_families,
 )
-from vibrojax.io.dataset import check_dataset
-from vibrojax.io.kinds import kind_of
-from vibrojax.io.variables import orbit_name
-from vibrojax.periodic.margin import DRIVEN_RETURNS
-from vibrojax.plot.branches import MARKS, curves_of
-from vibrojax.plot.contents import FORM, START, long_axes
-from vibrojax.plot.starts import described
+from vibrojax.pictures.branches import MARKS, curves_of
+from vibrojax.pictures.contents import FORM, START, long_axes
+from vibrojax.pictures.starts import described
 from vibrojax.progress import LOG
-from vibrojax.sweep.input.definition import Sweep, with_substitutes
-from vibrojax.sweep.input.edited import at_coordinates
-from vibrojax.sweep.input.read import Point, read_point
+from vibrojax.studies.analysis import analysis_of
 
 PAGE_MAX_LANES = 40_000
 """Number of lanes above which a page contains no motions; browsers open a larger file slowly."""

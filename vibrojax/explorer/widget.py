@@ -10,10 +10,10 @@ import xarray as xr
 
 from vibrojax.errors import InputError, Place, shown, suggestion
 from vibrojax.explorer.write import LIVE_MODULES, module_text, page_contents, style_text
-from vibrojax.plot.contents import START
-from vibrojax.plot.starts import on_axes
+from vibrojax.maps.sweep import Sweep
+from vibrojax.pictures.contents import START
+from vibrojax.pictures.starts import on_axes
 from vibrojax.progress import LOG
-from vibrojax.sweep.input.definition import Sweep
 
 PLACE = Place("explore", "point")
 

@@ -11,15 +11,15 @@ from pathlib import Path
 import xarray as xr
 
 from vibrojax.errors import InputError
+from vibrojax.explorer.content_policy import content_policy
 from vibrojax.explorer.document import Document
 from vibrojax.explorer.encoding import Cell, deflate, encode
 from vibrojax.explorer.motions import LiveMotions, motions_for
 from vibrojax.explorer.views import cells_of, document_of, with_map
 from vibrojax.io.atomic import atomic_write
-from vibrojax.io.content_policy import content_policy
 from vibrojax.io.provenance import source
-from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.sweep import Sweep
 
 BLOCK_CELLS = 256
 """Number of motions per block; the page inflates a block when one of its motions is selected."""

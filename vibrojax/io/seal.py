@@ -4,7 +4,7 @@ A seal is part of the file and not of the dataset: bytes after the end of an HDF
 key of the file `.zmetadata` of a store. Whatever changes a dataset with another tool writes it without the seal, and
 the dataset then opens as one of unknown origin. A flipped bit, a lost block or a truncated end breaks the seal.
 
-The code is an HMAC of the digest with a secret in the cache folder (see [vibrojax.compile.kernels.cache][]). It tells
+The code is an HMAC of the digest with a secret in the cache folder (see [vibrojax.compile.cache][]). It tells
 the user's own files, which are read in this process, from files of unknown origin, which a process of their own reads
 (`io.untrusted`).
 """

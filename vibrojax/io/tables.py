@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from vibrojax.errors import InputError, Place, nearest, shown
 from vibrojax.io.files import read_regular
-from vibrojax.models.physics.units import is_unit
+from vibrojax.physics.units import is_unit
 
 Rows = list[tuple[int, list[str]]]
 """The non-empty lines of a table: (line number, cells)."""

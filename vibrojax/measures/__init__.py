@@ -12,7 +12,7 @@ from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.motion import Faults, Harmonics, Shares, Swings
 from vibrojax.measures.recorder import Recorder, Records
 from vibrojax.measures.repeats import KeptReturns
-from vibrojax.models.scenes import Driven, HasImpacts, Scene
+from vibrojax.scenes import Driven, HasImpacts, Scene
 
 __all__ = ["GAUGES", "RETURNS_FOR_DRIFT", "Gauge", "Moment", "PulseRecorder", "Recorder", "Records", "Return", "Whole"]
 __all__ += ["gauge_named", "recorder_for"]

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.models.scenes.capabilities import HasContact, HasRock
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.scenes.capabilities import HasContact, HasRock
+from vibrojax.scenes.scene import Scene
 
 HOLE_RADIUS = 0.036
 """Radius of the hole [m] if no `bit_radius` is given."""

@@ -4,8 +4,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
-from vibrojax.models.arrays import Counts, Flags, Lanes
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.physics.arrays import Counts, Flags, Lanes
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 
 Sums = dict[str, Lanes]

@@ -14,9 +14,9 @@ from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.measures.ledger import Ledger
 from vibrojax.measures.recorder import Features, Records
 from vibrojax.measures.repeats import GROWTH, ROCK_STATES, TIME, in_order, put_row, rock_scale, state_name
-from vibrojax.models.arrays import Array, Flags, Lanes, keep
-from vibrojax.models.scenes.capabilities import Driven, HasContact, HasFriction, HasImpacts, HasRock
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.physics.arrays import Array, Flags, Lanes, keep
+from vibrojax.scenes.capabilities import Driven, HasContact, HasFriction, HasImpacts, HasRock
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 from vibrojax.stepping.polynomial import highest, integral, value
 from vibrojax.stepping.series import known

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from vibrojax.measures.gauge import Sums
-from vibrojax.models.arrays import Array, Flags, Lanes, keep
+from vibrojax.physics.arrays import Array, Flags, Lanes, keep
 
 MOST_CYCLES = 8
 """Greatest number of return intervals in a period that can be found."""

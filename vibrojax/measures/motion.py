@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
-from vibrojax.models.arrays import Array, Lanes, keep
-from vibrojax.models.scenes.capabilities import HasFriction
-from vibrojax.models.scenes.declared import Section
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.physics.arrays import Array, Lanes, keep
+from vibrojax.scenes.capabilities import HasFriction
+from vibrojax.scenes.declared import Section
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 from vibrojax.stepping.polynomial import extremes, highest, integral, value
 from vibrojax.stepping.series import known

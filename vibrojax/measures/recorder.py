@@ -18,10 +18,10 @@ from vibrojax.measures.ledger import Ledger
 from vibrojax.measures.motion import section_of
 from vibrojax.measures.repeats import Returns
 from vibrojax.measures.section import Settling
-from vibrojax.models.arrays import Array, Flags, Lanes, Real
-from vibrojax.models.own_code import asked, number_of
-from vibrojax.models.scenes.declared import Values
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.physics.arrays import Array, Flags, Lanes, Real
+from vibrojax.physics.own_code import asked, number_of
+from vibrojax.scenes.declared import Values
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
 
 Features = dict[str, Any]

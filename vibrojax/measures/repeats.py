@@ -9,10 +9,10 @@ import jax.numpy as jnp
 
 from vibrojax.measures.gauge import Gauge, Return, Whole
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.models.arrays import Array, Flags, Lanes, keep
-from vibrojax.models.scenes.capabilities import HasImpacts
-from vibrojax.models.scenes.declared import Section
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.physics.arrays import Array, Flags, Lanes, keep
+from vibrojax.scenes.capabilities import HasImpacts
+from vibrojax.scenes.declared import Section
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane
 
 REPEATS_WITHIN = 1e-3

@@ -14,9 +14,9 @@ from vibrojax.measures import since_start
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.motion import positions, section_of, widened
 from vibrojax.measures.repeats import Range, Returns, Seen, returned
-from vibrojax.models.arrays import Array, Flags, Lanes, keep
-from vibrojax.models.scenes.declared import Section, Swing
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.physics.arrays import Array, Flags, Lanes, keep
+from vibrojax.scenes.declared import Section, Swing
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 from vibrojax.stepping.polynomial import Coefficients, first_guess, slope, value
 

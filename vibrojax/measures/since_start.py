@@ -12,8 +12,8 @@ import numpy as np
 
 from vibrojax.measures.motion import positions, section_of, widened
 from vibrojax.measures.repeats import REPEATS_WITHIN, Range
-from vibrojax.models.scenes.declared import Section
-from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
+from vibrojax.scenes.declared import Section
+from vibrojax.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
 from vibrojax.stepping import Lane
 
 LEAST_SWING, LEAST_MAGNITUDE = 1e-3, 1e-9

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from vibrojax.lanes.batch import Index
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.repeats import SETTLED_WITHIN
 from vibrojax.measures.section import Settling
 from vibrojax.periodic.newton import PeriodicOrbits, PerLane, States
-from vibrojax.sweep.engine.batch import Index
 
 NEAR_ORBIT = SETTLED_WITHIN / 2
 """Scaled distance within which the last section crossings must repeat."""

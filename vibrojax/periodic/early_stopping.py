@@ -19,6 +19,10 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool
 
+from vibrojax.lanes.batch import Batch, Features, Index, PerLane
+from vibrojax.lanes.chunks import certified
+from vibrojax.lanes.underway import EarlyStopping, Ended
+from vibrojax.maps.sweep import Sweep
 from vibrojax.measures import since_start
 from vibrojax.periodic.approach import (
     DISTINCT_STATES,
@@ -33,10 +37,6 @@ from vibrojax.periodic.margin import Measuring, begun
 from vibrojax.periodic.newton import PeriodicOrbits, orbits, repeats_after
 from vibrojax.periodic.return_map import STEPS, Segments
 from vibrojax.stepping import Located
-from vibrojax.sweep.engine.batch import Batch, Features, Index, PerLane
-from vibrojax.sweep.engine.chunks import certified
-from vibrojax.sweep.engine.underway import EarlyStopping, Ended
-from vibrojax.sweep.input.definition import Sweep
 
 EARLY_END_MIN_SECONDS = 5e6
 """Simulated seconds, summed over all lanes, below which compiling the return map takes longer than it saves.

@@ -9,11 +9,11 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, orbit_name
+from vibrojax.lanes.batch import Index
 from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.since_start import half_names, scale_names, stored_scales
-from vibrojax.models.scenes import Scene
 from vibrojax.periodic.return_map import Segments
-from vibrojax.sweep.engine.batch import Index
+from vibrojax.scenes import Scene
 
 STEP_ALLOWANCE = 8
 """Step limit between two crossings of motions close to orbits, as a multiple of the steps that the orbits take."""

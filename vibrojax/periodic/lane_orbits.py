@@ -6,10 +6,11 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from vibrojax.io.variables import ORBIT_REASONS, orbit_name
+from vibrojax.lanes.batch import Features, Index
+from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.repeats import REPEATS_WITHIN, TIME, state_name
 from vibrojax.measures.since_start import half_names, scale_names, stored_scales
-from vibrojax.models.scenes import Scene
 from vibrojax.periodic.margin import GRAZING, HOW, Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import (
     ACCEPTED,
@@ -23,8 +24,7 @@ from vibrojax.periodic.newton import (
     spectral_radius,
 )
 from vibrojax.periodic.return_map import STEPS, ReturnMap, Segments
-from vibrojax.sweep.engine.batch import Features, Index
-from vibrojax.sweep.input.definition import Sweep
+from vibrojax.scenes import Scene
 
 OWN_ORBIT_MIN, OWN_ORBIT_MAX = 1e-2, 0.5
 """Bounds of the scaled distance within which an orbit is attributed to a lane."""

@@ -25,17 +25,17 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.compile.xla import workers
+from vibrojax.lanes.batch import Batch, Engine, Features, Index, PerLane
+from vibrojax.lanes.programs import Given
+from vibrojax.maps.sweep import Sweep
 from vibrojax.measures import recorder_for
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.models.arrays import Array, Flags, Lanes
-from vibrojax.models.scenes.declared import Section
-from vibrojax.models.scenes.scene import ROUNDINGS, Scene
+from vibrojax.physics.arrays import Array, Flags, Lanes
+from vibrojax.scenes.declared import Section
+from vibrojax.scenes.scene import ROUNDINGS, Scene
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, Step
 from vibrojax.stepping.polynomial import Coefficients, slope, value
 from vibrojax.stepping.series import known
-from vibrojax.sweep.engine.batch import Batch, Engine, Features, Index, PerLane
-from vibrojax.sweep.engine.programs import Given
-from vibrojax.sweep.input.definition import Sweep
 
 HOW = (
     "the least over the orbit of: |rate of a guard| where it is reached, over (its typical value times the rate of the "

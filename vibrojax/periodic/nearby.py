@@ -9,6 +9,8 @@ a simulation confirms its number of impacts.
 import numpy as np
 from jaxtyping import Int
 
+from vibrojax.lanes.batch import Features, Index, PerLane
+from vibrojax.maps.sweep import Sweep
 from vibrojax.measures import RETURNS_FOR_DRIFT
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.ledger import MOST_CYCLES
@@ -16,8 +18,6 @@ from vibrojax.periodic.lane_orbits import last_returns
 from vibrojax.periodic.margin import GRAZING, Measuring, begun
 from vibrojax.periodic.newton import ACCEPTED, PeriodicOrbits, orbits, repeats_after, spectral_radius
 from vibrojax.periodic.return_map import STEPS, Segments
-from vibrojax.sweep.engine.batch import Features, Index, PerLane
-from vibrojax.sweep.input.definition import Sweep
 
 REACH = 0.5
 """Largest distance of the recorded section crossings from a nearby orbit, in units of the states' scales. Of 197 lanes

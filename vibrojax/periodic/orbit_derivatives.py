@@ -16,22 +16,22 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.compile.xla import precision, workers
 from vibrojax.io.variables import VARIABLES
+from vibrojax.lanes.compiler import lane_function
+from vibrojax.lanes.labelled import measured_besides
 from vibrojax.measures import PulseRecorder, Recorder, recorder_for
 from vibrojax.measures.derived import HOLE_RADIUS
 from vibrojax.measures.derived import derived as derived_quantities
 from vibrojax.measures.recorder import Effort, Underway, observe_block, settle_block
 from vibrojax.measures.repeats import KeptReturns
 from vibrojax.measures.section import on_orbit
-from vibrojax.models.arrays import Array, Lanes
-from vibrojax.models.scenes import Scene
 from vibrojax.periodic.margin import begun, observation
 from vibrojax.periodic.newton import ACCEPTED, PeriodicOrbits, PerLane, chain, orbits
 from vibrojax.periodic.return_map import Segments, in_calls
 from vibrojax.periodic.tangent_loop import with_derivatives
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, ZERO_MULTIPLIER, Variations, eigenvalues
+from vibrojax.physics.arrays import Array, Lanes
+from vibrojax.scenes import Scene
 from vibrojax.stepping import Accuracy, Located, lane_at
-from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.engine.labelled import measured_besides
 
 EXACT = 1e-14
 """Residual below which an orbit is not improved any further."""

@@ -16,15 +16,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.compile.xla import precision, workers
+from vibrojax.lanes.compiler import lane_function
+from vibrojax.lanes.parallel import in_parallel
 from vibrojax.measures.section import lowest, rising
-from vibrojax.models.arrays import Array, Flags, Lanes, Real
-from vibrojax.models.scenes import Driven, HasImpacts, Scene
-from vibrojax.models.scenes.declared import Section, Values
 from vibrojax.periodic.margin import Margin
 from vibrojax.periodic.tangent_loop import Loop
+from vibrojax.physics.arrays import Array, Flags, Lanes, Real
+from vibrojax.scenes import Driven, HasImpacts, Scene
+from vibrojax.scenes.declared import Section, Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
-from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.engine.parallel import in_parallel
 
 MOST_STEPS = 4000
 """Default limit of steps between two section crossings; the usual drill takes about fifty."""

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from vibrojax.models.arrays import Array, Flags
+from vibrojax.physics.arrays import Array, Flags
 
 X = TypeVar("X")
 Y = TypeVar("Y")

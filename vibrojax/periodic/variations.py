@@ -16,13 +16,13 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.compile.xla import workers
-from vibrojax.models.arrays import Array, Lanes
-from vibrojax.models.scenes import Scene
+from vibrojax.lanes.compiler import lane_function
 from vibrojax.periodic.margin import Margin
 from vibrojax.periodic.newton import PeriodicOrbits, PerLane, shooting_matrix, solve
 from vibrojax.periodic.return_map import MOST_STEPS, ReturnLoop, in_calls, map_state
+from vibrojax.physics.arrays import Array, Lanes
+from vibrojax.scenes import Scene
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
-from vibrojax.sweep.engine.compiler import lane_function
 
 DERIVATIVE_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
 """Accuracy of the steps; the series of tangents converge more slowly than the series of the motion."""

@@ -1,6 +1,6 @@
 """Steppers: time integration of many lanes at once, with the interface [vibrojax.stepping.stepper.Stepper][]."""
 
-from vibrojax.models.arrays import keep
+from vibrojax.physics.arrays import keep
 from vibrojax.stepping.located import LOCATED_STRIDE, Located
 from vibrojax.stepping.smoothed import Smoothed
 from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Clock, Goal, Lane, Step, Stepper, lane_at

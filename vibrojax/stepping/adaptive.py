@@ -6,9 +6,9 @@ import diffrax
 import jax.numpy as jnp
 
 from vibrojax.errors import InputError
-from vibrojax.models.arrays import Array
-from vibrojax.models.scenes.declared import Values
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.physics.arrays import Array
+from vibrojax.scenes.declared import Values
+from vibrojax.scenes.scene import Scene
 
 MOST_STEPS = 10_000_000
 """Greatest number of steps of one trajectory, so that a stalled solver stops."""

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from vibrojax.models.arrays import Array, Flags, Lanes, keep
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.physics.arrays import Array, Flags, Lanes, keep
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping.polynomial import Coefficients, first_guess, root, slope, value
 
 TANGENT_GUESS = 0.5

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from vibrojax.errors import InputError, shown
-from vibrojax.models.arrays import Array, keep
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.physics.arrays import Array, keep
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Landing, Trial, locate
 from vibrojax.stepping.polynomial import rough_root, slope
 from vibrojax.stepping.series import expand

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import custom_jvp, lax
 
-from vibrojax.models.arrays import Array, Real, keep
+from vibrojax.physics.arrays import Array, Real, keep
 
 Coefficients = Sequence[Array]
 """Coefficients of a polynomial in tau, each (lanes,), in ascending order from tau^0."""

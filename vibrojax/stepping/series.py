@@ -3,7 +3,7 @@
 Coefficients are computed one order at a time, so that the next coefficient of a state may depend on all lower
 coefficients. In this way the solution of an ordinary differential equation is expanded (Jorba and Zou, Experimental
 Mathematics 14 (2005); Biscani and Izzo, heyoka, MNRAS 504 (2021)). Equations written with +, -, *, / and
-[vibrojax.models.physics.elementary][] accept series unchanged.
+[vibrojax.physics.elementary][] accept series unchanged.
 
 Most equations are linear. A series is therefore stored as its value at the start of the step and a linear combination
 of coefficient sequences: one per state, and one per product, quotient or function. Sums and scalings only change the
@@ -15,8 +15,8 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from vibrojax.models.arrays import Array, Lanes, Real, Value, keep
-from vibrojax.models.physics import elementary
+from vibrojax.physics import elementary
+from vibrojax.physics.arrays import Array, Lanes, Real, Value, keep
 
 Number = Any
 """A coefficient: an array (lanes,) or a float. The float 0.0 means that the coefficient is identically zero."""

@@ -12,9 +12,9 @@ from typing import Any
 import jax.numpy as jnp
 from jax import lax
 
-from vibrojax.models.arrays import Array, Real
-from vibrojax.models.scenes.declared import Values
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.physics.arrays import Array, Real
+from vibrojax.scenes.declared import Values
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Trial, locate
 from vibrojax.stepping.series import known
 from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Lane, Step, Stepper, taken, trial_length

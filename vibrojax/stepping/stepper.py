@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from vibrojax.models.arrays import Array, Flags, Lanes, Real, keep
-from vibrojax.models.scenes.scene import Scene
+from vibrojax.physics.arrays import Array, Flags, Lanes, Real, keep
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Landing, Trial
 
 

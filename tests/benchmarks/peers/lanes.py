@@ -6,9 +6,9 @@ from itertools import product
 import numpy as np
 
 from peers._peer import Points
-from vibrojax.analyses.accuracy.cases import REFERENCE, SECOND_REFERENCE
-from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.lanes.chunks import Chunks
+from vibrojax.maps.read import read_sweep
+from vibrojax.studies.accuracy_cases import REFERENCE, SECOND_REFERENCE
 
 BOX = {"beta": (0.25, 0.6), "gamma": (0.6, 0.8), "v": (0.5, 2.0), "delta": (-0.005, 0.01)}
 AXIS = 8

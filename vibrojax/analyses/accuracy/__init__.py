@@ -1,1 +1,0 @@
-"""Speed against error: run time and error of every method, measured on this computer."""

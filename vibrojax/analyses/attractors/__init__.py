@@ -1,1 +1,0 @@
-"""Coexisting attractors: motions at each grid point, matched between neighbouring points, and their basins."""

@@ -1,1 +1,0 @@
-"""Borders of the region of stable single-impact orbits in planes of two parameters, as curves classified by kind."""

@@ -1,1 +1,0 @@
-"""Largest Lyapunov exponents across all events, and the classification of lanes (periodic, chaotic, ...) by them."""

@@ -1,1 +1,0 @@
-"""The analysis `curves`: special points of periodic orbits, continued in a second parameter."""

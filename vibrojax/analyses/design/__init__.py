@@ -1,1 +1,0 @@
-"""The best drill under constraints that hold from every start and at samples of the tolerances."""

@@ -1,1 +1,0 @@
-"""Periodic orbits of the lanes of a sweep, with their multipliers."""

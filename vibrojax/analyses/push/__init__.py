@@ -1,1 +1,0 @@
-"""The smallest push (sudden change) in each state variable after which a machine leaves its attractor."""

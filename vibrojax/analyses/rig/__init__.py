@@ -1,1 +1,0 @@
-"""The analysis `rig`: what drilling engineers look at in a rig log."""

@@ -1,1 +1,0 @@
-"""Laws fitted to rig measurements and to the results of sweeps."""

@@ -1,1 +1,0 @@
-"""Derivatives of a lane's measured features with respect to its parameters."""

@@ -1,1 +1,0 @@
-"""Sweeps over parameter spaces: running, resuming, joining chunks, and drawing."""

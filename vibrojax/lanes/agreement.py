@@ -1,0 +1,214 @@
+"""Comparison of kernels with XLA on the first steps of a scene.
+
+A kernel integrates some lanes over their first time steps. XLA computes each of these steps from the same state as the
+kernel, so that rounding errors do not accumulate. The comparison covers:
+
+- the constants, the guards, and the jumps at all events, whether the events occur or not: one event in each lane, all
+  events in turn
+- the state and the mode after the step
+- the values that recorders and gauges accumulate and the features that they return
+
+Functions of a scene that are called only for tables and plots of a trajectory, such as the force of a pulse, are
+compared only where these values depend on them.
+"""
+
+from collections.abc import Hashable, Mapping
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vibrojax.compile import Subject
+from vibrojax.compile.agreement import Difference, first_difference, take_lanes
+from vibrojax.compile.assembly import LANES
+from vibrojax.compile.native import Kernel
+from vibrojax.errors import InputError
+from vibrojax.lanes.programs import Given, Kind, constants_of, state_of
+from vibrojax.measures import recorder_for
+from vibrojax.scenes import Scene
+from vibrojax.stepping import Accuracy, AccuracyRequest, Goal, Lane, Located, Stepper, lane_at
+
+COMPARED_LANES = 8
+"""Number of compared lanes. Compared lanes times compared steps fill the lane axis of a trace."""
+
+COMPARED_STEPS = LANES // COMPARED_LANES
+"""Number of compared steps of each lane: two to three periods of the motion of a drill."""
+
+
+class LaneProgress(NamedTuple):
+    """Lanes between two steps, with the recorder's values while they settle and while they are observed."""
+
+    lane: Lane
+    settling: Any
+    observed: Any
+
+
+class Beginning(NamedTuple):
+    """Constants of lanes, and the lanes at t = 0."""
+
+    constants: Any
+    way: LaneProgress
+
+
+class ComparedStep(NamedTuple):
+    """Quantities of one step. Causes come before effects, so that the first difference causes the others.
+
+    - `guards`: value of each guard function before the step.
+    - `jump`: mode and state that the event with the lane's number would give, had it occurred before the step.
+    - `derivative`: directional derivative of the state after the step with respect to state and parameters before it.
+    - `way`: the lanes after the step.
+    """
+
+    guards: dict[str, Any]
+    jump: Any
+    derivative: Any
+    way: LaneProgress
+
+
+class Read(NamedTuple):
+    """Features that the recorder returns, by name."""
+
+    features: Any
+
+
+def begin(kind: Kind, given: Given) -> Beginning:
+    """Return lanes at t = 0, without recorder values if the scene cannot be measured."""
+    scene, recorder, c = kind.scene, kind.recorder, constants_of(kind, given)
+    lane = lane_at(scene, c, state_of(kind, scene.constants(given.parameters), given))
+    if recorder is None:
+        return Beginning(c, LaneProgress(lane, (), ()))
+    settling = recorder.settling(scene, lane)
+    return Beginning(c, LaneProgress(lane, settling, recorder.begin(scene, c, lane, settling)))
+
+
+def step(
+    kind: Kind, derives: bool, given: Given, c: Any, way: LaneProgress, accuracy: Accuracy, event: Any
+) -> ComparedStep:
+    """Compute one step of lanes with the constants `c`, and its derivative if `derives`.
+
+    `event`: the number of a guard in each lane, as floats.
+    """
+    scene, recorder, before = kind.scene, kind.recorder, way.lane
+
+    def advance(state: tuple[Any, ...], parameters: Mapping[str, Any]) -> Any:
+        own = constants_of(kind, given._replace(parameters=dict(parameters))) if derives else c
+        goal = Goal(jnp.inf, jnp.ones_like(state[0], bool))
+        lane, taken = kind.stepper.step(scene, own, before._replace(state=state), accuracy, goal, marked=True)
+        return lane.state, (lane, taken)
+
+    inputs, derivative = (before.state, given.parameters), None
+    if derives:
+        _, derivative, (lane, taken) = jax.jvp(advance, inputs, inputs, has_aux=True)
+    else:
+        _, (lane, taken) = advance(*inputs)
+    hits = {name: jnp.zeros_like(event, bool) for name in scene.event_names}
+    hits |= {name: event == number for number, name in enumerate(scene.guard_names)}
+    jump = scene.after_event(c, before.mode, before.state, hits)
+    after = LaneProgress(lane, (), ())
+    if recorder is not None:
+        settling = recorder.settle_returns(recorder.settle(scene, c, way.settling, lane, taken))
+        observed = recorder.step(scene, c, way.observed, lane, taken)
+        observed = recorder.take_returns(scene, c, observed, lane, jnp.full_like(lane.state[0], 0.5))
+        after = LaneProgress(lane, settling, observed)
+    guards = dict(zip(scene.guard_names, scene.guard_values(c, before.mode, before.state), strict=True))
+    return ComparedStep(guards, jump, derivative, after)
+
+
+def read(kind: Kind, c: Any, observed: Any) -> Read:
+    """Return the features of lanes. A trajectory reads them by a kernel with the same text."""
+    return Read(kind.recorder.read(kind.scene, c, observed))
+
+
+class Comparison:
+    """Comparison of the first steps of the first lanes in `given`, computed by a kernel and by XLA.
+
+    `derives`: whether the derivative of each step is compared too. **Raises:** `Untranslatable` if no kernel can be
+    made.
+    """
+
+    def __init__(self, kind: Kind, given: Given, derives: bool) -> None:
+        dtype = np.dtype(jnp.result_type(float))
+        accuracy = kind.stepper.accuracy(AccuracyRequest(precision=dtype.name), kind.scene)
+        lanes = np.resize(np.arange(min(COMPARED_LANES, len(given.start))), COMPARED_LANES)
+        self._given, self._accuracy = take_lanes(given, lanes), Accuracy(*(np.asarray(x, dtype) for x in accuracy))
+        self._begin, self._step, self._read = partial(begin, kind), partial(step, kind, derives), partial(read, kind)
+        self._begin_kernel = Kernel(self._begin, self._given)
+        self._start: Beginning = self._begin_kernel(self._given)
+        # Lane by lane and step by step, the events come in turn.
+        events = max(len(kind.scene.guard_names), 1)
+        self._events = np.add.outer(np.arange(COMPARED_STEPS), np.arange(COMPARED_LANES)).astype(dtype) % events
+        arguments = self._given, *self._start, self._accuracy, self._events[0]
+        self._step_kernel = Kernel(self._step, *arguments)
+        observed = self._start.way.observed
+        self._read_kernel = None if kind.recorder is None else Kernel(self._read, self._start.constants, observed)
+
+    @property
+    def key(self) -> str:
+        """Hash of the kernels that are compared with XLA."""
+        kernels = self._begin_kernel, self._step_kernel, self._read_kernel
+        return "".join(kernel.key for kernel in kernels if kernel is not None)
+
+    def difference(self) -> Difference | None:
+        """Return the first quantity in which kernel and XLA differ, or None if they agree."""
+        c, ways = self._start.constants, [self._start.way]
+        for events in self._events[:-1]:
+            ways.append(self._step_kernel(self._given, c, ways[-1], self._accuracy, events).way)
+        every = jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *ways)
+        given, c = take_lanes((self._given, c), np.tile(np.arange(COMPARED_LANES), COMPARED_STEPS))
+        difference = first_difference(self._begin, self._begin_kernel, self._given)
+        difference = difference or first_difference(
+            self._step, self._step_kernel, given, c, every, self._accuracy, self._events.ravel()
+        )
+        if difference is None and self._read_kernel is not None:
+            return first_difference(self._read, self._read_kernel, c, every.observed)
+        return difference
+
+
+def scene_subject(static: tuple[Hashable, ...], arguments: tuple[Any, ...], derives: bool) -> Subject | None:
+    """Return the scene of a call as subject of a comparison, or None if no static argument is a scene or a `Kind`."""
+    kind = next((x for x in static if isinstance(x, Kind)), None)
+    if kind is None:
+        scene = next((x for x in static if isinstance(x, Scene)), None)
+        if scene is None:
+            return None
+        stepper = next((x for x in static if isinstance(x, Stepper)), Located())
+        kind = Kind(scene, stepper, recorder_of(scene), scene.starts)
+    return Subject(
+        owner=kind.scene,
+        label=f'scene "{kind.scene.name}"',
+        code=kind,
+        variant=(kind.stepper, derives),
+        compare=lambda: Comparison(kind, lanes_of(kind, arguments), derives),
+    )
+
+
+@lru_cache
+def recorder_of(scene: Scene[Any]) -> Any:
+    """Return the recorder of a scene, or None if the scene has nothing to measure or its declarations are invalid."""
+    try:
+        return recorder_for(scene)
+    except InputError:
+        return None
+
+
+def lanes_of(kind: Kind, arguments: tuple[Any, ...]) -> Given:
+    """Return lanes on which to compare a call: those among its arguments.
+
+    If there are none, the lanes have the parameters among the arguments, or else values near the defaults, and the
+    scene's initial conditions in turn.
+    """
+    given = next((x for x in arguments if isinstance(x, Given)), None)
+    if given is not None:
+        return given
+    dtype, lanes = jnp.result_type(float), np.arange(COMPARED_LANES)
+    parameters = kind.scene.parameters()
+    known = next((x for x in arguments if isinstance(x, Mapping) and set(parameters) <= set(x)), None)
+    if known is None:
+        # No two lanes are equal.
+        values = {name: x.default * (1 + 0.02 * lanes) for name, x in parameters.items()}
+    else:
+        values = {name: np.resize(np.asarray(known[name]), COMPARED_LANES) for name in parameters}
+    starts = lanes % max(len(kind.starts), 1)
+    return Given({name: x.astype(dtype) for name, x in values.items()}, starts.astype(np.int32))

@@ -1,0 +1,97 @@
+"""Compiled programs of lanes. Kernels of scenes from outside the package are first compared with XLA."""
+
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import llvmlite
+import numpy as np
+from jaxlib import version as jaxlib
+
+from vibrojax import compile as compilation
+from vibrojax.compile import native, trusted_kernel
+from vibrojax.compile.agreement import check
+from vibrojax.compile.native import BoundKernel, Kernel
+from vibrojax.compile.xla import BoundProgram, compiler_options, evaluation
+from vibrojax.lanes.agreement import scene_subject
+from vibrojax.lanes.programs import Kind, settle_lanes
+from vibrojax.physics import elementary
+
+R = TypeVar("R")
+
+KERNEL_REGISTERS = {settle_lanes: 2}
+"""Vector registers per value of a group of lanes, by default 1. With two, the processor starts an operation on one
+register while that on the other is still in progress. The observation has too many values for two."""
+
+XLA_BLOCK = 64
+"""Lanes that XLA steps together on a CPU core. The arrays of a step fit into the cache, and few lanes wait for others.
+Every block has this size and runs in one thread, so that no bit of a lane depends on the other lanes."""
+
+XLA_BLOCKS_PER_CALL = 8
+"""Blocks per call of a program, computed one after another. A call costs as much as some hundred steps of a block."""
+
+XLA_BLOCK_ON_ACCELERATOR = 16384
+"""Lanes that step together on an accelerator, where a step of few lanes costs as much as a step of many."""
+
+EQUATION_FUNCTIONS = (*(x for x in vars(elementary).values() if hasattr(x, "registry")), jnp.arctan2)
+"""Elementary functions that equations and measures use: the generic functions of `elementary`, and arctan2."""
+
+
+def lane_function(static: int, derives: bool = False) -> Callable[[Callable[..., R]], Callable[..., R]]:
+    """Return a decorator that compiles a function of lanes; see [vibrojax.compile.lane_function][].
+
+    Kernels of a scene from outside the package run only if the first steps of this scene agree with XLA. `derives`:
+    whether the function computes derivatives of a scene's equations.
+    """
+    return compilation.lane_function(static, derives=derives, policy=scene_subject)
+
+
+class Programs:
+    """Compiled programs of one `Kind`. They take and return arrays whose last axis is the lane axis, of any length.
+
+    The programs are kernels for the CPU, which raise `Untranslatable` if no kernel can be made or trusted, or compiled
+    by XLA for the devices of a `platform`, such as "cpu".
+
+    - `block`: number of lanes that step together, so that each waits for the slowest.
+    - `lanes_per_call`: number of lanes per call, large enough for a small overhead of the call.
+    - `compiler`: name of the compiler.
+    """
+
+    def __init__(self, kind: Kind, dtype: np.dtype, platform: str | None = None) -> None:
+        self.kind, self._dtype, self._platform = kind, dtype, platform
+        self._kernels: dict[Hashable, Kernel] = {}
+        self.compiler = "llvm" if platform is None else "xla"
+        self.block = XLA_BLOCK if platform == "cpu" else XLA_BLOCK_ON_ACCELERATOR
+        self.lanes_per_call = XLA_BLOCKS_PER_CALL * XLA_BLOCK if platform == "cpu" else XLA_BLOCK_ON_ACCELERATOR
+        if platform is None:
+            self.block = max(KERNEL_REGISTERS.values()) * native.vector_bytes() // dtype.itemsize
+            self.lanes_per_call = 1024  # few enough for all threads to have work
+
+    def check_arithmetic(self) -> None:
+        """Compile `EQUATION_FUNCTIONS` like the programs; raise `InputError` if one of them differs from numpy."""
+        evaluate, compiler = _evaluate_by_kernel, f"llvmlite {llvmlite.__version__}"
+        if self._platform is not None:
+            options = tuple(compiler_options(self._platform).items())
+            evaluate, compiler = evaluation(options), f"jaxlib {jaxlib.__version__}"
+        check(evaluate, EQUATION_FUNCTIONS, compiler, self._dtype, self.block)
+
+    def bind(self, program: Callable[..., Any], *arguments: Any) -> BoundKernel | BoundProgram:
+        """Return a program of lanes bound to arguments, to compute some lanes at a time.
+
+        Uses the current device and precision, in which calls of a `BoundProgram` must be made as well.
+        """
+        if self._platform is None:
+            leaves, tree = jax.tree.flatten(arguments)
+            key = (program, tree, *native.types_of(leaves))
+            kernel = self._kernels.get(key)
+            if kernel is None:
+                registers = KERNEL_REGISTERS.get(program, 1)
+                kernel = trusted_kernel(program, (self.kind,), *arguments, registers=registers, policy=scene_subject)
+                self._kernels[key] = kernel
+            return kernel.bind_leaves(leaves)
+        return BoundProgram(program, (self.kind,), self.block, self.lanes_per_call // self.block, *arguments)
+
+
+def _evaluate_by_kernel(function: Callable[..., Any], *x: Any) -> Any:
+    return Kernel(function, *x)(*x)

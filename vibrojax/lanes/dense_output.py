@@ -1,0 +1,254 @@
+"""Dense output of one lane: the polynomial of every step is stored, so that the motion can be evaluated at any time."""
+
+from collections.abc import Callable
+from functools import reduce
+from math import ceil
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrojax.errors import InputError, Place
+from vibrojax.io.formatting import size_text
+from vibrojax.lanes.compiler import lane_function
+from vibrojax.maps.costs import memory
+from vibrojax.measures.recorder import Features, Records
+from vibrojax.physics.arrays import Array
+from vibrojax.scenes import HasFriction, Scene
+from vibrojax.scenes.declared import Values
+from vibrojax.stepping import Accuracy, Goal, Lane, Stepper, lane_at
+
+BATCH = 512
+"""Number of steps per call of the compiled program, large enough for a small overhead of the call."""
+
+RECORD_MAX_STEPS = 20_000 * BATCH
+"""Maximum number of steps of a motion. Ten million steps take some gigabytes; a longer motion is probably a mistake."""
+
+_COPIES = 3
+"""Number of copies of the polynomials in memory at once: in batches, concatenated, and during evaluation."""
+
+
+class Record(NamedTuple):
+    """The steps of one lane, along the first axis of the arrays.
+
+    - `start`, `dt` [s]: beginning and length of each step; `h` [s]: length scale of the polynomials, more than `dt` if
+      an event ends the step.
+    - `polynomials`: coefficients of the states in powers of (t - start)/h.
+    - `mode`: mode at the beginning of the step; `after`: state at the beginning of the next step.
+    - `hits`: True for the guards and markers whose zero ends the step; `falling`: for markers that cross zero
+      downwards.
+    """
+
+    start: Float[Array, " steps"]
+    h: Float[Array, " steps"]
+    dt: Float[Array, " steps"]
+    polynomials: Float[Array, "steps states orders"]
+    mode: Float[Array, "steps modes"]
+    after: Float[Array, "steps states"]
+    hits: Bool[Array, "steps events"]
+    falling: Bool[Array, "steps markers"]
+
+
+def record(
+    scene: Scene[Any],
+    stepper: Stepper,
+    constants: Any,
+    state: Values,
+    accuracy: Accuracy,
+    duration: float,
+    report: Callable[[float], None] | None = None,
+    most_steps: int = RECORD_MAX_STEPS,
+    recorder: Records | None = None,
+    begin: float = 0.0,
+) -> tuple[Record, Features]:
+    """Step one lane from t = 0 to `duration` [s]; return its steps, and its features from the time `begin` [s] on.
+
+    The features, by name, have the shape (1,), or (1, returns) for the last section crossings. One step ends at the
+    time `begin`.
+
+    **Arguments:** `constants`, `state`: constants of the scene and initial state, each (1,); `report(t)`: is called
+    after each batch of steps; `recorder`: recorder that measures the features, None if there are none.
+
+    **Raises:** `InputError` if the motion takes more than `most_steps` steps, or if events follow each other for ever.
+    """
+    constants, lane = begun(scene, constants, state)
+    settled = carry = () if recorder is None else _settling(scene, recorder, lane)
+    parts: list[Any] = []
+    for first, end in ((0.0, begin), (begin, duration)) if recorder is not None else ((0.0, duration),):
+        if recorder is not None:
+            # Recorded steps end on the section throughout. A sweep's steps do so only during the observation.
+            carry = _begin(scene, recorder, constants, lane, settled)
+        while True:
+            if len(parts) >= ceil(most_steps / BATCH):
+                raise InputError(
+                    f"simulate: duration: {most_steps} steps, all there is room for, led to "
+                    f"{float(lane.clock.high[0]):.3g} s of {duration:g} s; give a shorter duration, or a softer contact"
+                )
+            lane, carry, part = record_batch(
+                scene, stepper, recorder, BATCH, constants, lane, carry, accuracy, np.float64(first), np.float64(end)
+            )
+            parts.append({name: np.asarray(x)[..., 0] for name, x in part.items()})
+            if report:
+                report(float(lane.clock.high[0]))
+            if not float(lane.clock.until(end)[0]) > 0:
+                break
+            if not parts[-1]["dt"].any():
+                raise InputError(
+                    f"simulate: at {float(lane.clock.high[0]):.6g} s, events follow one another without end; "
+                    "check that the reset of an event moves the state off the event's own surface"
+                )
+        if recorder is not None:
+            settled = recorder.settled(settled, carry)
+    whole = Record(**{name: np.concatenate([part[name] for part in parts]) for name in Record._fields})
+    features = {} if recorder is None else _read(scene, recorder, constants, carry)
+    return Record(*(x[(whole.dt > 0) | whole.hits.any(axis=1)] for x in whole)), {
+        name: np.moveaxis(np.asarray(x), -1, 0) for name, x in features.items()
+    }
+
+
+@lane_function(static=2)
+def _settling(scene: Scene[Any], recorder: Records, lane: Lane) -> Any:
+    return recorder.settling(scene, lane)
+
+
+@lane_function(static=2)
+def _begin(scene: Scene[Any], recorder: Records, c: Any, lane: Lane, settled: Any) -> Any:
+    return recorder.begin(scene, c, lane, settled)
+
+
+@lane_function(static=2)
+def _read(scene: Scene[Any], recorder: Records, c: Any, carry: Any) -> Features:
+    return recorder.read(scene, c, carry)
+
+
+@lane_function(static=1)
+def begun(scene: Scene[Any], constants: Any, state: Values) -> tuple[Any, Lane]:
+    """Return the constants, scaled for a motion from `state`, and the lane at t = 0 in this state."""
+    constants = scene.scaled(constants, state)
+    return constants, lane_at(scene, constants, state)
+
+
+@lane_function(static=4)
+def record_batch(
+    scene: Scene[Any],
+    stepper: Stepper,
+    recorder: Records | None,
+    count: int,
+    constants: Any,
+    lane: Lane,
+    carry: Any,
+    accuracy: Accuracy,
+    begin: Array,
+    end: Array,
+) -> tuple[Lane, Any, Any]:
+    """Step lanes `count` times, or fewer if they reach the time `end` [s], and record their steps.
+
+    `carry`: carry of the recorder for an observation from `begin` to `end`, () without a recorder.
+
+    **Returns:** the lanes and the carry after the steps, and the fields of `Record` by name,
+    arrays (steps, ..., lanes).
+    """
+
+    def flags(names: tuple[str, ...], flags_of: Any, like: Array) -> Array:
+        return jnp.stack([flags_of[name] for name in names]) if names else jnp.zeros((0, *like.shape), bool)
+
+    def advance(now: tuple[Lane, Any], _: None) -> tuple[tuple[Lane, Any], Any]:
+        lane, carry = now
+        moving = lane.clock.until(end) > 0
+        new, step = stepper.step(scene, constants, lane, accuracy, Goal(end, moving))
+        if recorder is not None:
+            carry = recorder.step(scene, constants, carry, new, step)
+            carry = recorder.take_returns(scene, constants, carry, new, (new.clock.high - begin) / (end - begin))
+        columns = {
+            "start": lane.clock.high,
+            "h": step.h,
+            "dt": step.dt,
+            "polynomials": jnp.stack([jnp.stack(series) for series in step.polynomials]),
+            "mode": jnp.stack(step.mode),
+            "after": jnp.stack(step.after),
+            "hits": flags(scene.event_names, step.hits, moving),
+            "falling": flags(scene.marker_names, step.falling, moving),
+        }
+        return (new, carry), columns
+
+    (lane, carry), steps = jax.lax.scan(advance, (lane, carry), length=count)
+    return lane, carry, steps
+
+
+def sample(
+    record: Record, times: Float[np.ndarray, " samples"]
+) -> tuple[Float[Array, "states samples"], Float[Array, "modes samples"], Int[Array, " samples"]]:
+    """Return states and modes at `times` [s], and the index of the step that contains each sample.
+
+    The index counts only steps of nonzero length.
+    """
+    moving = record.dt > 0
+    start, h = record.start[moving], record.h[moving]
+    step = np.clip(np.searchsorted(start, times, side="right") - 1, 0, len(start) - 1)
+    tau = np.minimum(times - start[step], record.dt[moving][step]) / h[step]
+    states = _evaluate(record.polynomials[moving][step], tau)
+    return states.T, record.mode[moving][step].T, step
+
+
+def accumulated(record: Record, state: int) -> Float[np.ndarray, " moving"]:
+    """Return the offset in each step of nonzero length that makes a state continuous in spite of its resets to zero."""
+    moving = record.dt > 0
+    polynomials = record.polynomials[moving][:, state : state + 1]
+    start = polynomials[:, 0, 0]
+    growth = _evaluate(polynomials, record.dt[moving] / record.h[moving])[:, 0] - start
+    return np.concatenate([[0.0], np.cumsum(growth)[:-1]]) - start
+
+
+def _evaluate(
+    coefficients: Float[Array, "steps states orders"], tau: Float[Array, " steps"]
+) -> Float[Array, "steps states"]:
+    """Evaluate polynomials at `tau`."""
+    return reduce(lambda values, x: values * tau[:, None] + x, coefficients.transpose(2, 0, 1)[::-1])
+
+
+def check_size(
+    place: Place,
+    scene: Scene[Any],
+    constants: Any,
+    duration: float,
+    accuracy: Accuracy,
+    stepper: Stepper | None,
+    samples: int,
+) -> int:
+    """Return the maximum number of steps that fit in memory.
+
+    `constants`: constants of the scene, each (1,); `stepper`: None for a diffrax solver, whose steps are not stored.
+
+    **Raises:** `InputError` if the motion takes more steps, even without events.
+    """
+    if stepper is None:
+        from vibrojax.stepping.adaptive import MOST_STEPS as most
+
+        step_bytes, requested = 0.0, 0.0
+    else:
+        numbers = 3 + len(scene.states) * (stepper.degree + 2) + len(scene.modes)
+        step_bytes = 8.0 * numbers + len(scene.guard_names) + 2 * len(scene.markers)
+        most, requested = RECORD_MAX_STEPS, 1 / accuracy.step
+    available = memory() if step_bytes else None
+    if available is not None:
+        most = max(min(most, int((available - 2 * samples * step_bytes) / (_COPIES * step_bytes))), 0)
+    # A diffrax solver chooses its own steps, but these must resolve the oscillation on the main spring.
+    if stepper is None and isinstance(scene, HasFriction):
+        natural = float(scene.spring_rate(constants)[0]) / accuracy.stride
+    else:
+        calmest = tuple(np.full(1, mode.calmest) for mode in scene.modes)
+        natural = float(_rate(scene, constants, calmest)[0]) / accuracy.stride
+    steps = duration * max(natural, requested)
+    if steps <= most:
+        return most
+    needs = f"{steps:.3g} steps" + (f" and {size_text(_COPIES * steps * step_bytes)} of memory" if step_bytes else "")
+    allowed = f"{most:.3g} steps" + (f" and {size_text(available)} of memory" if available else "")
+    advice = "give a shorter duration" + (", a longer step or a greater error" if requested > natural else "")
+    raise place.at("duration").error(f"{duration:g} s need about {needs}; there is room for {allowed}: {advice}")
+
+
+@lane_function(static=1)
+def _rate(scene: Scene[Any], constants: Any, mode: Values) -> Array:
+    return scene.rate(constants, mode)

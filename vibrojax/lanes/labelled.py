@@ -1,0 +1,362 @@
+"""Variables with labels (regimes), coordinates and attributes of a sweep's dataset, from the features of its lanes.
+
+Lanes that are too stiff or too slow for the steps or the precision to give a meaningful regime are rejected.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Int8, Shaped
+
+from vibrojax.compile.xla import precision
+from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.manifest import IDENTITY, identity_text
+from vibrojax.io.variables import ORBIT_REASONS, OWN_REGIMES, REASONS, STATUSES, VARIABLES, Variable, orbit_name
+from vibrojax.lanes.compiler import lane_function
+from vibrojax.maps.points import VECTOR
+from vibrojax.maps.sweep import DIRECTIONS, Sweep
+from vibrojax.measures import gauge_named
+from vibrojax.measures.derived import derived
+from vibrojax.measures.labels import LABELLED_BY, REGIMES, hides_another, label, shares_transient
+from vibrojax.measures.repeats import state_name
+from vibrojax.measures.since_start import scale_names
+from vibrojax.physics.arrays import Array
+from vibrojax.physics.parameters import differing, substitutes
+from vibrojax.scenes import HasContact, HasFriction, HasImpacts, HasRock, Scene
+
+ERROR_UNDER_PULSES = "estimated relative error of the settled rate of penetration (none if pulses do not repeat)"
+ERROR_OF_DRILL = "estimated relative error of the settled period, impact velocity and rate of penetration, the largest"
+"""Meanings of `error_estimate` of scenes without a section, and of scenes with a section and rock."""
+
+
+def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = True) -> dict[str, np.ndarray]:
+    """Return the stored variables of the lanes from `first` (inclusive) to `end` (exclusive), in dataset order.
+
+    `features`: (lanes,), or (lanes, rows) for stored section crossings; the variables have the same shapes. `whole`:
+    True if the lanes include all initial conditions of each point; otherwise `hidden_motion`, which compares them, is
+    omitted, and `sensitive` is that of each lane alone.
+    """
+    features = _finished(sweep, first, end, features)
+    if whole and sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in features:
+        of_points = (features, features["regime"], len(sweep.starts))
+        features |= {"hidden_motion": hides_another(*of_points), "sensitive": shares_transient(*of_points)}
+    variables = {}
+    for name, variable in variables_of(sweep).items():
+        if name in features:
+            x = features[name]
+            integer = np.issubdtype(variable.dtype, np.integer)
+            variables[name] = np.nan_to_num(x).astype(variable.dtype) if integer else x
+    return variables
+
+
+def variables_of(sweep: Sweep) -> dict[str, Variable]:
+    """Return all variables that the dataset of a sweep may have, by name and in dataset order."""
+    scene, radius = sweep.system, sweep.hole_radius
+    known = VARIABLES | regime_variables(scene) | measured_besides(scene) | of_orbits(scene) | scales_of_orbits(scene)
+    return known if radius is None else known | with_radius(radius)
+
+
+def with_radius(bit_radius: float) -> dict[str, Variable]:
+    """Return the variable `specific_energy` with the radius of the hole [m] that it is computed with."""
+    energy = VARIABLES["specific_energy"]
+    return {"specific_energy": replace(energy, notes={**energy.notes, "bit_radius": bit_radius})}
+
+
+def regime_variables(scene: Scene[Any]) -> dict[str, Variable]:
+    """Return the variables with regimes, in which some regimes have the scene's own names."""
+    names = tuple(scene.regime_names.get(name, name) for name in REGIMES)
+    if names == REGIMES and isinstance(scene, HasFriction | HasContact):
+        return {}
+    regime = replace(VARIABLES["regime"], long_name=OWN_REGIMES, flags=names)
+    return {"regime": regime, "check_regime": replace(VARIABLES["check_regime"], flags=names)}
+
+
+def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
+    """Return the variables that the scene's section and the scene's own gauges declare, or that mean something else."""
+    if scene.section is None:
+        return {"error_estimate": replace(VARIABLES["error_estimate"], long_name=ERROR_UNDER_PULSES)}
+    variables = {}
+    if isinstance(scene, HasRock):
+        variables["error_estimate"] = replace(VARIABLES["error_estimate"], long_name=ERROR_OF_DRILL)
+    for swing in scene.section.swings:
+        state = scene.states[scene.place(swing.position)]
+        if swing.amplitude not in VARIABLES:
+            variables[swing.amplitude] = Variable(state.unit, f"half the swing of: {state.long_name}")
+    for state in scene.states:
+        name = state_name(state.name)
+        if state.name in scene.return_states and name not in VARIABLES:
+            variables[name] = Variable(state.unit, f"{state.long_name} at the return", along="return_index")
+    if isinstance(scene, HasImpacts) and scene.impact_unit != "m s-1":
+        velocities = ("impact_velocity", "impact_velocity_min", "impact_velocity_max", "return_impact_velocity")
+        variables |= {name: replace(VARIABLES[name], units=scene.impact_unit) for name in velocities}
+    gauges = map(gauge_named, scene.measures)
+    return variables | {name: Variable(*about) for gauge in gauges for name, about in gauge.variables.items()}
+
+
+def of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
+    """Return the variables that hold the states of periodic orbits at the section."""
+    return {
+        orbit_name(state.name): Variable(state.unit, f"{state.long_name}, on the orbit at the section")
+        for state in scene.states
+        if state.name in scene.driving_part().return_states
+    }
+
+
+def scales_of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
+    """Return the variables that hold the scales of repeats, if these are not amplitudes."""
+    section = scene.driving_part().section
+    states = [scene.states[scene.place(swing.position)] for swing in section.swings] if section is not None else []
+    return {
+        orbit_name(name): Variable(state.unit, f"scale of {state.long_name} in the test of repeats")
+        for name, state in zip(scale_names(section), states, strict=False)
+    }
+
+
+def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
+    """Return the features with regime, status and reason, and with NaN in lanes that failed or were rejected."""
+    values = sweep.lane_values(first, end)[0]
+    why, unfit = sweep.system.refused(values) or ("none", np.zeros(end - first, bool))
+    stiff, slow = too_stiff_or_slow(sweep, values)
+    refused = unfit | stiff | slow
+    flags = [REASONS.index(name) for name in (why, "too-stiff", "too-slow", "not-finite", "out-of-steps")]
+    reason = np.select([unfit, stiff, slow, ~features["finite"], ~features["finished"]], flags, 0)
+    if not features["finite"].all():
+        reason = np.where(reason == REASONS.index("not-finite"), _reasons_of_starts(sweep, first, end), reason)
+    for number, name in enumerate(sweep.system.fault_reasons[1:] if "fault" in features else (), start=1):
+        ends = (reason == REASONS.index("not-finite")) & (features["fault"] == number)
+        reason = np.where(ends, REASONS.index(name), reason)
+    failed = reason != 0
+    labels = {}
+    if "cycles" in features:
+        sound = {name: features[name] & ~refused for name in ("finite", "check_finite") if name in features}
+        check = {name: (features | sound)[f"check_{name}"] for name in LABELLED_BY if f"check_{name}" in features}
+        labels["regime"] = regimes(sweep.system, values, features | sound)
+        labels["check_regime"] = regimes(sweep.system, values, check)
+    if "orbit_reason" in features:
+        features = features | {
+            "orbit_reason": np.where(failed, ORBIT_REASONS.index("refused"), features["orbit_reason"]),
+            "stable": np.where(failed, -1, features["stable"]),
+        }
+    if failed.any():
+        kept = {"finite", "finished", "steps", "orbit_reason", "stable"}
+        features = {
+            name: x if name in kept else np.where(failed.reshape(-1, *[1] * (x.ndim - 1)), np.nan, x)
+            for name, x in features.items()
+        }
+    features = features | derived(sweep.system, features, sweep.hole_radii(first, end))
+    flags = [STATUSES.index(name) for name in ("refused", "failed")]
+    status = np.select([refused, failed], flags, STATUSES.index("done"))
+    return features | labels | {"status": status, "reason": reason}
+
+
+def _reasons_of_starts(sweep: Sweep, first: int, end: int) -> Int8[np.ndarray, " lanes"]:
+    """Return why lanes that do not stay finite cannot begin: flags of `reason`, *not-finite* without another reason."""
+    reason = np.full(end - first, REASONS.index("not-finite"), np.int8)
+    number, vectors = sweep.lane_starts(first, end)
+    named = number < len(sweep.start_names)
+    columns = vectors or tuple(np.zeros((len(sweep.system.start_states), end - first)))
+    if sweep.run.carry is None:  # a carried lane begins elsewhere
+        with precision("float64"):
+            state = tuple(np.where(named, 0.0, column) for column in columns)
+            faults = sweep.system.start_faults(sweep.lane_values(first, end)[0], state)
+            for name, _, mask in reversed(faults):  # the first one counts
+                reason[np.broadcast_to(mask, reason.shape)] = REASONS.index(name)
+    return reason
+
+
+def regimes(
+    scene: Scene[Any], values: Mapping[str, Shaped[np.ndarray, " lanes"]], features: Mapping[str, np.ndarray]
+) -> Int8[np.ndarray, " lanes"]:
+    """Return the regime of each lane of a scene.
+
+    `values`: all parameters of the scene by name; `features`: those that determine the regime; each (lanes,).
+    """
+    lanes = len(features["cycles"])
+    # With these values, lanes without friction are never at equilibrium.
+    rest, m1, g, k1 = np.zeros((4, lanes)) + [[0.0], [0.0], [0.0], [1.0]]
+    if isinstance(scene, HasFriction):
+        with precision("float64"):
+            rest = np.asarray(_friction_at_rest(scene, dict(values)))
+        m1, g, k1 = (values[name] for name in ("m1", "g", "k1"))
+    return label(features, rest, m1, g, k1)
+
+
+@lane_function(static=1)
+def _friction_at_rest(scene: HasFriction[Any], values: dict[str, Array]) -> Array:
+    """Return the friction coefficient at rest mu(0+), an array (lanes,)."""
+    return scene.friction.on_weight(0.0, values) + jnp.zeros_like(values["m1"])
+
+
+def certified(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> dict[str, int]:
+    """Count the lanes by the outcome of their error control.
+
+    The counts are: lanes with an error estimate, within the error tolerance, still settling, sensitive, and with a
+    different regime in their check run. Sensitive lanes do not count as within the tolerance.
+    """
+    done = variables["reason"] == 0
+    estimate = variables["error_estimate"][done]
+    within = estimate <= sweep.run.error
+    counts = {"estimated": int(np.sum(~np.isnan(estimate))), "within": int(np.sum(within))}
+    if "sensitive" in variables:
+        sensitive = variables["sensitive"][done] == 1
+        counts |= {"within": int(np.sum(within & ~sensitive)), "sensitive": int(np.sum(sensitive))}
+    if "drift_estimate" in variables:
+        counts["still_settling"] = int(np.sum(variables["drift_estimate"][done] > sweep.run.error))
+    if "regime" in variables:
+        counts["regime_flips"] = int(np.sum(variables["regime"] != variables["check_regime"]))
+    return counts
+
+
+def attributes(sweep: Sweep, solver: dict, certified: Mapping[str, int], wall_time: float) -> dict[str, Any]:
+    """Return the attributes of the dataset.
+
+    `solver`: the stepper and its settings; `certified`: counts over all lanes, see
+    [vibrojax.lanes.labelled.certified][]; `wall_time`: duration of the computation [s].
+    """
+    title = sweep.title or f"{sweep.scene}: {sweep.name}"
+    return {
+        **shared_attributes(sweep, "sweep", title, f"sweep {sweep.name}"),
+        "sweep": sweep.text,
+        # Includes defaults that the sweep file omits, because regimes depend on the times. Omits the chunk size.
+        "run": json.dumps({name: value for name, value in sweep.run.described().items() if value is not None}),
+        IDENTITY: identity_text(sweep.identity()),
+        "solver": json.dumps(solver),
+        "certified": json.dumps({"error": sweep.run.error, "lanes": sweep.lanes, **certified}),
+        "wall_time_s": float(wall_time),
+        "lanes": sweep.lanes,
+    }
+
+
+def shared_attributes(sweep: Sweep, kind: str, title: str, command: str) -> dict[str, Any]:
+    """Return the attributes that the datasets of a sweep and of analyses of its lanes have in common."""
+    return {
+        **dataset_attributes(kind, title, command, scene=sweep.scene),
+        **sweep.options,
+        "parameters": json.dumps(sweep.parameters),
+        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
+    }
+
+
+def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
+    """Return the coordinates of the dataset by name, each as (dimensions, values, attributes).
+
+    `rows`: sizes of the dimensions that are added to the sweep's own, by name.
+    """
+    coords: dict[str, tuple] = {
+        name: ((name,), axis, parameter_attributes(sweep, name)) for name, axis in sweep.axes.items()
+    }
+    for name, column in (sweep.points or {}).items():
+        coords[name] = (("point",), column, parameter_attributes(sweep, name))
+    for name, column in (sweep.point_vectors or {}).items():
+        state = sweep.system.states[sweep.system.place(name.removeprefix(VECTOR))]
+        coords[name] = (("point",), column, {"units": state.unit, "long_name": f"{state.long_name} at t = 0"})
+    if sweep.points is not None:
+        coords["point"] = (("point",), np.arange(sweep.shape[0]), {"units": "1", "long_name": "number of the point"})
+    about = {"units": "1", "long_name": "start of the motion"}
+    if sweep.point_starts is not None:
+        coords["start"] = (("point",), np.array(sweep.point_starts), about)
+    elif sweep.run.carry is not None:
+        meaning = f"way along {sweep.run.carry} in which lanes run, each from where the last one ended"
+        coords["direction"] = (("direction",), np.array(DIRECTIONS), {"units": "1", "long_name": meaning})
+    elif sweep.starts is not None:
+        starts = sweep.starts
+        names = [start if isinstance(start, str) else json.dumps(list(start)) for start in starts]
+        coords["start"] = (("start",), np.array(names) if starts.listed else np.arange(len(starts)), about)
+        if starts.has_vectors:
+            meanings = {
+                state.name: {"units": state.unit, "long_name": f"{state.long_name}, at t = 0"}
+                for state in sweep.system.states
+            }
+            for name, column in zip(starts.states, starts.vectors.T, strict=True):
+                coords[f"start_{name}"] = (("start",), column, meanings.get(name, {}))
+    meanings_of_rows = {
+        "return_index": "number of the return that is kept, the newest last",
+        "multiplier": "number of the multiplier, by falling modulus",
+    }
+    for dimension, size in rows.items():
+        coords[dimension] = ((dimension,), np.arange(size), {"units": "1", "long_name": meanings_of_rows[dimension]})
+    return coords
+
+
+def parameter_attributes(sweep: Sweep, name: str) -> dict[str, str]:
+    """Return units, meaning and symbol of a parameter of a sweep."""
+    if name in sweep.system.choice_meanings:
+        return {"units": "1", "long_name": sweep.system.choice_meanings[name]}
+    parameter = (dict(parameters := sweep.system.parameters()) | substitutes(parameters))[name]
+    return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
+
+
+FLIGHT_MAX_STEPS = 1e7
+"""Limit on the length of a run in units of the shortest time scale of the flight. It is several times the number of
+steps after which a lane is abandoned."""
+
+RESOLVED_ROUNDINGS = 512
+"""Smallest relative change that is resolved, in units of machine epsilon."""
+
+LanesBool = Bool[np.ndarray, "*lanes"]
+Parameters = Mapping[str, Any]
+
+
+def too_stiff_or_slow(sweep: Sweep, p: Parameters) -> tuple[LanesBool, LanesBool]:
+    """Return two masks of lanes; `p`: parameters by name, each (lanes,).
+
+    The first mask holds the lanes that are `unresolved` or whose flight takes too many steps. The second one holds
+    those whose drive is so slow that it cannot be distinguished from rest: it is below a multiple of the rounding error
+    of a typical speed, to which friction and main spring contribute.
+    """
+    scene, run = sweep.system, sweep.run
+    if not isinstance(scene, HasFriction) or not run.stepper.rests:
+        none = np.zeros(_shape(p), bool)
+        return none, none
+    rates = fastest_rates(scene, p)
+    with np.errstate(all="ignore"):
+        known = np.isfinite(rates.flight + rates.contact)
+        many = ~(rates.flight * (run.settle + run.observe) < FLIGHT_MAX_STEPS)
+        slow = (p["v"] > 0) & (p["v"] < RESOLVED_ROUNDINGS * np.finfo(run.precision).eps * rates.speed)
+    return known & (unresolved(scene, p, run.precision) | many), slow
+
+
+def unresolved(scene: HasFriction[Any], p: Parameters, numbers: str) -> LanesBool:
+    """Return a mask of the lanes in which a step changes nothing in the precision `numbers` ("float64" or "float32").
+
+    During a step of length 1/rate, the bit's motion on its main spring is less than the rounding error.
+    """
+    rates = fastest_rates(scene, p)
+    with np.errstate(all="ignore"):
+        return np.asarray(~(RESOLVED_ROUNDINGS * np.finfo(numbers).eps * (rates.flight + rates.contact) < rates.spring))
+
+
+class FastestRates(NamedTuple):
+    """Bounds on the fastest rates [1/s], and a typical `speed` [m/s].
+
+    `flight` determines the step size; `contact` is added in contact; `spring` is that of the bit on its main spring.
+    """
+
+    flight: Any
+    contact: Any
+    spring: Any
+    speed: Any
+
+
+def fastest_rates(scene: HasFriction[Any], p: Parameters) -> FastestRates:
+    """Return the fastest rates of lanes."""
+    with precision("float64"):
+        lanes = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in p.values()))
+        rates = _compiled_rates(scene, dict(zip(p, lanes, strict=True)))
+        return FastestRates(*(np.asarray(x).reshape(_shape(p)) for x in rates))
+
+
+def _shape(p: Parameters) -> tuple[int, ...]:
+    return np.broadcast_shapes(*(np.shape(x) for x in p.values()))
+
+
+@lane_function(static=1)
+def _compiled_rates(scene: HasFriction[Any], p: Parameters) -> FastestRates:
+    c = scene.constants(p)
+    flight = scene.flight_rate(c)
+    contact = scene.contact_rate(c) if isinstance(scene, HasContact) else jnp.zeros_like(flight)
+    return FastestRates(*jnp.broadcast_arrays(flight, contact, scene.spring_rate(c), scene.typical_speed(c)))

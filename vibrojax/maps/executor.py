@@ -1,0 +1,158 @@
+"""Computation of chunks by an executor: any `concurrent.futures.Executor`, or an object with the same `submit`."""
+
+import pickle
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
+from functools import lru_cache
+from threading import Lock
+from typing import Any, Protocol, runtime_checkable
+
+from vibrojax.compile.xla import usable_cores
+from vibrojax.errors import InputError, Place
+from vibrojax.lanes.batch import Features
+from vibrojax.maps.sweep import Sweep
+from vibrojax.maps.work import SECONDS, Work
+from vibrojax.progress import LOG
+
+AHEAD = 256
+"""Number of chunks submitted at once to an executor with an unknown number of workers."""
+
+QUEUED = 2
+"""Number of chunks submitted at once per known worker, so that no worker waits for its next chunk."""
+
+FUTURE_POLL_SECONDS = 0.2
+"""Interval [s] between two checks of futures other than `concurrent.futures.Future`."""
+
+Store = Callable[[int, Features], None]
+"""Function that receives a chunk's index and its features."""
+
+_WORK_LOCK = Lock()
+
+
+@runtime_checkable
+class Executor(Protocol):
+    """An object that computes chunks: an executor of Python, dask, loky or MPI, or of submitit (same `submit`)."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any) -> Any:
+        """Schedule `fn(*args)`; return a future with `done()`, `result()` and `cancel()`."""
+
+
+def check_executor(executor: object) -> None:
+    """Raise `InputError` if the object cannot compute chunks."""
+    if not callable(getattr(executor, "submit", None)):
+        raise InputError(
+            f"executor: {type(executor).__name__} has no submit; give a concurrent.futures.Executor, "
+            "like ProcessPoolExecutor(mp_context=multiprocessing.get_context('spawn'))"
+        )
+    context = getattr(executor, "_mp_context", None)
+    if isinstance(executor, ProcessPoolExecutor) and context is not None and context.get_start_method() == "fork":
+        raise InputError(
+            "executor: its processes are forked, and jax hangs in such; "
+            "make it with mp_context=multiprocessing.get_context('spawn')"
+        )
+
+
+def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], store: Store) -> None:
+    """Compute the chunks of a sweep in this order, and `store` each one, in this thread, as soon as it is finished.
+
+    If a worker raises, this process computes its chunk. If the executor breaks down (a process of Python's own pool
+    died, or the scheduler is gone), this process computes all remaining chunks. Each task contains all data for
+    its chunk.
+
+    **Raises:** the error of a chunk that also fails in this process; `InputError` if the sweep cannot be pickled.
+    """
+    count = getattr(executor, "_max_workers", None)
+    workers = count if isinstance(count, int) and count > 0 else 0  # 0: the executor does not state their number
+    task, threads = pickled(sweep), max(1, usable_cores() // workers) if workers else 1
+    ahead = workers * QUEUED or AHEAD
+    waiting, local = deque(order), list[int]()
+    running: dict[Any, int] = {}
+    began, busy = time.monotonic(), 0.0
+
+    def stop(problem: str, error: BaseException) -> None:
+        if waiting or not local:
+            _warn(f"{problem} ({_first_line(error)}); the rest is computed here")
+        local.extend(waiting)
+        waiting.clear()
+
+    try:
+        while waiting or running:
+            while waiting and len(running) < ahead:
+                try:
+                    running[executor.submit(compute_chunk, task, waiting[0], threads)] = waiting[0]
+                except InputError:
+                    raise
+                except Exception as error:
+                    stop("the executor takes no more chunks", error)
+                    break
+                waiting.popleft()
+            for future in _done(list(running)):
+                index = running.pop(future)
+                try:
+                    features = future.result()
+                except InputError:
+                    raise
+                except Exception as error:
+                    if isinstance(error, (BrokenExecutor, CancelledError)):
+                        stop("the executor broke down", error)
+                    else:
+                        _warn(f"chunk {index} failed with a worker ({_first_line(error)}); computed here")
+                    local.append(index)
+                else:
+                    busy += float(features[SECONDS])
+                    store(index, features)
+    finally:
+        for future in running:
+            future.cancel()
+    LOG.info("workers: %.1f s busy in %.1f s", busy, time.monotonic() - began)
+    if local:
+        work = Work(sweep)
+        for index in local:
+            store(index, work.compute(index))
+
+
+def compute_chunk(task: bytes, index: int, threads: int | None) -> Features:
+    """Compute a chunk's features in a worker; `task`: the pickled sweep."""
+    with _WORK_LOCK:
+        work = _compiled(task, threads)
+    return work.compute(index)
+
+
+@lru_cache(maxsize=2)
+def _compiled(task: bytes, threads: int | None) -> Work:
+    """Return the `Work` of a sweep, which is compiled once per worker."""
+    work = Work(pickle.loads(task), threads)
+    work.chunks.compile()
+    return work
+
+
+def pickled(sweep: Sweep) -> bytes:
+    """Pickle the sweep for other processes; raise `InputError` if that is impossible."""
+    try:
+        return pickle.dumps(sweep)
+    except Exception as error:  # pickling parts of a user's scene may raise any exception
+        raise Place(sweep.file).error(
+            f"cannot be sent to other processes ({_first_line(error)}); "
+            "let functions of your own scene or law be defined in a module of their own, not be lambdas"
+        ) from None
+
+
+def _done(futures: list[Any]) -> list[Any]:
+    """Wait for at least one of the futures, and return those that are done."""
+    if all(isinstance(future, Future) for future in futures):
+        return list(wait(futures, return_when=FIRST_COMPLETED).done)
+    while not (done := [future for future in futures if future.done()]):
+        time.sleep(FUTURE_POLL_SECONDS)
+    return done
+
+
+def _first_line(error: BaseException) -> str:
+    first = (str(error).splitlines() or [""])[0]
+    return f"{type(error).__name__}: {first}" if first else type(error).__name__
+
+
+def _warn(text: str) -> None:
+    print(f"vibrojax: warning: {text}", file=sys.stderr)

@@ -1,0 +1,193 @@
+"""Initial conditions of a sweep: a list of names and vectors, a random sample of a box, or a plane of states."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from vibrojax.errors import Place, shown
+from vibrojax.settings.names import Names
+from vibrojax.settings.values import (
+    AXIS_MAX_VALUES,
+    STATE,
+    as_table,
+    check_distinct,
+    choice,
+    count,
+    known_keys,
+    quantity,
+    read_axis,
+)
+
+SAMPLE = '{ sample = "sobol", count = 256, seed = 0, box = { x1 = [-0.05, 0.05], v1 = [-2.0, 2.0] } }'
+PLANE = "{ plane = { x2 = { start = -0.05, stop = 0.05, num = 50 }, v2 = [-1.0, 1.0] } }"
+"""Examples of a sample and a plane of initial conditions, for messages and the catalogue."""
+
+
+def _example(text: str, states: Sequence[str]) -> str:
+    """Return `SAMPLE` or `PLANE` with the first states of a scene that has other ones."""
+    if {"x1", "v1", "x2", "v2"} <= set(states):
+        return text
+    first, second = (*states, *states)[:2]
+    text = re.sub(r"\b[xv][12] = ", lambda match: f"{first if match[0][0] == 'x' else second} = ", text)
+    return text if len(states) > 1 else re.sub(r", \w+ = \[[^]]*\] }", " }", text)
+
+
+DEFAULT_STARTS = ("drive", "stuck")
+"""Initial conditions of a sweep that specifies none, if the scene has them."""
+
+_SAMPLE_KEYS = ("sample", "count", "seed", "box", "at")
+
+Start = str | tuple[float, ...]
+"""An initial condition: a name or a vector."""
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """The initial conditions of a sweep, in their order.
+
+    - `names`: names of the named initial conditions, without duplicates.
+    - `states`: names of the states in a vector.
+    - `number` (starts,): index of each initial condition in `names`; the number of names for a vector.
+    - `vectors` (starts, states): initial states [m, m/s]; NaN for named initial conditions.
+    - `listed`: True if the file lists the initial conditions. Those of a sample or a plane are only numbered.
+    """
+
+    names: tuple[str, ...]
+    states: tuple[str, ...]
+    number: Int[np.ndarray, " starts"]
+    vectors: Float[np.ndarray, "starts states"]
+    listed: bool = True
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    def __getitem__(self, index: int) -> Start:
+        number = int(self.number[index])
+        return self.names[number] if number < len(self.names) else tuple(self.vectors[index].tolist())
+
+    def __iter__(self) -> Iterator[Start]:
+        return (self[index] for index in range(len(self)))
+
+    @property
+    def has_vectors(self) -> bool:
+        return bool(np.any(self.number == len(self.names)))
+
+
+def list_of(starts: Sequence[Start], states: tuple[str, ...]) -> Starts:
+    """Return the initial conditions in a list of names and vectors. `states`: names of the states in a vector."""
+    names = tuple(dict.fromkeys(start for start in starts if isinstance(start, str)))
+    undefined = (np.nan,) * len(states)
+    vectors = np.array([undefined if isinstance(start, str) else start for start in starts], float)
+    number = np.array([names.index(start) if isinstance(start, str) else len(names) for start in starts], int)
+    return Starts(names, states, number, vectors.reshape(len(starts), len(states)))
+
+
+def read_starts(place: Place, value: object, names: Names) -> Starts | None:
+    """Return the initial conditions specified at `place`, or the defaults if `value` is None.
+
+    Return None for a scene without selectable initial conditions.
+    """
+    if not names.has_starts:
+        if value is not None:
+            raise place.error(f"scene {shown(names.scene)} has no starts; leave it out")
+        return None
+    states = names.system.start_states
+    if value is None:
+        defaults = [start for start in DEFAULT_STARTS if start in names.starts] or names.starts[:1]
+        return list_of(defaults, states) if defaults else None
+    if isinstance(value, dict):
+        return _read_many(place, value, names)
+    if not isinstance(value, list) or not value:
+        raise place.error(
+            f"{shown(value)} is not a list of starts; write one like {_list_example(names)}, "
+            "a sample of a box or a plane"
+        )
+    starts = [names.start(place.item(index), item) for index, item in enumerate(value)]
+    check_distinct(place, starts, "start")
+    return list_of(starts, states)
+
+
+def _list_example(names: Names) -> str:
+    return (
+        '["drive", "stuck"]'
+        if set(DEFAULT_STARTS) <= set(names.starts)
+        else shown([[0.1] * len(names.system.start_states)])
+    )
+
+
+def _read_many(place: Place, table: dict[str, object], names: Names) -> Starts:
+    """Return the initial conditions of a sample, or of a plane in row-major order over the listed states."""
+    states = names.system.start_states
+    if not states:
+        raise place.error(f"scene {shown(names.scene)} accepts no initial states; give names")
+    if "plane" in table:
+        known_keys(place, table, ("plane", "at"), {key: "a plane has no such key" for key in _SAMPLE_KEYS})
+        here = place.at("plane")
+        axes = _states_of(here, table["plane"], states)
+        if not axes:
+            raise here.error(f"empty; write one like {_example(PLANE, states)}")
+        values = [read_axis(here.at(name), axis, STATE) for name, axis in axes.items()]
+        if prod(map(len, values)) > AXIS_MAX_VALUES:
+            raise here.error(f"{prod(map(len, values))} starts are too many; {AXIS_MAX_VALUES} at most")
+        columns = dict(zip(axes, map(np.ravel, np.meshgrid(*values, indexing="ij")), strict=True))
+    elif "sample" in table:
+        known_keys(place, table, _SAMPLE_KEYS)
+        columns = _read_sample(place, table, states)
+    else:
+        raise place.error(
+            f"neither a sample nor a plane; write one like {_example(PLANE, states)}, or {_example(SAMPLE, states)}"
+        )
+    shared = _states_of(place.at("at"), table.get("at", {}), states)
+    for name in shared:
+        if name in columns:
+            raise place.at("at").at(name).error("varies already; leave it out")
+    fixed = {name: quantity(place.at("at").at(name), x, STATE) for name, x in shared.items()}
+    rows = len(next(iter(columns.values())))
+    vectors = np.stack([columns.get(name, np.full(rows, fixed.get(name, 0.0))) for name in states], axis=1)
+    return Starts((), states, np.zeros(rows, int), vectors, listed=False)
+
+
+def _read_sample(place: Place, table: Mapping[str, object], states: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Return the sampled states by name, each (count,).
+
+    The samples are a scrambled Sobol sequence (Owen 1998), or independent and uniform in the box.
+    """
+    kind = choice(place.at("sample"), table["sample"], ("sobol", "random"))
+    for key in ("count", "box"):
+        if key not in table:
+            raise place.at(key).error(f"missing; write one like {_example(SAMPLE, states)}")
+    rows = count(place.at("count"), table["count"], 1, AXIS_MAX_VALUES)
+    seed = count(place.at("seed"), table.get("seed", 0), 0)
+    box = _states_of(place.at("box"), table["box"], states)
+    if not box:
+        raise place.at("box").error(f"empty; write one like {_example(SAMPLE, states)}")
+    low, high = np.array([_read_side(place.at("box").at(name), side) for name, side in box.items()]).T
+    random = np.random.default_rng(seed)
+    if kind == "sobol":
+        from scipy.stats import qmc  # imported here because the import is slow
+
+        unit = np.asarray(qmc.Sobol(len(box), rng=random).random_base2((rows - 1).bit_length())[:rows])
+    else:
+        unit = random.random((rows, len(box)))
+    return dict(zip(box, (low + (high - low) * unit).T, strict=True))
+
+
+def _read_side(place: Place, value: object) -> tuple[float, float]:
+    """Return the lower and upper bound of the box for one state."""
+    if not isinstance(value, (list, tuple)) or len(value) != 2:
+        raise place.error(f"{shown(value)} is not a side of a box; write its two ends, like [-0.05, 0.05]")
+    low, high = (quantity(place.item(index), end, STATE) for index, end in enumerate(value))
+    if not low < high:
+        raise place.error(f"from {low:g} to {high:g} is not a side of a box; the first end must be below the second")
+    return low, high
+
+
+def _states_of(place: Place, value: object, states: tuple[str, ...]) -> dict[str, object]:
+    """Return `value` as a table; raise if a key is not a state of the scene."""
+    table = as_table(place, value)
+    known_keys(place, table, states)
+    return table

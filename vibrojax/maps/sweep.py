@@ -1,0 +1,233 @@
+"""A validated sweep: fixed values, axes or points, and the values of any of its lanes."""
+
+import hashlib
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from math import pi, prod
+from typing import Any
+
+import numpy as np
+
+from vibrojax.maps.starts import Starts
+from vibrojax.measures.derived import HOLE_RADIUS
+from vibrojax.physics.parameters import REPLACED, substitutes
+from vibrojax.scenes import HasRock, Scene
+from vibrojax.settings.code_identity import code_identity
+from vibrojax.settings.run_settings import RunSettings
+
+DIRECTIONS = ("up", "down")
+"""Directions of a continuation along an axis, in which each lane begins in the final state of the previous lane."""
+
+_MAX_LISTED = 8
+"""Maximum length of a column whose values are listed in the identity. Longer columns are represented by a checksum."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """The content of a sweep file, completed with defaults.
+
+    - `name`: stem of the output's file name.
+    - `text`: the sweep as TOML.
+    - `title`: free text.
+    - `file`: file name in messages.
+    - `scene`: name of the scene. `system`: the scene itself.
+    - `options`: names of the scene's options, such as the friction law.
+    - `starts`: initial conditions, as names or vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene without
+      selectable initial conditions.
+    - `parameters`: all fixed values by name, in SI units. `given`: those that the user specified.
+    - `axes`: axes of the grid, each (values,), in the order of the file; empty if only the initial condition varies.
+    - `points`: columns (points,) that replace a grid.
+    - `point_starts`: name of each point's initial condition, if specified with the points.
+    - `point_vectors`: initial states of the points, if specified with the points: columns (points,) by name, in the
+      scene's order.
+    - `run`: settings of the run.
+
+    With `point_starts` or `point_vectors`, there are no other initial conditions. Fixed `rpm` and `bit_radius` appear
+    in `parameters` as `v`. If one of the two varies, `v` is in neither `parameters` nor `axes`, but only in the values
+    of the lanes. The same applies to frequencies, which replace `k1` and `gamma`.
+    """
+
+    name: str
+    text: str
+    title: str
+    scene: str
+    options: dict[str, str]
+    system: Scene[Any]
+    starts: Starts | None
+    parameters: dict[str, float]
+    given: dict[str, float]
+    axes: dict[str, np.ndarray] = field(default_factory=dict)
+    points: dict[str, np.ndarray] | None = None
+    point_starts: list[str] | None = None
+    point_vectors: dict[str, np.ndarray] | None = None
+    run: RunSettings = field(default_factory=RunSettings)
+    file: str = "sweep"
+
+    @property
+    def friction(self) -> str | None:
+        """Name of the friction law, or None for a scene without friction."""
+        return self.options.get("friction")
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Names of the dimensions: the axes or "point", followed by "start" or "direction" if lanes differ in these."""
+        last = ("direction",) if self.run.carry is not None else ("start",) if self.crosses_starts else ()
+        return (*self.axes, *(("point",) if self.points is not None else ()), *last)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self._sizes(self.dims)
+
+    @property
+    def counted(self) -> tuple[str, ...]:
+        """Names of the dimensions in the order in which lanes are numbered: `dims`, but with a carried axis last."""
+        return tuple(sorted(self.dims, key=lambda name: name == self.run.carry))
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes, a Python integer, so that it cannot overflow."""
+        return prod(self.shape)
+
+    @property
+    def crosses_starts(self) -> bool:
+        """True if every point is run from each initial condition."""
+        return self.starts is not None and self.point_starts is None and self.run.carry is None
+
+    @property
+    def start_names(self) -> tuple[str, ...]:
+        return self.starts.names if self.starts is not None else ()
+
+    def over_dims(self, lanes: np.ndarray) -> np.ndarray:
+        """Reshape an array over all lanes (lanes, ...) to the dimensions of the sweep, `(*shape, ...)`."""
+        grid = lanes.reshape(*self._sizes(self.counted), *lanes.shape[1:])
+        order = [self.counted.index(name) for name in self.dims]
+        return grid.transpose(*order, *range(len(order), grid.ndim))
+
+    def lane_values(self, first: int, end: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return parameters and initial conditions of the lanes from `first` (inclusive) to `end` (exclusive).
+
+        Lanes are numbered in row-major order over `counted`. Memory grows with end - first only.
+
+        **Returns:** the scene's parameters by name (float64), and the index into `starts` (zeros for a scene without
+        initial conditions), arrays (end - first,).
+        """
+        return self.values_of(np.arange(first, end))
+
+    def values_of(self, numbers: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return the values of `lane_values` for the lanes with these numbers (lanes,)."""
+        places = np.unravel_index(numbers, self._sizes(self.counted))
+        indices = dict(zip(self.counted, places, strict=True))
+        varied = {name: axis[indices[name]] for name, axis in self.axes.items()}
+        if self.points is not None:
+            varied |= {name: column[indices["point"]] for name, column in self.points.items()}
+        values = with_substitutes(self.system, self.parameters | varied)
+        values = {name: np.broadcast_to(values[name], len(numbers)).astype(float) for name in self.system.parameters()}
+        if self.point_starts is not None:
+            return values, self._start_of_point()[indices["point"]]
+        return values, np.asarray(indices["start"] if self.crosses_starts else np.zeros(len(numbers), int))
+
+    @property
+    def hole_radius(self) -> float | None:
+        """Radius of the hole [m] that `specific_energy` is computed with; None if it varies among the lanes."""
+        varies = "bit_radius" in (self.points or self.axes)
+        return None if varies else self.given.get("bit_radius", HOLE_RADIUS)
+
+    def hole_radii(self, first: int, end: int) -> float | np.ndarray:
+        """Return the radius of the hole [m]: one value, or that of each lane from `first` to `end`."""
+        radius = self.hole_radius
+        if radius is not None:
+            return radius
+        places = np.unravel_index(np.arange(first, end), self._sizes(self.counted))
+        name = "point" if self.points is not None else "bit_radius"
+        return (self.points or self.axes)["bit_radius"][places[self.counted.index(name)]]
+
+    def lane_starts(self, first: int, end: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        """Return the initial conditions of the lanes from `first` (inclusive) to `end` (exclusive).
+
+        **Returns:** indices into `start_names`, and initial states, arrays (end - first,). For an initial condition
+        without a name, the index is the number of names and the states apply. The states are empty if all initial
+        conditions have names.
+        """
+        start = self.lane_values(first, end)[1]
+        if self.point_vectors is not None:
+            return start, tuple(column[first:end] for column in self.point_vectors.values())
+        if self.starts is None or not self.starts.has_vectors:
+            return start, ()
+        # The states of a named initial condition are not used.
+        return self.starts.number[start], tuple(np.nan_to_num(self.starts.vectors[start]).T)
+
+    def identity(self) -> dict[str, object]:
+        """Return everything that determines the results as flat JSON values, equal for sweeps with the same lanes.
+
+        Long columns are represented by their checksum, the code of the user's own scenes, laws and steppers by a
+        digest. Chunk size, title and wording of the file are not included.
+        """
+        columns = {**(self.points or {}), **(self.point_vectors or {})}
+        if self.point_starts is not None:
+            columns["start"] = self._start_of_point()
+        varied = {f"grid.{name}": axis for name, axis in self.axes.items()}
+        varied |= {f"points.{name}": column for name, column in columns.items()}
+        starts: object = None
+        if self.starts is not None and self.starts.listed:
+            starts = [start if isinstance(start, str) else list(start) for start in self.starts]
+        elif self.starts is not None:
+            varied |= {f"starts.{name}": x for name, x in zip(self.starts.states, self.starts.vectors.T, strict=True)}
+        fixed = {"scene": self.scene, **self.options, "dims": list(self.dims), "starts": starts}
+        fixed |= code_identity(self.system, self.options, method=self.run.stepper)
+        fixed |= {f"parameters.{name}": value for name, value in self.parameters.items()}
+        if isinstance(self.system, HasRock) and "bit_radius" in self.given:
+            fixed["parameters.bit_radius"] = self.given["bit_radius"]
+        fixed |= {name: _outline(column) for name, column in varied.items()}
+        return fixed | {f"run.{name}": value for name, value in self.run.described().items()}
+
+    def _sizes(self, dims: tuple[str, ...]) -> tuple[int, ...]:
+        columns = [*(self.points or {}).values(), *(self.point_vectors or {}).values(), self.point_starts or ()]
+        sizes = {name: len(axis) for name, axis in self.axes.items()}
+        sizes |= {"point": len(columns[0]), "start": len(self.starts or ()), "direction": len(DIRECTIONS)}
+        return tuple(sizes[name] for name in dims)
+
+    def _start_of_point(self) -> np.ndarray:
+        """Return the index of each point's initial condition in `starts`."""
+        index = {name: number for number, name in enumerate(self.start_names)}
+        return np.array([index[name] for name in self.point_starts or ()], dtype=int)
+
+
+def with_substitutes(scene: Scene[Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `values` with presets (names, or arrays of names), rotation and frequencies replaced by parameters.
+
+    See [vibrojax.maps.sweep.resolved][]; presets are replaced by the parameters that they set.
+    """
+    values = dict(values)
+    for preset, parameters in scene.presets.items():
+        if preset in values:
+            rows = [parameters[str(name)] for name in values.pop(preset)]
+            values |= {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return resolved(values, substitutes(scene.parameters()))
+
+
+def resolved(values: Mapping[str, Any], names: Collection[str] = tuple(REPLACED)) -> dict[str, Any]:
+    """Return `values` with the quantities in `names` replaced by the parameters that they define, if all are known.
+
+    A rotation defines v = 2 pi rpm/60 bit_radius [m/s], a natural frequency of the bit k1 = m1 (2 pi bit_frequency)²,
+    and one of the striker gamma = 2 pi striker_frequency sqrt(m1/k1).
+    """
+    values = dict(values)
+    given = values.keys() & set(names)
+    if given >= {"rpm", "bit_radius"}:
+        values["v"] = 2 * pi / 60 * values.pop("rpm") * values.pop("bit_radius")
+    if "bit_frequency" in given and "m1" in values:
+        values["k1"] = values["m1"] * (2 * pi * values.pop("bit_frequency")) ** 2
+    if "striker_frequency" in given and values.keys() >= {"m1", "k1"}:
+        values["gamma"] = 2 * pi * values.pop("striker_frequency") * (values["m1"] / values["k1"]) ** 0.5
+    return values
+
+
+def _outline(column: np.ndarray) -> object:
+    """Return a column as a JSON value: its values if it is short, else a line with size, ends and checksum."""
+    if column.size <= _MAX_LISTED:
+        return column.tolist()
+    if column.dtype.kind == "U":
+        digest = hashlib.sha256("\n".join(column.tolist()).encode()).hexdigest()[:16]
+        return f"{column.size} names, sha256 {digest}"
+    digest = hashlib.sha256(np.ascontiguousarray(column).astype("<f8").tobytes()).hexdigest()[:16]
+    return f"{column.size} values from {column[0]:g} to {column[-1]:g}, sha256 {digest}"

@@ -1,1 +1,0 @@
-"""The equations of the machines: physics and scenes."""

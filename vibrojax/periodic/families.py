@@ -1,0 +1,309 @@
+"""Continuation of complete families of periodic orbits.
+
+Every branch is continued in both directions, past its special points. Period-doubled branches are continued as well.
+"""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from vibrojax.io.kinds import SPECIAL_KINDS
+from vibrojax.periodic.arclength import CLOSED, ENDED, STALLED, STOPPED, VANISHED, Stop
+from vibrojax.periodic.brackets import Brackets
+from vibrojax.periodic.hopf import hopf_point
+from vibrojax.periodic.location import GRAZED_MARGIN, Locator, classify_event_changes
+from vibrojax.periodic.problem import Flags, Index, Points, Problem, towards
+from vibrojax.periodic.segments import (
+    ENDINGS,
+    REJOIN_DISTANCE,
+    SAME_POINT,
+    Mark,
+    Segment,
+    Tracing,
+)
+from vibrojax.periodic.special_points import (
+    branch_distance,
+    cross_impact,
+    doubled_branch,
+    reindex_returns,
+    turn_corner,
+)
+
+POINT_SPACING = 0.02
+"""Scaled distance within which points that are not special are omitted."""
+
+MAX_SEGMENTS = 24
+"""Largest number of segments of a branch in one direction. Segments end at corners and where the motion touches the
+section."""
+
+MAX_BRANCHES = 32
+"""Largest number of branches of a family."""
+
+
+class FamilyContinuation(Tracing):
+    """Continuation of the families of one problem.
+
+    `cycles`: largest number of section crossings per period of doubled branches.
+    """
+
+    def __init__(self, problem: Problem, cycles: int) -> None:
+        super().__init__(problem, Locator(problem))
+        self._cycles = cycles
+        self._branches: dict[int, int] = {}
+
+    def __call__(self, family: Index, u: Sequence[np.ndarray]) -> list[Segment]:
+        """Return all segments of the families to which orbits belong; `u`: unknowns of one orbit per `family`."""
+        self._branches = dict.fromkeys(family.tolist(), 1)
+        segments: list[Segment] = []
+        for number, orbit in zip(family.tolist(), u, strict=True):
+            first = self._problem.evaluate(np.array([number]), orbit[None])
+            first = first.along(towards(first.u, 1.0))
+            for sign in (1, -1):
+                begin = first._replace(tangent=sign * first.tangent)
+                segments.append(Segment(number, 0, sign, begin, home=begin))
+        segments = self.trace(segments)
+        self._end_at_doublings(segments)
+        return drop_duplicates(segments, self._problem.rows)
+
+    def stop(self, segments: list[Segment]) -> Stop:
+        """Return the condition that a doubled branch is back at the branch that it left."""
+        size = segments[0].begin.u.shape[1]
+        none = np.full(size, np.nan)
+        departure = np.array([none if segment.departure is None else segment.departure for segment in segments])
+        farthest = np.zeros(len(segments))
+
+        def rejoins(lanes: Index, now: Points) -> Flags:
+            if size % 2 == 0:  # doubled orbits have an even number of states and one parameter
+                return np.zeros(len(lanes), bool)
+            distance = branch_distance(now.u, departure[lanes])
+            farthest[lanes] = np.fmax(farthest[lanes], distance)
+            # On the original branch, rounding errors decide the sign of the distance.
+            return distance <= np.minimum(SAME_POINT, REJOIN_DISTANCE * farthest[lanes])
+
+        return rejoins
+
+    def finish(self, segments: list[Segment]) -> list[Segment]:
+        """Enter special points and ends of segments; return the segments beyond stalls, and doubled branches."""
+        stalled: list[Segment] = []
+        for segment in segments:
+            status, special, reached = segment.status, segment.special, segment.points
+            if status == STOPPED:
+                segment.points = reached.of(slice(0, -1))
+                beyond = float(np.abs(reached.u[-1] - segment.points.u[-1]).max())
+                segment.reach = max(segment.reach, beyond)
+            inside = special.place < len(segment.points.u) - 1
+            if segment.departure is None and segment.origin is not None and len(segment.origin) == reached.u.shape[1]:
+                rejoined = inside & (np.abs(special.near.u - segment.origin).max(axis=1) < REJOIN_DISTANCE)
+                if rejoined.any():
+                    last = int(special.place[rejoined].min()) + 1
+                    status, segment.points = STOPPED, segment.points.of(slice(0, last))
+                    inside &= special.place < last - 1
+            self._add_marks(segment, special.of(inside))
+            if status == STALLED and segment.number < MAX_SEGMENTS:
+                stalled.append(segment)
+                continue
+            if status == VANISHED and self._mark_hopf(segment, "the amplitude is zero"):
+                continue
+            note = ENDINGS.get(status, "")
+            if status == ENDED:
+                value = self._problem.values(segment.points.family[-1:], segment.points.u[-1:])[0, 0]
+                is_last = value == self._problem.last[segment.family, 0]
+                note = f"the {'last' if is_last else 'first'} value is reached"
+            segment.mark("end", note)
+        return (self._pass_stalls(stalled) if stalled else []) + self._doubled_branches(segments)
+
+    def _end_at_doublings(self, segments: list[Segment]) -> None:
+        """Move the ends of doubled branches that join another branch to the period doublings at which they join it.
+
+        The last step of a doubled branch passes the doubling by a distance that depends on rounding errors.
+        """
+        doublings = [(s.family, mark.orbit) for s in segments for mark in s.marks if mark.kind == "period-doubling"]
+        for segment in segments:
+            last, cycles = segment.points.of([-1]), segment.points.times.shape[1]
+            orbits = [x for family, x in doublings if family == segment.family and 2 * x.times.shape[1] == cycles]
+            if not orbits or all(mark.note != ENDINGS[STOPPED] for mark in segment.marks):
+                continue
+            shifted = [
+                np.append(np.tile(np.roll(orbit.u[0, :-1], k * self._problem.rows), 2), orbit.u[0, -1])
+                for orbit in orbits
+                for k in range(cycles // 2)
+            ]
+            nearest = min(shifted, key=lambda u: float(np.abs(u - last.u).max()))
+            if np.abs(nearest - last.u).max() <= segment.reach:
+                end = self._problem.evaluate(last.family, nearest[None])._replace(tangent=last.tangent)
+                segment.points = Points.join([segment.points, end])
+                segment.marks = [mark for mark in segment.marks if mark.note != ENDINGS[STOPPED]]
+                segment.mark("end", ENDINGS[STOPPED])
+
+    def _mark_hopf(self, segment: Segment, note: str) -> bool:
+        """Add the Hopf point to which the end of a segment leads; return whether there is one."""
+        hopf = hopf_point(self._problem, segment.points)
+        if hopf is not None:
+            segment.marks.append(Mark(hopf, "hopf", note, len(segment.points.u) - 1))
+        return hopf is not None
+
+    def _add_marks(self, segment: Segment, special: Brackets) -> None:
+        """Add special points to a segment."""
+        for k, place in enumerate(special.place.tolist()):
+            kind, orbit, note, beyond = SPECIAL_KINDS[special.kind[k]], special.near.of([k]), "", special.far.of([k])
+            if kind == "grazing" and orbit.impacts[0] == beyond.impacts[0]:
+                changed = (orbit.mode_changes[0] != beyond.mode_changes[0]).any(axis=1)
+                modes = zip(self._problem.scene.modes, changed, strict=True)
+                names = ", ".join(mode.name for mode, differs in modes if differs)
+                note = f"no impact: another order of events of {names}"
+            segment.marks.append(Mark(orbit, kind, note, place))
+        u = segment.points.u
+        segment.marks.sort(key=lambda mark: (mark.place, np.abs(mark.orbit.u[0] - u[mark.place]).max()))
+
+    def _pass_stalls(self, segments: list[Segment]) -> list[Segment]:
+        """Return the segments beyond corners and points where the motion is tangent to the section.
+
+        These points are marked. Segments that cannot be continued get a mark at their end.
+        """
+        turned, corners = turn_corner(self._problem, [segment.points for segment in segments])
+        changed = corners.changes_events
+        following: list[Segment] = []
+        for k, segment in enumerate(segments):
+            end, departure = segment.points.of([-1]), segment.departure
+            kinds: list[str] = []
+            value = self._problem.values(end.family, end.u)[0, 0]
+            note = f"the amplitude is zero; from {value:.9g} on, it is too small for the section"
+            if not changed[k] and self._mark_hopf(segment, note):
+                continue
+            # At a rigid stop no mode changes: only the margin shows that an event begins.
+            if changed[k] or end.margin[0] < GRAZED_MARGIN:
+                flags = classify_event_changes(self._problem, corners.of([k])).kind
+                kinds = [SPECIAL_KINDS[flag] for flag in flags]
+            crossed = cross_impact(self._problem, end)
+            if crossed is not None:
+                segment.mark("section", "an impact passes the time of the section")
+                following.append(segment.onward(crossed))
+                continue
+            beyond, note = (corners.far.of([k]), "") if turned[k] else (reindex_returns(self._problem, end), "")
+            if beyond is None and not kinds:
+                distance = np.inf if departure is None else abs(branch_distance(end.u, departure[None])[0])
+                stalled = f"{ENDINGS[STALLED]}; grazing margin {end.margin[0]:.1e}"
+                segment.mark("end", ENDINGS[STOPPED] if distance < SAME_POINT else stalled)
+                continue
+            if beyond is None:
+                uncounted = "the motion goes on, its returns are not counted any more"
+                note = uncounted if kinds[0] == "section" else "the family ends here"
+            elif not turned[k]:
+                kinds, departure, note = ["section"], None, f"{beyond.times.shape[1]} returns from here"
+            for kind in kinds:
+                segment.mark(kind, note)
+            if beyond is not None:
+                following.append(segment.onward(beyond, departure))
+        return following
+
+    def _doubled_branches(self, segments: list[Segment]) -> list[Segment]:
+        """Return the first segments of the doubled branches that begin at period doublings."""
+        doubled = []
+        for segment in segments:
+            for mark in segment.marks:
+                if mark.kind != "period-doubling" or 2 * mark.orbit.times.shape[1] > self._cycles:
+                    continue
+                branch = self._branches[segment.family]
+                if branch >= MAX_BRANCHES:
+                    continue
+                u, tangent = doubled_branch(self._problem, mark.orbit)
+                begin = self._problem.evaluate(mark.orbit.family, u)._replace(tangent=tangent)
+                self._branches[segment.family] += 1
+                more = {"parent": segment, "departure": tangent[0], "origin": u[0]}
+                doubled.append(Segment(segment.family, branch, 1, begin, **more))
+        return doubled
+
+
+def drop_duplicates(segments: list[Segment], rows: int) -> list[Segment]:
+    """Remove branches that were continued twice, and renumber the others.
+
+    A closed branch was continued in both directions. A branch that connects two period doublings was continued from
+    both of them.
+    """
+    closed = {s.family for s in segments if s.branch == 0 and any(m.note == ENDINGS[CLOSED] for m in s.marks)}
+    again = _from_other_ends(segments, rows)
+
+    def is_dropped(segment: Segment | None) -> bool:
+        while segment is not None:
+            if segment.branch == 0 and segment.direction < 0 and segment.family in closed:
+                return True
+            if (segment.family, segment.branch) in again:
+                return True
+            segment = segment.parent
+        return False
+
+    kept = [segment for segment in segments if not is_dropped(segment)]
+    numbers: dict[tuple[int, int], int] = {}
+    for segment in kept:
+        in_family = sum(family == segment.family for family, _ in numbers)
+        segment.branch = numbers.setdefault((segment.family, segment.branch), in_family)
+    return kept
+
+
+def _from_other_ends(segments: list[Segment], rows: int) -> set[tuple[int, int]]:
+    """Return the doubled branches, as (family, branch), that retrace another branch in the opposite direction."""
+    begins = {(s.family, s.branch): s.begin.u[0] for s in segments if s.departure is not None and s.number == 0}
+    ends = {
+        (segment.family, segment.branch): (mark.orbit.u[0], segment.reach)
+        for segment in segments
+        for mark in segment.marks
+        if mark.note == ENDINGS[STOPPED]
+    }
+
+    def meet(first: tuple[int, int], second: tuple[int, int]) -> bool:
+        """Return whether `first` begins at the end of `second`, up to a cyclic shift of the section crossings."""
+        begin, (end, reach) = begins[first], ends[second]
+        if len(begin) != len(end):
+            return False
+        shifts = range(0, len(begin) - 1, rows)
+        shifted = (np.append(np.roll(begin[:-1], shift), begin[-1]) for shift in shifts)
+        return any(np.abs(states - end).max() <= reach for states in shifted)
+
+    again: set[tuple[int, int]] = set()
+    for first, second in combinations(sorted(ends), 2):
+        if first[0] == second[0] and first not in again and meet(first, second) and meet(second, first):
+            again.add(second)
+    return again
+
+
+def in_order(segments: list[Segment]) -> tuple[list[Mark], list[Mark]]:
+    """Return the points of all branches, and the special points in the same order.
+
+    Each branch is ordered from one end to the other.
+    """
+    points: list[Mark] = []
+    special: list[Mark] = []
+    before: tuple[int, int] | None = None
+    for segment in sorted(segments, key=lambda s: (s.family, s.branch, s.direction * (s.number + 1))):
+        along, marks = _thin_out(segment)
+        if segment.direction < 0:
+            along, marks = along[::-1], marks[::-1]
+        # The two segments that meet at the first point of the branch both contain it.
+        if before == (segment.family, segment.branch) and _distance(points[-1].orbit, along[0].orbit) < 1e-12:
+            along = along[1:]
+        before = segment.family, segment.branch
+        points += along
+        special += marks
+    return points, special
+
+
+def _thin_out(segment: Segment) -> tuple[list[Mark], list[Mark]]:
+    """Return the points of a segment at a distance of about `POINT_SPACING` and at special points; and the latter."""
+    points: list[Mark] = []
+    marks = [mark._replace(branch=segment.branch) for mark in segment.marks]
+    pending, last = list(marks), len(segment.points.u) - 1
+    for k in range(last + 1):
+        orbit = segment.points.of([k])
+        if k in (0, last) or _distance(points[-1].orbit, orbit) >= POINT_SPACING:
+            points.append(Mark(orbit, branch=segment.branch))
+        while pending and pending[0].place <= k:
+            mark = pending.pop(0)
+            if _distance(points[-1].orbit, mark.orbit) > 0:
+                points.append(mark)
+    return points, marks
+
+
+def _distance(first: Points, second: Points) -> float:
+    """Return the scaled distance; infinite between orbits with different numbers of section crossings."""
+    return float(np.abs(first.u - second.u).max()) if first.u.shape == second.u.shape else np.inf

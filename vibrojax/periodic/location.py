@@ -1,0 +1,178 @@
+"""Special points between successive points of branches: detection, location, and classification.
+
+A change of events hides other special points, because multipliers jump there. It is located first, and the parts of the
+branch before and behind it are searched again.
+"""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+from vibrojax.io.kinds import SPECIAL_KINDS
+from vibrojax.periodic.arclength import Branches
+from vibrojax.periodic.brackets import (
+    ACCEPTED_WITHIN,
+    EVENT_CHANGE,
+    Brackets,
+    TestFunction,
+    shrink_brackets,
+)
+from vibrojax.periodic.newton import multipliers
+from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem
+
+MAX_EVENT_CHANGES = 8
+"""Largest number of event changes that are located between two points of a branch."""
+
+CRITICAL_DISTANCE = 1e-3
+"""Largest distance of a located point's multiplier from its critical value. Where events begin or vanish, multipliers
+may jump over the critical value; such a point has another kind."""
+
+GRAZED_MARGIN = 1e-4
+"""Largest grazing margin of a grazing point. The margin may vary as the square root of the distance, and points are
+located, or branches stall, within `SHORTEST_STEP` (1e-9)."""
+
+SAME_TIME = 1e-2
+"""Largest relative difference of the period of the motion between neighbouring points with the same crossings."""
+
+Test = Callable[[Points, Points], PerLane]
+"""`test(points, reference)`: test values; `reference`: points of the same branches that fix the signs of vectors."""
+
+
+def pair_products(values: Complex[np.ndarray, "lanes multipliers"]) -> PerLane:
+    """Return the product of mu_i mu_j - 1 over all pairs of multipliers.
+
+    See Kuznetsov, *Elements of Applied Bifurcation Theory*, section 10.2.
+    """
+    first, second = np.triu_indices(values.shape[1], 1)
+    return np.asarray(np.prod(values[:, first] * values[:, second] - 1, axis=1).real)
+
+
+TEST_FUNCTIONS: dict[str, Test] = {
+    "fold": lambda points, _: points.tangent[:, -1],
+    "period-doubling": lambda points, _: np.linalg.det(points.product + np.eye(points.product.shape[1])),
+    "torus": lambda points, _: pair_products(multipliers(points.product)),
+}
+"""Functions that change sign at special points, by kind: the tangent's component along the parameter; det(M + 1), where
+M is the derivative of the map over one period of the motion; and `pair_products`."""
+
+
+class Locator:
+    """Location of the special points of families; a subclass replaces test functions, acceptance and names."""
+
+    max_event_changes = MAX_EVENT_CHANGES
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+    def tests(self, family: Index) -> Iterable[tuple[int, Flags, Test]]:
+        """Return flag, mask of the lanes with this kind of special point, and test function of each kind."""
+        every = np.ones(len(family), bool)
+        return [(SPECIAL_KINDS.index(kind), every, test) for kind, test in TEST_FUNCTIONS.items()]
+
+    def accepted(self, brackets: Brackets, shrunk: Brackets, test: TestFunction, lanes: Index) -> Brackets:
+        """Return the special points among the `lanes` of brackets that were shrunk around zeros of their tests."""
+        parts = []
+        for side in (shrunk, shrunk._replace(near=shrunk.far, far=shrunk.near)):
+            critical = is_critical(side.kind[lanes], side.near.product[lanes])
+            parts.append(side.of(lanes[critical]))
+            lanes = lanes[~critical]
+        return Brackets.join(parts)
+
+    def classified(self, changes: Brackets) -> Brackets:
+        """Return located changes of events, each with its kind; nothing is called grazing although nothing grazes."""
+        changes = classify_event_changes(self.problem, _touching_end_first(changes))
+        grazes = np.minimum(changes.near.margin, changes.far.margin) < GRAZED_MARGIN
+        return changes.of(grazes | (changes.kind != SPECIAL_KINDS.index("grazing")))
+
+    def __call__(self, branches: Branches) -> Brackets:
+        """Return the special points between the points of branches: `near` at the point, `far` just behind it."""
+        with np.errstate(all="ignore"):
+            brackets = self._detect(branches.brackets(np.arange(len(branches.lane) - 1)))
+            located = [brackets.of(slice(0))]
+            for _ in range(self.max_event_changes + 1):
+                if not len(brackets.place):
+                    break
+                test = self._test_function(brackets)
+                shrunk, success = shrink_brackets(self.problem, brackets, test)
+                events = brackets.kind == EVENT_CHANGE
+                located.append(self.accepted(brackets, shrunk, test, np.flatnonzero(success & ~events)))
+                change, whole = shrunk.of(success & events), brackets.of(success & events)
+                located.append(self.classified(change))
+                before, behind = whole._replace(far=change.near), whole._replace(near=change.far)
+                parts = self._detect_smooth(before), self._detect(behind)
+                brackets = Brackets.join([*parts, self._detect_smooth(brackets.of(~success & events))])
+        return Brackets.join(located)
+
+    def _detect(self, brackets: Brackets) -> Brackets:
+        """Return the brackets with special points; a change of events hides points of other kinds."""
+        changed = brackets.changes_events
+        smooth = self._detect_smooth(brackets.of(~changed))
+        return Brackets.join([brackets.of(changed).as_kind(EVENT_CHANGE), smooth])
+
+    def _detect_smooth(self, brackets: Brackets) -> Brackets:
+        """Return the brackets in which a test function changes sign."""
+        parts = [brackets.of(slice(0))]
+        for kind, mask, test in self.tests(brackets.near.family):
+            own = brackets.of(mask)
+            changed = test(own.near, own.near) * test(own.far, own.near) < 0
+            parts.append(own.of(changed).as_kind(kind))
+        return Brackets.join(parts)
+
+    def _test_function(self, brackets: Brackets) -> TestFunction:
+        """Return a function that evaluates the test function of each bracket's kind.
+
+        For `EVENT_CHANGE` the test function is the grazing margin, which tends to zero from at least one side. It gets
+        a negative sign where the events differ from those at the near end.
+        """
+        near, counts = brackets.near, brackets.near.signature
+
+        def test(lanes: Index, points: Points) -> PerLane:
+            same = (points.signature == counts[lanes]).all(axis=1)
+            values = np.where(same, 1.0, -1.0) * np.maximum(points.margin, np.finfo(float).tiny)
+            for kind, mask, function in self.tests(points.family):
+                own = mask & (brackets.kind[lanes] == kind)
+                if own.any():
+                    values[own] = function(points.of(own), near.of(lanes[own]))
+            return values
+
+        return test
+
+
+def _touching_end_first(changes: Brackets) -> Brackets:
+    """Return located changes of events with `near` at the change, where only one end of the bracket has moved to it.
+
+    That end, the one with fewer events, is the far one if an event vanishes along the branch.
+    """
+    near, far = changes.near, changes.far
+    apart = np.abs(far.u - near.u).max(axis=1, initial=0.0) > ACCEPTED_WITHIN
+    swapped = changes._replace(near=far, far=near)
+    other = apart & (far.margin < near.margin)
+    return Brackets.join([changes.of(~other), swapped.of(other)])
+
+
+def classify_event_changes(problem: Problem, brackets: Brackets) -> Brackets:
+    """Classify points at which events begin or vanish: impacts, sticks and reversals, or tangencies with the section.
+
+    A point at which both impacts and sticks change is returned twice, once with each kind. If the duration of the
+    period jumps, other section crossings are counted; such a point counts as a tangency only. All remaining changes
+    count as grazing, if the scene has events.
+    """
+    near, far = brackets.near, brackets.far
+    section = ~(np.abs(far.period - near.period) < SAME_TIME * near.period)
+    impact = (near.impacts != far.impacts) & ~section
+    # The mode of friction is -1 for reversed motion, and 0 for stick.
+    slips = list(problem.scene.switch_places.values())
+    stick = (near.mode_changes[:, slips, :2] != far.mode_changes[:, slips, :2]).any(axis=(1, 2)) & ~section
+    other = ~stick & ~section & bool(problem.scene.guard_names)
+    kinds = {"grazing": impact | other, "stick": stick, "section": section}
+    return Brackets.join([brackets.of(mask).as_kind(SPECIAL_KINDS.index(kind)) for kind, mask in kinds.items()])
+
+
+def is_critical(kind: Int[np.ndarray, " lanes"], product: Float[np.ndarray, "lanes states states"]) -> Flags:
+    """Return a mask of lanes with a multiplier near the critical value of their `kind` (a flag)."""
+    values = multipliers(product)
+    fold, doubling = (np.abs(values - critical).min(axis=1) < CRITICAL_DISTANCE for critical in (1, -1))
+    on_circle = np.abs(np.abs(values) - 1) < CRITICAL_DISTANCE
+    torus = ((np.abs(values.imag) > CRITICAL_DISTANCE) & on_circle).any(axis=1)
+    return np.select([kind == SPECIAL_KINDS.index(name) for name in TEST_FUNCTIONS], [fold, doubling, torus], False)

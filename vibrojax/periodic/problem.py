@@ -1,0 +1,238 @@
+"""Equations of a family of periodic orbits: p scaled states at the section and one or two scaled parameters.
+
+The unknowns u of a lane are the states s_1 ... s_p divided by their scales, and the parameters divided by their units.
+The equations require that the return map takes each state to the next, and the last to the first. There is one equation
+fewer than unknowns (with two parameters, a further equation is added), so solutions form curves.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix, solve
+from vibrojax.periodic.return_map import Segments
+from vibrojax.scenes import Scene
+from vibrojax.stepping import LOCATED_STRIDE, Accuracy
+
+FAMILY_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
+"""Accuracy of the return map, chosen so that multipliers, which determine special points, are accurate to 1e-8."""
+
+CORRECTOR_RESIDUAL = 1e-10
+"""Largest residual of an accepted point; another Newton step would reduce the residual to about its square."""
+
+STEEP_EQUATION = 1e4
+"""Slope of an equation in scaled unknowns above which rounding errors may exceed `CORRECTOR_RESIDUAL`."""
+
+CORRECTOR_MAX_ITERATIONS = 8
+
+UNITS_PER_SPAN = 8
+"""Number of units of a scaled parameter between its bounds, which weights parameter steps against state steps."""
+
+Index = Int[np.ndarray, " lanes"]
+Unknowns = Float[np.ndarray, "lanes unknowns"]
+PerLane = Float[np.ndarray, " lanes"]
+PerSegment = Float[np.ndarray, " segments"]
+Flags = Bool[np.ndarray, " lanes"]
+
+
+class Points(NamedTuple):
+    """Points at which the equations are evaluated; the first axis of all arrays is the lane.
+
+    - `family`: index of the family; `u`: unknowns.
+    - `tangent`: unit tangent of the solution curve; NaN where it has not been computed.
+    - `off`: residuals of the equations; `matrix`: their derivatives with respect to the unknowns.
+    - `times` (lanes, p) [s]: time from each state to the next; infinite where the section is not reached.
+    - `product`: derivative of the map over one period of the motion, in scaled states; its eigenvalues are the
+      multipliers.
+    - `impacts` (lanes,), `mode_changes` (lanes, modes, 3): see [vibrojax.periodic.return_map.ReturnEvents][].
+    - `margin` (lanes,): grazing margin.
+    - `swing` (lanes,): largest amplitude of a state, relative to its scale.
+    """
+
+    family: Index
+    u: Unknowns
+    tangent: Unknowns
+    off: Float[np.ndarray, "lanes equations"]
+    matrix: Float[np.ndarray, "lanes equations unknowns"]
+    times: Float[np.ndarray, "lanes cycles"]
+    product: Float[np.ndarray, "lanes states states"]
+    impacts: PerLane
+    mode_changes: Float[np.ndarray, "lanes modes 3"]
+    margin: PerLane
+    swing: PerLane
+
+    def of(self, lanes: Any) -> "Points":
+        return Points(*(x[lanes] for x in self))
+
+    def put(self, lanes: Any, other: "Points") -> None:
+        """Replace the given lanes by the lanes of `other`, in place."""
+        for mine, new in zip(self, other, strict=True):
+            mine[lanes] = new
+
+    @staticmethod
+    def join(parts: "Sequence[Points]") -> "Points":
+        return Points(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+
+    def along(self, direction: Unknowns) -> "Points":
+        """Return the points with the unit tangents that form an acute angle with `direction`."""
+        right = np.zeros_like(direction)
+        right[:, -1] = 1.0
+        tangent = solve_bordered(self.matrix, direction, right)
+        return self._replace(tangent=tangent / np.linalg.norm(tangent, axis=1, keepdims=True))
+
+    @property
+    def residual(self) -> PerLane:
+        """Greatest absolute residual; infinite where the section is not reached.
+
+        Next to a graze slopes grow without limit, and rounding errors with them: residuals of steep equations are
+        divided by the slope relative to `STEEP_EQUATION`.
+        """
+        steepness = np.linalg.norm(self.matrix, axis=2) / STEEP_EQUATION
+        worst = (np.abs(self.off) / np.maximum(steepness, 1.0)).max(axis=1)
+        return np.where(np.isfinite(worst) & np.isfinite(self.times).all(axis=1), worst, np.inf)
+
+    @property
+    def signature(self) -> Float[np.ndarray, "lanes counts"]:
+        """Numbers of events of each kind in one period of the motion."""
+        modes = self.mode_changes.shape[1]
+        return np.column_stack([self.impacts, self.mode_changes.reshape(len(self.u), modes * 3)])
+
+    @property
+    def period(self) -> PerLane:
+        """Duration of one period of the motion, over all p section crossings [s]."""
+        return self.times.sum(axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """Families of one scene over one parameter, or curves over two.
+
+    - `along`: names of the varied parameters; a continuation ends at the bounds of the last one.
+    - `parameters`: the scene's parameters by name, each (families,); the values of `along` are unused.
+    - `scales` (families, states): scales of the states.
+    - `unit`, `first`, `last` (families, varied parameters): units and bounds of the varied parameters.
+    - `most_steps`: step limit between two section crossings, above which a motion counts as not returning.
+    """
+
+    scene: Scene[Any]
+    along: tuple[str, ...]
+    parameters: Mapping[str, PerLane]
+    scales: Float[np.ndarray, "families states"]
+    unit: Float[np.ndarray, "families varied"]
+    first: Float[np.ndarray, "families varied"]
+    last: Float[np.ndarray, "families varied"]
+    most_steps: float
+
+    @cached_property
+    def _map(self) -> Segments:
+        return Segments(self.scene, self.along, FAMILY_ACCURACY, self.most_steps)
+
+    @property
+    def rows(self) -> int:
+        return self.scales.shape[1]
+
+    def cycles(self, u: Unknowns) -> int:
+        """Return the number of section crossings per period that belongs to the number of unknowns."""
+        return (u.shape[1] - len(self.along)) // self.rows
+
+    def unknowns(
+        self, family: Index, states: Float[np.ndarray, "lanes cycles states"], values: Float[np.ndarray, "lanes varied"]
+    ) -> Unknowns:
+        scaled = states / self.scales[family][:, None]
+        return np.column_stack([scaled.reshape(len(family), -1), values / self.unit[family]])
+
+    def states(self, family: Index, u: Unknowns) -> Float[np.ndarray, "lanes cycles states"]:
+        """Return the states at the section that belong to the unknowns `u`."""
+        return u[:, : -len(self.along)].reshape(len(u), self.cycles(u), self.rows) * self.scales[family][:, None]
+
+    def values(self, family: Index, u: Unknowns) -> Float[np.ndarray, "lanes varied"]:
+        """Return the varied parameters."""
+        return u[:, -len(self.along) :] * self.unit[family]
+
+    def parameters_at(self, family: Index, u: Unknowns) -> dict[str, PerLane]:
+        """Return all parameters of lanes, by name."""
+        varied = dict(zip(self.along, self.values(family, u).T, strict=True))
+        return {name: x[family] for name, x in self.parameters.items()} | varied
+
+    def segments(
+        self, family: Index, u: Unknowns
+    ) -> tuple[dict[str, PerSegment], Float[np.ndarray, "states segments"]]:
+        """Return the parameters and the initial states of the segments between section crossings."""
+        states = self.states(family, u)
+        parameters = {name: np.repeat(x, states.shape[1]) for name, x in self.parameters_at(family, u).items()}
+        return parameters, states.reshape(-1, self.rows).T
+
+    def scaled(
+        self, family: Index, jacobian: Float[np.ndarray, "lanes cycles rows columns"]
+    ) -> Float[np.ndarray, "lanes cycles rows columns"]:
+        """Return scaled derivatives of images with respect to the scaled states and parameters."""
+        scale = self.scales[family][:, None]
+        return jacobian / scale[..., None] * np.column_stack([self.scales[family], self.unit[family]])[:, None, None]
+
+    def evaluate(self, family: Index, u: Unknowns) -> Points:
+        """Evaluate the equations at the unknowns `u` of lanes; `family`: index of each lane's family."""
+        parameters, states = self.segments(family, u)
+        images = images_by_lane(self._map(parameters, states), len(u), self.cycles(u))
+        return self.orbit(family, u, images, self.scaled(family, images.jacobian))
+
+    def orbit(self, family: Index, u: Unknowns, images: Any, jacobian: np.ndarray) -> Points:
+        """Return the points with the equations of the orbits; `jacobian`: scaled derivatives of the `images`."""
+        lanes, cycles, rows, _ = jacobian.shape
+        off = (images.state - np.roll(self.states(family, u), -1, axis=1)) / self.scales[family][:, None]
+        swing = (images.seen.greatest.max(axis=1) - images.seen.least.min(axis=1)) / (2 * self.scales[family])
+        by_parameters = jacobian[..., rows:].reshape(lanes, cycles * rows, -1)
+        return Points(
+            family=family,
+            u=u.copy(),
+            tangent=np.full_like(u, np.nan),
+            off=off.reshape(lanes, -1),
+            matrix=np.concatenate([shooting_matrix(jacobian[..., :rows]), by_parameters], axis=2),
+            times=np.where(images.seen.returned, images.time, np.inf),
+            product=chain(jacobian[..., :rows]),
+            impacts=images.seen.impacts.sum(axis=1),
+            mode_changes=images.seen.mode_changes.sum(axis=1),
+            margin=images.seen.margin.min(axis=1),
+            swing=swing.max(axis=1),
+        )
+
+    def correct(self, family: Index, guess: Unknowns, row: Unknowns, value: PerLane) -> tuple[Points, Flags]:
+        """Return the orbits near `guess` that satisfy row u = `value`, and a mask of the orbits that have converged.
+
+        The orbits are computed by Newton's method; their tangents form an acute angle with `row`.
+        """
+        best = self.evaluate(family, guess)
+        converged = np.zeros(len(guess), bool)
+        active = np.arange(len(guess))
+        before = np.full(len(guess), np.inf)
+        for _ in range(CORRECTOR_MAX_ITERATIONS):
+            now = best.of(active)
+            short = np.einsum("ij,ij->i", row[active], now.u) - value[active]
+            residual = np.maximum(now.residual, np.abs(short))
+            done = residual <= CORRECTOR_RESIDUAL
+            converged[active[done]] = True
+            on = ~done & (residual < np.maximum(before[active], 1e-3)) & np.isfinite(residual)
+            before[active] = residual
+            active, now, short = active[on], now.of(on), short[on]
+            step = solve_bordered(now.matrix, row[active], -np.column_stack([now.off, short]))
+            sound = np.isfinite(step).all(axis=1)
+            active = active[sound]
+            if not len(active):
+                break
+            best.put(active, self.evaluate(family[active], now.u[sound] + step[sound]))
+        return best.along(row), converged
+
+
+def solve_bordered(matrix: Float[np.ndarray, "lanes equations unknowns"], row: Unknowns, right: Unknowns) -> Unknowns:
+    """Solve matrix x = `right[:-1]`, row x = `right[-1]` for x in each lane; x is NaN if the system is singular."""
+    return solve(np.concatenate([matrix, row[:, None]], axis=1), right[..., None])[..., 0]
+
+
+def towards(u: Unknowns, sign: PerLane | float) -> Unknowns:
+    """Return the direction along the parameter, increasing or decreasing by `sign`."""
+    direction = np.zeros_like(u)
+    direction[:, -1] = sign
+    return direction

@@ -1,0 +1,57 @@
+"""Types of the numbers in equations and of the arrays in compiled programs.
+
+The annotations state array shapes. `lanes` is the last axis of every array in a program; a lane is one trajectory of
+the batch. Only the tests check the shapes at run time (`tests/conftest.py`).
+"""
+
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+Array = jax.Array | np.ndarray
+"""A JAX or NumPy array; inside a compiled program always a JAX array."""
+
+Lanes = Float[Array, "*lanes"]
+"""One number per lane."""
+
+Flags = Bool[Array, "*lanes"]
+"""One boolean per lane."""
+
+Counts = Int[Array, "*lanes"]
+"""One integer per lane."""
+
+Real = Array | float
+"""An array or a Python number, but not a Taylor series."""
+
+
+@runtime_checkable
+class Value(Protocol):
+    """A number in an equation: an array, a Python number, or a truncated Taylor series of either.
+
+    Equations use +, -, *, / and the functions of [vibrojax.physics.elementary][], so that the same equation
+    accepts arrays and Taylor series.
+    """
+
+    def __add__(self, other: Any, /) -> Any: ...
+    def __radd__(self, other: Any, /) -> Any: ...
+    def __sub__(self, other: Any, /) -> Any: ...
+    def __rsub__(self, other: Any, /) -> Any: ...
+    def __mul__(self, other: Any, /) -> Any: ...
+    def __rmul__(self, other: Any, /) -> Any: ...
+    def __truediv__(self, other: Any, /) -> Any: ...
+    def __rtruediv__(self, other: Any, /) -> Any: ...
+    def __neg__(self) -> Any: ...
+
+
+Tree = TypeVar("Tree")
+
+
+def keep(values: Tree) -> Tree:
+    """Return the same values (any pytree) behind an XLA optimization barrier.
+
+    XLA's CPU compiler recomputes a value in every fusion that reads the value. In a step, each value depends on all
+    earlier values, so the recomputation multiplies the arithmetic. A barrier ends the fusion.
+    """
+    return jax.lax.optimization_barrier(values)

@@ -1,0 +1,85 @@
+"""Linear modes of bit and striker without impact (source, eqs. 5.15 to 5.17).
+
+**Example:**
+
+>>> lower, upper = vj.modes.natural_frequencies({"m1": 250.0, "k1": 156250.0, "beta": 0.4, "gamma": 0.75})
+>>> f"{lower:.2f} and {upper:.2f} rad/s"
+'15.96 and 29.37 rad/s'
+"""
+
+from collections.abc import Mapping
+from math import pi
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from vibrojax.physics.arrays import Value
+
+Numbers = Mapping[str, Any]
+"""Parameters by name: scalars, or arrays with one value per lane."""
+
+
+def striker(p: Numbers) -> tuple[Any, Any]:
+    """Return the striker's mass m2 = beta m1 [kg] and spring stiffness k2 = m2 (gamma w1)² [N/m], w1² = k1/m1."""
+    return p["beta"] * p["m1"], p["beta"] * p["k1"] * p["gamma"] ** 2
+
+
+def uncoupled_frequencies(p: Numbers) -> tuple[Any, Any]:
+    """Return the natural frequencies [Hz] of bit and striker, each alone on its spring: w1/2pi and w2/2pi.
+
+    **Example:**
+
+    >>> bit, striker_alone = vj.modes.uncoupled_frequencies({"m1": 250.0, "k1": 156250.0, "gamma": 0.75})
+    >>> f"{bit:.3f} and {striker_alone:.3f} Hz"
+    '3.979 and 2.984 Hz'
+    """
+    bit = (p["k1"] / p["m1"]) ** 0.5 / (2 * pi)
+    return bit, bit * p["gamma"]
+
+
+def natural_frequencies(p: Numbers) -> Float[jax.Array, "*lanes 2"]:
+    """Return the two undamped natural frequencies [rad/s] (source, eq. 5.16).
+
+    The last axis has length 2, the lower frequency first. The frequencies are the roots of
+    w⁴ - w² (w1² + w2² (1 + beta)) + w1² w2² = 0, which follows from m1 x1'' = -k1 x1 - k2 (x1 - x2) and
+    m2 x2'' = -k2 (x2 - x1).
+    """
+    w1_squared = p["k1"] / p["m1"]
+    w2_squared = w1_squared * p["gamma"] ** 2
+    total = w1_squared + w2_squared * (1 + p["beta"])
+    product = w1_squared * w2_squared
+    upper = (total + jnp.sqrt(total**2 - 4 * product)) / 2
+    # product/upper instead of (total - root)/2, which loses digits by cancellation if the frequencies are far apart.
+    return jnp.sqrt(jnp.stack([product / upper, upper], axis=-1))
+
+
+def empirical_frequency(p: Numbers, share: Value = 0.25) -> Any:
+    """Return the empirical frequency [rad/s] w = sqrt((k1 + k2)/m1 + share k2/m2) (source, eq. 5.17).
+
+    The source has `share` = 1/4.
+    """
+    m2, k2 = striker(p)
+    return jnp.sqrt((p["k1"] + k2) / p["m1"] + share * k2 / m2)
+
+
+def linearised(p: Numbers, friction_slope: Value) -> Float[jax.Array, "4 4"]:
+    """Return the system matrix of the motion linearised about steady sliding (source, eq. 5.15).
+
+    **Arguments:** `p`: scalar parameters; `friction_slope` [N s/m]: dF/du at the drive speed. A negative slope means
+    that friction feeds energy into the vibration.
+
+    **Returns:** an array (4, 4) for the state (x1, x1', x2, x2'). The real and imaginary parts of its eigenvalues are
+    the modes' growth rates [1/s] and frequencies [rad/s].
+    """
+    m1, k1, c2 = p["m1"], p["k1"], p["c2"]
+    m2, k2 = striker(p)
+    return jnp.array(
+        [
+            [0.0, 1.0, 0.0, 0.0],
+            [-(k1 + k2) / m1, -friction_slope / m1, k2 / m1, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+            [k2 / m2, 0.0, -k2 / m2, -c2 / m2],
+        ]
+    )

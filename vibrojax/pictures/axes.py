@@ -1,0 +1,277 @@
+"""Text and scales of axes: labels, units, number formats, edges of map cells and logarithmic scales."""
+
+import json
+import re
+from collections.abc import Sequence
+from textwrap import fill
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from vibrojax.errors import counted, printable
+from vibrojax.io.attributes import differing_of, flag_counts, parameters_of, table_of, text_of
+from vibrojax.pictures.style import plain
+
+_HERTZ = {"s-1": "Hz", "s-2": "Hz s-1"}  # printed units of frequencies
+_FREQUENCIES = {"frequency": "f", "sweep_start": "f₀", "sweep_rate": "r"}  # the package's own: name and symbol
+_ANGULAR = re.compile(r"\bangular\b|\bomega|[ωΩ]", re.IGNORECASE)  # names of angular frequencies
+_LABEL_LETTERS = 32  # characters that fit along a panel
+_ROUNDING = 1e-6  # relative range up to which values count as equal
+_GEOMETRIC = 1e-3  # relative scatter up to which ratios or differences count as constant
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+# Prefixed units: name, factor, and the range of greatest magnitudes for which the prefix is used.
+_PREFIXED = {
+    "m": (("mm", 1e3, 0.0, 1.0),),
+    "s": (("ms", 1e3, 0.0, 0.1),),
+    "m s-1": (("mm s-1", 1e3, 0.0, 0.3),),
+    "N": (("MN", 1e-6, 1e6, np.inf), ("kN", 1e-3, 1e3, np.inf)),
+    "N m-1": (("MN m-1", 1e-6, 1e6, np.inf), ("kN m-1", 1e-3, 1e3, np.inf)),
+    "J": (("kJ", 1e-3, 1e4, np.inf),),
+    "J m-3": (("MJ m-3", 1e-6, 1e6, np.inf),),
+    "W": (("kW", 1e-3, 1e4, np.inf),),
+}
+
+# The parameters that every note lists: symbol, conversion factor and printed unit.
+_NAMED = {
+    "beta": ("β", 1.0, ""),
+    "gamma": ("γ", 1.0, ""),
+    "v": ("v", 1.0, " m/s"),
+    "delta": ("Δ", 1e3, " mm"),
+    "force": ("A", 1e-3, " kN"),
+    "bias": ("B", 1e-3, " kN"),
+    "frequency": ("f", 1.0, " Hz"),
+    "pulse_width": ("w", 1e3, " ms"),
+    "threshold": ("D", 1e-3, " kN"),
+    "k3": ("k₃", 1e-6, " MN/m"),
+    "zeta": ("ζ", 1.0, ""),
+}
+
+_USUAL_FRICTION = "stribeck"  # notes omit this friction law
+
+
+def scale(data: xr.DataArray) -> tuple[float, str]:
+    """Return the conversion factor and the unit to print values in, such as mm for small lengths.
+
+    Values in s-1 are printed in Hz only if they are known to be frequencies, and in rad/s if their name, long name or
+    symbol says that they are angular frequencies.
+    """
+    unit = str(data.attrs.get("units", "")).strip()
+    if unit in _HERTZ:
+        sign = _FREQUENCIES.get(str(data.name))
+        if sign is not None and data.attrs.get("symbol", sign) == sign:
+            return 1.0, _HERTZ[unit]
+        if _ANGULAR.search(" ".join(str(text) for text in (data.name, data.attrs.get("long_name"), symbol(data)))):
+            return 1.0, f"rad {unit}"
+    values = np.abs(np.asarray(data.values, float))
+    greatest = values[np.isfinite(values)].max(initial=0.0)
+    prefixed = _PREFIXED.get(unit, ())
+    return next(((factor, name) for name, factor, low, high in prefixed if low <= greatest < high), (1.0, unit))
+
+
+def pretty_unit(unit: str) -> str:
+    """Return a unit as it is printed: m/s for `m s-1`, N s/m for `N s m-1`, empty if dimensionless."""
+    if unit in ("", "1"):
+        return ""
+    above: list[str] = []
+    below: list[str] = []
+    for part in unit.split():
+        match = re.fullmatch(r"([^\W\d]+)(-?\d+)?", part)
+        if match is None:
+            return unit
+        power = int(match[2] or 1)
+        exponent = "" if abs(power) == 1 else str(abs(power)).translate(_SUPERSCRIPTS)
+        (above if power > 0 else below).append(match[1] + exponent)
+    if len(below) > 1:
+        return unit.translate(_SUPERSCRIPTS)
+    return " ".join(above or ["1"]) + (f"/{below[0]}" if below else "")
+
+
+def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
+    """Return an axis label: long name, symbol and unit. A variable without these attributes is labelled by its name.
+
+    The label is wrapped at `letters` characters, 32 at most.
+    """
+    words = re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip()
+    parts = (words, str(data.attrs.get("symbol", "")).strip())
+    text = ", ".join(dict.fromkeys(filter(None, parts))) or plain(str(data.name).replace("_", " "))
+    unbroken = with_unit(text, scale(data)[1]).replace(" [", "\u00a0[")
+    return fill(unbroken, min(letters, _LABEL_LETTERS)).replace("\u00a0", " ")
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return the text followed by the unit in brackets, or the text alone if the unit is dimensionless."""
+    return f"{text} [{pretty_unit(unit)}]" if pretty_unit(unit) else text
+
+
+def symbol(data: xr.DataArray) -> str:
+    """Return the symbol of a variable, or its name if it has no symbol."""
+    return str(data.attrs.get("symbol", "")).strip() or plain(str(data.name))
+
+
+def number(value: float) -> str:
+    """Format a number with at most five significant digits and a typographic minus sign."""
+    text = f"{float(value):.5g}"
+    return ("0" if text == "-0" else text).replace("-", "−")
+
+
+def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> str:
+    """Format a value of the coordinate `data`: `Δ = −5 mm` for a number, `start: drive` for a string."""
+    if not np.issubdtype(np.asarray(value).dtype, np.number):
+        return f"{plain(str(data.name))}: {short(str(value))}"
+    factor, unit = scale(data)
+    return f"{symbol(data)} = {number(float(value) * factor)} {pretty_unit(unit)}".rstrip()
+
+
+def index_text(ds: xr.Dataset, dimension: str, index: int) -> str:
+    """Format a dimension's value at an index, or the values of all coordinates along a dimension without its own."""
+    along = [dimension] if dimension in ds.coords else [name for name in ds.coords if ds[name].dims == (dimension,)]
+    return ", ".join(value_text(ds[name], ds[name].values[index]) for name in along) or f"{dimension} = {index}"
+
+
+def short(name: str) -> str:
+    """Shorten the name of an initial condition: a vector, "[0.0, 0.0, 0.0213, 1.0]", gets three digits per state."""
+    try:
+        start = json.loads(name)
+        return start if isinstance(start, str) else f"[{', '.join(number(float(f'{value:.3g}')) for value in start)}]"
+    except (ValueError, TypeError, RecursionError):
+        return name.strip('"')
+
+
+def share_text(share: float) -> str:
+    """Format a fraction in percent; fractions below 1 % read <1 % and above 99 % read >99 %, unless exactly 0 or 1."""
+    percent = round(100.0 * share, 6)  # sums of shares have rounding errors
+    if 0.0 < percent < 1.0:
+        return "<1 %"
+    return ">99 %" if 99.0 < percent < 100.0 else f"{percent:.0f} %"
+
+
+def point_text(ds: xr.Dataset) -> str:
+    """Format the values common to all lanes: scalar coordinates, parameters and initial condition."""
+    scalars = {str(name): data for name, data in ds.coords.items() if data.ndim == 0}
+    if "start" in scalars:  # its name contains the initial states
+        scalars = {name: data for name, data in scalars.items() if not name.startswith("start_")}
+    parts = [value_text(data, data.values.item()) for data in scalars.values()]
+    known = {*ds.coords, *(("threshold", "k3") if "rock" in ds.coords else ())}
+    parameters = parameters_of(ds)
+    differing = differing_of(ds)
+    # A parameter of a user's scene with the same name has another symbol, and may have another unit.
+    own = {x["name"] for x in differing if x["name"] in _NAMED and x["symbol"] != _NAMED[x["name"]][0]}
+    if "frequency" not in {x["name"] for x in differing} and text_of(ds, "scene") not in ("", "penetration"):
+        own.add("frequency")  # its unit is unknown
+    for name, (sign, factor, unit) in _NAMED.items():
+        if name in parameters and name not in known | own:
+            parts.append(f"{sign} = {number(factor * parameters[name])}{unit}")
+    for parameter in differing:
+        if parameter["name"] not in _NAMED.keys() - own and parameter["name"] not in known:
+            about = {name: plain(printable(parameter[name], 40)) for name in ("units", "symbol")}
+            parts.append(
+                value_text(xr.DataArray(parameter["value"], name=parameter["name"], attrs=about), parameter["value"])
+            )
+    if ds.attrs.get("friction", _USUAL_FRICTION) != _USUAL_FRICTION:
+        parts.append(f"friction: {text_of(ds, 'friction')}")
+    if "start" in ds.attrs and "start" not in ds.coords:
+        parts.append(f"start: {short(text_of(ds, 'start'))}")
+    return ", ".join(parts)
+
+
+def certified_text(ds: xr.Dataset) -> str:
+    """Return how many periodic lanes meet the error tolerance or still settle, and why lanes failed; "" if unknown."""
+    reasons = [name for name in flag_counts(ds, "reason") if name != "none"] if "status" in ds else []
+    failed = f"Lanes failed: {', '.join(reasons)}" if reasons else ""
+    return ". ".join(filter(None, (_known_text(ds), failed)))
+
+
+def _known_text(ds: xr.Dataset) -> str:
+    counts = table_of(ds, "certified")
+    if not counts.get("estimated") or not {"within", "still_settling", "error"} <= set(counts):
+        return ""
+    within, estimated, still = (round(counts[name]) for name in ("within", "estimated", "still_settling"))
+    lanes = f"of {estimated} lanes that repeat" if estimated > 1 else "of 1 lane that repeats"
+    text = counted(within, f"{lanes} is", f"{lanes} are") + f" known to {counts['error']:g}"
+    text += f", {counted(still, 'is', 'are')} still settling" if still else ""
+    sensitive = round(counts.get("sensitive", 0))
+    return text + (f", {counted(sensitive, 'is', 'are')} sensitive to rounding" if sensitive else "")
+
+
+def values_along(data: xr.DataArray) -> Float[np.ndarray, " values"]:
+    """Return a coordinate's values in the unit of its axis label."""
+    return np.asarray(data.values * scale(data)[0], float)
+
+
+def pad_constant(axes: Axes) -> None:
+    """Widen the y limits of `axes` if all values plotted on its shared y axis are equal within rounding error."""
+    shared = axes.get_shared_y_axes().get_siblings(axes)
+    ends = np.array([other.dataLim.intervaly for other in shared])
+    low, high = float(ends[:, 0].min()), float(ends[:, 1].max())
+    if 0.0 <= high - low <= _ROUNDING * max(abs(low), abs(high)):
+        room = 0.1 * abs(high) or 1.0
+        axes.set_ylim(low - room, high + room)
+    elif len(shared) > 1:
+        axes.autoscale(axis="y")  # the limits of an earlier panel alone may have been widened
+
+
+def unclip_markers(axes: Axes) -> None:
+    """Draw whole the markers at the ends of an axis that ends at map cells, which may be narrower than markers."""
+    for artist in (*axes.lines, *axes.collections):
+        places = None
+        if isinstance(artist, PathCollection):
+            places = np.ma.getdata(artist.get_offsets())
+        elif isinstance(artist, Line2D) and artist.get_marker() not in ("None", "none", ""):
+            places = np.asarray(artist.get_xydata())
+        # An artist without a place has no extent: without clipping, the layout would fail.
+        if places is not None and np.isfinite(places).all(axis=1).any():
+            artist.set_clip_on(False)
+
+
+def shape_zero(panels: Sequence[Axes], text: str) -> bool:
+    """Leave one y tick, at zero, and write `text` on panels that share a y axis, if all their values are zero.
+
+    Return whether they are.
+    """
+    ends = np.array([axes.dataLim.intervaly for axes in panels])
+    known = ends[np.isfinite(ends)]
+    if not known.size or known.any():
+        return False
+    for axes in panels:
+        axes.set_ylim(-1.0, 1.0)
+        axes.set_yticks([0.0], ["0"])
+        axes.text(0.5, 0.7, text, transform=axes.transAxes, ha="center", va="center", color="0.3")
+    return True
+
+
+def is_geometric(values: Float[np.ndarray, " values"]) -> bool:
+    """Return whether the values increase by a constant ratio, and not by a constant difference."""
+    if values.size < 3 or values[0] <= 0 or np.any(np.diff(values) <= 0):
+        return False
+    factors, steps = values[1:] / values[:-1], np.diff(values)
+    return bool(np.ptp(factors) <= _GEOMETRIC * factors.mean() and np.ptp(steps) > _GEOMETRIC * steps.mean())
+
+
+def edges(values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values+1"]:
+    """Return the n + 1 edges of the map cells at n > 1 increasing values: midpoints between the values.
+
+    For geometric values, these are midpoints of the logarithms.
+    """
+    if is_geometric(values):
+        return np.exp(edges(np.log(values)))
+    half = np.diff(values) / 2
+    return np.concatenate([values[:1] - half[:1], values[:-1] + half, values[-1:] + half[-1:]])
+
+
+def shape_axis(axes: Axes, which: Literal["x", "y"], values: Float[np.ndarray, " values"]) -> None:
+    """Limit the x or y axis to the outer map-cell edges of `values`, and make it logarithmic for geometric values."""
+    ends = edges(values)[[0, -1]]
+    if is_geometric(values):
+        axis = axes.xaxis if which == "x" else axes.yaxis
+        axes.set(**{f"{which}scale": "log"})
+        if ends[1] / ends[0] < 1e3:  # less than three decades: 1, 2, 5 and so on as plain numbers
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+    axes.set(**{f"{which}lim": tuple(ends)})

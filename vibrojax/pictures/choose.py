@@ -1,0 +1,284 @@
+"""Pictures of datasets, chosen to fit the dataset or of requested variables, as a figure or a file."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import xarray as xr
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+
+from vibrojax.errors import InputError, nearest, shown, suggestion
+from vibrojax.io.atomic import atomic_write
+from vibrojax.io.kinds import kind_of
+from vibrojax.io.ownership import PICTURE_KEYS
+from vibrojax.io.provenance import source
+from vibrojax.pictures.axes import label, pad_constant
+from vibrojax.pictures.basins import many_starts
+from vibrojax.pictures.colours import REGIME_COLOURS as REGIME_COLOURS
+from vibrojax.pictures.colours import Values, shape_flags, value_of
+from vibrojax.pictures.contents import (
+    FORM,
+    MULTIPLIER,
+    POINT,
+    REGIME,
+    RETURN,
+    TIME,
+    Contents,
+    axes_of_map,
+    lane_dims,
+    named_groups,
+    varied,
+    without_single,
+)
+from vibrojax.pictures.curves import (
+    MOST_ROWS,
+    axis_of_lines,
+    band_text,
+    draw_over_time,
+    line_handles,
+    longest_axis,
+    new_rows,
+    split_lines,
+)
+from vibrojax.pictures.diagrams import DIAGRAMS
+from vibrojax.pictures.hole import pulses as pulses
+from vibrojax.pictures.hole import response as response
+from vibrojax.pictures.maps import draw_map
+from vibrojax.pictures.overlays import Overlays, as_layers, refuse_overlays
+from vibrojax.pictures.rates import rates as rates
+from vibrojax.pictures.returns import bifurcation as bifurcation
+from vibrojax.pictures.returns import hysteresis
+from vibrojax.pictures.selection import Value, select, thin_out, thinned_text
+from vibrojax.pictures.sheet import facets, legend_at_right, write_margins
+from vibrojax.pictures.starts import medians, medians_text, varied_states
+from vibrojax.pictures.strips import regime_lines
+from vibrojax.pictures.style import BIT, COLOURS, Mark, new_figure, settings, styled
+from vibrojax.pictures.time_history import trajectory as trajectory
+from vibrojax.studies.accuracy_picture import work_precision as work_precision
+from vibrojax.studies.analysis import analysis_of
+from vibrojax.studies.family_analysis import families
+
+# Files contain no date, so that the same dataset gives the same file.
+_METADATA: dict[str, dict[str, None]] = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+
+
+def picture(
+    ds: xr.Dataset,
+    variable: str | Sequence[str] | None = None,
+    where: Mapping[str, Value] | None = None,
+    colours: str | None = None,
+    over: Overlays = None,
+    diagram: str | None = None,
+) -> Figure:
+    """Draw the picture that fits a dataset.
+
+    It shows a motion, section crossings, regimes, rates of penetration, a fitted law, families, borders or attractors.
+
+    **Arguments:**
+
+    - `ds`: a dataset of `simulate`, a sweep, or an analysis.
+    - `variable`: name of a variable to draw instead, over all varied axes; or a list of up to four names, for a run up
+      to eight. A variable at the returns, such as "return_x", gives the bifurcation diagram of that state.
+    - `where`: values by name of axis or coordinate, in the dataset's units; only lanes with these values are drawn.
+      Example: `{"delta": 0.005, "start": "stuck"}`. Numbers must be accurate to four digits. Of more than 300,000
+      lanes, only every second value of the longest axes is drawn, or every third, ...
+    - `colours`: name of a matplotlib colour map for quantities; regimes, formulas of the fitted law and initial
+      conditions keep their colours.
+    - `over`: datasets to draw on top. Families of orbits, from `follow`, are drawn over the section crossings of a
+      sweep along the same parameter, or over lanes carried along it. Borders, from `borders`, are drawn over the map of
+      regimes.
+    - `diagram`: name of a diagram to draw instead. "campbell" draws the frequencies of a sweep's motions, the natural
+      frequencies and the multiples of the rotation over the speed. "rate-over-force" draws the rate of penetration over
+      the mean force, with the onset of penetration.
+
+    **Returns:** a figure that pyplot does not manage.
+
+    **Raises:** `InputError` if the dataset holds nothing to draw, there is no such variable, axis, value or colour map,
+    or `over` cannot be drawn on this picture.
+
+    **Example:**
+
+    >>> axes = {"beta": [0.3, 0.4, 0.5], "gamma": [0.6, 0.7, 0.8]}
+    >>> ds = vj.run_sweep({"scene": "vibro-impact", "grid": axes}, progress=False)
+    >>> figure = vj.picture(ds, variable="stick_fraction", where={"start": "stuck"})
+    >>> figure.savefig("stick.png")
+    """
+    if not isinstance(ds, xr.Dataset):
+        raise InputError(f"{shown(ds)} is not a dataset; open it first: vj.picture(vj.open_dataset(PATH))")
+    if colours is not None and colours not in colormaps:
+        like = nearest(str(colours), colormaps)
+        right = f"did you mean {shown(like)}?" if like else "choose one of matplotlib's, like viridis or magma"
+        raise InputError(f"colours: {shown(colours)} is not a colour map; {right}")
+    if diagram is not None and diagram not in DIAGRAMS:
+        raise InputError(f"diagram: {shown(diagram)} is unknown; {suggestion(str(diagram), DIAGRAMS)}")
+    if diagram is not None and (variable is not None or over is not None):
+        raise InputError(f"diagram: {diagram} draws its own variables; leave variable and over out")
+    layers = as_layers(over)
+    token = COLOURS.set(colours)
+    try:
+        ds = select(ds, where) if where else ds
+        ds = ds if layers else thin_out(ds)
+        if diagram is not None:
+            return DIAGRAMS[diagram](ds)
+        if variable is None:
+            return analysis_of(ds).picture(ds, layers)
+        if isinstance(variable, str) and variable in ds and RETURN in ds[variable].dims:
+            draw = hysteresis if Contents(ds).carried else bifurcation
+            return draw(ds, layers, variable)
+        if layers:
+            refuse_overlays(layers, "over no other variable")
+        return _draw_variables(ds, (variable,) if isinstance(variable, str) else variable)
+    finally:
+        COLOURS.reset(token)
+
+
+def save_picture(
+    ds: xr.Dataset,
+    path: str | Path,
+    variable: str | Sequence[str] | None = None,
+    where: Mapping[str, Value] | None = None,
+    colours: str | None = None,
+    over: Overlays = None,
+    diagram: str | None = None,
+) -> str:
+    """Save the picture that fits a dataset to a file, atomically: the file is complete or does not exist.
+
+    **Arguments:**
+
+    - `ds`, `variable`, `where`, `colours`, `over`, `diagram`: as for [vibrojax.pictures.choose.picture][].
+    - `path`: file name that ends in .png, .pdf or .svg.
+
+    **Returns:** a description of the values that are drawn, or "" if all are drawn.
+
+    **Raises:** `InputError` for another file extension, a path that cannot be written, or for the reasons of `picture`.
+
+    **Example:**
+
+    >>> motion = vj.simulate("vibro-impact", start="stuck", duration=4.0, progress=False)
+    >>> vj.save_picture(motion, "motion.svg")  # nothing is left out
+    ''
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in _METADATA:
+        raise InputError(f"{path}: pictures end in .png, .pdf or .svg, not in {suffix or 'nothing'}")
+    figure = picture(ds, variable, where, colours, over, diagram)
+    try:
+        with settings(), atomic_write(path, "part") as part:
+            metadata = {**_METADATA[suffix], PICTURE_KEYS[suffix]: source()}
+            figure.savefig(part, format=suffix[1:], metadata=metadata)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another file") from None
+    return thinned_text(select(ds, where) if where else ds)
+
+
+_MOST_VARIABLES, _MOST_HISTORIES = 4, 8  # more do not fit in one figure
+
+
+@styled
+def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
+    """Draw the variables `names`, each in separate panels.
+
+    Lanes over two axes are drawn as maps, over one axis as curves, and a list of points over two parameters as dots. A
+    run is drawn as time histories, and families as lines along their branches. Of multipliers, only the largest is
+    drawn; of too many initial conditions, the median.
+
+    **Arguments:** `names`: up to four variables along all lane dimensions; for a run, up to eight variables along time.
+
+    **Raises:** `InputError` if there is no such variable, it has other dimensions, or there are too many names.
+    """
+    _check(ds, names)
+    if TIME in ds.dims:
+        return _draw_histories(ds, names)
+    if kind_of(ds) == "family":
+        return families(ds, names)
+    ds = named_groups(ds)
+    ds = without_single(
+        ds.assign({name: ds[name].isel({MULTIPLIER: 0}) for name in names if MULTIPLIER in ds[name].dims})
+    )
+    held, note = Contents(ds), ""
+    values = tuple(None if name == REGIME else value_of(ds[name]) for name in names)
+    if FORM in ds[names[0]].dims:
+        return _draw_curves(ds, values)
+    if held.many_starts and held.regimes:
+        if held.points_over_two or (not held.points and (held.axes or varied_states(ds))):
+            return many_starts(ds, values)
+        note = medians_text(ds)
+        ds = medians(ds, [name for name in names if name != REGIME])
+    if held.points_over_two:
+        x, y = varied(ds)
+        return draw_map(ds, x, y, values, note)
+    if not held.points and (held.worth_a_map or (held.regimes and len(held.axes) > 1)):
+        return draw_map(ds, *axes_of_map(ds), values, note)
+    if not held.points and held.regimes and held.axes:
+        return regime_lines(ds, note=note, values=tuple(value for value in values if value is not None))
+    return _draw_curves(ds, values, note)
+
+
+def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
+    if not isinstance(names, Sequence):
+        raise InputError(f"variable: {shown(names)} is not the name of a variable; give one, or a list")
+    run, orbits = TIME in ds.dims, kind_of(ds) == "family"
+    lanes = {TIME} if run else {POINT} if orbits else set(lane_dims(ds))
+    drawable = [
+        str(name)
+        for name, data in ds.data_vars.items()
+        if data.dtype.kind in ("f" if orbits else "fiub") and lanes == {*data.dims} - {FORM, MULTIPLIER}
+    ]
+    noun = "time" if run else "point of the families" if orbits else "lane"
+    analysis = analysis_of(ds)
+    for name in names:
+        if not lanes and analysis.view == "plots":
+            whole = f"a {analysis.kind} is drawn as a whole"
+            raise InputError(f"variable: {shown(name)} has no picture of its own, since {whole}; leave it out")
+        if name in ds.data_vars and name not in drawable:
+            choices = f"choose from {', '.join(drawable)}" if drawable else "there is none that can"
+            raise InputError(f"variable: {shown(name)} is not one number a {noun}; {choices}")
+        if name not in drawable:
+            raise InputError(f"variable: {shown(name)} is not in the dataset; {suggestion(str(name), drawable)}")
+    most = _MOST_HISTORIES if run else _MOST_VARIABLES
+    if not 1 <= len(names) <= most:
+        raise InputError(f"variable: {len(names)} names; give one to {most} for a picture")
+
+
+def _draw_curves(ds: xr.Dataset, values: Values, note: str = "") -> Figure:
+    """Draw variables over the longest axis, one row per facet.
+
+    There is one line per value of another axis or, for a fitted penetration law, one line per formula of the law.
+    """
+    quantities = [value if value is not None else value_of(ds[REGIME]) for value in values]
+    x = longest_axis(ds)
+    by = FORM if FORM in ds[quantities[0].name].dims else axis_of_lines(ds, x.name)
+    ds = ds.sortby(x.name) if x.is_number else ds
+    panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
+    figure, rows, _ = new_rows(panels, len(quantities))
+    style = x.style_of(ds)
+    for row in rows:
+        for i, (axes, value) in enumerate(zip(row.axes, quantities, strict=True)):
+            for line in split_lines(row.facet, by):
+                mark = Mark(marker="o", markersize=3.0, linewidth=1.2, linestyle=style, color=line.colour)
+                axes.plot(x.of(line.lanes), value.of(line.lanes).values.ravel(), label=line.name, **mark)
+            row.label(i, x.label, value.label)
+            x.shape(axes)
+            pad_constant(axes)
+            shape_flags(axes, value)
+    legend_at_right(figure, line_handles(split_lines(ds, by), Mark(linestyle=style)))
+    write_margins(figure, ds, panels.note, note)
+    return figure
+
+
+def _draw_histories(ds: xr.Dataset, names: Sequence[str]) -> Figure:
+    figure = new_figure(10.0, 1.5 * len(names) + 0.9)
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    time = ds[TIME].values.astype(float)
+    for axes, name in zip(panels, names, strict=True):
+        value = value_of(ds[name])
+        axes.grid(True)
+        axes.set_xlim(time[0], time[-1])
+        draw_over_time(axes, time, value.of(ds).values.astype(float), BIT, 1.0, name)
+        axes.set_ylabel(value.label.replace(" [", "\n["))
+        shape_flags(axes, value)
+    panels[-1].set_xlabel(label(ds[TIME]))
+    figure.align_ylabels()
+    write_margins(figure, ds, band_text(*panels))
+    return figure

@@ -1,0 +1,296 @@
+"""Colours of regimes, of the formulas of the penetration law, and of quantities (one scale for all panels)."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis, XAxis
+from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullLocator
+
+from vibrojax.errors import InputError
+from vibrojax.io.attributes import flags
+from vibrojax.measures.labels import REGIMES
+from vibrojax.pictures.axes import scale, share_text, with_unit
+from vibrojax.pictures.contents import RATE, REGIME, RELIEF, quantities_beside
+from vibrojax.pictures.style import INK, NO_VALUE, NOTHING, colour_map, other_colour
+
+# One fixed colour for each regime, so that pictures of different runs can be compared. Any two differ by 27 or more in
+# CIELAB, also for readers who lack one kind of cone. The regime of interest, 3, is the brightest. The two greys differ
+# by 35 in lightness; lanes without a value are hatched.
+REGIME_COLOURS = {
+    0: "#DDD8C8",
+    1: "#767676",
+    2: "#88CCEE",
+    3: "#FFC20A",
+    4: "#0C6BB3",
+    5: "#C2410C",
+    6: "#6A1B5D",
+    7: "#000000",
+}
+_CLEAR = (1.0, 1.0, 1.0, 0.0)  # cells without a value show the hatched background of `hatch_gaps`
+REGIME_MAP = ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=_CLEAR)
+REGIME_NORM = BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
+SINGLE = REGIMES.index("single-impact")
+
+FORM_COLOURS = {
+    "onset": "#004488",
+    "literal": "#222222",
+    "percent": "#DDAA33",
+    "line": "#56B4E9",
+    "power": "#BB5566",
+    "constant": "#228833",
+}
+_OTHER_FORM = "#8C8C8C"
+
+# Name on the picture, and perceptually uniform colour map.
+_QUANTITIES = {
+    "rate_of_penetration": ("rate of penetration", "plasma"),
+    "impact_velocity": ("impact velocity", "viridis"),
+    "period": ("period", "cividis"),
+    "bit_amplitude": ("bit amplitude", "plasma"),
+    "slip_per_impact": ("slip per blow", "viridis"),
+    "mean_force": ("mean force P", "cividis"),
+    "relief": ("relief P/D", "cividis"),
+    "C": ("C", "viridis"),
+    "multiplier_abs": ("largest |multiplier|", "viridis"),
+    "multiplier_arg": ("argument of the largest\nmultiplier", "viridis"),
+    "stable": ("stability", ""),
+    "lyapunov": ("greatest Lyapunov exponent", "viridis"),
+    "nature": ("nature", ""),
+    "stick_fraction": ("share of stick", "viridis"),
+    "reverse_fraction": ("share of slip backwards", "viridis"),
+    "C_relative_error": ("standard error of C", "cividis"),
+}
+_STABILITY_COLOURS = {-1: "#BBBBBB", 0: "#D55E00", 1: "#0072B2"}
+_OF_DRILL = ("impact_velocity", "period", "bit_amplitude")
+_OF_ROCK = (RATE, "slip_per_impact", RELIEF, "mean_force")
+_NOTHING_AT_ZERO = {"rate_of_penetration", "slip_per_impact"}
+ROBUST = (2.0, 98.0)  # percentiles
+_OUTLIER_RANGE = 2.0  # outliers are farther from the robust limits than this, in units of the robust range
+_SPREAD = {"rate_of_penetration", "slip_per_impact", "C"}  # quantities that may extend over decades
+_LOG_SHARE, _LOG_RATIO = 20.0, 15.0  # logarithmic if this percentage of values is below the greatest over this factor
+_NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
+_CONSTANT = 1e-9  # relative range up to which values count as equal
+
+Cells = Float[np.ndarray, "*shape"]
+Extend = Literal["neither", "min", "max", "both"]
+
+
+@dataclass(frozen=True)
+class Value:
+    """Colour coding of a variable: its values times `factor`, mapped by `norm`, which all panels of a picture share."""
+
+    name: str
+    label: str
+    factor: float
+    norm: Normalize
+    extend: Extend
+    colour_map: Colormap
+    names: Mapping[int, str] = field(default_factory=dict)
+    """Meanings of the values by flag; empty if the variable has no flags."""
+
+    has_values: bool = True
+    """False if there is nothing to colour: the scale is then a placeholder without ticks."""
+
+    @property
+    def of_rate(self) -> bool:
+        """True if zero means that there is no penetration."""
+        return self.name in _NOTHING_AT_ZERO
+
+    def of(self, ds: xr.Dataset) -> xr.DataArray:
+        """Return the variable's values in `ds`, in the unit of the label."""
+        return ds[self.name] * self.factor
+
+
+Values = tuple[Value | None, ...]
+"""Quantities to draw; None stands for the regimes."""
+
+
+class Coloured(NamedTuple):
+    """Values of the cells of a map, with the colour map and norm of these values."""
+
+    cells: Cells
+    colour_map: Colormap
+    norm: Normalize
+
+
+def coloured(ds: xr.Dataset, value: Value | None, *dims: str) -> Coloured:
+    """Return the map of `value`, or of the regimes if `value` is None, with dimensions in the order `dims`."""
+    if value is None:
+        return Coloured(regime_cells(ds[REGIME].transpose(*dims)), REGIME_MAP, REGIME_NORM)
+    return Coloured(value.of(ds).transpose(*dims).values, value.colour_map, value.norm)
+
+
+def regime_cells(data: xr.DataArray) -> Cells:
+    """Return the regime flags as floats, NaN for lanes without a regime.
+
+    **Raises:** `InputError` if a flag has no colour.
+    """
+    values = np.asarray(data.values, float)
+    known = np.isin(values, list(REGIME_COLOURS))
+    unknown = values[~known & np.isfinite(values)]
+    if unknown.size:
+        flag = int(unknown.min())
+        name = flags(data).get(flag, "no meaning in flag_meanings")
+        choices = ", ".join(f"{key} {REGIMES[key]}" for key in REGIME_COLOURS)
+        raise InputError(f"{data.name}: flag {flag} ({name}) is not a regime with a colour; these are {choices}")
+    return np.where(known, values, np.nan)
+
+
+def regime_names(data: xr.DataArray) -> dict[int, str]:
+    """Return the names of regimes by flag; the attributes `flag_values` and `flag_meanings` override the defaults."""
+    return dict(enumerate(REGIMES)) | flags(data)
+
+
+def regime_counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
+    """Return the number of lanes of each regime that occurs, by flag."""
+    values = np.concatenate([regime_cells(part).ravel() for part in data])
+    occurring, lanes = np.unique(values[np.isfinite(values)], return_counts=True)
+    return dict(zip(occurring.astype(int).tolist(), lanes.tolist(), strict=True))
+
+
+def regime_handles(data: Sequence[xr.DataArray]) -> list[Artist]:
+    """Return a legend patch for each regime that occurs, labelled with name and fraction of the lanes."""
+    names = regime_names(data[0])
+    lanes = sum(part.size for part in data)
+    counts = regime_counts(data)
+    return [
+        patch(REGIME_COLOURS[flag], f"{names[flag]}  {share_text(n / lanes)} of lanes") for flag, n in counts.items()
+    ]
+
+
+def sensitive_handle() -> Artist:
+    """Return the legend entry for lanes whose attractor is determined by rounding error."""
+    text = "rounding decides\nthe attractor"
+    return Line2D([], [], label=text, marker="x", markersize=4.0, markeredgewidth=0.8, linestyle="none", color=INK)
+
+
+def hatch_gaps(axes: Axes, cells: Cells) -> None:
+    """Hatch the background of a map, if cells without a value leave it visible."""
+    if np.isnan(cells).any():
+        axes.patch.set(**NO_VALUE, linewidth=0.0)
+
+
+def no_value_handle(name: str = "no value") -> Patch:
+    """Return the legend entry for map cells without a value."""
+    return Patch(**NO_VALUE, linewidth=0.4, label=name)
+
+
+def patch(colour: str, name: str) -> Patch:
+    """Return the legend entry for map cells of one colour."""
+    return Patch(facecolor=colour, edgecolor="0.35", linewidth=0.4, label=name)
+
+
+# Formulas of the fitted law, and quantities.
+
+
+def form_colour(name: str) -> str:
+    """Return the colour of a formula of the penetration law."""
+    return FORM_COLOURS.get(name, _OTHER_FORM)
+
+
+def values_beside(ds: xr.Dataset) -> tuple[Value, ...]:
+    """Return the quantities that get a panel next to the regimes."""
+    return tuple(value_of(ds[name]) for name in quantities_beside(ds))
+
+
+def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
+    """Return the quantities of which maps are drawn for a dataset without regimes.
+
+    They are the rate of penetration, and those of slip per impact, relief and mean force that vary over the lanes.
+    """
+    names = [name for name in _OF_ROCK if name in ds and (name == RATE or _varies(ds[name].values))]
+    if {RELIEF, "mean_force"} <= set(names) and not _varies((ds["mean_force"] / ds[RELIEF]).values):
+        names.remove(RELIEF)  # proportional to the force, so the map looks the same
+    return tuple(value_of(ds[name]) for name in names)
+
+
+def value_of(data: xr.DataArray) -> Value:
+    """Return the colour coding of a variable; a flag variable gets one colour per flag that occurs."""
+    name = str(data.name)
+    if "flag_meanings" in data.attrs and np.size(data.values):
+        return _flags_value(data)
+    (text, colours), (factor, unit) = _QUANTITIES.get(name, (name.replace("_", " "), "viridis")), scale(data)
+    finite: Cells = data.values[np.isfinite(data.values)] * factor
+    finite = finite[finite > 0] if name in _NOTHING_AT_ZERO else finite
+    has_values = bool(finite.size)
+    if not has_values:
+        finite = np.array([0.0, 1.0])
+    norm = _norm(name, finite)
+    extends: tuple[Extend, ...] = ("neither", "min", "max", "both")
+    extend = extends[bool(finite.min() < (norm.vmin or 0.0)) + 2 * bool(finite.max() > (norm.vmax or 0.0))]
+    shown = colour_map(colours).with_extremes(bad=_CLEAR)
+    return Value(name, with_unit(text, unit), factor, norm, extend, shown, has_values=has_values)
+
+
+def _flags_value(data: xr.DataArray) -> Value:
+    """Return the colour coding of flags: fixed colours for stability and regimes, else colours by position."""
+    meanings, name = flags(data), str(data.name)
+    occurring = np.unique(data.values[~np.isnan(data.values)]).astype(int).tolist() or [0]
+    own = REGIME_COLOURS if "single-impact" in meanings.values() else _STABILITY_COLOURS if name == "stable" else {}
+    colours = [own.get(flag, other_colour(position)) for position, flag in enumerate(occurring)]
+    between = [(low + high) / 2 for low, high in pairwise(occurring)]
+    norm = BoundaryNorm([occurring[0] - 0.5, *between, occurring[-1] + 0.5], len(occurring))
+    names = {flag: meanings.get(flag, str(flag)) for flag in occurring}
+    shown = ListedColormap(colours, name=name).with_extremes(bad=_CLEAR)
+    return Value(name, _QUANTITIES.get(name, (name.replace("_", " "), ""))[0], 1.0, norm, "neither", shown, names)
+
+
+def name_flags(axis: Axis, value: Value) -> None:
+    """Label the ticks of an axis with flag meanings, if `value` has flags. Many meanings on an x axis get two lines."""
+    if value.names:
+        two_lines = isinstance(axis, XAxis) and len(value.names) > _NAMES_ON_ONE_LINE
+        names = [name.replace("-", "-\n", 1) if two_lines else name for name in value.names.values()]
+        axis.set_ticks(list(value.names), names)
+        axis.set_minor_locator(NullLocator())
+
+
+def shape_flags(axes: Axes, value: Value) -> None:
+    """Set tick labels and limits of the y axis for flags, if `value` has flags."""
+    if value.names:
+        name_flags(axes.yaxis, value)
+        axes.set_ylim(min(value.names) - 0.5, max(value.names) + 0.5)
+
+
+def share_value(data: xr.DataArray, name: str) -> Value:
+    """Return the colour coding, from 0 to 100 %, of the fraction of initial conditions that end in regime `name`."""
+    return Value(str(data.name), f"{name} [% of starts]", 1.0, Normalize(0.0, 100.0), "neither", colour_map())
+
+
+def cell_handles(data: Sequence[xr.Dataset], values: Values) -> list[Artist]:
+    """Return the legend entries for regimes, for lanes without penetration, and for lanes without a value."""
+    handles = regime_handles([part[REGIME] for part in data]) if None in values else []
+    shown = [(part[value.name].values, value.of_rate) for part in data for value in values if value is not None]
+    if any((cells == 0).any() for cells, of_rate in shown if of_rate):
+        handles.append(patch(NOTHING, "no penetration"))
+    if any(np.isnan(cells).any() for cells, _ in shown):
+        handles.append(no_value_handle())
+    return handles
+
+
+def _varies(values: Cells) -> bool:
+    finite = values[np.isfinite(values)]
+    return bool(finite.size) and bool(np.ptp(finite) > _CONSTANT * np.abs(finite).max())
+
+
+def _norm(name: str, finite: Cells) -> Normalize:
+    """Return the colour scale: robust against outliers, from zero for the error of C, logarithmic over decades."""
+    low, high = robust = tuple(float(limit) for limit in np.percentile(finite, ROBUST))
+    if name not in _OF_DRILL:
+        beyond = _OUTLIER_RANGE * (high - low)
+        least, greatest = float(finite.min()), float(finite.max())
+        low, high = (least if least >= low - beyond else low), (greatest if greatest <= high + beyond else high)
+    if name in _SPREAD and finite.min() > 0 and float(np.percentile(finite, _LOG_SHARE)) < high / _LOG_RATIO:
+        return LogNorm(robust[0], high)
+    if high - low <= 1e-6 * abs(high):  # one value everywhere: a bar with room on both sides
+        low, high = low - 0.05 * abs(low) - 1e-12, high + 0.05 * abs(high) + 1e-12
+    return Normalize(0.0 if name == "C_relative_error" else low, high)

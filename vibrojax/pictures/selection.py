@@ -1,0 +1,132 @@
+"""Selection of the lanes that a picture shows: those at specified values, or not more than can be drawn."""
+
+from collections.abc import Mapping
+from math import prod
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Int
+
+from vibrojax.errors import InputError, shown, suggestion
+from vibrojax.io.kinds import kind_of
+from vibrojax.physics.meanings import suggest_coordinate
+from vibrojax.pictures.axes import short
+from vibrojax.pictures.branch_data import FAMILY, numbers_of
+from vibrojax.pictures.contents import FORM, is_numeric, lane_dims, named_groups
+
+Value = float | int | str
+
+MOST_LANES = 300_000
+"""The greatest number of lanes in a picture: more take minutes and show nothing new."""
+
+_DIGITS = 1e-4  # relative tolerance: about as many digits as a picture prints
+_LISTED_VALUES, _LISTED_NAMES = 12, 5
+
+
+def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
+    """Return the lanes at specified values of axes, or of coordinates along axes.
+
+    Families are selected by the coordinates that distinguish them, or by `branch`.
+
+    **Arguments:** `where`: values by name: numbers in the dataset's unit, accurate to four digits, or strings.
+
+    **Raises:** `InputError` if there is no such axis, or the axis has no such value.
+    """
+    if not isinstance(where, Mapping):
+        raise InputError(f'where: {shown(where)} does not say which axis; give {{"delta": 0.005}}')
+    if kind_of(ds) == "family":
+        return _select_families(ds, where)
+    ds = named_groups(ds)
+    for name, value in where.items():
+        dims = (*lane_dims(ds), FORM)
+        choices = [str(key) for key, data in ds.coords.items() if len(data.dims) == 1 and data.dims[0] in dims]
+        if name not in choices:
+            about = {key: ds[key].attrs for key in choices}
+            advice = suggest_coordinate(str(name), about) if choices else "there are none"
+            raise InputError(f"where: {shown(name)} is none of the dataset's axes; {advice}")
+        indices = _find(ds[name], value)
+        (dimension,) = ds[name].dims
+        ds = ds.isel({dimension: int(indices[0]) if len(indices) == 1 and dimension == name else indices})
+    ds = ds.copy()
+    ds.attrs.pop("certified", None)  # its counts are over all lanes
+    return ds
+
+
+def _select_families(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
+    """Return the points and special points of the selected families, or of one branch."""
+    for name, value in where.items():
+        choices = [*(str(key) for key, data in ds.coords.items() if data.dims == (FAMILY,)), "branch"]
+        if name not in choices:
+            raise InputError(f"where: {shown(name)} tells no families apart; {suggestion(str(name), choices)}")
+        indices = _find(ds[name], value)
+        if name == "branch":
+            members = ds["branch"].values[indices]
+            numbers = {"point": ds["branch"].values, "special": ds["special_branch"].values}
+        else:
+            members = ds[FAMILY].values[indices]
+            numbers = {which: numbers_of(ds, which) for which in ("point", "special")}
+            single = len(indices) == 1
+            ds = ds.isel({FAMILY: int(indices[0])}).drop_vars(FAMILY) if single else ds.isel({FAMILY: indices})
+        ds = ds.isel({which: np.flatnonzero(np.isin(of, members)) for which, of in numbers.items()})
+    return ds
+
+
+def _find(data: xr.DataArray, value: Value) -> Int[np.ndarray, " indices"]:
+    """Return the indices of a value; raise `InputError` that lists the existing values if it does not occur."""
+    values = data.values
+    if is_numeric(data):
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = np.nan
+        finite = np.unique(values[np.isfinite(values)])
+        nearest = finite[np.argmin(np.abs(finite - number))] if finite.size and np.isfinite(number) else np.nan
+        if abs(nearest - number) <= _DIGITS * abs(nearest) + np.finfo(float).tiny:
+            return np.flatnonzero(values == nearest)
+        texts = [f"{item:.6g}" for item in finite]
+        choices = f"there are {', '.join(texts)}"
+        if finite.size > _LISTED_VALUES:
+            choices = f"there are {finite.size} from {texts[0]} to {texts[-1]}"
+            if isinstance(value, (int, float)) and finite[0] < value < finite[-1]:
+                above = int(np.searchsorted(finite, value))
+                choices += f", beside it {texts[above - 1]} and {texts[above]}"
+    else:
+        names = [str(name) for name in values]
+        indices = np.flatnonzero([value in (name, short(name)) or short(str(value)) == short(name) for name in names])
+        if indices.size:
+            return indices
+        names = list(dict.fromkeys(names))
+        more = f" and {len(names) - _LISTED_NAMES} more" if len(names) > _LISTED_NAMES else ""
+        choices = f"there are {', '.join(map(short, names[:_LISTED_NAMES]))}{more}"
+    raise InputError(f"where: no lane has {data.name} = {value}; {choices}")
+
+
+def thin_out(ds: xr.Dataset) -> xr.Dataset:
+    """Return the dataset, or, if it has too many lanes, every n-th value of the longest axes, loaded into memory."""
+    steps = _thinning_steps(ds)
+    if not steps:
+        return ds
+    part = ds.isel({name: slice(None, None, step) for name, step in steps.items()})
+    for variable in part.variables.values():  # one by one: a variable is read completely before it is thinned
+        variable.load()
+    return part
+
+
+def thinned_text(ds: xr.Dataset) -> str:
+    """Describe which values of a dataset are drawn; return "" if all are drawn."""
+    ordinals = {2: "second", 3: "third"}
+    steps = _thinning_steps(ds)
+    parts = [f"every {ordinals.get(step, f'{step}th')} value of {name}" for name, step in steps.items()]
+    return f"drawn is {' and '.join(parts)}" if parts else ""
+
+
+def _thinning_steps(ds: xr.Dataset) -> dict[str, int]:
+    """Return n by dimension, for those dimensions of which only every n-th value is drawn."""
+    sizes = {name: ds.sizes[name] for name in lane_dims(ds)}
+    steps = dict.fromkeys(sizes, 1)
+    remaining = dict(sizes)
+    while prod(remaining.values()) > MOST_LANES:
+        longest = max(sizes, key=remaining.__getitem__)
+        steps[longest] += 1
+        remaining[longest] = -(-sizes[longest] // steps[longest])
+    return {name: step for name, step in steps.items() if step > 1}

@@ -1,0 +1,147 @@
+"""Many initial conditions: drawn over initial states if they form a grid or a line, else as fractions of regimes."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Int
+
+from vibrojax.pictures.axes import short
+from vibrojax.pictures.colours import SINGLE, regime_names
+from vibrojax.pictures.contents import HIDDEN, REGIME, START
+
+PREFIX = "start_"
+"""Name prefix of a coordinate that holds an initial state."""
+
+SHARE = "share_"
+"""Name prefix of a variable that holds the fraction of a regime."""
+
+_SAME_STATE = 1e-9  # fraction of a state's range within which two initial values count as equal
+SYMBOLS = {"x1": "x₁", "v1": "x₁′", "x2": "x₂", "v2": "x₂′", "x3": "x₃", "v3": "x₃′", "x4": "x₄"}
+
+Steps = Int[np.ndarray, " starts"]
+
+
+def start_states(ds: xr.Dataset) -> tuple[str, ...]:
+    """Return the names of the coordinates that hold initial states."""
+    along = [str(name) for name, data in ds.coords.items() if data.dims == (START,)]
+    return tuple(name for name in along if name.startswith(PREFIX) and ds[name].dtype.kind == "f")
+
+
+def varied_states(ds: xr.Dataset) -> tuple[str, ...]:
+    """Return the initial states that differ between the initial conditions specified as vectors."""
+    return tuple(name for name in start_states(ds) if np.unique(_steps(ds[name])).size > 1)
+
+
+def on_axes(ds: xr.Dataset) -> xr.Dataset:
+    """Return the dataset with initial states as axes in place of `start`, if the initial conditions form a full grid.
+
+    For initial conditions on a line, the axis is the first state that varies. Named initial conditions, and variables
+    that compare initial conditions, are dropped. The dataset is returned unchanged if they form neither grid nor line.
+    """
+    vectors = ds.isel({START: _is_vector(ds)})
+    states = varied_states(vectors)
+    steps = {name: _steps(vectors[name]) for name in states}
+    axes: tuple[str, ...] = ()
+    if states:
+        combinations = int(np.prod([np.unique(values).size for values in steps.values()]))
+        if combinations == vectors.sizes[START] == np.unique(np.stack(list(steps.values())), axis=1).shape[1]:
+            axes = states
+        elif _is_line(vectors, states):
+            axes = states[:1]
+    if not axes:
+        return ds
+    unique = {name: np.unique(steps[name], return_index=True, return_inverse=True) for name in axes}
+    shape = tuple(len(first) for _, first, _ in unique.values())
+    order = np.argsort(np.ravel_multi_index([inverse.ravel() for *_, inverse in unique.values()], shape))
+    in_order = vectors.isel({START: order}).drop_vars([START, HIDDEN, *start_states(ds)], errors="ignore")
+    reshaped = {name: _reshape(data, axes, shape) for name, data in in_order.data_vars.items()}
+    coords = {name: (name, vectors[name].values[unique[name][1]], _about(ds[name])) for name in axes}
+    fixed = {name: ((), vectors[name].values[0], _about(ds[name])) for name in start_states(ds) if name not in states}
+    return xr.Dataset(reshaped, {**in_order.coords, **coords, **fixed}, ds.attrs)
+
+
+def described(ds: xr.Dataset) -> xr.Dataset:
+    """Return the dataset with axis-label attributes for the initial states."""
+    return ds.assign_coords({name: ds[name].assign_attrs(_about(ds[name])) for name in start_states(ds)})
+
+
+def left_out_text(ds: xr.Dataset) -> str:
+    """Return the note on named initial conditions, which are not shown, with regimes if nothing else varies."""
+    others = ~_is_vector(ds)
+    names = [short(str(name)) for name in ds[START].values[others]]
+    if not names or not start_states(ds):
+        return ""
+    if ds[REGIME].dims == (START,):
+        meanings = regime_names(ds[REGIME])
+        flags = ds[REGIME].values[others].tolist()
+        names = [f"{name} ({meanings[flag]})" for name, flag in zip(names, flags, strict=True)]
+    return f"Not shown: the start{'s' * (len(names) > 1)} {', '.join(names)}"
+
+
+def regime_shares(ds: xr.Dataset) -> xr.Dataset:
+    """Return the most frequent regime over `start`, and the fraction [%] of each regime that occurs.
+
+    Fractions are named `share_single-impact` and so on: single impact first, then by decreasing fraction of all lanes.
+    """
+    regimes, names = ds[REGIME], regime_names(ds[REGIME])
+    shares = {flag: 100.0 * (regimes == flag).mean(START) for flag in names}
+    flags = sorted(names, key=lambda flag: (flag != SINGLE, -float(shares[flag].mean())))
+    occurring = [flag for flag in flags if bool((shares[flag] > 0).any())] or flags[:1]
+    stacked = xr.concat([shares[flag] for flag in occurring], "flag")
+    most = xr.DataArray(np.array(occurring, np.int8), dims="flag")[stacked.argmax("flag")]
+    variables = {REGIME: most.assign_attrs(regimes.attrs)}
+    variables |= {f"{SHARE}{names[flag]}": shares[flag].assign_attrs(units="%") for flag in occurring}
+    coordinates = {name: data for name, data in ds.coords.items() if START not in data.dims}
+    return xr.Dataset(variables, coordinates, ds.attrs)
+
+
+def medians(ds: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+    """Return the medians of variables over the initial conditions, and the most frequent regime."""
+    return regime_shares(ds)[[REGIME]].assign({name: ds[name].median(START, keep_attrs=True) for name in names})
+
+
+def medians_text(ds: xr.Dataset) -> str:
+    """Return the note on medians over many initial conditions."""
+    return f"Of {ds.sizes[START]} starts the median, and the regime that most end in"
+
+
+def _is_vector(ds: xr.Dataset) -> Bool[np.ndarray, " starts"]:
+    """Return which initial conditions are vectors, rather than names."""
+    finite = [np.isfinite(ds[name].values) for name in start_states(ds)]
+    return np.all(finite, axis=0) if finite else np.zeros(ds.sizes[START], bool)
+
+
+def _is_line(ds: xr.Dataset, states: tuple[str, ...]) -> bool:
+    """Return whether the initial conditions are distinct points on a straight line in the `states`."""
+    if np.unique(_steps(ds[states[0]])).size < ds.sizes[START]:
+        return False
+    first, *others = (_relative(ds[name].values) for name in states)
+    return all(min(np.abs(x - first).max(), np.abs(1.0 - x - first).max()) < _SAME_STATE for x in others)
+
+
+def _relative(values: np.ndarray) -> np.ndarray:
+    """Scale the values linearly to the range from 0 to 1."""
+    return (values - values.min()) / (np.ptp(values) or 1.0)
+
+
+def _steps(data: xr.DataArray) -> Steps:
+    """Quantise the finite initial values of a state to integers, so that nearly equal values become equal."""
+    values = data.values[np.isfinite(data.values)]
+    return np.round(_relative(values) / _SAME_STATE).astype(np.int64) if values.size else np.zeros(0, np.int64)
+
+
+def _reshape(data: xr.DataArray, axes: tuple[str, ...], shape: tuple[int, ...]) -> xr.Variable:
+    """Return the data with the dimension `start` replaced by `axes` of the specified `shape`."""
+    if START not in data.dims:
+        return data.variable
+    k = data.dims.index(START)
+    values = data.values.reshape(*data.shape[:k], *shape, *data.shape[k + 1 :])
+    return xr.Variable((*data.dims[:k], *axes, *data.dims[k + 1 :]), values, data.attrs)
+
+
+def _about(data: xr.DataArray) -> dict[str, str]:
+    """Return the axis-label attributes of an initial state."""
+    name = str(data.name).removeprefix(PREFIX)
+    symbol = f"{SYMBOLS.get(name, name)}(0)"
+    return {"units": str(data.attrs.get("units", "1")), "long_name": "start", "symbol": symbol}

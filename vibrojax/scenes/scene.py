@@ -1,0 +1,346 @@
+"""The base class of all scenes: a hybrid dynamical system as steppers, measures and pictures use it.
+
+Within a mode the motion follows a vector field. The mode ends where a guard's function crosses zero; a reset then
+defines the next mode and state. Markers are zeros of states, mostly velocities. Steps end on markers, so that the
+motion can be measured there.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar, Generic, TypeVar
+
+import jax.numpy as jnp
+
+from vibrojax.physics.arrays import Array
+from vibrojax.physics.parameters import Parameter
+from vibrojax.scenes.declared import Guard, Marker, Mode, Section, Start, State, Values
+
+ROUNDINGS = 64
+"""Multiple of a typical value's rounding error (machine epsilon) up to which a value counts as zero."""
+
+SLOPE_ROUNDINGS = 16
+"""Ratio of two tolerances: of a first-order change over a step that counts as zero, and of a value that does."""
+
+ARMED_BELOW = 0.05
+"""Fraction of the drive speed by which the bit must be slower than the drive before its next overtaking counts."""
+
+C = TypeVar("C")
+"""The constants of a scene: a NamedTuple of arrays (lanes)."""
+
+
+class Scene(ABC, Generic[C]):
+    """A hybrid dynamical system.
+
+    A scene is a frozen dataclass. Its fields are the options that are the same for all lanes, such as a friction law.
+    Pass a scene object to `simulate` or a sweep instead of a name. The scenes of the package are classes in the files
+    of this folder; each file lists its classes in `SCENES`. A scene defines the attributes and abstract methods below.
+    Capabilities that only some scenes have are in [vibrojax.scenes.capabilities][].
+
+    All functions are pure and take arrays of one shape (lanes). `field` and the guards' functions also take Taylor
+    series, so they use +, -, *, / and [vibrojax.physics.elementary][].
+
+    - `name`: name of the scene in sweep files.
+    - `states`: the continuous states; `modes`: the discrete states, floats such as 0, 1, -1.
+    - `markers`: states, mostly velocities; steps end on their zeros.
+    - `section`: the Poincaré section; None if the scene is measured over the pulses of its prescribed force.
+    - `starts`: names of the initial conditions, the default first.
+    - `start_states`: states that an initial condition in vector form contains; all other states are then zero. Empty if
+      there is only one initial condition.
+    - `measures`: names or objects of the gauges that measure the scene, see [vibrojax.measures][].
+    - `choices`: for each option that is specified by name, a registry of its values by name. An option that is a field
+      of the dataclass takes the registry's value unchanged (`friction`, `pulse_shape`). Any other option sets several
+      parameters: those that the value has as attributes (`rock` sets `threshold` and `k3`). A subclass extends the
+      registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`. Input is checked against it.
+    - `choice_meanings`: meanings of the choices that set several parameters, for datasets in which they vary.
+    - `autonomous`: True if the equations do not depend on time, so that a state at rest stays at rest.
+    - `usual_times`: default times of settling and of the observation [s].
+    - `ends_at_once`: True if a mode may begin with a negative guard. The mode then ends at once.
+    - `fault_reasons`: reasons of `fault`, among the flags of the variable `reason`.
+    - `drifting`: states that grow without bound and do not affect the others; the return map does not include them.
+    - `redundant`: states that follow from the others, as `on_surfaces` determines them.
+
+    **Example:**
+
+    >>> class OnTheMoon(vj.SCENES["rotary"]):  # a scene of the package with another default
+    ...     name = "on-the-moon"
+    ...
+    ...     def parameters(self):
+    ...         gravity = vj.parameters.positive("g", 1.62, "m s-2", "gravity", "g")
+    ...         return super().parameters() | vj.parameters.table(gravity)
+    >>> motion = vj.simulate(OnTheMoon(), start="stuck", duration=4.0, progress=False)
+    >>> round(float(abs(motion.friction_force).max()))  # N, as the bit breaks loose: 0.4 m1 g
+    162
+    """
+
+    name: ClassVar[str]
+    states: ClassVar[tuple[State, ...]]
+    modes: ClassVar[tuple[Mode, ...]]
+    markers: ClassVar[tuple[Marker, ...]] = ()
+    section: ClassVar[Section | None] = None
+    starts: ClassVar[tuple[str, ...]] = ()
+    start_states: ClassVar[tuple[str, ...]] = ()
+    measures: ClassVar[tuple[Any, ...]] = ()
+    choices: ClassVar[dict[str, Mapping[str, object]]] = {}
+    choice_meanings: ClassVar[Mapping[str, str]] = {}
+    autonomous: ClassVar[bool] = True
+    drifting: ClassVar[tuple[str, ...]] = ()
+    redundant: ClassVar[tuple[str, ...]] = ()
+    ends_at_once: ClassVar[bool] = False
+    fault_reasons: ClassVar[tuple[str, ...]] = ()
+    usual_times: ClassVar[tuple[float, float]] = (40.0, 8.0)
+
+    @abstractmethod
+    def parameters(self) -> Mapping[str, Parameter]:
+        """Return the scene's parameters, by name."""
+
+    @abstractmethod
+    def constants(self, p: Mapping[str, Any]) -> C:
+        """Return the constants of the equations; `p`: values of the parameters by name."""
+
+    @abstractmethod
+    def start(self, c: C, name: Start, shape: tuple[int, ...]) -> Values:
+        """Return the state at t = 0, arrays of `shape`, for an initial condition (a name or a vector)."""
+
+    @abstractmethod
+    def mode_at(self, c: C, state: Values) -> Values:
+        """Return the mode in which the motion continues from `state`."""
+
+    def on_surfaces(self, c: C, mode: Values, state: Values) -> Values:
+        """Return the initial state exactly on the surfaces on which `mode` holds the motion; here, the state itself."""
+        return state
+
+    @abstractmethod
+    def field(self, c: C, mode: Values, state: Values) -> Values:
+        """Return the time derivatives of the states within a mode."""
+
+    @abstractmethod
+    def guards(self) -> tuple[Guard, ...]:
+        """Return the guards; every call returns the same guards in the same order."""
+
+    @abstractmethod
+    def reset(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
+        """Return mode and state after an event.
+
+        `hits` has one mask per guard and marker, by name. In each lane at most one of the masks is True.
+        """
+
+    @abstractmethod
+    def rate(self, c: C, mode: Values) -> Any:
+        """Return the fastest rate of change in the mode [1/s], which determines the step length."""
+
+    @abstractmethod
+    def speed_scale(self, c: C) -> Any:
+        """Return a typical velocity [m/s], the scale of a step's relative error."""
+
+    # Most scenes keep these defaults.
+
+    def refused(self, p: Mapping[str, Any]) -> tuple[str, Any] | None:
+        """Return the reason why some lanes are rejected (a string) and a mask of them (lanes,), or None."""
+        return None
+
+    def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
+        """Return what can be wrong with an initial `state`: reasons of lanes, messages of the first, masks (lanes,)."""
+        return []
+
+    def states_across_impacts(self, p: Mapping[str, Any], state: Mapping[str, Any]) -> list[Any]:
+        """Return the states on the other side of a rigid impact, if `state` is at one."""
+        return []
+
+    def fault(self, mode: Values) -> Any:
+        """Return why the motion cannot go on in a mode, indices into `fault_reasons`; None if it always can."""
+        return None
+
+    def scaled(self, c: C, state: Values) -> C:
+        """Return the constants adapted to an initial `state` that causes a much faster motion than usual.
+
+        By default the constants are returned unchanged.
+        """
+        return c
+
+    def validity(self, c: C, mode: Values, polynomials: tuple[list[Array], ...], functions: list[list[Array]]) -> Any:
+        """Return the fraction of a step over which the Taylor series are valid.
+
+        None means that the last coefficients of the series show where the series are valid. `polynomials` has the
+        states' coefficients in time divided by the step's length, `functions` those of the guards and then of markers.
+        """
+        return None
+
+    def rate_along(self, c: C, mode: Values, state: Values) -> Any:
+        """Return the fastest rate of change at a state [1/s], which determines the step from there; here, `rate`."""
+        return self.rate(c, mode)
+
+    def defect_scales(self, c: C, mode: Values, state: Values, polynomials: tuple[list[Array], ...]) -> Any:
+        """Return, for the first states, a scale of their defect at the end of a step, in units of the tolerance.
+
+        A step is repeated with half its length if the slope of a series at its end differs by more from the field
+        there. None means that the last coefficients of the series show where the series are valid.
+        """
+        return None
+
+    def velocity_resolution(self, c: C) -> Any:
+        """Return the velocity [m/s] up to which a velocity counts as zero."""
+        scale = self.speed_scale(c)
+        return ROUNDINGS * jnp.finfo(scale.dtype).eps * scale
+
+    def smoothed_field(self, c: C, mode: Values, state: Values, width: Any) -> Values:
+        """Return the time derivatives with the friction switch at zero sliding speed spread over `width` [m/s]."""
+        return self.field(c, mode, state)
+
+    def smoothed_mode(self, c: C, mode: Values, state: Values, width: Any) -> Values:
+        """Return the mode for the measures of a smoothed motion, which sticks at sliding speeds below `width` [m/s]."""
+        return mode
+
+    def driving_part(self) -> "Scene[Any]":
+        """Return the scene without the parts that do not act on the rest; this scene has the same periodic orbits."""
+        return self
+
+    # The members below are derived from the declarations; steppers and measures use them.
+
+    @property
+    def presets(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Parameters set by each value of the choices that are not options, such as the rocks."""
+        own = self.parameters()
+        return {
+            choice: {name: {key: x for key, x in vars(value).items() if key in own} for name, value in values.items()}
+            for choice, values in self.choices.items()
+            if not hasattr(self, choice)
+        }
+
+    @property
+    def regime_names(self) -> Mapping[str, str]:
+        """Names of regimes that differ from the usual ones; without impacts to count, impact-free is periodic."""
+        return {"impact-free": "periodic"}
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states."""
+        return tuple(state.name for state in self.states)
+
+    @property
+    def guard_names(self) -> tuple[str, ...]:
+        """Names of the guards."""
+        return tuple(guard.name for guard in self.guards())
+
+    @property
+    def marker_names(self) -> tuple[str, ...]:
+        """Names of the markers."""
+        return tuple(marker.name for marker in self.markers)
+
+    @property
+    def event_names(self) -> tuple[str, ...]:
+        """Names of all guards and markers on which a step may end."""
+        return (*self.guard_names, *self.marker_names)
+
+    @property
+    def velocities(self) -> tuple[int, ...]:
+        """Indices of the velocities among the states."""
+        return tuple(place for place, state in enumerate(self.states) if state.is_velocity)
+
+    @property
+    def return_states(self) -> tuple[str, ...]:
+        """Names of the return map's states; empty without a section.
+
+        The states on which periodicity is checked come first. The section's velocity, which is zero on the section, and
+        drifting states are left out.
+        """
+        if self.section is None:
+            return ()
+        compared = self.section.compared
+        known = {*compared, self.section.velocity, *self.drifting}
+        return (*compared, *(name for name in self.state_names if name not in known))
+
+    def place(self, name: str) -> int:
+        """Return the index of the state with this name."""
+        return self.state_names.index(name)
+
+    def mode_place(self, name: str) -> int:
+        """Return the index of the discrete state with this name."""
+        return [mode.name for mode in self.modes].index(name)
+
+    @property
+    def switch_places(self) -> dict[str, int]:
+        """The index of the discrete state that a switch may hold at 0 (stick, slide), by the name of its guard."""
+        names = [mode.name for mode in self.modes]
+        switches = [guard.name for guard in self.guards() if guard.is_switch]
+        return {name: names.index(name if name in names else "slip") for name in switches}
+
+    def marker_of(self, velocity: str) -> str:
+        """Return the name of the marker for the zeros of a velocity."""
+        return next(marker.name for marker in self.markers if marker.velocity == velocity)
+
+    def guard_values(self, c: C, mode: Values, state: Values, smoothed: bool = False) -> Values:
+        """Return the values of the guards' functions; if `smoothed`, those with `is_switch` are 1, so never reached."""
+        return tuple(
+            0.0 * state[0] + 1.0 if smoothed and guard.is_switch else guard.function(c, mode, state)
+            for guard in self.guards()
+        )
+
+    def marker_values(self, state: Values) -> Values:
+        """Return the values of the markers' velocities."""
+        return tuple(state[self.place(marker.velocity)] for marker in self.markers)
+
+    def error_terms(
+        self, c: C, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
+    ) -> tuple[list[list[Array]], Any]:
+        """Return the Taylor coefficients that decide on the length of a step, and the scale of their error.
+
+        By default these are the coefficients of the velocities and `speed_scale`. `state`: state at the start of the
+        step.
+        """
+        return [polynomials[index] for index in self.velocities], self.speed_scale(c)
+
+    def resolutions(self, c: C, mode: Values, state: Values, marked: bool = True) -> Values:
+        """Return, for each guard and (if `marked`) for each marker, the magnitude up to which values count as zero.
+
+        `state`: state at the start of the step.
+        """
+        speed = self.velocity_resolution(c)
+        return (*(guard.resolution(c, mode) for guard in self.guards()), *(speed for _ in self.markers if marked))
+
+    def slope_resolutions(self, c: C, mode: Values, state: Values, h: Any, marked: bool = True) -> Values:
+        """Return, for each guard and (if `marked`) for each marker, the first-order change that counts as zero.
+
+        The change is that over a step `h` [s] that starts on a zero of the guard or marker.
+        """
+        slopes = [
+            SLOPE_ROUNDINGS * guard.resolution(c, mode)
+            if guard.slope_resolution is None
+            else guard.slope_resolution(c, mode, h)
+            for guard in self.guards()
+        ]
+        speed = SLOPE_ROUNDINGS * self.velocity_resolution(c)
+        return (*slopes, *(speed for _ in self.markers if marked))
+
+    def onto_section(self, c: C, state: Values) -> Values:
+        """Return a state of the return map moved onto the section; here, as it is: its velocity is a state of zero."""
+        return state
+
+    def joined(
+        self, mode: Values, hits: Mapping[str, Any], falling: Mapping[str, Any]
+    ) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+        """Return `hits` and `falling` with those of the markers whose zeros are those of a guard; here, as they are."""
+        return hits, falling
+
+    @property
+    def section_on_guard(self) -> bool:
+        """True if a guard has the same zeros as the section's velocity."""
+        return False
+
+    def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
+        """Return masks of events by kind, for trajectories, in addition to those of friction, impacts and the section.
+
+        `mode` is the mode before the event and `after` the mode after it, `hits` the masks of guards and markers.
+        """
+        return {}
+
+    def at_rest(self, mode: Values) -> Mapping[str, Any]:
+        """Return, by name of the guard, masks of lanes at rest on a rigid stop; empty without such stops."""
+        return {}
+
+    def after_event(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
+        """Return mode and state after an event: where a marker is hit its velocity is zero, then `reset` is applied."""
+        turned = list(state)
+        for marker in self.markers:
+            place = self.place(marker.velocity)
+            turned[place] = jnp.where(hits[marker.name], 0.0, turned[place])
+        return self.reset(c, mode, tuple(turned), hits)

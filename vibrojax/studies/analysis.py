@@ -1,0 +1,290 @@
+"""The interface of an analysis, and the lookup of analyses by kind.
+
+Known are the package's own analyses, those of installed packages, and those used in this process.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import xarray as xr
+
+from vibrojax.errors import InputError, printable, shown
+from vibrojax.io.kinds import KIND, check_structure, dataset_attributes, kind_of
+from vibrojax.io.variables import Variable, described
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from vibrojax.pictures.contents import Contents
+
+Source = Any
+"""Input of an analysis: a dataset, or a sweep as `run_sweep` accepts it (path, bundled name, dict or `Sweep`)."""
+
+
+class SummaryPart(NamedTuple):
+    """One part of a summary: `lines` of text printed under `name`, and the same content as `facts` by JSON key.
+
+    **Example:**
+
+    >>> part = vj.SummaryPart("spectrum", ["fundamental frequency 2.1 Hz"], {"fundamental": 2.1})
+    >>> part.name, part.facts["fundamental"]
+    ('spectrum', 2.1)
+    """
+
+    name: str
+    lines: Sequence[str]
+    facts: Mapping[str, object] = {}
+
+
+class PictureRule(NamedTuple):
+    """A rule that assigns a picture to datasets with certain contents.
+
+    - `shows`: short description of the picture.
+    - `fits`: function that returns whether the rule applies. Its argument has facts about the dataset as attributes:
+      the names of its `variables` and `dimensions`, its `axes`, and others.
+    - `draw`: function that takes the dataset and returns a matplotlib figure.
+
+    **Example:**
+
+    >>> from matplotlib.figure import Figure
+    >>> def draw(ds):
+    ...     figure = Figure()
+    ...     figure.subplots().plot(ds["v"], ds["period"])
+    ...     return figure
+    >>> rule = vj.PictureRule("period over v", lambda contents: "v" in contents.dimensions, draw)
+    >>> rule.shows
+    'period over v'
+    """
+
+    shows: str
+    fits: Callable[["Contents"], bool]
+    draw: Callable[..., "Figure"]
+
+
+class Analysis:
+    """An analysis, whose settings are attributes of the object and whose result is a dataset.
+
+    A subclass provides `kind` and `run`, and usually `variables`, `picture` or `pictures`, and `summary`. If the
+    subclass is a dataclass, its fields become command-line options: `along: str = "v"` becomes `--along`, and
+    `field(metadata={"help": ...})` sets the help text. Pass an instance to [vibrojax.studies.analysis.analyse][], or
+    register the class under the entry point `vibrojax.analyses`. A registered class adds the command
+    `vibrojax KIND FILE`, and `plot`, `info`, `explore` and `list_variables` support its datasets.
+
+    **Example:** the fraction of lanes in each regime
+
+    >>> class Shares(vj.Analysis):
+    ...     kind = "shares"
+    ...     variables = {"share": vj.Variable("1", "share of lanes")}
+    ...     def run(self, source, progress=True):
+    ...         regime = vj.run_sweep(source, progress=progress).regime
+    ...         flags = regime.attrs["flag_values"]
+    ...         share = [float((regime == flag).mean()) for flag in flags]
+    ...         return self.dataset({"share": ("flag", share)}, {"flag": flags}, title="Shares of regimes")
+    >>> sweep = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"gamma": [0.7, 0.75, 0.8]}}
+    >>> ds = vj.analyse(sweep, Shares(), progress=False)
+    >>> ds.share.attrs["long_name"], float(ds.share.sum())
+    ('share of lanes', 1.0)
+    """
+
+    kind: ClassVar[str] = ""
+    """Attribute `kind` of the analysis's datasets, and name of its command."""
+
+    variables: ClassVar[Mapping[str, Variable]] = {}
+    """Variables by name that sweeps do not have: units, meaning, type and flags of each."""
+
+    pictures: ClassVar[Sequence[PictureRule]] = ()
+    """Picture rules for the analysis's datasets; the first rule that fits is used."""
+
+    counted: ClassVar[str] = ""
+    """Dimension of the analysis's datasets whose size the command prints."""
+
+    view: ClassVar[str] = "map"
+    """View in the explorer: "map", "curves" (drawn over the map of a sweep), "families", "motion" or "plots".
+
+    "plots" stands for the analysis's own picture and summary, which most other views show, too.
+    """
+
+    def run(self, source: Source, progress: bool = True) -> xr.Dataset:
+        """Analyse `source` and return the resulting dataset.
+
+        **Raises:** `InputError` if `source` cannot be analysed.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.run")
+
+    def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Figure":
+        """Draw a dataset of this kind, with the datasets `over` drawn on top.
+
+        **Raises:** `InputError` if the dataset holds nothing to draw, or its picture accepts no overlays.
+        """
+        from vibrojax.pictures.contents import Contents
+        from vibrojax.pictures.overlays import refuse_overlays
+
+        if over:
+            refuse_overlays(over, "the dataset holds none")
+        held, kind = Contents(ds), kind_of(ds)
+        for rule in self.pictures:
+            if rule.fits(held):
+                return rule.draw(ds)
+        needed = "a picture needs regime, rate_of_penetration, C along form, or a motion along time; the dataset holds "
+        needed += ", ".join(str(name) for name in ds.data_vars) or "no variable"
+        if type(self) is Analysis and kind:
+            needed = f'no analysis of kind "{kind}" is known here; install the package that made it'
+        raise InputError(f"nothing to draw: {needed}")
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return the parts of a dataset's summary that are specific to this kind; `info` prints them."""
+        return []
+
+    def page_figures(self, ds: xr.Dataset) -> Sequence["Figure"]:
+        """Return the figures that the explorer page shows of a dataset; by default its picture.
+
+        Lines, points, areas, bars and maps become plots with zoom, files and a cursor. A plot whose axis has the label
+        of an axis of the dataset selects its lanes.
+        """
+        return [self.picture(ds)]
+
+    def page_text(self, ds: xr.Dataset) -> Sequence[SummaryPart]:
+        """Return the texts that the explorer page shows of a dataset; by default its summary."""
+        return self.summary(ds)
+
+    def dataset(self, variables: Mapping[Any, Any], coords: Mapping[Any, Any], **attributes: object) -> xr.Dataset:
+        """Return a dataset of this kind with title, provenance and history; known variables get units and meanings.
+
+        **Arguments:** `variables`: (dimensions, values) by name, or (dimensions, values, attributes) for variables that
+        the class attribute `variables` does not describe; `coords`: coordinates in the same form; `attributes`: further
+        dataset attributes, among them `title`.
+        """
+        title = str(attributes.pop("title", self.kind))
+        attrs = dataset_attributes(self.kind, title, self.kind, **attributes)
+        return xr.Dataset(described(variables, self.variables), described(coords, self.variables), attrs)
+
+
+GROUP = "vibrojax.analyses"
+"""Entry-point group in which an installed package registers its analyses, as `NAME = "module:Class"`."""
+
+_HOMES = {
+    "sweep": "sweep.analysis:Sweeps",
+    "trajectory": "trajectory.analysis:Trajectories",
+    "family": "continuation.analysis:Families",
+    "curves": "curves.analysis:Curves",
+    "borders": "borders.analysis:Borders",
+    "attractors": "attractors.analysis:Attractors",
+    "push": "push.analysis:Pushes",
+    "tolerance": "tolerance.analysis:Tolerances",
+    "design": "design.analysis:Designs",
+    "study": "study.analysis:Studies",
+    "rig": "rig.analysis:Rigs",
+    "calibration": "calibration.analysis:Calibrations",
+    "fit": "rop_law.analysis:Fits",
+    "accuracy": "accuracy.picture:AccuracyStudy",
+    "derivatives": "sensitivity.run:Derivatives",
+    "sensitivity": "sensitivity.analysis:Sensitivity",
+}
+"""Module and class of each of the package's own analyses, which are imported when they are needed."""
+
+_USED: dict[str, Analysis] = {}
+"""Analyses by kind that were passed to `analyse` in this process."""
+
+
+def analyse(source: Source, analysis: Analysis | Any, progress: bool = True) -> xr.Dataset:
+    """Run an analysis, and return its dataset.
+
+    **Arguments:**
+
+    - `source`: input of the analysis: a dataset, or a sweep as `run_sweep` accepts it.
+    - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. From then on, `picture` and the
+      other functions support its datasets in this process. For all processes, register the class under the entry point
+      `vibrojax.analyses` of an installed package.
+    - `progress`: whether to report progress on stderr.
+
+    **Returns:** the dataset, with the attribute `kind`.
+
+    **Raises:** `InputError` if `analysis` is not an `Analysis`, or `source` cannot be analysed.
+
+    **Example:**
+
+    >>> class Median(vj.Analysis):
+    ...     kind = "median"
+    ...     def run(self, source, progress=True):
+    ...         ds = vj.run_sweep(source, progress=progress)
+    ...         return ds[["period"]].median("gamma")
+    >>> ds = vj.analyse({"scene": "rotary", "grid": {"gamma": [0.6, 0.7, 0.8]}}, Median(), progress=False)
+    >>> ds.attrs["kind"]
+    'median'
+    """
+    if not isinstance(analysis, Analysis):
+        raise InputError(f"analyse: {analysis!r} is not an Analysis; give an object of a subclass of vj.Analysis")
+    kind = analysis.kind
+    if not kind.isprintable() or not kind.replace("-", "").isalnum() or kind != kind.lower():
+        raise InputError(f"analyse: kind {kind!r} of {type(analysis).__name__} is not a name of small letters and -")
+    return checked_result(analysis, analysis.run(source, progress))
+
+
+def checked_result(analysis: Analysis, ds: xr.Dataset) -> xr.Dataset:
+    """Return the dataset that an analysis made, with its kind and provenance; `picture` supports the kind from then on.
+
+    **Raises:** `InputError` if the analysis returned something else than a well-formed dataset.
+    """
+    if not isinstance(ds, xr.Dataset):
+        raise InputError(f"analyse: {type(analysis).__name__}.run returned {type(ds).__name__}, not an xarray.Dataset")
+    kind = analysis.kind
+    if ds.attrs.get(KIND) != kind:
+        ds = ds.assign_attrs(dataset_attributes(kind, str(ds.attrs.get("title", kind)), kind) | ds.attrs | {KIND: kind})
+    check_structure(ds)
+    if kind not in _HOMES:
+        _USED[kind] = analysis
+    return ds
+
+
+def analysis_of(ds: xr.Dataset) -> Analysis:
+    """Return the analysis of a dataset's kind, or a plain `Analysis` if the kind is unknown."""
+    return analysis_named(kind_of(ds)) or Analysis()
+
+
+def analysis_named(kind: str) -> Analysis | None:
+    """Return the analysis of a kind, or None if the kind is unknown.
+
+    **Raises:** `InputError` if an installed package registers the kind, but its class cannot be loaded.
+    """
+    if kind in _HOMES:
+        module, _, name = _HOMES[kind].partition(":")
+        own: Analysis = getattr(import_module(f"vibrojax.studies.{module}"), name)()
+        return own
+    if kind in _USED:
+        return _USED[kind]
+    entry = offered_analyses().get(kind)
+    return None if entry is None else load_analysis(entry)()
+
+
+@cache
+def offered_analyses() -> dict[str, Any]:
+    """Return the entry points of analyses in installed packages, by kind; vibrojax's own kinds cannot be replaced."""
+    return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in _HOMES}
+
+
+def load_analysis(entry: Any) -> type[Analysis]:
+    """Import the analysis class of an entry point.
+
+    **Raises:** `InputError` with a one-line message if the class cannot be imported or is not an analysis of that kind.
+    """
+    place = f"entry point {GROUP}: {entry.name}"
+    try:
+        offered = entry.load()
+    except Exception as error:  # third-party code may raise any exception
+        raise InputError(f"{place}: cannot be imported ({printable(error, 200)})") from error
+    if not (isinstance(offered, type) and issubclass(offered, Analysis) and offered.kind == entry.name):
+        raise InputError(f"{place}: {shown(entry.value)} is not a subclass of Analysis with kind {shown(entry.name)}")
+    return offered
+
+
+def offered_variables() -> dict[str, Mapping[str, Variable]]:
+    """Return the variables of each analysis in installed packages, by kind; unloadable analyses are left out."""
+    variables = {}
+    for kind, entry in offered_analyses().items():
+        with suppress(InputError):  # the command of that analysis reports the error
+            variables[kind] = load_analysis(entry).variables
+    return variables

@@ -1,0 +1,170 @@
+"""The analysis `calibration`: summary, and picture of residuals, posterior and combinations."""
+
+from typing import ClassVar
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from vibrojax.errors import counted
+from vibrojax.io.attributes import flags, text_of
+from vibrojax.io.variables import Variable
+from vibrojax.pictures.axes import pretty_unit, scale, with_unit
+from vibrojax.pictures.sheet import write_margins
+from vibrojax.pictures.style import BIT, FAINT, IMPACT, INK, new_figure, styled
+from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart
+from vibrojax.studies.calibration_run import SCHEMA, VAGUE, calibrate
+
+MIN_EXPONENT = 0.1
+"""Exponent in a combination below which the summary leaves a parameter out."""
+
+WELL_DETERMINED = 0.1
+"""Nonlinearity up to which the summary trusts standard errors and posterior."""
+
+LARGE_RESIDUAL = 2.0
+"""Root mean square of the residuals, in standard errors, above which the summary doubts the model."""
+
+_MARKS = ("o", "s", "^", "D", "v", "P", "X", "<")
+
+
+@styled
+def calibration_picture(ds: xr.Dataset) -> Figure:
+    """Draw the residuals of all observations, the posterior of the first two parameters, and the combinations."""
+    figure = new_figure(11.0, 3.7)
+    residuals, posterior, combinations = figure.subplots(1, 3, width_ratios=[1.3, 1.0, 1.0])
+    for k, name in enumerate(str(x) for x in ds["of"].values):
+        mark = _MARKS[k % len(_MARKS)]
+        values = ds["residual"].values[:, k]
+        residuals.plot(np.arange(len(values)), values, mark, label=name.replace("_", " "), markersize=4)
+    residuals.axhline(0.0, color=INK, linewidth=0.6)
+    residuals.set_xlabel("observation")
+    residuals.set_ylabel("residual [standard errors]")
+    residuals.legend(fontsize="small")
+    _draw_posterior(posterior, ds)
+    _draw_combinations(combinations, ds)
+    write_margins(figure, ds, point="; ".join(_estimates(ds)))
+    return figure
+
+
+def _draw_posterior(axes: Axes, ds: xr.Dataset) -> None:
+    names = [str(name) for name in ds["parameter"].values]
+    draws, estimate = ds["posterior"].values, ds["estimate"].values
+    scales = [scale(_value(ds, k)) for k in range(len(names))]
+    labels = [with_unit(name, unit) for name, (_, unit) in zip(names, scales, strict=True)]
+    if len(names) == 1:
+        axes.hist(draws[:, 0] * scales[0][0], bins=30, color=FAINT)
+        axes.axvline(estimate[0] * scales[0][0], color=IMPACT)
+        axes.set_ylabel("draws of the posterior")
+    else:
+        axes.plot(draws[:, 0] * scales[0][0], draws[:, 1] * scales[1][0], ".", color=BIT, markersize=2, alpha=0.4)
+        axes.plot(estimate[0] * scales[0][0], estimate[1] * scales[1][0], "*", color=IMPACT, markersize=10)
+        axes.set_ylabel(labels[1])
+    axes.set_xlabel(labels[0])
+    axes.set_title("posterior", loc="left")
+
+
+def _draw_combinations(axes: Axes, ds: xr.Dataset) -> None:
+    errors = np.clip(100 * ds["direction_error"].values, 1e-6, 1e4)
+    rows = list(range(len(errors)))
+    axes.barh(rows, errors, 0.5, color=[BIT if e < 100 * VAGUE else FAINT for e in errors])
+    if errors.max() > 10 * errors.min():
+        axes.set_xscale("log")
+    axes.set_yticks(rows, [_combination(ds, k) for k in rows], fontsize="small")
+    axes.invert_yaxis()
+    axes.set_xlabel("relative standard error [%]")
+    axes.set_title("combinations that the data determine", loc="left")
+
+
+def _value(ds: xr.Dataset, k: int) -> xr.DataArray:
+    """Return the estimate of a parameter as an array with its unit."""
+    return xr.DataArray(ds["estimate"].values[k], attrs={"units": str(ds["parameter_unit"].values[k])})
+
+
+def _estimates(ds: xr.Dataset) -> list[str]:
+    """Return each parameter with its estimate, its 95 % interval and its unit, or as a value at a bound."""
+    lines, reasons = [], flags(ds["reason"])
+    for k, name in enumerate(str(x) for x in ds["parameter"].values):
+        factor, unit = scale(_value(ds, k))
+        columns = ("estimate", "estimate_stderr", "estimate_low", "estimate_high")
+        value, error, low, high = (f"{factor * float(ds[x][k]):.{2 if 'std' in x else 5}g}" for x in columns)
+        bound = reasons[int(ds["reason"][k])] == "at-bound"
+        line = f"{name} = {value}{' at its bound' if bound else f' ± {error}'} {pretty_unit(unit)}".rstrip()
+        lines.append(f"{line}, 95 %: {low} to {high}")
+    return lines
+
+
+def _combination(ds: xr.Dataset, k: int) -> str:
+    """Return a combination as a product of powers, or as a sum if a parameter may be negative."""
+    powers = bool((ds["low"].values > 0).all())
+    parts = []
+    for name, x in zip((str(name) for name in ds["parameter"].values), ds["direction"].values[k], strict=True):
+        if abs(x) >= MIN_EXPONENT:
+            parts.append(name if powers and abs(x - 1) < 0.05 else f"{name}^{x:.1f}" if powers else f"{x:+.1f} {name}")
+    return " ".join(parts)
+
+
+class Calibrations(Analysis):
+    """Estimate parameters of the drill from observations of periodic motions, by gradients through the orbits."""
+
+    kind = "calibration"
+    variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
+    pictures = (PictureRule("a calibration", lambda held: "posterior" in held.variables, calibration_picture),)
+    view = "plots"
+
+    def run(self, source: Source, progress: bool = True) -> xr.Dataset:
+        """Run a calibration, as [vibrojax.calibrate][] does."""
+        return calibrate(source, progress=progress)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return the estimates, the combinations that the data determine, and what speaks against the estimates."""
+        reasons = [flags(ds["reason"])[int(flag)] for flag in ds["reason"].values]
+        lines = [
+            f"{text}{'' if reason == 'identified' else f' ({reason})'}"
+            for text, reason in zip(_estimates(ds), reasons, strict=True)
+        ]
+        errors = ds["direction_error"].values
+        if "confounded" in reasons:
+            texts = [f"{_combination(ds, k)} to {_percent(float(e))}" for k, e in enumerate(errors) if e < VAGUE]
+            determined = f"{', '.join(texts)}, and not the parameters by themselves" if texts else "no parameter"
+            lines.append(f"the data determine {determined}")
+        elif "at-bound" in reasons:
+            lines.append("the data suggest values beyond a bound; widen the bounds, or examine the model")
+        used = int(ds["used"].sum())
+        size, freedom = ds.sizes["observation"], int(ds["freedom"])
+        others = "; the others have no stable orbit of this kind near the estimate" if used < size else ""
+        lines.append(f"{used} of {counted(size, 'observation')} used{others}")
+        lines.append(f"error model: {text_of(ds, 'error_model')}")
+        if np.isfinite(ds["noise"]):
+            lines.append(f"the observations scatter by {_percent(float(ds['noise']))} around the model")
+        elif freedom > 0:
+            rms = float(np.sqrt(ds["chi_squared"] / freedom))
+            doubt = ": the model, the motion or the errors are wrong" if rms > LARGE_RESIDUAL else ""
+            lines.append(f"the residuals are {rms:.2g} standard errors{doubt}")
+        nonlinearity = float(ds["nonlinearity"])
+        if nonlinearity > WELL_DETERMINED:
+            lines.append(
+                f"over the posterior the motion differs by {_percent(nonlinearity)} from a linear prediction; standard "
+                "errors are rough"
+            )
+        facts = {
+            "parameters": {
+                str(name): {
+                    "estimate": float(ds["estimate"][k]),
+                    "stderr": float(ds["estimate_stderr"][k]),
+                    "interval": [float(ds["estimate_low"][k]), float(ds["estimate_high"][k])],
+                    "reason": reasons[k],
+                }
+                for k, name in enumerate(ds["parameter"].values)
+            },
+            "combinations": {_combination(ds, k): float(errors[k]) for k in range(len(errors))},
+            "used": used,
+            "error_model": text_of(ds, "error_model"),
+            "noise": float(ds["noise"]),
+            "nonlinearity": nonlinearity,
+        }
+        return [SummaryPart("calibration", lines, {"calibration": facts})]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"

@@ -1,0 +1,229 @@
+"""Calibration of a drill's parameters: the function `calibrate`, and its dataset."""
+
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import scipy.stats
+import xarray as xr
+
+from vibrojax.compile.xla import precision
+from vibrojax.errors import InputError, counted
+from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.progress import Progress
+from vibrojax.studies.calibration_model import (
+    ORBIT_ERROR,
+    SCREENED,
+    TOLERANCE,
+    Fit,
+    Model,
+    errors_at,
+    fit_from,
+    starts,
+)
+from vibrojax.studies.calibration_spec import CONSTANT, CalibrationSpec, read_calibration
+from vibrojax.studies.calibration_uncertainty import moved, nonlinearity, posterior_draws, uncertainty_of
+
+REASONS = ("identified", "confounded", "at-bound")
+"""Whether the data determine a parameter."""
+
+USES = ("no", "yes")
+"""Whether an observation is used: it is not where the followed orbit does not exist, or is not stable."""
+
+INTERVAL = 0.95
+"""Probability with which an interval covers the true value."""
+
+VAGUE = 0.5
+"""Relative standard error from which on a parameter is not identified."""
+
+AT_BOUND = 1e-2
+"""Distance from a bound, relative to the interval, within which an estimate whose next step leads beyond the bound is
+at the bound: a search approaches it slowly."""
+
+LARGEST_OFFSET = 0.05
+"""Length of the residuals along the tangent plane, in standard errors, up to which a search has reached a minimum
+(Bates and Watts 1981)."""
+
+ERROR_MODELS = {
+    False: "all values have the same relative error (normal, proportional to the predicted value), which the residuals "
+    "give; 95 % intervals by Student's t with {freedom} degrees of freedom",
+    True: "normal errors with the standard errors given; 95 % intervals by the normal distribution",
+}
+"""Error models without and with standard errors of the observations."""
+
+_OF, _PARAMETER = ("observation", "of"), ("parameter",)
+
+SCHEMA: dict[str, tuple[tuple[str, ...], Variable]] = {
+    "estimate": (_PARAMETER, Variable("", "estimate, in the parameter's own unit")),
+    "estimate_stderr": (_PARAMETER, Variable("", "standard error of the estimate, in the parameter's own unit")),
+    "estimate_low": (_PARAMETER, Variable("", "lower end of the 95 % interval, not below the bound")),
+    "estimate_high": (_PARAMETER, Variable("", "upper end of the 95 % interval, not above the bound")),
+    "low": (_PARAMETER, Variable("", "lower bound, in the parameter's own unit")),
+    "high": (_PARAMETER, Variable("", "upper bound, in the parameter's own unit")),
+    "reason": (_PARAMETER, Variable("1", "whether the data determine the parameter", np.int8, REASONS)),
+    "correlation": (("parameter", "other"), Variable("1", "correlation of two estimates")),
+    "direction": (("combination", "parameter"), Variable("1", "exponent of the parameter in a combination")),
+    "direction_error": (("combination",), Variable("1", "relative standard error of a combination, best known first")),
+    "posterior": (("draw", "parameter"), Variable("", "draws of the posterior, in the parameter's own unit")),
+    "observed": (_OF, Variable("", "observation, in the variable's own unit")),
+    "predicted": (_OF, Variable("", "value of the orbit at the estimate, in the variable's own unit")),
+    "residual": (_OF, Variable("1", "predicted minus observed, in standard errors of the observation")),
+    "used": (("observation",), Variable("1", "whether the observation is used", np.int8, USES)),
+    "chi_squared": ((), Variable("1", "sum of the squared residuals")),
+    "freedom": ((), Variable("1", "number of used values minus number of unknowns", np.int32)),
+    "noise": ((), Variable("1", "relative error of the observations that the residuals give; NaN if it was given")),
+    "nonlinearity": (
+        (),
+        Variable("1", "error of the linear prediction over draws of the posterior, relative to their spread"),
+    ),
+}
+
+
+def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
+    """Estimate parameters of a drill from observations of its periodic motion, by gradients through the orbits.
+
+        runs = {"v": [1.2, 1.5, 1.8], "period": [...], "impact_velocity": [...]}
+        fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})
+
+    Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed values
+    of variables of the orbit (period, forces, velocities, powers, rates). At a sample of points inside the bounds, the
+    motions from `start` are simulated. From the best of these points, the orbit is continued to all rows, and SciPy's
+    `least_squares` minimises the residuals with the derivatives of the orbits. Rows without a stable orbit at the end
+    of a search are left out. The best end has many rows and small residuals, by their likelihood. Attractors coexist:
+    observations of another motion are fitted by the wrong orbit, and their residuals show it. To fit
+    friction to the velocity of the bit over time, use [vibrojax.fit_friction][].
+
+    The Fisher information J'J of the residuals, in logarithms of positive parameters, has eigenvectors: combinations of
+    powers of the parameters that the data determine, each with its relative error. The posterior is the normal
+    approximation around the estimate (Laplace), in the same logarithms, or Student's t if the residuals give the error
+    of the observations. `nonlinearity` checks it: at draws of the posterior the motion is computed again and compared
+    with the linear prediction.
+
+    **Arguments:** `source`: path of a TOML file, or a dict, with
+
+    - `scene`, `start`, `[parameters]`: as in `simulate`.
+    - `data`: path of a CSV file or, in a dict, a table. Headers are names of parameters and variables, with units as in
+      `peak_impact_force (kN)`; columns `NAME_error` hold standard errors. In `drilling`, `C` [m/s] may be unknown too:
+      then `rate_of_penetration` is C ln(relief).
+    - `[unknown]` NAME = [low, high]; `[error]` NAME = standard error of a variable (without errors, all values have
+      the same relative error, which the residuals give; a value below a hundredth of its variable's mean size has the
+      error of that hundredth); `[prior]` NAME = [mean, standard deviation].
+    - `searches` (3), `draws` (1000), `seed` (0), `title`.
+
+    **Returns:** a dataset with `estimate`, `estimate_stderr`, the 95 % interval from `estimate_low` to `estimate_high`,
+    and `reason` along `parameter`; `correlation`, `direction` and `direction_error` along `combination`, `posterior`
+    along `draw`; `observed`, `predicted`, `residual` and `used` (1 or 0) along `observation`; attribute `error_model`.
+
+    **Raises:** `InputError` for invalid input, too few observations with an orbit, or if no search reaches a minimum.
+
+    **Example:**
+
+    >>> runs = {"v": [1.2, 1.5, 1.8], "period": [0.230586, 0.229602, 0.228930]}  # of the orbits at beta = 0.4
+    >>> about = {"scene": "vibro-impact", "start": "stuck", "parameters": {"delta": 0.005, "gamma": 0.75}}
+    >>> fit = vj.calibrate({**about, "data": runs, "unknown": {"beta": [0.3, 0.5]}, "searches": 1}, progress=False)
+    >>> f"{float(fit.estimate[0]):.2f}"
+    '0.40'
+    """
+    return find_calibration(read_calibration(source), progress)
+
+
+def find_calibration(spec: CalibrationSpec, progress: bool = True) -> xr.Dataset:
+    """Return the dataset of a checked calibration."""
+    with precision("float64"), Progress(spec.searches, "searches", progress) as bar:
+        begins = starts(spec)
+        if not begins:
+            raise InputError(
+                f"{spec.file}: no observation has a stable orbit from the start at any of {SCREENED} points inside the "
+                "bounds; choose narrower bounds around plausible values, or another start"
+            )
+        fits = []
+        for theta, row in begins[: spec.searches]:
+            model = Model(spec, theta, row)
+            fits.append((fit_from(spec, model, theta), model))
+            bar.add(1)
+        fit, model = min(fits, key=lambda pair: pair[0].score)
+        used = fit.target.used
+        if problem := spec.shortage(used):
+            orbits = f"{used.sum()} of {counted(len(used), 'observation')} {'has' if used.sum() == 1 else 'have'}"
+            raise InputError(
+                f"{spec.file}: {orbits} an orbit of one kind inside the bounds: {problem}; narrower bounds, another "
+                "start or more searches may find others"
+            )
+        return _dataset(spec, model, fit)
+
+
+def _dataset(spec: CalibrationSpec, model: Model, fit: Fit) -> xr.Dataset:
+    theta, prediction, target, cost, freedom, _ = fit
+    residuals, jacobian = target.residuals(prediction, theta), target.jacobian(prediction)
+    given = spec.errors is not None
+    variance = 1.0 if given else max(cost / freedom, ORBIT_ERROR**2)
+    noise = np.nan if given else float(np.sqrt(variance))
+    known = uncertainty_of(spec, theta, jacobian, variance)
+    width = np.sqrt(np.diag(known.covariance))
+    step = -np.linalg.lstsq(jacobian, residuals)[0]
+    margin = AT_BOUND * (spec.high - spec.low)
+    beyond = ((theta < spec.low + margin) & (theta + step < spec.low)) | (
+        (theta > spec.high - margin) & (theta + step > spec.high)
+    )
+    free = jacobian * ~beyond
+    offset = np.linalg.norm(free @ np.linalg.lstsq(free, residuals)[0])
+    if offset > LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE:
+        where = ", ".join(f"{name} = {x:.4g}" for name, x in zip(spec.names, theta, strict=True))
+        raise InputError(
+            f"{spec.file}: no search has reached a minimum of the residuals; the best one ended at {where}, where "
+            f"{target.used.sum()} of {counted(len(spec.labels), 'observation')} have an orbit; give other "
+            "bounds, another start, more searches, or leave out observations of other motions"
+        )
+    reason = np.where(width < VAGUE, REASONS.index("identified"), REASONS.index("confounded"))
+    reason = np.where(beyond, REASONS.index("at-bound"), reason)
+    draws = posterior_draws(spec, theta, known, freedom)
+    quantile = scipy.stats.norm.ppf(0.5 + INTERVAL / 2) if given else scipy.stats.t.ppf(0.5 + INTERVAL / 2, freedom)
+    with np.errstate(over="ignore"):
+        ends = [moved(spec, theta, known.scale, sign * quantile * width) for sign in (-1, 1)]
+    error = errors_at(spec, prediction.values) * (1.0 if given else noise)
+    table: dict[str, Any] = {
+        "estimate": theta,
+        "estimate_stderr": known.scale * width,
+        "estimate_low": ends[0],
+        "estimate_high": ends[1],
+        "low": spec.low,
+        "high": spec.high,
+        "reason": reason,
+        "correlation": known.covariance / width / width[:, None],
+        "direction": known.directions,
+        "direction_error": known.errors,
+        "posterior": draws,
+        "observed": spec.values,
+        "predicted": prediction.values,
+        "residual": np.where(target.weight > 0, (prediction.values - spec.values) / error, np.nan),
+        "used": target.used,
+        "chi_squared": cost / variance,
+        "freedom": freedom,
+        "noise": noise,
+        "nonlinearity": np.nan if reason.any() else nonlinearity(model, fit, jacobian, draws),
+    }
+    parameters = spec.point.system.parameters()
+    about = {name: (parameters[name].unit, parameters[name].long_name) for name in spec.names if name != CONSTANT}
+    about |= {CONSTANT: ("m s-1", "coefficient of the law, rate = C ln(P/D)")}
+    coordinates: dict[str, Any] = {
+        "parameter": [*spec.names],
+        "other": [*spec.names],
+        "of": [*spec.observed],
+        "observation": spec.labels,
+        "parameter_unit": ("parameter", [about[name][0] for name in spec.names]),
+        "parameter_long_name": ("parameter", [about[name][1] for name in spec.names]),
+        "of_unit": ("of", [VARIABLES[name].units for name in spec.observed]),
+    }
+    for name, x in spec.conditions.items():
+        meaning = {"units": parameters[name].unit, "long_name": parameters[name].long_name}
+        coordinates[name] = ("observation", x, meaning)
+    variables = {
+        name: (dims, np.asarray(table[name], schema.dtype), schema.attributes())
+        for name, (dims, schema) in SCHEMA.items()
+    }
+    attributes = dataset_attributes("calibration", spec.title, "calibrate", scene=spec.point.scene)
+    model_text = ERROR_MODELS[given].format(freedom=freedom)
+    fixed = {"specification": spec.text, "searches": spec.searches, "error_model": model_text}
+    return xr.Dataset(variables, coordinates, attributes | fixed)

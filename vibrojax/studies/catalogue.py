@@ -1,0 +1,206 @@
+"""Tables of the components of scenes: parameters, initial conditions, friction laws, variables and settings.
+
+All tables are derived from the definitions that the simulation uses.
+"""
+
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import pandas as pd
+
+from vibrojax.errors import Place
+from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
+from vibrojax.lanes.labelled import of_orbits
+from vibrojax.lanes.scene_variables import sweep_variables
+from vibrojax.maps.points import VECTOR
+from vibrojax.maps.starts import PLANE, SAMPLE
+from vibrojax.measures.derived import HOLE_RADIUS
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
+from vibrojax.physics.rock import ROCKS
+from vibrojax.scenes import SCENES, HasFriction, HasImpacts, HasRock, Scene
+from vibrojax.scenes.penetration import PULSE_SHAPES
+from vibrojax.settings.names import Names, enter_offered, read_names
+from vibrojax.settings.run_settings import MEANINGS, RunSettings
+from vibrojax.studies import glossary
+from vibrojax.studies.analysis import offered_variables
+from vibrojax.studies.design_dataset import DESIGN_VARIABLES
+from vibrojax.studies.effects_run import SCHEMA as STUDY_SCHEMA
+from vibrojax.studies.tolerance_run import tolerance_variables
+
+
+def list_scenes() -> pd.DataFrame:
+    """Return a table of the scenes by name: description, states and named initial conditions.
+
+    **Example:**
+
+    >>> vj.list_scenes().states["vibro-impact"]
+    'x1, v1, x2, v2'
+    """
+    enter_offered()
+    rows = {
+        name: {"what": _summary(kind), "states": ", ".join(kind().state_names), "starts": ", ".join(kind.starts)}
+        for name, kind in SCENES.items()
+    }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("scene")
+
+
+def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
+    """Return a table of a scene's parameters by name, including alternatives and those of every friction law.
+
+    The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual`
+    is the range in the source and on drilling rigs; values far from it cause a warning. `where` is the friction law or
+    pulse shape to which the parameter belongs; it is empty if the scene always has the parameter.
+
+    **Raises:** `InputError` if there is no such scene.
+
+    **Example:**
+
+    >>> vj.list_parameters("vibro-impact").loc["beta", ["symbol", "range", "usual", "meaning"]].tolist()
+    ['β', 'above 0', '0.1 to 1.5', 'mass ratio m2/m1']
+    """
+    names = read_names(Place("scenes"), scene)
+    choices = _parameters_of_choices(names)
+    shared = set(names.parameters).difference(*choices.values())
+    groups = [("", [parameter for name, parameter in names.parameters.items() if name in shared])]
+    for choice, parameters in choices.items():
+        groups.append((choice, [parameter for name, parameter in parameters.items() if name not in shared]))
+    for name, parameter in substitutes(names.parameters).items():
+        where = f"{'both ' * (name in ROTATION)}in place of {REPLACED[name]}"
+        if name == "bit_radius" and isinstance(names.system, HasRock):
+            parameter = replace(parameter, default=HOLE_RADIUS, long_name="radius of the hole, at which the bit slides")
+            where = "of specific_energy; with rpm in place of v"
+        groups.append((where, [parameter]))
+    rows = [
+        {
+            "name": parameter.name,
+            "symbol": parameter.symbol,
+            "default": parameter.default,
+            "units": parameter.unit,
+            "range": _range(parameter),
+            "usual": "" if parameter.usual is None else " to ".join(f"{end:g}" for end in parameter.usual),
+            "meaning": parameter.long_name,
+            "where": where,
+        }
+        for where, parameters in groups
+        for parameter in parameters
+    ]
+    return pd.DataFrame(rows).set_index("name")
+
+
+def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
+    """Return a table of the variables in a scene's datasets by name: `units`, `meaning`, and `where`.
+
+    `where` is the command that adds the variable; it is empty for variables of sweeps, including those of orbits.
+
+    **Raises:** `InputError` if there is no such scene.
+
+    **Example:**
+
+    >>> vj.list_variables("drilling").loc["relief", ["units", "meaning"]].tolist()
+    ['1', 'mean force over threshold, P/D']
+    """
+    system = read_names(Place("scenes"), scene).system
+    held, has_section, has_orbits = sweep_variables(system), system.section is not None, bool(of_orbits(system))
+    tables = {
+        "": held,
+        "follow": OF_FAMILIES if has_orbits else {},
+        "borders": OF_BORDERS if isinstance(system, HasImpacts) and has_section else {},
+        "curves": OF_CURVES if has_orbits else {},
+        "attractors": OF_ATTRACTORS if has_section else {},
+        "tolerance": tolerance_variables(held) if "regime" in held else {},
+        "design": DESIGN_VARIABLES,
+        "study": {name: about for name, (_, about) in STUDY_SCHEMA.items()} if "regime" in held else {},
+        **offered_variables(),
+    }
+    rows: dict[str, dict[str, str]] = {}
+    for where, table in tables.items():
+        for name, about in table.items():  # designs and studies have variables of others, too
+            if name not in rows or where not in ("curves", "design", "study"):
+                rows[name] = {"units": about.units, "meaning": about.long_name, "where": where}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
+
+
+def list_settings() -> pd.DataFrame:
+    """Return a table of the settings of a sweep, which belong in its table [run], with their defaults.
+
+    The default times of a `vj.System` are its `usual_times` instead.
+
+    **Example:**
+
+    >>> vj.list_settings().default[["settle", "observe", "error"]].to_dict()
+    {'settle': 40.0, 'observe': 8.0, 'error': 0.0001}
+    """
+    rows = {field.name: {"default": field.default, "meaning": MEANINGS[field.name]} for field in fields(RunSettings)}
+    return pd.DataFrame.from_dict(rows, orient="index", dtype=object).rename_axis("setting")
+
+
+def scene_text(scene: str) -> str:
+    """Describe everything that a sweep file of the scene may contain."""
+    names = read_names(Place("scenes"), scene)
+    system = names.system
+    starts = f"starts: {', '.join(system.starts)}"
+    if system.start_states:
+        states = ", ".join(f"{VECTOR}{state}" for state in system.start_states)
+        starts += f", or a vector [{', '.join(system.start_states)}]; in a list of points: columns {states}"
+        starts += f"; many: {SAMPLE}, or {PLANE}"
+    parts = [f"{system.name}: {_summary(type(system))}", starts if names.has_starts else "starts: always the same"]
+    if "rock" in names.presets:
+        rocks = (f"{name} ({rock.threshold / 1e3:g} kN, {rock.k3 / 1e6:g} MN/m)" for name, rock in ROCKS.items())
+        parts.append(f"rock, in place of threshold and k3: {', '.join(rocks)}")
+    for title, table in (
+        ("parameters: symbol, default, unit, admissible, usual on rigs, meaning", list_parameters(scene)),
+        ("variables: unit, meaning, where: with which command, if not in a sweep", list_variables(scene)),
+        ("settings, in [run]", list_settings()),
+    ):
+        parts.append(f"{title}\n{_aligned(table)}")
+    words = ["lane", *(["section", "return", "regime", "orbit", "multiplier"] if system.section is not None else [])]
+    words += ["relief P/D"] if isinstance(system, HasRock) else []
+    parts.append("words\n" + glossary(*words, "reading R1, R2, ..."))
+    return "\n\n".join(parts)
+
+
+def _aligned(table: pd.DataFrame) -> str:
+    """Format a table as text with left-aligned columns, indented by two spaces."""
+
+    def text(value: object) -> str:
+        if value is None or isinstance(value, bool):
+            return "" if value is None else str(value).lower()
+        return f"{value:g}" if isinstance(value, float) else str(value)
+
+    cells = [[str(name), *map(text, row)] for name, row in zip(table.index, table.to_numpy(), strict=True)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in cells)
+    return "\n".join(f"  {line}".rstrip() for line in lines)
+
+
+def _range(parameter: Parameter) -> str:
+    """Describe the admissible values of a parameter in words."""
+    parts = []
+    if parameter.lowest is not None:
+        parts.append(f"{'above' if parameter.open_below else 'at least'} {parameter.lowest:g}")
+    if parameter.below is not None:
+        parts.append(f"below {parameter.below:g}")
+    return ", ".join(parts) or "any"
+
+
+def _parameters_of_choices(names: Names) -> dict[str, dict[str, Parameter]]:
+    """Return the parameters that depend on the choice of friction law or pulse shape, by law or shape."""
+    if isinstance(names.system, HasFriction):
+        laws = sorted(FRICTION_LAWS.values(), key=lambda law: law.name != names.options["friction"])
+        return {f'friction = "{law.name}" ({law.reference})': dict(law.parameters) for law in laws}
+    if "pulse_shape" not in names.options:
+        return {}
+    shapes = {
+        shape: read_names(Place("scenes"), names.system, {"pulse_shape": shape}).parameters for shape in PULSE_SHAPES
+    }
+    common = set.intersection(*map(set, shapes.values()))
+    return {
+        f'pulse_shape = "{shape}"': {name: parameter for name, parameter in table.items() if name not in common}
+        for shape, table in shapes.items()
+    }
+
+
+def _summary(kind: type) -> str:
+    """Return the first line of a class's docstring."""
+    return str(kind.__doc__ or kind.__name__).strip().splitlines()[0] if is_dataclass(kind) else kind.__name__

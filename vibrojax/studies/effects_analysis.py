@@ -1,0 +1,229 @@
+"""The analysis `study`: the picture of Sobol indices and interactions, and a sentence for each parameter and pair."""
+
+from itertools import combinations
+from typing import ClassVar
+
+import numpy as np
+import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from vibrojax.errors import counted
+from vibrojax.io.variables import Variable
+from vibrojax.pictures.axes import pretty_unit, scale
+from vibrojax.pictures.sheet import legend_at_right, write_margins
+from vibrojax.pictures.style import BIT, FAINT, INK, Mark, new_figure, styled
+from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart
+from vibrojax.studies.effects_run import SCHEMA, study
+from vibrojax.studies.effects_sampling import REASONS
+from vibrojax.studies.effects_spec import SHARE
+
+MIN_SHARE = 0.05
+"""Share of the variance below which a parameter or a pair counts as unimportant."""
+
+WIDE = 0.3
+"""Half-width of a confidence interval above which the summary recommends more samples."""
+
+CURVED = 0.5
+"""Ratio of an effect to that of a straight line with the same variance below which the summary calls it not steady."""
+
+NEGLIGIBLE = 1e-3
+"""Effect, relative to the standard deviation, below which the summary says that it hardly changes the variable."""
+
+_MAX_ROWS = 4
+_BAR = 0.38  # height of a bar; two stand at each parameter
+
+
+@styled
+def bars_and_interactions(ds: xr.Dataset) -> Figure:
+    """Draw first-order and total indices with confidence intervals, and a heat map of the interactions of pairs.
+
+    There is one row per variable, four at most.
+    """
+    of = [str(name) for name in ds["of"].values][:_MAX_ROWS]
+    size = ds.sizes["parameter"]
+    figure = new_figure(9.0, len(of) * max(1.9, 0.8 + 0.26 * size) + 0.8)
+    grid = figure.subplots(len(of), 2, squeeze=False, width_ratios=[1.5, 1.0])
+    greatest = float(np.nanmax(ds["second_order"].values, initial=MIN_SHARE))
+    for name, (bars, pairs) in zip(of, grid, strict=True):
+        row = ds.sel(of=name)
+        _draw_bars(bars, row)
+        bars.set_title(_title(row), loc="left")
+        _draw_pairs(pairs, row, greatest)
+        pairs.set_title("interactions of pairs [%]", loc="left")
+        bars.set_xlabel("share of the variance" if name == of[-1] else "")
+    handles: list[Artist] = [Patch(color=BIT, label="alone"), Patch(color=FAINT, label="with all its\ninteractions")]
+    legend_at_right(figure, handles)
+    rest = ds.sizes["of"] - len(of)
+    further = counted(rest, "further variable is", "further variables are") + " not drawn" if rest else ""
+    level = f"{100 * float(ds.attrs.get('confidence', 0.95)):.0f} %"
+    bars = f"Lines: intervals of {level} confidence; pairs within theirs of 0 have no number"
+    write_margins(figure, ds, bars, further)
+    return figure
+
+
+def _draw_bars(axes: Axes, row: xr.Dataset) -> None:
+    names = [str(name) for name in row["parameter"].values]
+    places = np.arange(len(names), dtype=float)
+    for shift, key, colour in ((-_BAR / 2, "first_order", BIT), (_BAR / 2, "total_order", FAINT)):
+        errors = np.nan_to_num(row[f"{key}_conf"].values)
+        look = Mark(color=colour, ecolor=INK, error_kw={"linewidth": 0.8})
+        axes.barh(places + shift, row[key].values, _BAR, xerr=errors, **look)
+    axes.set_yticks(places, names)
+    axes.invert_yaxis()
+    axes.axvline(0.0, color=INK, linewidth=0.6)
+    axes.grid(True, axis="x")
+    if int(row["sobol_reason"]) != REASONS.index("known"):
+        axes.text(0.5, 0.5, _why(row), transform=axes.transAxes, ha="center", color="0.3")
+
+
+def _draw_pairs(axes: Axes, row: xr.Dataset, greatest: float) -> None:
+    """Draw the lower triangle of second-order indices; pairs within their confidence interval of 0 have no number."""
+    names = [str(name) for name in row["parameter"].values]
+    values, errors = (row[key].values for key in ("second_order", "second_order_conf"))
+    lower = np.where(np.tri(len(names), k=-1, dtype=bool), np.maximum(values, 0.0), np.nan)
+    axes.imshow(lower, cmap="Blues", vmin=0.0, vmax=greatest, aspect="auto")
+    for i, j in zip(*np.nonzero(values > errors), strict=True):
+        if j < i:
+            colour = "white" if lower[i, j] > 0.6 * greatest else INK
+            axes.text(j, i, f"{100 * values[i, j]:.0f}", ha="center", va="center", color=colour, fontsize="small")
+    axes.set_xticks(range(len(names)), names, rotation=45, ha="right")
+    axes.set_yticks(range(len(names)), names)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _title(row: xr.Dataset) -> str:
+    factor, unit = _scale(row)
+    mean, std = (factor * float(f"{float(row[key]):.{digits}g}") for key, digits in (("mean", 3), ("std", 2)))
+    amount = f"{mean:.6g} ± {std:.6g} {pretty_unit(unit)}"
+    return f"{_words(row)}: {amount.strip()}"
+
+
+def _words(row: xr.Dataset) -> str:
+    return "share of single impacts" if str(row["of"].item()) == SHARE else str(row["of"].item()).replace("_", " ")
+
+
+def _scale(row: xr.Dataset) -> tuple[float, str]:
+    """Return the factor and the unit in which a row's variable is printed."""
+    values = np.array([float(row["mean"]), float(row["std"]), *np.abs(np.nan_to_num(row["effect"].values))])
+    return scale(xr.DataArray(values, attrs={"units": str(row["of_unit"].item())}))
+
+
+def _why(row: xr.Dataset) -> str:
+    return {"constant": "it is the same everywhere", "too-few-samples": "too few samples have a value"}.get(
+        REASONS[int(row["sobol_reason"])], ""
+    )
+
+
+class Studies(Analysis):
+    """Find which parameters decide about a machine's performance: Sobol indices and a two-level factorial design."""
+
+    kind = "study"
+    variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
+    pictures = (PictureRule("effects", lambda held: "first_order" in held.variables, bars_and_interactions),)
+    view = "plots"
+
+    def run(self, source: Source, progress: bool = True) -> xr.Dataset:
+        """Run a study, as [vibrojax.studies.effects_run.study][] does."""
+        return study(source, progress=progress)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return a sentence for each parameter and each important pair of parameters, and the lanes treated by rule."""
+        facts: dict[str, object] = {}
+        lines: list[str] = []
+        for name in (str(x) for x in ds["of"].values):
+            row = ds.sel(of=name)
+            sentences = _sentences(row)
+            facts[name] = _facts(row) | {"sentences": sentences}
+            lines += [f"{_title(row)} over {counted(int(ds.attrs.get('samples', 0)), 'sample')}"]
+            lines += [f"  {sentence}" for sentence in (*sentences, *_rule_lines(row))]
+        if SHARE in ds:
+            lines.append(f"{100 * float(ds[SHARE]):.0f} % of the lanes have a single impact")
+            facts[SHARE] = float(ds[SHARE])
+        return [SummaryPart("study", lines, {"study": facts})]
+
+
+def _facts(row: xr.Dataset) -> dict[str, object]:
+    names = [str(name) for name in row["parameter"].values]
+    keys = ("first_order", "first_order_conf", "total_order", "total_order_conf", "effect")
+    table = {name: {key: float(row[key][k]) for key in keys} for k, name in enumerate(names)}
+    counts = {key: int(row[key]) for key in ("left_out", "corners_left_out", "set_to_zero", "averaged")}
+    return {"mean": float(row["mean"]), "std": float(row["std"]), "parameters": table, **counts}
+
+
+def _sentences(row: xr.Dataset) -> list[str]:
+    """Return one sentence per important parameter, by falling importance, per important pair, and on all others."""
+    if int(row["sobol_reason"]) != REASONS.index("known"):
+        return [f"there are no shares of the variance: {_why(row)}"]
+    names = [str(name) for name in row["parameter"].values]
+    total = row["total_order"].values
+    order = [int(k) for k in np.argsort(-total) if total[k] >= MIN_SHARE]
+    sentences = [_parameter_sentence(row, k) for k in order]
+    second, errors = row["second_order"].values, row["second_order_conf"].values
+    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if second[i, j] >= max(MIN_SHARE, errors[i, j])]
+    sentences += [_pair_sentence(row, i, j) for i, j in sorted(pairs, key=lambda pair: -second[pair])]
+    others = [name for k, name in enumerate(names) if k not in order]
+    if others:
+        hardly, each = ("hardly matters", "") if len(others) == 1 else ("hardly matter", " each")
+        sentences.append(f"{_listed(others)} {hardly}: less than {_percent(MIN_SHARE)} of the variation{each}")
+    if float(row["total_order_conf"].max()) > WIDE:
+        sentences.append("some of these shares are uncertain; double the samples until they are known well enough")
+    return sentences
+
+
+def _parameter_sentence(row: xr.Dataset, k: int) -> str:
+    factor, unit = _scale(row)
+    name, long_name = str(row["parameter"].values[k]), str(row["parameter_long_name"].values[k]).split(" (")[0]
+    first, total, error, effect = (
+        float(row[key][k]) for key in ("first_order", "total_order", "total_order_conf", "effect")
+    )
+    text = f"{name} ({long_name}) causes {100 * min(total, 1.0):.0f} ± {_percent(error)} of the variation"
+    text += f", {_percent(min(max(first, 0.0), 1.0))} on its own"
+    if not np.isfinite(effect):
+        return text
+    change = f"{'raises' if effect > 0 else 'lowers'} it by {factor * abs(effect):.3g} {pretty_unit(unit)}".rstrip()
+    change = change if abs(effect) > NEGLIGIBLE * float(row["std"]) else "hardly changes it"
+    text += f"; going from {_bounds(row, k)} {change} on average"
+    if first > MIN_SHARE and abs(effect) < CURVED * np.sqrt(12 * first) * float(row["std"]):
+        text += ", but not steadily: values in between differ more"
+    return text
+
+
+def _pair_sentence(row: xr.Dataset, i: int, j: int) -> str:
+    names = [str(name) for name in row["parameter"].values]
+    share, interaction = float(row["second_order"][i, j]), float(row["interaction"][i, j])
+    text = f"{names[i]} and {names[j]} must be chosen together: their interaction causes {_percent(share)}"
+    if not np.isfinite(interaction):
+        return text
+    factor, unit = _scale(row)
+    more = f"{factor * 2 * abs(interaction):.3g} {pretty_unit(unit)}".rstrip()
+    return f"{text}; the effect of {names[i]} is {more} {'greater' if interaction > 0 else 'less'} at high {names[j]}"
+
+
+def _bounds(row: xr.Dataset, k: int) -> str:
+    about = {"units": str(row["parameter_unit"].values[k])}
+    ends = xr.DataArray([float(row["low"][k]), float(row["high"][k])], attrs=about)
+    factor, unit = scale(ends)
+    return " to ".join(f"{factor * float(x):.4g}" for x in ends) + f" {pretty_unit(unit)}".rstrip()
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _listed(names: list[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _rule_lines(row: xr.Dataset) -> list[str]:
+    """Return a line on the lanes, samples and corners that are treated by rule; none if there are none."""
+    parts = [
+        (int(row["set_to_zero"]), "lane without impacts counts as 0", "lanes without impacts count as 0"),
+        (int(row["averaged"]), "irregular lane counts with its mean", "irregular lanes count with their means"),
+        (int(row["left_out"]), "base sample is left out", "base samples are left out"),
+        (int(row["corners_left_out"]), "corner is left out", "corners are left out"),
+    ]
+    texts = [counted(number, single, several) for number, single, several in parts if number]
+    return ["; ".join(texts)] if texts else []

@@ -1,0 +1,240 @@
+"""The analysis `family`: picture and summary of branches of periodic orbits along a parameter."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.patches import Circle
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+from vibrojax.errors import counted, printable
+from vibrojax.pictures.axes import label, scale, values_along, with_unit
+from vibrojax.pictures.branch_data import FAMILY, along_name, branches, kind_names, numbers_of, stable_intervals
+from vibrojax.pictures.branches import (
+    LARGEST,
+    Curve,
+    colour_handles,
+    curves_of,
+    draw_families,
+    heights_of,
+    ranges_text,
+    special_handles,
+    stability_handles,
+)
+from vibrojax.pictures.sheet import write_margins
+from vibrojax.pictures.starts import SYMBOLS
+from vibrojax.pictures.style import INK, colour_map, new_figure, styled
+from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
+
+_VALUES_SHOWN, _FAMILIES_SHOWN = 4, 12
+_DIGITS = 9  # special points are located to nine digits
+_MODULUS_RANGE = (1e-2, 1e2)  # limits of the axis of the largest modulus
+_DENSE_TICKS_BELOW = 50.0  # ratio of the axis limits below which 2 and 5 also have ticks
+_HALF_PLANE = (1.2, 1.5)  # bounds of half the width of the multiplier plot
+_QUANTITIES = ("impact_velocity", "slip_per_impact", "bit_amplitude", "period")  # the first available one is drawn
+_PANEL_HEIGHT = 2.1  # inches
+
+
+def family_lines(ds: xr.Dataset) -> list[str]:
+    """Return the summary as lines of text.
+
+    The lines contain the numbers of points and branches, the special points by kind, and the stable intervals of
+    branch 0.
+    """
+    facts = family_facts(ds)
+    along, (low, high) = facts["along"], facts["span"]
+    count = f"{counted(facts['families'], 'family', 'families')}, " if FAMILY in ds.dims else ""
+    branch_count, special = (
+        counted(facts["branches"], "branch", "branches"),
+        counted(len(facts["special"]), "special point"),
+    )
+    points = counted(facts["points"], "point")
+    lines = [f"{count}{points} on {branch_count} over {along} {low:g} to {high:g}, {special}"]
+    order = str(ds["special_kind"].attrs["flag_meanings"]).split()
+    for kind in sorted(facts["kinds"], key=order.index):
+        own = [point for point in facts["special"] if point["kind"] == kind and point["branch"] == 0]
+        values = [_digits(value) for value in np.sort([float(point["value"]) for point in own])]
+        others, places = facts["kinds"][kind] - len(own), []
+        if values and facts["families"] > 1:
+            between = f"{values[0]}" + (f" to {values[-1]}" if len(values) > 1 else "")
+            places.append(f"{len(own)} on the branches 0 at {along} {between}")
+        elif values:
+            further = len(values) - _VALUES_SHOWN
+            more = f" (and {further} more up to {values[-1]})" if further > 0 else ""
+            places.append(f"{len(own)} on branch 0 at {along} {', '.join(values[:_VALUES_SHOWN])}{more}")
+        if others:
+            places.append(f"{others} on other branches")
+        lines.append(f"{kind:<16}  {'; '.join(places)}")
+    begun = list(dict.fromkeys(numbers_of(ds, "point").tolist()))
+    stable = {family: [x for x in facts["stable"] if (x["family"], x["branch"]) == (family, 0)] for family in begun}
+    texts = {family: "; ".join(map(_interval, intervals)) for family, intervals in stable.items()}
+    if len(begun) == 1:
+        where = texts[begun[0]]
+        lines.append(f"branch 0 is stable for {along} {where}" if where else "branch 0 is stable nowhere")
+    elif begun:
+        lines.append("stable on branch 0:")
+        lines += [f"  {_name(ds, family)}: {texts[family] or 'nowhere'}" for family in begun[:_FAMILIES_SHOWN]]
+        if len(begun) > _FAMILIES_SHOWN:
+            lines.append(f"  and {len(begun) - _FAMILIES_SHOWN} more")
+    else:
+        lines.append("no point")
+    known = ds[FAMILY].values.tolist() if FAMILY in ds.dims else []
+    missing = [_name(ds, family) for family in known if family not in begun]
+    more = f" and {len(missing) - _VALUES_SHOWN} more" if len(missing) > _VALUES_SHOWN else ""
+    return lines + ([f"no orbit to begin with: {'; '.join(missing[:_VALUES_SHOWN])}{more}"] if missing else [])
+
+
+def family_facts(ds: xr.Dataset) -> dict[str, Any]:
+    """Return the summary as a dictionary, whose keys are a stable interface.
+
+    - `along`, `span`: the parameter and its bounds; `families`, `branches`, `points`: numbers of these.
+    - `kinds`: number of special points of each kind; `special`: `kind`, `value`, `family`, `branch` and `note` of each.
+    - `stable`: `family`, `branch`, `from` and `to` of each stable interval. `from_kind` and `to_kind` are the kinds of
+      special points at its ends.
+    """
+    every, kinds = list(branches(ds)), kind_names(ds)
+    values, branch, notes = (ds[f"special_{name}"].values for name in ("value", "branch", "note"))
+    ends_of_interval = ("from", "to", "from_kind", "to_kind")
+    special = zip(kinds, values, numbers_of(ds, "special"), branch, (printable(x, 300) for x in notes), strict=True)
+    return {
+        "along": along_name(ds),
+        "span": list(ds.attrs["span"]),
+        "families": len({branch.family for branch in every}),
+        "branches": len(every),
+        "points": ds.sizes["point"],
+        "kinds": dict(Counter(kinds)),
+        "special": [dict(zip(("kind", "value", "family", "branch", "note"), row, strict=True)) for row in special],
+        "stable": [
+            {"family": x.family, "branch": x.number, **dict(zip(ends_of_interval, ends, strict=True))}
+            for x in every
+            for ends in stable_intervals(ds, x)
+        ],
+    }
+
+
+def _interval(interval: dict[str, Any]) -> str:
+    """Return a stable interval as text, with the kinds of special points at its ends."""
+    ends = ((interval[name], interval[f"{name}_kind"]) for name in ("from", "to"))
+    return " to ".join(f"{_digits(value)}{f' ({kind})' if kind else ''}" for value, kind in ends)
+
+
+def _digits(value: float) -> str:
+    return f"{value:.{_DIGITS}g}"
+
+
+def _name(ds: xr.Dataset, family: int) -> str:
+    """Return a label of a family: its values of the parameters in which families differ."""
+    names = [str(name) for name, data in ds.coords.items() if data.dims == (FAMILY,) and name != FAMILY]
+    values = ((name, ds[name].sel(family=family).item()) for name in names)
+    parts = [f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in values]
+    return ", ".join(parts) or f"family {family}"
+
+
+@styled
+def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Figure:
+    """Draw families over the parameter with their special points; stable orbits are solid, unstable orbits dashed.
+
+    The panels show the impact velocity (without impacts, the bit's amplitude), the bit's position at the section, and
+    the largest modulus of the multipliers. Next to the panels, the multipliers are drawn in the complex plane. Branches
+    of a single family are coloured by their number of section crossings per period, and the multipliers of its first
+    branch by the parameter. If there are several families, each has its own colour.
+
+    `names`: variables with the dimension `point` that replace the variables of the first two panels.
+    """
+    if not names:
+        known = [name for name in _QUANTITIES if name in ds and bool(np.isfinite(ds[name].values).any())]
+        states = [str(name) for name in ds.data_vars if str(name).startswith("orbit_")]
+        names = (*known[:1], *states[:1])
+    names = (*names, LARGEST)
+    curves, many = curves_of(ds), FAMILY in ds.dims
+    figure = new_figure(11.0, _PANEL_HEIGHT * len(names) + 0.8)
+    columns = GridSpec(1, 2, figure, width_ratios=[1.75, 1.0])
+    panels = columns[0].subgridspec(len(names), 1).subplots(sharex=True, squeeze=False)[:, 0]
+    for axes, name in zip(panels, names, strict=True):
+        draw_families(axes, ds, curves, name, thin=many)
+        axes.set_ylabel(_label(ds, name))
+        axes.grid(True)
+    moduli = panels[-1]
+    moduli.axhline(1.0, color=INK, linewidth=0.8, zorder=1)  # the stability limit
+    low, high = (float(end) for end in moduli.dataLim.intervaly)
+    low, high = max(min(low, 0.5), _MODULUS_RANGE[0]) / 1.2, min(max(high, 1.5), _MODULUS_RANGE[1]) * 1.2
+    moduli.set(yscale="log", ylim=(low, high))
+    moduli.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high / low < _DENSE_TICKS_BELOW else (1.0,)))
+    moduli.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    moduli.yaxis.set_minor_formatter(NullFormatter())
+    panels[-1].set_xlabel(label(ds[along_name(ds)]))
+    figure.align_ylabels(panels)
+    beside = columns[1].subgridspec(3, 1, height_ratios=[2.55, 0.09, 0.85 * len(names) - 0.45])
+    plane, bar, keys = (figure.add_subplot(beside[i]) for i in range(3))
+    outside = _draw_plane(plane, bar, ds, curves)
+    keys.axis("off")
+    handles = [*colour_handles(ds, curves), *stability_handles(ds, curves), *special_handles(ds)]
+    keys.legend(handles=handles, loc="upper left", ncols=2, borderpad=0.0)
+    largest, (low, high) = heights_of(ds, LARGEST, 1.0), _MODULUS_RANGE
+    cut = bool(((largest < low) | (largest > high)).any())
+    note = f"The largest modulus is drawn from {low:g} to {high:g}" if cut else ""
+    write_margins(figure, ds, ranges_text(ds, names), note, outside)
+    return figure
+
+
+def _label(ds: xr.Dataset, name: str) -> str:
+    if name == LARGEST:
+        return "largest modulus\nof the multipliers"
+    state = name.removeprefix("orbit_")
+    words = f"{SYMBOLS.get(state, state)} at the section" if state != name else name.replace("_", " ")
+    return with_unit(words, scale(ds[name])[1]).replace(" [", "\n[")
+
+
+def _draw_plane(axes: Axes, bar: Axes, ds: xr.Dataset, curves: Sequence[Curve]) -> str:
+    """Draw the multipliers of the first branches in the complex plane; return a note on those outside the axes."""
+    parameter, many = ds[along_name(ds)], FAMILY in ds.dims
+    along = values_along(parameter)
+    axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor=INK, linewidth=0.9))
+    axes.axhline(0.0, color="0.85", linewidth=0.6, zorder=0)
+    axes.axvline(0.0, color="0.85", linewidth=0.6, zorder=0)
+    first = min((curve.branch.number for curve in curves), default=0)
+    shown = [curve for curve in curves if curve.branch.number == first]
+    points = np.concatenate([np.zeros(0, int), *(curve.branch.points for curve in shown)])
+    modulus, argument = ds[LARGEST].values[points], ds["multiplier_arg"].values[points]
+    half = float(np.clip(1.1 * modulus[np.isfinite(modulus)].max(initial=0.0), *_HALF_PLANE))
+    values = (modulus * np.exp(1j * argument)).reshape(len(points), -1)
+    norm = Normalize(along[points].min(), along[points].max()) if len(points) else Normalize()
+    if many:
+        colours = np.repeat([curve.colour for curve in shown], [len(curve.branch.points) for curve in shown])
+        bar.axis("off")
+    else:
+        colours = colour_map()(norm(along[points]))
+        mappable = ScalarMappable(norm, colour_map())
+        bar.figure.colorbar(
+            mappable,
+            cax=bar,
+            orientation="horizontal",
+            label=label(parameter, 60),
+            ticks=MaxNLocator(6, steps=[1, 2, 5, 10]),
+        )
+    for column in values.T if len(points) else ():
+        for mirrored in (column, column.conj()):
+            axes.scatter(mirrored.real, mirrored.imag, s=5.0 if many else 12.0, c=colours, linewidths=0, zorder=3)
+    axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel="real part", ylabel="imaginary part")
+    axes.set_title(f"multipliers of branch {first}")
+    largest = values[:, 0] if len(points) else np.zeros(0)
+    outside = int((np.maximum(np.abs(largest.real), np.abs(largest.imag)) > half).sum())
+    return f"The plane leaves out {outside} of {len(points)} orbits' largest multiplier" if outside else ""
+
+
+class Families(Analysis):
+    """Continue a family of stable and unstable periodic orbits along one parameter, with its special points."""
+
+    kind = "family"
+    view = "families"
+    pictures = (PictureRule("families", lambda held: True, families),)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        return [SummaryPart("families", family_lines(ds), {"families": family_facts(ds)})]

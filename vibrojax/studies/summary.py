@@ -1,0 +1,119 @@
+"""The summary of a dataset, as lines of text and as facts for JSON."""
+
+from typing import Any
+
+import xarray as xr
+
+from vibrojax.errors import printable
+from vibrojax.io.attributes import attribute_of, differing_of, history_of, parameters_of, run_of, text_of, title_of
+from vibrojax.io.kinds import kind_of
+from vibrojax.studies import WORDS
+from vibrojax.studies.analysis import SummaryPart, analysis_of
+from vibrojax.studies.sweep import lane_parts
+
+LONGEST_LINE = 2000
+"""Greatest number of characters printed per line."""
+
+LONGEST_FACT = 300
+"""Greatest number of characters of a unit, a meaning or a name in JSON."""
+
+_TEXTS = ("title", "scene", "friction", "pulse_shape", "source", "jax", "along")
+_VALUES = ("parameters", "differing", "run", "solver", "columns", "certified", "lanes", "wall_time_s")
+_EMPTY = ("regimes", "orbits", "natures", "families", "attractors", "failures", "found")
+"""JSON keys that every summary has; they hold an empty object if they do not apply."""
+
+
+def summarise(ds: xr.Dataset) -> list[SummaryPart]:
+    """Return the parts of a dataset's summary; parts that do not apply have no lines."""
+    of_lanes = lane_parts(ds)
+    run = run_of(ds)
+    times = {"settle", "observe"} <= set(run)
+    return [
+        SummaryPart("title", [title_of(ds)] if title_of(ds) else []),
+        SummaryPart("scene", [text_of(ds, "scene")] if text_of(ds, "scene") else []),
+        SummaryPart("grid", [_dimension(ds, str(name))[0] for name in ds.sizes]),
+        SummaryPart("lanes", [f"{attribute_of(ds, 'lanes')} (a lane: {WORDS['lane']})"] if "lanes" in ds.attrs else []),
+        SummaryPart("friction", [text_of(ds, "friction")] if "friction" in ds.attrs else []),
+        SummaryPart("fixed", _fixed_lines(ds)),
+        SummaryPart("run", [f"settled for {run['settle']:g} s, observed for {run['observe']:g} s"] if times else []),
+        *(of_lanes[name] for name in ("regimes", "orbits", "natures")),
+        *analysis_of(ds).summary(ds),
+        *(of_lanes[name] for name in ("failures", "accuracy")),
+        SummaryPart("variables", [", ".join(str(name) for name in ds.data_vars)]),
+        *(SummaryPart(name, [str(ds.attrs[name])]) for name in ("solver", "source", "jax") if name in ds.attrs),
+        SummaryPart("history", history_of(ds) if "history" in ds.attrs else []),
+        SummaryPart("wall time", [f"{attribute_of(ds, 'wall_time_s'):.3g} s"] if "wall_time_s" in ds.attrs else []),
+    ]
+
+
+def summary_lines(parts: list[SummaryPart]) -> list[str]:
+    """Format a summary as lines of text; the first line of each part begins with the part's name."""
+
+    def indented(line: str) -> str:
+        words = line.lstrip(" ")
+        return line[: len(line) - len(words)] + printable(words, LONGEST_LINE, keep_spaces=True)
+
+    rows = ((part.name if index == 0 else "", line) for part in parts for index, line in enumerate(part.lines))
+    return [f"{name:<9} {indented(line)}".rstrip() for name, line in rows]
+
+
+def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:
+    """Return a summary with stable keys; values that do not apply to the dataset are null or empty.
+
+    `file`, `kind`, `title`, `scene`, `friction`, `pulse_shape`, `source`, `jax`, `along`, `history` (lines, the newest
+    first); `dimensions` and `variables` by name; `parameters`, `differing`, `run`, `solver`, `columns`, `certified` as
+    in the dataset's attributes; `lanes`; `regimes`: number of lanes by regime; `orbits`: number of lanes by `reason`
+    and by `stable`; `natures`: number of lanes by nature; `families`: as `follow --json` prints them; `attractors`:
+    mean fraction over the grid by attractor number (`shares`), and number of lanes `unassigned`; `failures`: number of
+    lanes by reason; `accuracy`; `found`: features of a single trajectory; `wall_time_s`; and keys that an analysis
+    adds.
+    """
+    facts: dict[str, Any] = {
+        "file": file,
+        "kind": kind_of(ds) or None,
+        **{name: text_of(ds, name) if name in ds.attrs else None for name in _TEXTS},
+        "history": history_of(ds),
+        "dimensions": {str(name): _dimension(ds, str(name))[1] for name in ds.sizes},
+        **{name: attribute_of(ds, name) for name in _VALUES},
+        **{name: {} for name in _EMPTY},
+    }
+    variables: dict[str, Any] = {}
+    for part in summarise(ds):
+        facts |= part.facts
+    for name, data in ds.data_vars.items():
+        about = {key: _attribute(data, key) for key in ("units", "long_name")}
+        variables[str(name)] = {"dims": list(data.dims), **about}
+    return facts | {"variables": variables}
+
+
+def _fixed_lines(ds: xr.Dataset) -> list[str]:
+    """Format the fixed parameters: one line for each that differs from its default, then one line for the others."""
+    if "parameters" not in ds.attrs:
+        return []
+    changed = {}
+    for row in differing_of(ds):
+        unit = "" if row["units"] == "1" else f" {row['units']}"
+        changed[row["name"]] = f"{row['name']} = {row['value']:g}{unit} (default {row['default']:g})"
+    others = ", ".join(f"{name} = {value:g}" for name, value in parameters_of(ds).items() if name not in changed)
+    default = "by default: " if "differing" in ds.attrs else ""
+    return [*changed.values(), *([default + others] if others else [])]
+
+
+def _dimension(ds: xr.Dataset, name: str) -> tuple[str, dict[str, Any]]:
+    """Return the size of a dimension, and unit, first and last value of its coordinate, as text and as JSON values."""
+    size = ds.sizes[name]
+    if name not in ds.coords or not size:
+        return f"{name}: {size}", {"size": size}
+    values, units = ds[name].values, _attribute(ds[name], "units")
+    first, last = values[0], values[-1]
+    if values.dtype.kind in "fiu":
+        unit = ds[name].attrs.get("units", "1")
+        text = f"{name}: {first:g} to {last:g}{'' if unit == '1' else f' {unit}'} ({size})"
+    else:
+        text = f"{name}: {', '.join(map(str, values[:8]))}{', ...' if size > 8 else ''} ({size})"
+        first, last = printable(first, LONGEST_FACT), printable(last, LONGEST_FACT)
+    return text, {"size": size, "units": units, "first": first, "last": last}
+
+
+def _attribute(data: xr.DataArray, name: str) -> str | None:
+    return printable(data.attrs[name], LONGEST_FACT) if name in data.attrs else None

@@ -1,0 +1,280 @@
+"""The analysis `sweep`: pictures and summary of datasets over a parameter space."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from vibrojax.errors import counted
+from vibrojax.io.attributes import flag_counts, flags, parameters_of, run_of, table_of
+from vibrojax.io.kinds import kind_of
+from vibrojax.maps.run import run_sweep
+from vibrojax.physics.rock import ROCKS
+from vibrojax.pictures.basins import many_starts, regime_bars
+from vibrojax.pictures.contents import Contents
+from vibrojax.pictures.maps import rate_grid, regime_grid
+from vibrojax.pictures.overlays import ON_MAPS, refuse_overlays
+from vibrojax.pictures.rates import rates
+from vibrojax.pictures.returns import bifurcation, hysteresis
+from vibrojax.pictures.strips import regime_lines
+from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart
+from vibrojax.studies.frequencies import frequency_part
+
+
+class Sweeps(Analysis):
+    """Run a sweep file: a dataset with the regime of each lane, and a picture of it."""
+
+    kind = "sweep"
+    pictures = (
+        PictureRule("returns", lambda held: held.carried, hysteresis),
+        PictureRule("returns", lambda held: held.returns, bifurcation),
+        PictureRule("starts", lambda held: held.regimes and held.many_starts, many_starts),
+        PictureRule("rates", lambda held: held.rates and not held.worth_a_map, rates),
+        PictureRule("regimes", lambda held: held.regimes and (held.points_over_two or len(held.axes) > 1), regime_grid),
+        PictureRule("regimes", lambda held: held.regimes and held.quantities_over_one, regime_lines),
+        PictureRule("regimes", lambda held: held.regimes, regime_bars),
+        PictureRule("rate map", lambda held: held.rates, rate_grid),
+    )
+
+    def run(self, source: Source, progress: bool = True) -> xr.Dataset:
+        return run_sweep(source, progress=progress)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return the rate of penetration of a sweep with rock, or the reason why there is none, and the frequencies."""
+        return [_rates(ds), frequency_part(ds)]
+
+    def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Figure:
+        """Return the picture of a sweep; `over`: borders or curves on its map, or families on its section crossings."""
+        if not over:
+            return super().picture(ds)
+        held = Contents(ds)
+        if any(isinstance(layer, xr.Dataset) and kind_of(layer) in ON_MAPS for layer in over):
+            if not held.regimes or held.points or len(held.axes) < 2:
+                refuse_overlays(over, "the dataset holds none")
+            return regime_grid(ds, over)
+        if held.carried:
+            return hysteresis(ds, tuple(over))
+        return bifurcation(ds, tuple(over)) if held.returns else super().picture(ds, over)
+
+
+_FAILURES_SHOWN = 3
+
+DEFAULT_ACCEPTED_ERROR = 1e-4
+"""Relative error tolerance if the dataset states none: the default of sweep files."""
+
+
+def lane_parts(ds: xr.Dataset) -> dict[str, SummaryPart]:
+    """Return the summary parts of datasets with lanes, by name; a part without content is empty."""
+    # The regimes of a trajectory and of attractors are not those of lanes.
+    no_lanes = bool({"time", "attractor"} & set(ds.dims))
+    regimes = {} if no_lanes else flag_counts(ds, "regime")
+    total = max(ds["regime"].size, 1) if "regime" in ds else 1
+    regime_lines = [f"{meaning:<14}{count:>9}{100 * count / total:>7.1f} %" for meaning, count in regimes.items()]
+    if "hidden_motion" in ds and "start" in ds["hidden_motion"].dims:
+        points = int(ds["hidden_motion"].any("start").sum())
+        if points:
+            regime_lines.append(f"at {counted(points, 'point')} starts end in different motions under one label")
+    orbits: dict[str, Any] = {}
+    if "orbit_reason" in ds and not no_lanes:
+        orbits = {"reason": flag_counts(ds, "orbit_reason"), "stable": flag_counts(ds, "stable")}
+    natures = {} if no_lanes else flag_counts(ds, "nature")
+    reasons = flag_counts(ds, "reason") if "status" in ds else {}  # the reasons of a fit are not failures
+    reasons.pop("none", None)
+    parts = [
+        SummaryPart("regimes", regime_lines, {"regimes": regimes}),
+        SummaryPart("orbits", orbit_lines(ds), {"orbits": orbits}),
+        SummaryPart("natures", _nature_lines(ds), {"natures": natures}),
+        SummaryPart("failures", _failure_lines(ds, "regime" in ds and not no_lanes), {"failures": reasons}),
+        _accuracy(ds),
+    ]
+    return {part.name: part for part in parts}
+
+
+def orbit_lines(ds: xr.Dataset) -> list[str]:
+    """Return lines that state how many orbits were found and are stable, and why the others were not found.
+
+    Return an empty list if the dataset has no orbits.
+    """
+    if "orbit_reason" not in ds:
+        return []
+    reason, stable = ds["orbit_reason"].values, ds["stable"].values
+    counts = {meaning: int((reason == flag).sum()) for flag, meaning in flags(ds["orbit_reason"]).items()}
+    repeating = sum(count for meaning, count in counts.items() if meaning not in ("not-repeating", "refused"))
+    stabilities = f"{(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"
+    lines = [
+        f"{counts['found']} found of {counted(repeating, 'lane that repeats', 'lanes that repeat')}: {stabilities}"
+    ]
+    lines += [f"{count} {meaning}" for meaning, count in counts.items() if count and meaning != "found"]
+    cycles, own = ds["orbit_cycles"], ds.get("cycles")
+    sooner = int(((cycles > 0) & (cycles < own)).sum()) if own is not None else 0
+    if sooner:
+        lines.append(
+            counted(
+                sooner,
+                "lane is on its way to an orbit that repeats sooner than it does",
+                "lanes are on their way to an orbit that repeats sooner than they do",
+            )
+        )
+    limit = table_of(ds, "orbits").get("grazing_limit")
+    if limit is not None:
+        lines.append(f"multipliers are given from a grazing_margin of {limit:g} on")
+    if "nearby_cycles" in ds and "regime" in ds:
+        open_lanes = _labelled(ds, "irregular", "undecided").values
+        near = int((open_lanes & (ds["nearby_cycles"].values > 0)).sum())
+        lines.append(
+            f"of {counted(int(open_lanes.sum()), 'lane')} labelled irregular or undecided, "
+            + counted(near, "has a stable orbit nearby that it has", "have a stable orbit nearby that they have")
+            + " not reached (nearby_cycles); a longer settle leads most of those there"
+        )
+    return lines
+
+
+def _labelled(ds: xr.Dataset, *regimes: str) -> xr.DataArray:
+    """Return which lanes have one of the `regimes`."""
+    return ds["regime"].isin([flag for flag, name in flags(ds["regime"]).items() if name in regimes])
+
+
+def _nature_lines(ds: xr.Dataset) -> list[str]:
+    if "nature" not in ds or "regime" not in ds:
+        return []
+    irregular = _labelled(ds, "irregular").values
+    masks = ((name, ds["nature"].values == flag) for flag, name in flags(ds["nature"]).items())
+    return [
+        f"{name:<14}{int(mask.sum()):>9}{int((mask & irregular).sum()):>9} of them irregular"
+        for name, mask in masks
+        if mask.any()
+    ]
+
+
+def _rates(ds: xr.Dataset) -> SummaryPart:
+    """Return the rate of penetration: how many lanes have one, its range and where it is largest, or why there is none.
+
+    Without a rate, the largest peak contact force is given beside the threshold D of the rock, which the force of the
+    rock did not reach.
+    """
+    if "rate_of_penetration" not in ds:
+        return SummaryPart("rates", [], {})
+    rate = ds["rate_of_penetration"].broadcast_like(ds["status"]) if "status" in ds else ds["rate_of_penetration"]
+    penetrates = rate.where(rate > 0)
+    count = int(penetrates.count())
+    facts: dict[str, Any] = {"lanes": count, "least": None, "greatest": None}
+    if count:
+        greatest = penetrates.isel(penetrates.argmax(...))
+        values = {str(name): greatest[name].item() for name in greatest.coords if name in ds.dims}
+        where = " ".join(f"{name}={x:.6g}" if isinstance(x, float) else f"{name}={x}" for name, x in values.items())
+        least, most = float(penetrates.min()), float(greatest)
+        per_hour = f"{3600 * least:.4g} to {3600 * most:.4g} m/h"
+        lines = [f"{least:.4g} to {most:.4g} m/s ({per_hour}) in {count} of {counted(rate.size, 'lane')}"]
+        lines += [f"largest at {where}"] if where else []
+        facts |= {"least": least, "greatest": most}
+    else:
+        lines = [f"none: the hole does not grow in any of {counted(rate.size, 'lane')}"]
+    if count < rate.size:
+        lines += _reason_of_no_rate(ds, rate, facts)
+    return SummaryPart("rates", lines, {"rates": facts})
+
+
+def _reason_of_no_rate(ds: xr.Dataset, rate: xr.DataArray, facts: dict[str, Any]) -> list[str]:
+    """Return lines that give the peak force of the lanes without a rate in threshold D; add it to `facts`.
+
+    The rock yields where its own force reaches D. A part of the contact force accelerates the bit instead, so the
+    contact force may exceed D without a rate.
+    """
+    pulses = "peak_impact_force" not in ds
+    values: dict[str, Any] = {**parameters_of(ds), **{str(name): data for name, data in ds.coords.items()}}
+    if "rock" in ds.coords:
+        values["threshold"] = ds["rock"].copy(data=[ROCKS[str(name)].threshold for name in ds["rock"].values.flat])
+    force, threshold = values.get("force") if pulses else ds["peak_impact_force"], values.get("threshold")
+    if force is None or threshold is None:
+        return []
+    force, ratio = ((x + 0 * rate.fillna(0)).where(~(rate > 0)) for x in (force, force / threshold))
+    count = int(force.isnull().sum()) - int((rate > 0).sum())
+    name = "force of the pulses" if pulses else "contact force"
+    lines = [f"lanes without impacts: {count}"] if count else []
+    if not bool(ratio.notnull().any()):
+        return lines
+    peak, share = float(force.isel(ratio.argmax(...))), float(ratio.max())
+    facts["peak_over_threshold"] = share
+    harder = "a larger force" if pulses else "harder impacts (greater v; another beta, gamma or delta)"
+    return [
+        *lines,
+        "without a rate, the rock force never reaches the threshold D, at which the rock yields",
+        f"the largest {name} there is {peak / 1e3:.4g} kN, {share:.3g} of D; the inertia of the bit takes a part of it",
+        f"a softer rock (lower threshold) or {harder} can give a rate",
+    ]
+
+
+def _failure_lines(ds: xr.Dataset, has_lanes: bool) -> list[str]:
+    """Return lines that state how many lanes failed and, for each reason, how many and the first few lanes."""
+    if has_lanes:
+        mask = _labelled(ds, "failed")
+    elif "status" in ds:
+        mask = ds["status"] != 0
+    else:
+        return []
+    lines = [str(int(mask.sum()))]
+    has_reasons = "reason" in ds and ds["reason"].dims == mask.dims
+    reasons = ds["reason"].values if has_reasons else np.zeros(mask.shape, int)
+    meanings = flags(ds["reason"]) if has_reasons else {}
+    for reason in np.unique(reasons[mask.values]).tolist():
+        indices = np.argwhere(mask.values & (reasons == reason))
+        lines += [f"{len(indices)} {meanings[reason]}"] if reason in meanings else []
+        for index in indices[:_FAILURES_SHOWN].tolist():
+            lane = ds.isel(dict(zip(mask.dims, index, strict=True)))
+            values = ((name, lane[name].item()) for name in lane.coords if lane[name].ndim == 0)
+            texts = [
+                f"{name}={value:.10g}" if isinstance(value, float) else f"{name}={value}" for name, value in values
+            ]
+            why = flags(lane["reason"]).get(lane["reason"].item()) if "reason" in lane else None
+            lines.append("at " + " ".join(texts) + (f": {why}" if why else ""))
+    return lines
+
+
+def _accuracy(ds: xr.Dataset) -> SummaryPart:
+    """Return the median and the largest error estimate, and the number of lanes within the error tolerance."""
+    facts: dict[str, Any] | None = None
+    lines: list[str] = []
+    if "error_estimate" in ds:
+        estimates = ds["error_estimate"].values
+        errors = estimates[~np.isnan(estimates)]  # infinite where the two resolutions disagree
+        accepted = run_of(ds).get("error")
+        facts = {"accepted": accepted, "estimated": errors.size, "within": None, "median": None, "largest": None}
+        lines = ["no periodic lanes, so no error estimates"]
+        if accepted is not None:
+            facts["within"] = int((errors <= accepted).sum())
+        if errors.size:
+            facts |= {"median": float(np.median(errors)), "largest": float(errors.max())}
+            lines = _accuracy_lines(ds, errors, DEFAULT_ACCEPTED_ERROR if accepted is None else accepted)
+    if "regime" in ds and "check_regime" in ds:
+        flips = int((ds["regime"].values != ds["check_regime"].values).sum())
+        lines.append(f"{flips} of {ds['regime'].size} regimes differ at the check run's coarser resolution")
+    return SummaryPart("accuracy", lines, {"accuracy": facts})
+
+
+def _accuracy_lines(ds: xr.Dataset, errors: np.ndarray, accepted: float) -> list[str]:
+    sensitive = np.zeros(ds["error_estimate"].shape, bool)
+    if "sensitive" in ds:
+        sensitive = ds["sensitive"].transpose(*ds["error_estimate"].dims).values == 1
+    within = int(((ds["error_estimate"].values <= accepted) & ~sensitive).sum())
+    lines = [
+        f"error_estimate median {np.median(errors):.2g}, largest {errors.max():.2g}",
+        f"{100 * within / errors.size:.4g} % of {counted(errors.size, 'periodic lane')}"
+        f" within the accepted {accepted:g}",
+    ]
+    if "cycles" in ds and "drift_estimate" not in ds:
+        lines.append("the distance of lanes from where they settle is not included: made before version 0.1.1")
+    elif "cycles" in ds:
+        still = int((ds["drift_estimate"] > accepted).sum())
+        singular = "of them is farther than that from where it settles; a longer settle brings it there"
+        plural = "of them are farther than that from where they settle; a longer settle brings them there"
+        lines.append(counted(still, singular, plural))
+    return [
+        *lines,
+        counted(
+            int(sensitive.sum()),
+            "lane is sensitive: rounding decides which attractor it reaches",
+            "lanes are sensitive: rounding decides which attractor they reach",
+        ),
+    ]

@@ -1,1 +1,0 @@
-"""Sweeps: from a sweep file to the features of its lanes, and single trajectories."""

@@ -1,1 +1,0 @@
-"""Reading and validation of sweep files and points."""

@@ -1,0 +1,510 @@
+"""Equations of a system as those of a scene: field, guards, resets, and the bounds and scales that follow from them."""
+
+import functools
+import operator
+from collections.abc import Callable, Mapping
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from vibrojax.physics.arrays import Array
+from vibrojax.scenes.declared import Guard, Start, Values
+from vibrojax.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
+from vibrojax.systems.events import Event, Friction, Impact, Switch
+from vibrojax.systems.flow import Flow, Motion, SystemConstants
+from vibrojax.systems.numbers import Magnitude, Plain, Rounded, slope_along
+from vibrojax.systems.transitions import (
+    LIFT_ROUNDINGS,
+    Places,
+    after_events,
+    decided,
+    first_branches,
+    free_modes,
+    is_stop,
+    onto_surfaces,
+)
+
+APPROACH = "approach"
+"""Name of the hidden state with the speed of the last impact."""
+
+DEFECT_TOLERANCES = 100.0
+"""Greatest defect of the series at the end of a step, in tolerances: how far its slope is from the field there. Where
+series converge it is below ten. It is large where the field bends more sharply than the start of the step shows."""
+
+AT_STOP = 1e-5
+"""Largest gap at which a state is at an impact, relative to a typical gap."""
+
+AT_REST = 16.0
+"""Speed of a bounce up to which the motion comes to rest on the stop, in square roots of the machine epsilon times the
+typical rate of the gap in a motion from rest. In a much faster motion, half of its own typical rate counts.
+The height of a bounce is of second order in its speed: below, it is lost in rounding."""
+
+BEYOND_RETURN = 1.5
+"""Longest step in units of the time until a surface's parabola returns to zero: beyond it, the function is negative."""
+
+NEAR_SECTION, DRIFT = 0.1, 1e-6
+"""Distance from a section, and error of that distance, up to which the error is kept, relative to a typical value."""
+
+ONTO_SECTION = 3
+"""Newton iterations that move a state next to the section onto it."""
+
+TIME = "t"
+"""Name of the hidden state with the time within a period of the forcing [s]."""
+
+SECTION = "section_value"
+"""Name of the hidden state with the value of the function that defines the section."""
+
+_ROUNDINGS: "WeakKeyDictionary[SystemEquations, tuple[Values, Any]]" = WeakKeyDictionary()
+"""Arguments and result of the last call of `SystemEquations._rounded` for each system."""
+
+
+class SystemEquations(Scene[SystemConstants]):
+    """The equations of a system; a subclass declares the names and units.
+
+    - `events`: the events; `_flow`: the functions.
+    - `_own`: names of the states; `_integrated`: the states whose rate of change is a state itself.
+    - `_period`: period of the forcing [s], a number or a function of `p`, or None.
+    - `_section_state`: the state that crosses the value `_level` at the section; for a forced system the hidden time.
+    - `_section_function`: function of t, y and p that is zero at the section; None: a state decides.
+    - `_discrete`: initial values of discrete states; `_at_section`: the events whose surface is the
+      section, by index, with the sign of their function above it.
+    """
+
+    ends_at_once = True
+    fault_reasons = ("none", "negative-normal-force", "slides-on-two-switches")
+    events: tuple[Event, ...]
+    _flow: Flow
+    _own: tuple[str, ...]
+    _integrated: frozenset[str]
+    _period: float | Callable[[Mapping[str, Any]], Any] | None
+    _section_state: str
+    _level: float
+    _section_function: Callable[..., Any] | None
+    _discrete: Mapping[str, float]
+    _at_section: Mapping[int, float]
+
+    # The user's functions know the states without the shift of the section. Only these two functions shift.
+
+    def _known(self, state: Values) -> tuple[Any, dict[str, Any]]:
+        """Return the time and the states of the user's functions, by name, from all states."""
+        values = dict(zip(self.state_names, state, strict=True))
+        if self._level:
+            values[self._section_state] = values[self._section_state] + self._level
+        return (0.0 if self.autonomous else values[TIME]), {name: values[name] for name in self._flow.names}
+
+    def _with_known(self, state: Values, y: Mapping[str, Any], **hidden: Any) -> Values:
+        """Return all states, with those of the user's functions from `y` and `hidden` ones by name."""
+        if self._level:
+            y = {**y, self._section_state: y[self._section_state] - self._level}
+        values = dict(zip(self.state_names, state, strict=True)) | {name: y[name] for name in self._flow.names} | hidden
+        return tuple(values[name] for name in self.state_names)
+
+    def _motion(self, c: SystemConstants, mode: Values, state: Values) -> Motion:
+        """Return the motion, evaluated once per expansion: its Taylor series serve the field and the guards."""
+        seen = getattr(state[0], "seen_motion", None)
+        if seen is not None and all(map(operator.is_, seen[0], (c, *mode))):
+            known: Motion = seen[1]
+            return known
+        motion = self._flow.at(c, mode, *self._known(state))
+        if not isinstance(state[0], Array):
+            state[0].seen_motion = ((c, *mode), motion)
+        return motion
+
+    def field(self, c: SystemConstants, mode: Values, state: Values) -> Values:
+        rates = self._motion(c, mode, state).rates
+        zero = 0.0 * state[0]
+        hidden = {TIME: zero + 1.0, APPROACH: zero}
+        if self._section_function is not None:
+            t, y = self._known(state)
+            along = [rates.get(name, 0.0) for name in y]
+            hidden[SECTION] = slope_along(lambda t, y: self._section_value(c, y), t, y, along)
+        return tuple(rates[name] if name in rates else hidden[name] for name in self.state_names)
+
+    def _section_value(self, c: SystemConstants, y: Mapping[str, Any]) -> Any:
+        assert self._section_function is not None
+        return self._section_function(0.0, y, c.p)
+
+    def _section_state_after(self, c: SystemConstants, state: Values, y: Mapping[str, Any]) -> Any:
+        """Return the hidden state with the section's function, where the states have become `y`.
+
+        It would drift by the errors of steps. Next to the section, a correction would cross the section again.
+        """
+        own, value, typical = state[self.place(SECTION)], self._section_value(c, y), c.typical[SECTION]
+        near = (jnp.abs(value) <= NEAR_SECTION * typical) & (jnp.abs(value - own) <= DRIFT * typical)
+        return jnp.where(near, own, value)
+
+    def _section_slopes(self, c: SystemConstants, y: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the derivatives of the section's function with respect to the states, by name."""
+        one_by_one = {name: [float(key == name) for key in y] for name in self._own}
+        value = lambda t, y: self._section_value(c, y)  # noqa: E731
+        return {name: slope_along(value, 0.0, dict(y), along, 0.0) for name, along in one_by_one.items()}
+
+    def onto_section(self, c: SystemConstants, state: Values) -> Values:
+        if self._section_function is None:
+            return state
+        _, y = self._known(state)
+        for _ in range(ONTO_SECTION):
+            value, slopes = self._section_value(c, y), self._section_slopes(c, y)
+            steps = {name: slope * c.typical[name] ** 2 for name, slope in slopes.items()}
+            total = sum(steps[name] * slope for name, slope in slopes.items())
+            share = jnp.where(total == 0, 0.0, value / jnp.where(total == 0, 1.0, total))
+            y = y | {name: y[name] - step * share for name, step in steps.items()}
+        return self._with_known(state, y, **{SECTION: 0.0 * state[0]})
+
+    # Guards and resets
+
+    def guards(self) -> tuple[Guard, ...]:
+        zero = lambda c, mode: jnp.zeros_like(c.rates[0])  # noqa: E731
+        names = [(event.name, not isinstance(event, Impact)) for event in self.events]
+        names += [(kink.name, False) for kink in self._flow.kinks]
+        guards = [
+            Guard(name, self._guard_function(index), zero, is_switch=switch)
+            for index, (name, switch) in enumerate(names)
+        ]
+        if self._period is not None:
+            place = self.place(TIME)
+            # The section is at t = 0, so the time is set back half a period later.
+            remaining = lambda c, mode, state: 0.5 * c.period - state[place]  # noqa: E731
+            guards.append(Guard("turned", remaining, zero))
+        return tuple(guards)
+
+    def _guard_function(self, index: int) -> Callable[[Any, Values, Values], Any]:
+        def value(c: SystemConstants, mode: Values, state: Values) -> Any:
+            return self._guard_value(c, index, mode[index], self._motion(c, mode, state))
+
+        return value
+
+    def _guard_value(self, c: SystemConstants, index: int, where: Any, motion: Motion) -> Any:
+        """Return the value of an event's or a kink's guard; `where`: its mode."""
+        surface, lift = motion.surfaces[index], c.lifts[index]
+        if index >= len(self.events):
+            if self._flow.kinks[index - len(self.events)].whole:
+                return (0.25 + lift) - surface * surface
+            return jnp.sign(where) * surface + lift
+        if is_stop(self.events[index]):
+            rests, lifted, side = jnp.where(where == 1, 1.0, 0.0), where == -1, jnp.ones_like(where)
+        else:
+            rests, lifted, side = jnp.where(where == 0, 1.0, 0.0), jnp.abs(where) == 2, jnp.sign(where)
+        return (side * (1.0 - rests)) * surface + jnp.where(lifted, lift, 0.0) + rests * motion.margins[index]
+
+    def _rounded(self, c: SystemConstants, mode: Values, state: Values) -> tuple[list[Any], list[Any], list[Any]]:
+        """Return bounds on the rounding errors of states, guards, and changes of the user's states, in epsilons."""
+        arguments = (c, *mode, *state)
+        known = _ROUNDINGS.get(self)
+        if known is not None and len(known[0]) == len(arguments) and all(map(operator.is_, known[0], arguments)):
+            return known[1]  # a step asks for the same bounds three times
+        speed, names = self.rate(c, mode), self.state_names
+        # A state that passes through zero has the errors of its values nearby.
+        near = [jnp.abs(x) + jnp.abs(rate) / speed for x, rate in zip(state, self.field(c, mode, state), strict=True)]
+        rounded = lambda sizes: tuple(Rounded(x, size) for x, size in zip(state, sizes, strict=True))  # noqa: E731
+        motion = self._motion(c, mode, rounded(near))
+        sizes = [size + _size(motion.rates.get(name, 0.0)) / speed for name, size in zip(names, near, strict=True)]
+        if self._period is not None:
+            sizes[names.index(TIME)] = jnp.zeros_like(state[0]) + c.period
+        again = self._motion(c, mode, rounded(sizes))
+        motion = motion._replace(surfaces=again.surfaces)
+        guards = [_size(self._guard_value(c, index, mode[index], motion)) for index in range(len(motion.surfaces))]
+        changes = [_size(again.rates[name]) / speed for name in self._own]
+        bounds = sizes, guards + ([] if self._period is None else [jnp.zeros_like(state[0]) + c.period]), changes
+        _ROUNDINGS[self] = arguments, bounds
+        return bounds
+
+    def resolutions(self, c: SystemConstants, mode: Values, state: Values, marked: bool = True) -> Values:
+        sizes, guards, _ = self._rounded(c, mode, state)
+        noise = ROUNDINGS * jnp.finfo(sizes[0].dtype).eps
+        markers = [sizes[self.place(marker.velocity)] for marker in self.markers if marked]
+        return tuple(noise * size for size in (*guards, *markers))
+
+    def slope_resolutions(self, c: SystemConstants, mode: Values, state: Values, h: Any, marked: bool = True) -> Values:
+        return tuple(SLOPE_ROUNDINGS * small for small in self.resolutions(c, mode, state, marked))
+
+    def error_terms(
+        self, c: SystemConstants, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
+    ) -> tuple[list[list[Array]], Any]:
+        sizes = self._step_sizes(c, mode, state, polynomials)
+        speed, one = self.rate(c, mode), jnp.ones_like(state[0])
+        # Where the field bends sharply, as a friction law that falls steeply, an error of the states counts for more.
+        sharp = jnp.maximum(self.rate_along(c, mode, state) / speed, 1.0)
+        tiny = jnp.finfo(one.dtype).tiny / jnp.finfo(one.dtype).eps
+        rates = self.field(c, mode, state)
+        terms, none = [], jnp.zeros((), one.dtype)
+        for index, name in enumerate(self._own):
+            inverse = sharp / (sizes[index] + tiny)
+            higher = [none, none] if name in self._integrated else [x * inverse for x in polynomials[index][1:]]
+            # The rate of change comes first: a motion is at rest if it is slow, not if the step is short.
+            terms.append([rates[index] * (inverse / speed), *higher])
+        return terms, one
+
+    def validity(
+        self, c: SystemConstants, mode: Values, polynomials: tuple[list[Array], ...], functions: list[list[Array]]
+    ) -> Any:
+        """Return the fraction of a step after which a surface may have been reached and left again.
+
+        After a slow bounce, a motion returns to the surface much faster than the field changes. The step then ends soon
+        after the zero of the parabola through value, rate and curvature of the surface's function.
+        """
+        shares = []
+        for value, rate, curvature, *_ in functions[: len(self.events)]:
+            falls = curvature < 0
+            below = jnp.where(falls, curvature, -1.0)
+            root = (-rate - jnp.sqrt(jnp.maximum(rate * rate - 4 * below * value, 0.0))) / (2 * below)
+            shares.append(jnp.where(falls & (root > jnp.finfo(root.dtype).eps), BEYOND_RETURN * root, 1.0))
+        return functools.reduce(jnp.minimum, shares) if shares else None
+
+    def reset(self, c: SystemConstants, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
+        hidden: dict[str, Any] = {}
+        (t, y), modes = self._known(state), mode
+        if self.events or self._flow.kinks:
+            approach = state[self.place(APPROACH)] if APPROACH in self.state_names else 0.0 * state[0]
+            modes, y, approach = after_events(self._flow, c, mode, t, y, approach, hits)
+            hidden = {APPROACH: approach} if APPROACH in self.state_names else {}
+            # A discrete state depends on no state that varies continuously.
+            y = y | {name: lax.stop_gradient(y[name]) for name in self._discrete}
+        if self._section_function is not None:
+            hidden[SECTION] = self._section_state_after(c, state, y)
+        if self._period is not None:
+            hidden[TIME] = jnp.where(hits["turned"], -0.5 * c.period, state[self.place(TIME)])
+            if any(kink.whole for kink in self._flow.kinks):
+                turned = first_branches(self._flow, c, modes, hidden[TIME], y)
+                kinks = len(self.events)
+                new = [jnp.where(hits["turned"], x, old) for x, old in zip(turned, modes[kinks:], strict=False)]
+                modes = (*modes[:kinks], *new, *modes[kinks + len(new) :])
+        return modes, self._ended(modes, self._with_known(state, y, **hidden))
+
+    def _ended(self, mode: Values, state: Values) -> Values:
+        """Return the state, not a number where the modes show that the motion cannot go on."""
+        fault = self.fault(mode)
+        return state if fault is None else tuple(jnp.where(fault > 0, jnp.nan, x) for x in state)
+
+    def fault(self, mode: Values) -> Any:
+        flow = self._flow
+        forces = [mode[len(self.events) + i] < 0 for i, kink in enumerate(flow.kinks) if kink.ends]
+        slides = [(mode[i] == 0) & (mode[j] == 0) for i, j in flow.structure.mixing]
+        if not forces and not slides:
+            return None
+        code = 0.0 * mode[0]
+        for number, masks in enumerate((forces, slides), start=1):
+            for mask in masks:
+                code = jnp.where(mask, float(number), code)
+        return code
+
+    def states_across_impacts(self, p: Mapping[str, Any], state: Mapping[str, Any]) -> list[Any]:
+        """Return the states on the other side of an impact, if `state` is at one, with the names of `state`.
+
+        The other side is after the impact if the bodies approach, and before it if they separate. `p`: parameters
+        (1,); `state`: the values of the return map's states.
+        """
+        with jax.enable_x64(True):
+            values = tuple(jnp.full((1,), state.get(name, 0.0)) for name in self.state_names)
+            c = self.scaled(self.constants({name: jnp.asarray(x) for name, x in p.items()}), values)
+            (t, y), flow = self._known(values), self._flow
+            mode = free_modes(flow, c, t, y, 0.0 * values[0])
+            across = []
+            for index, event in flow.of(Impact):
+                gap = flow.surface(c, mode, index, t, y)
+                near = jnp.abs(gap) <= AT_STOP / LIFT_ROUNDINGS / jnp.finfo(float).eps * c.lifts[index]
+                r, rate = event.bounce(c.p), flow.closing(c, mode, index, t, y)
+                new = jnp.where(rate < 0, -r * rate, -rate / r)
+                if event.velocity is None or not bool((near & jnp.isfinite(new)).all()):
+                    continue
+                jump = (new - rate) / flow.gain(c, mode, index, t, y)
+                moved = dict(zip(self.state_names, values, strict=True))
+                moved[event.velocity] = moved[event.velocity] + jump
+                across.append(np.array([float(jnp.ravel(moved[name])[0]) for name in state]))
+        return across
+
+    def mode_at(self, c: SystemConstants, state: Values) -> Values:
+        zero = jnp.zeros_like(state[0])
+        if not self.events and not self._flow.kinks:
+            return (zero,)
+        t, y = self._known(state)
+        free = free_modes(self._flow, c, t, y, zero)
+        if not self.events:
+            return free
+        always, places = jnp.ones_like(zero, bool), Places({}, {}, {})
+        for index, small in enumerate(self.resolutions(c, free, state, False)[: len(self.events)]):
+            distance = jnp.abs(self._flow.surface(c, free, index, t, y) + zero)
+            places.open[index], places.near[index] = always, distance <= small
+            places.touches[index] = distance <= jnp.maximum(small, c.lifts[index])
+        return tuple(decided(self._flow, c, free, t, y, places).modes)
+
+    def on_surfaces(self, c: SystemConstants, mode: Values, state: Values) -> Values:
+        if not self.events and not self._flow.kinks and self._section_function is None:
+            return state
+        t, y = self._known(state)
+        if self.events:
+            y = onto_surfaces(self._flow, c, mode, t, y)
+        hidden = {} if self._section_function is None else {SECTION: self._section_state_after(c, state, y)}
+        return self._ended(mode, self._with_known(state, y, **hidden))
+
+    def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
+        kinds: dict[str, Any] = {}
+        for index, event in enumerate(self.events):
+            before, now, hit = mode[index], after[index], hits[event.name]
+            if isinstance(event, Impact):
+                masks = {"stick": hit & (now == 1), "release": hit & (before == 1)}
+            else:
+                starts, moves = ("slide", "switch") if isinstance(event, Switch) else ("stick", "slip")
+                masks = {starts: hit & (before != 0) & (now == 0), moves: hit & (now != 0)}
+            kinds |= {kind: kinds.get(kind, False) | mask for kind, mask in masks.items()}
+        return kinds
+
+    def at_rest(self, mode: Values) -> Mapping[str, Any]:
+        return {event.name: mode[index] == 1 for index, event in self._flow.of(Impact)}
+
+    # Scales
+
+    def constants(self, p: Mapping[str, Any]) -> SystemConstants:
+        like = sum(0.0 * jnp.asarray(x) for x in p.values())
+        values = {name: jnp.asarray(x) for name, x in p.items()}
+        period = self._period(values) if callable(self._period) else self._period
+        period = None if period is None else period + like
+        zero = dict.fromkeys(self._own, like) | {name: like + x for name, x in self._discrete.items()}
+        none = (like,) * len(self.events)
+        typical = zero | dict.fromkeys(self.redundant, like)
+        c = SystemConstants(values, period, typical, (), none + (like,) * len(self._flow.kinks), none)
+        return c._replace(rates=self._flow.fastest(c, free_modes(self._flow, c, like, zero, like), like, zero))
+
+    def scaled(self, c: SystemConstants, state: Values) -> SystemConstants:
+        """Return the constants with rates and scales of a motion that begins at `state`."""
+        t, y = self._known(state)
+        like = 0.0 * state[0]
+        # A lane and its orbit begin in different states, and must come to rest after the same bounce.
+        rest = {name: x if name in self._discrete else like for name, x in y.items()}
+        _, _, from_rest = self._magnitudes(c, like, rest)
+        c = c._replace(rates=self._flow.fastest(c, free_modes(self._flow, c, t, y, like), t, y))
+        typical, surfaces, closing = self._magnitudes(c, t + like, {name: x + like for name, x in y.items()})
+        eps = jnp.finfo(like.dtype).eps
+        return c._replace(
+            typical=typical,
+            lifts=tuple(LIFT_ROUNDINGS * eps * size for size in surfaces),
+            slow=tuple(
+                AT_REST * eps**0.5 * jnp.fmax(usual, 0.5 * own) for usual, own in zip(from_rest, closing, strict=True)
+            ),
+        )
+
+    def _magnitudes(self, c: SystemConstants, t: Any, y: dict[str, Any]) -> tuple[dict[str, Any], list[Any], list[Any]]:
+        """Return magnitudes of states, surfaces of events, and closing rates of stops in a motion from `y`."""
+        like = 0.0 * t
+        speed, typical = jnp.stack(c.rates).min(axis=0), {name: jnp.abs(x) for name, x in y.items()}
+        mode = free_modes(self._flow, c, t, y, like)
+        time = 0.0 if c.period is None else c.period
+        for _ in range(2):
+            known = {name: Magnitude(y[name], size) for name, size in typical.items()}
+            sizes = self._flow.at(c, mode, Magnitude(t, time + like), known).rates
+            typical = {name: jnp.maximum(size, _size(sizes[name]) / speed) for name, size in typical.items()}
+        known = {name: Magnitude(y[name], size) for name, size in typical.items()}
+        clock = Magnitude(t, time + like)
+        surfaces = [_size(value) + like for value in self._flow.values(c, mode, clock, known)]
+        closing = [
+            _size(self._flow.closing(c, mode, index, clock, known)) + like if isinstance(event, Impact) else like
+            for index, event in enumerate(self.events)
+        ]
+        if self._section_function is not None:
+            typical[SECTION] = _size(self._section_value(c, known)) + like
+        return typical, surfaces, closing
+
+    def rate(self, c: SystemConstants, mode: Values) -> Any:
+        where = [mode[index] for index, event in enumerate(self.events) if isinstance(event, Switch)]
+        if not where or len(c.rates) == 1:
+            return c.rates[0]
+        rate = 0.0 * c.rates[0]
+        for signs, own in zip(self._flow.combinations(), c.rates, strict=True):
+            # On a surface (mode 0) the field is a combination of both sides.
+            fits = jnp.stack([side * sign >= 0 for side, sign in zip(where, signs, strict=True)]).all(axis=0)
+            rate = jnp.maximum(rate, jnp.where(fits, own, 0.0))
+        return rate
+
+    def rate_along(self, c: SystemConstants, mode: Values, state: Values) -> Any:
+        if self._flow.rate is not None or self._flow.structure.linear:
+            return self.rate(c, mode)
+        return self._flow.quickest(c, mode, *self._known(state))
+
+    def defect_scales(
+        self, c: SystemConstants, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
+    ) -> list[Any]:
+        sizes, (_, _, changes) = self._step_sizes(c, mode, state, polynomials), self._rounded(c, mode, state)
+        # A state that stays at zero, because a surface holds the motion, changes by the rounding errors of the others.
+        return [DEFECT_TOLERANCES * jnp.maximum(size, change) for size, change in zip(sizes, changes, strict=True)]
+
+    def _step_sizes(
+        self, c: SystemConstants, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
+    ) -> list[Any]:
+        """Return the magnitudes of the user's states in a step; a state at zero has that of its change."""
+        sizes, _, _ = self._rounded(c, mode, state)
+        # From rest, the last of n states in a chain begins to move with the n-th derivative.
+        orders = range(2, min(len(self._own) + 1, len(polynomials[0]) // 2) + 1)
+        own = zip(sizes, polynomials[: len(self._own)], strict=False)
+        return [jnp.maximum(size, sum(jnp.abs(series[k]) for k in orders)) for size, series in own]
+
+    def speed_scale(self, c: SystemConstants) -> Any:
+        """Return the typical magnitude of the section's state."""
+        return c.typical[self._section_state] if self._period is None else c.period
+
+    def joined(
+        self, mode: Values, hits: Mapping[str, Any], falling: Mapping[str, Any]
+    ) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+        for index, sign in self._at_section.items():
+            crossed = hits[self.events[index].name] & (mode[index] != 0)
+            hits = {**hits, "strobe": hits["strobe"] | crossed}
+            # The section may be crossed before the event, whose surface moves away after a departure from it.
+            falling = {**falling, "strobe": jnp.where(crossed, mode[index] * sign > 0, falling["strobe"])}
+        return hits, falling
+
+    @property
+    def section_on_guard(self) -> bool:
+        return bool(self._at_section)
+
+    def start(self, c: SystemConstants, name: Start, shape: tuple[int, ...]) -> Values:
+        """Return the initial state, NaN for a start beyond a stop or a restitution outside 0 to 1."""
+        given = (0.0,) * len(self._own) if name is None or isinstance(name, str) else name
+        y = {key: jnp.full(shape, value, c.rates[0].dtype) for key, value in zip(self._own, given, strict=True)}
+        y |= {key: jnp.full(shape, value, c.rates[0].dtype) for key, value in self._discrete.items()}
+        zero = jnp.zeros(shape, c.rates[0].dtype)
+        state = self._with_known((zero,) * len(self.states), y)
+        fails = [(gap < 0) | (r < 0) | (r > 1) for _, gap, r in self._stops(c.p, zero, y)]
+        return (functools.reduce(lambda x, fails: jnp.where(fails, jnp.nan, x), fails, state[0]), *state[1:])
+
+    def _stops(self, p: Mapping[str, Any], t: Any, y: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+        """Return name, gap and restitution of each stop."""
+        stops = [event for event in self.events if isinstance(event, Impact) and event.direction is None]
+        return [(stop.name, stop.gap(t, y, p), stop.bounce(p) + 0.0 * t) for stop in stops]
+
+    def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
+        """Return stops that are passed at the start, restitutions outside 0 to 1, and rates that are not finite."""
+        with np.errstate(all="ignore"):
+            p = {name: Plain.of(x) for name, x in p.items()}
+            return self._start_faults(p, {name: Plain.of(x) for name, x in zip(self._own, state, strict=True)})
+
+    def _start_faults(self, p: Mapping[str, Any], y: dict[str, Any]) -> list[tuple[str, str, Any]]:
+        t = 0.0 * next(iter(y.values()))
+        y |= {name: t + value for name, value in self._discrete.items()}
+        faults: list[tuple[str, str, Any]] = []
+        for name, gap, r in self._stops(p, t, y):
+            text = f"the gap of {name} is {_first(gap):.6g}; it must not be negative"
+            faults.append(("beyond-a-stop", text, gap < 0))
+            text = f"the restitution of {name} is {_first(r):.6g}; it must lie between 0 and 1"
+            faults.append(("restitution-not-0-to-1", text, (r < 0) | (r > 1)))
+        sides = {event.name: np.sign(event.surface(t, y, p)) for event in self.events if isinstance(event, Switch)}
+        for _, event in self._flow.of(Friction):
+            force = event.force(t, y, p, sides | {name: y[name] for name in self._discrete}) + t
+            text = f"the normal force of {event.name} is {_first(force):.6g} at the start; it must not be negative"
+            mask = (force < 0) & (not event.lift_off)
+            faults.append(("negative-normal-force", text, mask))
+        for name, rate in self._flow.function.function(t, y, p, *([sides] if self._flow.takes_sides else [])).items():
+            rate = rate + t
+            text = f"the field, {name}, is {_first(rate):g} at the start; it must be finite"
+            faults.append(("not-finite", text, ~np.isfinite(rate)))
+        return faults
+
+
+def _first(x: Any) -> float:
+    return float(np.ravel(x)[0])
+
+
+def _size(x: Any) -> Any:
+    return x.size if isinstance(x, Rounded) else jnp.abs(x)

@@ -1,0 +1,178 @@
+"""Events of a system: impacts on a stop, surfaces on which the equations switch, and dry friction.
+
+Functions of an event take the time t [s], the states `y` and the parameters `p` by name, like the field of the system.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from inspect import Parameter as Parameters
+from inspect import signature
+from typing import Any
+
+import jax.numpy as jnp
+
+from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.physics.parameters import Parameter
+from vibrojax.systems.kinks import positive_part
+
+OfMotion = Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Any]
+"""A function of time, states and parameters."""
+
+
+@dataclass(frozen=True)
+class Impact:
+    """A rigid stop that reverses a velocity when a gap closes.
+
+    - `gap`: function `gap(t, y, p)`, positive while the bodies are apart.
+    - `velocity`: name of the state that jumps.
+    - `restitution`: coefficient of restitution, a number or a function of `p`. The jump changes the rate of the gap to
+      its negative, times this coefficient (Newton's law, also for a stop that moves).
+    - `reset`: instead of `velocity` and `restitution`, a function `reset(t, y, p)`, or `reset(t, y, p, s)` with the
+      sides of switches and the discrete states, that returns new values of states and discrete states by name. Such a
+      stop cannot hold the motion: bounces that accumulate end as a failed lane.
+    - `direction`: with a `reset`, -1 or 1 for an event that happens where the gap falls or rises through zero. The gap
+      may then have both signs, and nothing happens in the other direction.
+
+    A bounce whose speed is at most 2.4e-7 of a typical speed ends in rest on the stop if the field pushes against the
+    stop. The rest lasts until the field pulls away.
+
+    **Example:**
+
+    >>> vj.Impact("stop", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=0.8).velocity
+    'v'
+    """
+
+    name: str
+    gap: Any
+    velocity: str | None = None
+    restitution: float | Callable[[Mapping[str, Any]], Any] = 1.0
+    reset: Callable[..., Mapping[str, Any]] | None = None
+    direction: int | None = None
+
+    @property
+    def surface(self) -> OfMotion:
+        """The function that is zero on the surface of the event."""
+        return self.gap
+
+    def happens(self, mode: Any) -> Any:
+        """Return a mask of the lanes in which a zero of the gap is the event; `mode`: mode before."""
+        return mode != 1 if self.direction is None else mode * self.direction < 0
+
+    def bounce(self, p: Mapping[str, Any]) -> Any:
+        """Return the coefficient of restitution."""
+        return self.restitution(p) if callable(self.restitution) else self.restitution
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A surface on which the field changes.
+
+    - `function`: function `function(t, y, p)`, positive on one side of the surface and negative on the other.
+    - `impact`: True for a soft contact, which begins where the function becomes positive. This is counted as an impact
+      with the rate of change of the function as its velocity.
+
+    The field takes a fourth argument `s`; `s[name]` is the side, 1 or -1. Where the fields of both sides push towards
+    the surface, the motion slides along it by Filippov's convex combination of the two fields. Sliding ends when one
+    field leads away (Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988).
+
+    **Example:**
+
+    >>> vj.Switch("side", lambda t, y, p: y["x"] - p["x0"]).name
+    'side'
+    """
+
+    name: str
+    function: OfMotion
+    impact: bool = False
+
+    @property
+    def surface(self) -> OfMotion:
+        """The function that is zero on the surface of the event."""
+        return self.function
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Dry friction with the force -sgn(u) mu(|u|) N on a body, which sticks while mu(0) N holds it.
+
+    - `relative`: function u = `relative(t, y, p)`, the sliding velocity [m/s].
+    - `normal`: function N = `normal(t, y, p)`, or `normal(t, y, p, s)` with the sides of switches: the normal force
+      [N].
+    - `law`: a friction law or the name of one of `vj.FRICTION_LAWS`, whose parameters become parameters of the system;
+      or a constant coefficient, a number or a function of `p`.
+    - `acts_on`: name of the velocity that the force changes; `mass`: the mass [kg], a number or a function of `p`.
+    - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; left out, it is that of
+      the law at rest.
+    - `lift_off`: True if a negative normal force counts as zero. Otherwise it ends the motion with a reason, because
+      friction would drive the body.
+
+    **Example:**
+
+    >>> belt = vj.Friction(
+    ...     "belt", relative=lambda t, y, p: y["v"] - p["v0"], normal=lambda t, y, p: p["N"], law=0.3, acts_on="v"
+    ... )
+    >>> belt.coefficient(1.0, {})
+    0.3
+    """
+
+    name: str
+    relative: OfMotion
+    normal: Callable[..., Any]
+    law: FrictionLaw | str | float | Callable[[Mapping[str, Any]], Any]
+    acts_on: str
+    mass: Callable[[Mapping[str, Any]], Any] | float = 1.0
+    static: float | Callable[[Mapping[str, Any]], Any] | None = None
+    lift_off: bool = False
+
+    def __post_init__(self) -> None:
+        if isinstance(self.law, str) and self.law in FRICTION_LAWS:
+            object.__setattr__(self, "law", FRICTION_LAWS[self.law])
+
+    @property
+    def surface(self) -> OfMotion:
+        """The function that is zero on the surface of the event."""
+        return self.relative
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:
+        """Parameters of the friction law."""
+        return self.law.parameters if isinstance(self.law, FrictionLaw) else {}
+
+    def coefficient(self, speed: Any, p: Mapping[str, Any]) -> Any:
+        """Return the friction coefficient at a sliding speed (at least 0) [1]."""
+        if isinstance(self.law, FrictionLaw):
+            return self.law.on_weight(speed, {name: p[name] for name in self.law.parameters})
+        return self.law(p) if callable(self.law) else self.law
+
+    @cached_property
+    def takes_sides(self) -> bool:
+        """True if the normal force depends on the sides of switches."""
+        return required_arguments(self.normal) == 4
+
+    def force(self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any], s: Mapping[str, Any]) -> Any:
+        """Return the normal force [N]; `s`: the sides of the switches by name."""
+        return self.normal(t, y, p, s) if self.takes_sides else self.normal(t, y, p)
+
+    def limits(
+        self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any], s: Mapping[str, Any], slip: Any
+    ) -> tuple[Any, Any]:
+        """Return the deceleration mu N/m of a body that slides, and the greatest one of a body that sticks [m/s²].
+
+        `slip`: sgn u or 0; `s`: the sides of the switches by name.
+        """
+        mass = self.mass(p) if callable(self.mass) else self.mass
+        load = positive_part(self.force(t, y, p, s)) * (1.0 / jnp.asarray(mass))
+        static = self.static(p) if callable(self.static) else self.static
+        static = self.coefficient(jnp.zeros(()), p) if static is None else static
+        return self.coefficient(slip * self.relative(t, y, p), p) * load, static * load
+
+
+def required_arguments(function: Callable[..., Any]) -> int:
+    """Return the number of arguments that are sides `s`, or have no default: loops bind their variables by defaults."""
+    parameters = signature(function).parameters.values()
+    positional = (Parameters.POSITIONAL_ONLY, Parameters.POSITIONAL_OR_KEYWORD)
+    return sum(x.kind in positional and (x.default is Parameters.empty or x.name == "s") for x in parameters)
+
+
+Event = Impact | Switch | Friction

@@ -1,0 +1,433 @@
+"""The field of a system between events: frictions, sides of switches, sliding, and rest on a stop.
+
+A motion that slides on the surface of a switch, sticks under friction or rests on a stop is held by a constraint. Each
+constraint acts along one direction of the state space with an unknown multiplier: half the difference of the fields of
+both sides, the velocity on which a friction acts, or that which a stop reverses. The multipliers of all constraints
+that hold at once follow from one linear system, so that constraints may influence one another.
+"""
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from vibrojax.physics.arrays import Array
+from vibrojax.scenes.declared import Values
+from vibrojax.systems.events import Event, Friction, Impact, Switch
+from vibrojax.systems.kinks import Differences, Function, Kink
+from vibrojax.systems.numbers import array_of, slope_along, slopes_along
+
+Rates = dict[str, Any]
+"""Time derivatives of the states by name."""
+
+States = Mapping[str, Any]
+"""The states by name: arrays, Taylor series, dual numbers or rounding errors."""
+
+
+class SystemConstants(NamedTuple):
+    """Constants of a system, each (lanes,).
+
+    - `p`: the parameters by name; `period` [s]: that of the forcing, or None.
+    - `typical`: typical magnitudes of the states by name.
+    - `rates`: fastest rate of change [1/s] for each combination of the sides of the switches.
+    - `lifts`: for each event and kink, the distance by which its surface moves away after a tangential departure.
+    - `slow`: for each event, the rate of its function that counts as zero after an impact.
+    """
+
+    p: Mapping[str, Any]
+    period: Any
+    typical: Mapping[str, Any]
+    rates: tuple[Any, ...]
+    lifts: tuple[Any, ...]
+    slow: tuple[Any, ...]
+
+
+class Motion(NamedTuple):
+    """The field at a state in a mode.
+
+    - `rates`: derivatives of the states, with all frictions, and sliding or at rest where the mode says so.
+    - `margins`: for each event, a function that is positive while the motion can stay on the event's surface.
+    - `pulls`: for each event, a function with the sign of the side to which the field leads.
+    - `surfaces`: values of the functions of events and of the kinks after them.
+    """
+
+    rates: Rates
+    margins: tuple[Any, ...]
+    pulls: tuple[Any, ...]
+    surfaces: tuple[Any, ...]
+
+
+class Constraint(NamedTuple):
+    """A constraint that may hold the motion on the surface of an event.
+
+    - `held`: 1 where it holds, else 0; `along`: the direction in which it acts, by name of the states.
+    - `drift`: change of what it keeps at zero, without any multiplier; `gain`: its change per own multiplier.
+    """
+
+    held: Any
+    along: Rates
+    drift: Any
+    gain: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Dependences:
+    """How the functions of a system depend on one another, as random states reveal it.
+
+    - `still`: for each impact whose gap is a position, up to its sign and a constant, that sign (by index).
+    - `speeds`: the states that are the rate of change of another state, by the name of that state.
+    - `switching`: the states on which the function of each switch depends, by the name of the switch.
+    - `coupled`: pairs of indices of events; the constraint of the second changes what the first keeps at zero.
+    - `parallel`: for each event, those whose constraints act along the same direction; only one of them can hold.
+    - `jumping`: the events on whose other side a jump may put the state.
+    - `mixing`: pairs of switches whose sides do not act on the field independently of each other.
+    - `linear`: True if the field is linear in the states on each side, and friction coefficients are constant.
+    """
+
+    still: Mapping[int, float]
+    speeds: Mapping[str, str]
+    switching: Mapping[str, Sequence[str]]
+    coupled: frozenset[tuple[int, int]]
+    parallel: Mapping[int, Sequence[int]]
+    jumping: frozenset[int]
+    mixing: tuple[tuple[int, int], ...]
+    linear: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """The functions of a system. All methods take constants, time and states by name, in any number type.
+
+    - `names`: the states, with discrete ones, which change at events only; `function`: the user's field.
+    - `events`: the events; `kinks`: kinks of all functions.
+    - `surfaces`: functions of the events; `limits`, by index: friction and stick limits; `resets`: jumps.
+    - `takes_sides`: True if the field takes the sides of switches.
+    - `rate`: the user's function for the fastest rate of change [1/s], or None.
+    """
+
+    names: tuple[str, ...]
+    function: Function
+    takes_sides: bool
+    events: tuple[Event, ...]
+    surfaces: tuple[Function, ...]
+    limits: Mapping[int, Function]
+    resets: Mapping[int, Callable[..., Mapping[str, Any]]]
+    kinks: tuple[Kink, ...]
+    structure: Dependences
+    rate: Callable[[Mapping[str, Any]], Any] | None = None
+
+    def of(self, kind: type) -> list[tuple[int, Any]]:
+        """Return the events of a kind, with their indices."""
+        return [(index, event) for index, event in enumerate(self.events) if isinstance(event, kind)]
+
+    def combinations(self) -> list[tuple[float, ...]]:
+        """Return all combinations of the sides of the switches."""
+        return list(itertools.product((-1.0, 1.0), repeat=len(self.of(Switch))))
+
+    def branches(self, mode: Values) -> Values:
+        """Return the parts of the kinks that are in use, from the modes."""
+        return mode[len(self.events) : len(self.events) + len(self.kinks)]
+
+    def field(self, c: SystemConstants, mode: Values, t: Any, y: States, sides: Sequence[Any]) -> Rates:
+        """Return the user's field with the switches at `sides`; a number becomes one value per lane."""
+        rates = self.function.at(self.branches(mode), t, y, c.p, *self._sided(sides))
+        zero = 0.0 * next(iter(y.values()))
+        return {name: zero + rates[name] if _is_array(rates[name]) else rates[name] for name in y}
+
+    def sides_of(self, mode: Values) -> dict[str, Any]:
+        """Return the sides of the switches by name."""
+        return self._named([jnp.sign(mode[index]) for index, _ in self.of(Switch)])
+
+    def _sided(self, sides: Sequence[Any]) -> list[dict[str, Any]]:
+        """Return the field's fourth argument, if it takes one."""
+        return [self._named(sides)] if self.takes_sides else []
+
+    def _named(self, sides: Sequence[Any]) -> dict[str, Any]:
+        return {event.name: side for (_, event), side in zip(self.of(Switch), sides, strict=True)}
+
+    def kink_values(self, c: SystemConstants, mode: Values, t: Any, y: States) -> list[Any]:
+        """Return the functions whose zeros are the kinks, in their order."""
+        sides = [jnp.sign(mode[index]) for index, _ in self.of(Switch)]
+        calls: list[tuple[Function, list[Any]]] = [(self.function, self._sided(sides))]
+        calls += [(function, []) for function in self.surfaces]
+        calls += [(limit, [self._named(sides), jnp.sign(mode[index])]) for index, limit in self.limits.items()]
+        values: Differences = {}
+        for function, more in calls:
+            if function.kinks:
+                values |= function.run(self.branches(mode), t, y, c.p, *more)[1]
+        return [values[index] for index in range(len(self.kinks))]
+
+    def surface(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Any:
+        """Return the value of an event's function."""
+        return self.surfaces[index].at(self.branches(mode), t, y, c.p)
+
+    def plain(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Rates:
+        """Return the field without events, from which rates of gaps follow."""
+        return self.field(c, mode, t, y, [jnp.sign(mode[index]) for index, _ in self.of(Switch)])
+
+    def slope(
+        self, c: SystemConstants, mode: Values, index: int, t: Any, y: States, rates: Rates, t_rate: float = 1.0
+    ) -> Any:
+        """Return the rate of change of an event's function if states change at `rates` and the time at `t_rate`."""
+        directions = [rates.get(name, 0.0) for name in y]
+        return slope_along(lambda t, y: self.surface(c, mode, index, t, y), t, y, directions, t_rate)
+
+    def closing(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Any:
+        """Return the rate of change of an event's function in the plain field."""
+        return self.slope(c, mode, index, t, y, self.plain(c, mode, t, y))
+
+    def gain(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Any:
+        """Return the change of an impact's closing rate per change of the velocity on which it acts."""
+        if index in self.structure.still:
+            return self.structure.still[index]
+        event: Any = self.events[index]
+        return self._closing_slope(c, mode, index, t, y, {event.velocity: 1.0}, 0.0)
+
+    def _closing_slope(
+        self, c: SystemConstants, mode: Values, index: int, t: Any, y: States, rates: Rates, t_rate: float = 1.0
+    ) -> Any:
+        """Return the change of an impact's closing rate if states change at `rates` and the time at `t_rate`."""
+        directions = [rates.get(name, 0.0) for name in y]
+        return slope_along(lambda t, y: self.closing(c, mode, index, t, y), t, y, directions, t_rate)
+
+    def onto_stop(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Rates:
+        """Return the position that closes the gap exactly, by name; empty if no state is the position."""
+        for position, speed in self.structure.speeds.items():
+            if speed == self.events[index].velocity:  # type: ignore[union-attr]
+                slope = self.slope(c, mode, index, t, y, {position: 1.0}, 0.0)
+                return {position: y[position] - self.surface(c, mode, index, t, y) / slope}
+        return {}
+
+    def onto_surface(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Rates:
+        """Return the nearest states on the surface of an event, by name; a friction moves its velocity alone."""
+        event = self.events[index]
+        names = [event.acts_on] if isinstance(event, Friction) else self.structure.switching[event.name]
+        value = self.surface(c, mode, index, t, y)
+        slopes = {key: self.slope(c, mode, index, t, y, {key: 1.0}, 0.0) for key in names}
+        sizes = {key: c.typical[key] if len(names) > 1 else 1.0 for key in names}
+        weights = {key: slope * sizes[key] * sizes[key] for key, slope in slopes.items()}
+        total = sum(weights[key] * slope for key, slope in slopes.items())
+        share = jnp.where(total == 0, 0.0, value / jnp.where(total == 0, 1.0, total))
+        return {key: y[key] - weights[key] * share for key in names}
+
+    def at(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Motion:
+        """Return the motion in a mode, at a state or at the series of a step."""
+        corners = {sides: self.field(c, mode, t, y, sides) for sides in self.combinations()}
+        sides, slips = self._signs(mode, Switch), self._signs(mode, Friction)
+        rates, holds = self._mixed(c, mode, t, y, corners, {})
+        constraints: dict[int, Constraint] = {}
+        for index, _ in self.of(Switch):
+            low, high = (self._mixed(c, mode, t, y, corners, {index: side})[0] for side in (-1.0, 1.0))
+            half = {name: 0.5 * (high[name] - low[name]) for name in rates}
+            drift, gain = self.slope(c, mode, index, t, y, rates), self.slope(c, mode, index, t, y, half, 0.0)
+            constraints[index] = Constraint(1.0 - sides[index] * sides[index], half, drift, gain)
+        for index, event in self.of(Friction):
+            along = {event.acts_on: 1.0}
+            drift, gain = self.slope(c, mode, index, t, y, rates), self.slope(c, mode, index, t, y, along, 0.0)
+            constraints[index] = Constraint(1.0 - slips[index] * slips[index], along, drift, gain)
+        for index, event in self.of(Impact):
+            if event.velocity is not None:
+                drift = self._effect(c, mode, index, t, y, rates)
+                resting, gain = jnp.where(mode[index] == 1, 1.0, 0.0), self.gain(c, mode, index, t, y)
+                constraints[index] = Constraint(resting, {event.velocity: 1.0}, drift, gain)
+
+        def effect(index: int, other: int) -> Any:
+            return self._effect(c, mode, index, t, y, constraints[other].along, 0.0)
+
+        multipliers, drifts = solved(constraints, self.structure.coupled, effect)
+        for index, own in constraints.items():
+            for name, direction in own.along.items():
+                rates[name] = rates[name] + multipliers[index] * direction
+        margins, pulls = [], []
+        for index, event in enumerate(self.events):
+            zero = 0.0 * next(iter(rates.values()))
+            margin, pull = zero + 1.0, drifts.get(index, zero)
+            if isinstance(event, Switch):
+                gain = constraints[index].gain
+                margin = -(gain * abs(gain)) - pull * pull
+            elif isinstance(event, Friction):
+                # The margin is that of the field without this friction, for a body that slides or sticks.
+                bears, gain = holds[index], constraints[index].gain
+                margin = (bears * abs(bears)) * (gain * gain) - pull * pull
+            elif index in constraints:
+                margin = -pull
+            margins.append(margin)
+            pulls.append(pull)
+        return Motion(rates, tuple(margins), tuple(pulls), self.values(c, mode, t, y))
+
+    def values(self, c: SystemConstants, mode: Values, t: Any, y: States) -> tuple[Any, ...]:
+        """Return the values of the functions of events, and of the kinks after them."""
+        values = [self.surface(c, mode, index, t, y) for index in range(len(self.events))]
+        return (*values, *(self.kink_values(c, mode, t, y) if self.kinks else ()))
+
+    def _signs(self, mode: Values, kind: type) -> dict[int, Any]:
+        """Return the signs of the modes of events of a kind: 0 on the surface."""
+        return {index: jnp.sign(mode[index]) for index, _ in self.of(kind)}
+
+    def _mixed(
+        self,
+        c: SystemConstants,
+        mode: Values,
+        t: Any,
+        y: States,
+        corners: Mapping[tuple[float, ...], Rates],
+        fixed: Mapping[int, float],
+    ) -> tuple[Rates, dict[int, Any]]:
+        """Return the field with the frictions of sliding bodies, and the decelerations that bodies that stick can bear.
+
+        The sides of switches are `fixed`, or those of the mode: on a surface 0, the mean of both fields. `corners`: the
+        field at all combinations of sides.
+        """
+        switches, own = self.of(Switch), self._signs(mode, Switch)
+        present = {event.name: fixed.get(index, own[index]) for index, event in switches}
+        total: Rates = {}
+        for sides, rates in corners.items():
+            shares = [
+                (1.0 + side * own[index]) * 0.5 if index not in fixed else float(fixed[index] == side)
+                for (index, _), side in zip(switches, sides, strict=True)
+            ]
+            if all(not isinstance(share, float) or share for share in shares):
+                weight = _product([share for share in shares if not isinstance(share, float)])
+                part = rates if weight is None else {name: weight * rate for name, rate in rates.items()}
+                total = {name: total[name] + part[name] for name in part} if total else dict(part)
+        holds = {}
+        for index, event in self.of(Friction):
+            slip = jnp.sign(mode[index])
+            drag, holds[index] = self.limits[index].at(self.branches(mode), t, y, c.p, present, slip)
+            total[event.acts_on] = total[event.acts_on] - slip * drag
+        return total, holds
+
+    def _effect(
+        self, c: SystemConstants, mode: Values, index: int, t: Any, y: States, rates: Rates, t_rate: float = 1.0
+    ) -> Any:
+        """Return the change of what the constraint of an event keeps at zero, if states change at `rates`."""
+        event = self.events[index]
+        if not isinstance(event, Impact):
+            return self.slope(c, mode, index, t, y, rates, t_rate)
+        if index in self.structure.still:
+            return self.structure.still[index] * rates.get(str(event.velocity), 0.0)
+        return self._closing_slope(c, mode, index, t, y, rates, t_rate)
+
+    def fastest(self, c: SystemConstants, mode: Values, t: Any, y: States) -> tuple[Any, ...]:
+        """Return the fastest rate of change of the field [1/s], for each combination of the sides of the switches."""
+        like = 0.0 * next(iter(y.values()))
+        if self.rate is not None:
+            return tuple(self.rate(c.p) + like for _ in self.combinations())
+        fields = [lambda t, y, sides=sides: self.field(c, mode, t, y, sides) for sides in self.combinations()]
+        return tuple(self._fastest(c, field, t, y) + like for field in fields)
+
+    def quickest(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Any:
+        """Return the fastest rate of change [1/s] in a mode at a state, with the slopes of friction laws."""
+        switches, slips = self.of(Switch), self._signs(mode, Friction)
+        result = None
+        # On a surface, the sides are both.
+        for other in (-1.0, 1.0) if switches else (1.0,):
+            sides = [jnp.where(mode[index] == 0, other, jnp.sign(mode[index])) for index, _ in switches]
+            present = {event.name: side for (_, event), side in zip(switches, sides, strict=True)}
+
+            def field(t: Any, y: States, sides: Any = sides, present: Any = present) -> Rates:
+                rates = self.field(c, mode, t, y, sides)
+                for index, event in self.of(Friction):
+                    drag, _ = self.limits[index].at(self.branches(mode), t, y, c.p, present, slips[index])
+                    rates[event.acts_on] = rates[event.acts_on] - slips[index] * drag
+                return rates
+
+            rate = self._fastest(c, field, t, y)
+            result = rate if result is None else jnp.maximum(result, rate)
+        return result
+
+    def jacobian(self, field: Callable[[Any, States], Rates], t: Any, y: States) -> list[list[Any]]:
+        """Return the derivatives of a field (rows) with respect to the states (columns)."""
+
+        def rates(t: Any, y: States) -> list[Any]:
+            return list(field(t, y).values())
+
+        columns = [slopes_along(rates, t, y, [float(key == name) for key in y], 0.0) for name in y]
+        return [[column[row] for column in columns] for row in range(len(y))]
+
+    def _fastest(self, c: SystemConstants, field: Callable[[Any, States], Rates], t: Any, y: States) -> Any:
+        n = range(len(y))
+        jacobian = [[jnp.abs(x) for x in row] for row in self.jacobian(field, t, y)]
+        square = [[sum(jacobian[i][k] * jacobian[k][j] for k in n) for j in n] for i in n]
+        # The fourth root of the trace of the fourth power of |J| bounds the spectral radius, whatever the units.
+        radius = jnp.sqrt(jnp.sqrt(sum(square[i][k] * square[k][i] for i in n for k in n)))
+        # There is no derivative where a root is zero.
+        radius = jnp.where(jnp.isfinite(radius), radius, 0.0)
+        if c.period is not None:
+            return jnp.maximum(radius, 2 * jnp.pi / c.period)
+        # Without a linear part, as in free fall: the second derivative of each state relative to the state.
+        first = [jnp.abs(rate) for rate in field(t, y).values()]
+        bends = [sum(jacobian[i][k] * first[k] for k in n) / jnp.abs(x) for i, x in enumerate(y.values())]
+        fall = jnp.sqrt(sum(jnp.where(jnp.isfinite(bend), bend, 0.0) for bend in bends))
+        return jnp.where(radius > 0, radius, jnp.where(fall > 0, fall, 1.0))
+
+
+def solved(
+    constraints: Mapping[int, Constraint], coupled: frozenset[tuple[int, int]], effect: Callable[[int, int], Any]
+) -> tuple[dict[int, Any], dict[int, Any]]:
+    """Return the multipliers of constraints, zero where they do not hold, and their drifts due to all others.
+
+    **Arguments:** `coupled`: pairs of constraints of which the second changes what the first keeps at zero;
+    `effect(first, second)`: that change per multiplier.
+    """
+    multipliers: dict[int, Any] = {}
+    drifts = {index: own.drift for index, own in constraints.items()}
+    groups = _groups(constraints, coupled)
+    for group in groups:
+        effects = {(i, j): effect(i, j) for i in group for j in group if i != j and (i, j) in coupled}
+        rows = {
+            i: {j: constraints[i].held * constraints[j].held * effects[i, j] for j in group if (i, j) in effects}
+            for i in group
+        }
+        for i in group:
+            rows[i][i] = constraints[i].gain
+        right = {i: -constraints[i].held * constraints[i].drift for i in group}
+        for place, k in enumerate(group):  # Gauss
+            rows[k][k] = _unless_zero(rows[k][k], constraints[k].held)
+            for i in group[place + 1 :]:
+                if k in rows[i]:
+                    factor = rows[i].pop(k) / rows[k][k]
+                    right[i] = right[i] - factor * right[k]
+                    for j, x in rows[k].items():
+                        if j != k:
+                            rows[i][j] = rows[i][j] - factor * x if j in rows[i] else -factor * x
+        for k in reversed(group):
+            rest = right[k]
+            for j, x in rows[k].items():
+                if j != k:
+                    rest = rest - x * multipliers[j]
+            multipliers[k] = rest / rows[k][k]
+        for (i, j), x in effects.items():
+            drifts[i] = drifts[i] + x * multipliers[j]
+    return multipliers, drifts
+
+
+def _groups(constraints: Mapping[int, Constraint], coupled: frozenset[tuple[int, int]]) -> list[list[int]]:
+    """Return the constraints in groups, such that those of different groups are not coupled."""
+    groups: list[list[int]] = []
+    for index in constraints:
+        joined = [group for group in groups if any((i, index) in coupled or (index, i) in coupled for i in group)]
+        groups = [group for group in groups if group not in joined]
+        groups.append([*itertools.chain(*joined), index])
+    return groups
+
+
+def _unless_zero(gain: Any, held: Any) -> Any:
+    """Return a divisor that is 1 at the start of the step where the gain is zero or the constraint does not hold."""
+    value = array_of(gain)
+    return gain + jnp.where((held == 0) | (value == 0), 1.0 - value, 0.0)
+
+
+def _product(factors: Sequence[Any]) -> Any:
+    """Return the product of the factors, or None if there are none."""
+    product = None
+    for factor in factors:
+        product = factor if product is None else product * factor
+    return product
+
+
+def _is_array(x: Any) -> bool:
+    """Return whether a number is an array or a Python number, not a series, dual number or rounding error."""
+    return isinstance(x, int | float | Array) or not hasattr(x, "value")

@@ -1,0 +1,366 @@
+"""Checks of the functions of a system at random states."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from vibrojax.errors import InputError, shown, suggestion
+from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.physics.own_code import CANNOT_EXPAND
+from vibrojax.physics.parameters import Parameter
+from vibrojax.physics.units import is_drawn_unit
+from vibrojax.systems.events import Event, Friction, Impact, Switch, required_arguments
+from vibrojax.systems.numbers import Dual, Plain
+
+LANES = 3
+"""Number of lanes with which the functions are tried."""
+
+RESERVED = (
+    *("t", "approach", "section_value", "start", "direction", "point", "return", "time", "rock", "friction", "regime"),
+    "period",
+)
+"""Names that datasets and sweep files use for other things."""
+
+RENAMED = ("periodic", "impact-free", "single-impact", "multi-impact", "subharmonic", "irregular", "equilibrium")
+"""Regimes that may have names of the system's own."""
+
+_UNIT_EXAMPLES = "give one such as 'm s-1', 'rad', 'deg', 'N m', or '1'"
+
+EQUAL = 1e-9
+"""Relative difference up to which two probed values are equal."""
+
+
+class Probe:
+    """The checked declaration of a system; see [vibrojax.systems.system.System][] for the arguments."""
+
+    def __init__(
+        self,
+        name: Any,
+        states: Any,
+        parameters: Any,
+        field: Callable[..., Mapping[str, Any]],
+        period: Any,
+        section: Any,
+        events: Any,
+        regimes: Any,
+        modes: Any,
+    ):
+        if not isinstance(name, str) or not name:
+            raise InputError(f"system: the name is {shown(name)}; give a string such as 'impact-oscillator'")
+        self._name = name
+        for what, value, kind, example in (
+            ("states", states, Mapping, "{'x': 'm', 'v': 'm s-1'}"),
+            ("parameters", parameters, Mapping, "{'k': 1.0}"),
+            ("events", events, list | tuple, "[vj.Impact(...)]"),
+            ("regimes", regimes or {}, Mapping, "{'periodic': 'rocking'}"),
+            ("modes", modes or {}, Mapping, "{'heating': 1}"),
+        ):
+            if not isinstance(value, kind):
+                raise self._refuse(f"{what} is {type(value).__name__}; write {what}={example}")
+        self._states, self._field, self._events = dict(states), field, tuple(events)
+        self._discrete = dict(modes or {})
+        self._check_names(states, parameters)
+        laws = [event for event in self._events if isinstance(event, Friction)]
+        self.parameters = {key: _parameter(key, x, self._refuse) for key, x in parameters.items()}
+        for event in laws:
+            self.parameters |= {key: x for key, x in event.parameters.items() if key not in self.parameters}
+        self.takes_sides = self._takes_sides()
+        self._sides = {event.name: 1.0 for event in self._events if isinstance(event, Switch)}
+        for key, value in self._discrete.items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise self._refuse(f"modes: {key} begins as {shown(value)}; give a finite number")
+            self._sides[key] = float(value)
+        self._check_events()
+        rng = np.random.default_rng(5)
+        self._p = {key: Plain.of(np.full(LANES, x.default or 0.0)) for key, x in self.parameters.items()}
+        # Other values than the defaults show the structure: a forcing whose amplitude is zero by default is a forcing.
+        defaults = self._p
+        self._others = {
+            key: Plain.of(x * rng.uniform(0.9, 1.1, LANES) + np.where(x == 0, rng.uniform(0.1, 0.3, LANES), 0.0))
+            for key, x in defaults.items()
+        }
+        self._y = {key: Plain.of(rng.uniform(0.2, 0.9, LANES)) for key in states}
+        self._t = Plain.of(rng.uniform(0.1, 0.2, LANES))
+        self._check_functions()
+        if period is not None:
+            T = self._number("period", self._call("period", period, defaults) if callable(period) else period)
+            if not bool((np.isfinite(T) & (T > 0)).all()):
+                raise self._refuse(f"period is {float(T[0]):g}; it must be above zero")
+        self._p = self._others
+        self._check_section(period, section)
+        for key, own in dict(regimes or {}).items():
+            if key not in RENAMED:
+                raise self._refuse(f"regimes: {shown(key)} is not a regime; choose from {', '.join(RENAMED)}")
+            if not isinstance(own, str) or not own or " " in own:
+                raise self._refuse(f"regimes: {shown(own)} names {shown(key)}; a name is one word, such as 'rocking'")
+
+    def _refuse(self, reason: str) -> InputError:
+        return InputError(f"system {self._name}: {reason}")
+
+    def _check_names(self, states: Mapping[str, str], parameters: Mapping[str, Any]) -> None:
+        if not states or not parameters:
+            lacking = "state, such as states={'x': 'm'}" if not states else "parameter, such as parameters={'k': 1.0}"
+            raise self._refuse(f"it needs at least one {lacking}")
+        for event in self._events:
+            if not isinstance(event, Impact | Switch | Friction):
+                raise self._refuse(f"events: {shown(event)} is not a vj.Impact, vj.Switch or vj.Friction")
+        for key, unit in states.items():
+            if not _is_unit(unit):
+                raise self._refuse(f"states: {key} has the unit {shown(unit)}; {_UNIT_EXAMPLES}")
+        names = [*states, *self._discrete, *parameters, *(event.name for event in self._events)]
+        for key in names:
+            if not isinstance(key, str) or not key.isidentifier() or key in RESERVED:
+                raise self._refuse(
+                    f"{shown(key)} cannot be a name; write an identifier, not one of {', '.join(RESERVED)}"
+                )
+            if names.count(key) > 1:
+                raise self._refuse(
+                    f"{shown(key)} is the name of two things; states, parameters and events need different names"
+                )
+
+    def _takes_sides(self) -> bool:
+        try:
+            arguments = required_arguments(self._field)
+        except (TypeError, ValueError):
+            arguments = 3
+        switches = [*self._discrete, *(event.name for event in self._events if isinstance(event, Switch))]
+        if arguments not in (3, 4):
+            raise self._refuse(
+                f"field takes {arguments} arguments; write field(t, y, p), or field(t, y, p, s) with switches"
+            )
+        if switches and arguments == 3:
+            raise self._refuse(f"field(t, y, p) cannot see the switch {switches[0]}; write field(t, y, p, s)")
+        return arguments == 4
+
+    def _check_events(self) -> None:
+        for event in self._events:
+            if isinstance(event, Impact) and (event.velocity is None) == (event.reset is None):
+                raise self._refuse(f"event {event.name}: give either velocity= and restitution=, or reset=")
+            directed = isinstance(event, Impact) and event.direction is not None
+            if directed and (event.direction not in (-1, 1) or event.reset is None):
+                raise self._refuse(f"event {event.name}: direction= is -1 or 1, together with reset=")
+            name = event.velocity if isinstance(event, Impact) else getattr(event, "acts_on", None)
+            if name is not None and name not in self._states:
+                raise self._refuse(
+                    f"event {event.name}: {shown(name)} is not a state; choose from {', '.join(self._states)}"
+                )
+            if isinstance(event, Friction) and isinstance(event.law, int | float) and event.law < 0:
+                raise self._refuse(f"event {event.name}: law is {event.law:g}; a coefficient is at least 0")
+            if isinstance(event, Friction) and not (
+                isinstance(event.law, FrictionLaw | int | float) or callable(event.law)
+            ):
+                hint = suggestion(event.law, FRICTION_LAWS) if isinstance(event.law, str) else ""
+                hint = hint or "give a number, a function of p, a law or its name"
+                raise self._refuse(f"event {event.name}: law is {shown(event.law)}; {hint}")
+            functions = {what: function for what, function in (self._surface(event), _normal(event)) if what}
+            for what, function in functions.items():
+                if not callable(function):
+                    raise self._refuse(f"{what} is {shown(function)}; write a function: lambda t, y, p: {function}")
+
+    # What the functions give
+
+    def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            with np.errstate(all="ignore"):
+                return function(*arguments)
+        except KeyError as error:
+            known, sides = ", ".join([*self._states, *self.parameters]), ", ".join(self._sides) or "none"
+            raise self._refuse(
+                f"{what} asks for {error.args[0]!r}; states and parameters are {known}, switches {sides}"
+            ) from None
+        except InputError:
+            raise
+        except Exception as error:
+            text = str(error).strip().split("\n")[0]
+            if "truth value" in text:
+                raise self._refuse(f"{what} decides by a value (if, max or min); write a vj.Switch instead") from None
+            if "scalar arrays" in text or "Python scalars" in text:
+                raise self._refuse(f"{what} {CANNOT_EXPAND}") from None
+            raise self._refuse(f"{what} fails with {type(error).__name__}: {text}") from None
+
+    def _number(self, what: str, value: Any) -> Any:
+        """Return a number per lane as an array; anything else is refused."""
+        try:
+            array = np.asarray(value)
+            if array.dtype.kind not in "biufc":
+                raise TypeError
+        except (TypeError, ValueError):
+            raise self._refuse(f"{what} gave {type(value).__name__}; it must give one number per lane") from None
+        if array.dtype.kind not in "fiu":
+            raise self._refuse(f"{what} gave values of type {array.dtype}; they must be real numbers")
+        if array.shape not in ((), (LANES,)):
+            raise self._refuse(
+                f"{what} gave an array of shape {array.shape} for {LANES} lanes; it must give one number per lane"
+            )
+        return Plain.of(np.broadcast_to(array, (LANES,)))
+
+    def rates(self, t: Any, y: Mapping[str, Any], number: bool = True) -> dict[str, Any]:
+        """Return the field at a time and state, with all switches on the positive side."""
+        sides = (self._sides,) if self.takes_sides else ()
+        rates = self._call("field", self._field, t, y, self._p, *sides)
+        if not isinstance(rates, Mapping):
+            raise self._refuse(f"field gave {type(rates).__name__}; it must give a dict with the rate of each state")
+        if set(rates) != set(self._states):
+            lacking, more = [x for x in self._states if x not in rates], [x for x in rates if x not in self._states]
+            raise self._refuse(
+                f"field gave no rate of {lacking[0]}"
+                if lacking
+                else f"field gave a rate of {shown(more[0])}, which is not a state"
+            )
+        return {key: self._number(f"field, {key},", rates[key]) if number else rates[key] for key in self._states}
+
+    def _surface(self, event: Event) -> tuple[str, Any]:
+        kind = {Impact: "gap", Switch: "function", Friction: "relative"}[type(event)]
+        return f"event {event.name}: {kind}", getattr(event, kind)
+
+    def _check_functions(self) -> None:
+        for key, rate in self.rates(self._t, self._y).items():
+            if not bool(np.isfinite(rate).all()):
+                lane = int(np.argmax(~np.isfinite(rate)))
+                place = ", ".join(f"{name} = {float(y[lane]):.2g}" for name, y in self._y.items())
+                raise self._refuse(f"field, {key}, is {float(rate[lane])} at {place}; it must be finite there")
+        for event in self._events:
+            what, function = self._surface(event)
+            self._number(what, self._call(what, function, self._t, self._y, self._p))
+            self._check_effect(event)
+            if isinstance(event, Friction):
+                what = f"event {event.name}: normal"
+                self._number(what, self._call(what, event.force, self._t, self._y, self._p, self._sides))
+                what = f"event {event.name}: mass"
+                self._number(what, self._call(what, event.mass, self._p) if callable(event.mass) else event.mass)
+            if isinstance(event, Impact) and event.reset is not None:
+                what = f"event {event.name}: reset"
+                sided = [self._sides] if required_arguments(event.reset) == 4 else []
+                new = self._call(what, event.reset, self._t, self._y, self._p, *sided)
+                if not isinstance(new, Mapping) or not set(new) <= {*self._states, *self._discrete}:
+                    kind = "an array" if hasattr(new, "shape") else type(new).__name__
+                    given = f"values of {', '.join(map(str, new))}" if isinstance(new, Mapping) else kind
+                    known = ", ".join([*self._states, *self._discrete])
+                    raise self._refuse(f"{what} gave {given}; it must give a dict of new values of the states {known}")
+            elif isinstance(event, Impact):
+                what = f"event {event.name}: restitution"
+                r = self._number(what, self._call(what, event.bounce, self._p))
+                if not bool(((r >= 0) & (r <= 1)).all()):
+                    raise self._refuse(f"{what} is {float(r[0]):g}; it must lie between 0 and 1")
+        self._check_series()
+
+    def _check_effect(self, event: Event) -> None:
+        """Refuse an event whose function does not depend on what the event changes."""
+        if isinstance(event, Friction):
+            names, what = {event.acts_on}, f"relative does not depend on {event.acts_on}, the velocity on which it acts"
+        elif isinstance(event, Impact) and event.velocity is not None:
+            names = {key for key, speed in self.velocities().items() if speed == event.velocity}
+            what = f"gap does not depend on a state whose rate is {event.velocity}, the velocity that jumps"
+        else:
+            return
+        moved = {key: y + 0.1 for key, y in self._y.items() if key in names}
+        before, after = (event.surface(self._t, y, self._p) for y in (self._y, self._y | moved))
+        if equal(before, after):
+            raise self._refuse(f"event {event.name}: {what}")
+
+    def _check_series(self) -> None:
+        self._check_expands("field", lambda t, y, p: self.rates(t, y, number=False))
+        for event in self._events:
+            self._check_expands(*self._surface(event))
+
+    def _check_expands(self, what: str, function: Callable[..., Any]) -> None:
+        """Try a function on the number types of a step, which `jnp` and `np` functions do not accept."""
+        try:
+            function(Dual(self._t, 1.0, 1), {key: Dual(x, 1.0, 1) for key, x in self._y.items()}, self._p)
+        except InputError as error:
+            text = str(error)
+            if "TypeError" in text or "AttributeError" in text:
+                raise self._refuse(f"{what} {CANNOT_EXPAND}") from None
+            raise
+        except TypeError:
+            raise self._refuse(f"{what} {CANNOT_EXPAND}") from None
+
+    def _check_section(self, period: Any, section: Any) -> None:
+        if period is not None and section is not None:
+            need = "period= for a forced system, or section= (a state) for one without forcing"
+            raise self._refuse(f"period= and section= are both given; give only one: {need}")
+        if period is None and section is None:
+            return
+        if callable(section):
+            value = self._number("section", self._call("section", section, self._t, self._y, self._p))
+            if not equal(value, section(self._t + 0.37, self._y, self._p)) or equal(value, value[0]):
+                raise self._refuse("section must depend on states, and not on t; write section(t, y, p)")
+            self._check_expands("section", section)
+        elif section is not None:
+            name, known = section[0] if isinstance(section, tuple) else section, ", ".join(self._states)
+            if name not in self._states or (isinstance(section, tuple) and not _is_level(section)):
+                raise self._refuse(
+                    f"section: {shown(section)} is not a state, a pair of a state and a number, or a function; "
+                    f"states are {known}"
+                )
+        if section is not None:
+            if not self._same(self._t, self._t + 0.37):
+                raise self._refuse("field depends on t; give period= (of the forcing) instead of section=")
+            return
+        T = self._number("period", period(self._p) if callable(period) else period)
+        for share in (0.13, 0.41):
+            if not self._same(share * T, (share + 1) * T) or not self._same(share * T, (share - 1) * T):
+                raise self._refuse("field does not repeat after the period; check period=")
+
+    def _same(self, first: Any, second: Any) -> bool:
+        """Return whether the field and the events are the same at two times."""
+        functions = [self._surface(event)[1] for event in self._events]
+
+        def values(t: Any) -> list[Any]:
+            return [*self.rates(t, self._y).values(), *(f(t, self._y, self._p) + 0.0 * t for f in functions)]
+
+        return all(bool(equal(a, b)) for a, b in zip(values(first), values(second), strict=True))
+
+    def velocities(self) -> dict[str, str]:
+        """Return the velocity of each state whose rate of change is a state itself, by name."""
+        rates = self.rates(self._t, self._y)
+        return {
+            key: other
+            for key, rate in rates.items()
+            for other, value in self._y.items()
+            if other != key and bool((rate == value).all())
+        }
+
+
+def _normal(event: Event) -> tuple[str, Any]:
+    """Return the name and the function of a friction's normal force; no name for other events."""
+    return (f"event {event.name}: normal", event.normal) if isinstance(event, Friction) else ("", None)
+
+
+def _is_level(section: tuple[Any, ...]) -> bool:
+    """Return whether a section is a pair of a state and a finite number."""
+    return len(section) == 2 and isinstance(section[1], int | float) and math.isfinite(section[1])
+
+
+def equal(a: Any, b: Any) -> bool:
+    """Return whether two values are equal within `EQUAL` in all lanes."""
+    a, b = np.asarray(a), np.asarray(b)
+    with np.errstate(all="ignore"):
+        return bool((np.abs(a - b) <= EQUAL * (1 + np.abs(a))).all())
+
+
+def _is_unit(unit: object) -> bool:
+    return isinstance(unit, str) and is_drawn_unit(unit)
+
+
+def _parameter(name: str, value: Any, refuse: Callable[[str], InputError]) -> Parameter:
+    if isinstance(value, Parameter):
+        if value.name != name:
+            raise refuse(f"parameter {name} is declared as {shown(value.name)}; use one name")
+        return value
+    unit: Any = "1"
+    if isinstance(value, tuple | list) and len(value) == 2:
+        value, unit = value
+        if not _is_unit(unit):
+            raise refuse(f"parameter {name} has the unit {shown(unit)}; {_UNIT_EXAMPLES}")
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float | np.number | jax.Array)
+        or not math.isfinite(value)
+    ):
+        example = "give a finite number, a pair such as (0.5, 'rad s-2'), or an entry of vj.parameters"
+        raise refuse(f"parameter {name} is {shown(value)}; {example}")
+    return Parameter(name, float(value), unit, name, name)
