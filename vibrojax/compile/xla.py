@@ -3,7 +3,7 @@
 import os
 import threading
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache, partial, wraps
 from typing import Any, ParamSpec, TypeVar
@@ -171,6 +171,11 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def precision(name: str) -> AbstractContextManager[object]:
-    """Return a context in which jax computes in "float64" or "float32" in this thread, whatever its configuration."""
-    return jax.enable_x64(name == "float64")
+@contextmanager
+def precision(name: str) -> Iterator[None]:
+    """Compute in "float64" or "float32" in this thread, whatever the configuration of jax.
+
+    Numbers are computed at once, even if jax traces the function that calls the package.
+    """
+    with jax.core.eval_context(), jax.enable_x64(name == "float64"):
+        yield

@@ -4,11 +4,14 @@ The annotations state array shapes. `lanes` is the last axis of every array in a
 the batch. Only the tests check the shapes at run time (`tests/conftest.py`).
 """
 
+from collections.abc import Callable
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+from vibrojax.errors import InputError
 
 Array = jax.Array | np.ndarray
 """A JAX or NumPy array; inside a compiled program always a JAX array."""
@@ -43,6 +46,18 @@ class Value(Protocol):
     def __truediv__(self, other: Any, /) -> Any: ...
     def __rtruediv__(self, other: Any, /) -> Any: ...
     def __neg__(self) -> Any: ...
+
+
+TRACED = (
+    "is traced by jax (jit, grad or vmap), which does not go through here: give a number, or use vj.as_jax, whose "
+    "function jax can transform; derivatives come from vj.derivatives, in forward mode"
+)
+
+
+def check_untraced(refuse: Callable[[str], InputError], value: object) -> None:
+    """Raise `refuse(problem)` if `value` is an array that jax traces, whose numbers are not known yet."""
+    if isinstance(value, jax.core.Tracer):
+        raise refuse(TRACED)
 
 
 Tree = TypeVar("Tree")

@@ -18,6 +18,7 @@ import numpy as np
 
 from vibrojax.errors import InputError, Place, shown, suggestion
 from vibrojax.io.tables import read_text
+from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FrictionLaw
 from vibrojax.scenes import Scene
 from vibrojax.settings.run_settings import RunSettings
@@ -156,11 +157,7 @@ def plain(place: Place, value: object) -> object:
     """
     if isinstance(value, Mapping):
         return plain_table(place, value)
-    if isinstance(value, jax.core.Tracer):
-        raise place.error(
-            "is traced by jax (grad, jit or vmap), which does not go through here: give a number; derivatives come "
-            "from vj.derivatives, in forward mode, since jax.grad does not pass through the loops of a motion"
-        )
+    check_untraced(place.error, value)
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         return plain(place, value.tolist())
     if hasattr(value, "columns") and hasattr(value, "to_dict"):

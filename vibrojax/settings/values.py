@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from vibrojax.errors import Place, counted, shown, suggestion
+from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.parameters import Parameter
 from vibrojax.physics.units import UNITS, likely_units
 
@@ -43,6 +44,7 @@ def number(place: Place, value: object, unit: str = "") -> float:
         elif _WITH_UNIT.fullmatch(text):
             advice = f"write the number alone, in {unit if unit not in ('', '1') else 'SI units'}"
         raise place.error(f"{shown(value)} is text; {advice}")
+    check_untraced(place.error, value)
     if isinstance(value, bool) or not isinstance(value, Real):
         raise place.error(f"{shown(value)} is not a number; write one, like 0.4 or 50e6")
     try:

@@ -6,6 +6,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
@@ -17,6 +18,7 @@ from vibrojax.io.variables import VARIABLES
 from vibrojax.maps.bounds import read_bounds, read_specification
 from vibrojax.maps.read import Point, read_point
 from vibrojax.periodic.orbit_derivatives import orbit_variables
+from vibrojax.physics.arrays import TRACED
 from vibrojax.physics.units import factor
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import read_source
@@ -191,6 +193,8 @@ def _read_data(place: Place, data: object, folder: Path) -> tuple[dict[str, np.n
     try:
         frame = pd.DataFrame(data).reset_index(drop=True)
         columns = {str(name): frame[name].to_numpy(float) for name in frame.columns}
+    except jax.errors.JAXTypeError:
+        raise place.error(TRACED) from None
     except (TypeError, ValueError) as error:
         raise place.error(f"is not a table of numbers: {error}") from None
     if not len(frame):

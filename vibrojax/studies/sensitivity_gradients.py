@@ -1,18 +1,24 @@
 """Features of orbits as functions of JAX arrays, with gradients by the implicit function theorem: `as_jax`."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.maps.read import read_point
 from vibrojax.periodic.orbit_derivatives import MARGIN, STABILITY, orbit_variables
+from vibrojax.physics.arrays import check_untraced
+from vibrojax.physics.parameters import Parameter
 from vibrojax.scenes import Scene
+from vibrojax.settings.toml import plain
+from vibrojax.settings.values import quantity
 from vibrojax.studies.sensitivity_branch import Branch
+from vibrojax.studies.sensitivity_interrupts import await_interrupt, deferring_interrupts
 from vibrojax.studies.sensitivity_run import read_names
 
 OUTSIDE = ("nearest", "nan")
@@ -21,31 +27,83 @@ VALID, LOGARITHM = "valid", "margin"
 """Names of the outputs in addition to the features: whether the point has an orbit, and the stability margin."""
 
 
+class OrbitFunction:
+    """Function of an array of parameters that gives features of a periodic orbit, made by [vibrojax.as_jax][].
+
+    `f(x)` returns a dict of scalars: the features, `margin`, `grazing_margin` and `valid`. It works within `jax.grad`,
+    `jax.jit` and `jax.vmap`, and can be pickled. `f.reason(x)` returns why `f` is not valid at `x`.
+    """
+
+    def __init__(self, branch: Branch, of: Sequence[str], outside: str) -> None:
+        self._made_of = branch, tuple(of), outside
+        self._outputs = {name: branch.of.index(name) for name in of}
+        self._outputs |= {LOGARITHM: branch.of.index(STABILITY), MARGIN: branch.of.index(MARGIN)}
+        self._branch, self._features = branch, _features(branch, outside)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return OrbitFunction, self._made_of
+
+    def __call__(self, x: Any) -> dict[str, jax.Array]:
+        """Return the features at `x` (parameters,) as a dict of scalars."""
+        x = self._checked(jnp.asarray(x))
+        dtype = jnp.result_type(float, x.dtype)
+        results = self._features(x.astype(dtype if dtype.itemsize >= jnp.dtype(jnp.float32).itemsize else jnp.float32))
+        await_interrupt()
+        values = {name: results[index] for name, index in self._outputs.items()}
+        return values | {VALID: jax.lax.stop_gradient(results[-1]) > 0.5}
+
+    def reason(self, x: Any) -> str:
+        """Return why the function is not valid at `x` (parameters,), or "none" where it is valid.
+
+        The first word is "undefined" (not a number, or the orbit lacks a feature or a derivative), "no-orbit" (there is
+        no first orbit), "beyond-branch" (the orbit ends on the way from the first one) or "unstable".
+        """
+        check_untraced(Place("as_jax", "reason").error, x)
+        return self._branch.reason(np.array(self._checked(np.asarray(x)), float))
+
+    def _checked(self, x: Any) -> Any:
+        names = self._branch.by
+        if x.shape != (len(names),):
+            expected = f"({len(names)},), one number for each of {', '.join(names)}"
+            raise InputError(f"as_jax: the array has the shape {x.shape}; give {expected}")
+        return x
+
+    def __repr__(self) -> str:
+        branch, start = self._branch, self._branch.point.start
+        begin = "the first point" if branch.at is None else branch.described(branch.at)
+        since = "" if start is None else f" start {shown(start)} at"
+        outputs = ", ".join([*self._outputs, VALID])
+        return f"<as_jax {shown(branch.point.scene)}: [{', '.join(branch.by)}] -> {outputs}; orbit from{since} {begin}>"
+
+
 def as_jax(
     scene: str | Scene[Any],
     *,
     of: str | Sequence[str],
     by: str | Sequence[str],
     start: str | Sequence[float] | None = None,
+    at: Sequence[float] | None = None,
     outside: str = "nearest",
     **fixed: Any,
-) -> Callable[[Any], dict[str, jax.Array]]:
+) -> OrbitFunction:
     """Return a function of JAX arrays that gives features of a periodic orbit, and that JAX can differentiate.
 
         f = vj.as_jax("vibro-impact", of=["impact_energy"], by=["beta", "gamma"], start="stuck", delta=0.005)
         f(jnp.array([0.4, 0.75]))  # {"impact_energy": ..., "margin": ..., "grazing_margin": ..., "valid": ...}
         jax.grad(lambda x: f(x)["impact_energy"])(jnp.array([0.4, 0.75]))
 
-    At its first use, the function finds the orbit on which the motion from `start` settles. From then on it follows
-    this orbit: at other parameters, the orbit is continued from the nearest one known. The gradients are those of
-    [vibrojax.sensitivity][]: by the implicit function theorem at the orbit, through all events. `jax.grad`,
-    `jax.jacfwd`, `jax.jacrev`, `jax.jit` and `jax.vmap` work, so do optimizers that use them. A batch of `jax.vmap` is
-    computed at once. Second derivatives are not available.
+    At its first use, the function finds the first orbit: the one on which the motion from `start` settles at the point
+    `at`. From then on it follows this orbit, which is continued to other parameters on the straight line. The result at
+    a point therefore does not depend on other calls or on other points of a batch. Without `at`, the first point that
+    is evaluated takes its place. The gradients are those of [vibrojax.sensitivity][]: by the implicit function theorem
+    at the orbit, through all events. `jax.grad`, `jax.jacfwd`, `jax.jacrev`, `jax.jit` and `jax.vmap` work, so do
+    optimizers that use them. A batch of `jax.vmap` is computed at once. Second derivatives are not available.
 
     The function is valid as long as the orbit exists, has the same numbers of section crossings and impacts, and is
     stable. Beyond a graze, a fold or a border of the regime there is no such orbit: the result then belongs to the last
     orbit on the straight line from the first one. An orbit that has become unstable is continued, with a
-    positive `margin`, so that stability can be a smooth constraint; it is not valid either.
+    positive `margin`, so that stability can be a smooth constraint; it is not valid either. `f.reason(x)` returns the
+    reason as text.
 
     Orbits are computed in float64, whatever the type of the argument is. Results have the type of the argument, at
     least float32.
@@ -54,13 +112,14 @@ def as_jax(
 
     - `scene`, `start`, `fixed` (SI): as in `simulate`.
     - `of`: features of orbits, as in `sensitivity`; `by`: parameters, in the order of the array.
+    - `at`: values of the parameters `by` at which the motion from `start` settles on the first orbit.
     - `outside`: "nearest" for the values and gradients of the nearest orbit where the function is not valid, or "nan".
 
     **Returns:** a function of an array (parameters,), which returns a dict of scalars: the features `of`, `margin`,
     `grazing_margin`, and the boolean `valid`. `margin` is the natural logarithm of the largest modulus of the
     multipliers, negative if stable, and `grazing_margin` the distance from a change in the order of events. Features
     are NaN if no motion from `start` is periodic at the first point or near it, or if the orbit does not have them
-    (without impacts, an impact velocity).
+    (without impacts, an impact velocity). The function can be pickled, with its first orbit.
 
     **Raises:** `InputError` for an unknown name or a wrong value.
 
@@ -73,6 +132,8 @@ def as_jax(
     '0.2296 s, True'
     >>> " ".join(f"{slope:.3f}" for slope in jax.grad(lambda x: f(x)["period"])(x))
     '-0.027 -0.056'
+    >>> f.reason([0.4, 0.2]).partition(":")[0]
+    'beyond-branch'
     """
     place = Place("as_jax")
     if outside not in OUTSIDE:
@@ -81,43 +142,45 @@ def as_jax(
     if not point.system.driving_part().return_states:
         raise place.at("scene").error(f"{shown(point.scene)} has neither a section nor pulses, so it has no orbits")
     names = read_names(place.at("of"), of, orbit_variables(point.system))
-    parameters = read_names(place.at("by"), by, point.system.parameters())
+    table = point.system.parameters()
+    parameters = read_names(place.at("by"), by, table)
     for name in parameters:
         if name in fixed:
             raise place.at(name).error("is in `by` as well; give it in one of the two")
-    branch = Branch(point, names, parameters)
-    outputs = {name: branch.of.index(name) for name in names}
-    outputs |= {LOGARITHM: branch.of.index(STABILITY), MARGIN: branch.of.index(MARGIN)}
-    features = _features(branch, len(parameters), outside)
-
-    def f(x: Any) -> dict[str, jax.Array]:
-        x = jnp.asarray(x)
-        if x.shape != (len(parameters),):
-            expected = f"({len(parameters)},), one number for each of {', '.join(parameters)}"
-            raise InputError(f"as_jax: the array has the shape {x.shape}; give {expected}")
-        dtype = jnp.result_type(float, x.dtype)
-        results = features(x.astype(dtype if dtype.itemsize >= jnp.dtype(jnp.float32).itemsize else jnp.float32))
-        values = {name: results[index] for name, index in outputs.items()}
-        return values | {VALID: jax.lax.stop_gradient(results[-1]) > 0.5}
-
-    return f
+    first = None if at is None else _read_values(place.at("at"), at, {name: table[name] for name in parameters})
+    return OrbitFunction(Branch(point, names, parameters, first), names, outside)
 
 
-def _features(branch: Branch, size: int, outside: str) -> Callable[[jax.Array], jax.Array]:
+def _read_values(place: Place, value: object, table: Mapping[str, Parameter]) -> Float[np.ndarray, " by"]:
+    """Return the validated values of the parameters of `table`."""
+    values = plain(place, value)
+    if not isinstance(values, list) or len(values) != len(table):
+        raise place.error(f"{shown(values)} does not fit; give a list of one number for each of {', '.join(table)}")
+    rows = enumerate(zip(values, table.values(), strict=True))
+    return np.array([quantity(place.item(k), x, parameter) for k, (x, parameter) in rows])
+
+
+def _features(branch: Branch, outside: str) -> Callable[[jax.Array], jax.Array]:
     """Return the function from parameters to features (and, as the last number, 1 if valid), with its derivatives."""
-    count = len(branch.of) + 1
+    count, size = len(branch.of) + 1, len(branch.by)
 
     def compute(dtype: np.dtype, words: Any) -> tuple[np.ndarray, ...]:
         """Return features (..., features) and derivatives (..., features, by) at the points (..., by)."""
         x = np.ascontiguousarray(words).view(dtype)
-        features = branch.evaluate(np.ascontiguousarray(x.reshape(-1, size), float))
+        points = np.ascontiguousarray(x.reshape(-1, size), float)
+        features = deferring_interrupts(lambda: branch.evaluate(points), branch.unknown(len(points)))
         values = np.concatenate([features.values, features.valid[:, None]], axis=1)
-        slopes = np.concatenate([features.derivatives, np.zeros((len(values), 1, size))], axis=1)
+        slopes = np.where(np.isfinite(features.derivatives), features.derivatives, 0.0)
+        slopes = np.concatenate([slopes, np.zeros((len(values), 1, size))], axis=1)
         if outside == "nan":
             values[~features.valid, :-1] = np.nan
             slopes[~features.valid, :-1] = np.nan
         both = values[..., None], slopes
         return tuple(part.astype(dtype).view(np.uint32).reshape(*x.shape[:-1], -1) for part in both)
+
+    @cache
+    def callback(dtype: np.dtype) -> Callable[..., Any]:
+        return partial(compute, dtype)  # the same function for all calls, which jax then compiles once
 
     @jax.custom_jvp
     def both(x: jax.Array) -> Any:
@@ -127,7 +190,7 @@ def _features(branch: Branch, size: int, outside: str) -> Callable[[jax.Array], 
         words = dtype.itemsize // 4
         shapes = tuple(jax.ShapeDtypeStruct((number * words,), np.uint32) for number in (count, count * size))
         parts = jax.pure_callback(
-            partial(compute, dtype),
+            callback(dtype),
             shapes,
             jax.lax.bitcast_convert_type(x, jnp.uint32).reshape(-1),
             vmap_method="broadcast_all",

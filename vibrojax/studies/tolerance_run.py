@@ -18,6 +18,7 @@ from vibrojax.maps.read import read_point, read_sweep
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import REGIMES, UNBOUNDED
+from vibrojax.physics.arrays import check_untraced
 from vibrojax.scenes import Scene
 from vibrojax.studies.tolerance_refinement import refine
 
@@ -161,6 +162,8 @@ def read_box(
         raise place.error(f"{len(pairs)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
     nominal, half_widths = {}, {}
     for name, pair in pairs.items():
+        for x in pair:
+            check_untraced(place.at(name).error, x)
         numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in pair)
         if len(pair) != 2 or not numbers or not (np.isfinite(pair[1]) and pair[1] > 0):
             raise place.at(name).error(f"{shown(pair)} is not a nominal value and a half-width above zero")

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from vibrojax.errors import InputError, shown, suggestion
+from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.own_code import CANNOT_EXPAND
 from vibrojax.physics.parameters import Parameter
@@ -183,6 +184,7 @@ class Probe:
 
     def _number(self, what: str, value: Any) -> Any:
         """Return a number per lane as an array; anything else is refused."""
+        check_untraced(lambda problem: self._refuse(f"{what} {problem}"), value)
         try:
             array = np.asarray(value)
             if array.dtype.kind not in "biufc":
@@ -291,6 +293,8 @@ class Probe:
             self._check_expands("section", section)
         elif section is not None:
             name, known = section[0] if isinstance(section, tuple) else section, ", ".join(self._states)
+            for part in section if isinstance(section, tuple) else ():
+                check_untraced(lambda problem: self._refuse(f"section {problem}"), part)
             if name not in self._states or (isinstance(section, tuple) and not _is_level(section)):
                 raise self._refuse(
                     f"section: {shown(section)} is not a state, a pair of a state and a number, or a function; "
@@ -356,6 +360,7 @@ def _parameter(name: str, value: Any, refuse: Callable[[str], InputError]) -> Pa
         value, unit = value
         if not _is_unit(unit):
             raise refuse(f"parameter {name} has the unit {shown(unit)}; {_UNIT_EXAMPLES}")
+    check_untraced(lambda problem: refuse(f"parameter {name} {problem}"), value)
     if (
         isinstance(value, bool)
         or not isinstance(value, int | float | np.number | jax.Array)
