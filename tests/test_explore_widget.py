@@ -102,10 +102,12 @@ def test_widget_without_kernel_holds_motions(dataset):
 
 
 def test_part_of_sweep(dataset):
-    """Its cells have no lane numbers any more, so their motions are computed from their coordinates."""
+    """Its lanes are those of its coordinates."""
     part = dataset.isel(beta=[0, 2], start=0)
     widget = vj.explore(part)
-    assert widget.blocks == [] and widget.document["lanes"] is None and widget.offered["lanes"] == 24
+    assert widget.blocks == [] and widget.document["lanes"]["shape"] == [2, 4] and widget.offered["lanes"] == 8
+    values, _ = widget.motions.sweep.lane_values(4, 5)
+    assert (values["beta"].item(), values["gamma"].item()) == (part.beta.values[1], part.gamma.values[0])
     widget.point = {"beta": 0.4}
     assert widget.lane.identical(part.isel(beta=1, gamma=widget.cell["gamma"]))
 
