@@ -12,6 +12,11 @@ from vibrojax.maps.rerun import SweepAnalysis as SweepAnalysis
 from vibrojax.maps.rerun import orbits as orbits
 from vibrojax.maps.run import run_sweep as run_sweep
 from vibrojax.measures import Gauge as Gauge
+from vibrojax.physics import contact as contact
+from vibrojax.physics import elementary as elementary
+from vibrojax.physics import friction as friction
+from vibrojax.physics import modes as modes
+from vibrojax.physics import parameters as parameters
 from vibrojax.physics.friction import FRICTION_LAWS as FRICTION_LAWS
 from vibrojax.physics.friction import FrictionLaw as FrictionLaw
 from vibrojax.pictures.choose import picture as picture
@@ -59,6 +64,7 @@ from vibrojax.studies.sensitivity_gradients import as_jax as as_jax
 from vibrojax.studies.sensitivity_maps import sensitivity as sensitivity
 from vibrojax.studies.sensitivity_run import derivatives as derivatives
 from vibrojax.studies.tolerance_run import tolerance as tolerance
+from vibrojax.studies.trajectory_run import simulate as simulate
 from vibrojax.systems.events import Friction as Friction
 from vibrojax.systems.events import Impact as Impact
 from vibrojax.systems.events import Switch as Switch

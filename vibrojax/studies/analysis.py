@@ -167,22 +167,22 @@ GROUP = "vibrojax.analyses"
 """Entry-point group in which an installed package registers its analyses, as `NAME = "module:Class"`."""
 
 _HOMES = {
-    "sweep": "sweep.analysis:Sweeps",
-    "trajectory": "trajectory.analysis:Trajectories",
-    "family": "continuation.analysis:Families",
-    "curves": "curves.analysis:Curves",
-    "borders": "borders.analysis:Borders",
-    "attractors": "attractors.analysis:Attractors",
-    "push": "push.analysis:Pushes",
-    "tolerance": "tolerance.analysis:Tolerances",
-    "design": "design.analysis:Designs",
-    "study": "study.analysis:Studies",
-    "rig": "rig.analysis:Rigs",
-    "calibration": "calibration.analysis:Calibrations",
-    "fit": "rop_law.analysis:Fits",
-    "accuracy": "accuracy.picture:AccuracyStudy",
-    "derivatives": "sensitivity.run:Derivatives",
-    "sensitivity": "sensitivity.analysis:Sensitivity",
+    "sweep": "sweep:Sweeps",
+    "trajectory": "trajectory_analysis:Trajectories",
+    "family": "family_analysis:Families",
+    "curves": "curve_analysis:Curves",
+    "borders": "border_analysis:Borders",
+    "attractors": "attractor_analysis:Attractors",
+    "push": "push_analysis:Pushes",
+    "tolerance": "tolerance_analysis:Tolerances",
+    "design": "design_analysis:Designs",
+    "study": "effects_analysis:Studies",
+    "rig": "rig_analysis:Rigs",
+    "calibration": "calibration_analysis:Calibrations",
+    "fit": "rop_analysis:Fits",
+    "accuracy": "accuracy_picture:AccuracyStudy",
+    "derivatives": "sensitivity_run:Derivatives",
+    "sensitivity": "sensitivity_analysis:Sensitivity",
 }
 """Module and class of each of the package's own analyses, which are imported when they are needed."""
 
