@@ -40,7 +40,6 @@ COMMANDS = {
     "plot ref.nc -o pic.svg --variable x1": "pic.svg",
     "explore ref.nc": "ref.html",
     "accuracy -o . --quick": "accuracy.md",
-    "reproduce -o . --quick": "index.html",
     "sweep map.toml -o mine.zarr --fresh": "mine.zarr/notes.txt",
 }
 

@@ -89,7 +89,7 @@ def trusted_kernel(
     **Arguments:**
 
     - `static`, `arguments`: static and traced arguments of the function.
-    - `registers`: see `vibrojax.compile.Kernel`.
+    - `registers`: see `vibrojax.compile.native.Kernel`.
     - `derives`, `policy`: see `Policy`.
 
     **Raises:** `Untranslatable` if no kernel can be made, or if kernels of the same owner differ from XLA.
