@@ -169,13 +169,15 @@ def _drift(crossings: Crossings, noise: float, resolved: float) -> PerLane:
 
     `noise`: relative rounding error of a crossing. `resolved`: smallest difference that determines multipliers.
     """
-    distance = np.full(len(crossings.lag), np.inf)
+    distance, away = np.full((2, len(crossings.lag)), np.inf)
     for order, lanes in _by_order(crossings.highest):
         part = crossings.of(lanes)
         # If the limits of two orders differ, neither is reliable: the distance between them is added.
         differences = part.differences(order)
         fits = [fit_recurrence(part, differences, k, noise) for k in range(max(order - 1, 1), order + 1)]
-        distance[lanes] = np.where(_is_unknown(part, fits, resolved), np.inf, _distance(part, fits))
+        unknown = _is_unknown(part, fits, resolved)
+        away[lanes] = np.where(unknown, np.inf, _distance_of_states(part, fits))
+        distance[lanes] = np.fmax(away[lanes], _distance_of_means(part, fits))
     for shorter in range(1, crossings.lag.max(initial=0)):
         divided = np.flatnonzero((crossings.lag > shorter) & (crossings.lag % shorter == 0))
         part = crossings.of(divided)
@@ -183,7 +185,7 @@ def _drift(crossings: Crossings, noise: float, resolved: float) -> PerLane:
         number = np.arange(part.lag.max(initial=0))[:, None]
         changes = np.abs(part.at(number) - part.at(number + shorter))
         apart = np.max(changes, axis=(0, 1), where=number < part.lag, initial=0.0)
-        distance[divided[apart <= REPEATS_WITHIN + 2 * distance[divided]]] = np.inf
+        distance[divided[apart <= REPEATS_WITHIN + 2 * away[divided]]] = np.inf
         # A slow spiral towards an orbit with a shorter period seems periodic after each revolution.
         part = part._replace(lag=np.full(len(divided), shorter))
         for order, lanes in _by_order(np.where(part.are_resolved(resolved), part.highest, 0)):
@@ -201,17 +203,24 @@ def _by_order(highest: PerLaneInt) -> list[tuple[int, Index]]:
     return [pair for pair in lanes if len(pair[1])]
 
 
-def _distance(crossings: Crossings, fits: list[Recurrence]) -> PerLane:
-    """Return the distance of lanes from the limit of their recurrence, given the fits of one or two orders."""
+def _distance_of_states(crossings: Crossings, fits: list[Recurrence]) -> PerLane:
+    """Return the distance of the last states from the limit of their recurrence, given fits of one or two orders."""
+    numbers = crossings.lag * np.arange(len(fits[-1].coefficients) + 1)[:, None]
+    distances = []
+    for state in crossings.at(numbers):
+        changes = [future_sum(state, fit) for fit in fits]
+        distances.append(np.abs(changes[-1]) + np.abs(changes[-1] - changes[0]))
+    return reduce(np.fmax, distances)
+
+
+def _distance_of_means(crossings: Crossings, fits: list[Recurrence]) -> PerLane:
+    """Return the relative distance of the means over the observation from their limits."""
     numbers = crossings.lag * np.arange(len(fits[-1].coefficients) + 1)[:, None]
     distances = []
     for total, count, mean in crossings.sums:
         values = _means(total, count, crossings.lag, numbers)
         limits = [values[0] + future_sum(values, fit) for fit in fits]
         distances.append((np.abs(limits[-1] - mean) + np.abs(limits[-1] - limits[0])) / np.abs(mean))
-    for state in crossings.at(numbers):
-        changes = [future_sum(state, fit) for fit in fits]
-        distances.append(np.abs(changes[-1]) + np.abs(changes[-1] - changes[0]))
     return reduce(np.fmax, distances)
 
 
