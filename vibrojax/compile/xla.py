@@ -3,7 +3,7 @@
 import os
 import threading
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from functools import cache, partial, wraps
 from typing import Any, ParamSpec, TypeVar
@@ -175,7 +175,14 @@ def usable_cores() -> int:
 def precision(name: str) -> Iterator[None]:
     """Compute in "float64" or "float32" in this thread, whatever the configuration of jax.
 
-    Numbers are computed at once, even if jax traces the function that calls the package.
+    Numbers are computed at once, even if jax traces the function that calls the package. Settings for debugging the
+    user's functions do not apply: lanes that fail hold NaN, programs need jit, and checks for leaks take minutes.
     """
-    with jax.core.eval_context(), jax.enable_x64(name == "float64"):
+    check_leaks: Any = jax.checking_leaks.func  # `jax.checking_leaks` itself is this setting with the argument True
+    settings = jax.disable_jit, jax.debug_nans, jax.debug_infs, check_leaks
+    with ExitStack() as stack:
+        for setting in settings:
+            stack.enter_context(setting(False))
+        stack.enter_context(jax.core.eval_context())
+        stack.enter_context(jax.enable_x64(name == "float64"))
         yield

@@ -47,7 +47,13 @@ class OrbitFunction:
         """Return the features at `x` (parameters,) as a dict of scalars."""
         x = self._checked(jnp.asarray(x))
         dtype = jnp.result_type(float, x.dtype)
-        results = self._features(x.astype(dtype if dtype.itemsize >= jnp.dtype(jnp.float32).itemsize else jnp.float32))
+        x = x.astype(dtype if dtype.itemsize >= jnp.dtype(jnp.float32).itemsize else jnp.float32)
+        features = self._features
+        if jax.sharding.AxisType.Explicit in jax.typeof(x).sharding.mesh.axis_types:
+            if jax.sharding.get_abstract_mesh().empty:
+                raise InputError("as_jax: the array's mesh has explicit axes; call it inside of jax.set_mesh(mesh)")
+            features = jax.sharding.auto_axes(features, out_sharding=jax.sharding.PartitionSpec())
+        results = features(x)
         await_interrupt()
         values = {name: results[index] for name, index in self._outputs.items()}
         return values | {VALID: jax.lax.stop_gradient(results[-1]) > 0.5}
@@ -183,6 +189,7 @@ def _features(branch: Branch, outside: str) -> Callable[[jax.Array], jax.Array]:
         return partial(compute, dtype)  # the same function for all calls, which jax then compiles once
 
     @jax.custom_jvp
+    @jax.jit  # outside of jit, jax cannot call back for arrays on several devices
     def both(x: jax.Array) -> Any:
         # A loop calls back from another thread. If x64 is enabled in this thread only, jax rounds doubles there; it
         # leaves words of 32 bits unchanged.
