@@ -91,6 +91,10 @@ def test_command_writes_dataset_table_and_picture(study, tmp_path, monkeypatch, 
 
 
 def test_wrong_input_is_refused_in_one_line(tmp_path, capsys):
+    with pytest.raises(
+        InputError, match=r"accuracy: scenes\[1\]: .rotary. is there already, at \[0\]; give each scene once"
+    ):
+        run_accuracy(["rotary", "rotary"], quick=True, progress=False)
     with pytest.raises(InputError, match='"rotory" is not a scene; did you mean "rotary"'):
         run_accuracy(["rotory"], progress=False)
     (tmp_path / "file").write_text("")

@@ -81,7 +81,7 @@ def test_help_info_and_plot_include_analysis_of_another_package(command):
 
 def test_broken_entry_point_is_refused_in_one_line(command):
     refused = command("broken", "speeds.toml", status=2)
-    assert refused.count("\n") == 1 and "entry point vibrojax.studies: broken" in refused
+    assert refused.count("\n") == 1 and "entry point vibrojax.analyses: broken" in refused
     command("scenes")  # does not import analyses that it does not need
 
 

@@ -55,6 +55,11 @@ def test_bad_words_are_refused(word, line):
     assert line in str(refused.value)
 
 
+def test_values_that_are_set_twice_are_refused():
+    with pytest.raises(vj.InputError, match=r"--set: k1: .3e5. is a second value; give one"):
+        changed("k1=2e5", "k1=3e5")
+
+
 def test_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["run.settle=0.5", "observe=0.5", "beta=0.4", "gamma=[0.6,0.7]", "delta=0.005"]

@@ -102,7 +102,7 @@ def test_sweep_runs_and_draws(calls, capsys):
     assert main(["sweep", "map.toml"]) == 0
     assert calls.names() == ["run_to_file", "save_picture"]
     (sweep, out), named = calls.of("run_to_file")
-    assert sweep.lanes == 4 and out == Path("map.nc") and named == {"resume": True, "progress": True}
+    assert sweep.lanes == 4 and out == Path("map.nc") and named == {"resume": True, "progress": True, "executor": None}
     assert calls.of("save_picture")[0][1] == Path("map.png")
     assert capsys.readouterr().out == "map.nc: 4 lanes (a point from one start each); picture map.png\n"
 
@@ -111,7 +111,7 @@ def test_sweep_options(calls, capsys, tmp_path):
     out = tmp_path / "a b.nc"
     assert main(["sweep", "map.toml", "-o", str(out), "--fresh", "--quiet"]) == 0
     arguments, named = calls.of("run_to_file")
-    assert arguments[1] == out and named == {"resume": False, "progress": False}
+    assert arguments[1] == out and named == {"resume": False, "progress": False, "executor": None}
     assert capsys.readouterr().out == ""
 
 

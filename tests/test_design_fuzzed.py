@@ -8,9 +8,8 @@ import copy
 import io
 import json
 import math
-import os
 import random
-import resource
+import re
 import signal
 import subprocess
 import sys
@@ -57,8 +56,6 @@ NAMES = (
     "zz",
 )
 TIME_S, WORK_S, MEMORY_BYTES = 10.0, 20.0, 10**9
-UNIT = 1 if sys.platform == "darwin" else 1024
-"""Bytes per unit of `ru_maxrss`."""
 
 
 def mutated(rng: random.Random) -> str:
@@ -120,9 +117,18 @@ def read_by_command(text: str, file: Path) -> dict[str, Any]:
         outcome["trace"] = traceback.format_exc()
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * UNIT
+    memory = peak_memory("self")
     seconds = time.monotonic() - begin
     return outcome | {"lines": errors(error.getvalue()), "seconds": seconds, "memory": memory, "text": text}
+
+
+def peak_memory(process: int | str) -> int:
+    """Return the greatest memory of a process so far [bytes]; 0 if unknown. (`ru_maxrss` includes its parent's.)"""
+    try:
+        status = Path(f"/proc/{process}/status").read_text()
+    except OSError:
+        return 0
+    return 1024 * int(found[1]) if (found := re.search(r"VmHWM:\s*(\d+) kB", status)) else 0
 
 
 def errors(text: str) -> list[str]:
@@ -154,12 +160,14 @@ def work_fault(text: str, folder: Path) -> str:
         child = subprocess.Popen(command, cwd=folder, stderr=stderr, stdout=subprocess.DEVNULL)
         timer = threading.Timer(WORK_S, child.kill)
         timer.start()
-        _, status, usage = os.wait4(child.pid, 0)
+        memory = 0
+        while child.poll() is None:
+            memory = max(memory, peak_memory(child.pid))
+            time.sleep(0.05)
         timer.cancel()
-        child.returncode = os.waitstatus_to_exitcode(status)
     lines = errors((folder / "stderr").read_text(errors="replace"))
     ends = child.returncode in (0, -signal.SIGKILL) or (child.returncode == 2 and len(lines) == 1)
-    return "" if ends and usage.ru_maxrss * UNIT < MEMORY_BYTES else f"{child.returncode} {usage.ru_maxrss} {lines}"
+    return "" if ends and memory < MEMORY_BYTES else f"{child.returncode} {memory} {lines}"
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 15), pytest.param(1, 200, marks=pytest.mark.long)])

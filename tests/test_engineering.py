@@ -59,8 +59,7 @@ def test_wider_hole_takes_less_energy_per_volume():
 def test_each_parameter_reaches_the_equations_by_every_way(scene, monkeypatch, tmp_path):
     """`vj.simulate`, the command and a sweep of one lane resolve each parameter to the same values."""
     seen = []
-    for module in (simulation, simulation.run):
-        monkeypatch.setattr(module, "simulate_point", lambda point, **_: seen.append(point) or xr.Dataset())
+    monkeypatch.setattr(simulation, "simulate_point", lambda point, **_: seen.append(point) or xr.Dataset())
     monkeypatch.setattr(points, "answer", lambda options, name, identity, compute, *_, **__: compute())
     names = read_names(Place("test"), scene, {}, Place("test"))
     for name, parameter in names.writable.items():

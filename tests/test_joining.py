@@ -100,7 +100,7 @@ def test_carried_lanes_reach_their_places(tmp_path, monkeypatch):
     assert expected.period.dims == ("beta", "gamma", "direction")
     monkeypatch.setattr(joining, "REGION", 3)
     monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
-    joined = run_to_file(sweep, tmp_path / "out.nc", progress=False, processes=2)
+    joined = run_to_file(sweep, tmp_path / "out.nc", progress=False)
     xr.testing.assert_identical(joined.drop_attrs(), expected.drop_attrs())
 
 

@@ -244,6 +244,9 @@ def test_command_accepts_same_options(written, monkeypatch):
     [
         (["--where", "delta"], '--where: "delta" is not AXIS=VALUE; write delta=0.005'),
         (["--where", "delta=1"], "no lane has delta = 1.0; there are -0.005, 0.005"),
+        (["--where", "delta=0.005", "delta=-0.005"], '--where: delta: "-0.005" is a second value; give one'),
+        (["--over", "a.nc", "a.nc"], '--over[1]: "a.nc" is there already, at [0]; give each file once'),
+        (["--variable", "period", "period"], 'variable[1]: "period" is there already, at [0]; give each variable once'),
         (["--variable", "stick"], 'did you mean "stick_fraction"?'),
         (["--colours", "rainbows"], "is not a colour map"),
     ],

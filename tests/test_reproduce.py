@@ -76,7 +76,7 @@ def folder(quick, tmp_path_factory):
 
 
 def table_rows(text):
-    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()[2:]]
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()[2:] if line.startswith("|")]
 
 
 def first_number(text):

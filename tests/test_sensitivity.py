@@ -17,7 +17,6 @@ from vibrojax.periodic.orbit_derivatives import DERIVATIVE_REASONS, orbit_featur
 from vibrojax.periodic.return_map import Segments
 from vibrojax.periodic.variations import eigenvalues
 from vibrojax.scenes import SCENES
-from vibrojax.studies import sensitivity_branch as branch
 from vibrojax.studies.analysis import analysis_of
 
 BY = ("gamma", "v")
@@ -204,16 +203,33 @@ def test_transformations_and_precisions(f):
         jax.hessian(lambda x: f(x)["period"])(HERE)
 
 
-def test_results_do_not_depend_on_order_of_calls(f, monkeypatch):
-    points = np.random.default_rng(5).uniform([0.3, 0.5], [0.7, 1.1], (6, 2))
-    monkeypatch.setattr(branch, "MAX_KNOWN", 4)
-    other = jax_function()
-    forth = [f(jnp.asarray(x)) for x in points]
-    back = [other(jnp.asarray(x)) for x in points[::-1]][::-1]
-    assert 0 < sum(bool(values["valid"]) for values in forth) < 6
-    for forward, backward in zip(forth, back, strict=True):
-        assert forward.keys() == backward.keys() and bool(forward["valid"]) == bool(backward["valid"])
-        np.testing.assert_allclose([forward[name] for name in OF], [backward[name] for name in OF], rtol=1e-9)
+def test_results_do_not_depend_on_other_calls_or_neighbours_in_a_batch():
+    """Each function is new, so that no result is a stored one; the results agree bit for bit."""
+    points = np.random.default_rng(5).uniform([0.3, 0.5], [0.7, 1.1], (12, 2))
+    points[0] = [0.5941523925535459, 0.7872783245445198]  # from a neighbour, another orbit is nearer than on the line
+
+    def results(order, size):
+        f = jax_function(at=HERE)
+        batch = jax.jit(jax.vmap(lambda x: (f(x), jax.jacrev(lambda x: jnp.stack([f(x)[name] for name in OF]))(x))))
+        parts = [batch(jnp.asarray(points[order[k : k + size]])) for k in range(0, len(order), size)]
+        table = {name: np.concatenate([values[name] for values, _ in parts]) for name in parts[0][0]}
+        table["gradient"] = np.concatenate([gradient for _, gradient in parts])
+        return {name: x[np.argsort(order)] for name, x in table.items()}
+
+    forth = np.arange(len(points))
+    alone = results(forth, 1)
+    assert 0 < alone["valid"].sum() < len(points)
+    for other in (results(forth[::-1], 5), results(np.roll(forth, 5), len(points))):
+        for name, x in alone.items():
+            np.testing.assert_array_equal(x, other[name])
+
+
+def test_first_orbit_is_at_the_first_point_or_where_it_is_asked_for():
+    """The line from BEYOND leaves its orbit at once, so the two functions have other orbits at HERE."""
+    functions = jax_function(), jax_function(at=[*BEYOND])
+    assert functions[0](HERE)["valid"] and not functions[1](HERE)["valid"]
+    assert functions[1].reason(HERE).startswith("beyond-branch: from beta = 0.6")
+    assert [f.reason(HERE).partition(":")[0] for f in functions] == ["none", "beyond-branch"]
 
 
 def test_values_outside_region_of_validity(f):

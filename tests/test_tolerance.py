@@ -158,6 +158,7 @@ def test_command_draws_and_summarises_and_dataset_can_be_reread(tmp_path, monkey
         "gama=0.7+-0.1": 'did you mean "gamma"?',
         "beta=0.4+-0.5": "beta: is -0.1; it must be above 0",
         "gamma=0.7+-0.01 gamma=0.7": "gamma: has a second value",
+        "gamma=0.7+-0.01 gamma=0.7+-0.02": "gamma: has a second value",
         "gamma=0.7+-0.01 start=nowhere": '"nowhere" is unknown; choose from drive, stuck, touching',
         "gamma=0.7+-0.01 settle=-1": "settle: is -1",
         "beta=1+-.1 gamma=1+-.1 v=1+-.1 g=9+-.1 c2=9+-.1 mu=1+-.1 m1=99+-.1": "7 parameters have a tolerance",

@@ -51,14 +51,18 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
 def plot(options: Options) -> None:
     """Draw the picture that suits what a dataset holds, or specified variables, at specified values of its axes."""
     from vibrojax.io.dataset import open_dataset
+    from vibrojax.settings.values import check_distinct
 
     where: dict[str, float | str] = {}
     for word in options.where or ():
         name, equals, value = word.partition("=")
         if not (name and equals and value):
             raise InputError(f"--where: {shown(word)} is not AXIS=VALUE; write delta=0.005")
+        if name.strip() in where:
+            raise InputError(f"--where: {name.strip()}: {shown(value.strip())} is a second value; give one")
         where[name.strip()] = number_or_name(value.strip())
     path = Path(options.file)
+    check_distinct(Place("--over"), options.over or (), "file")
     with timed("read"):
         dataset = open_dataset(path)
         over = [open_dataset(Path(name)) for name in options.over or ()] or None

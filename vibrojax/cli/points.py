@@ -194,7 +194,11 @@ def push(options: Options) -> None:
 def tolerance(options: Options) -> None:
     """Simulate a machine at samples of the box of its tolerances: regimes, worst sample, and where it occurs."""
     place = Place("tolerance")
-    pairs = dict(_pair(place, word) for word in options.values if _HALF_WIDTH.search(word))
+    pairs: dict[str, tuple[float, float]] = {}
+    for name, pair in (_pair(place, word) for word in options.values if _HALF_WIDTH.search(word)):
+        if name in pairs:
+            raise place.at(name).error("has a second value; give one")
+        pairs[name] = pair
     words = [word for word in options.values if not _HALF_WIDTH.search(word)]
     settings, parameters = named_values(place, words, TOLERANCE_SETTINGS, lists=False)
     for name in pairs:

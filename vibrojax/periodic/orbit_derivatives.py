@@ -249,8 +249,9 @@ def _measured_names(scene: Scene[Any]) -> tuple[str, ...]:
         lane = jnp.ones(1)
         rows = len(scene.driving_part().return_states)
         on = _OnOrbit(dict.fromkeys(scene.parameters(), lane), jnp.ones((rows, 1)), jnp.ones((8, 1)), lane)
-        effort = Effort(DERIVATIVE_ACCURACY, 1.0)
-        return tuple(jax.eval_shape(lambda on: _features(scene, on, jnp.ones((8, rows, 1)), lane, lane, effort), on))
+        past, effort = jnp.ones((8, rows, 1)), Effort(DERIVATIVE_ACCURACY, 1.0)
+        shapes = jax.eval_shape(lambda on, effort: _features(scene, on, past, lane, lane, effort), on, effort)
+        return tuple(shapes)
 
 
 def _measured(

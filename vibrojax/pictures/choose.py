@@ -7,7 +7,7 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from vibrojax.errors import InputError, nearest, shown, suggestion
+from vibrojax.errors import InputError, Place, nearest, shown, suggestion
 from vibrojax.io.atomic import atomic_write
 from vibrojax.io.kinds import kind_of
 from vibrojax.io.ownership import PICTURE_KEYS
@@ -54,6 +54,7 @@ from vibrojax.pictures.starts import medians, medians_text, varied_states
 from vibrojax.pictures.strips import regime_lines
 from vibrojax.pictures.style import BIT, COLOURS, Mark, new_figure, settings, styled
 from vibrojax.pictures.time_history import trajectory as trajectory
+from vibrojax.settings.values import check_distinct
 from vibrojax.studies.accuracy_picture import work_precision as work_precision
 from vibrojax.studies.analysis import analysis_of
 from vibrojax.studies.family_analysis import families
@@ -188,6 +189,7 @@ def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
     **Raises:** `InputError` if there is no such variable, it has other dimensions, or there are too many names.
     """
     _check(ds, names)
+    check_distinct(Place("variable"), names, "variable")
     if TIME in ds.dims:
         return _draw_histories(ds, names)
     if kind_of(ds) == "family":

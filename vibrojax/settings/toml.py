@@ -96,11 +96,14 @@ def with_changes(source: Source, words: Iterable[str]) -> Source:
     **Raises:** `InputError` if a string does not have the form NAME=VALUE.
     """
     tables = {key: dict(value) if isinstance(value, dict) else value for key, value in source.tables.items()}
-    place = Place("--set")
+    place, known = Place("--set"), set[str]()
     for word in words:
         name, equals, text = (part.strip() for part in word.partition("="))
         if not equals or not name:
             raise place.error(f"{shown(word)} is not NAME=VALUE; write one, like k1=312500 or run.settle=200")
+        if name in known:
+            raise place.at(name).error(f"{shown(text)} is a second value; give one")
+        known.add(name)
         try:
             value = tomllib.loads(f"value = {text}")["value"]
         except (ValueError, RecursionError):

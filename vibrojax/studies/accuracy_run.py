@@ -14,10 +14,11 @@ from jaxtyping import Bool
 from numpy.typing import ArrayLike
 
 from vibrojax.compile.xla import usable_cores, workers
-from vibrojax.errors import InputError, counted, suggestion
+from vibrojax.errors import InputError, Place, counted, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import Variable
 from vibrojax.progress import Progress
+from vibrojax.settings.values import check_distinct
 from vibrojax.stepping import Accuracy
 from vibrojax.studies.accuracy_cases import (
     REFERENCE,
@@ -134,6 +135,7 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     for scene in scenes:
         if scene not in SCENES:
             raise InputError(f'accuracy: "{scene}" is not a scene; {suggestion(scene, SCENES)}')
+    check_distinct(Place("accuracy", "scenes"), scenes, "scene")
     began = time.monotonic()
     bar = Progress(sum(len(settings_of(scene, quick)) for scene in scenes), "settings", progress, pace=False)
     rows: list[Row] = []

@@ -18,7 +18,7 @@ from vibrojax.io.variables import VARIABLES
 from vibrojax.maps.bounds import read_bounds, read_specification
 from vibrojax.maps.read import Point, read_point
 from vibrojax.periodic.orbit_derivatives import orbit_variables
-from vibrojax.physics.arrays import TRACED
+from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.units import factor
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import read_source
@@ -190,11 +190,12 @@ def _read_data(place: Place, data: object, folder: Path) -> tuple[dict[str, np.n
         return columns, np.array([k for k, _ in rows]), file
     if data is None:
         raise place.error('missing; give the path of a CSV file with the observations, like data = "runs.csv"')
+    for name, column in data.items() if isinstance(data, Mapping) else ():
+        for value in jax.tree.leaves(column):
+            check_untraced(place.at(str(name)).error, value)
     try:
         frame = pd.DataFrame(data).reset_index(drop=True)
         columns = {str(name): frame[name].to_numpy(float) for name in frame.columns}
-    except jax.errors.JAXTypeError:
-        raise place.error(TRACED) from None
     except (TypeError, ValueError) as error:
         raise place.error(f"is not a table of numbers: {error}") from None
     if not len(frame):

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.maps.read import read_point
 from vibrojax.periodic.orbit_derivatives import MARGIN, STABILITY, orbit_variables
-from vibrojax.physics.arrays import check_untraced
+from vibrojax.physics.arrays import Array, check_untraced
 from vibrojax.physics.parameters import Parameter
 from vibrojax.scenes import Scene
 from vibrojax.settings.toml import plain
@@ -88,7 +88,7 @@ def as_jax(
     of: str | Sequence[str],
     by: str | Sequence[str],
     start: str | Sequence[float] | None = None,
-    at: Sequence[float] | None = None,
+    at: Sequence[float] | Array | None = None,
     outside: str = "nearest",
     **fixed: Any,
 ) -> OrbitFunction:
@@ -176,7 +176,8 @@ def _features(branch: Branch, outside: str) -> Callable[[jax.Array], jax.Array]:
         points = np.ascontiguousarray(x.reshape(-1, size), float)
         features = deferring_interrupts(lambda: branch.evaluate(points), branch.unknown(len(points)))
         values = np.concatenate([features.values, features.valid[:, None]], axis=1)
-        slopes = np.where(np.isfinite(features.derivatives), features.derivatives, 0.0)
+        has_orbit = np.isfinite(features.reached).all(axis=1)[:, None, None]
+        slopes = np.where(has_orbit & ~np.isfinite(features.derivatives), 0.0, features.derivatives)
         slopes = np.concatenate([slopes, np.zeros((len(values), 1, size))], axis=1)
         if outside == "nan":
             values[~features.valid, :-1] = np.nan

@@ -5,14 +5,18 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from types import CodeType, FrameType
+from pathlib import Path
+from types import FrameType
 from typing import TypeVar
+
+import jax
 
 R = TypeVar("R")
 
 POLL_SECONDS = 1e-3
 """Interval at which the main thread's stack is inspected after Ctrl-C."""
 
+_JAX = str(Path(jax.__file__).parent)
 _PENDING = threading.Event()
 
 
@@ -28,7 +32,7 @@ def deferring_interrupts(compute: Callable[[], R], nothing: R) -> R:
         return compute()
     except KeyboardInterrupt:
         _PENDING.set()
-        threading.Thread(target=_interrupt_after, args=(_callback(sys._getframe(1)),), daemon=True).start()
+        threading.Thread(target=_interrupt_after, args=(_callback(sys._getframe()),), daemon=True).start()
         return nothing
 
 
@@ -38,23 +42,25 @@ def await_interrupt() -> None:
         time.sleep(POLL_SECONDS)
 
 
-def _callback(frame: FrameType) -> set[CodeType]:
-    """Return the code of a callback and of the functions through which jax calls it, which are in one file."""
-    codes, caller = {frame.f_code}, frame.f_back
-    file = caller.f_code.co_filename if caller else ""
-    while caller and caller.f_code.co_filename == file:
-        codes.add(caller.f_code)
-        caller = caller.f_back
-    return codes
+def _callback(frame: FrameType | None) -> list[FrameType]:
+    """Return the frames of a callback and of the functions through which jax calls it, which are in one file of jax."""
+    frames: list[FrameType] = []
+    file = ""
+    while frame and file in ("", frame.f_code.co_filename):
+        frames.append(frame)
+        if frame.f_code.co_filename.startswith(_JAX):
+            file = frame.f_code.co_filename
+        frame = frame.f_back
+    return frames
 
 
-def _interrupt_after(codes: set[CodeType]) -> None:
-    """Interrupt the main thread when it no longer runs `codes`."""
+def _interrupt_after(frames: list[FrameType]) -> None:
+    """Interrupt the main thread when it has left all of the `frames`."""
     main = threading.main_thread().ident or 0
 
     def is_busy() -> bool:
         frame = sys._current_frames().get(main)
-        while frame and frame.f_code not in codes:
+        while frame and not any(frame is other for other in frames):
             frame = frame.f_back
         return frame is not None
 

@@ -1,0 +1,172 @@
+"""Test the function of `as_jax` in a notebook: reasons, pickling, Ctrl-C, settings of jax and sharded arrays."""
+
+import _thread
+import pickle
+import threading
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.errors import InputError
+from vibrojax.studies import sensitivity_branch as branch
+
+HERE, BEYOND = np.array([0.4, 0.75]), np.array([0.6, 0.5])
+RUN = {"settle": 1.0, "observe": 1.0}
+
+
+def _function(**arguments):
+    known = {"of": "period", "by": ["beta", "gamma"], "start": "stuck", "delta": 0.005, "at": HERE}
+    return vj.as_jax("vibro-impact", **known | arguments)
+
+
+@pytest.fixture(scope="module")
+def f():
+    return _function()
+
+
+def test_reason_is_none_exactly_where_function_is_valid(f):
+    points = [np.array([beta, 0.75]) for beta in np.linspace(0.35, 0.9, 6)]
+    valid = [bool(f(x)["valid"]) for x in points]
+    assert [f.reason(x) == "none" for x in points] == valid and 0 < sum(valid) < 6
+    assert f.reason([np.nan, 0.75]) == "undefined: beta = nan, gamma = 0.75"
+    assert f.reason(BEYOND).startswith(
+        "beyond-branch: from beta = 0.4, gamma = 0.75, the orbit continues to beta = 0.4"
+    )
+
+
+def test_reason_names_features_that_the_orbit_lacks():
+    """Without impacts there is no impact velocity."""
+    with pytest.warns(vj.UnusualValue):
+        f = _function(of="impact_velocity", delta=0.5)
+    assert not f(HERE)["valid"] and f.reason(HERE) == "undefined: the orbit has no derivative of impact_velocity"
+
+
+def test_reason_without_orbit():
+    """A growing oscillation does not settle."""
+    spiral = vj.System(
+        "spiral",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"growth": 0.3},
+        field=lambda t, y, p: {"x": y["v"], "v": p["growth"] * y["v"] - y["x"]},
+        section="x",
+    )
+    f = vj.as_jax(spiral, of="period", by="growth", start=[1.0, 0.0])
+    assert np.isnan(f(jnp.array([0.3]))["period"])
+    assert f.reason([0.3]).startswith(
+        "no-orbit: no motion from [1.0, 0.0] settles on a stable periodic orbit at growth = 0.3"
+    )
+
+
+def test_values_of_the_first_point_are_checked():
+    with pytest.raises(InputError, match=r"as_jax: at: .* give a list of one number for each of beta, gamma"):
+        _function(at=[0.4])
+    with pytest.raises(InputError, match=r"as_jax: at\[0\]: is -1; it must be above 0"):
+        _function(at=[-1.0, 0.75])
+
+
+def test_function_is_pickled_with_its_orbit():
+    f, x = _function(at=None), jnp.array([0.42, 0.7])
+    f(HERE)
+    copy = pickle.loads(pickle.dumps(f))
+    for name, value in f(x).items():
+        assert value == copy(x)[name]
+    assert repr(copy) == repr(f) and 'start "stuck" at beta = 0.4, gamma = 0.75' in repr(f)
+    assert "[beta, gamma] -> period, margin, grazing_margin, valid" in repr(f)
+    assert "f.reason(x)" in type(f).__doc__
+
+
+@pytest.mark.parametrize("transform", [lambda g: g, jax.jit, jax.grad, lambda g: jax.jit(jax.grad(g))])
+def test_interrupt_is_raised_as_such(transform, monkeypatch):
+    """While jax calls back, every exception becomes an error of XLA."""
+    f = _function()
+    call, x = transform(lambda x: f(x)["period"]), jnp.asarray(HERE)
+    expected = np.asarray(call(x))
+
+    def interrupted(self, x):
+        threading.Timer(0.1, _thread.interrupt_main).start()
+        while True:
+            time.sleep(0.01)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(branch.Branch, "evaluate", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            call(x)
+            time.sleep(5)
+    np.testing.assert_array_equal(call(x), expected)
+
+
+SETTINGS = {
+    "jax_debug_nans": jax.debug_nans,
+    "jax_check_tracer_leaks": lambda _: jax.checking_leaks(),
+    "jax_disable_jit": jax.disable_jit,
+}
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_settings_for_debugging_change_no_result(f, setting):
+    def results():
+        motion = vj.simulate("vibro-impact", start="stuck", duration=0.3, progress=False)
+        sweep = {"scene": "vibro-impact", "grid": {"beta": [0.4]}, "run": RUN, "starts": ["stuck"]}
+        yield motion.x1.values
+        yield vj.run_sweep(sweep, progress=False).period.values
+        new = _function()
+        yield np.asarray(new(HERE)["period"])
+        yield np.asarray(jax.grad(lambda x: new(x)["period"])(jnp.asarray(HERE)))
+
+    expected = list(results())
+    with SETTINGS[setting](True):
+        for result, other in zip(results(), expected, strict=True):
+            np.testing.assert_array_equal(result, other)
+
+
+def test_functions_that_return_numbers_run_within_jit():
+    def scaled(x):
+        return x * vj.simulate("vibro-impact", start="stuck", duration=0.3, progress=False).x1.values[-1]
+
+    assert jax.jit(scaled)(1.0) == scaled(1.0)
+
+
+@pytest.mark.parametrize("kind", [jax.sharding.AxisType.Auto, jax.sharding.AxisType.Explicit])
+def test_arrays_on_a_mesh(f, kind):
+    mesh, spec = jax.make_mesh((1,), ("i",), axis_types=(kind,)), jax.sharding.PartitionSpec
+    points = jnp.asarray([HERE, HERE + 0.01])
+    batch = jax.vmap(lambda x: f(x)["period"])
+    gradients = jax.vmap(jax.grad(lambda x: f(x)["period"]))
+    with jax.set_mesh(mesh):
+        x = jax.device_put(points, spec("i", None))
+        for function in (batch, gradients):
+            np.testing.assert_allclose(function(x), function(points), rtol=1e-13)
+            np.testing.assert_allclose(jax.jit(function)(x), function(points), rtol=1e-13)
+    if kind == jax.sharding.AxisType.Explicit:
+        with pytest.raises(InputError, match=r"as_jax: .* explicit axes; call it inside of jax.set_mesh\(mesh\)"):
+            jax.jit(batch)(x)
+
+
+NUMBERS = {
+    "duration": lambda x: vj.simulate("vibro-impact", duration=x),
+    "sweep": lambda x: vj.read_sweep({"scene": "vibro-impact", "grid": {"beta": [x]}}),
+    "half-width": lambda x: vj.tolerance("vibro-impact", delta=(0.005, x)),
+    "at": lambda x: vj.follow("vibro-impact", along="gamma", at=x, span=(0.7, 0.8)),
+    "data": lambda x: vj.calibrate({"scene": "vibro-impact", "data": {"period": [x]}, "unknown": {"mu": [0.2, 0.6]}}),
+    "parameter": lambda x: _system(x, "x"),
+    "section": lambda x: _system(0.1, ("x", x)),
+    "reason": lambda x: _function().reason(x * HERE),
+}
+
+
+def _system(zeta, section):
+    states, parameters = {"x": "m", "v": "m s-1"}, {"zeta": zeta}
+    return vj.System(
+        "o", states=states, parameters=parameters, field=lambda t, y, p: dict.fromkeys(y, 0.0), section=section
+    )
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("transform", [jax.jit, jax.grad, lambda f: lambda x: jax.vmap(f)(jnp.array([x]))])
+def test_traced_numbers_are_refused_with_advice(name, transform):
+    with pytest.raises(InputError, match=r"^[^\n]* is traced by jax [^\n]* or use vj.as_jax"):
+        transform(NUMBERS[name])(0.4)
