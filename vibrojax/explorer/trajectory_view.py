@@ -41,6 +41,8 @@ def motion_document(ds: xr.Dataset) -> Document:
     """Return the JSON document of a trajectory, given the dataset of `simulate`."""
     if not ds.sizes["time"]:
         raise InputError("explore: the motion has no samples")
+    if any(np.isinf(data.values).any() for data in ds.data_vars.values() if data.dtype.kind == "f"):
+        raise InputError("explore: the motion has values that are not finite")
     names = [str(name) for name, data in ds.data_vars.items() if data.ndim == 0 and data.dtype.kind in "fiu"]
     return document_with(
         ds,

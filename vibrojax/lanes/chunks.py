@@ -100,7 +100,9 @@ class Chunks:
         if parts:
             if (section := self.sweep.system.section) is not None:
                 pairs = zip(parts, observed[: len(parts)], observed[len(parts) :], strict=True)
-                apart = np.concatenate([part.fine.lanes[ends_differ(*runs, section)] for part, *runs in pairs])
+                apart = np.concatenate(
+                    [part.fine.lanes[ends_differ(fine, check, section)] for part, fine, check in pairs]
+                )
             check = [{name: x for name, x in one.items() if name in COMPARED} for one in observed[len(parts) :]]
             features.insert(0, self._certified(joined(observed[: len(parts)]), joined(check)))
         if not run.keep_returns and self._beyond is None:  # the crossings are needed only for the estimate
