@@ -79,7 +79,11 @@ def test_function_is_pickled_with_its_orbit():
     assert "f.reason(x)" in type(f).__doc__
 
 
-@pytest.mark.parametrize("transform", [lambda g: g, jax.jit, jax.grad, lambda g: jax.jit(jax.grad(g))])
+def _several_calls(g):
+    return jax.jit(lambda x: g(x) + g(x + 1e-3) + g(x - 1e-3))
+
+
+@pytest.mark.parametrize("transform", [lambda g: g, jax.jit, jax.grad, _several_calls])
 def test_interrupt_is_raised_as_such(transform, monkeypatch):
     """While jax calls back, every exception becomes an error of XLA."""
     f = _function()

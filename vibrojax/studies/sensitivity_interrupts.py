@@ -32,7 +32,9 @@ def deferring_interrupts(compute: Callable[[], R], nothing: R) -> R:
         return compute()
     except KeyboardInterrupt:
         _PENDING.set()
-        threading.Thread(target=_interrupt_after, args=(_callback(sys._getframe()),), daemon=True).start()
+        caller = _caller(sys._getframe())
+        instruction = caller.f_lasti if caller else 0
+        threading.Thread(target=_interrupt_after, args=(caller, instruction), daemon=True).start()
         return nothing
 
 
@@ -42,27 +44,25 @@ def await_interrupt() -> None:
         time.sleep(POLL_SECONDS)
 
 
-def _callback(frame: FrameType | None) -> list[FrameType]:
-    """Return the frames of a callback and of the functions through which jax calls it, which are in one file of jax."""
-    frames: list[FrameType] = []
+def _caller(frame: FrameType | None) -> FrameType | None:
+    """Return the frame that runs the compiled program, outside of the functions of jax that call back, in one file."""
     file = ""
     while frame and file in ("", frame.f_code.co_filename):
-        frames.append(frame)
         if frame.f_code.co_filename.startswith(_JAX):
             file = frame.f_code.co_filename
         frame = frame.f_back
-    return frames
+    return frame
 
 
-def _interrupt_after(frames: list[FrameType]) -> None:
-    """Interrupt the main thread when it has left all of the `frames`."""
+def _interrupt_after(caller: FrameType | None, instruction: int) -> None:
+    """Interrupt the main thread when the frame `caller` has gone on from its `instruction`, or has ended."""
     main = threading.main_thread().ident or 0
 
     def is_busy() -> bool:
         frame = sys._current_frames().get(main)
-        while frame and not any(frame is other for other in frames):
+        while frame and frame is not caller:
             frame = frame.f_back
-        return frame is not None
+        return frame is not None and frame.f_lasti == instruction
 
     while is_busy():
         time.sleep(POLL_SECONDS)
