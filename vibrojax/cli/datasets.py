@@ -62,7 +62,7 @@ def plot(options: Options) -> None:
             raise InputError(f"--where: {name.strip()}: {shown(value.strip())} is a second value; give one")
         where[name.strip()] = number_or_name(value.strip())
     path = Path(options.file)
-    check_distinct(Place("--over"), options.over or (), "file")
+    check_distinct(Place("plot", "--over"), options.over or (), "file")
     with timed("read"):
         dataset = open_dataset(path)
         over = [open_dataset(Path(name)) for name in options.over or ()] or None

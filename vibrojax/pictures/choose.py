@@ -189,7 +189,7 @@ def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
     **Raises:** `InputError` if there is no such variable, it has other dimensions, or there are too many names.
     """
     _check(ds, names)
-    check_distinct(Place("variable"), names, "variable")
+    check_distinct(Place("picture", "variable"), names, "variable")
     if TIME in ds.dims:
         return _draw_histories(ds, names)
     if kind_of(ds) == "family":
