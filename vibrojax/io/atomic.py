@@ -17,9 +17,6 @@ from vibrojax.io.ownership import check_ours
 ZARR = ".zarr"
 """Suffix of a dataset stored as a folder (Zarr store)."""
 
-GONE = "gone"
-"""Start time that `process_start` returns for a process that has ended."""
-
 
 @contextmanager
 def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:
@@ -100,7 +97,7 @@ def _remove_leftovers(path: Path, ending: str) -> None:
 def _leftovers(path: Path, ending: str) -> list[Path]:
     temporary = re.compile(re.escape(f".{path.name}.") + r"(\d+)-[0-9a-f]{16}" + re.escape(f".{ending}"))
     names = ((other, temporary.fullmatch(other.name)) for other in path.parent.iterdir())
-    return [other for other, match in names if match and process_start(int(match[1])) == GONE]
+    return [other for other, match in names if match and _has_ended(int(match[1]))]
 
 
 def commit(part: Path, path: Path) -> None:
@@ -133,18 +130,17 @@ def _sync_folder(folder: Path) -> None:
         os.close(file)
 
 
-def process_start(process: int) -> str:
-    """Return the start time of a process of this machine: "gone" if it has ended, "" if unknown."""
+def _has_ended(process: int) -> bool:
+    """Return whether a process of this machine is known to have ended."""
     try:
-        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-        return GONE if fields[0] in "ZX" else fields[19]
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
     except OSError:  # no such process, another user's, or a system without /proc
         pass
     if os.name == "posix":  # on other systems this call ends the process
         try:
             os.kill(process, 0)
         except (ProcessLookupError, OverflowError):
-            return GONE
+            return True
         except OSError:  # a process of another user
             pass
-    return ""
+    return False

@@ -60,7 +60,7 @@ def global_attributes(path: Path) -> dict[str, Any]:
     **Raises:** `InputError` if there is no dataset, or it cannot be read.
     """
     if not path.exists() or not (path.is_file() or path.is_dir()):
-        raise InputError(f"{path}: is no dataset")
+        raise InputError(f"{path}: is not a dataset")
     try:
         with readable(path) as source:
             if source.is_dir():

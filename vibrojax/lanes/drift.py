@@ -74,7 +74,7 @@ def drift(features: Features, section: Section, precision: str, tolerance: float
 
 
 def drift_under_pulses(features: Features, states: Sequence[str], precision: str, tolerance: float) -> PerLane:
-    """Return the same for scenes under pulses, of the growth of the hole per pulse instead of period and velocity.
+    """Return the relative distance of the growth of the hole per pulse from its limit, for scenes under pulses.
 
     The beginnings of pulses take the place of section crossings. A motion is periodic if the `states` at the last
     pulses repeat within 1e-3 of their scales. Without pulses nothing repeats, and the result is NaN.
@@ -129,7 +129,7 @@ def rock_error(features: Features) -> PerLane:
 
 
 def _in_parts(cycles: PerLaneInt, crossings: Callable[[Index], Crossings], precision: str, tolerance: float) -> PerLane:
-    """Return the distances of all lanes; `crossings` returns those of the lanes with these indices."""
+    """Return the distances of all lanes; `crossings` returns the section crossings of lanes by index."""
     distance = np.where(cycles > 0, np.inf, np.nan)
     noise = 64 * float(np.finfo(precision).eps)
     resolved = max(DRIFT_RESOLVED * noise, 10 * tolerance)

@@ -158,7 +158,7 @@ def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
 
 
 def _lanes_of_dataset(dataset: xr.Dataset, orbits: bool) -> tuple[Sweep, bool]:
-    """Return the sweep of a dataset's lanes, and whether these are others than when the dataset was computed."""
+    """Return the sweep of a dataset's lanes, and whether they differ from the computed ones."""
     try:
         tables = tomllib.loads(str(dataset.attrs["sweep"]))
     except (KeyError, ValueError, RecursionError):

@@ -1,1 +1,1 @@
-"""What a user may write: names, values, sweep files."""
+"""Input of users: names, values, sweep files."""

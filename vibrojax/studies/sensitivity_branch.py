@@ -37,7 +37,7 @@ class Evaluated(NamedTuple):
     """Features of orbits, and their derivatives, which are NaN where unknown.
 
     - `valid`: mask of the points that have a stable orbit of their own.
-    - `reached`: parameters of the orbit, which are those of the point if the branch reaches it.
+    - `reached`: parameters of the orbit; the point's own if the branch reaches it.
     """
 
     values: Float[np.ndarray, "*lanes of"]
