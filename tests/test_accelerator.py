@@ -18,7 +18,7 @@ from lane_steps import as_on_accelerator
 
 from vibrojax.compile.xla import BoundProgram
 from vibrojax.lanes import compiler
-from vibrojax.lanes.chunks import Chunks
+from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 
 compiler.XLA_BLOCK_ON_ACCELERATOR = 64  # instead of 16384: a step of lanes that only fill a block takes as long
@@ -38,10 +38,11 @@ def recorded(self, lanes):
 
 BoundProgram.__call__ = recorded
 assert len(jax.local_devices()) == 2
-chunks = as_on_accelerator(Chunks(sweep))
+inputs = sweep.inputs()
+chunks = as_on_accelerator(LaneRun(inputs, sweep.plan))
 assert not chunks.ends_early
-kernels = Chunks(sweep)
-found, expected = chunks.compute(0), kernels.compute(0)
+kernels = LaneRun(inputs, sweep.plan)
+found, expected = chunks.chunk(inputs).features, kernels.chunk(inputs).features
 assert used == set(jax.local_devices()), used
 assert chunks.engine.programs.compiler == "xla" and kernels.engine.programs.compiler == "llvm"
 assert expected.keys() == found.keys()

@@ -14,11 +14,11 @@ from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.provenance import source
 from vibrojax.io.variables import NATURES
-from vibrojax.lanes.chunks import Chunks
+from vibrojax.lanes.run import LaneRun
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
-from vibrojax.periodic.matching import number_attractors
 from vibrojax.studies.attractor_analysis import Attractors
 from vibrojax.studies.attractor_grouping import PointMotion, PointMotions, classify_motions, is_ambiguous, join_chains
+from vibrojax.studies.attractor_matching import number_attractors
 
 BOX = {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 GAMMA = [0.35, 0.3625, 0.7375, 0.75, 0.7625]
@@ -329,29 +329,29 @@ def test_finished_chunks_survive_an_interrupt(by, tmp_path, capsys, monkeypatch)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("VIBROJAX_THREADS", "1")  # a second thread would lose its unfinished chunk
     (tmp_path / "few.toml").write_text(FEW)
-    compute, computed = Chunks.compute, []
+    compute, computed = LaneRun.chunk, []
 
-    def counted(self, index, *rest):
+    def counted(self, inputs, *rest):
         if by == "lanes" and len(computed) == 2:
             raise KeyboardInterrupt
-        computed.append(index)
-        return compute(self, index, *rest)
+        computed.append(inputs)
+        return compute(self, inputs, *rest)
 
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Chunks, "compute", counted)
+    monkeypatch.setattr(LaneRun, "chunk", counted)
     if by == "links":
         monkeypatch.setattr("vibrojax.studies.attractor_analysis.attractors_of", interrupted)
     assert main(["attractors", "few.toml", "-o", "out.nc", "--quiet"]) == 130
     assert "finished chunks are kept; to go on: vibrojax attractors few.toml -o out.nc" in capsys.readouterr().err
-    kept = len(list((tmp_path / "out.nc.chunks").glob("*.shard")))
+    kept = len(list((tmp_path / "out.nc.chunks").glob("*.zip")))
     assert kept == len(computed) == (2 if by == "lanes" else 3) and not (tmp_path / "out.nc").exists()
     monkeypatch.undo()
     monkeypatch.chdir(tmp_path)
     computed.clear()
     by = ""
-    monkeypatch.setattr(Chunks, "compute", counted)
+    monkeypatch.setattr(LaneRun, "chunk", counted)
     assert main(["attractors", "few.toml", "-o", "out.nc", "--quiet"]) == 0
     assert len(computed) == 3 - kept and {path.name for path in tmp_path.iterdir()} == {"few.toml", "out.nc", "out.png"}
     expected = vj.attractors("few.toml", progress=False)

@@ -9,7 +9,7 @@ from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_to_file
-from vibrojax.maps.shards import Shards
+from vibrojax.maps.store import Store
 from vibrojax.measures.labels import FAILED, IRREGULAR, SINGLE_IMPACT
 from vibrojax.pictures.overlays import special_points
 from vibrojax.pictures.returns import jumps
@@ -71,19 +71,19 @@ def test_lanes_do_not_depend_on_other_axes(carried):
 
 
 def test_chunks_hold_whole_paths_and_resume_after_an_interrupt(tmp_path, carried, monkeypatch):
-    def interrupted(shards, index, features):
+    def interrupted(store, index, arrays):
         if len(stored) == 2:
             raise KeyboardInterrupt
         stored.append(index)
-        write(shards, index, features)
+        write(store, index, arrays)
 
-    write, stored = Shards.write, []
-    monkeypatch.setattr(Shards, "write", interrupted)
+    write, stored = Store.write, []
+    monkeypatch.setattr(Store, "write", interrupted)
     out, chunked = tmp_path / "out.nc", read_sweep(sweep(chunk=13))  # two paths of five lanes
     with pytest.raises(KeyboardInterrupt):
         run_to_file(chunked, out, progress=False)
     assert len(list((tmp_path / "out.nc.chunks").glob("chunk-*"))) == 2
-    monkeypatch.setattr(Shards, "write", write)
+    monkeypatch.setattr(Store, "write", write)
     run_to_file(chunked, out, progress=False)
     xr.testing.assert_equal(open_dataset(out), carried)
 

@@ -9,7 +9,7 @@ from known_scenes import ImpactOscillator, Lorenz
 import vibrojax as vj
 from vibrojax.errors import InputError
 from vibrojax.io.variables import NATURES
-from vibrojax.lanes.chunks import Chunks
+from vibrojax.lanes.run import LaneRun
 from vibrojax.measures.labels import IRREGULAR
 from vibrojax.periodic.growth import TANGENT_ACCURACY, exponents, grow, zero_one
 from vibrojax.periodic.lane_orbits import last_returns
@@ -29,11 +29,20 @@ def unit(scale):
     return np.full(scale.shape, len(scale) ** -0.5)
 
 
+class KeepReturns:
+    """A stage that adds nothing, so that the last section crossings stay among the features."""
+
+    attribute, described = "kept", {}
+
+    def __call__(self, inputs, features):
+        return {}
+
+
 def irregular(grid):
     """Return the sweep, parameters, last section states and scales (states, lanes) of the lanes that do not repeat."""
-    kept = {}
     sweep = vj.read_sweep(GAP | {"grid": grid})
-    Chunks(sweep, lambda first, end, features: kept.update(features) or {}).compute(0)
+    inputs = sweep.inputs()
+    kept = LaneRun(inputs, sweep.plan, stages=[KeepReturns()]).chunk(inputs).features
     lanes = np.flatnonzero((kept["cycles"] == 0) & (kept["returns"] > 8))
     states, scale = last_returns(sweep.system, lanes, 1, kept)
     values = {name: x[lanes] for name, x in sweep.lane_values(0, sweep.lanes)[0].items()}

@@ -16,7 +16,7 @@ import pytest
 import vibrojax as vj
 from vibrojax import cli
 from vibrojax.io.dataset import LAZY_FROM
-from vibrojax.lanes.chunks import CHUNK, CHUNK_SHARING_ORBITS
+from vibrojax.periodic.lane_stages import CHUNK, CHUNK_SHARING_ORBITS
 from vibrojax.pictures.selection import MOST_LANES
 from vibrojax.settings.toml import bundled_names
 from vibrojax.stepping import Located

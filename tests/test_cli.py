@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -49,10 +49,9 @@ def calls(monkeypatch, tmp_path):
         return call
 
     dataset = xr.Dataset()
-    cost = {"lanes": 4, "chunks": 1, "memory_bytes": 2.5e6, "disk_bytes": 1234, "file_bytes": 512, "time_s": 190.0}
-    cost |= {"compile_s": 8.0, "step_s": 182.0, "processor_s": 370.0, "hour_workers": 1}
-    module("vibrojax.maps.run", run_to_file=dataset, estimate=cost)
-    module("vibrojax.maps.costs", check_size=None)
+    cost = SimpleNamespace(memory=2.5e6, disk=1234, file=512, seconds=190.0)
+    module("vibrojax.maps.run", run_to_file=dataset)
+    module("vibrojax.maps.cost", check_size=None, tried=cost)
     module("vibrojax.studies.trajectory_run", simulate=dataset, simulate_point=dataset)
     module("vibrojax.io.dataset", write_dataset=None, open_dataset=dataset)
     module("vibrojax.pictures.choose", save_picture=None, picture=None)
@@ -117,13 +116,13 @@ def test_sweep_options(calls, capsys, tmp_path):
 
 def test_dry_run_only_prints_estimate(calls, capsys):
     assert main(["sweep", "map.toml", "--dry-run"]) == 0
-    assert calls.names() == ["estimate", "check_size"]
+    assert calls.names() == ["check_size", "tried", "check_size"]
     expected = [
         "lanes   4 (2 beta x 2 start) in 1 chunk",
         "memory  2.5 MB",
         "disk    1.23 kB while it runs, 512 B then",
     ]
-    expected.append("time    about 3.17 min: 8 s to start and compile, 3 min to step (6.17 min of processor time)")
+    expected.append("time    about 3.17 min on the cores of this machine")
     assert capsys.readouterr().out.splitlines() == expected
 
 

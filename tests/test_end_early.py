@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.lanes.underway import settled
+from vibrojax.lanes.settled import settled
 from vibrojax.measures.repeats import Seen
 from vibrojax.measures.section import Passed, Settling
 

@@ -6,6 +6,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.maps.read import read_sweep
 from vibrojax.periodic import early_stopping as ends
+from vibrojax.periodic import lane_stages
 from vibrojax.periodic.approach import Approach, extrapolate, will_reach
 from vibrojax.periodic.newton import PeriodicOrbits
 
@@ -18,7 +19,7 @@ have the label of the full run; 5,829 of them end on orbits. In float32 all 6,75
 @pytest.fixture(autouse=True)
 def allow_any_cost(monkeypatch):
     """End lanes on orbits even where compiling the return map takes longer than it saves."""
-    monkeypatch.setattr(ends, "EARLY_END_MIN_SECONDS", 0.0)
+    monkeypatch.setattr(lane_stages, "EARLY_END_MIN_SECONDS", 0.0)
 
 
 def sweep(scene="vibro-impact", lanes=LANES, **run):
@@ -33,14 +34,14 @@ def sweep(scene="vibro-impact", lanes=LANES, **run):
 @pytest.fixture
 def lanes_on_orbits(monkeypatch):
     """Count the lanes that end on orbits."""
-    counts, original = [], ends.EarlyEnds.__call__
+    counts, original = [], ends.EarlyEnds.ended
 
     def count_lanes(self, batch):
         endings = original(self, batch)
         counts.extend(len(ending.lanes) for ending in endings)
         return endings
 
-    monkeypatch.setattr(ends.EarlyEnds, "__call__", count_lanes)
+    monkeypatch.setattr(ends.EarlyEnds, "ended", count_lanes)
     return counts
 
 
@@ -78,12 +79,14 @@ def test_result_does_not_depend_on_chunk_size():
 
 def test_no_search_where_it_costs_more_than_it_saves(monkeypatch):
     monkeypatch.undo()
-    assert ends.EARLY_END_MIN_SECONDS == 5e6
-    few, many = read_sweep(sweep(lanes=8)), sweep(lanes=8, settle=1e6)
-    assert ends.early_stopping_of(few) is None
-    assert ends.early_stopping_of(read_sweep(many)) is not None
+    assert lane_stages.EARLY_END_MIN_SECONDS == 5e6
+
+    def rule_of(source):
+        return lane_stages.stop_rule(read_sweep(source).inputs(), read_sweep(source).plan)
+
+    assert rule_of(sweep(lanes=8)) is None and rule_of(sweep(lanes=8, settle=1e6)) is not None
     pulses = {"scene": "penetration", "grid": {"frequency": [40.0, 50.0]}, "run": {"settle": 1e7}}
-    assert ends.early_stopping_of(read_sweep(pulses)) is None
+    assert rule_of(pulses) is None
 
 
 BASIS = np.array([[1.0, 0.2, -0.4], [0.3, 1.0, 0.5], [-0.2, 0.1, 1.0]])

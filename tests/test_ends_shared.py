@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.maps.dataset import SECONDS
+from vibrojax.maps.executor import compute
 from vibrojax.maps.read import read_sweep
-from vibrojax.maps.work import Work
 from vibrojax.periodic import early_stopping as ends
+from vibrojax.periodic import lane_stages
 from vibrojax.periodic.early_stopping import candidates, rank_in_point
+from vibrojax.periodic.lane_stages import lane_run
 
 BOX = {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 GRID = {"beta": [0.3, 0.4], "gamma": [0.35, 0.75]}
@@ -57,7 +60,7 @@ def test_labels_and_values_match_full_run(search_log):
 
 
 def test_sharing_without_orbits_and_in_both_precisions(search_log, monkeypatch):
-    monkeypatch.setattr(ends, "SHARING_MIN_SECONDS", 0.0)
+    monkeypatch.setattr(lane_stages, "SHARING_MIN_SECONDS", 0.0)
     for precision in ("float64", "float32"):
         search_log[1].clear()
         both = (vj.run_sweep(sweep(48, precision=precision, end_early=flag), progress=False) for flag in (True, False))
@@ -88,12 +91,13 @@ def test_orbit_of_two_returns_is_recognised_at_either_return(monkeypatch, search
 def test_result_does_not_depend_on_order_of_chunks():
     """A chunk shares orbits only within itself, so earlier chunks do not affect it."""
     spec = read_sweep(sweep(64, orbits=True, chunk=96))
-    forward, backward = Work(spec), Work(spec)
-    assert forward.chunks.count == 3
-    first = [forward.compute(index) for index in range(3)]
-    again = [backward.compute(index) for index in (2, 0, 1)]
-    for chunk, repeated in zip(first, [again[1], again[2], again[0]], strict=True):
-        for name in chunk.keys() - {"seconds"}:
+    assert spec.chunks == 3
+    first, again = (lane_run(spec.inputs(0, 1), spec.plan) for _ in range(2))
+    forward = {index: dict(compute(spec, first, [index]))[index] for index in range(3)}
+    backward = {index: dict(compute(spec, again, [index]))[index] for index in (2, 0, 1)}
+    for index, chunk in forward.items():
+        repeated = backward[index]
+        for name in chunk.keys() - {SECONDS}:
             np.testing.assert_array_equal(chunk[name], repeated[name], err_msg=name)
 
 
@@ -109,12 +113,16 @@ def test_shares_stay_when_tolerance_is_halved():
 
 def test_thresholds_of_sharing():
     def is_shared(count, **run):
-        search = ends.early_stopping_of(read_sweep(sweep(count, **run)))
-        return search and search.shared
+        spec = read_sweep(sweep(count, **run))
+        rule = lane_stages.stop_rule(spec.inputs(0, 1), spec.plan)
+        return rule and rule.shared
 
-    assert ends.SHARING_MIN_STARTS == 16 and ends.SHARING_MIN_SECONDS == 1.5e6
-    assert is_shared(ends.SHARING_MIN_STARTS, orbits=True) is True and is_shared(ends.SHARING_MIN_STARTS) is None
-    assert is_shared(ends.SHARING_MIN_STARTS - 1, orbits=True) is None
+    assert lane_stages.SHARING_MIN_STARTS == 16 and lane_stages.SHARING_MIN_SECONDS == 1.5e6
+    assert (
+        is_shared(lane_stages.SHARING_MIN_STARTS, orbits=True) is True
+        and is_shared(lane_stages.SHARING_MIN_STARTS) is None
+    )
+    assert is_shared(lane_stages.SHARING_MIN_STARTS - 1, orbits=True) is None
     assert is_shared(4096, settle=100.0) is True
     assert is_shared(4096, settle=100.0, method="smoothed") is None
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.lanes.chunks import Chunks
+from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 from vibrojax.periodic.early_stopping import EarlyEnds
 from vibrojax.stepping import Accuracy
@@ -40,7 +40,8 @@ def sweep(box: str, **run):
 @pytest.fixture(scope="module", params=BOXES)
 def settled(request):
     """Return a box and the values on which its lanes settle."""
-    return request.param, Chunks(sweep(request.param, settle=SETTLED)).at(EXACT)
+    spec = sweep(request.param, settle=SETTLED)
+    return request.param, LaneRun(spec.inputs(), spec.plan).at(spec.inputs(), EXACT)
 
 
 @pytest.mark.parametrize("error, end_early", [(1e-3, True), (1e-4, True), (1e-4, False), (1e-6, True)])
@@ -52,7 +53,9 @@ def test_error_estimate(settled, error, end_early):
     """
     box, exact = settled
     spec = sweep(box, error=error, end_early=end_early)
-    features = Chunks(spec, ends=EarlyEnds(spec)).compute(0)
+    inputs = spec.inputs()
+    rule = EarlyEnds(inputs.scene, inputs.run, inputs.start_names)
+    features = LaneRun(inputs, spec.plan, rule).chunk(inputs).features
     repeats = features["cycles"] > 0
     assert repeats.sum() >= 200
     names = ("period", "impact_velocity")

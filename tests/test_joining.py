@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from vibrojax.io import dataset as on_disk
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.targets import Regions
-from vibrojax.lanes.chunks import Chunks
-from vibrojax.maps import joining
+from vibrojax.lanes.run import LaneRun
+from vibrojax.maps import dataset as joining
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_sweep, run_to_file
 
@@ -45,13 +45,14 @@ def test_regions_are_consecutive_whole_chunks(shape, limit):
 
 @pytest.fixture(scope="module", params=[0, 3])
 def swept(request):
-    """Return a sweep with this many last returns, its dataset, and a `Chunks.compute` that computes each chunk once."""
-    sweep, chunks, compute = read_sweep(SWEEP, [f"run.keep_returns={request.param}"]), {}, Chunks.compute
+    """Return a sweep with this many last returns, its dataset, and a `LaneRun.chunk` that computes each chunk once."""
+    sweep, chunks, compute = read_sweep(SWEEP, [f"run.keep_returns={request.param}"]), {}, LaneRun.chunk
 
-    def compute_once(self, index, *report):
-        if index not in chunks:
-            chunks[index] = compute(self, index)
-        return dict(chunks[index])
+    def compute_once(self, inputs, *report):
+        key = (inputs.parameters["beta"].tobytes(), inputs.parameters["gamma"].tobytes(), inputs.start.tobytes())
+        if key not in chunks:
+            chunks[key] = compute(self, inputs)
+        return chunks[key]
 
     return sweep, run_sweep(sweep, progress=False), compute_once
 
@@ -60,7 +61,7 @@ def swept(request):
 def test_regions_do_not_change_result(region, swept, tmp_path, monkeypatch):
     """Chunks and regions split points, but `hidden_motion` still compares all starts of a point."""
     sweep, expected, compute_once = swept
-    monkeypatch.setattr(Chunks, "compute", compute_once)
+    monkeypatch.setattr(LaneRun, "chunk", compute_once)
     assert expected.hidden_motion.values.any()
     monkeypatch.setattr(joining, "REGION", region)
     monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
@@ -133,19 +134,21 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 from vibrojax.maps.read import read_sweep
-from vibrojax.maps.joining import join
+from vibrojax.maps.dataset import join
+from vibrojax.maps.executor import compute
 from vibrojax.io.targets import file_target
-from vibrojax.maps.work import Work
+from vibrojax.periodic.lane_stages import lane_run
 sweep = read_sweep({"scene": "rotary", "starts": ["stuck"], "run": {"settle": 0.1, "observe": 0.1},
                     "grid": {"v": {"start": 0.5, "stop": 2.0, "num": int(sys.argv[2])}, "k1": {"start": 1e5, "stop": 2e5, "num": 1000}}})
-work = Work(sweep)
-one = work.compute(0)
+run = lane_run(sweep.inputs(0, 1), sweep.plan)
+_, one = next(compute(sweep, run, [0]))
 noise = np.random.default_rng(0).random(len(one["period"]))
 one = {name: x + noise if x.dtype == float and x.ndim == 1 and name in ("bit_amplitude", "drive_power") else x for name, x in one.items()}
 def read(index):
-    return {name: x[:work.chunks.width(index)] if x.ndim else x for name, x in one.items()}
+    first, end = sweep.chunk(index)
+    return {name: x[:end - first] if x.ndim else x for name, x in one.items()}
 with file_target(Path(sys.argv[1])) as target:
-    join(sweep, work.chunks, read, target, lambda seconds: seconds)
+    join(sweep, run, read, target, lambda seconds: seconds)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """  # noqa: E501
 

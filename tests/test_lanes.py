@@ -10,7 +10,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.compile import native, xla
 from vibrojax.compile.native import kernels
-from vibrojax.lanes.chunks import Chunks
+from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
@@ -101,8 +101,8 @@ def test_second_sweep_compiles_nothing(tiled):
 def test_memory_does_not_grow_with_time(tiled):
     """The program returns numbers per lane. A run ten times as long uses the same program, so it holds no more."""
     compiled = programs_compiled()
-    chunks = Chunks(read_sweep(sweep(PERIODIC[:4], settle=1.0, observe=60.0)))
-    result = chunks.compute(0)
+    longer = read_sweep(sweep(PERIODIC[:4], settle=1.0, observe=60.0))
+    result = LaneRun(longer.inputs(), longer.plan).chunk(longer.inputs()).features
     assert programs_compiled() == compiled
     assert {values.shape for values in result.values()} == {(4,)}
 
@@ -111,8 +111,8 @@ def test_memory_does_not_grow_with_time(tiled):
 def test_finished_lanes_are_reported_during_the_run(tiled, run):
     """Each lane is reported once, and not all of them at the end."""
     reported = []
-    chunks = Chunks(read_sweep(sweep(PERIODIC, **run)))
-    chunks.compute(0, reported.append)
+    whole = read_sweep(sweep(PERIODIC, **run))
+    LaneRun(whole.inputs(), whole.plan).chunk(whole.inputs(), reported.append)
     assert sum(reported) == len(PERIODIC) and min(reported) > 0
     assert len(reported) >= (3 if run["settle"] else 2)
 

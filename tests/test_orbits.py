@@ -13,9 +13,9 @@ import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
-from vibrojax.lanes.chunks import Chunks
+from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
-from vibrojax.periodic import Orbits
+from vibrojax.periodic.lane_orbits import Orbits
 from vibrojax.studies.sweep import orbit_lines
 
 CASES = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["orbits"]
@@ -128,21 +128,33 @@ def test_coupled_rock_matches_exact_motion():
 # Replaced features, and refused orbits
 
 
+class KeepReturns:
+    """A stage that adds nothing, so that the last section crossings stay among the features."""
+
+    attribute, described = "kept", {}
+
+    def __call__(self, inputs, features):
+        return {}
+
+
+def chosen():
+    cases = [CASES[0], CASES[4], CASES[8]]
+    points = {name: [case["point"][name] for case in cases] for name in CASES[0]["point"]}
+    return read_sweep({"scene": "vibro-impact", "points": points, "run": ORBITS})
+
+
 @pytest.fixture(scope="module")
 def lanes():
     """Return lanes that repeat after one and two returns, and their features, which tests damage."""
-    chosen = [CASES[0], CASES[4], CASES[8]]
-    points = {name: [case["point"][name] for case in chosen] for name in CASES[0]["point"]}
-    sweep = read_sweep({"scene": "vibro-impact", "points": points, "run": ORBITS})
-    stored = {}
-    chunks = Chunks(sweep, lambda first, end, features: stored.update(features) or {})
-    chunks.compute(0)
-    return sweep, stored
+    sweep = chosen()
+    inputs = sweep.inputs()
+    return inputs, LaneRun(inputs, sweep.plan, stages=[KeepReturns()]).chunk(inputs).features
 
 
 def find_orbits(lanes, **damage):
-    sweep, features = lanes
-    return Orbits(sweep)(0, sweep.lanes, {name: x.copy() for name, x in features.items()} | damage)
+    inputs, features = lanes
+    stage = Orbits(inputs.scene, inputs.run, inputs.start_names)
+    return stage(inputs, {name: x.copy() for name, x in features.items()} | damage)
 
 
 def test_orbits_match_lanes(lanes):
@@ -272,9 +284,9 @@ def test_wrong_settings_are_refused_in_one_line(sweep, says):
     assert "\n" not in str(error.value)
 
 
-def test_other_features_do_not_change(lanes):
+def test_other_features_do_not_change():
     """Orbits change only the features that they replace, and add their own variables."""
-    sweep, _ = lanes
+    sweep = chosen()
     without = vj.run_sweep(replace(sweep, run=replace(sweep.run, orbits=False)), progress=False)
     with_orbits = vj.run_sweep(sweep, progress=False)
     for name in (

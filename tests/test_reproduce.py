@@ -266,8 +266,8 @@ def test_wrong_sign_is_detected(quick, monkeypatch, term):
     Many lanes with a wrong sign never end, so steps are limited. With these limits, nothing turns red under the right
     signs.
     """
-    monkeypatch.setattr("vibrojax.lanes.batch.LANE_MAX_STEPS", 1e4)
-    monkeypatch.setattr("vibrojax.lanes.batch.LANE_MAX_RATE", 300.0)
+    monkeypatch.setattr("vibrojax.lanes.engine.LANE_MAX_STEPS", 1e4)
+    monkeypatch.setattr("vibrojax.lanes.engine.LANE_MAX_RATE", 300.0)
     monkeypatch.setitem(SCENES, "vibro-impact", WRONG[term])
     groups = [group for group in GROUPS if group.name in ("frequency-ratio", "mass-ratio")]
     wrong = run_reproduction(groups, quick=True, progress=False)

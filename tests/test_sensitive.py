@@ -136,7 +136,7 @@ def test_short_transients_do_not_run_again(monkeypatch):
 
 
 def test_failed_lanes_do_not_run_again(monkeypatch):
-    monkeypatch.setattr("vibrojax.lanes.batch.steps_at_most", lambda *_: np.float64(200))
+    monkeypatch.setattr("vibrojax.lanes.engine.steps_at_most", lambda *_: np.float64(200))
     monkeypatch.setattr(module, "_repeat", lambda *_: pytest.fail("a lane that was abandoned ran again"))
     sweep = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"gamma": [0.75, 0.8]}}
     assert (vj.run_sweep(sweep, progress=False).sensitive == 0).all()

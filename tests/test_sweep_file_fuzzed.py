@@ -22,10 +22,8 @@ from vibrojax.cli import main
 from vibrojax.cli.command import named_values
 from vibrojax.cli.points import SIMULATE_SETTINGS
 from vibrojax.errors import InputError, Place
-from vibrojax.maps.costs import check_size, estimated_steps
+from vibrojax.maps.cost import check_size, estimated_steps
 from vibrojax.maps.read import read_point, read_sweep
-from vibrojax.maps.run import estimate
-from vibrojax.maps.work import Work
 
 SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
 fuzzed = settings(
@@ -78,7 +76,7 @@ def check_reading_ends(source) -> None:
         assert sweep.lanes >= 1 and sweep.dims and sweep.identity()
         values, starts = sweep.lane_values(sweep.lanes - 1, sweep.lanes)
         assert set(values) == set(sweep.system.parameters()) and starts.shape == (1,)
-        check_size(sweep, estimate(sweep))
+        check_size(sweep)
     except InputError as error:
         assert str(error) and "\n" not in str(error)
 
@@ -231,7 +229,7 @@ def is_small(path: Path) -> bool:
     """Return whether a file is a sweep that runs within seconds."""
     try:
         sweep = read_sweep(path)
-        steps = estimated_steps(Work(sweep).chunks)
+        steps = estimated_steps(sweep)
         return sweep.lanes <= 64 and steps.total < 3e6 and sweep.run.keep_returns < 1000 and sweep.run.chunk is None
     except InputError:
         return False

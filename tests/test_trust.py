@@ -19,8 +19,8 @@ from vibrojax.compile.native import kernels
 from vibrojax.compile.trust import is_foreign
 from vibrojax.compile.xla import workers
 from vibrojax.lanes.agreement import Comparison, lanes_of, scene_subject
-from vibrojax.lanes.batch import Batch, Engine
 from vibrojax.lanes.compiler import lane_function
+from vibrojax.lanes.engine import Batch, Engine
 from vibrojax.lanes.programs import Kind
 from vibrojax.measures import recorder_for
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
@@ -249,8 +249,8 @@ def raise_no_rule():
 
 def test_lanes_on_orbits_switch_to_xla(translation_fault, quick_xla):
     read = vj.read_sweep({"scene": ROTARY(friction=WRONG), "grid": {"gamma": [0.65, 0.7]}, "run": RUN})
-    engine = Engine(read, vj.Located(), recorder_for(read.system), workers())
-    given = engine.given(0, 4)
+    engine = Engine(read.system, read.run, read.start_names, vj.Located(), recorder_for(read.system), workers())
+    given = engine.given(read.inputs())
     batch = Batch(
         read.run.accuracy(read.system), np.arange(4), given, np.zeros(4), np.ones(4), None, np.zeros(4, np.int32)
     )

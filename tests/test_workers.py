@@ -18,7 +18,6 @@ from vibrojax.errors import InputError
 from vibrojax.maps.executor import by_executor, compute_chunk
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_to_file
-from vibrojax.maps.work import Work
 
 SPAWN = multiprocessing.get_context("spawn")
 
@@ -143,19 +142,6 @@ class LocalExecutor:
         return future
 
 
-def test_most_expensive_chunks_come_first(file):
-    """Lanes that are stiff in flight take c2/m2 steps per second, divided by the stride. The dataset is the same."""
-    file.write_text(
-        TEXT.replace("beta = [0.3, 0.4, 0.5]", "c2 = [200.0, 1e6, 250.0, 1e5]").replace("chunk = 5", "chunk = 8")
-    )
-    executor = LocalExecutor(lambda self, fn, *arguments: fn(*arguments))
-    dataset = vj.run_sweep(file, progress=False, executor=executor)
-    assert executor.asked == [1, 3, 2, 0]
-    assert_same(dataset, vj.run_sweep(file, progress=False))
-    steps = [work["steps"].sum() for work in map(Work(read_sweep(file)).compute, range(4))]
-    assert steps[1] > 20 * steps[0] and np.argsort(steps)[::-1].tolist()[:2] == [1, 3]
-
-
 @pytest.mark.parametrize(
     ("fails", "error", "warning"),
     [
@@ -259,12 +245,12 @@ def test_workers_share_cores(file):
 
 
 def test_worker_compiles_once(file, monkeypatch):
-    from vibrojax.lanes.batch import Engine
+    from vibrojax.lanes.engine import Engine
     from vibrojax.maps.executor import pickled
 
     compiled = []
     compile_ = Engine.compile
-    monkeypatch.setattr(Engine, "compile", lambda self, accuracy: (compiled.append(1), compile_(self, accuracy)))
+    monkeypatch.setattr(Engine, "compile", lambda self, *words: (compiled.append(1), compile_(self, *words)))
     task = pickled(read_sweep(file, ["title=once"]))
     parts = [compute_chunk(task, index, 1) for index in (0, 1, 2)]
     assert len(compiled) == 1 and all(np.isfinite(part["period"]).any() for part in parts)

@@ -8,7 +8,6 @@ from vibrojax.io.dataset import write_dataset as write_dataset
 from vibrojax.io.riglog import read_log as read_log
 from vibrojax.io.variables import Variable as Variable
 from vibrojax.maps.read import read_sweep as read_sweep
-from vibrojax.maps.rerun import SweepAnalysis as SweepAnalysis
 from vibrojax.maps.rerun import orbits as orbits
 from vibrojax.maps.run import run_sweep as run_sweep
 from vibrojax.measures import Gauge as Gauge
@@ -63,6 +62,7 @@ from vibrojax.studies.rop_law import fit_rop as fit_rop
 from vibrojax.studies.sensitivity_gradients import as_jax as as_jax
 from vibrojax.studies.sensitivity_maps import sensitivity as sensitivity
 from vibrojax.studies.sensitivity_run import derivatives as derivatives
+from vibrojax.studies.sweep_analysis import SweepAnalysis as SweepAnalysis
 from vibrojax.studies.tolerance_run import tolerance as tolerance
 from vibrojax.studies.trajectory_run import simulate as simulate
 from vibrojax.systems.events import Friction as Friction

@@ -9,6 +9,7 @@ with Progress(sweep.lanes, "lanes") as progress:  # closes the bar on exit, even
 import logging
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from shutil import get_terminal_size
@@ -174,6 +175,14 @@ def timed(name: str) -> Iterator[None]:
     began = time.monotonic()
     yield
     LOG.info("%s: %.2f s", name, time.monotonic() - began)
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Suppress numpy's warnings in all threads: diverging lanes are flagged instead."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        yield
 
 
 def _number(amount: Amount) -> str:

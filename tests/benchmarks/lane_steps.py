@@ -18,8 +18,9 @@ import numpy as np
 
 import vibrojax as vj
 from vibrojax.compile.xla import usable_cores
-from vibrojax.lanes.chunks import Chunks
 from vibrojax.lanes.compiler import Programs
+from vibrojax.lanes.inputs import LaneInputs
+from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 
 REPEATS = 3
@@ -68,19 +69,19 @@ def sweep(lanes: int, run: dict):
     return read_sweep({"scene": "vibro-impact", "points": points, "run": times | run})
 
 
-def once(chunks: Chunks) -> tuple[float, float]:
+def once(run: LaneRun, inputs: LaneInputs) -> tuple[float, float]:
     """Return the time of one run of the lanes [s], without a check run, and its number of lane-steps."""
     began = time.perf_counter()
-    found = chunks.at(chunks.accuracy)
+    found = run.at(inputs, run.accuracy)
     return time.perf_counter() - began, float(found["steps"].sum())
 
 
-def as_on_accelerator(chunks: Chunks) -> Chunks:
-    """Return the chunks, set up for XLA with the settings for accelerators, on all devices of jax's platform."""
-    engine, devices = chunks.engine, jax.local_devices()
+def as_on_accelerator(run: LaneRun) -> LaneRun:
+    """Return the run, set up for XLA with the settings for accelerators, on all devices of jax's platform."""
+    engine, devices = run.engine, jax.local_devices()
     engine.workers, engine.accelerated = devices, True
-    engine.programs = Programs(engine.programs.kind, np.dtype(chunks.sweep.run.precision), "accelerator")
-    return chunks
+    engine.programs = Programs(engine.programs.kind, np.dtype(run.settings.precision), "accelerator")
+    return run
 
 
 def rotary(scene, lanes: int = 3000):
@@ -95,14 +96,15 @@ def rotary(scene, lanes: int = 3000):
 
 def measured(definition, cores: int, accelerator: bool = False) -> dict:
     """Return the compile time, and the cost of a lane-step and the lane-seconds per second of the median run."""
-    chunks, lanes = Chunks(definition), definition.lanes
+    inputs, lanes = definition.inputs(), definition.lanes
+    run = LaneRun(inputs, definition.plan)
     if accelerator:
-        as_on_accelerator(chunks)
-    chunks.engine.workers = chunks.engine.workers[:cores]
+        as_on_accelerator(run)
+    run.engine.workers = run.engine.workers[:cores]
     began = time.perf_counter()
-    chunks.compile()
+    run.compile(inputs)
     compiling = time.perf_counter() - began
-    found = [once(chunks) for _ in range(REPEATS)]
+    found = [once(run, inputs) for _ in range(REPEATS)]
     seconds, steps = [time for time, _ in found], found[0][1]
     median = statistics.median(seconds)
     return {

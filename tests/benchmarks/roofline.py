@@ -24,9 +24,9 @@ from peers.lanes import box, columns
 from peers.numba_loop import NumbaTaylor, Series, numba
 
 from vibrojax.compile import native
-from vibrojax.lanes.chunks import Chunks
 from vibrojax.lanes.compiler import KERNEL_REGISTERS
 from vibrojax.lanes.programs import observe_lanes, settle_lanes
+from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 from vibrojax.measures.recorder import STEPS_PER_PASS, STEPS_PER_TURN
 from vibrojax.stepping.polynomial import ROOT_ITERATIONS
@@ -94,15 +94,17 @@ def waiting(recent: np.ndarray, order: np.ndarray, width: int) -> float:
 
 def kernels() -> None:
     """Print both loops' operations, their bound, and the measured cost."""
-    chunks = Chunks(lane_steps.sweep(LANES, {"method": "located", "error": 1e-2}))
-    engine = chunks.engine
-    chunks.compile()
-    engine.observe([engine.settle([engine.start(0, LANES, chunks.accuracy)])[0]])
+    sweep = lane_steps.sweep(LANES, {"method": "located", "error": 1e-2})
+    inputs = sweep.inputs()
+    lanes = LaneRun(inputs, sweep.plan)
+    engine = lanes.engine
+    lanes.compile(inputs)
+    engine.observe([engine.settle([engine.start(inputs, lanes.accuracy)])[0]])
     rows: dict[str, list[tuple[float, float, float]]] = {"settle": [], "observe": []}
     group = max(KERNEL_REGISTERS.values()) * native.vector_bytes() // 8
     for _ in range(REPEATS):
         # lanes are then sorted by speed
-        batch = engine.settle([engine.start(0, LANES, chunks.accuracy)], SETTLE / 4)[0]
+        batch = engine.settle([engine.start(inputs, lanes.accuracy)], SETTLE / 4)[0]
         order, before = np.argsort(-batch.recent, kind="stable"), batch.underway.steps.sum()
         seconds, [batch] = timed(lambda batch=batch: engine.settle([batch]))
         rows["settle"].append((seconds, batch.underway.steps.sum() - before, waiting(batch.recent, order, group)))
@@ -134,18 +136,20 @@ def loop() -> None:
     """Print the times of the loop compiled for this scene and of ours, without certificate, on the same lanes."""
     points = box()[np.arange(LANES)]
     run = {"error": 1e-1, "settle": SETTLE, "observe": OBSERVE, "chunk": LANES}
-    chunks = Chunks(read_sweep({"scene": "vibro-impact", "points": columns(points), "run": run}))
-    chunks.compile()
+    sweep = read_sweep({"scene": "vibro-impact", "points": columns(points), "run": run})
+    inputs = sweep.inputs()
+    lanes = LaneRun(inputs, sweep.plan)
+    lanes.compile(inputs)
     numba.set_num_threads(1)
     peer, programs = NumbaTaylor(), {}
     for stride in STRIDES:
         programs[stride] = peer.program_of(Series(8, stride))
         programs[stride][0](*points[np.arange(2)].columns, 0.01, 0.01, stride)
-    chunks.at(chunks.accuracy)
+    lanes.at(inputs, lanes.accuracy)
     times: dict[str, list[float]] = {}
     steps: dict[str, float] = {}
     for _ in range(REPEATS):
-        seconds, features = timed(lambda: chunks.at(chunks.accuracy))
+        seconds, features = timed(lambda: lanes.at(inputs, lanes.accuracy))
         times.setdefault("here", []).append(seconds)
         steps["here"] = features["steps"].sum()
         for stride, (program, value) in programs.items():

@@ -12,7 +12,7 @@ import time
 import numpy as np
 
 import vibrojax as vj
-from vibrojax.periodic import early_stopping
+from vibrojax.periodic import lane_stages
 
 BOX = {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 ONE = {"beta": [0.4], "gamma": [0.75]}
@@ -27,11 +27,11 @@ def asked(count: int, grid: dict[str, list[float]]) -> dict[str, object]:
 def main(count: int = 10_000) -> None:
     vj.attractors(asked(32, ONE), progress=False)
     print(f"start-up: {time.process_time():.1f} s of processor time")
-    shared = early_stopping.SHARING_MIN_STARTS
+    shared = lane_stages.SHARING_MIN_STARTS
     for number, grid in ((count, ONE), (256, SEVERAL)):
         lanes = number * len(grid["gamma"])
         for least, how in ((shared, "shared"), (2**40, "each lane by itself")):
-            early_stopping.SHARING_MIN_STARTS = least
+            lane_stages.SHARING_MIN_STARTS = least
             began = time.process_time()
             found = vj.attractors(asked(number, grid), progress=False)
             taken = time.process_time() - began

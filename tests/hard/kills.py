@@ -103,7 +103,7 @@ class Watch:
         finished = {}
         with contextlib.suppress(FileNotFoundError):
             for entry in os.scandir(self.folder):
-                if entry.name.endswith(".shard"):
+                if entry.name.endswith(".zip"):
                     with contextlib.suppress(FileNotFoundError):
                         status = entry.stat()
                         finished[entry.name] = (status.st_ino, status.st_mtime_ns)

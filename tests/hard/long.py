@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
-from vibrojax.lanes.chunks import Chunks
+from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 
 POINTS = {
@@ -27,8 +27,10 @@ def main():
     for name, settle in SETTLE.items():
         began = time.perf_counter()
         run = {"settle": settle, "end_early": False, "error": ERROR}
-        chunks = Chunks(read_sweep({"scene": "vibro-impact", "points": POINTS, "run": run}))
-        results[name] = chunks.at(chunks.accuracy)
+        sweep = read_sweep({"scene": "vibro-impact", "points": POINTS, "run": run})
+        inputs = sweep.inputs()
+        lanes = LaneRun(inputs, sweep.plan)
+        results[name] = lanes.at(inputs, lanes.accuracy)
         print(f"{name:8}{settle:8g} s settled in {time.perf_counter() - began:.0f} s", flush=True)
     short, long = results["short"], results["long"]
     periodic = short["cycles"] > 0

@@ -13,8 +13,8 @@ import pytest
 from cases import DRILL, USUAL, bound_of, columns, lanes, reference, verdict
 
 import vibrojax as vj
-from vibrojax.lanes.chunks import Chunks
-from vibrojax.lanes.labelled import too_stiff_or_slow
+from vibrojax.lanes.labels import too_stiff_or_slow
+from vibrojax.lanes.run import LaneRun
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 OBSERVE = 0.5
@@ -92,9 +92,9 @@ def test_too_stiff_lane_is_refused(changes):
     sweep = vj.read_sweep(
         {"scene": "vibro-impact", "starts": ["stuck"], "points": {n: [x] for n, x in changes.items()}}
     )
-    assert too_stiff_or_slow(sweep, sweep.lane_values(0, 1)[0])[0].tolist() == [True]
+    assert too_stiff_or_slow(sweep.system, sweep.run, sweep.inputs().parameters)[0].tolist() == [True]
     usual = vj.read_sweep({"scene": "vibro-impact", "starts": ["stuck"], "grid": {"k0": [1e6, 50e6, 1e12]}})
-    assert not too_stiff_or_slow(usual, usual.lane_values(0, 3)[0])[0].any()
+    assert not too_stiff_or_slow(usual.system, usual.run, usual.inputs().parameters)[0].any()
 
 
 def test_motion_below_rounding_is_refused():
@@ -102,7 +102,7 @@ def test_motion_below_rounding_is_refused():
     grid = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"v": [0.0, 1e-6, 1.5]}}
     for precision, expected in (("float32", [False, True, False]), ("float64", [False] * 3)):
         sweep = vj.read_sweep(grid | {"run": {"precision": precision}})
-        assert too_stiff_or_slow(sweep, sweep.lane_values(0, 3)[0])[1].tolist() == expected
+        assert too_stiff_or_slow(sweep.system, sweep.run, sweep.inputs().parameters)[1].tolist() == expected
 
 
 def test_float32_lane_with_too_many_steps_is_abandoned():
@@ -110,10 +110,11 @@ def test_float32_lane_with_too_many_steps_is_abandoned():
     sweep = vj.read_sweep(
         {"scene": "rotary", "starts": ["stuck"], "grid": {"v": [1.5]}, "run": {"precision": "float32"}}
     )
-    engine = Chunks(sweep).engine
+    run = LaneRun(sweep.inputs(), sweep.plan)
+    engine = run.engine
     before = 2**24 - 10
     engine.most_steps = before + 20 - 1000 * (sweep.run.settle + sweep.run.observe)
-    still = engine.start(0, 1, Chunks(sweep).accuracy)
+    still = engine.start(sweep.inputs(), run.accuracy)
     steps = still.underway.steps + np.asarray(before, still.underway.steps.dtype)
     [batch] = engine.settle([replace(still, underway=still.underway._replace(steps=steps))])
     assert before + 20 <= batch.underway.steps[0] < before + 30

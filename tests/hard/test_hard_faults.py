@@ -17,7 +17,7 @@ import pytest
 import xarray as xr
 
 from vibrojax.io.dataset import open_dataset, write_dataset
-from vibrojax.maps.shards import Shards
+from vibrojax.maps.store import Store
 
 ROOT = Path(__file__).parents[2]
 CHUNKS = 12
@@ -67,7 +67,7 @@ def one_line(text: str) -> str:
 
 
 def chunks(folder) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in (folder / "map.nc.chunks").glob("*.shard")}
+    return {path.name: path.read_bytes() for path in (folder / "map.nc.chunks").glob("*.zip")}
 
 
 def wait_for(condition, process) -> None:
@@ -134,7 +134,7 @@ FULL_LATER = """
 import errno, os, re
 opened = os.open
 def open_or_fail(path, *more, **named):
-    if re.search(r"chunk-0000000[3-9][.]shard", str(path)) and more[0] & os.O_CREAT:
+    if re.search(r"chunk-0000000[3-9][.]zip", str(path)) and more[0] & os.O_CREAT:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
     return opened(path, *more, **named)
 os.open = open_or_fail
@@ -148,7 +148,7 @@ def test_full_disk(folder, whole, tmp_path_factory):
     (modules / "sitecustomize.py").write_text(FULL_LATER)
     status, errors = run(folder, "sweep", "map.toml", "--quiet", PYTHONPATH=f"{modules}{os.pathsep}{ROOT}")
     advice = "finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
-    assert status == 1 and one_line(errors).endswith(f".shard: No space left on device; {advice}")
+    assert status == 1 and one_line(errors).endswith(f".zip: No space left on device; {advice}")
     kept = chunks(folder)
     assert kept
     # The chunks are smaller than this limit, the dataset is larger.
@@ -189,7 +189,7 @@ def test_chunks_closed_deleted_truncated_and_flipped(folder, whole):
     status, errors = wait_for_end(process)
     closed.chmod(0o755)
     assert status == 1 and "Permission denied; finished chunks are kept; to go on" in one_line(errors)
-    paths = sorted(closed.glob("*.shard"))
+    paths = sorted(closed.glob("*.zip"))
     assert len(paths) >= 3
     paths[0].unlink()
     os.truncate(paths[1], 100)
@@ -323,10 +323,10 @@ def test_too_small_disk_is_detected_in_advance(tmp_path):
 
 def test_removed_folder_of_chunks_is_made_again(tmp_path):
     """Its owner removes it between this process's check and its lock."""
-    shards = Shards(tmp_path / "out.nc.chunks", {})
+    shards = Store(tmp_path / "out.nc.chunks", {})
     shards.open(resume=True)
     shards.write(0, {"x": np.zeros(3)})
-    other = Shards(tmp_path / "out.nc.chunks", {})
+    other = Store(tmp_path / "out.nc.chunks", {})
     shards.remove()
     other.open(resume=True)
     assert other.finished() == set()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.lanes.chunks import error_under_pulses
+from vibrojax.lanes.certificate import error_under_pulses
 from vibrojax.lanes.drift import drift_under_pulses
 
 BEATING = {

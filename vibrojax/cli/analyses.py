@@ -150,8 +150,9 @@ def _settings(analysis: "type[Analysis]") -> "dict[str, dataclasses.Field[Any]]"
 
 def _run(kind: str, options: Options) -> None:
     from vibrojax.io.dataset import open_dataset
-    from vibrojax.maps.rerun import SweepAnalysis, holds_orbits
+    from vibrojax.maps.rerun import holds_orbits
     from vibrojax.studies.analysis import analyse, checked_result
+    from vibrojax.studies.sweep_analysis import SweepAnalysis
 
     analysis_class = _analysis_class(kind)
     given = {

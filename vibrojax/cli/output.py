@@ -147,7 +147,7 @@ def _numbered(default: Path, is_result: Callable[[Path], bool], fresh: bool = Fa
 def stored_result(options: Options, out: Path, identity: Mapping[str, object]) -> "xarray.Dataset | None":
     """Return the finished result with this `identity` at `out`, or None if there is none, or with `--fresh`."""
     from vibrojax.io.manifest import holds
-    from vibrojax.maps.shards import CHUNKS
+    from vibrojax.maps.store import CHUNKS
 
     # Chunks beside a dataset belong to a run that was interrupted while it replaced the dataset.
     if options.fresh or out.with_name(out.name + CHUNKS).exists() or not holds(out, identity):

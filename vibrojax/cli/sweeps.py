@@ -12,7 +12,6 @@ from vibrojax.errors import InputError, counted, shown
 from vibrojax.io.formatting import size_text, time_text
 
 if TYPE_CHECKING:
-    from vibrojax.maps.costs import Cost
     from vibrojax.maps.executor import Executor
     from vibrojax.maps.sweep import Sweep
 
@@ -48,8 +47,7 @@ DEFAULT_JOBS = 10
         "dask://HOST:PORT | slurm[:N]",
         "compute by the workers of a dask scheduler, or by jobs of SLURM, N at a time (10)",
     ),
-    flag("--dry-run", "print lanes, memory, disk and time; compute nothing"),
-    flag("--measure", "have --dry-run compute some chunks, to know better"),
+    flag("--dry-run", "compute at most 256 lanes, and print lanes, memory, disk and time of the whole"),
 )
 def sweep(options: Options) -> None:
     """Run a sweep file: write a dataset with the regime of each lane, and a picture."""
@@ -57,8 +55,6 @@ def sweep(options: Options) -> None:
     from vibrojax.maps.run import run_to_file
 
     engine = _read_workers(options.workers)
-    if options.measure and not options.dry_run:
-        raise InputError("--measure: has no use without --dry-run")
     plan = read_sweep(options.sweep, options.changes)
     out = output(options.out or f"{plan.name}.nc", (".nc", ZARR), drawn=True)
     if out.suffix == ZARR:
@@ -66,7 +62,7 @@ def sweep(options: Options) -> None:
 
         check_zarr(out)
     if options.dry_run:
-        _print_cost(plan, out, options.measure)
+        _print_cost(plan, out)
         return
     stored = stored_result(options, out, plan.identity())
     if stored is not None:
@@ -77,10 +73,10 @@ def sweep(options: Options) -> None:
     words = [word for change in options.changes for word in ("--set", change)]
     by = ["--workers", options.workers] if options.workers else []
     options.advise("finished chunks are kept; to go on", "sweep", options.sweep, *words, "-o", str(out), *by)
-    # Stepping releases the interpreter lock.
-    threading.Thread(target=_prepare_output, daemon=True).start()
     progress = not options.quiet
     with engine(out) as executor:
+        # Stepping releases the interpreter lock.
+        threading.Thread(target=_prepare_output, daemon=True).start()
         dataset = run_to_file(plan, out, resume=not options.fresh, progress=progress, executor=executor)
     drawn = draw(options, dataset, out)
     if progress:
@@ -151,27 +147,16 @@ def _slurm_executor(out: Path, jobs: int) -> "Iterator[Executor]":
         yield executor
 
 
-def _print_cost(plan: "Sweep", out: Path, measure: bool) -> None:
-    """Print the estimated cost of a sweep; raise `InputError` if memory or disk of this machine are too small."""
-    from vibrojax.maps.costs import check_size
-    from vibrojax.maps.run import estimate
+def _print_cost(plan: "Sweep", out: Path) -> None:
+    """Print the cost of a sweep; raise `InputError` if memory or disk of this machine are too small."""
+    from vibrojax.maps.cost import check_size, tried
 
-    def about(seconds: float) -> str:  # with two digits: an estimate is not more accurate
-        return time_text(float(f"{seconds:.2g}"))
-
-    measured = None
-    if measure:
-        from vibrojax.maps.work import measured as measure_lanes
-
-        measured = measure_lanes(plan)
-    cost: Cost = estimate(plan, to_file=True, measured=measured)
+    check_size(plan, out, to_file=True)
+    cost = tried(plan)
     grid = " x ".join(f"{size} {name}" for name, size in zip(plan.dims, plan.shape, strict=True))
-    print(f"lanes   {cost['lanes']} ({grid}) in {counted(cost['chunks'], 'chunk')}")
-    print(f"memory  {size_text(cost['memory_bytes'])}")
-    print(f"disk    {size_text(cost['disk_bytes'])} while it runs, {size_text(cost['file_bytes'])} then")
-    print(f"time    about {about(cost['time_s'])}: {about(cost['compile_s'])} to start and compile, ", end="")
-    print(f"{about(cost['step_s'])} to step ({about(cost['processor_s'])} of processor time)")
-    if cost["time_s"] > 3600 and cost["hour_workers"]:
-        bring = counted(cost["hour_workers"], "worker of one core brings", "workers of one core each bring")
-        print(f"hour    {bring} it under an hour")
-    check_size(plan, cost, out)
+    print(f"lanes   {plan.lanes} ({grid}) in {counted(plan.chunks, 'chunk')}")
+    print(f"memory  {size_text(cost.memory)}")
+    print(f"disk    {size_text(cost.disk)} while it runs, {size_text(cost.file)} then")
+    # With two digits: an estimate is not more accurate.
+    print(f"time    about {time_text(float(f'{cost.seconds:.2g}'))} on the cores of this machine")
+    check_size(plan, out, cost=cost)

@@ -9,11 +9,9 @@ import numpy as np
 from vibrojax.errors import Place, shown
 from vibrojax.explorer.document import Document
 from vibrojax.explorer.encoding import pack
-from vibrojax.io.targets import InMemory
-from vibrojax.maps.joining import join
 from vibrojax.maps.rerun import rerun_problem
+from vibrojax.maps.run import in_memory
 from vibrojax.maps.sweep import Sweep
-from vibrojax.maps.work import Work
 
 BOX_MAX_SIDE = 50
 """Maximum number of values along an axis of a box; more cells would take minutes."""
@@ -47,10 +45,8 @@ def box_of(sweep: Sweep, lane: int, box: object, check: Callable[..., None]) -> 
     part = replace(sweep, axes=axes, parameters=sweep.parameters | fixed, starts=starts, run=run)
     if problem := rerun_problem(part):
         raise PLACE.error(f"it has {problem}")
-    work, target = Work(part), InMemory()
-    parts = dict(work.compute_each(range(work.chunks.count), check))
-    join(part, work.chunks, parts.pop, target, lambda _: 0.0)
-    ds = target.dataset.isel({name: 0 for name in target.dataset.dims if name not in axes}, drop=True)
+    whole = in_memory(part, check)
+    ds = whole.isel({name: 0 for name in whole.dims if name not in axes}, drop=True)
     arrays = {str(name): x.transpose(*axes) for name, x in ds.data_vars.items() if set(x.dims) == set(axes)}
     return {
         "axes": {name: x.tolist() for name, x in axes.items()},

@@ -30,13 +30,13 @@ from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SE
 from vibrojax.io.attributes import flags, parameters_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.io.variables import orbit_name
-from vibrojax.lanes.batch import Features
-from vibrojax.lanes.chunks import Carried, Chunks
+from vibrojax.lanes.inputs import Features, LaneInputs
+from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.rerun import has_lanes_of
 from vibrojax.maps.sweep import Sweep
-from vibrojax.maps.work import quiet
 from vibrojax.measures.repeats import state_name
-from vibrojax.periodic import Orbits, early_stopping_of
+from vibrojax.periodic.lane_orbits import Orbits
+from vibrojax.periodic.lane_stages import stop_rule
 from vibrojax.periodic.margin import DRIVEN_RETURNS
 from vibrojax.pictures.axes import scale, with_unit
 from vibrojax.pictures.contents import (
@@ -65,7 +65,7 @@ from vibrojax.pictures.overlays import (
 )
 from vibrojax.pictures.returns import returns_label
 from vibrojax.pictures.starts import described, on_axes
-from vibrojax.progress import Progress
+from vibrojax.progress import Progress, quiet
 
 LANE = "lane_number"
 """Name of the variable with the number of the lane that each map cell shows."""
@@ -221,32 +221,25 @@ def lane_cells(sweep: Sweep, progress: bool = True) -> Iterator[Cell]:
     """Run a sweep again, chunk by chunk, and yield the motions of its lanes in the order of `Sweep.counted`."""
     names = sweep.system.driving_part().return_states
     sweep = replace(sweep, run=replace(sweep.run, orbits=bool(names)))
-    orbits = Orbits(sweep) if names else None
-
-    def last_returns(first: int, end: int, features: Features) -> Features:
-        """Return the features of lanes with their orbits and the states at their last section crossings."""
-        whole = features | (orbits(first, end, features) if orbits is not None else {})
-        kept = {name: x for name, x in whole.items() if x.ndim == 1 or name in ("multiplier_abs", "multiplier_arg")}
-        returns = {name: features[state_name(name)] for name in names if state_name(name) in features}
-        return kept | {f"last_{name}": x[:, -1] for name, x in returns.items()}
-
-    is_carried = sweep.run.carry is not None
-    chunks = Carried(sweep, last_returns) if is_carried else Chunks(sweep, last_returns, early_stopping_of(sweep))
+    like, plan = sweep.inputs(0, 1), sweep.plan
+    stages = [Orbits(like.scene, like.run, like.start_names)] if names else []
+    run = LaneRun(like, plan, stop_rule(like, plan), stages)
     with Progress(sweep.lanes, "lanes", progress) as bar:
-        for index in range(chunks.count):
+        for index in range(sweep.chunks):
+            first, end = sweep.chunk(index)
+            inputs = sweep.inputs(first, end)
             with quiet():
-                features = chunks.compute(index, bar.add)
-                yield from _chunk_cells(sweep, chunks, index, features)
+                yield from _chunk_cells(first, inputs, run, run.chunk(inputs, bar.add).features)
 
 
-def _chunk_cells(sweep: Sweep, chunks: Chunks, index: int, features: Features) -> list[Cell]:
-    first, end = chunks.lanes(index)
-    parameters, _ = sweep.lane_values(first, end)
-    excerpt = _excerpts(sweep, chunks, index, features, parameters)
-    reasons = np.full(end - first, "its motion was not found", object)
+def _chunk_cells(first: int, inputs: LaneInputs, run: LaneRun, features: Features) -> list[Cell]:
+    """Return the motions of the lanes of a chunk, which are numbered from `first` on."""
+    scene, parameters = inputs.scene, dict(inputs.parameters)
+    excerpt = _excerpts(inputs, run, features)
+    reasons = np.full(len(inputs), "its motion was not found", object)
     reasons[~features["finished"]] = "failed: it took too many steps"
     reasons[~features["finite"]] = "failed: it is not finite"
-    refusal = sweep.system.refused(parameters)
+    refusal = scene.refused(parameters)
     if refusal is not None:
         reasons[np.broadcast_to(np.asarray(refusal[1]), reasons.shape)] = f"refused: {refusal[0].replace('-', ' ')}"
     cells = [Cell(lane, "none", str(reason)) for lane, reason in enumerate(reasons, first)]
@@ -256,7 +249,7 @@ def _chunk_cells(sweep: Sweep, chunks: Chunks, index: int, features: Features) -
     order = np.flatnonzero(usable)
     order = order[np.argsort(excerpt.recorded[order] / np.maximum(excerpt.shown[order], 1e-9), kind="stable")]
     parameters = {name: x[order] for name, x in parameters.items()}
-    for lane, cell in zip(order, record_cells(sweep.system, parameters, excerpt.lanes(order)), strict=True):
+    for lane, cell in zip(order, record_cells(scene, parameters, excerpt.lanes(order)), strict=True):
         multipliers = None
         if "multiplier_abs" in features:
             multipliers = np.stack([features[f"multiplier_{name}"][lane] for name in ("abs", "arg")], axis=1)
@@ -265,18 +258,15 @@ def _chunk_cells(sweep: Sweep, chunks: Chunks, index: int, features: Features) -
     return cells
 
 
-def _excerpts(
-    sweep: Sweep, chunks: Chunks, index: int, features: Features, parameters: dict[str, np.ndarray]
-) -> Excerpt:
+def _excerpts(inputs: LaneInputs, run: LaneRun, features: Features) -> Excerpt:
     """Return the excerpts of a chunk's lanes, from their orbits, last section crossings or settled states."""
-    first, end = chunks.lanes(index)
-    scene, count = sweep.system, end - first
+    scene, parameters, count = inputs.scene, inputs.parameters, len(inputs)
     driving = scene.driving_part()
     zero, nan = np.zeros(count), np.full(count, np.nan)
     orbit_cycles = features.get("orbit_cycles", zero)
     state = np.zeros((len(scene.states), count))
     for name in driving.return_states:
-        last = features.get(f"last_{name}", nan)
+        last = features[state_name(name)][:, -1] if state_name(name) in features else nan
         state[scene.place(name)] = np.where(orbit_cycles > 0, features.get(orbit_name(name), last), last)
     period = features["period"] if "period" in features else 1 / parameters.get("frequency", nan)
     unknown = ~np.isfinite(state).all(axis=0) | ~(np.isfinite(period) & (period > 0)) | (not driving.return_states)
@@ -287,9 +277,9 @@ def _excerpts(
     shown = np.where(unknown, SHOWN_SECONDS, returns * period)
     beyond_return = np.where(repeats, shown + REPEAT_MARGIN * period, SECTION_RETURNS * period)
     recorded = skipped + np.where(unknown, SHOWN_SECONDS, beyond_return)
-    if unknown.any() and not isinstance(chunks, Carried):
+    if unknown.any() and not inputs.row:
         subset = np.flatnonzero(unknown)
-        [batch] = chunks.engine.settle([chunks.engine.start(first, end, chunks.accuracy).of(subset)])
+        [batch] = run.engine.settle([run.engine.start(inputs.of(subset), run.accuracy)])
         assert batch.underway is not None
         state[:, subset] = np.stack([np.asarray(x, float) for x in batch.underway.lane.state])
     elif unknown.any():  # a lane's settled state depends on those of previous lanes, which are not stored

@@ -141,13 +141,12 @@ class LiveMotions:
         """
         number = self._number(number)
         assert self.sweep is not None
-        values, _ = self.sweep.lane_values(number, number + 1)
+        lane = self.sweep.inputs_of(np.array([number]))
         start: object = None
         if self.names.has_starts:
-            indices, vectors = self.sweep.lane_starts(number, number + 1)
-            index, names = int(indices[0]), self.sweep.start_names
-            start = names[index] if index < len(names) else [float(x[0]) for x in vectors]
-        cell = self.cell({name: float(x[0]) for name, x in values.items()}, start, check)
+            index, names = int(lane.start[0]), lane.start_names
+            start = names[index] if index < len(names) else [float(x[0]) for x in lane.states]
+        cell = self.cell({name: float(x[0]) for name, x in lane.parameters.items()}, start, check)
         carried = "" if self.sweep.run.carry is None else "from the start, not carried on from the point before"
         return replace(cell, lane=number, numbers=None, note="; ".join(text for text in (cell.note, carried) if text))
 

@@ -1,4 +1,4 @@
-"""Files that are opened with care: new ones where no link is followed, and regular ones of a limited size."""
+"""Files that are opened with care: new ones where no link is followed, regular ones of a limited size; free memory."""
 
 import errno
 import os
@@ -10,6 +10,18 @@ from vibrojax.errors import InputError
 
 LARGEST = 512 * 2**20
 """Greatest size of a text file [bytes], a log of ten million rows or so."""
+
+
+def memory() -> float | None:
+    """Return the memory available to this process [bytes], or None if it is unknown."""
+    try:
+        total = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):
+        return None
+    try:  # a container may have less
+        return min(total, float(Path("/sys/fs/cgroup/memory.max").read_text()))
+    except (OSError, ValueError):
+        return total
 
 
 def new_file(path: Path) -> BinaryIO:

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.errors import InputError, Place
+from vibrojax.io.files import memory
 from vibrojax.io.formatting import size_text
 from vibrojax.lanes.compiler import lane_function
-from vibrojax.maps.costs import memory
 from vibrojax.measures.recorder import Features, Records
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes import HasFriction, Scene

@@ -11,13 +11,12 @@ from functools import reduce
 import numpy as np
 from jaxtyping import Bool, Int
 
-from vibrojax.lanes.batch import Batch, Engine
+from vibrojax.lanes.engine import Batch, Engine
+from vibrojax.lanes.inputs import Features, Index, PerLane
 from vibrojax.lanes.recurrence import (
     RECURRENCE_MAX_ORDER,
     Crossings,
-    Index,
     Numbers,
-    PerLane,
     PerLaneBool,
     PerLaneInt,
     Recurrence,
@@ -27,7 +26,7 @@ from vibrojax.lanes.recurrence import (
     future_sum,
     pick,
 )
-from vibrojax.lanes.underway import repeats_lately
+from vibrojax.lanes.settled import repeats_lately
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.repeats import (
     GROWTH,
@@ -56,8 +55,6 @@ GROWS, DECAYS = 1.0005, 0.999
 
 LANES_AT_ONCE = 1024
 """Number of lanes whose recurrences are fitted together. Their arrays fit into the cache."""
-
-Features = dict[str, np.ndarray]
 
 
 def drift(features: Features, section: Section, precision: str, tolerance: float) -> PerLane:
@@ -308,11 +305,13 @@ simulated seconds]. In such a sweep they take a second. In a large sweep of irre
 as long as everything else."""
 
 
-def sensitive(engine: Engine, start: Batch, features: Features, apart: Index) -> Int[np.ndarray, " lanes"]:
+def sensitive(
+    engine: Engine, start: Batch, features: Features, apart: Index, lanes_of_run: int
+) -> Int[np.ndarray, " lanes"]:
     """Return 1 for each lane whose attractor is determined by rounding error, else 0.
 
     `start`: the lanes at t = 0; `features`: features of the lanes and of their check run; `apart`: numbers of lanes
-    whose two runs become periodic at different times, see `ends_differ`.
+    whose two runs become periodic at different times, see `ends_differ`; `lanes_of_run`: see `LANE_SECONDS`.
     """
     period, cycles, settled = (np.asarray(features[name], float) for name in ("period", "cycles", "settling_time"))
     flags = ((cycles == 0) & (features["check_cycles"] > 0)).astype(int)
@@ -326,9 +325,9 @@ def sensitive(engine: Engine, start: Batch, features: Features, apart: Index) ->
         times = np.asarray(returns.seen.settled)[cycles[slow].astype(int) - 1, np.arange(len(slow))]
         flags[slow] = ~(np.abs(times - settled[slow]) < SAME_TIME * period[slow])
     # Lanes that have failed are labelled as such; up to their limit of steps they take longer than all others together.
-    run, irregular = engine.sweep.run, np.flatnonzero((cycles == 0) & features["finished"] & features["finite"])
+    run, irregular = engine.run, np.flatnonzero((cycles == 0) & features["finished"] & features["finite"])
     end = run.settle + run.observe
-    if engine.sweep.lanes * end <= LANE_SECONDS and len(irregular):
+    if lanes_of_run * end <= LANE_SECONDS and len(irregular):
         # Exclude lanes that have become periodic by the end of their observation.
         irregular = irregular[~_repeat(engine, start.of(irregular), end)]
         for changes in range(1, SECOND_RUNS + 1):
@@ -340,7 +339,7 @@ def sensitive(engine: Engine, start: Batch, features: Features, apart: Index) ->
 
 def _changed(engine: Engine, start: Batch, changes: int) -> Batch:
     """Return the lanes at t = 0 with all parameters perturbed by `changes` times the relative perturbation."""
-    change = max(CHANGE, ROUNDINGS * float(np.finfo(engine.sweep.run.precision).eps))
+    change = max(CHANGE, ROUNDINGS * float(np.finfo(engine.run.precision).eps))
     parameters = {name: (x * (1 + changes * change)).astype(x.dtype) for name, x in start.given.parameters.items()}
     return engine.begun(replace(start, given=start.given._replace(parameters=parameters)))
 

@@ -14,16 +14,16 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrojax.lanes.inputs import Index, PerLane
+
 RECURRENCE_MAX_ORDER = 3
 """A section with three states has three multipliers."""
 
 RECURRENCE_MAX_EQUATIONS = 12
 """Maximum number of differences in the fit, the newest. Earlier, the lane may be too far away for a linear map."""
 
-PerLane = Float[np.ndarray, " lanes"]
 PerLaneInt = Int[np.ndarray, " lanes"]
 PerLaneBool = Bool[np.ndarray, " lanes"]
-Index = Int[np.ndarray, " _"]
 Series = Float[np.ndarray, "_ lanes"]
 Numbers = Int[np.ndarray, "..."]
 SumsAndMean = tuple[Series, Series | None, PerLane]

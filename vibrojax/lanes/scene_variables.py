@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from vibrojax.compile.xla import precision
 from vibrojax.io.variables import VARIABLES, Variable
-from vibrojax.lanes.labelled import measured_besides, of_orbits, scales_of_orbits
+from vibrojax.lanes.labels import measured_besides, of_orbits, scales_of_orbits
 from vibrojax.measures import recorder_for
 from vibrojax.measures.derived import derived_names
 from vibrojax.measures.recorder import Effort, run_block

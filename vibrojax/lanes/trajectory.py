@@ -1,7 +1,5 @@
 """The dataset of a trajectory: sampled states and forces of one lane, and its events."""
 
-import json
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -10,17 +8,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.io.variables import Variable
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.dense_output import Record, accumulated
-from vibrojax.lanes.drift import drift
-from vibrojax.lanes.labelled import measured_besides, regime_variables, regimes, with_radius
-from vibrojax.maps.read import Point
-from vibrojax.measures.derived import derived
 from vibrojax.measures.section import lowest
 from vibrojax.physics.arrays import Array
-from vibrojax.physics.parameters import differing
 from vibrojax.scenes import Driven, HasContact, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.scenes.declared import Values
 
@@ -49,33 +41,6 @@ def window(scene: Scene[Any], duration: float) -> tuple[float, float]:
     return duration - observe, observe
 
 
-def labelled_features(
-    point: Point, features: dict[str, np.ndarray], tolerance: float
-) -> dict[str, tuple[tuple[()], np.ndarray, dict[str, Any]]]:
-    """Return the features (see `record`) as scalar variables of a motion's dataset, named as in a sweep.
-
-    `tolerance`: error tolerance of the steps.
-    """
-    scene = point.system
-    features = dict(features)
-    if scene.section is not None and "cycles" in features:
-        swing = scene.section.swings[0].amplitude
-        if {swing, "trend"} <= set(features):
-            values = {name: np.array([value]) for name, value in point.parameters.items()}
-            sound = {"finite": np.isfinite(features[swing]), "finished": np.array([True])}
-            features["regime"] = regimes(scene, values, features | sound)
-        features["drift_estimate"] = drift(features, scene.section, "float64", tolerance)
-    features |= derived(scene, features, point.hole_radius)
-    known = VARIABLES | regime_variables(scene) | measured_besides(scene) | with_radius(point.hole_radius)
-    numbers = {}
-    for name, variable in known.items():
-        if name in features and features[name].ndim == 1:
-            value = features[name][0]
-            value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value
-            numbers[name] = ((), np.asarray(value, variable.dtype), variable.attributes())
-    return numbers
-
-
 class SampledMotion(NamedTuple):
     """Sampled states and modes at `times` [s]."""
 
@@ -101,7 +66,7 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
         masks["slip"] = hits["friction"] & (next_slip != 0)
     if isinstance(scene, HasImpacts):
         modes, states = tuple(record.mode.T), tuple(record.after.T)
-        masks["impact"] = np.asarray(impact_begins(scene, _scalars(c), modes, states, hits))
+        masks["impact"] = np.asarray(impact_begins(scene, scalars(c), modes, states, hits))
     if isinstance(scene, HasContact):
         masks["release"] = hits["contact"] & (record.mode[:, scene.mode_place("touching")] != 0)
     if scene.section is not None:
@@ -142,8 +107,8 @@ def forces(scene: Scene[Any], c: Any, motion: SampledMotion, width: float | None
 
     Friction is the force of the springs on the bit minus the bit's mass times acceleration.
     """
-    values = _forces(scene, width is None, _scalars(c), tuple(motion.modes), tuple(motion.states), width or 0.0)
-    return {name: _along_time(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in values.items()}  # no -0.0
+    values = _forces(scene, width is None, scalars(c), tuple(motion.modes), tuple(motion.states), width or 0.0)
+    return {name: along_time(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in values.items()}  # no -0.0
 
 
 @lane_function(static=2)
@@ -173,7 +138,7 @@ def lowest_velocity(velocity: list[Array], tau: Array) -> Array:
     return lowest(velocity, tau)
 
 
-def _scalars(c: Any) -> Any:
+def scalars(c: Any) -> Any:
     """Return the constants of one lane as scalars, which apply to all samples."""
     return jax.tree.map(lambda x: np.asarray(x).reshape(()), c)
 
@@ -194,45 +159,14 @@ def states_shown(
         x3 = x4 + motion.states[scene.place("compression")]
     for state, values in zip(scene.states, motion.states, strict=True):
         if state.shown:
-            variables[state.name] = _along_time(values + state.offset, state.unit, state.long_name)
+            variables[state.name] = along_time(values + state.offset, state.unit, state.long_name)
         elif state.name == "compression" and x3 is not None:
-            variables["x3"] = _along_time(x3, "m", "normal position of the bit")
+            variables["x3"] = along_time(x3, "m", "normal position of the bit")
         elif state.name == "growth" and x4 is not None:
-            variables["x4"] = _along_time(x4, "m", "depth of the hole")
+            variables["x4"] = along_time(x4, "m", "depth of the hole")
     return variables
 
 
-def _along_time(values: Any, unit: str, long_name: str, flags: tuple[str, ...] = ()) -> xr.Variable:
+def along_time(values: Any, unit: str, long_name: str, flags: tuple[str, ...] = ()) -> xr.Variable:
+    """Return values at the sampled times as a variable of a trajectory's dataset."""
     return xr.Variable("time", np.asarray(values), Variable(unit, long_name, flags=flags).attributes())
-
-
-def trajectory_dataset(
-    point: Point,
-    scene: Scene[Any],
-    motion: SampledMotion,
-    along_time: Mapping[str, xr.Variable],
-    event_list: Events | None,
-    solver: Mapping[str, object],
-) -> xr.Dataset:
-    """Return the dataset of a trajectory, with variables along `time` and along `event`."""
-    variables = dict(along_time)
-    if isinstance(scene, HasFriction):
-        stuck = (motion.modes[scene.mode_place("slip")] == 0).astype(np.int8)
-        variables["stuck"] = _along_time(stuck, "1", "whether the bit sticks to the rock", ("slides", "sticks"))
-    if event_list is not None:
-        about = Variable("s", "time of the event"), Variable("1", "what happened", flags=KINDS)
-        variables["event_time"], variables["event_kind"] = (
-            xr.Variable("event", x, of_events.attributes()) for x, of_events in zip(event_list, about, strict=True)
-        )
-    start = point.start
-    written = {} if start is None else {"start": start if isinstance(start, str) else json.dumps(list(start))}
-    attributes = {
-        **dataset_attributes("trajectory", f"{point.scene}: trajectory", f"simulate {point.scene}", scene=point.scene),
-        "parameters": json.dumps(point.parameters),
-        "differing": json.dumps(differing(point.system.parameters(), point.parameters)),
-        **point.options,
-        **written,
-        "solver": json.dumps(solver),
-    }
-    times = {"time": ("time", motion.times, {"units": "s", "long_name": "time"})}
-    return xr.Dataset(variables, times, attributes)

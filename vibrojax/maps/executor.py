@@ -4,17 +4,19 @@ import pickle
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
-from functools import lru_cache
+from functools import lru_cache, partial
 from threading import Lock
 from typing import Any, Protocol, runtime_checkable
 
-from vibrojax.compile.xla import usable_cores
+from vibrojax.compile.xla import usable_cores, with_threads
 from vibrojax.errors import InputError, Place
-from vibrojax.lanes.batch import Features
+from vibrojax.lanes.inputs import Features, Report, unreported
+from vibrojax.lanes.run import LaneRun
+from vibrojax.maps.dataset import SECONDS, stored
 from vibrojax.maps.sweep import Sweep
-from vibrojax.maps.work import SECONDS, Work
+from vibrojax.periodic.lane_stages import lane_run
 from vibrojax.progress import LOG
 
 AHEAD = 256
@@ -26,10 +28,10 @@ QUEUED = 2
 FUTURE_POLL_SECONDS = 0.2
 """Interval [s] between two checks of futures other than `concurrent.futures.Future`."""
 
-Store = Callable[[int, Features], None]
-"""Function that receives a chunk's index and its features."""
+Save = Callable[[int, Features], None]
+"""Function that receives a chunk's index and its arrays."""
 
-_WORK_LOCK = Lock()
+_COMPILING = Lock()
 
 
 @runtime_checkable
@@ -55,8 +57,8 @@ def check_executor(executor: object) -> None:
         )
 
 
-def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], store: Store) -> None:
-    """Compute the chunks of a sweep in this order, and `store` each one, in this thread, as soon as it is finished.
+def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], save: Save) -> None:
+    """Compute the chunks of a sweep in this order, and `save` each one, in this thread, as soon as it is finished.
 
     If a worker raises, this process computes its chunk. If the executor breaks down (a process of Python's own pool
     died, or the scheduler is gone), this process computes all remaining chunks. Each task contains all data for
@@ -92,7 +94,7 @@ def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], store: S
             for future in _done(list(running)):
                 index = running.pop(future)
                 try:
-                    features = future.result()
+                    arrays = future.result()
                 except InputError:
                     raise
                 except Exception as error:
@@ -102,31 +104,43 @@ def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], store: S
                         _warn(f"chunk {index} failed with a worker ({_first_line(error)}); computed here")
                     local.append(index)
                 else:
-                    busy += float(features[SECONDS])
-                    store(index, features)
+                    busy += float(arrays[SECONDS])
+                    save(index, arrays)
     finally:
         for future in running:
             future.cancel()
     LOG.info("workers: %.1f s busy in %.1f s", busy, time.monotonic() - began)
-    if local:
-        work = Work(sweep)
-        for index in local:
-            store(index, work.compute(index))
+    for index, arrays in compute(sweep, lane_run(sweep.inputs(0, 1), sweep.plan), local):
+        save(index, arrays)
+
+
+def compute(
+    sweep: Sweep, run: LaneRun, indices: Sequence[int], report: Report = unreported
+) -> Iterator[tuple[int, Features]]:
+    """Compute chunks in this process, and yield (index, arrays to store) as soon as each is finished, in any order."""
+    # Chunks that are computed at the same time share the cores.
+    at_once = max(min(len(run.engine.workers), len(indices)), 1)
+    parts = [partial(sweep.inputs, *sweep.chunk(index)) for index in indices]
+    for place, result, seconds in run.chunks(parts, report):
+        yield indices[place], stored(result, seconds / at_once)
 
 
 def compute_chunk(task: bytes, index: int, threads: int | None) -> Features:
-    """Compute a chunk's features in a worker; `task`: the pickled sweep."""
-    with _WORK_LOCK:
-        work = _compiled(task, threads)
-    return work.compute(index)
+    """Compute a chunk in a worker; `task`: the pickled sweep."""
+    with with_threads(threads):
+        with _COMPILING:
+            sweep, run = _compiled(task, threads)
+        return next(compute(sweep, run, [index]))[1]
 
 
 @lru_cache(maxsize=2)
-def _compiled(task: bytes, threads: int | None) -> Work:
-    """Return the `Work` of a sweep, which is compiled once per worker."""
-    work = Work(pickle.loads(task), threads)
-    work.chunks.compile()
-    return work
+def _compiled(task: bytes, threads: int | None) -> tuple[Sweep, LaneRun]:
+    """Return a sweep and its run on so many `threads`, whose programs are compiled once per worker."""
+    sweep: Sweep = pickle.loads(task)
+    inputs = sweep.inputs(*sweep.chunk(0))
+    run = lane_run(inputs, sweep.plan)
+    run.compile(inputs)
+    return sweep, run
 
 
 def pickled(sweep: Sweep) -> bytes:

@@ -1,4 +1,4 @@
-"""Analyses of the lanes of a sweep and their periodic orbits."""
+"""Periodic orbits of a sweep's lanes, and sweeps of datasets that are run again."""
 
 import json
 import tomllib
@@ -14,53 +14,13 @@ from vibrojax.errors import InputError
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.io.manifest import IDENTITY, changes, identity_text
-from vibrojax.maps.costs import estimated_steps
+from vibrojax.maps.cost import estimated_steps
 from vibrojax.maps.edited import POINTS, at_coordinates, check_dimensions, points_at, with_numbered_starts
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep
-from vibrojax.maps.work import Work
 from vibrojax.settings.code_identity import is_code
 from vibrojax.settings.values import UnusualValue
-from vibrojax.studies.analysis import Analysis, Source
-
-
-class SweepAnalysis(Analysis):
-    """An analysis of the lanes of a sweep and their periodic orbits.
-
-    A subclass provides `kind` and `of_lanes`. It overrides `sweep` to restrict the accepted sweeps, and `identity` if
-    the result depends on settings. If the analysis is run as a command, the finished chunks of the sweep are kept until
-    the result is written.
-
-    **Example:** the fraction of lanes that settle on a stable orbit
-
-    >>> class StableShare(vj.SweepAnalysis):
-    ...     kind = "stable-share"
-    ...     def of_lanes(self, sweep, lanes, progress=True):
-    ...         return self.dataset({"share": ((), float((lanes.stable == 1).mean()))}, {}, title=sweep.title)
-    >>> point = {"beta": 0.4, "gamma": 0.75, "delta": 0.005}
-    >>> sweep = {"scene": "vibro-impact", "parameters": point, "starts": ["stuck"]}
-    >>> vj.analyse(sweep, StableShare(), progress=False).share.item()
-    1.0
-    """
-
-    def sweep(self, source: Source) -> Sweep:
-        """Return the sweep of `source` with `orbits = true`; raise `InputError` if it cannot be analysed."""
-        return sweep_with_orbits(source)
-
-    def identity(self, sweep: Sweep) -> dict[str, object]:
-        """Return the settings on which the result depends in addition to the sweep, as flat JSON values."""
-        return {self.kind: True}
-
-    def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
-        """Return the result; `lanes`: dataset of the sweep with orbits."""
-        raise NotImplementedError(f"{type(self).__name__}.of_lanes")
-
-    def run(self, source: Source, progress: bool = True) -> xr.Dataset:
-        """Return the dataset of the analysis; unless `source` is a dataset with orbits, its sweep is run first."""
-        sweep = self.sweep(source)
-        return self.of_lanes(sweep, orbits(source if isinstance(source, xr.Dataset) else sweep, progress), progress)
-
 
 RERUN_LANE_MAX_STEPS = 2e6
 """Estimated steps of a lane above which a dataset's sweep is not run again; a dataset may come from any source. The
@@ -197,7 +157,7 @@ def rerun_problem(sweep: Sweep, most_steps: float = RERUN_MAX_STEPS) -> str:
 
     **Arguments:** `most_steps`: limit on the estimated steps of all lanes.
     """
-    steps = estimated_steps(Work(sweep).chunks)
+    steps = estimated_steps(sweep)
     if steps.slowest <= RERUN_LANE_MAX_STEPS and steps.total <= most_steps:
         return ""
     return f"{sweep.lanes} lanes of up to {steps.slowest:.3g} steps, more than is run for a dataset"

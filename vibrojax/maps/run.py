@@ -1,41 +1,34 @@
 """Run a sweep: in memory, or to a file without ever losing a finished chunk.
 
-A sweep file is read and checked (`maps.read`). Its lanes are computed in chunks (`lanes`) by compiled
-programs, which step the scene and measure its motion inside the time loop. `lanes.labelled` turns the resulting
-features into labels and a dataset. `io` writes the dataset completely or not at all, and keeps the finished chunks
-until then.
+A sweep file is read and checked (`maps.read`). Its lanes are computed and labelled in chunks (`lanes.run`) by compiled
+programs, which step the scene and measure its motion inside the time loop. `maps.dataset` makes a dataset of the
+chunks. `io` writes the dataset completely or not at all, and `maps.store` keeps the finished chunks until then.
 """
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from math import ceil
 from os import PathLike
 from pathlib import Path
 
 import xarray as xr
 
-from vibrojax.io.dataset import COMPRESSED, open_dataset
+from vibrojax.io.dataset import open_dataset
 from vibrojax.io.manifest import check_replaceable
 from vibrojax.io.ownership import check_ours
 from vibrojax.io.provenance import provenance
 from vibrojax.io.targets import InMemory, Target, file_target
-from vibrojax.lanes.batch import Features
-from vibrojax.lanes.chunks import Chunks
-from vibrojax.maps.costs import PACKED, Cost, check_size, lane_bytes, processor_time
-from vibrojax.maps.executor import Executor, Store, by_executor, check_executor
-from vibrojax.maps.joining import REGION, WallTime, join
+from vibrojax.lanes.inputs import Features, Report
+from vibrojax.lanes.run import LaneRun
+from vibrojax.maps.cost import check_size
+from vibrojax.maps.dataset import WallTime, join
+from vibrojax.maps.executor import Executor, Save, by_executor, check_executor, compute
 from vibrojax.maps.read import read_sweep
-from vibrojax.maps.shards import CHUNKS, DamagedShard, Shards, report_damage
+from vibrojax.maps.store import CHUNKS, DamagedChunk, Store, report_damage
 from vibrojax.maps.sweep import Sweep
-from vibrojax.maps.work import MeasuredCosts, Work, by_cost
+from vibrojax.periodic.lane_stages import lane_run
 from vibrojax.progress import Progress, timed
-
-MEMORY = 450e6
-"""Memory [bytes] that a process needs for imported and compiled code."""
-
-HOUR = 3600.0
 
 
 def run_sweep(
@@ -68,14 +61,19 @@ def run_sweep(
     {'drive': 0.21, 'stuck': 2.24}
     """
     sweep = source if isinstance(source, Sweep) else read_sweep(source)
-    check_size(sweep, estimate(sweep))
-    began = time.monotonic()
-    work = Work(sweep)
-    parts: dict[int, Features] = {}
+    check_size(sweep)
     with Progress(sweep.lanes, "lanes", progress) as bar:
-        _compute(sweep, work, range(work.chunks.count), parts.__setitem__, bar, executor)
+        return in_memory(sweep, bar.add, executor)
+
+
+def in_memory(sweep: Sweep, report: Report, executor: Executor | None = None) -> xr.Dataset:
+    """Run a sweep and return its dataset. `report` is called with the number of lanes finished since its last call."""
+    began = time.monotonic()
+    run = lane_run(sweep.inputs(0, 1), sweep.plan)
+    parts: dict[int, Features] = {}
+    _compute(sweep, run, range(sweep.chunks), parts.__setitem__, report, executor)
     target = InMemory()
-    join(sweep, work.chunks, parts.pop, target, lambda _: time.monotonic() - began)
+    join(sweep, run, parts.pop, target, lambda _: time.monotonic() - began)
     return target.dataset
 
 
@@ -100,7 +98,7 @@ def run_to_file(
     if resume:
         check_replaceable(out, sweep.identity())
     check_ours(out)
-    check_size(sweep, estimate(sweep, to_file=True), out)
+    check_size(sweep, out, to_file=True)
     with (
         _computed(sweep, out, resume, progress, executor) as write,
         timed("write"),
@@ -119,7 +117,7 @@ def lanes_beside(sweep: Sweep, out: Path, resume: bool = True, progress: bool = 
 
     **Raises:** `InputError` if the existing chunks belong to another sweep, or if memory or disk are too small.
     """
-    check_size(sweep, estimate(sweep), out)
+    check_size(sweep, out)
     target = InMemory()
     with _computed(sweep, out, resume, progress) as write:
         write(target)
@@ -139,86 +137,51 @@ def _computed(
     The chunks are deleted when the block ends without an error.
     """
     began = time.monotonic()
-    work = Work(sweep)
-    with _shards(sweep, work.chunks, out) as shards:
+    run = lane_run(sweep.inputs(0, 1), sweep.plan)
+    manifest = sweep.identity() | provenance() | {"chunk size": sweep.plan.chunk}
+    with Store(out.with_name(out.name + CHUNKS), manifest) as store:
         with Progress(sweep.lanes, "lanes", progress) as bar:
-            shards.open(resume)
-            finished = shards.finished()
-            bar.resume(sum(map(work.chunks.width, finished)))
-            missing = sorted(set(range(work.chunks.count)) - finished)
-            _compute(sweep, work, missing, shards.write, bar, executor)
+            store.open(resume)
+            finished = store.finished()
+            bar.resume(sum(_width(sweep, index) for index in finished))
+            missing = sorted(set(range(sweep.chunks)) - finished)
+            _compute(sweep, run, missing, store.write, bar.add, executor)
         # The wall time includes interrupted runs, but not the time between runs.
-        yield partial(_write, sweep, work, shards, wall_time=lambda seconds: max(seconds, time.monotonic() - began))
-        shards.remove()
+        yield partial(_write, sweep, run, store, wall_time=lambda seconds: max(seconds, time.monotonic() - began))
+        store.remove()
 
 
-def _shards(sweep: Sweep, chunks: Chunks, out: Path) -> Shards:
-    manifest = sweep.identity() | provenance() | {"chunk size": chunks.size}
-    return Shards(out.with_name(out.name + CHUNKS), manifest)
-
-
-def _write(sweep: Sweep, work: Work, shards: Shards, target: Target, wall_time: WallTime) -> None:
+def _write(sweep: Sweep, run: LaneRun, store: Store, target: Target, wall_time: WallTime) -> None:
     """Write the dataset from the finished chunks; recompute a chunk whose file has been damaged."""
 
     def read(index: int) -> Features:
         try:
-            return shards.read(index)
-        except DamagedShard as damage:
+            return store.read(index)
+        except DamagedChunk as damage:
             report_damage(damage)
-            return work.compute(index)
+            return next(compute(sweep, run, [index]))[1]
 
-    join(sweep, work.chunks, read, target, wall_time)
+    join(sweep, run, read, target, wall_time)
 
 
 def _compute(
-    sweep: Sweep, work: Work, indices: Sequence[int], store: Store, bar: Progress, executor: Executor | None
+    sweep: Sweep, run: LaneRun, indices: Sequence[int], save: Save, report: Report, executor: Executor | None
 ) -> None:
-    """Compute the chunks with these indices, and store each one as soon as it is finished."""
+    """Compute the chunks with these indices, and save each one as soon as it is finished."""
     with timed("compile and step"):
         if executor is None:
-            for index, features in work.compute_each(indices, bar.add):
-                store(index, features)
+            for index, arrays in compute(sweep, run, indices, report):
+                save(index, arrays)
             return
         check_executor(executor)
 
-        def store_and_report(index: int, features: Features) -> None:
-            store(index, features)
-            bar.add(work.chunks.width(index))
+        def save_and_report(index: int, arrays: Features) -> None:
+            save(index, arrays)
+            report(_width(sweep, index))
 
-        by_executor(sweep, executor, by_cost(work.chunks, indices), store_and_report)
+        by_executor(sweep, executor, indices, save_and_report)
 
 
-def estimate(sweep: Sweep, to_file: bool = False, measured: MeasuredCosts | None = None) -> Cost:
-    """Estimate the cost of a sweep before running it; the time is rough (see [vibrojax.maps.costs][]).
-
-    **Arguments:**
-
-    - `to_file`: whether finished chunks are stored on the disk, as in `run_to_file`, or in memory.
-    - `measured`: measured costs of some lanes of the sweep, see [vibrojax.maps.work][], for a
-      better estimate.
-    """
-    chunks = Work(sweep).chunks
-    in_chunk, in_file = map(float, lane_bytes(sweep))
-    packed = PACKED if sweep.lanes > COMPRESSED else 1.0
-    processor, cores = processor_time(chunks), len(chunks.engine.workers)
-    if measured is not None:
-        in_chunk, in_file = measured.chunk_bytes, measured.file_bytes
-        processor = processor._replace(compile=measured.compile_s, step=measured.lane_s * sweep.lanes)
-    elapsed = processor._replace(step=processor.step / cores)
-    before = elapsed.start + elapsed.compile
-    # The time loop holds some 500 numbers per lane. The array regions of `join` hold features, variables, and
-    # variables being written.
-    memory = MEMORY + min(cores, chunks.count) * chunks.size * 8 * 500
-    memory += 3 * min(REGION, sweep.lanes) * (in_chunk + in_file) if to_file else sweep.lanes * (in_chunk + in_file)
-    return Cost(
-        lanes=sweep.lanes,
-        chunks=chunks.count,
-        memory_bytes=memory,
-        disk_bytes=ceil(sweep.lanes * (in_chunk + packed * in_file)),
-        file_bytes=ceil(sweep.lanes * packed * in_file),
-        hour_workers=ceil(min(chunks.count, processor.step / (HOUR - before))) if before < HOUR else 0,
-        time_s=sum(elapsed),
-        compile_s=before,
-        step_s=elapsed.step,
-        processor_s=sum(processor),
-    )
+def _width(sweep: Sweep, index: int) -> int:
+    first, end = sweep.chunk(index)
+    return end - first

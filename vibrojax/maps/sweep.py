@@ -2,14 +2,17 @@
 
 import hashlib
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import pi, prod
 from typing import Any
 
 import numpy as np
 
+from vibrojax.lanes.inputs import LaneInputs, Plan
 from vibrojax.maps.starts import Starts
 from vibrojax.measures.derived import HOLE_RADIUS
+from vibrojax.periodic.lane_stages import plan_of
 from vibrojax.physics.parameters import REPLACED, substitutes
 from vibrojax.scenes import HasRock, Scene
 from vibrojax.settings.code_identity import code_identity
@@ -17,6 +20,9 @@ from vibrojax.settings.run_settings import RunSettings
 
 DIRECTIONS = ("up", "down")
 """Directions of a continuation along an axis, in which each lane begins in the final state of the previous lane."""
+
+CARRIED_MIN_ROWS = 64
+"""Minimum number of rows per chunk. Rows run in parallel, and fewer would leave blocks of lanes partly empty."""
 
 _MAX_LISTED = 8
 """Maximum length of a column whose values are listed in the identity. Longer columns are represented by a checksum."""
@@ -132,29 +138,57 @@ class Sweep:
         varies = "bit_radius" in (self.points or self.axes)
         return None if varies else self.given.get("bit_radius", HOLE_RADIUS)
 
-    def hole_radii(self, first: int, end: int) -> float | np.ndarray:
-        """Return the radius of the hole [m]: one value, or that of each lane from `first` to `end`."""
-        radius = self.hole_radius
-        if radius is not None:
-            return radius
-        places = np.unravel_index(np.arange(first, end), self._sizes(self.counted))
-        name = "point" if self.points is not None else "bit_radius"
-        return (self.points or self.axes)["bit_radius"][places[self.counted.index(name)]]
-
-    def lane_starts(self, first: int, end: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-        """Return the initial conditions of the lanes from `first` (inclusive) to `end` (exclusive).
-
-        **Returns:** indices into `start_names`, and initial states, arrays (end - first,). For an initial condition
-        without a name, the index is the number of names and the states apply. The states are empty if all initial
-        conditions have names.
-        """
-        start = self.lane_values(first, end)[1]
+    def inputs_of(self, numbers: np.ndarray) -> LaneInputs:
+        """Return the lanes with these numbers (lanes,) as independent lanes."""
+        values, start = self.values_of(numbers)
+        states: tuple[np.ndarray, ...] = ()
         if self.point_vectors is not None:
-            return start, tuple(column[first:end] for column in self.point_vectors.values())
-        if self.starts is None or not self.starts.has_vectors:
-            return start, ()
-        # The states of a named initial condition are not used.
-        return self.starts.number[start], tuple(np.nan_to_num(self.starts.vectors[start]).T)
+            states = tuple(column[numbers] for column in self.point_vectors.values())
+        elif self.starts is not None and self.starts.has_vectors:
+            # The states of a named initial condition are not used.
+            states = tuple(np.nan_to_num(self.starts.vectors[start]).T)
+            start = self.starts.number[start]
+        radius: float | np.ndarray | None = self.hole_radius
+        if radius is None:
+            places = np.unravel_index(numbers, self._sizes(self.counted))
+            name = "point" if self.points is not None else "bit_radius"
+            radius = (self.points or self.axes)["bit_radius"][places[self.counted.index(name)]]
+        return LaneInputs(self.system, self.run, values, start, self.start_names, states, radius)
+
+    def inputs(self, first: int = 0, end: int | None = None) -> LaneInputs:
+        """Return the lanes from `first` to `end` (exclusive), by default all; with `carry`, give complete rows."""
+        lanes = np.arange(first, self.lanes if end is None else end)
+        if self.run.carry is None:
+            return self.inputs_of(lanes)
+        row = len(self.axes[self.run.carry])
+        upwards = lanes[::row] // row % len(DIRECTIONS) == DIRECTIONS.index("up")
+        return replace(self.inputs_of(lanes), row=row, upwards=upwards)
+
+    @cached_property
+    def plan(self) -> Plan:
+        """Facts of the whole run, which every chunk needs. With `carry`, chunks consist of complete rows."""
+        starts = 1.0
+        if self.crosses_starts:
+            starts = float(self.shape[-1])
+        elif self.point_vectors is not None:  # points listed with their initial conditions: the average
+            columns = [column.tolist() for column in (self.points or {}).values()]
+            starts = self.lanes / max(len(set(zip(*columns, strict=True))), 1)
+        plan = plan_of(self.system, self.run, self.lanes, starts)
+        if self.run.carry is None:
+            return plan
+        row = len(self.axes[self.run.carry])
+        size = self.run.chunk or max(plan.chunk, CARRIED_MIN_ROWS * row)
+        return replace(plan, chunk=max(size // row, 1) * row)
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks in which the lanes are computed."""
+        return -(-self.lanes // self.plan.chunk)
+
+    def chunk(self, index: int) -> tuple[int, int]:
+        """Return the first lane of a chunk, and the end of its lanes."""
+        size = self.plan.chunk
+        return index * size, min((index + 1) * size, self.lanes)
 
     def identity(self) -> dict[str, object]:
         """Return everything that determines the results as flat JSON values, equal for sweeps with the same lanes.

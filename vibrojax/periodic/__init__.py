@@ -2,7 +2,3 @@
 
 A lane is one trajectory of a batch.
 """
-
-from vibrojax.periodic.early_stopping import early_stopping_of as early_stopping_of
-from vibrojax.periodic.lane_orbits import Orbits as Orbits
-from vibrojax.periodic.nearby import Nearby as Nearby

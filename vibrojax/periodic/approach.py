@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vibrojax.lanes.batch import Index
+from vibrojax.lanes.inputs import Index
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.repeats import SETTLED_WITHIN
 from vibrojax.measures.section import Settling

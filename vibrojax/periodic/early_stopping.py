@@ -12,17 +12,16 @@ lanes, so that results depend on the sweep alone.
 
 from collections.abc import Iterator
 from copy import copy
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool
 
-from vibrojax.lanes.batch import Batch, Features, Index, PerLane
-from vibrojax.lanes.chunks import certified
-from vibrojax.lanes.underway import EarlyStopping, Ended
-from vibrojax.maps.sweep import Sweep
+from vibrojax.lanes.certificate import certified
+from vibrojax.lanes.engine import Batch
+from vibrojax.lanes.inputs import Features, Index, Mask, PerLane
+from vibrojax.lanes.settled import Ended
 from vibrojax.measures import since_start
 from vibrojax.periodic.approach import (
     DISTINCT_STATES,
@@ -36,20 +35,9 @@ from vibrojax.periodic.approach import (
 from vibrojax.periodic.margin import Measuring, begun
 from vibrojax.periodic.newton import PeriodicOrbits, orbits, repeats_after
 from vibrojax.periodic.return_map import STEPS, Segments
+from vibrojax.scenes import Scene
+from vibrojax.settings.run_settings import RunSettings
 from vibrojax.stepping import Located
-
-EARLY_END_MIN_SECONDS = 5e6
-"""Simulated seconds, summed over all lanes, below which compiling the return map takes longer than it saves.
-Compilation takes 2 s of processor time. Early stopping saves 1.4 s per million simulated seconds over the parameter
-region of the source. It saves only 0.4 s over the default map, where more lanes are irregular and most others settle
-soon."""
-
-SHARING_MIN_STARTS = 16
-"""Smallest number of initial conditions per parameter point for which the lanes of a point share orbits."""
-
-SHARING_MIN_SECONDS = 1.5e6
-"""As `EARLY_END_MIN_SECONDS`, for shared orbits. There is no minimum for a sweep with `orbits`, which compiles the
-return map anyway."""
 
 EARLY_REPEATS = (1, 2, 3)
 """Section crossings per period of the orbits that are searched. The last eight crossings cover several periods of such
@@ -80,23 +68,6 @@ ERROR_SHARE, MIN_ERROR_SHARE = 0.25, 0.04
 tolerance. Only one period of the motion adds to the error, because the initial state is nearly exact."""
 
 
-def early_stopping_of(sweep: Sweep) -> EarlyStopping | None:
-    """Return an object that finds lanes that can stop early, or None if this is impossible or saves no time."""
-    run, scene = sweep.run, sweep.system.driving_part()
-    if not isinstance(run.stepper, Located) or scene.section is None:
-        return None
-    seconds = sweep.lanes * (run.settle + run.observe)
-    starts = 1.0
-    if sweep.crosses_starts:
-        starts = float(sweep.shape[-1])
-    elif sweep.point_vectors is not None:  # points listed with their initial conditions: the average
-        columns = [column.tolist() for column in (sweep.points or {}).values()]
-        starts = sweep.lanes / max(len(set(zip(*columns, strict=True))), 1)
-    if starts >= SHARING_MIN_STARTS:
-        return EarlyEnds(sweep, shared=True) if run.orbits or seconds >= SHARING_MIN_SECONDS else None
-    return EarlyEnds(sweep) if seconds >= EARLY_END_MIN_SECONDS else None
-
-
 class OnOrbits(NamedTuple):
     """Lanes (by index) that will be on orbits, with these orbits and their certified features.
 
@@ -118,34 +89,34 @@ class OnOrbits(NamedTuple):
 
 
 class EarlyEnds:
-    """Search for lanes of a sweep that can stop early.
+    """Rule that ends lanes that will be on a stable orbit when they are observed.
 
     Newton's method is run for every such lane, or, with `shared` orbits, for a few lanes of each parameter point.
     """
 
-    def __init__(self, sweep: Sweep, shared: bool = False) -> None:
+    def __init__(self, scene: Scene[Any], run: RunSettings, start_names: tuple[str, ...], shared: bool = False) -> None:
         self.shared = shared
-        self._run, self._accuracy = sweep.run, sweep.run.accuracy(sweep.system)
-        self._scene = sweep.system.driving_part()
+        self._run, self._accuracy = run, run.accuracy(scene)
+        self._scene = scene.driving_part()
         finer = max(MAP_TOLERANCE * self._accuracy.tolerance, STEPS.tolerance)
         self._map = Segments(self._scene, steps=STEPS._replace(tolerance=finer))
-        self._measure = Measuring(sweep)
+        self._measure = Measuring(scene, run, start_names)
         tolerance = min(self._accuracy.tolerance, MEASURE_MAX_TOLERANCE)
         self._measure_accuracy = self._accuracy._replace(tolerance=tolerance)
         self._pools: dict[int, OnOrbits] = {}  # known orbits; keys: section crossings per period
         self._numbers: dict[bytes, int] = {}  # numbers of points; keys: their parameter values
 
-    def of_chunk(self) -> "EarlyEnds":
+    def for_chunk(self) -> "EarlyEnds":
         """Return a copy without known orbits."""
         chunk = copy(self)
         chunk._pools, chunk._numbers = {}, {}
         return chunk
 
-    def near(self, batch: Batch) -> Bool[np.ndarray, " lanes"]:
+    def near(self, batch: Batch) -> Mask:
         """Return a mask of the lanes that seem to converge to an orbit: only these are passed to Newton's method."""
         return np.any([self._approaches(batch, repeat) for repeat in EARLY_REPEATS], axis=0)
 
-    def __call__(self, batch: Batch) -> list[Ended]:
+    def ended(self, batch: Batch) -> list[Ended]:
         """Return the lanes of the `batch` that can stop early; the shortest periods are tried first."""
         assert batch.underway is not None
         free = np.ones(len(batch.begin), bool)
@@ -162,7 +133,7 @@ class EarlyEnds:
                             ended.append(self._ended(orbits.features, batch.of(lanes)))
         return ended
 
-    def _approaches(self, batch: Batch, repeat: int) -> Bool[np.ndarray, " lanes"]:
+    def _approaches(self, batch: Batch, repeat: int) -> Mask:
         assert batch.underway is not None
         now = np.asarray(batch.underway.lane.clock.high)
         with np.errstate(all="ignore"):
@@ -232,7 +203,7 @@ class EarlyEnds:
         orbit = orbit.of(lanes)
         return self._measured(lanes, orbit, step[lanes] ** 2 / orbit.margin, batch.of(lanes))
 
-    def _will_be_there(self, near: Approach, orbit: PeriodicOrbits, batch: Batch) -> Bool[np.ndarray, " lanes"]:
+    def _will_be_there(self, near: Approach, orbit: PeriodicOrbits, batch: Batch) -> Mask:
         """Return a mask of lanes in the linear range of their `orbit` that will be on it when they are observed."""
         assert batch.underway is not None
         repeats = np.floor((self._run.settle - batch.underway.lane.clock.high) / orbit.times.sum(axis=1))

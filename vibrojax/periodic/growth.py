@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.compile.xla import precision, workers
-from vibrojax.lanes.batch import PerLane
 from vibrojax.lanes.compiler import lane_function
-from vibrojax.lanes.parallel import in_parallel
+from vibrojax.lanes.inputs import PerLane
+from vibrojax.lanes.threads import in_parallel
 from vibrojax.measures.repeats import REPEATS_WITHIN
 from vibrojax.periodic.return_map import MOST_STEPS, at_section, passed
 from vibrojax.physics.arrays import Array, Flags, Lanes

@@ -9,7 +9,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, orbit_name
-from vibrojax.lanes.batch import Index
+from vibrojax.lanes.inputs import Index
 from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.since_start import half_names, scale_names, stored_scales
 from vibrojax.periodic.return_map import Segments

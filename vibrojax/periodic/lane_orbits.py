@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from vibrojax.io.variables import ORBIT_REASONS, orbit_name
-from vibrojax.lanes.batch import Features, Index
-from vibrojax.maps.sweep import Sweep
+from vibrojax.lanes.inputs import Features, Index, LaneInputs
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.repeats import REPEATS_WITHIN, TIME, state_name
 from vibrojax.measures.since_start import half_names, scale_names, stored_scales
@@ -25,6 +24,7 @@ from vibrojax.periodic.newton import (
 )
 from vibrojax.periodic.return_map import STEPS, ReturnMap, Segments
 from vibrojax.scenes import Scene
+from vibrojax.settings.run_settings import RunSettings
 
 OWN_ORBIT_MIN, OWN_ORBIT_MAX = 1e-2, 0.5
 """Bounds of the scaled distance within which an orbit is attributed to a lane."""
@@ -51,12 +51,13 @@ def reason(name: str) -> int:
 
 
 class Orbits:
-    """Search for the orbits of lanes with periodic motion, one chunk of lanes at a time."""
+    """Search for the orbits of lanes with periodic motion, one chunk of lanes at a time: a stage of a run."""
 
-    def __init__(self, sweep: Sweep) -> None:
-        self._sweep = sweep
-        self._scene = sweep.system.driving_part()
-        self._measure = Measuring(sweep)
+    attribute = "orbits"
+
+    def __init__(self, scene: Scene[Any], run: RunSettings, start_names: tuple[str, ...]) -> None:
+        self._scene = scene.driving_part()
+        self._measure = Measuring(scene, run, start_names)
         self._map = Segments(self._scene)
 
     @property
@@ -70,12 +71,12 @@ class Orbits:
             "grazing_margin": HOW,
         }
 
-    def __call__(self, first: int, end: int, features: Features) -> Features:
-        """Return the orbit variables of lanes `first` (inclusive) to `end` (exclusive), and the features of the orbits.
+    def __call__(self, inputs: LaneInputs, features: Features) -> Features:
+        """Return the orbit variables of lanes, and the features of the orbits.
 
         `features`: features of these lanes, including their last section crossings (lanes, returns); not modified.
         """
-        lanes, rows = end - first, len(self._scene.return_states)
+        lanes, rows = len(inputs), len(self._scene.return_states)
         result: Features = {
             "multiplier_abs": np.full((lanes, rows), np.nan),
             "multiplier_arg": np.full((lanes, rows), np.nan),
@@ -89,8 +90,7 @@ class Orbits:
             "error_estimate": features["error_estimate"].copy(),
         }
         result |= {name: features[name].copy() for name in ("drift_estimate",) if name in features}
-        parameters, _ = self._sweep.lane_values(first, end)
-        parameters = {name: parameters[name] for name in self._scene.parameters()}
+        parameters = inputs.driving_parameters
         parts: list[Begun] = []
         with np.errstate(all="ignore"):
             if self._scene.section is None:
@@ -101,7 +101,7 @@ class Orbits:
                 subset = np.flatnonzero(sound & (cycles == repeat))
                 if len(subset):
                     parts.append(self._find(subset, repeat, parameters, features, result))
-            return result | (self._measured(first, end, joined(parts), features, result) if parts else {})
+            return result | (self._measured(inputs, joined(parts), features, result) if parts else {})
 
     def _find(
         self, lanes: Index, repeat: int, parameters: dict[str, np.ndarray], features: Features, result: Features
@@ -155,13 +155,13 @@ class Orbits:
         for name in ("multiplier_abs", "multiplier_arg", "grazing_margin", *states):
             result[name][lanes] = np.nan
 
-    def _measured(self, first: int, end: int, orbit: Begun, own: Features, result: Features) -> Features:
+    def _measured(self, inputs: LaneInputs, orbit: Begun, own: Features, result: Features) -> Features:
         """Return the chunk's features, measured on the orbits; remove orbits that the measurement contradicts."""
         if not len(orbit.lanes):
             return {}
-        parameters, _ = self._sweep.lane_values(first, end)
-        distinct, of_lane = _distinct([orbit.state.T, orbit.steps, *(x[orbit.lanes] for x in parameters.values())])
-        measures, whole = self._measure(first, end, Begun(*(x[..., distinct] for x in orbit)))
+        columns = [x[orbit.lanes] for x in inputs.parameters.values()]
+        distinct, of_lane = _distinct([orbit.state.T, orbit.steps, *columns])
+        measures, whole = self._measure(inputs, Begun(*(x[..., distinct] for x in orbit)))
         measures, whole = {name: x[of_lane] for name, x in measures.items()}, whole[of_lane]
         if "impacts" in own:
             whole &= np.abs(measures["impacts"] * orbit.cycles - own["impacts"][orbit.lanes]) < 0.5

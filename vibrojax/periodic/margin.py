@@ -25,14 +25,15 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.compile.xla import workers
-from vibrojax.lanes.batch import Batch, Engine, Features, Index, PerLane
+from vibrojax.lanes.engine import Batch, Engine
+from vibrojax.lanes.inputs import Features, Index, LaneInputs, PerLane
 from vibrojax.lanes.programs import Given
-from vibrojax.maps.sweep import Sweep
 from vibrojax.measures import recorder_for
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.physics.arrays import Array, Flags, Lanes
 from vibrojax.scenes.declared import Section
 from vibrojax.scenes.scene import ROUNDINGS, Scene
+from vibrojax.settings.run_settings import RunSettings
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, Step
 from vibrojax.stepping.polynomial import Coefficients, slope, value
 from vibrojax.stepping.series import known
@@ -247,17 +248,17 @@ def observation(scene: Scene[Any], begun: Begun) -> tuple[PerLane, PerLane, str]
 
 
 class Measuring:
-    """Measurement of a sweep's lanes on their orbits, with the compiled programs of the sweep."""
+    """Measurement of lanes on their orbits, with the compiled programs of their run, whose settings are `run`."""
 
-    def __init__(self, sweep: Sweep) -> None:
-        self._scene = sweep.system
-        self._driving = sweep.system.driving_part()
-        exact = replace(sweep, run=replace(sweep.run, precision="float64", method="located"))
-        self._engine = Engine(exact, Located(), recorder_for(sweep.system, sweep.run.keep_returns), workers())
+    def __init__(self, scene: Scene[Any], run: RunSettings, start_names: tuple[str, ...]) -> None:
+        self._scene, self._driving = scene, scene.driving_part()
+        exact = replace(run, precision="float64", method="located")
+        recorder = recorder_for(scene, run.keep_returns)
+        self._engine = Engine(scene, exact, start_names, Located(), recorder, workers())
 
-    def __call__(self, first: int, end: int, begun: Begun) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
-        """Measure lanes of the chunk `first` (inclusive) to `end` (exclusive), see `of`."""
-        return self.of(self._engine.given(first, end), begun)
+    def __call__(self, inputs: LaneInputs, begun: Begun) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
+        """Measure some of the lanes, see `of`."""
+        return self.of(self._engine.given(inputs), begun)
 
     def of(
         self, given: Given, begun: Begun, steps: Accuracy = ORBIT_ACCURACY

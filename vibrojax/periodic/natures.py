@@ -4,16 +4,15 @@ The class of a lane is called its *nature*, after the dataset variable `nature`.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.io.variables import NATURES
-from vibrojax.lanes.batch import Features, Index, PerLane
-from vibrojax.lanes.labelled import regimes
-from vibrojax.maps.sweep import Sweep
+from vibrojax.lanes.inputs import Features, Index, LaneInputs, PerLane
+from vibrojax.lanes.labels import regimes
 from vibrojax.measures.labels import IRREGULAR, UNDECIDED
-from vibrojax.periodic import Orbits
 from vibrojax.periodic.growth import (
     EXPONENT_BLOCKS,
     LONGEST_REPEAT,
@@ -26,11 +25,12 @@ from vibrojax.periodic.growth import (
     grow,
     zero_one,
 )
-from vibrojax.periodic.lane_orbits import last_returns, reason
+from vibrojax.periodic.lane_orbits import Orbits, last_returns, reason
 from vibrojax.periodic.nearby import MOST_STEPS, REACH
 from vibrojax.periodic.newton import ACCEPTED, orbits, repeats_after, spectral_radius
 from vibrojax.periodic.return_map import STEPS, Segments
 from vibrojax.scenes import Scene
+from vibrojax.settings.run_settings import RunSettings
 
 RETURNS_BEFORE, RETURNS_PER_CHECK = 14336, 2048
 """Number of returns to the section before an exponent is measured, and between checks whether a lane is periodic. Chaos
@@ -95,29 +95,29 @@ def nature(name: str) -> int:
 
 
 class Natures:
-    """Computation of the largest Lyapunov exponents of a sweep's lanes, and classification of the lanes by them.
+    """Largest Lyapunov exponents of lanes, and classification of the lanes by them: a stage of a run.
 
     An object is called with the features of one chunk at a time. A periodic lane has the exponent of its orbit: the
     logarithm of the orbit's largest |multiplier| divided by the time of one period. Other lanes are continued along the
     return map with a tangent vector, see [vibrojax.periodic.growth][].
     """
 
-    def __init__(self, sweep: Sweep) -> None:
-        self._sweep = sweep
-        self._scene = sweep.system.driving_part()
-        self._orbits = None if sweep.run.orbits else Orbits(sweep)
+    attribute = "lyapunov"
+    described = EXPONENTS_DESCRIBED
 
-    def __call__(self, first: int, end: int, features: Features) -> Features:
+    def __init__(self, scene: Scene[Any], run: RunSettings, start_names: tuple[str, ...]) -> None:
+        self._scene = scene.driving_part()
+        self._orbits = None if run.orbits else Orbits(scene, run, start_names)
+
+    def __call__(self, inputs: LaneInputs, features: Features) -> Features:
         """Return the features `lyapunov`, `lyapunov_stderr`, `zero_one` and `nature` of some lanes.
 
-        **Arguments:** `first` (inclusive), `end` (exclusive): range of lanes; `features`: features of the lanes by
-        name, with last returns, and with orbits if the sweep has them.
+        `features`: features of the lanes by name, with last returns, and with orbits if the run has them.
         """
-        parameters, _ = self._sweep.lane_values(first, end)
-        regime = regimes(self._sweep.system, parameters, features)
-        orbit = features if self._orbits is None else self._orbits(first, end, features)
-        result: Features = {name: np.full(end - first, np.nan) for name in ("lyapunov", "lyapunov_stderr", "zero_one")}
-        result["nature"] = np.full(end - first, nature("unknown"))
+        regime = regimes(inputs.scene, inputs.parameters, features)
+        orbit = features if self._orbits is None else self._orbits(inputs, features)
+        result: Features = {name: np.full(len(inputs), np.nan) for name in ("lyapunov", "lyapunov_stderr", "zero_one")}
+        result["nature"] = np.full(len(inputs), nature("unknown"))
         with np.errstate(all="ignore"):
             period, why = orbit.get("period", features["period"]), orbit["orbit_reason"]
             known = why == reason("found")
@@ -129,7 +129,7 @@ class Natures:
             without_orbit = np.isin(why, [reason("not-converged"), reason("another-orbit")])
             unsettled = without_orbit | np.isin(regime, (IRREGULAR, UNDECIDED))
             unsettled &= features["finite"] & features["finished"] & (features["returns"] > 0)
-            own = {name: parameters[name] for name in self._scene.parameters()}
+            own = inputs.driving_parameters
             batches = -(-int(unsettled.sum()) // UNSETTLED_LANES_TOGETHER) or 1
             for lanes in np.array_split(np.flatnonzero(unsettled), batches):
                 self._continue(lanes, own, features, result)

@@ -6,11 +6,12 @@ crossings that repeat most closely. An orbit is accepted if it is stable, if all
 a simulation confirms its number of impacts.
 """
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Int
 
-from vibrojax.lanes.batch import Features, Index, PerLane
-from vibrojax.maps.sweep import Sweep
+from vibrojax.lanes.inputs import Features, Index, LaneInputs, PerLane
 from vibrojax.measures import RETURNS_FOR_DRIFT
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.ledger import MOST_CYCLES
@@ -18,6 +19,8 @@ from vibrojax.periodic.lane_orbits import last_returns
 from vibrojax.periodic.margin import GRAZING, Measuring, begun
 from vibrojax.periodic.newton import ACCEPTED, PeriodicOrbits, orbits, repeats_after, spectral_radius
 from vibrojax.periodic.return_map import STEPS, Segments
+from vibrojax.scenes import Scene
+from vibrojax.settings.run_settings import RunSettings
 
 REACH = 0.5
 """Largest distance of the recorded section crossings from a nearby orbit, in units of the states' scales. Of 197 lanes
@@ -40,12 +43,13 @@ NEARBY_TOLERANCE = 1e-9
 
 
 class Nearby:
-    """Search for stable orbits near lanes that have not settled, one chunk of lanes at a time."""
+    """Search for stable orbits near lanes that have not settled, one chunk of lanes at a time: a stage of a run."""
 
-    def __init__(self, sweep: Sweep) -> None:
-        self._sweep = sweep
-        self._scene = sweep.system.driving_part()
-        self._measure = Measuring(sweep)
+    attribute = "orbits"
+
+    def __init__(self, scene: Scene[Any], run: RunSettings, start_names: tuple[str, ...]) -> None:
+        self._scene = scene.driving_part()
+        self._measure = Measuring(scene, run, start_names)
         self._map = Segments(self._scene, steps=STEPS._replace(tolerance=NEARBY_TOLERANCE), most=MOST_STEPS)
 
     @property
@@ -53,8 +57,8 @@ class Nearby:
         """Entries for the dataset's attribute `orbits`."""
         return {"nearby_reach": REACH}
 
-    def __call__(self, first: int, end: int, features: Features) -> Features:
-        """Return `nearby_cycles`, `nearby_impacts` and `nearby_distance` of lanes `first` to `end` (exclusive).
+    def __call__(self, inputs: LaneInputs, features: Features) -> Features:
+        """Return `nearby_cycles`, `nearby_impacts` and `nearby_distance` of lanes.
 
         `features`: features of these lanes, including their last section crossings (lanes, returns). The result is
         empty for scenes driven by pulses, because no criterion shows that such a lane has not settled.
@@ -63,10 +67,10 @@ class Nearby:
         if section is None:
             return {}
         without = {"nearby_cycles": 0.0, "nearby_impacts": np.nan, "nearby_distance": np.nan}
-        result = {name: np.full(end - first, none) for name, none in without.items()}
+        result = {name: np.full(len(inputs), none) for name, none in without.items()}
         settled = (np.nan_to_num(features["cycles"]) > 0) & (features["trend"] == 0)
         lanes = np.flatnonzero(features["finite"] & features["finished"] & ~settled)
-        parameters, _ = self._sweep.lane_values(first, end)
+        parameters = inputs.driving_parameters
         with np.errstate(all="ignore"):
             returns, scale = last_returns(self._scene, lanes, RETURNS_FOR_DRIFT, features)
             compared = returns[..., : len(section.compared)] / scale[:, None, : len(section.compared)]
@@ -81,21 +85,21 @@ class Nearby:
                     continue
                 closest = np.nanargmin(back[subset], axis=1)
                 guess = np.stack([returns[subset, closest + k] for k in range(repeat)], axis=1)
-                go = self._map.of({name: parameters[name][lanes[subset]] for name in self._scene.parameters()})
+                go = self._map.of({name: x[lanes[subset]] for name, x in parameters.items()})
                 reach = np.full(len(subset), REACH)
                 orbit = orbits(guess, scale[subset], reach, go, ACCEPTED, NEARBY_MAX_ITERATIONS)
                 # The greatest scaled distance of a section crossing from the nearest state of the orbit.
                 on_orbit = (orbit.states / orbit.scales[:, None])[..., : compared.shape[2]]
                 apart = np.max(np.abs(compared[subset][:, :, None] - on_orbit[:, None]), axis=3)
                 distance = np.nanmax(np.min(apart, axis=2), axis=1)
-                kept = self._confirmed(first, end, lanes[subset], orbit, distance)
+                kept = self._confirmed(inputs, lanes[subset], orbit, distance)
                 result["nearby_cycles"][lanes[subset[kept]]] = repeat
                 result["nearby_impacts"][lanes[subset[kept]]] = orbit.impacts[kept]
                 result["nearby_distance"][lanes[subset[kept]]] = distance[kept]
         return result
 
     def _confirmed(
-        self, first: int, end: int, lanes: Index, orbit: PeriodicOrbits, distance: PerLane
+        self, inputs: LaneInputs, lanes: Index, orbit: PeriodicOrbits, distance: PerLane
     ) -> Int[np.ndarray, " kept"]:
         """Return the indices of the orbits that are stable, near their lane, and confirmed by a simulation."""
         cycles = orbit.states.shape[1]
@@ -105,7 +109,7 @@ class Nearby:
         if not len(sure):
             return sure
         begin = begun(lanes[sure], orbit.states[sure], orbit.times[sure], orbit.steps[sure])
-        measures, whole = self._measure(first, end, begin)
+        measures, whole = self._measure(inputs, begin)
         if "impacts" in measures:
             whole &= np.abs(measures["impacts"] * cycles - orbit.impacts[sure]) < 0.5
         return sure[whole]

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.compile.xla import precision, workers
 from vibrojax.io.variables import VARIABLES
 from vibrojax.lanes.compiler import lane_function
-from vibrojax.lanes.labelled import measured_besides
+from vibrojax.lanes.labels import measured_besides
 from vibrojax.measures import PulseRecorder, Recorder, recorder_for
 from vibrojax.measures.derived import HOLE_RADIUS
 from vibrojax.measures.derived import derived as derived_quantities

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from vibrojax.compile.xla import precision, workers
 from vibrojax.lanes.compiler import lane_function
-from vibrojax.lanes.parallel import in_parallel
+from vibrojax.lanes.threads import in_parallel
 from vibrojax.measures.section import lowest, rising
 from vibrojax.periodic.margin import Margin
 from vibrojax.periodic.tangent_loop import Loop

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, PyTree, Shaped
 
 from vibrojax.compile.xla import precision as in_precision
 from vibrojax.compile.xla import workers
-from vibrojax.lanes.chunks import Chunks
-from vibrojax.lanes.parallel import in_parallel
+from vibrojax.lanes.run import LaneRun
+from vibrojax.lanes.threads import in_parallel
 from vibrojax.maps.read import read_sweep
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes import Scene
@@ -56,15 +56,17 @@ class Program:
         return self.copies * self.lanes.count * (self.lanes.settle + self.lanes.observe)
 
     def prepare(self, method: str, precision: str) -> None:
-        self._chunks = Chunks(read_sweep(self.lanes.sweep(method, precision, self.copies)))
-        self._chunks.engine.most_steps = STUDY_MAX_STEPS
+        sweep = read_sweep(self.lanes.sweep(method, precision, self.copies))
+        self._inputs = sweep.inputs()
+        self._run = LaneRun(self._inputs, sweep.plan)
+        self._run.engine.most_steps = STUDY_MAX_STEPS
 
     def compile(self, accuracy: Accuracy) -> None:
-        self._chunks.compile()
+        self._run.compile(self._inputs)
 
     def run(self, accuracy: Accuracy) -> Outcome:
         """Run all copies of the lanes, which is the part that is timed; return at least `finished` and `steps`."""
-        return self._chunks.at(accuracy)
+        return self._run.at(self._inputs, accuracy)
 
     def features(self, accuracy: Accuracy, ran: Outcome) -> Features:
         """Return the features of each lane, of the first copy, from the result of `run`."""
@@ -99,7 +101,7 @@ class DiffraxProgram(Program):
         times = self.lanes.settle + np.arange(count) * SAMPLING
         states, steps, finished = self._solve(workers()[0], accuracy, float(times[-1]), times)
         with in_precision(self._precision):
-            p, _ = self._inputs(self.lanes.count)
+            p, _ = self._at_start(self.lanes.count)
             features = features_of(self._sweep.system, p, SAMPLING, states, accuracy.smoothing)
         finished = finished & ran["finished"][: len(finished)]
         return features | {
@@ -116,14 +118,14 @@ class DiffraxProgram(Program):
         The states are those at `times` [s], or only at `end` [s] if `times` is None.
         """
         with in_precision(self._precision), jax.default_device(worker):
-            p, state = self._inputs(self._sweep.lanes if times is None else self.lanes.count)
+            p, state = self._at_start(self._sweep.lanes if times is None else self.lanes.count)
             tolerance = TOLERANCE_PER_WIDTH * accuracy.smoothing if self._adapts else None
             numbers = end, accuracy.smoothing, tolerance, accuracy.step, times
             arrays = [None if x is None else jnp.asarray(x, self._precision) for x in numbers]
             states, steps, finished = _integrate(self._sweep.system, self._solver, p, state, *arrays)
             return np.stack([np.asarray(x) for x in states]), np.asarray(steps), np.asarray(finished)
 
-    def _inputs(self, count: int) -> tuple[Constants, tuple[Float[Array, " lanes"], ...]]:
+    def _at_start(self, count: int) -> tuple[Constants, tuple[Float[Array, " lanes"], ...]]:
         """Return constants and states at t = 0 of the first `count` lanes."""
         values, start = self._sweep.lane_values(0, count)
         scene = self._sweep.system

@@ -14,7 +14,6 @@ from matplotlib.ticker import MaxNLocator
 from vibrojax.errors import counted
 from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import OF_ATTRACTORS
-from vibrojax.maps.rerun import SweepAnalysis
 from vibrojax.maps.sweep import Sweep
 from vibrojax.pictures.axes import edges, label, scale, shape_axis, share_text, unclip_markers, values_along, with_unit
 from vibrojax.pictures.colours import (
@@ -33,6 +32,7 @@ from vibrojax.pictures.starts import PREFIX, on_axes
 from vibrojax.pictures.style import new_figure, styled
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart
 from vibrojax.studies.attractor_run import attractors_of, drive_speed, strong_share, sweep_of
+from vibrojax.studies.sweep_analysis import SweepAnalysis
 
 _SHOWN = 12
 """Greatest number of attractors that are listed one by one."""

@@ -9,7 +9,7 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.io.variables import NATURES, orbit_name
-from vibrojax.lanes.batch import Index
+from vibrojax.lanes.inputs import Index
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, UNDECIDED
 from vibrojax.periodic.known_orbits import known_orbits
 from vibrojax.scenes import Scene

@@ -5,19 +5,16 @@ windows (batch means: Law, *Simulation Modeling and Analysis*, section 9.5.3). B
 they exceed the correlation time, because a bursting motion may rest for several windows.
 """
 
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from vibrojax.lanes.batch import Batch, Features, Index
-from vibrojax.lanes.chunks import Chunks
-from vibrojax.lanes.underway import checkpoints
+from vibrojax.lanes.inputs import Features, Index
 from vibrojax.maps.sweep import Sweep
-from vibrojax.maps.work import Work, quiet
-from vibrojax.progress import Progress
+from vibrojax.periodic.lane_stages import lane_run
+from vibrojax.progress import Progress, quiet
 from vibrojax.studies.attractor_grouping import IRREGULAR_WITHIN, RESOLUTION_STDERRS, STATISTICS, stderr_name
 
 BATCHES = 8
@@ -63,7 +60,7 @@ def with_long_statistics(
     parts = [Statistics(none, none, np.zeros(0, bool))]
     with quiet(), Progress(len(lanes), "irregular lanes", progress and len(lanes) > 0) as bar:
         for first in range(0, len(lanes), LANES_TOGETHER):
-            parts.append(_observe(Work(sweep).chunks, names, lanes[first : first + LANES_TOGETHER], fewest, bar))
+            parts.append(_observe(sweep, names, lanes[first : first + LANES_TOGETHER], fewest, bar))
     long = _concatenate(parts)
     regime = dataset["regime"]
 
@@ -79,18 +76,20 @@ def with_long_statistics(
     return dataset.assign(variables)
 
 
-def _observe(chunks: Chunks, names: list[str], lanes: Index, fewest: int, bar: Progress) -> Statistics:
+def _observe(sweep: Sweep, names: list[str], lanes: Index, fewest: int, bar: Progress) -> Statistics:
     """Return the statistics of `lanes`; each lane is observed until its statistics converge or cannot converge."""
-    now, length = chunks.sweep.run.settle, chunks.sweep.run.observe
-    batch = _settle(chunks, lanes)
+    now, length = sweep.run.settle, sweep.run.observe
+    inputs = sweep.inputs_of(lanes)
+    run = lane_run(inputs, sweep.plan)
+    batch = run.before_observation(inputs)
     active, count = np.arange(len(lanes)), fewest
     windows: list[np.ndarray] = []
     order: list[Index] = []
     parts: list[Statistics] = []
     while len(active):
         while len(windows) < count:
-            [batch] = chunks.engine.settle([batch.observed(now, np.full(len(active), length))])
-            windows.append(_window(chunks.engine.observe([batch])[0], names))
+            [batch] = run.engine.settle([batch.observed(now, np.full(len(active), length))])
+            windows.append(_window(run.engine.observe([batch])[0], names))
             now += length
         stacked = np.stack(windows)
         result = statistics(stacked)
@@ -101,20 +100,6 @@ def _observe(chunks: Chunks, names: list[str], lanes: Index, fewest: int, bar: P
         batch, active, count = batch.of(np.flatnonzero(~done)), active[~done], 2 * count
         windows = [window[:, ~done] for window in windows]
     return Statistics(*(x[..., np.argsort(np.concatenate(order))] for x in _concatenate(parts)))
-
-
-def _settle(chunks: Chunks, lanes: Index) -> Batch:
-    """Return the batch of `lanes` at the beginning of the sweep's observation, after the same steps as in the sweep."""
-    chunks.compile()
-    batches = []
-    for index in np.unique(lanes // chunks.size):
-        first, end = chunks.lanes(int(index))
-        in_chunk = lanes[(first <= lanes) & (lanes < end)] - first
-        batches.append(chunks.engine.start(first, end, chunks.accuracy).of(in_chunk))
-    batch = batches[0].joined(batches[1:])
-    for now in chain(*checkpoints(chunks.sweep.run, chunks.ends is not None)):
-        [batch] = chunks.engine.settle([batch], now)
-    return batch
 
 
 def _window(features: Features, names: list[str]) -> Float[np.ndarray, "fields lanes"]:

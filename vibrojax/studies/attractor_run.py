@@ -15,7 +15,8 @@ from vibrojax.errors import InputError
 from vibrojax.io.attributes import parameters_of
 from vibrojax.io.kinds import OF_ATTRACTORS
 from vibrojax.io.variables import VARIABLES, described
-from vibrojax.lanes.labelled import measured_besides, of_orbits, shared_attributes
+from vibrojax.lanes.labels import measured_besides, of_orbits
+from vibrojax.maps.dataset import shared_attributes
 from vibrojax.maps.rerun import orbits as with_orbits
 from vibrojax.maps.rerun import sweep_with_orbits
 from vibrojax.maps.run import run_sweep
@@ -23,7 +24,6 @@ from vibrojax.maps.starts import DEFAULT_STARTS, list_of
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.derived import blow_frequency
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
-from vibrojax.periodic.matching import PREDICTION_WITHIN, find_links, number_attractors
 from vibrojax.studies.attractor_grouping import (
     EXPONENT_STDERRS,
     IRREGULAR_MIN_LANES,
@@ -43,6 +43,7 @@ from vibrojax.studies.attractor_long_run import (
     SPLIT_MIN_WINDOWS,
     with_long_statistics,
 )
+from vibrojax.studies.attractor_matching import PREDICTION_WITHIN, find_links, number_attractors
 
 NAMED = "named_start"
 """Dimension of the scene's named initial conditions, in addition to a sample or a plane of initial conditions."""

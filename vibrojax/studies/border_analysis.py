@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from vibrojax.errors import counted, printable
 from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import OF_BORDERS
-from vibrojax.maps.rerun import SweepAnalysis, sweep_with_orbits
+from vibrojax.maps.rerun import sweep_with_orbits
 from vibrojax.maps.sweep import Sweep
 from vibrojax.pictures.axes import label, share_text, value_text
 from vibrojax.pictures.overlays import ANY, axes_of, beyond, border_handles, draw_borders
@@ -22,6 +22,7 @@ from vibrojax.pictures.sheet import legend_at_right, write_margins
 from vibrojax.pictures.style import new_figure, styled
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart
 from vibrojax.studies.border_run import Regions, line_of, plane_axes
+from vibrojax.studies.sweep_analysis import SweepAnalysis
 
 _PANEL = (3.3, 3.0)  # inches
 _MOST_SHOWN = 4  # largest numbers of rows and of columns

@@ -11,7 +11,7 @@ import xarray as xr
 from vibrojax.errors import InputError, counted, shown
 from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS
 from vibrojax.io.variables import described
-from vibrojax.lanes.labelled import parameter_attributes, shared_attributes
+from vibrojax.maps.dataset import parameter_attributes, shared_attributes
 from vibrojax.maps.rerun import orbits as with_orbits
 from vibrojax.maps.rerun import sweep_with_orbits
 from vibrojax.maps.sweep import Sweep

@@ -10,7 +10,7 @@ import pandas as pd
 
 from vibrojax.errors import Place
 from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
-from vibrojax.lanes.labelled import of_orbits
+from vibrojax.lanes.labels import of_orbits
 from vibrojax.lanes.scene_variables import sweep_variables
 from vibrojax.maps.points import VECTOR
 from vibrojax.maps.starts import PLANE, SAMPLE

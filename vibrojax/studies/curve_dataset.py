@@ -9,7 +9,7 @@ import xarray as xr
 from vibrojax.io.attributes import parameters_of
 from vibrojax.io.kinds import OF_CURVES, SPECIAL_KINDS, dataset_attributes
 from vibrojax.io.variables import VARIABLES, described
-from vibrojax.lanes.labelled import measured_besides, of_orbits
+from vibrojax.lanes.labels import measured_besides, of_orbits
 from vibrojax.periodic.curve_equations import CurveProblem
 from vibrojax.periodic.curve_following import Curve, crossings
 from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, Points

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import STATUSES, Variable
-from vibrojax.lanes.labelled import parameter_attributes, variables_of
+from vibrojax.maps.dataset import described_variables, parameter_attributes
 from vibrojax.maps.run import run_sweep
 from vibrojax.measures.labels import EQUILIBRIUM, REGIMES, SINGLE_IMPACT
 from vibrojax.studies.effects_sampling import CONFIDENCE, REASONS, indices
@@ -129,7 +129,7 @@ def study_of(spec: Study, lanes: xr.Dataset) -> xr.Dataset:
         table["regime_share"] = np.array([(regime == flag).mean() for flag in range(len(REGIMES))])
         table[SHARE] = np.asarray((regime == SINGLE_IMPACT).mean())
         coords["label"] = list(REGIMES)
-    about = variables_of(spec.sweep) | {SHARE: SCHEMA[SHARE][1]}
+    about = described_variables(spec.sweep) | {SHARE: SCHEMA[SHARE][1]}
     parameters = [parameter_attributes(spec.sweep, name) for name in spec.sampling.names]
     coords["of_unit"] = ("of", [about[name].units for name in spec.of])
     coords["of_long_name"] = ("of", [about[name].long_name for name in spec.of])

@@ -10,7 +10,8 @@ import xarray as xr
 
 from vibrojax.io.kinds import OF_FAMILIES, SPECIAL_KINDS
 from vibrojax.io.variables import VARIABLES, described, orbit_name
-from vibrojax.lanes.labelled import measured_besides, of_orbits, parameter_attributes, shared_attributes
+from vibrojax.lanes.labels import measured_besides, of_orbits
+from vibrojax.maps.dataset import parameter_attributes, shared_attributes
 from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.margin import HOW, Measuring, begun, joined
 from vibrojax.periodic.newton import multipliers
@@ -122,7 +123,7 @@ def measured(sweep: Sweep, problem: Problem, points: list[Mark], family: np.ndar
         steps = np.full(len(subset), STEPS_PER_RETURN * cycles)
         parts.append(begun(subset, problem.states(family[subset], u), times, steps))
     orbits = joined(parts)
-    features, whole = Measuring(lanes)(0, lanes.lanes, orbits)
+    features, whole = Measuring(lanes.system, lanes.run, lanes.start_names)(lanes.inputs(), orbits)
     measures: Table = {}
     for name, x in features.items():
         if x.ndim == 1 and x.dtype.kind == "f" and name not in ORBIT_FEATURES:

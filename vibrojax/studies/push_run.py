@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from vibrojax.errors import Place
 from vibrojax.io.variables import VARIABLES, orbit_name
-from vibrojax.lanes.labelled import shared_attributes
+from vibrojax.maps.dataset import shared_attributes
 from vibrojax.maps.points import VECTOR
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_sweep

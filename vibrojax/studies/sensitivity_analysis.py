@@ -8,11 +8,11 @@ from matplotlib.figure import Figure
 
 from vibrojax.errors import counted
 from vibrojax.io.attributes import flags
-from vibrojax.maps.rerun import SweepAnalysis
 from vibrojax.maps.sweep import Sweep
 from vibrojax.pictures.style import new_figure, styled
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.sensitivity_maps import KIND, at_orbits
+from vibrojax.studies.sweep_analysis import SweepAnalysis
 
 SMALLEST_DRAWN = 5e-3
 """Elasticity below which a cell shows no number."""

@@ -10,7 +10,8 @@ from jaxtyping import Float, Int
 
 from vibrojax.errors import Place
 from vibrojax.io.variables import VARIABLES, Variable
-from vibrojax.lanes.labelled import coordinates, measured_besides, shared_attributes
+from vibrojax.lanes.labels import measured_besides
+from vibrojax.maps.dataset import coordinates, shared_attributes
 from vibrojax.maps.rerun import orbits, sweep_with_orbits
 from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.known_orbits import known_orbits

@@ -11,7 +11,7 @@ from jaxtyping import Bool
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
-from vibrojax.lanes.labelled import measured_besides, unresolved
+from vibrojax.lanes.labels import measured_besides, unresolved
 from vibrojax.lanes.scene_variables import feature_names
 from vibrojax.maps.read import Point, read_point, several_and_single
 from vibrojax.periodic.orbit_derivatives import COUNTED

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from vibrojax.lanes.labelled import attributes, certified
+from vibrojax.maps.dataset import attributes, certified
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep
 

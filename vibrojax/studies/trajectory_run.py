@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -13,23 +13,19 @@ from jaxtyping import Float
 
 from vibrojax.compile.xla import precision
 from vibrojax.errors import Place, shown
+from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.lanes.agreement import recorder_of
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.dense_output import RECORD_MAX_STEPS, Record, check_size, record, sample
-from vibrojax.lanes.labelled import unresolved
-from vibrojax.lanes.trajectory import (
-    SampledMotion,
-    events,
-    forces,
-    labelled_features,
-    states_shown,
-    trajectory_dataset,
-    window,
-)
+from vibrojax.lanes.drift import drift
+from vibrojax.lanes.labels import measured_besides, regime_variables, regimes, unresolved, with_radius
+from vibrojax.lanes.trajectory import KINDS, Events, SampledMotion, along_time, events, forces, states_shown, window
 from vibrojax.maps.read import Point, read_point
+from vibrojax.measures.derived import derived
 from vibrojax.measures.recorder import Features
 from vibrojax.physics.arrays import Array
-from vibrojax.physics.parameters import positive
+from vibrojax.physics.parameters import differing, positive
 from vibrojax.progress import LOG, Progress, timed
 from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
 from vibrojax.scenes.declared import Values
@@ -310,3 +306,62 @@ def constants_at(place: Place, point: Point, stepper: Stepper | None) -> Any:
 @lane_function(static=1)
 def _compiled_constants(scene: Scene[Any], p: dict[str, Array]) -> Any:
     return scene.constants(p)
+
+
+def labelled_features(
+    point: Point, features: dict[str, np.ndarray], tolerance: float
+) -> dict[str, tuple[tuple[()], np.ndarray, dict[str, Any]]]:
+    """Return the features (see `record`) as scalar variables of a motion's dataset, named as in a sweep.
+
+    `tolerance`: error tolerance of the steps.
+    """
+    scene = point.system
+    features = dict(features)
+    if scene.section is not None and "cycles" in features:
+        swing = scene.section.swings[0].amplitude
+        if {swing, "trend"} <= set(features):
+            values = {name: np.array([value]) for name, value in point.parameters.items()}
+            sound = {"finite": np.isfinite(features[swing]), "finished": np.array([True])}
+            features["regime"] = regimes(scene, values, features | sound)
+        features["drift_estimate"] = drift(features, scene.section, "float64", tolerance)
+    features |= derived(scene, features, point.hole_radius)
+    known = VARIABLES | regime_variables(scene) | measured_besides(scene) | with_radius(point.hole_radius)
+    numbers = {}
+    for name, variable in known.items():
+        if name in features and features[name].ndim == 1:
+            value = features[name][0]
+            value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value
+            numbers[name] = ((), np.asarray(value, variable.dtype), variable.attributes())
+    return numbers
+
+
+def trajectory_dataset(
+    point: Point,
+    scene: Scene[Any],
+    motion: SampledMotion,
+    sampled: Mapping[str, xr.Variable],
+    event_list: Events | None,
+    solver: Mapping[str, object],
+) -> xr.Dataset:
+    """Return the dataset of a trajectory, with variables along `time` (`sampled`) and along `event`."""
+    variables = dict(sampled)
+    if isinstance(scene, HasFriction):
+        stuck = (motion.modes[scene.mode_place("slip")] == 0).astype(np.int8)
+        variables["stuck"] = along_time(stuck, "1", "whether the bit sticks to the rock", ("slides", "sticks"))
+    if event_list is not None:
+        about = Variable("s", "time of the event"), Variable("1", "what happened", flags=KINDS)
+        variables["event_time"], variables["event_kind"] = (
+            xr.Variable("event", x, of_events.attributes()) for x, of_events in zip(event_list, about, strict=True)
+        )
+    start = point.start
+    written = {} if start is None else {"start": start if isinstance(start, str) else json.dumps(list(start))}
+    attributes = {
+        **dataset_attributes("trajectory", f"{point.scene}: trajectory", f"simulate {point.scene}", scene=point.scene),
+        "parameters": json.dumps(point.parameters),
+        "differing": json.dumps(differing(point.system.parameters(), point.parameters)),
+        **point.options,
+        **written,
+        "solver": json.dumps(solver),
+    }
+    times = {"time": ("time", motion.times, {"units": "s", "long_name": "time"})}
+    return xr.Dataset(variables, times, attributes)

@@ -12,7 +12,7 @@ import numpy as np
 from peers._machine import C0, C2, K0, K1, M1, MU, STICK_LIMIT, V_CR, striker
 from peers._peer import CORES, Peer, Points, Ran
 from vibrojax.compile.xla import precision
-from vibrojax.lanes.parallel import in_parallel
+from vibrojax.lanes.threads import in_parallel
 from vibrojax.maps.read import read_sweep
 from vibrojax.studies.accuracy_sampled import features_of
 

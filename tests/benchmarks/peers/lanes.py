@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from peers._peer import Points
-from vibrojax.lanes.chunks import Chunks
+from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 from vibrojax.studies.accuracy_cases import REFERENCE, SECOND_REFERENCE
 
@@ -77,4 +77,5 @@ def judged(candidates: int, number: int, settle: float, observe: float, settled:
 
 def _fine(points: Points, accuracy, settle: float, observe: float) -> dict:
     run = {"settle": settle, "observe": observe, "end_early": False, "chunk": len(points)}
-    return Chunks(read_sweep({"scene": "vibro-impact", "points": columns(points), "run": run})).at(accuracy)
+    sweep = read_sweep({"scene": "vibro-impact", "points": columns(points), "run": run})
+    return LaneRun(sweep.inputs(), sweep.plan).at(sweep.inputs(), accuracy)

@@ -1,13 +1,13 @@
-"""Finished chunks of a sweep, stored as files (shards) next to its output, so that no computed chunk is lost."""
+"""Finished chunks of a sweep, stored as files next to its output, so that no computed chunk is lost."""
 
-import hashlib
 import json
-import math
 import os
 import re
 import sys
+import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -25,43 +25,41 @@ LOCK = "lock"
 CHUNKS = ".chunks"
 """Suffix of the folder of chunks next to an output file."""
 
+FORMAT = 2
+"""Version of the format of stored chunks; chunks of another version are refused."""
+
 _LOCK_PATIENCE = 0.2
 """Time [s] to wait for the lock, so that a process that is just ending can release it and remove its file."""
-
-_HEADER_SIZE = 1 << 16
-"""Largest header [bytes] that is parsed: each of the many arrays takes about 40."""
-
-_NUMBERS = re.compile(r"[<>|][biuf]\d")
-"""Types of the arrays that are stored: booleans and real numbers."""
 
 _WRITE_ATTEMPTS = 5
 """Times that a file is written anew while the user removes its folder; removing a folder takes milliseconds."""
 
 _DAMAGES_SHOWN = 3
-_DIGEST_SIZE = hashlib.sha256().digest_size
 
-SHARD = re.compile(r"chunk-(\d{8,})\.shard")
-"""Pattern of the file name of a finished chunk; its group is the chunk's index."""
+_NUMBERS = re.compile(r"[<>|][biuf]\d")
+"""Types of the arrays that are stored: booleans and real numbers."""
 
-_LEFTOVER = re.compile(r"(manifest\.json|chunk-\d{8,}\.shard)(\.\d+)*\.tmp")
+FILE = re.compile(r"chunk-(\d{8,})\.(?:zip|shard)")
+"""Pattern of the file name of a finished chunk, also of version 1; its group is the chunk's index."""
+
+_LEFTOVER = re.compile(r"(manifest\.json|chunk-\d{8,}\.(zip|shard))(\.\d+)*\.tmp")
 """Unfinished files of a killed process, which a new run removes. Other files stay."""
 
 Arrays = Mapping[str, Shaped[np.ndarray, "..."]]
-"""The arrays of a chunk by name: features of shape (lanes,) or (lanes, rows)."""
+"""The arrays of a chunk by name: variables of shape (lanes,) or (lanes, rows), and numbers of shape ()."""
 
 
-class DamagedShard(Exception):
-    """Error of a shard that is missing, truncated or changed; its chunk is computed again."""
+class DamagedChunk(Exception):
+    """Error of a chunk that is missing, truncated or changed, and is therefore computed again."""
 
 
-class Shards:
-    """The finished chunks of one sweep, as immutable files in one folder.
+class Store:
+    """The finished chunks of one sweep, as immutable archives in one folder.
 
-    Each file consists of the SHA-256 of (manifest, index, content), followed by the content: a line of JSON with the
-    type and shape of each array by name, then the arrays' bytes in this order. A file with another manifest or index, a
-    truncated file or a flipped bit is therefore detected. The chunk then counts as missing. (It is not an npy file,
-    because numpy parses the header of one with `ast`, which fails in Python 3.11 when two threads use it at once:
-    CPython issue 106905.)
+    A file with another manifest or index, a truncated file and a flipped bit (by the CRC of each array) are detected.
+    The chunk then counts as missing. The name of each member of an archive, as JSON, is the name, type and shape of an
+    array. (It is no npz file, because numpy parses headers with `ast`, which fails in Python 3.11 when two threads use
+    it at once: CPython issue 106905.)
 
     **Arguments:**
 
@@ -71,7 +69,7 @@ class Shards:
 
     def __init__(self, folder: Path, manifest: Mapping[str, object]) -> None:
         self.folder = folder
-        self.manifest: dict[str, object] = json.loads(canonical(manifest))
+        self.manifest: dict[str, object] = json.loads(canonical({**manifest, "store": FORMAT}))
         self._digest = digest(self.manifest)
         self._lock: FileLock | None = None
 
@@ -88,7 +86,7 @@ class Shards:
         try:
             if resume:
                 self._check_manifest()
-            self._clear(shards=not resume)
+            self._clear(chunks=not resume)
             self._write_manifest()
         except BaseException:
             self.close()
@@ -99,9 +97,9 @@ class Shards:
         whole, damages = set[int](), list[str]()
         for index in sorted(self.there()):
             try:
-                self._content(index)
+                self.read(index)
                 whole.add(index)
-            except DamagedShard as damage:
+            except DamagedChunk as damage:
                 damages.append(str(damage))
         if more := damages[_DAMAGES_SHOWN:]:
             damages[_DAMAGES_SHOWN:] = [
@@ -114,30 +112,44 @@ class Shards:
     def there(self) -> set[int]:
         """Return the indices of the existing chunks, without verifying that they are intact."""
         try:
-            return {int(match[1]) for match in map(SHARD.fullmatch, os.listdir(self.folder)) if match}
+            return {int(match[1]) for match in map(FILE.fullmatch, os.listdir(self.folder)) if match}
         except FileNotFoundError:  # the sweep is finished, and the folder removed
             return set()
 
     def write(self, index: int, arrays: Arrays) -> None:
         """Store the arrays of a chunk; on return, the file is complete on the disk."""
-        header = json.dumps({name: (x.dtype.str, x.shape) for name, x in arrays.items()}).encode() + b"\n"
-        content = b"".join([header, *(x.tobytes() for x in arrays.values())])
-        self._put(self._path(index), self._checksum(index, content), content)
+        content = BytesIO()
+        with zipfile.ZipFile(content, "w") as file:
+            file.comment = self._owner(index)
+            for name, x in arrays.items():
+                file.writestr(zipfile.ZipInfo(json.dumps([name, x.dtype.str, x.shape])), x.tobytes())  # without a date
+        self._put(self._path(index), content.getbuffer())
 
     def read(self, index: int) -> dict[str, np.ndarray]:
         """Return the arrays of a chunk by name.
 
-        **Raises:** `DamagedShard` if the file is missing or damaged.
+        **Raises:** `DamagedChunk` if the file is missing or damaged.
         """
-        content = self._content(index)
+        path, arrays = self._path(index), dict[str, np.ndarray]()
         try:
-            return _arrays(content)
-        except Exception as error:  # a malformed header causes many types of exceptions
-            raise DamagedShard(f"{self._path(index)}: cannot be read ({type(error).__name__})") from None
+            with zipfile.ZipFile(path) as file:
+                if file.comment != self._owner(index):
+                    raise ValueError("of another sweep or chunk")
+                for info in file.infolist():
+                    name, kind, shape = json.loads(info.filename)
+                    # Nothing unpacks to more than its size, and nothing is unpickled.
+                    if info.compress_type != zipfile.ZIP_STORED or not _NUMBERS.fullmatch(kind):
+                        raise ValueError("not an array of booleans or real numbers")
+                    arrays[name] = np.frombuffer(bytearray(file.read(info)), kind).reshape(shape)
+        except OSError as error:
+            raise DamagedChunk(f"{path}: cannot be read ({error.strerror or 'damaged'})") from None
+        except Exception:  # a malformed archive causes many types of exceptions
+            raise DamagedChunk(f"{path}: damaged") from None
+        return arrays
 
     def remove(self) -> None:
         """Remove the chunks and release the folder; remove the folder, too, unless it holds other files."""
-        self._clear(shards=True)
+        self._clear(chunks=True)
         (self.folder / MANIFEST).unlink(missing_ok=True)
         with suppress(InputError):  # another process has just locked the folder
             self._lock = self._lock or _locked(self.folder / LOCK)
@@ -153,54 +165,44 @@ class Shards:
             self._lock.release()
             self._lock = None
 
-    def __enter__(self) -> "Shards":
+    def __enter__(self) -> "Store":
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     def _path(self, index: int) -> Path:
-        return self.folder / f"{_chunk_name(index)}.shard"
+        return self.folder / f"chunk-{index:08d}.zip"
 
-    def _checksum(self, index: int, content: bytes | memoryview) -> bytes:
-        digest = hashlib.sha256(f"{self._digest} {index}\n".encode())
-        digest.update(content)
-        return digest.digest()
+    def _owner(self, index: int) -> bytes:
+        """Return the digest of the manifest and the index, to which a file belongs."""
+        return f"{self._digest} {index}".encode()
 
-    def _content(self, index: int) -> memoryview:
-        """Return the content of a shard after verifying its checksum."""
-        path = self._path(index)
-        try:
-            data = memoryview(path.read_bytes())
-        except OSError as error:
-            raise DamagedShard(f"{path}: cannot be read ({error.strerror})") from None
-        if self._checksum(index, data[_DIGEST_SIZE:]) != data[:_DIGEST_SIZE]:
-            raise DamagedShard(f"{path}: damaged")
-        return data[_DIGEST_SIZE:]
-
-    def _put(self, path: Path, *parts: bytes | memoryview) -> None:
+    def _put(self, path: Path, content: bytes | memoryview) -> None:
         """Write a file that is complete or absent, even after a power failure.
 
         A folder that the user removes meanwhile is made again, and the file is then written once more.
         """
         temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
         for attempt in reversed(range(_WRITE_ATTEMPTS)):
-            self.folder.mkdir(exist_ok=True)
             try:
+                self.folder.mkdir(exist_ok=True)
                 with new_file(temporary) as file:
-                    file.writelines(parts)
+                    file.write(content)
                 commit(temporary, path)
                 return
             except OSError as error:  # an error while writing does not state the file name
-                temporary.unlink(missing_ok=True)
-                if attempt and isinstance(error, FileNotFoundError):
+                with suppress(OSError):
+                    temporary.unlink(missing_ok=True)
+                # The second error: the folder was removed between two steps of `mkdir`.
+                if attempt and isinstance(error, (FileNotFoundError, FileExistsError)):
                     continue
                 raise OSError(error.errno, error.strerror, str(path)) from None
 
-    def _clear(self, shards: bool) -> None:
-        """Remove leftovers of killed processes and, with `shards`, the finished chunks; other files stay."""
+    def _clear(self, chunks: bool) -> None:
+        """Remove leftovers of killed processes and, with `chunks`, the finished chunks; other files stay."""
         for path in self.folder.iterdir():
-            if _LEFTOVER.fullmatch(path.name) or (shards and SHARD.fullmatch(path.name)):
+            if _LEFTOVER.fullmatch(path.name) or (chunks and FILE.fullmatch(path.name)):
                 path.unlink(missing_ok=True)
 
     def _make_folder(self) -> None:
@@ -221,7 +223,7 @@ class Shards:
     def _check_manifest(self) -> None:
         """Raise `InputError` if the chunks belong to another sweep.
 
-        Without an intact manifest file, the checksum of each chunk detects chunks of another sweep.
+        Without an intact manifest file, each chunk itself shows that it belongs to another sweep.
         """
         differences = changes_since(self.folder / MANIFEST, self.manifest)
         if differences and self.there():
@@ -229,31 +231,9 @@ class Shards:
             raise InputError(f"{self.folder}: holds chunks of another sweep: {differences}; {advice}")
 
 
-def _arrays(content: memoryview) -> dict[str, np.ndarray]:
-    """Return the arrays of the content of a shard, which may come from anywhere."""
-    header, line_end, _ = bytes(content[:_HEADER_SIZE]).partition(b"\n")
-    if not line_end:
-        raise ValueError("no header")
-    arrays, begin = dict[str, np.ndarray](), len(header) + 1
-    for name, (kind, shape) in json.loads(header).items():
-        if not _NUMBERS.fullmatch(kind) or min(shape, default=0) < 0:
-            raise ValueError("not an array of booleans or real numbers")
-        dtype = np.dtype(kind)
-        end = begin + math.prod(shape) * dtype.itemsize
-        arrays[name] = np.frombuffer(content[begin:end], dtype).reshape(shape).copy()
-        begin = end
-    if begin != len(content):
-        raise ValueError("not the arrays of the size of the file")
-    return arrays
-
-
 def report_damage(damage: object) -> None:
     """Warn on stderr about a damaged chunk, which is computed again."""
     print(f"vibrojax: warning: {damage}; computed again", file=sys.stderr)
-
-
-def _chunk_name(index: int) -> str:
-    return f"chunk-{index:08d}"
 
 
 def _locked(path: Path) -> FileLock:

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-from vibrojax.lanes.batch import Batch, Engine, Features, Index, Report
+from vibrojax.lanes.engine import Batch, Engine
+from vibrojax.lanes.inputs import Features, Index, Mask, PerLane, Report
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.repeats import REPEATS_WITHIN
 from vibrojax.measures.section import Settling
@@ -35,11 +35,8 @@ CHECK_SETTLES = 0.5
 LONGEST_EARLY_REPEAT = 3
 """Longest period, in section crossings, of which the last eight crossings contain several."""
 
-LanesBool = Bool[np.ndarray, " lanes"]
-LanesFloat = Float[np.ndarray, " lanes"]
 
-
-def repeats_lately(returns: Settling, now: float) -> LanesBool:
+def repeats_lately(returns: Settling, now: float) -> Mask:
     """Return a mask of the lanes that are periodic within the tolerance of labels.
 
     The last eight section crossings before `now` [s] are compared. Periods of up to four crossings are detected.
@@ -58,9 +55,7 @@ def _returned_lately(times: Array, now: float) -> Array:
     return now - times[0] < 1.5 * np.max(times[:-1] - times[1:], axis=0)
 
 
-def settled(
-    returns: Settling, now: float, end: float, observe: float, tolerance: float
-) -> tuple[LanesBool, LanesFloat]:
+def settled(returns: Settling, now: float, end: float, observe: float, tolerance: float) -> tuple[Mask, PerLane]:
     """Return the lanes that have settled and may be observed at once, and how long to observe them.
 
     In a settled lane, all future differences between successive periods add up to less than `tolerance`. The
@@ -83,7 +78,7 @@ def settled(
             # The maximum of half of the changes: a single one may be small by chance if the distance vector rotates.
             half, changes = (len(times) - repeat - 1) // 2, len(times) - repeat - 1
 
-            def change(first: int, end: int, lanes: Index, repeat: int = repeat) -> LanesFloat:
+            def change(first: int, end: int, lanes: Index, repeat: int = repeat) -> PerLane:
                 """Return the greatest change from one period to the next, of those numbered `first` to `end`."""
                 x, t = (np.take(array[first : end + repeat + 1], lanes, axis=-1) for array in (states, times))
                 x = x[:, : len(scale)]
@@ -123,10 +118,21 @@ class Ended(NamedTuple):
     features: Features
 
 
-EarlyStopping = Any
-"""Search for lanes that need no more steps, which may stop at different times. `of_chunk()` returns the search for the
-lanes of one chunk, `near(batch)` a mask of the lanes that deserve a closer examination, from a test of negligible cost,
-and a call with a batch a list of `Ended`. `shared` tells whether lanes of a chunk share orbits."""
+@runtime_checkable
+class StopRule(Protocol):
+    """Ends lanes before their time, in the thread that computes their chunk, between calls of compiled programs.
+
+    It reads batches and may integrate orbits; it neither changes a batch nor keeps it.
+    """
+
+    def for_chunk(self) -> "StopRule":
+        """Return the rule for one chunk of lanes, which knows nothing of other chunks."""
+
+    def near(self, batch: Batch) -> Mask:
+        """Return a mask of the lanes that deserve a closer examination, from a test of negligible cost."""
+
+    def ended(self, batch: Batch) -> list[Ended]:
+        """Return those of the lanes that need no more steps."""
 
 
 def checkpoints(run: RunSettings, on_orbits: bool = False) -> list[list[float]]:
@@ -146,7 +152,7 @@ def run_together(
     coarse: Accuracy,
     tolerance: float,
     early: bool,
-    search: EarlyStopping | None,
+    rule: StopRule | None,
     report: Callable[[float], Report],
 ) -> Iterator[ReadyLanes | Ended]:
     """Step lanes from t = 0 until main run and check run separate. First yield the lanes that stop early.
@@ -155,13 +161,13 @@ def run_together(
     same values with and without early stopping.
 
     **Arguments:** `coarse`: accuracy of the check run; `tolerance`: see `settled`; `early`: whether lanes stop early;
-    `search`: search for lanes that need no more steps; `report(seconds)`: returns the callback for lanes that have been
-    stepped for this time.
+    `rule`: further rule by which they do; `report(seconds)`: returns the callback for lanes that have been stepped for
+    this time.
     """
-    run = engine.sweep.run
-    ends = search.of_chunk() if early and search is not None else None
+    run = engine.run
+    ends = rule.for_chunk() if early and rule is not None else None
     active, before = start, 0.0
-    for times in checkpoints(run, search is not None):
+    for times in checkpoints(run, rule is not None):
         near: list[Batch] = []
         for now in times:
             if len(active.lanes):
@@ -182,7 +188,7 @@ def run_together(
                 )
         if ends is not None:
             candidates = near[0].joined(near[1:])
-            ended = ends(candidates)
+            ended = ends.ended(candidates)
             yield from ended
             lanes = np.concatenate([np.zeros(0, int), *(part.lanes for part in ended)])
             active = active.joined([candidates.split(np.isin(candidates.lanes, lanes))[1]])

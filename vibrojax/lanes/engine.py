@@ -14,13 +14,13 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 
 from vibrojax.compile import Untranslatable
 from vibrojax.compile.native import BoundKernel
 from vibrojax.compile.xla import BoundProgram, precision
 from vibrojax.lanes.compiler import Programs
-from vibrojax.lanes.parallel import free_threads, in_parallel
+from vibrojax.lanes.inputs import Features, Index, LaneInputs, Mask, PerLane, Report, unreported
 from vibrojax.lanes.programs import (
     CARRIED,
     Given,
@@ -30,28 +30,17 @@ from vibrojax.lanes.programs import (
     settle_lanes,
     start_lanes,
 )
-from vibrojax.maps.sweep import Sweep
+from vibrojax.lanes.threads import by_drivers, in_parallel
 from vibrojax.measures.recorder import Effort, Records, Underway
 from vibrojax.physics.arrays import Array
+from vibrojax.scenes import Scene
 from vibrojax.scenes.declared import Values
+from vibrojax.settings.run_settings import RunSettings
 from vibrojax.stepping import Accuracy, Stepper
 
 LANE_MAX_STEPS, LANE_MAX_RATE = 1e6, 1e3
 """Limit on the steps of a lane before it is abandoned: a fixed number, and a number per simulated second [1/s]. A
 typical map takes 60 steps per simulated second."""
-
-Report = Callable[[int], None]
-"""Callback that takes the number of lanes that have just been finished."""
-
-Features = dict[str, np.ndarray]
-"""Features of lanes by name: (lanes,), or (lanes, returns) for the last section crossings."""
-
-Index = Int[np.ndarray, " _"]
-PerLane = Float[np.ndarray, " lanes"]
-
-
-def unreported(lanes: int) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +64,7 @@ class Batch:
     def of(self, lanes: Index) -> "Batch":
         return Batch(self.accuracy, **jax.tree.map(lambda x: np.take(x, lanes, axis=-1), self._arrays()))
 
-    def split(self, mask: Bool[np.ndarray, " lanes"]) -> "tuple[Batch, Batch]":
+    def split(self, mask: Mask) -> "tuple[Batch, Batch]":
         """Return the lanes in the mask, and the other lanes."""
         return self.of(np.flatnonzero(mask)), self.of(np.flatnonzero(~mask))
 
@@ -105,34 +94,41 @@ Bound = BoundKernel | BoundProgram
 
 
 class Engine:
-    """Compiled programs of a sweep, run by all `workers` (one device per thread)."""
+    """Compiled programs of the lanes of one scene, run by all `workers` (one device per thread)."""
 
-    def __init__(self, sweep: Sweep, stepper: Stepper, recorder: Records, workers: Sequence[jax.Device]) -> None:
-        self.sweep, self.workers = sweep, workers
+    def __init__(
+        self,
+        scene: Scene[Any],
+        run: RunSettings,
+        start_names: tuple[str, ...],
+        stepper: Stepper,
+        recorder: Records,
+        workers: Sequence[jax.Device],
+    ) -> None:
+        self.scene, self.run, self.workers = scene, run, workers
         self.accelerated = workers[0].platform != "cpu"
         self.most_steps = LANE_MAX_STEPS
-        self._dtype = np.dtype(sweep.run.precision)
-        kind = Kind(sweep.system, stepper, recorder, sweep.start_names, sweep.run.carry is not None)
+        self._dtype = np.dtype(run.precision)
+        kind = Kind(scene, stepper, recorder, start_names, run.carry is not None)
         self.programs = Programs(kind, self._dtype, workers[0].platform if self.accelerated else None)
 
-    def given(self, first: int, end: int) -> Given:
-        """Return parameters and initial conditions of the lanes from `first` (inclusive) to `end` (exclusive)."""
-        values, _ = self.sweep.lane_values(first, end)
-        start, states = self.sweep.lane_starts(first, end)
-        parameters: dict[str, Array] = {name: x.astype(self._dtype) for name, x in values.items()}
-        return Given(parameters, start.astype(np.int32), tuple(x.astype(self._dtype) for x in states))
+    def given(self, inputs: LaneInputs) -> Given:
+        """Return parameters and initial conditions of lanes, in the precision of the run."""
+        parameters: dict[str, Array] = {name: x.astype(self._dtype) for name, x in inputs.parameters.items()}
+        states = tuple(x.astype(self._dtype) for x in inputs.states)
+        return Given(parameters, inputs.start.astype(np.int32), states)
 
-    def start(self, first: int, end: int, accuracy: Accuracy) -> Batch:
-        """Return the lanes from `first` (inclusive) to `end` (exclusive) at t = 0."""
-        given = self.given(first, end)
-        zeros = np.zeros(end - first, self._dtype)
+    def start(self, inputs: LaneInputs, accuracy: Accuracy) -> Batch:
+        """Return lanes at t = 0."""
+        given = self.given(inputs)
+        zeros = np.zeros(len(inputs), self._dtype)
         # Steps are counted in integers: in float32, a counter would stop at 2^24 and the lane would never finish.
-        steps = np.zeros(end - first, np.int32)
-        run = self.sweep.run
-        if run.carry is not None:
-            given = given._replace(carried=tuple(zeros for _ in self.sweep.system.states))
+        steps = np.zeros(len(inputs), np.int32)
+        if self.run.carry is not None:
+            given = given._replace(carried=tuple(zeros for _ in self.scene.states))
+        numbers = np.arange(len(inputs))
         return self.begun(
-            Batch(accuracy, np.arange(end - first), given, zeros + run.settle, zeros + run.observe, None, steps)
+            Batch(accuracy, numbers, given, zeros + self.run.settle, zeros + self.run.observe, None, steps)
         )
 
     def carried(self, batch: Batch, state: Values) -> Batch:
@@ -183,32 +179,32 @@ class Engine:
 
         return [{name: x.T for name, x in features.items()} for features in self._run(batches, program, report)]
 
-    def compile(self, accuracy: Accuracy) -> None:
+    def compile(self, inputs: LaneInputs, accuracy: Accuracy) -> None:
         """Compile the programs once, instead of in every thread, without stepping lanes.
 
         On CPUs, the program of the observation is compiled in the background while the others already run. A thread
-        that needs this program waits for it.
+        that needs this program waits for it. `inputs`: lanes, of which the first are used to decide whether kernels are
+        trusted.
 
         **Raises:** `InputError` if the compiled arithmetic is wrong on this machine.
         """
-        instant = replace(self.sweep, run=replace(self.sweep.run, settle=0.0, observe=0.0))
+        block = inputs.of(np.arange(min(self.programs.block, len(inputs))))
         for worker in dict.fromkeys(self.workers):
             alone = copy(self)
-            alone.sweep, alone.workers = instant, [worker]
-            # A full block: the comparison that decides whether kernels are trusted uses these lanes.
-            still = [alone.start(0, min(self.programs.block, self.sweep.lanes), accuracy)]
+            alone.run, alone.workers = replace(self.run, settle=0.0, observe=0.0), [worker]
+            still = [alone.start(block, accuracy)]
             check = partial(alone._call, worker, alone.programs.check_arithmetic)
             tasks: list[Callable[[], object]] = [check, partial(alone.settle, still)]
             if self.accelerated:  # else two threads that need the program would both compile it
                 tasks.append(partial(alone.observe, still))
-            for _ in in_parallel(lambda _, task: task(), tasks, range(len(tasks))):
+            for _ in by_drivers(lambda task: task(), tasks, len(tasks)):
                 pass
             self.programs = alone.programs
             if not self.accelerated:
                 threading.Thread(target=_early, args=(partial(alone.observe, still),), daemon=True).start()
 
     def _effort(self, accuracy: Accuracy) -> Effort:
-        run = self.sweep.run
+        run = self.run
         traced = Accuracy(*(np.asarray(x, self._dtype) for x in accuracy))
         most = steps_at_most(run.settle + run.observe, accuracy, self.most_steps)
         return Effort(traced, np.int32(min(most, 2**31 - 1)))
@@ -232,7 +228,7 @@ class Engine:
 
     def _call(self, worker: jax.Device, call: Callable[[], Any]) -> Any:
         """Return the result of `call` on a worker's device. If no kernel can be used, switch to XLA and call again."""
-        with precision(self.sweep.run.precision), jax.default_device(worker):
+        with precision(self.run.precision), jax.default_device(worker):
             try:
                 return call()
             except Untranslatable:
@@ -249,7 +245,7 @@ class Engine:
         """
         by_pace, block = np.argsort(-batch.recent, kind="stable"), self.programs.block
         count = -(-len(by_pace) // block)
-        calls = max(-(-len(by_pace) // self.programs.lanes_per_call), min(free_threads(len(self.workers)), count))
+        calls = max(-(-len(by_pace) // self.programs.lanes_per_call), min(len(self.workers), count))
         # Only the last block may be incomplete, and it is the last block of its call.
         number = np.arange(len(by_pace)) // block % calls
         return [(bound, by_pace[number == call]) for call in range(calls)]

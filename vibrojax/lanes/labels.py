@@ -1,9 +1,8 @@
-"""Variables with labels (regimes), coordinates and attributes of a sweep's dataset, from the features of its lanes.
+"""Variables of lanes with labels (regimes), from their features.
 
 Lanes that are too stiff or too slow for the steps or the precision to give a meaningful regime are rejected.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -13,39 +12,31 @@ import numpy as np
 from jaxtyping import Bool, Int8, Shaped
 
 from vibrojax.compile.xla import precision
-from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.manifest import IDENTITY, identity_text
 from vibrojax.io.variables import ORBIT_REASONS, OWN_REGIMES, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.lanes.compiler import lane_function
-from vibrojax.maps.points import VECTOR
-from vibrojax.maps.sweep import DIRECTIONS, Sweep
+from vibrojax.lanes.inputs import Features, LaneInputs
 from vibrojax.measures import gauge_named
 from vibrojax.measures.derived import derived
-from vibrojax.measures.labels import LABELLED_BY, REGIMES, hides_another, label, shares_transient
+from vibrojax.measures.labels import LABELLED_BY, REGIMES, label
 from vibrojax.measures.repeats import state_name
 from vibrojax.measures.since_start import scale_names
 from vibrojax.physics.arrays import Array
-from vibrojax.physics.parameters import differing, substitutes
 from vibrojax.scenes import HasContact, HasFriction, HasImpacts, HasRock, Scene
+from vibrojax.settings.run_settings import RunSettings
 
 ERROR_UNDER_PULSES = "estimated relative error of the settled rate of penetration (none if pulses do not repeat)"
 ERROR_OF_DRILL = "estimated relative error of the settled period, impact velocity and rate of penetration, the largest"
 """Meanings of `error_estimate` of scenes without a section, and of scenes with a section and rock."""
 
 
-def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = True) -> dict[str, np.ndarray]:
-    """Return the stored variables of the lanes from `first` (inclusive) to `end` (exclusive), in dataset order.
+def labelled(inputs: LaneInputs, features: Features) -> Features:
+    """Return the stored variables of lanes, in dataset order.
 
-    `features`: (lanes,), or (lanes, rows) for stored section crossings; the variables have the same shapes. `whole`:
-    True if the lanes include all initial conditions of each point; otherwise `hidden_motion`, which compares them, is
-    omitted, and `sensitive` is that of each lane alone.
+    `features`: (lanes,), or (lanes, rows) for stored section crossings; the variables have the same shapes.
     """
-    features = _finished(sweep, first, end, features)
-    if whole and sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in features:
-        of_points = (features, features["regime"], len(sweep.starts))
-        features |= {"hidden_motion": hides_another(*of_points), "sensitive": shares_transient(*of_points)}
+    features = _finished(inputs, features)
     variables = {}
-    for name, variable in variables_of(sweep).items():
+    for name, variable in variables_of(inputs.scene).items():
         if name in features:
             x = features[name]
             integer = np.issubdtype(variable.dtype, np.integer)
@@ -53,11 +44,9 @@ def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = T
     return variables
 
 
-def variables_of(sweep: Sweep) -> dict[str, Variable]:
-    """Return all variables that the dataset of a sweep may have, by name and in dataset order."""
-    scene, radius = sweep.system, sweep.hole_radius
-    known = VARIABLES | regime_variables(scene) | measured_besides(scene) | of_orbits(scene) | scales_of_orbits(scene)
-    return known if radius is None else known | with_radius(radius)
+def variables_of(scene: Scene[Any]) -> dict[str, Variable]:
+    """Return all variables that lanes of a scene may have, by name and in dataset order."""
+    return VARIABLES | regime_variables(scene) | measured_besides(scene) | of_orbits(scene) | scales_of_orbits(scene)
 
 
 def with_radius(bit_radius: float) -> dict[str, Variable]:
@@ -116,17 +105,17 @@ def scales_of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
     }
 
 
-def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
+def _finished(inputs: LaneInputs, features: Features) -> Features:
     """Return the features with regime, status and reason, and with NaN in lanes that failed or were rejected."""
-    values = sweep.lane_values(first, end)[0]
-    why, unfit = sweep.system.refused(values) or ("none", np.zeros(end - first, bool))
-    stiff, slow = too_stiff_or_slow(sweep, values)
+    scene, values = inputs.scene, inputs.parameters
+    why, unfit = scene.refused(values) or ("none", np.zeros(len(inputs), bool))
+    stiff, slow = too_stiff_or_slow(scene, inputs.run, values)
     refused = unfit | stiff | slow
     flags = [REASONS.index(name) for name in (why, "too-stiff", "too-slow", "not-finite", "out-of-steps")]
     reason = np.select([unfit, stiff, slow, ~features["finite"], ~features["finished"]], flags, 0)
     if not features["finite"].all():
-        reason = np.where(reason == REASONS.index("not-finite"), _reasons_of_starts(sweep, first, end), reason)
-    for number, name in enumerate(sweep.system.fault_reasons[1:] if "fault" in features else (), start=1):
+        reason = np.where(reason == REASONS.index("not-finite"), _reasons_of_starts(inputs), reason)
+    for number, name in enumerate(scene.fault_reasons[1:] if "fault" in features else (), start=1):
         ends = (reason == REASONS.index("not-finite")) & (features["fault"] == number)
         reason = np.where(ends, REASONS.index(name), reason)
     failed = reason != 0
@@ -134,8 +123,8 @@ def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
     if "cycles" in features:
         sound = {name: features[name] & ~refused for name in ("finite", "check_finite") if name in features}
         check = {name: (features | sound)[f"check_{name}"] for name in LABELLED_BY if f"check_{name}" in features}
-        labels["regime"] = regimes(sweep.system, values, features | sound)
-        labels["check_regime"] = regimes(sweep.system, values, check)
+        labels["regime"] = regimes(scene, values, features | sound)
+        labels["check_regime"] = regimes(scene, values, check)
     if "orbit_reason" in features:
         features = features | {
             "orbit_reason": np.where(failed, ORBIT_REASONS.index("refused"), features["orbit_reason"]),
@@ -147,22 +136,21 @@ def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
             name: x if name in kept else np.where(failed.reshape(-1, *[1] * (x.ndim - 1)), np.nan, x)
             for name, x in features.items()
         }
-    features = features | derived(sweep.system, features, sweep.hole_radii(first, end))
+    features = features | derived(scene, features, inputs.hole_radius)
     flags = [STATUSES.index(name) for name in ("refused", "failed")]
     status = np.select([refused, failed], flags, STATUSES.index("done"))
     return features | labels | {"status": status, "reason": reason}
 
 
-def _reasons_of_starts(sweep: Sweep, first: int, end: int) -> Int8[np.ndarray, " lanes"]:
+def _reasons_of_starts(inputs: LaneInputs) -> Int8[np.ndarray, " lanes"]:
     """Return why lanes that do not stay finite cannot begin: flags of `reason`, *not-finite* without another reason."""
-    reason = np.full(end - first, REASONS.index("not-finite"), np.int8)
-    number, vectors = sweep.lane_starts(first, end)
-    named = number < len(sweep.start_names)
-    columns = vectors or tuple(np.zeros((len(sweep.system.start_states), end - first)))
-    if sweep.run.carry is None:  # a carried lane begins elsewhere
+    reason = np.full(len(inputs), REASONS.index("not-finite"), np.int8)
+    columns = inputs.states or tuple(np.zeros((len(inputs.scene.start_states), len(inputs))))
+    if not inputs.row:  # a lane of a row begins elsewhere
+        named = inputs.start < len(inputs.start_names)
         with precision("float64"):
             state = tuple(np.where(named, 0.0, column) for column in columns)
-            faults = sweep.system.start_faults(sweep.lane_values(first, end)[0], state)
+            faults = inputs.scene.start_faults(inputs.parameters, state)
             for name, _, mask in reversed(faults):  # the first one counts
                 reason[np.broadcast_to(mask, reason.shape)] = REASONS.index(name)
     return reason
@@ -191,105 +179,6 @@ def _friction_at_rest(scene: HasFriction[Any], values: dict[str, Array]) -> Arra
     return scene.friction.on_weight(0.0, values) + jnp.zeros_like(values["m1"])
 
 
-def certified(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> dict[str, int]:
-    """Count the lanes by the outcome of their error control.
-
-    The counts are: lanes with an error estimate, within the error tolerance, still settling, sensitive, and with a
-    different regime in their check run. Sensitive lanes do not count as within the tolerance.
-    """
-    done = variables["reason"] == 0
-    estimate = variables["error_estimate"][done]
-    within = estimate <= sweep.run.error
-    counts = {"estimated": int(np.sum(~np.isnan(estimate))), "within": int(np.sum(within))}
-    if "sensitive" in variables:
-        sensitive = variables["sensitive"][done] == 1
-        counts |= {"within": int(np.sum(within & ~sensitive)), "sensitive": int(np.sum(sensitive))}
-    if "drift_estimate" in variables:
-        counts["still_settling"] = int(np.sum(variables["drift_estimate"][done] > sweep.run.error))
-    if "regime" in variables:
-        counts["regime_flips"] = int(np.sum(variables["regime"] != variables["check_regime"]))
-    return counts
-
-
-def attributes(sweep: Sweep, solver: dict, certified: Mapping[str, int], wall_time: float) -> dict[str, Any]:
-    """Return the attributes of the dataset.
-
-    `solver`: the stepper and its settings; `certified`: counts over all lanes, see
-    [vibrojax.lanes.labelled.certified][]; `wall_time`: duration of the computation [s].
-    """
-    title = sweep.title or f"{sweep.scene}: {sweep.name}"
-    return {
-        **shared_attributes(sweep, "sweep", title, f"sweep {sweep.name}"),
-        "sweep": sweep.text,
-        # Includes defaults that the sweep file omits, because regimes depend on the times. Omits the chunk size.
-        "run": json.dumps({name: value for name, value in sweep.run.described().items() if value is not None}),
-        IDENTITY: identity_text(sweep.identity()),
-        "solver": json.dumps(solver),
-        "certified": json.dumps({"error": sweep.run.error, "lanes": sweep.lanes, **certified}),
-        "wall_time_s": float(wall_time),
-        "lanes": sweep.lanes,
-    }
-
-
-def shared_attributes(sweep: Sweep, kind: str, title: str, command: str) -> dict[str, Any]:
-    """Return the attributes that the datasets of a sweep and of analyses of its lanes have in common."""
-    return {
-        **dataset_attributes(kind, title, command, scene=sweep.scene),
-        **sweep.options,
-        "parameters": json.dumps(sweep.parameters),
-        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
-    }
-
-
-def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
-    """Return the coordinates of the dataset by name, each as (dimensions, values, attributes).
-
-    `rows`: sizes of the dimensions that are added to the sweep's own, by name.
-    """
-    coords: dict[str, tuple] = {
-        name: ((name,), axis, parameter_attributes(sweep, name)) for name, axis in sweep.axes.items()
-    }
-    for name, column in (sweep.points or {}).items():
-        coords[name] = (("point",), column, parameter_attributes(sweep, name))
-    for name, column in (sweep.point_vectors or {}).items():
-        state = sweep.system.states[sweep.system.place(name.removeprefix(VECTOR))]
-        coords[name] = (("point",), column, {"units": state.unit, "long_name": f"{state.long_name} at t = 0"})
-    if sweep.points is not None:
-        coords["point"] = (("point",), np.arange(sweep.shape[0]), {"units": "1", "long_name": "number of the point"})
-    about = {"units": "1", "long_name": "start of the motion"}
-    if sweep.point_starts is not None:
-        coords["start"] = (("point",), np.array(sweep.point_starts), about)
-    elif sweep.run.carry is not None:
-        meaning = f"way along {sweep.run.carry} in which lanes run, each from where the last one ended"
-        coords["direction"] = (("direction",), np.array(DIRECTIONS), {"units": "1", "long_name": meaning})
-    elif sweep.starts is not None:
-        starts = sweep.starts
-        names = [start if isinstance(start, str) else json.dumps(list(start)) for start in starts]
-        coords["start"] = (("start",), np.array(names) if starts.listed else np.arange(len(starts)), about)
-        if starts.has_vectors:
-            meanings = {
-                state.name: {"units": state.unit, "long_name": f"{state.long_name}, at t = 0"}
-                for state in sweep.system.states
-            }
-            for name, column in zip(starts.states, starts.vectors.T, strict=True):
-                coords[f"start_{name}"] = (("start",), column, meanings.get(name, {}))
-    meanings_of_rows = {
-        "return_index": "number of the return that is kept, the newest last",
-        "multiplier": "number of the multiplier, by falling modulus",
-    }
-    for dimension, size in rows.items():
-        coords[dimension] = ((dimension,), np.arange(size), {"units": "1", "long_name": meanings_of_rows[dimension]})
-    return coords
-
-
-def parameter_attributes(sweep: Sweep, name: str) -> dict[str, str]:
-    """Return units, meaning and symbol of a parameter of a sweep."""
-    if name in sweep.system.choice_meanings:
-        return {"units": "1", "long_name": sweep.system.choice_meanings[name]}
-    parameter = (dict(parameters := sweep.system.parameters()) | substitutes(parameters))[name]
-    return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
-
-
 FLIGHT_MAX_STEPS = 1e7
 """Limit on the length of a run in units of the shortest time scale of the flight. It is several times the number of
 steps after which a lane is abandoned."""
@@ -301,14 +190,13 @@ LanesBool = Bool[np.ndarray, "*lanes"]
 Parameters = Mapping[str, Any]
 
 
-def too_stiff_or_slow(sweep: Sweep, p: Parameters) -> tuple[LanesBool, LanesBool]:
+def too_stiff_or_slow(scene: Scene[Any], run: RunSettings, p: Parameters) -> tuple[LanesBool, LanesBool]:
     """Return two masks of lanes; `p`: parameters by name, each (lanes,).
 
     The first mask holds the lanes that are `unresolved` or whose flight takes too many steps. The second one holds
     those whose drive is so slow that it cannot be distinguished from rest: it is below a multiple of the rounding error
     of a typical speed, to which friction and main spring contribute.
     """
-    scene, run = sweep.system, sweep.run
     if not isinstance(scene, HasFriction) or not run.stepper.rests:
         none = np.zeros(_shape(p), bool)
         return none, none

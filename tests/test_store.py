@@ -1,0 +1,284 @@
+"""Test that finished chunks beside the output survive a crash, and that damaged or foreign ones are never accepted."""
+
+import errno
+import json
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from io import BytesIO
+from threading import Timer
+
+import numpy as np
+import pytest
+
+from vibrojax.errors import InputError
+from vibrojax.io import atomic
+from vibrojax.io.manifest import canonical, digest
+from vibrojax.maps.store import FORMAT, DamagedChunk, Store, _locked
+
+MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
+OWNER = digest(json.loads(canonical(MANIFEST | {"store": FORMAT})))
+
+
+def arrays(index: int) -> dict[str, np.ndarray]:
+    regime = np.full(4, index, np.int8)
+    return {"period": np.array([0.1, np.nan, index, 3.0]), "regime": regime, "kept": np.arange(8.0).reshape(4, 2)}
+
+
+@pytest.fixture
+def store(tmp_path):
+    """Return a closed folder in which chunks 0 and 2 are finished."""
+    opened = Store(tmp_path / "out.nc.chunks", MANIFEST)
+    opened.open(resume=True)
+    opened.write(2, arrays(2))
+    opened.write(0, arrays(0))
+    opened.close()
+    return opened
+
+
+def reopen(store, resume=True, **changes) -> Store:
+    opened = Store(store.folder, MANIFEST | changes)
+    opened.open(resume)
+    return opened
+
+
+def chunk_path(store, index):
+    return store.folder / f"chunk-{index:08d}.zip"
+
+
+def test_finished_chunks_are_read_after_reopening(store):
+    with reopen(store) as opened:
+        assert opened.finished() == {0, 2}
+        for index in (0, 2):
+            chunk, expected = opened.read(index), arrays(index)
+            assert chunk.keys() == expected.keys()
+            for name in expected:
+                np.testing.assert_array_equal(chunk[name], expected[name], strict=True)
+        with pytest.raises(DamagedChunk):
+            opened.read(1)
+
+
+def flip_bit(path, place):
+    content = bytearray(path.read_bytes())
+    content[place] ^= 1
+    path.write_bytes(content)
+
+
+DAMAGES = [*((flip_bit, place) for place in (0, 31, 55, 80)), *((os.truncate, size) for size in (0, 10, 32, 200))]
+
+
+@pytest.mark.parametrize(("damage", "place"), DAMAGES)
+def test_damaged_chunk_is_detected(store, damage, place, capsys):
+    damage(chunk_path(store, 2), place)
+    with reopen(store) as opened:
+        assert opened.finished() == {0}
+        line = capsys.readouterr().err
+        assert line.count("\n") == 1 and "chunk-00000002" in line and "; computed again" in line
+        with pytest.raises(DamagedChunk):
+            opened.read(2)
+        opened.write(2, arrays(2))
+        assert opened.finished() == {0, 2}
+
+
+def test_no_flipped_bit_changes_a_value(store):
+    """A few bits of an archive mean nothing, such as those of its date."""
+    path, detected = chunk_path(store, 2), 0
+    content = path.read_bytes()
+    for place in range(len(content)):
+        flip_bit(path, place)
+        try:
+            for name, x in store.read(2).items():
+                np.testing.assert_array_equal(x, arrays(2)[name], strict=True)
+        except DamagedChunk:
+            detected += 1
+        path.write_bytes(content)
+    assert detected > 0.6 * len(content)
+
+
+def test_chunk_in_place_of_another_is_detected(store):
+    os.replace(chunk_path(store, 2), chunk_path(store, 1))
+    with reopen(store) as opened:
+        assert opened.finished() == {0}
+
+
+def archive(name: str, content: bytes, compression=zipfile.ZIP_STORED) -> bytes:
+    """Return a file of the sweep's chunk 1 with one member."""
+    file = BytesIO()
+    with zipfile.ZipFile(file, "w", compression) as members:
+        members.comment = f"{OWNER} 1".encode()
+        members.writestr(name, content)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"no archive",
+        archive("no json", b""),
+        archive('["x", "<f8"]', bytes(8)),
+        archive('["x", "<f8", [2]]', bytes(8)),
+        archive('["x", "<f8", []]', bytes(16)),
+        archive('["x", "<f8", [99999999, 99999999]]', bytes(8)),
+        archive('["x", "<f8", [0.5]]', bytes(8)),
+        archive('["x", "|O8", []]', bytes(8)),
+        archive('["x", "f8,f8", []]', bytes(16)),
+        archive('["x", "<f8", [4]]', bytes(32), zipfile.ZIP_DEFLATED),
+        archive("[" * 10000, bytes(8)),
+    ],
+)
+def test_files_from_anywhere_are_refused(store, content):
+    """No pickle is loaded, nothing unpacks to more than its size, and no array exceeds its file."""
+    with reopen(store) as opened:
+        chunk_path(opened, 1).write_bytes(content)
+        assert opened.finished() == {0, 2}
+
+
+def test_folder_of_version_1_is_refused(store):
+    """Its chunks hold other values. The reason is named, and a fresh run removes them."""
+    old = Store(store.folder, {})
+    old.manifest = MANIFEST
+    old._digest = digest(MANIFEST)
+    old._write_manifest()
+    os.replace(chunk_path(store, 2), store.folder / "chunk-00000002.shard")
+    with pytest.raises(InputError, match="store was not there, is 2"):
+        reopen(store)
+    with reopen(store, resume=False) as opened:
+        assert opened.there() == set()
+
+
+def test_changed_manifest_is_refused(store):
+    with pytest.raises(InputError) as caught:
+        reopen(store, chunk=8)
+    line = str(caught.value)
+    assert "chunk was 4, is 8" in line and "--fresh" in line and "\n" not in line and "scene" not in line
+    with reopen(store) as opened:  # nothing was lost, and the lock is free
+        assert opened.finished() == {0, 2}
+    with reopen(store, resume=False, chunk=8) as opened:
+        assert opened.finished() == set()
+    with reopen(store, chunk=8) as opened:
+        assert opened.finished() == set()
+
+
+def test_manifest_without_chunks_may_change(store):
+    chunk_path(store, 0).unlink()
+    chunk_path(store, 2).unlink()
+    reopen(store, chunk=8).close()
+
+
+@pytest.mark.parametrize("damage", [b"", b"{", b"[]", b'{"sha256": "0", "manifest": {"scene": "other"}}'])
+def test_chunks_are_checked_individually_without_valid_manifest(store, damage):
+    (store.folder / "manifest.json").write_bytes(damage)
+    with reopen(store) as opened:
+        assert opened.finished() == {0, 2}
+    (store.folder / "manifest.json").write_bytes(damage)
+    with reopen(store, chunk=8) as opened:
+        assert opened.finished() == set()
+
+
+def test_partial_file_of_killed_process_is_removed(store):
+    half = store.folder / "chunk-00000001.zip.tmp"
+    half.write_bytes(b"half")
+    with reopen(store) as opened:
+        assert not half.exists() and opened.finished() == {0, 2}
+
+
+def test_failed_write_leaves_no_finished_chunk(store, monkeypatch):
+    with reopen(store) as opened:
+        monkeypatch.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+        with pytest.raises(OSError, match="No space"):
+            opened.write(1, arrays(1))
+        monkeypatch.undo()
+        assert opened.finished() == {0, 2}
+
+
+def test_folder_removed_during_write_is_recreated(store, monkeypatch):
+    opened, removals = reopen(store), iter([1, 2])
+    finish = atomic.commit
+
+    def commit(part, path):
+        if next(removals, None):
+            shutil.rmtree(opened.folder)
+        finish(part, path)
+
+    monkeypatch.setattr("vibrojax.maps.store.commit", commit)
+    opened.write(1, arrays(1))
+    assert opened.finished() == {1}
+
+
+def test_two_processes_cannot_use_same_folder(store):
+    with reopen(store):
+        code = "import sys; from pathlib import Path; from vibrojax.maps.store import Store; "
+        code += "Store(Path(sys.argv[1]), {}).open(resume=False)"
+        other = subprocess.run([sys.executable, "-c", code, str(store.folder)], capture_output=True, text=True)
+        assert other.returncode == 1 and "another process is at work there" in other.stderr
+    with reopen(store) as opened:  # resume=False of the other process removed nothing
+        assert opened.finished() == {0, 2}
+
+
+def test_lock_of_killed_process_is_free(store):
+    """The operating system releases the lock when the process ends. The lock file that remains has no effect."""
+    code = "import sys, time; from pathlib import Path; from vibrojax.maps.store import Store; "
+    code += "taken = Store(Path(sys.argv[1]), {}); taken.open(resume=False); print('taken', flush=True); time.sleep(60)"
+    other = subprocess.Popen([sys.executable, "-c", code, str(store.folder)], stdout=subprocess.PIPE, text=True)
+    with other:
+        assert other.stdout.readline() == "taken\n"
+        with pytest.raises(InputError, match="another process is at work there"):
+            reopen(store)
+        other.kill()
+    assert (store.folder / "lock").exists()
+    with reopen(store, resume=False) as opened:
+        opened.write(1, arrays(1))
+        assert opened.finished() == {1}
+
+
+def test_lock_is_retried_if_its_file_was_removed(store):
+    """A process that ends removes the file first and then releases the lock."""
+    path = store.folder / "lock"
+    first = _locked(path)
+    ending = Timer(0.05, lambda: (path.unlink(), first.release()))
+    ending.start()
+    second = _locked(path)
+    assert path.exists()
+    with pytest.raises(InputError, match="another process"):
+        _locked(store.folder / "lock")
+    second.release()
+    ending.join()
+
+
+def test_lock_that_cannot_be_created_is_refused(tmp_path):
+    (tmp_path / "lock").mkdir()
+    with pytest.raises(InputError, match="lock: cannot be written"):
+        _locked(tmp_path / "lock")
+
+
+def test_file_system_without_locks_is_accepted(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    _locked(tmp_path / "lock").release()
+
+
+def test_folder_is_removed_at_end(store):
+    with reopen(store) as opened:
+        opened.remove()
+    assert not store.folder.exists()
+    with reopen(store) as opened:
+        assert opened.finished() == set()
+
+
+def test_foreign_files_are_kept(store):
+    note = store.folder / "note.txt"
+    note.write_text("mine")
+    with reopen(store, resume=False) as opened:
+        opened.remove()
+    assert [path.name for path in store.folder.iterdir()] == ["note.txt"]
+
+
+def test_file_in_place_of_folder_is_refused(tmp_path):
+    (tmp_path / "out.nc.chunks").write_text("")
+    with pytest.raises(InputError, match="cannot be made a folder"):
+        Store(tmp_path / "out.nc.chunks", MANIFEST).open(resume=True)

@@ -1,0 +1,266 @@
+"""Assembly of a sweep's dataset from its finished chunks, one block of lanes after another, to limit memory.
+
+A block, here called region, fills a box in the dataset's arrays. While one thread writes values, another one reads the
+next chunks. A large dataset is written about as fast as the disk allows; file compression is slower, see
+[vibrojax.io.dataset][].
+"""
+
+import json
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.manifest import IDENTITY, identity_text
+from vibrojax.io.targets import Region, Regions, Target
+from vibrojax.io.variables import Variable
+from vibrojax.lanes.inputs import Features, LaneResult
+from vibrojax.lanes.labels import variables_of, with_radius
+from vibrojax.lanes.run import LaneRun
+from vibrojax.maps.points import VECTOR
+from vibrojax.maps.sweep import DIRECTIONS, Sweep
+from vibrojax.measures.labels import hides_another, shares_transient
+from vibrojax.physics.parameters import differing, substitutes
+from vibrojax.progress import LOG, quiet
+
+REGION, REGION_BYTES = 1 << 16, 32e6
+"""Maximum number of lanes that are labelled and written together, and approximate limit on their features [bytes]."""
+
+COMPRESSED_BYTES = 64e6
+"""Size of a dataset [bytes] up to which all variables are compressed. In a larger one, flags, counts and variables that
+most lanes lack are, since they shrink to a fifth or less. Measured numbers shrink to four fifths only, which takes one
+core several times as long as writing them."""
+
+SECONDS, STEPS = "#seconds", "#steps"
+"""Names of the arrays of shape () of a finished chunk: its computing time [s], and the steps of its lanes."""
+
+Read = Callable[[int], Features]
+"""Function that returns a finished chunk. Every index is read once, in order."""
+
+WallTime = Callable[[float], float]
+"""Function that returns the duration [s] of a sweep, given the sum of its chunks' computing times [s]."""
+
+
+def stored(result: LaneResult, seconds: float) -> Features:
+    """Return the arrays of a chunk that has taken so many `seconds`, of which the dataset is made."""
+    return result.variables | {SECONDS: np.array(seconds), STEPS: np.array(int(result.features["steps"].sum()))}
+
+
+def join(sweep: Sweep, run: LaneRun, read: Read, target: Target, wall_time: WallTime) -> None:
+    """Write the lanes of all chunks to `target`, and finish the target."""
+    lanes = _Lanes(sweep, read)
+    counts: Counter[str] = Counter()
+    begun = False
+    with quiet():
+        for regions, variables in _parts(sweep, lanes):
+            counts.update(certified(sweep, variables))
+            if not begun:
+                template = _template(sweep, variables)
+                known = {name: np.mean(np.isfinite(x)) for name, x in variables.items() if x.dtype.kind == "f"}
+                large = template.nbytes > COMPRESSED_BYTES
+                plain = {name for name, share in known.items() if share > 0.5 and large}
+                region = dict(zip(sweep.counted, _regions(sweep).chunk, strict=True))
+                target.begin(template, tuple(region[name] for name in sweep.dims), frozenset(plain))
+                begun = True
+            _write(sweep, target, regions, variables)
+    solver = run.described(lanes.steps)
+    LOG.info("chosen: %s, %d chunks of %d lanes", json.dumps(solver), sweep.chunks, sweep.plan.chunk)
+    values = attributes(sweep, solver, counts, wall_time(lanes.seconds))
+    described: dict[str, dict[str, object]] = {}
+    for stage in run.stages:
+        described[stage.attribute] = described.get(stage.attribute, {}) | dict(stage.described)
+    target.finish(values | {name: json.dumps(about) for name, about in described.items()})
+
+
+def _parts(sweep: Sweep, lanes: "_Lanes") -> Iterator[tuple[list[Region], Features]]:
+    """Yield array regions that are written together and the variables of their lanes, in order, the next one ahead."""
+
+    def read(regions: list[Region]) -> tuple[list[Region], Features]:
+        variables = lanes.take(regions[0].first, regions[-1].end)
+        if sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in variables:
+            of_points = (variables, variables["regime"], len(sweep.starts))
+            variables |= {"hidden_motion": hides_another(*of_points), "sensitive": shares_transient(*of_points)}
+        return regions, {name: variables[name] for name in variables_of(sweep.system) if name in variables}
+
+    with ThreadPoolExecutor(1) as reader:
+        ahead: deque[Future[tuple[list[Region], Features]]] = deque()
+        try:
+            for regions in _groups(sweep):
+                ahead.append(reader.submit(read, regions))
+                if len(ahead) > 1:
+                    yield ahead.popleft().result()
+            yield ahead.popleft().result()
+        finally:
+            for future in ahead:
+                future.cancel()
+
+
+def _write(sweep: Sweep, target: Target, regions: list[Region], variables: Features) -> None:
+    # With `carry`, the order of dimensions in which lanes are numbered differs from that of the dataset.
+    first, order = regions[0].first, [sweep.counted.index(name) for name in sweep.dims]
+    for region in regions:
+        box = tuple(region.box[axis] for axis in order)
+        for name, x in variables.items():
+            values = x[region.first - first : region.end - first].reshape(*region.shape, *x.shape[1:])
+            target.put(name, box, values.transpose(*order, *range(len(order), values.ndim)))
+
+
+class _Lanes:
+    """Sequential access to the lanes of all chunks, with one chunk in memory at a time."""
+
+    def __init__(self, sweep: Sweep, read: Read) -> None:
+        self._size, self._read = sweep.plan.chunk, read
+        self._index = -1
+        self._chunk: Features = {}
+        self.seconds, self.steps = 0.0, 0
+
+    def take(self, first: int, end: int) -> Features:
+        """Return the variables of the lanes from `first` to `end` (exclusive), which follow those of the last call."""
+        parts = []
+        for index in range(first // self._size, (end - 1) // self._size + 1):
+            if index != self._index:
+                self._index, self._chunk = index, dict(self._read(index))
+                self.seconds += float(self._chunk.pop(SECONDS))
+                self.steps += int(self._chunk.pop(STEPS))
+            begin = index * self._size
+            parts.append({name: x[max(first - begin, 0) : end - begin] for name, x in self._chunk.items()})
+        return parts[0] if len(parts) == 1 else {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}
+
+
+def _groups(sweep: Sweep) -> Iterator[list[Region]]:
+    """Yield groups of array regions; each group holds all initial conditions of its points."""
+    starts = sweep.shape[-1] if sweep.crosses_starts else 1
+    group: list[Region] = []
+    for region in _regions(sweep):
+        group.append(region)
+        if region.end % starts == 0:
+            yield group
+            group = []
+
+
+def _regions(sweep: Sweep) -> Regions:
+    lane_bytes = 8 * (len(variables_of(sweep.system)) + 6 * sweep.run.keep_returns)
+    sizes = dict(zip(sweep.dims, sweep.shape, strict=True))
+    return Regions(tuple(sizes[name] for name in sweep.counted), int(min(REGION, max(1, REGION_BYTES // lane_bytes))))
+
+
+def _template(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> xr.Dataset:
+    """Return the dataset with placeholder values that take no memory, given the variables of some of its lanes."""
+    columns: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, Any]]] = {}
+    rows: dict[str, int] = {}
+    known = described_variables(sweep)
+    for name, x in variables.items():
+        along = (known[name].along,) if x.ndim == 2 else ()
+        rows |= dict(zip(along, x.shape[1:], strict=True))
+        placeholder = np.broadcast_to(np.zeros((), x.dtype), (*sweep.shape, *x.shape[1:]))
+        columns[name] = ((*sweep.dims, *along), placeholder, known[name].attributes())
+    return xr.Dataset(columns, dict(coordinates(sweep, rows)))
+
+
+def described_variables(sweep: Sweep) -> dict[str, Variable]:
+    """Return all variables that the dataset of a sweep may have, by name and in dataset order."""
+    known, radius = variables_of(sweep.system), sweep.hole_radius
+    return known if radius is None else known | with_radius(radius)
+
+
+def certified(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> dict[str, int]:
+    """Count the lanes by the outcome of their error control.
+
+    The counts are: lanes with an error estimate, within the error tolerance, still settling, sensitive, and with a
+    different regime in their check run. Sensitive lanes do not count as within the tolerance.
+    """
+    done = variables["reason"] == 0
+    estimate = variables["error_estimate"][done]
+    within = estimate <= sweep.run.error
+    counts = {"estimated": int(np.sum(~np.isnan(estimate))), "within": int(np.sum(within))}
+    if "sensitive" in variables:
+        sensitive = variables["sensitive"][done] == 1
+        counts |= {"within": int(np.sum(within & ~sensitive)), "sensitive": int(np.sum(sensitive))}
+    if "drift_estimate" in variables:
+        counts["still_settling"] = int(np.sum(variables["drift_estimate"][done] > sweep.run.error))
+    if "regime" in variables:
+        counts["regime_flips"] = int(np.sum(variables["regime"] != variables["check_regime"]))
+    return counts
+
+
+def attributes(sweep: Sweep, solver: dict, certified: Mapping[str, int], wall_time: float) -> dict[str, Any]:
+    """Return the attributes of the dataset.
+
+    `solver`: the stepper and its settings; `certified`: counts over all lanes, see
+    [vibrojax.maps.dataset.certified][]; `wall_time`: duration of the computation [s].
+    """
+    title = sweep.title or f"{sweep.scene}: {sweep.name}"
+    return {
+        **shared_attributes(sweep, "sweep", title, f"sweep {sweep.name}"),
+        "sweep": sweep.text,
+        # Includes defaults that the sweep file omits, because regimes depend on the times. Omits the chunk size.
+        "run": json.dumps({name: value for name, value in sweep.run.described().items() if value is not None}),
+        IDENTITY: identity_text(sweep.identity()),
+        "solver": json.dumps(solver),
+        "certified": json.dumps({"error": sweep.run.error, "lanes": sweep.lanes, **certified}),
+        "wall_time_s": float(wall_time),
+        "lanes": sweep.lanes,
+    }
+
+
+def shared_attributes(sweep: Sweep, kind: str, title: str, command: str) -> dict[str, Any]:
+    """Return the attributes that the datasets of a sweep and of analyses of its lanes have in common."""
+    return {
+        **dataset_attributes(kind, title, command, scene=sweep.scene),
+        **sweep.options,
+        "parameters": json.dumps(sweep.parameters),
+        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
+    }
+
+
+def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
+    """Return the coordinates of the dataset by name, each as (dimensions, values, attributes).
+
+    `rows`: sizes of the dimensions that are added to the sweep's own, by name.
+    """
+    coords: dict[str, tuple] = {
+        name: ((name,), axis, parameter_attributes(sweep, name)) for name, axis in sweep.axes.items()
+    }
+    for name, column in (sweep.points or {}).items():
+        coords[name] = (("point",), column, parameter_attributes(sweep, name))
+    for name, column in (sweep.point_vectors or {}).items():
+        state = sweep.system.states[sweep.system.place(name.removeprefix(VECTOR))]
+        coords[name] = (("point",), column, {"units": state.unit, "long_name": f"{state.long_name} at t = 0"})
+    if sweep.points is not None:
+        coords["point"] = (("point",), np.arange(sweep.shape[0]), {"units": "1", "long_name": "number of the point"})
+    about = {"units": "1", "long_name": "start of the motion"}
+    if sweep.point_starts is not None:
+        coords["start"] = (("point",), np.array(sweep.point_starts), about)
+    elif sweep.run.carry is not None:
+        meaning = f"way along {sweep.run.carry} in which lanes run, each from where the last one ended"
+        coords["direction"] = (("direction",), np.array(DIRECTIONS), {"units": "1", "long_name": meaning})
+    elif sweep.starts is not None:
+        starts = sweep.starts
+        names = [start if isinstance(start, str) else json.dumps(list(start)) for start in starts]
+        coords["start"] = (("start",), np.array(names) if starts.listed else np.arange(len(starts)), about)
+        if starts.has_vectors:
+            meanings = {
+                state.name: {"units": state.unit, "long_name": f"{state.long_name}, at t = 0"}
+                for state in sweep.system.states
+            }
+            for name, column in zip(starts.states, starts.vectors.T, strict=True):
+                coords[f"start_{name}"] = (("start",), column, meanings.get(name, {}))
+    meanings_of_rows = {
+        "return_index": "number of the return that is kept, the newest last",
+        "multiplier": "number of the multiplier, by falling modulus",
+    }
+    for dimension, size in rows.items():
+        coords[dimension] = ((dimension,), np.arange(size), {"units": "1", "long_name": meanings_of_rows[dimension]})
+    return coords
+
+
+def parameter_attributes(sweep: Sweep, name: str) -> dict[str, str]:
+    """Return units, meaning and symbol of a parameter of a sweep."""
+    if name in sweep.system.choice_meanings:
+        return {"units": "1", "long_name": sweep.system.choice_meanings[name]}
+    parameter = (dict(parameters := sweep.system.parameters()) | substitutes(parameters))[name]
+    return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
