@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from vibrojax.cli import main
+from vibrojax.compile.native import kernels
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
-from vibrojax.maps.read import read_sweep
-from vibrojax.pictures.choose import work_precision
-from vibrojax.studies.accuracy_cases import SCENES, lanes_of, settings_of
-from vibrojax.studies.accuracy_measurement import STATUSES, errors_of, measure, statuses_of, usable
-from vibrojax.studies.accuracy_programs import Program
-from vibrojax.studies.accuracy_run import dataset_of, pareto, run_accuracy, table
+from vibrojax.studies import accuracy_run
+from vibrojax.studies.accuracy_programs import SCENES, Program, Setting, settings_of
+from vibrojax.studies.accuracy_run import STATUSES, compared, pareto, run_accuracy, table
 
 
 @pytest.fixture(scope="module")
@@ -43,29 +41,25 @@ def test_errors_shrink_with_smoothing_width(study, method):
 
 
 def test_smoothing_error_does_not_depend_on_integrator(study):
-    """Both integrators read their features off samples of the same smoothed motion."""
-    own, others = (
-        settings_for(study, "vibro-impact", "smoothed", "width"),
-        settings_for(study, "vibro-impact", "diffrax Tsit5", "width"),
-    )
-    np.testing.assert_allclose(own["error_worst"], others["error_worst"], rtol=0.3)
+    """Both integrators follow the same smoothed motion."""
+    own, other = (settings_for(study, "vibro-impact", method, "width") for method in ("smoothed", "diffrax Tsit5"))
+    np.testing.assert_allclose(own["error_worst"], other["error_worst"], rtol=0.3)
 
 
-def test_failures_are_kept(study):
+def test_unsupported_settings_are_kept(study):
     failed = settings_for(study, "penetration", "diffrax Tsit5", "width")
-    assert failed.sizes["setting"] == 1 and STATUSES[int(failed["status"][0])] == "unsupported"
+    assert failed.sizes["setting"] == 1 and [*STATUSES][int(failed["status"][0])] == "unsupported"
     assert "rock" in str(failed["remark"].values[0])
     assert np.isnan(failed["error_worst"]).all() and not failed["on_front"].any()
     assert str(failed["remark"].values[0]) in table(study)
 
 
-def test_study_records_times_and_front_of_each_scene(study):
+def test_times_and_front_of_each_scene(study):
     done = study.isel(setting=study["status"].values == 0)
     assert np.all(done["time_per_lane_second_min"] <= done["time_per_lane_second"])
     assert np.all(done["time_per_lane_second"] <= done["time_per_lane_second_max"])
     assert np.all(done["repeats"] >= 2) and np.all(done["compile_time"] > 0)
-    machine = json.loads(study.attrs["machine"])
-    assert {"processor", "cores", "python", "jax", "diffrax"} <= set(machine)
+    assert {"processor", "cores", "python", "jax", "diffrax"} <= set(json.loads(study.attrs["machine"]))
     assert "tolerance of 1e-14" in study.attrs["reference"]
     assert np.all(done["reference_spread"] < 1e-12)
     for scene in np.unique(study["scene"]):
@@ -73,8 +67,28 @@ def test_study_records_times_and_front_of_each_scene(study):
         np.testing.assert_array_equal(here["on_front"], pareto(here["time_per_lane_second"], here["error_worst"]))
 
 
+def test_timed_runs_compile_nothing():
+    accuracy = settings_of("penetration", quick=True)[0].accuracy
+    program = Program("penetration", "located", "float64", quick=True)
+    kernels.clear()
+    program.compile(accuracy)
+    compiled = [*kernels]
+    program.run(accuracy)
+    assert [*kernels] == compiled
+
+
+def test_setting_with_failed_lanes_keeps_reasons(monkeypatch):
+    """Steps that miss the contact change the motion."""
+    coarse = Setting("vibro-impact", "smoothed", "float64", "stride", 3.0)
+    monkeypatch.setattr(accuracy_run, "settings_of", lambda scene, quick: [coarse])
+    failed = run_accuracy(["vibro-impact"], quick=True, progress=False)
+    lanes = int(failed["lanes"][0])
+    assert failed["agreeing"] < lanes and failed["status"] != 0 and not failed["on_front"].any()
+    assert f" of {lanes} lanes " in str(failed["remark"].values[0]) and str(failed["remark"].values[0]) in table(failed)
+
+
 def test_command_writes_dataset_table_and_picture(study, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("vibrojax.studies.accuracy_run.run_accuracy", lambda quick, progress: study)
+    monkeypatch.setattr(accuracy_run, "run_accuracy", lambda quick, progress: study)
     out = tmp_path / "new" / "folder"
     assert main(["accuracy", "--quick", "-o", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == {"accuracy.nc", "accuracy.md", "accuracy.png"}
@@ -107,7 +121,7 @@ def test_interrupt_prints_command_to_start_again(tmp_path, monkeypatch, capsys):
     def interrupted(**_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vibrojax.studies.accuracy_run.run_accuracy", interrupted)
+    monkeypatch.setattr(accuracy_run, "run_accuracy", interrupted)
     assert main(["accuracy", "-o", str(tmp_path)]) == 130
     line = f"vibrojax: interrupted; nothing is kept; to start again: vibrojax accuracy -o {tmp_path}\n"
     assert capsys.readouterr().err == line
@@ -128,59 +142,17 @@ def test_status_of_each_lane():
     features["period"][0], features["period"][2], features["period"][3] = 1 + 1e-6, 2.0, np.nan
     features["impacts"][1] = 2
     features |= {"finite": np.arange(5) != 3, "finished": np.arange(5) != 4}
-    errors = errors_of(features, reference)
-    np.testing.assert_allclose(errors["overall"][0], 1e-6, rtol=1e-6)
+    status, errors = compared(features, reference)
+    np.testing.assert_allclose(errors[""][0], 1e-6, rtol=1e-6)
     expected = ["done", "other-regime", "other-regime", "not-finite", "out-of-steps"]
-    assert [STATUSES[status] for status in statuses_of(features, reference, errors)] == expected
-
-
-def test_setting_with_failed_lanes_keeps_reasons():
-    lanes = lanes_of("penetration")
-    reference = {"rate_of_penetration": np.ones(4)}
-
-    class Failing(Program):
-        def prepare(self, method, precision):
-            pass
-
-        def run(self, accuracy):
-            return {"steps": np.full(4, 7.0), "finished": np.arange(4) != 2}
-
-        def features(self, accuracy, ran):
-            return ran | {"rate_of_penetration": np.array([1.0, np.nan, 1.0, 3.0]), "finite": np.arange(4) != 1}
-
-    record = measure(
-        settings_of("penetration")[0], Failing(lanes, "located", "float64"), 1.0, reference, np.ones(4, bool), repeats=5
-    )
-    assert (STATUSES[record["status"]], record["lanes"], record["agreeing"], record["repeats"]) == (
-        "not-finite",
-        4,
-        1,
-        1,
-    )
-    reasons = [
-        "1 of 4 lanes did not stay finite",
-        "1 of 4 lanes did not reach the end within the steps allowed",
-        "1 of 4 lanes moved in another way than the reference",
-    ]
-    assert record["remark"] == "; ".join(reasons)
-    ds = dataset_of([record | {"reference_spread": 1e-14}], 1.0)
-    assert not ds["on_front"].any() and record["remark"] in table(ds)
-    assert work_precision(ds).axes
-
-
-def test_only_lanes_that_repeat_are_usable():
-    whole = {"finite": np.ones(3, bool), "finished": np.ones(3, bool), "impacts": np.ones(3)}
-    fine = whole | {"period": np.ones(3), "impact_velocity": np.ones(3), "cycles": np.array([1, 0, 2])}
-    second = fine | {"period": np.array([1.0, 1.0, 1.001])}
-    assert usable(fine, second).tolist() == [True, False, False]
+    assert [[*STATUSES][number] for number in status] == expected
 
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_each_scene_has_lanes_and_settings(scene):
-    lanes = lanes_of(scene)
-    sweep = read_sweep(lanes.sweep("located", "float64", copies=2))
-    assert sweep.lanes == 2 * lanes.count == 32 and not sweep.run.end_early
-    settings = settings_of(scene)
+    sweep = Program(scene, "located", "float64", quick=False).sweep
+    assert sweep.lanes % 16 == 0 and not sweep.run.end_early
+    settings = settings_of(scene, quick=False)
     assert {setting.precision for setting in settings} == {"float64", "float32"}
     assert {setting.varied for setting in settings} >= {"tolerance", "stride"}
     assert any(setting.method.startswith("diffrax") for setting in settings)

@@ -55,7 +55,6 @@ from vibrojax.pictures.strips import regime_lines
 from vibrojax.pictures.style import BIT, COLOURS, Mark, new_figure, settings, styled
 from vibrojax.pictures.time_history import trajectory as trajectory
 from vibrojax.settings.values import check_distinct
-from vibrojax.studies.accuracy_picture import work_precision as work_precision
 from vibrojax.studies.analysis import analysis_of
 from vibrojax.studies.family_analysis import families
 

@@ -1,162 +1,221 @@
-"""Compiled programs of the accuracy study: one per scene, method and precision, for all settings."""
+"""Lanes and settings of the accuracy study (two CSV files), and the programs that step them.
+
+The lanes are periodic and settle soon, so that errors are well defined. A scene lacks a setting that would take long
+and add no information.
+"""
 
 from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, PyTree, Shaped
+import pandas as pd
+from jaxtyping import Float, Shaped
 
 from vibrojax.compile.xla import precision as in_precision
 from vibrojax.compile.xla import workers
 from vibrojax.lanes.run import LaneRun
 from vibrojax.lanes.threads import in_parallel
 from vibrojax.maps.read import read_sweep
+from vibrojax.measures.impacts import Impacts
+from vibrojax.measures.motion import Shares, Swings
+from vibrojax.measures.recorder import Effort, Recorder, run_block
 from vibrojax.physics.arrays import Array
-from vibrojax.scenes import Scene
-from vibrojax.stepping import Accuracy
+from vibrojax.scenes import HasImpacts, Scene
+from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Smoothed, Step
 from vibrojax.stepping.adaptive import smoothed_solution, solver_named
-from vibrojax.studies.accuracy_cases import SOLVERS, TOLERANCE_PER_WIDTH, StudyLanes
-from vibrojax.studies.accuracy_sampled import Constants, features_of
 
-STUDY_MAX_STEPS = 1e5
-"""Number of steps, beyond those at the longest allowed step size, after which a lane is abandoned. It is far smaller
-than in a sweep, so that a setting that is too coarse for a scene does not delay the others."""
+REFERENCE, SECOND_REFERENCE = Accuracy(1e-14, 0.5, np.inf), Accuracy(1e-13, 0.35, np.inf)
+"""Accuracies of the reference, the located method with only rounding error left, and of another one. The difference
+between both is the least error that can be measured."""
 
-DIFFRAX_MAX_STEPS = 300_000
-"""Number of steps after which diffrax abandons a lane."""
+STEP_PER_WIDTH, WIDTH, STRIDE, LONGEST_STEP = 0.3, 1e-3, 0.3, 1e-2  # s per m/s, m/s, 1, s
+TOLERANCE_PER_WIDTH = 1e-2
+SETTINGS_TEXT = (
+    f"located over tolerance has strides of at most {LOCATED_STRIDE:g} over the mode's rate, over stride no tolerance; "
+    f"smoothed over width has steps of {STEP_PER_WIDTH:g} s per m/s of it, over step and stride a width of {WIDTH:g}, "
+    f"with strides of at most {STRIDE:g} over the mode's rate where they are not varied; "
+    f"diffrax has the smoothed equations, with relative and absolute tolerances (SI) of {TOLERANCE_PER_WIDTH:g} of the "
+    f"width, or fixed steps of {STEP_PER_WIDTH:g} s per m/s of it"
+)
 
-STUDY_LANES_PER_CORE = 64
-"""Number of lanes per core: as many as are stepped together in a sweep."""
+STUDY_MAX_STEPS, DIFFRAX_MAX_STEPS = 1e5, 300_000
+"""Numbers of steps after which a lane is abandoned, the first beyond those of the longest allowed size. They are small,
+so that a setting that is too coarse for a scene does not delay the others."""
 
-SAMPLING = 2e-4  # s
+STUDY_LANES_PER_CORE = 64  # as many as are stepped together in a sweep
+SAMPLING, STEPS_PER_SAMPLE = 2e-4, 10  # s; bound on the mean number of steps between samples: one, and one per event
 
-Features = dict[str, Shaped[np.ndarray, " lanes"]]
-"""Features of lanes by name, among them `finite`, `finished` and `steps`."""
+_LANES, _SETTINGS = (pd.read_csv(Path(__file__).with_name(f"accuracy_{name}.csv")) for name in ("lanes", "settings"))
+SCENES = tuple(_LANES["scene"].unique().tolist())
 
-Outcome = dict[str, Shaped[np.ndarray, " copies"]]
-"""Result of a run for all copies of the lanes, by name; at least `finished` and `steps`."""
+Features = dict[str, Shaped[np.ndarray, "..."]]
+
+
+class Setting(NamedTuple):
+    """A method ("located", "smoothed" or a diffrax solver), its precision, and the `value` of the `varied` quantity."""
+
+    scene: str
+    method: str
+    precision: str
+    varied: str
+    value: float
+
+    @property
+    def accuracy(self) -> Accuracy:
+        given = {self.varied: self.value}
+        if self.method == "located":
+            return Accuracy(given.get("tolerance", 1e30), given.get("stride", LOCATED_STRIDE), np.inf)
+        step = {"width": STEP_PER_WIDTH * self.value, "step": self.value, "stride": LONGEST_STEP}[self.varied]
+        return Accuracy(0.0, given.get("stride", STRIDE), step, given.get("width", WIDTH))
+
+
+def settings_of(scene: str, quick: bool) -> list[Setting]:
+    """Return all settings of a scene; those that share a program are adjacent."""
+    return [
+        Setting(scene, row.method, row.precision, row.varied, float(value))
+        for row in _SETTINGS.itertuples()
+        if row.run == ("quick" if quick else "full") and scene in row.scenes.split()
+        for value in str(row.values).split()
+    ]
 
 
 class Program:
-    """The located or the smoothed stepper, as in a sweep but without the check run.
+    """The located or the smoothed stepper on a scene's lanes, without the check run of a sweep.
 
-    The lanes are copied until every core has a block of them.
+    The lanes are copied until every core has a block of them. If `quick`, they are fewer, with shorter times.
     """
 
-    def __init__(self, lanes: StudyLanes, method: str, precision: str) -> None:
-        self.lanes = lanes
-        self.copies = max(STUDY_LANES_PER_CORE // lanes.count, 1) * len(workers())
-        self.prepare(method, precision)
-
-    @property
-    def lane_seconds(self) -> float:
-        """Simulated time of all lanes together [s]."""
-        return self.copies * self.lanes.count * (self.lanes.settle + self.lanes.observe)
-
-    def prepare(self, method: str, precision: str) -> None:
-        sweep = read_sweep(self.lanes.sweep(method, precision, self.copies))
-        self._inputs = sweep.inputs()
-        self._run = LaneRun(self._inputs, sweep.plan)
-        self._run.engine.most_steps = STUDY_MAX_STEPS
+    def __init__(self, scene: str, method: str, precision: str, quick: bool) -> None:
+        lanes = _LANES[_LANES["scene"] == scene].dropna(axis="columns").drop(columns="scene")
+        lanes = lanes.iloc[:: len(lanes) // 4 if quick else 1]
+        copies = max(STUDY_LANES_PER_CORE // len(lanes), 1) * len(workers())
+        points = {name: column * copies for name, column in lanes.to_dict("list").items()}
+        times = ((0.5, 0.5), (0.2, 0.4)) if scene == "penetration" else ((8.0, 4.0), (6.0, 2.0))
+        self.count, (self.settle, self.observe) = len(lanes), times[quick]
+        self.solver, self.precision = method.removeprefix("diffrax "), precision
+        method = "smoothed" if method.startswith("diffrax") else method
+        run: dict[str, object] = {"method": method, "precision": precision, "end_early": False}
+        run |= {"settle": self.settle, "observe": self.observe, "chunk": len(lanes) * copies}
+        self.sweep = read_sweep({"scene": scene, "points": points, "run": run})
 
     def compile(self, accuracy: Accuracy) -> None:
+        """Compile the program, for any accuracy."""
+        self._inputs = self.sweep.inputs()
+        self._run = LaneRun(self._inputs, self.sweep.plan)
+        engine = self._run.engine
+        engine.most_steps = STUDY_MAX_STEPS
         self._run.compile(self._inputs)
+        # The observation is still being compiled in the background; a lane that ends at once waits for it.
+        engine.observe([engine.start(self._inputs.of(np.arange(1)), accuracy).observed(0.0, np.zeros(1))])
 
-    def run(self, accuracy: Accuracy) -> Outcome:
+    def run(self, accuracy: Accuracy) -> Features:
         """Run all copies of the lanes, which is the part that is timed; return at least `finished` and `steps`."""
         return self._run.at(self._inputs, accuracy)
 
-    def features(self, accuracy: Accuracy, ran: Outcome) -> Features:
-        """Return the features of each lane, of the first copy, from the result of `run`."""
-        return {name: x[: self.lanes.count] for name, x in ran.items()}
+    def features(self, accuracy: Accuracy, ran: Features) -> Features:
+        """Return the features of the lanes, each counted once, from the result of `run`."""
+        return {name: x[: self.count] for name, x in ran.items()}
 
 
 class DiffraxProgram(Program):
-    """A diffrax solver applied to the smoothed equations, vmapped over a block of lanes on each core.
+    """A diffrax solver of the smoothed equations, vmapped over a block of lanes on each core.
 
-    The timed run saves only the final states; features are computed from samples of a second run.
+    The timed run saves only final states; features are computed from samples of a second run.
     """
 
-    def prepare(self, method: str, precision: str) -> None:
-        self._precision = precision
-        self._solver, self._adapts = SOLVERS[method]
-        self._sweep = read_sweep(self.lanes.sweep("smoothed", precision, self.copies // len(workers())))
-
     def compile(self, accuracy: Accuracy) -> None:
-        """Compile by a run of zero duration."""
-        self._solve(workers()[0], accuracy, end=0.0)
+        self._solve(workers()[0], accuracy, np.zeros(1))
 
-    def run(self, accuracy: Accuracy) -> Outcome:
-        """Return `steps` and `finished` of all copies of the lanes."""
-        end = self.lanes.settle + self.lanes.observe
-        parallel = in_parallel(lambda worker, _: self._solve(worker, accuracy, end)[1:], workers(), workers())
-        steps, finished = map(np.concatenate, zip(*(counts for _, counts in parallel), strict=True))
-        return {"steps": steps, "finished": finished}
+    def run(self, accuracy: Accuracy) -> Features:
+        end = np.array([self.settle + self.observe])
+        blocks = list(in_parallel(lambda worker, _: self._solve(worker, accuracy, end), workers(), workers()))
+        return {name: np.concatenate([block[name] for _, block in blocks]) for name in ("steps", "finished")}
 
-    def features(self, accuracy: Accuracy, ran: Outcome) -> Features:
-        """Return the features from samples of the observation."""
-        count = round(self.lanes.observe / SAMPLING) + 1
-        times = self.lanes.settle + np.arange(count) * SAMPLING
-        states, steps, finished = self._solve(workers()[0], accuracy, float(times[-1]), times)
-        with in_precision(self._precision):
-            p, _ = self._at_start(self.lanes.count)
-            features = features_of(self._sweep.system, p, SAMPLING, states, accuracy.smoothing)
-        finished = finished & ran["finished"][: len(finished)]
-        return features | {
-            "steps": steps,
-            "finite": np.isfinite(states).all(axis=(0, 2)) | ~finished,
-            "finished": finished,
-        }
+    def features(self, accuracy: Accuracy, ran: Features) -> Features:
+        times = self.settle + np.arange(round(self.observe / SAMPLING) + 1) * SAMPLING
+        solved = self._solve(workers()[0], accuracy, times)
+        states, finished = solved["states"], solved["finished"] & ran["finished"][: self.count]
+        with in_precision(self.precision):
+            numbers = (np.asarray(x, self.precision) for x in (SAMPLING, states, accuracy.smoothing))
+            features = features_of(self.sweep.system, self._inputs(self.count)[0], *numbers)
+        found = {name: np.asarray(x) for name, x in features.items() if x.ndim == 1}
+        return found | {"finite": np.isfinite(states).all(axis=(0, 2)) | ~finished, "finished": finished}
 
-    def _solve(
-        self, worker: jax.Device, accuracy: Accuracy, end: float, times: Float[np.ndarray, " samples"] | None = None
-    ) -> tuple[Float[np.ndarray, "states lanes *samples"], Shaped[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
-        """Return states, numbers of steps, and whether the end was reached.
+    def _solve(self, worker: jax.Device, accuracy: Accuracy, times: Float[np.ndarray, " times"]) -> Features:
+        """Return states (states, lanes, times) [s], numbers of steps, and whether the end was reached.
 
-        The states are those at `times` [s], or only at `end` [s] if `times` is None.
+        The lanes are those of a block for one time, else each lane once.
         """
-        with in_precision(self._precision), jax.default_device(worker):
-            p, state = self._at_start(self._sweep.lanes if times is None else self.lanes.count)
-            tolerance = TOLERANCE_PER_WIDTH * accuracy.smoothing if self._adapts else None
-            numbers = end, accuracy.smoothing, tolerance, accuracy.step, times
-            arrays = [None if x is None else jnp.asarray(x, self._precision) for x in numbers]
-            states, steps, finished = _integrate(self._sweep.system, self._solver, p, state, *arrays)
-            return np.stack([np.asarray(x) for x in states]), np.asarray(steps), np.asarray(finished)
+        with in_precision(self.precision), jax.default_device(worker):
+            p, state = self._inputs(self.sweep.lanes // len(workers()) if len(times) == 1 else self.count)
+            solver, _, fixed = self.solver.partition(", fixed")
+            tolerance = None if fixed else TOLERANCE_PER_WIDTH * accuracy.smoothing
+            numbers = times, accuracy.smoothing, tolerance, accuracy.step
+            arrays = jax.tree.map(lambda x: jnp.asarray(x, self.precision), numbers)
+            return jax.tree.map(np.asarray, _integrate(self.sweep.system, solver, p, state, *arrays))
 
-    def _at_start(self, count: int) -> tuple[Constants, tuple[Float[Array, " lanes"], ...]]:
+    def _inputs(self, count: int) -> tuple[Any, tuple[Float[Array, " lanes"], ...]]:
         """Return constants and states at t = 0 of the first `count` lanes."""
-        values, start = self._sweep.lane_values(0, count)
-        scene = self._sweep.system
-        p = scene.constants({name: jnp.asarray(x, self._precision) for name, x in values.items()})
-        each = [scene.start(p, name, (count,)) for name in self._sweep.start_names]
+        values, start = self.sweep.lane_values(0, count)
+        scene = self.sweep.system
+        p = scene.constants({name: jnp.asarray(x, self.precision) for name, x in values.items()})
+        each = [scene.start(p, name, (count,)) for name in self.sweep.start_names]
         return p, tuple(jnp.stack(column)[start, np.arange(count)] for column in zip(*each, strict=True))
 
 
 @partial(jax.jit, static_argnames=("scene", "solver"))
 def _integrate(
-    scene: Scene,
-    solver: str,
-    p: Constants,
-    state: tuple[Float[Array, " lanes"], ...],
-    end: Float[Array, ""],
-    width: Float[Array, ""],
-    tolerance: Float[Array, ""] | None,
-    step: Float[Array, ""],
-    times: Float[jax.Array, " samples"] | None,
-) -> PyTree[Array]:
-    """Return states, number of steps, and whether the end was reached.
+    scene: Scene[Any], solver: str, p: Any, state: Any, times: jax.Array, width: Any, tolerance: Any, step: Any
+) -> dict[str, Array]:
+    saved = diffrax.SaveAt(ts=times) if len(times) > 1 else diffrax.SaveAt(t1=True)
 
-    **Arguments:** `width`: width [m/s] of the friction switch; `tolerance`: relative and absolute (SI) tolerance of
-    adaptive steps; `step`: size [s] of fixed steps.
+    def solve_lane(p: Any, state: Any) -> dict[str, Any]:
+        rest = solver_named(solver), tolerance, step, saved, DIFFRAX_MAX_STEPS
+        solution = smoothed_solution(scene, p, state, times[-1], width, *rest)
+        finished = solution.result == diffrax.RESULTS.successful
+        return {"states": solution.ys, "steps": solution.stats["num_steps"], "finished": finished}
+
+    solved = jax.vmap(solve_lane)(p, state)
+    return solved | {"states": jnp.stack(solved["states"])}
+
+
+class _Replayed(Smoothed):
+    """A stepper that continues from the next sample wherever it reaches its time.
+
+    One step from the preceding sample locates events, so that their times have its order of accuracy. `Accuracy.step`
+    holds the samples (samples, states, lanes), `Accuracy.stride` their interval [s].
     """
-    saved = diffrax.SaveAt(t1=True) if times is None else diffrax.SaveAt(ts=times)
 
-    def solve_lane(p: Constants, state: tuple[Array, ...]) -> PyTree[Array]:
-        solution = smoothed_solution(
-            scene, p, state, end, width, solver_named(solver), tolerance, step, saved, DIFFRAX_MAX_STEPS
-        )
-        return solution.ys, solution.stats["num_steps"], solution.result == diffrax.RESULTS.successful
+    def step(
+        self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
+    ) -> tuple[Lane, Step]:
+        samples, interval = accuracy.step, accuracy.stride
+        rounding = 1e-6  # fraction of the interval by which the clock may be off
+        following = jnp.floor(lane.clock.high / interval + rounding) + 1
+        to_sample = accuracy._replace(step=lane.clock.until(following * interval), stride=jnp.inf)
+        lane, step = super().step(scene, constants, lane, to_sample, goal, marked)
+        reached = lane.clock.until(following * interval) < rounding * interval
+        reached &= ~jnp.stack(list(step.hits.values())).any(axis=0)
+        index = jnp.minimum(following.astype(int), len(samples) - 1)
+        sample = samples[index, :, jnp.arange(index.size)].T
+        state = tuple(jnp.where(reached, new, old) for new, old in zip(sample, lane.state, strict=True))
+        return lane._replace(state=state), step._replace(after=state)
 
-    return jax.vmap(solve_lane)(p, state)
+
+@partial(jax.jit, static_argnames="scene")
+def features_of(
+    scene: Scene[Any], p: Any, sampling: Any, states: Float[Array, "states lanes samples"], width: Any
+) -> dict[str, Shaped[Array, "..."]]:
+    """Return the features of a smoothed motion by the package's gauges, from samples by another solver.
+
+    `p`: the scene's constants (lanes,); `sampling`: sampling interval [s]; `width`: width [m/s] of the friction switch.
+    """
+    samples = jnp.moveaxis(states, 2, 0)
+    gauges = (Swings(), Shares(), Impacts()) if isinstance(scene, HasImpacts) else (Swings(), Shares())
+    effort = Effort(Accuracy(0.0, sampling, samples, width), STEPS_PER_SAMPLE * (len(samples) - 1))
+    end = (len(samples) - 1) * sampling
+    return run_block(scene, _Replayed(), Recorder(gauges), p, tuple(samples[0]), effort, 0.0, end)

@@ -1,111 +1,93 @@
-"""The accuracy study: measurement of all settings of all scenes, the dataset of results, and its Markdown table."""
+"""Accuracy study: measured times and errors of all settings, the dataset of results, and its Markdown table."""
 
 import json
 import platform
+import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import reduce
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from vibrojax.compile.xla import usable_cores, workers
 from vibrojax.errors import InputError, Place, counted, suggestion
 from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.variables import Variable
+from vibrojax.io.variables import Variable, described
+from vibrojax.pictures.contents import SETTING
 from vibrojax.progress import Progress
+from vibrojax.scenes import HasRock
 from vibrojax.settings.values import check_distinct
 from vibrojax.stepping import Accuracy
-from vibrojax.studies.accuracy_cases import (
-    REFERENCE,
+from vibrojax.studies.accuracy_programs import REFERENCE as FINE
+from vibrojax.studies.accuracy_programs import (
     SCENES,
-    SECOND_REFERENCE,
     SETTINGS_TEXT,
-    SOLVERS,
-    lanes_of,
+    DiffraxProgram,
+    Features,
+    Program,
+    Setting,
     settings_of,
 )
-from vibrojax.studies.accuracy_measurement import (
-    COMPARED,
-    RELATIVE,
-    STATUSES,
-    Row,
-    error_name,
-    errors_of,
-    measure,
-    usable,
-)
-from vibrojax.studies.accuracy_programs import DiffraxProgram, Program
+from vibrojax.studies.accuracy_programs import SECOND_REFERENCE as SECOND
 
-REPEATS, QUICK_REPEATS = 5, 2
 QUICK_SCENES = ("vibro-impact", "penetration")
-NO_ROCK = ("rotary", "vibro-impact")
-SETTING = "setting"
+REPEATS, QUICK_REPEATS, LONG_REPEATS = 5, 2, 0.6  # numbers of runs, and time [s] from which two suffice
+OTHER_MOTION_ERROR = 0.5  # relative error from which a lane counts as another motion than the reference
+TRUSTED_WITHIN = 1e-4  # relative difference of the two references up to which a lane is used for comparisons
 REFERENCE_TEXT = (
-    f"the located method, float64, at a tolerance of {REFERENCE.tolerance:g} and a stride of {REFERENCE.stride:g}; "
-    "reference_spread is its difference from another one "
-    f"(tolerance {SECOND_REFERENCE.tolerance:g}, stride {SECOND_REFERENCE.stride:g})"
+    f"the located method, float64, at a tolerance of {FINE.tolerance:g} and a stride of {FINE.stride:g}; "
+    f"reference_spread is its difference from another one (tolerance {SECOND.tolerance:g}, stride {SECOND.stride:g})"
 )
-
-_COORDINATES = {
-    "scene": Variable("1", "scene", np.str_),
-    "method": Variable("1", "method", np.str_),
-    "precision": Variable("1", "precision", np.str_),
+STATUSES = {
+    "done": "",
+    "not-finite": "did not stay finite",
+    "out-of-steps": "did not reach the end within the steps allowed",
+    "other-regime": "moved in another way than the reference",
+    "unsupported": "plain integration knows no rock that yields: its ratchet needs events",
+}
+_RELATIVE = {"period": "period", "impact_velocity": "impact velocity", "peak_impact_force": "peak force"}
+_ERRORS = _RELATIVE | {"stick_fraction": "stick fraction", "rate_of_penetration": "ROP"}  # feature: name in the table
+_MEANINGS = {  # errors, by the prefix of their variables
+    "": "relative error of the larger of period and impact velocity; in penetration of the rate of penetration",
+    **{f"{name}_": f"relative error of {name.replace('_', ' ')}" for name in _ERRORS},
+    "stick_fraction_": "error of stick fraction",
+}
+_VARIABLES = {
+    **{name: Variable("1", name, np.str_) for name in ("scene", "method", "precision")},
     "varied": Variable("1", "varied quantity", np.str_),
     "value": Variable("1", "value of the varied quantity: tolerance and stride [1], width [m s-1], step [s]"),
-}
-
-
-def _error_variables() -> dict[str, Variable]:
-    """Return the variables with the errors of the features: the worst lane's and the median."""
-    variables = {}
-    for name in ("overall", *COMPARED):
-        kind = name.replace("_", " ")
-        if name == "overall":
-            kind = "the larger of period and impact velocity; in penetration of the rate of penetration"
-        error = "relative error" if name in (*RELATIVE, "overall") else "error"
-        for statistic in ("worst", "median"):
-            variables[error_name(name, statistic)] = Variable("1", f"{statistic} {error} of {kind}")
-    return variables
-
-
-_VARIABLES = {
     "time_per_lane_second": Variable("s", "median time per lane-second"),
     "time_per_lane_second_min": Variable("s", "shortest time per lane-second"),
     "time_per_lane_second_max": Variable("s", "longest time per lane-second"),
     "repeats": Variable("1", "repeats", np.int32),
     "compile_time": Variable("s", "compile time"),
     "steps_per_second": Variable("s-1", "steps of a lane per simulated second"),
-    **_error_variables(),
+    **{
+        f"{prefix}error_{which}": Variable("1", f"{which} {meaning}")
+        for prefix, meaning in _MEANINGS.items()
+        for which in ("worst", "median")
+    },
     "lanes": Variable("1", "periodic lanes", np.int32),
     "agreeing": Variable("1", "lanes that move like the reference, over which errors are counted", np.int32),
     "repeating": Variable("1", "lanes that also repeat like the reference, to 1e-3", np.int32),
-    "status": Variable("1", "outcome", np.int8, STATUSES),
+    "status": Variable("1", "outcome", np.int8, tuple(STATUSES)),
     "remark": Variable("1", "why lanes failed", np.str_),
     "reference_spread": Variable("1", "difference of two references, below which errors mean nothing"),
     "on_front": Variable("1", "no setting of the scene is faster and as exact", np.int8, ("no", "yes")),
 }
-
-_ERRORS = {
-    "period": "period",
-    "impact_velocity": "impact velocity",
-    "peak_impact_force": "peak force",
-    "stick_fraction": "stick fraction",
-    "rate_of_penetration": "ROP",
-}
-_UNITS = {"width": " m/s", "step": " s"}
 _READING = (
-    "Time is that of all lanes on all cores, copied until each core has a block of them, divided by their number "
-    "and the simulated seconds of each, without compiling and without a check run: the median of the "
-    "repeats, and half their range as its spread. Worst and median are over the lanes that move like the "
-    "reference, of the larger relative error of period and impact velocity (penetration: of the rate of "
-    "penetration, ROP); the columns after them are the worst lane's, relative, of the stick fraction the "
-    "difference. Settings in bold are on the Pareto front of time and worst error. Rows with a remark had lanes "
-    "that failed; they are never on the front."
+    "Time is that of all lanes on all cores, copied until each core has a block of them, divided by their number and "
+    "the simulated seconds of each, without compiling and without a check run: the median of the repeats, and half "
+    "their range as its spread. Worst and median are over the lanes that move like the reference, of the larger "
+    "relative error of period and impact velocity (penetration: of the rate of penetration, ROP); the columns after "
+    "them are the worst lane's, relative, of the stick fraction the difference. Settings in bold are on the Pareto "
+    "front of time and worst error. Rows with a remark had lanes that failed; they are never on the front."
 )
 
 
@@ -138,91 +120,134 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     check_distinct(Place("accuracy", "scenes"), scenes, "scene")
     began = time.monotonic()
     bar = Progress(sum(len(settings_of(scene, quick)) for scene in scenes), "settings", progress, pace=False)
-    rows: list[Row] = []
-    for scene in scenes:
-        rows += _measure_scene(scene, quick, bar)
-    return dataset_of(rows, time.monotonic() - began)
-
-
-def _measure_scene(scene: str, quick: bool, bar: Progress) -> list[Row]:
-    """Return the results of a scene's settings."""
-    lanes = lanes_of(scene, quick)
-    programs: dict[tuple[str, str], tuple[Program, float]] = {}
-
-    def compiled(method: str, precision: str, accuracy: Accuracy) -> tuple[Program, float]:
-        """Return the program of a method and precision, and its compile time [s]; any accuracy can be used."""
-        if (method, precision) not in programs:
-            program = (DiffraxProgram if method in SOLVERS else Program)(lanes, method, precision)
-            began = time.perf_counter()
-            program.compile(accuracy)
-            programs[method, precision] = program, time.perf_counter() - began
-        return programs[method, precision]
-
-    program, _ = compiled("located", "float64", REFERENCE)
-    reference, second = (program.features(fine, program.run(fine)) for fine in (REFERENCE, SECOND_REFERENCE))
-    trusted = usable(reference, second)
-    spread = errors_of(second, reference)["overall"][trusted].max()
-    rows = []
-    for setting in settings_of(scene, quick):
-        row: Row = vars(setting) | {"lanes": trusted.sum(), "status": STATUSES.index("unsupported")}
-        row["remark"] = outcome = "plain integration knows no rock that yields: its ratchet needs events"
-        if setting.method not in SOLVERS or scene in NO_ROCK:
-            program, compile_time = compiled(setting.method, setting.precision, setting.accuracy)
-            row = measure(setting, program, compile_time, reference, trusted, QUICK_REPEATS if quick else REPEATS)
-            outcome = row["remark"]
-        if "error_worst" in row:
-            outcome = f"error {row['error_worst']:.1e}, {1e6 * row['time_per_lane_second']:.3g} µs/lane-s"
-        rows.append(row | {"reference_spread": spread})
-        bar.add(1, f"{scene}: {setting.method}, {setting.precision}, {setting.varied} {setting.value:g}: {outcome}")
-    return rows
-
-
-def dataset_of(rows: Sequence[Row], wall_time: float) -> xr.Dataset:
-    """Return the dataset of the study, given the result of each setting and the duration of the study [s]."""
-
-    def column(name: str, about: Variable) -> xr.Variable:
-        missing = np.nan if about.dtype is np.float64 else 0
-        values = np.array([row.get(name, missing) for row in rows], about.dtype)
-        return xr.Variable(SETTING, values, about.attributes())
-
-    variables = {name: column(name, about) for name, about in _VARIABLES.items()}
-    coordinates = {name: column(name, about) for name, about in _COORDINATES.items()}
-    # Only settings whose lanes all agree with the reference can be on the front.
-    worst = np.where(variables["status"].values == 0, variables["error_worst"].values, np.nan)
-    seconds, scenes = variables["time_per_lane_second"].values, coordinates["scene"].values
-    for scene in np.unique(scenes):
-        here = scenes == scene
-        variables["on_front"].values[here] = pareto(seconds[here], worst[here])
+    rows = [row for scene in scenes for row in _measured_scene(scene, quick, bar)]
     attributes = {
         **dataset_attributes("accuracy", "Speed against error", "accuracy"),
         "reference": REFERENCE_TEXT,
         "settings": SETTINGS_TEXT,
         "machine": json.dumps(machine()),
-        "wall_time_s": float(wall_time),
+        "wall_time_s": time.monotonic() - began,
     }
-    return xr.Dataset(variables, coordinates, attributes)
+    missing = {name: 0 if variable.dtype is np.int32 else np.nan for name, variable in _VARIABLES.items()}
+    data = described({name: (SETTING, [row.get(name, x) for row in rows]) for name, x in missing.items()}, _VARIABLES)
+    coordinates = {name: data.pop(name) for name in Setting._fields}
+    return xr.Dataset(data, coordinates, attributes)
+
+
+def _measured_scene(scene: str, quick: bool, bar: Progress) -> list[dict[str, Any]]:
+    """Return the values of the dataset's variables for each setting of a scene; undefined ones are left out."""
+    fine = Program(scene, "located", "float64", quick)
+    fine.compile(FINE)
+    reference, second = (fine.features(accuracy, fine.run(accuracy)) for accuracy in (FINE, SECOND))
+    status, errors = compared(second, reference)
+    usable = (status == 0) & (errors[""] < TRUSTED_WITHIN)  # and periodic
+    if "cycles" in reference:
+        usable &= (reference["cycles"] > 0) & (reference["cycles"] == second["cycles"])
+    else:
+        usable &= reference["rate_of_penetration"] > 0
+    spread = errors[""][usable].max()
+    rows, programs = [], dict[tuple[str, str], tuple[Program, float]]()
+    for setting in settings_of(scene, quick):
+        key, by_diffrax = (setting.method, setting.precision), setting.method.startswith("diffrax")
+        row = {"lanes": usable.sum(), "status": len(STATUSES) - 1, "remark": STATUSES["unsupported"]}
+        if not (by_diffrax and isinstance(fine.sweep.system, HasRock)):
+            if key not in programs:
+                program = (DiffraxProgram if by_diffrax else Program)(scene, *key, quick)
+                began = time.perf_counter()
+                program.compile(setting.accuracy)
+                programs[key] = program, time.perf_counter() - began
+            program, compile_time = programs[key]
+            row = _measured(program, setting.accuracy, QUICK_REPEATS if quick else REPEATS, reference, usable)
+            row["compile_time"] = compile_time
+        outcome = row["remark"]
+        if "error_worst" in row:
+            outcome = f"error {row['error_worst']:.1e}, {1e6 * row['time_per_lane_second']:.3g} µs/lane-s"
+        rows.append(setting._asdict() | row | {"reference_spread": spread})
+        bar.add(1, f"{scene}: {setting.method}, {setting.precision}, {setting.varied} {setting.value:g}: {outcome}")
+    # Only settings whose lanes all agree with the reference can be on the front.
+    worst = [row["error_worst"] if row["status"] == 0 else np.nan for row in rows]
+    front = pareto([row.get("time_per_lane_second", np.nan) for row in rows], worst)
+    return [row | {"on_front": on_front} for row, on_front in zip(rows, front, strict=True)]
+
+
+def _measured(
+    program: Program, accuracy: Accuracy, repeats: int, reference: Features, usable: Bool[np.ndarray, " lanes"]
+) -> dict[str, Any]:
+    """Run a program up to `repeats` times, once if lanes do not reach the end, and compare its usable lanes."""
+    seconds: list[float] = []
+    ran: Any = {}
+    while len(seconds) < (repeats if sum(seconds) < LONG_REPEATS else 2):
+        began = time.perf_counter()
+        ran = program.run(accuracy)
+        seconds.append(time.perf_counter() - began)
+        if not ran["finished"].all():
+            break
+    pair = program.features(accuracy, ran), reference
+    features, expected = ({name: x[usable] for name, x in found.items()} for found in pair)
+    status, errors = compared(features, expected)
+    agrees, times = status == 0, np.array(seconds) / (program.sweep.lanes * (program.settle + program.observe))
+    lanes, counts = counted(len(status), "lane"), np.bincount(status, minlength=len(STATUSES))
+    row: dict[str, Any] = {
+        "time_per_lane_second": np.median(times),
+        "time_per_lane_second_min": times.min(),
+        "time_per_lane_second_max": times.max(),
+        "repeats": len(seconds),
+        "steps_per_second": np.mean(ran["steps"]) / (program.settle + program.observe),
+        "lanes": len(status),
+        "agreeing": agrees.sum(),
+        "repeating": (agrees & np.equal(*(found.get("cycles", 0) for found in (features, expected)))).sum(),
+        "status": 0 if agrees.all() else status[~agrees].min(),
+        "remark": "; ".join(
+            f"{n} of {lanes} {why}" for n, why in zip(counts, STATUSES.values(), strict=True) if n and why
+        ),
+    }
+    for name, x in errors.items() if agrees.any() else ():
+        row |= {f"{name}error_worst": x[agrees].max(), f"{name}error_median": np.median(x[agrees])}
+    return row
+
+
+def compared(
+    features: Features, reference: Features
+) -> tuple[Int[np.ndarray, " lanes"], dict[str, Float[np.ndarray, " lanes"]]]:
+    """Return the status of each lane, an index into `STATUSES`, and its errors by the prefix of their variables.
+
+    The error without prefix is the larger one of period and impact velocity, or that of the rate of penetration in
+    scenes without them. A motion is another one if impacts per return differ by more than 5 %, or that error is a half
+    or more. It need not be periodic to 1e-3: coarse steps cause more jitter, but the means belong to the same motion.
+    """
+    errors = {}
+    for name in _ERRORS:
+        if name in reference and name in features:
+            difference = np.abs(features[name].astype(float) - reference[name])
+            size = 1.0 if name == "stick_fraction" else np.abs(reference[name])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                errors[f"{name}_"] = np.where(difference == 0, 0.0, difference / size)
+    main = [errors[name] for name in ("period_", "impact_velocity_") if name in errors]
+    errors[""] = reduce(np.fmax, main or [errors["rate_of_penetration_"]])
+    other = ~(errors[""] < OTHER_MOTION_ERROR)
+    if "impacts" in reference:
+        found, expected = (np.asarray(x["impacts"], float) / np.maximum(x["cycles"], 1) for x in (features, reference))
+        other |= ~(np.abs(found - expected) <= 0.05 * np.maximum(expected, 1))
+    return np.select([~features["finite"], ~features["finished"], other], [1, 2, 3], 0), errors
 
 
 def pareto(time: ArrayLike, error: ArrayLike) -> Bool[np.ndarray, " points"]:
-    """Return which points are on the Pareto front; points with non-finite values are never on it.
+    """Return a mask of the points on the Pareto front; points with non-finite values are never on it.
 
     A point is on the front unless another one is faster and at least as exact, or more exact and at least as fast.
     """
-    times, errors = np.asarray(time, float), np.asarray(error, float)
-    finite = np.isfinite(times) & np.isfinite(errors)
-    more_exact = (times[:, None] <= times) & (errors[:, None] < errors)
-    faster = (times[:, None] < times) & (errors[:, None] <= errors)
-    return finite & ~np.any((more_exact | faster) & finite[:, None], axis=0)
+    points = np.stack([np.asarray(time, float), np.asarray(error, float)])
+    finite = np.isfinite(points).all(axis=0)
+    here, there = points[:, finite, None], points[:, None, :]
+    return finite & ~((here <= there).all(axis=0) & (here < there).any(axis=0)).any(axis=0)
 
 
 def machine() -> dict[str, str | int]:
     """Return the hardware and software that affect timings: processor, cores, accelerator if any, and versions."""
     cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    processor = names[0] if names else platform.processor() or platform.machine()
-    about: dict[str, str | int] = {"processor": processor, "cores": usable_cores()}
-    device = workers()[0]
+    model = re.search(r"model name\s*: *(.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
+    about: dict[str, str | int] = {"processor": model[1] if model else platform.processor() or platform.machine()}
+    about["cores"], device = usable_cores(), workers()[0]
     if device.platform != "cpu":
         about["accelerator"] = device.device_kind
     return about | {"python": platform.python_version()} | {name: version(name) for name in ("jax", "diffrax")}
@@ -239,40 +264,32 @@ def table(ds: xr.Dataset) -> str:
         f"Settings: {ds.attrs['settings']}.",
         _READING,
     ]
-    for scene in dict.fromkeys(ds["scene"].values.tolist()):
-        here = ds.isel(setting=ds["scene"].values == scene)
-        shown = [name for name in _ERRORS if np.isfinite(here[f"{name}_error_worst"].values).any()]
-        numbers = ["µs per lane-s", "spread", "worst", "median", *(_ERRORS[name] for name in shown), "compile s"]
-        rows = [_cells(row, shown) for row in here.to_dataframe().to_dict("records")]
-        lines = [
-            f"| {' | '.join(cells)} |" for cells in (["method", "precision", "setting", *numbers, "remark"], *rows)
+    for scene, here in ds.to_dataframe().groupby("scene", sort=False):
+        shown = {f"{name}_": text for name, text in _ERRORS.items() if here[f"{name}_error_worst"].notna().any()}
+        unit, ends = here["varied"].map({"width": " m/s", "step": " s"}).fillna(""), ("_max", "_min")
+        slowest, fastest = (here[f"time_per_lane_second{end}"] for end in ends)
+        cells = {
+            "method": here["method"],
+            "precision": here["precision"],
+            "setting": here["varied"] + here["value"].map(" {:g}".format) + unit,
+            "µs per lane-s": (1e6 * here["time_per_lane_second"]).map("{:.3g}".format),
+            "spread": (5e5 * (slowest - fastest)).map("± {:.2g}".format),
+            "worst": here["error_worst"].map("{:.1e}".format),
+            "median": here["error_median"].map("{:.1e}".format),
+            **{text: here[f"{prefix}error_worst"].map("{:.1e}".format) for prefix, text in shown.items()},
+            "compile s": here["compile_time"].map("{:.1f}".format),
+            "remark": here["remark"],
+        }
+        cells["setting"] = cells["setting"].where(here["on_front"] == 0, "**" + cells["setting"] + "**")
+        rule = ["---" if header in ("method", "precision", "setting", "remark") else "---:" for header in cells]
+        rows = [
+            re.sub(r"(± )?\bnan\b", "–", f"| {' | '.join(row)} |")
+            for row in (cells, *zip(*cells.values(), strict=True))
         ]
-        lines.insert(1, "|---|---|---|" + "---:|" * len(numbers) + "---|")
-        lanes, spread = int(here["lanes"][0]), float(here["reference_spread"][0])
+        spread = here["reference_spread"].iloc[0]
         paragraphs += [
             f"## {scene}",
-            f"{counted(lanes, 'periodic lane')}; two references differ by {_format(spread, '.1e')}.",
-            "\n".join(lines),
+            f"{counted(here['lanes'].iloc[0], 'periodic lane')}; two references differ by {spread:.1e}.",
+            "\n".join([rows[0], f"|{'|'.join(rule)}|", *rows[1:]]),
         ]
     return "\n\n".join(paragraphs) + "\n"
-
-
-def _cells(row: Mapping[Any, Any], shown: Sequence[str]) -> list[str]:
-    """Return the cells of the table for a setting; `shown`: the features with a column of their errors."""
-    name = f"{row['varied']} {row['value']:g}{_UNITS.get(row['varied'], '')}"
-    spread = (row["time_per_lane_second_max"] - row["time_per_lane_second_min"]) / 2e-6
-    errors = ["error_worst", "error_median", *(f"{error}_error_worst" for error in shown)]
-    return [
-        row["method"],
-        row["precision"],
-        f"**{name}**" if row["on_front"] else name,
-        _format(1e6 * row["time_per_lane_second"], ".3g"),
-        _format(spread, ".2g", "± "),
-        *(_format(row[error], ".1e") for error in errors),
-        _format(row["compile_time"], ".1f"),
-        row["remark"],
-    ]
-
-
-def _format(value: float, spec: str, prefix: str = "") -> str:
-    return f"{prefix}{value:{spec}}" if np.isfinite(value) else "–"

@@ -14,7 +14,7 @@ from peers._peer import CORES, Peer, Points, Ran
 from vibrojax.compile.xla import precision
 from vibrojax.lanes.threads import in_parallel
 from vibrojax.maps.read import read_sweep
-from vibrojax.studies.accuracy_sampled import features_of
+from vibrojax.studies.accuracy_programs import features_of
 
 SAMPLING = 2e-4  # s: features are read off the samples of a second run, which is not timed
 MOST_STEPS = 2_000_000
@@ -138,4 +138,4 @@ def _measured(points: Points, setting: Width, settle: float, observe: float) -> 
         values, _ = sweep.lane_values(0, len(points))
         p = sweep.system.constants({name: jnp.asarray(x, "float64") for name, x in values.items()})
         found = features_of(sweep.system, p, SAMPLING, states, setting.width)
-    return found["period"], found["impact_velocity"]
+    return np.asarray(found["period"]), np.asarray(found["impact_velocity"])

@@ -8,7 +8,7 @@ import numpy as np
 from peers._peer import Points
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
-from vibrojax.studies.accuracy_cases import REFERENCE, SECOND_REFERENCE
+from vibrojax.studies.accuracy_programs import REFERENCE, SECOND_REFERENCE
 
 BOX = {"beta": (0.25, 0.6), "gamma": (0.6, 0.8), "v": (0.5, 2.0), "delta": (-0.005, 0.01)}
 AXIS = 8
