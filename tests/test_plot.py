@@ -16,8 +16,11 @@ from read_off import axis_labels, check_texts, legend, meshes, note, outlines, p
 
 from vibrojax.errors import InputError, counted
 from vibrojax.pictures.axes import certified_text, label, point_text, scale, share_text, short, value_text
-from vibrojax.pictures.choose import REGIME_COLOURS, bifurcation, picture, save_picture, trajectory
+from vibrojax.pictures.choose import picture, save_picture
+from vibrojax.pictures.colours import REGIME_COLOURS
+from vibrojax.pictures.returns import bifurcation
 from vibrojax.pictures.style import NO_VALUE, nested_line
+from vibrojax.pictures.time_history import trajectory
 
 MEANINGS = "undecided equilibrium impact-free single-impact multi-impact subharmonic irregular failed"
 COORDINATES = {

@@ -12,7 +12,8 @@ from test_plot import lanes, returns, square
 from vibrojax.errors import InputError
 from vibrojax.pictures.branch_data import branches, places, stability, stable_intervals
 from vibrojax.pictures.branches import smooth
-from vibrojax.pictures.choose import bifurcation, picture
+from vibrojax.pictures.choose import picture
+from vibrojax.pictures.returns import bifurcation
 from vibrojax.studies.family_analysis import family_lines
 
 KINDS = "fold period-doubling torus grazing stick section end"

@@ -7,10 +7,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from read_off import panel, texts
 from test_plot import lanes, returns, run, square
 
-from vibrojax.pictures.choose import picture, pulses, trajectory
+from vibrojax.pictures.choose import picture
 from vibrojax.pictures.curves import is_band
+from vibrojax.pictures.hole import pulses
 from vibrojax.pictures.sheet import write_margins
 from vibrojax.pictures.style import new_figure, settings
+from vibrojax.pictures.time_history import trajectory
 
 
 def artist(axes, label):

@@ -15,7 +15,8 @@ from test_plot_starts import LONG, basin, line, plane, sample
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.pictures.choose import REGIME_COLOURS, picture
+from vibrojax.pictures.choose import picture
+from vibrojax.pictures.colours import REGIME_COLOURS
 from vibrojax.pictures.selection import select
 from vibrojax.pictures.sheet import PAGE
 

@@ -11,7 +11,9 @@ from read_off import axis_labels, check_texts, legend, meshes, note, panel, titl
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.pictures.choose import picture, pulses, rates, response
+from vibrojax.pictures.choose import picture
+from vibrojax.pictures.hole import pulses, response
+from vibrojax.pictures.rates import rates
 
 AXES = {
     "k3": ("stiffness of the rock", "k₃", "N m-1"),
@@ -370,10 +372,6 @@ def test_hole_has_steps_and_last_two_blows_are_enlarged(pulse_run):
     start, end = late.get_xlim()
     assert end == pytest.approx(0.2) and start == pytest.approx(0.15 - 0.08 * 0.025, abs=1e-3)
     assert f"{1e3 * float(pulse_run['x4'][-1]):.3g} mm in 0.2 s" in note(figure)
-
-
-def test_length_of_enlarged_end_can_be_chosen(pulse_run):
-    assert pulses(pulse_run, last=0.03).axes[2].get_xlim() == pytest.approx((0.17, 0.2))
 
 
 def test_swept_sine_shows_amplitudes_and_slip_range_over_frequency(swept_sine_run):

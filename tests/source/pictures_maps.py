@@ -15,7 +15,7 @@ from source.maps import LISTED_RATE, REGION, coexisting, fit_law, single_impact,
 from source.pictures_motions import FIGURE_WIDTH, LINE_COLOURS, panels_for
 from vibrojax.measures.labels import REGIMES
 from vibrojax.physics.friction import FRICTION_LAWS
-from vibrojax.pictures.choose import REGIME_COLOURS
+from vibrojax.pictures.colours import REGIME_COLOURS
 from vibrojax.pictures.style import BIT, FAINT, INK, START_COLOURS, new_figure
 
 LAWS = ("coulomb", "popp-exponential", "popp-arctan", "hyperbolic", "hyperbolic-quadratic", "stribeck")

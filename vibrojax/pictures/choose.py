@@ -14,7 +14,6 @@ from vibrojax.io.ownership import PICTURE_KEYS
 from vibrojax.io.provenance import source
 from vibrojax.pictures.axes import label, pad_constant
 from vibrojax.pictures.basins import many_starts
-from vibrojax.pictures.colours import REGIME_COLOURS as REGIME_COLOURS
 from vibrojax.pictures.colours import Values, shape_flags, value_of
 from vibrojax.pictures.contents import (
     FORM,
@@ -41,19 +40,14 @@ from vibrojax.pictures.curves import (
     split_lines,
 )
 from vibrojax.pictures.diagrams import DIAGRAMS
-from vibrojax.pictures.hole import pulses as pulses
-from vibrojax.pictures.hole import response as response
 from vibrojax.pictures.maps import draw_map
 from vibrojax.pictures.overlays import Overlays, as_layers, refuse_overlays
-from vibrojax.pictures.rates import rates as rates
-from vibrojax.pictures.returns import bifurcation as bifurcation
-from vibrojax.pictures.returns import hysteresis
+from vibrojax.pictures.returns import bifurcation, hysteresis
 from vibrojax.pictures.selection import Value, select, thin_out, thinned_text
 from vibrojax.pictures.sheet import facets, legend_at_right, write_margins
 from vibrojax.pictures.starts import medians, medians_text, varied_states
 from vibrojax.pictures.strips import regime_lines
 from vibrojax.pictures.style import BIT, COLOURS, Mark, new_figure, settings, styled
-from vibrojax.pictures.time_history import trajectory as trajectory
 from vibrojax.settings.values import check_distinct
 from vibrojax.studies.analysis import analysis_of
 from vibrojax.studies.family_analysis import families

@@ -74,16 +74,14 @@ def _scale(quantity: str, *values: Samples) -> tuple[float, str]:
 
 
 @styled
-def pulses(ds: xr.Dataset, last: float | None = None) -> Figure:
-    """Draw bit and hole above the forces on the bit: the whole run at the left, its end enlarged at the right.
-
-    **Arguments:** `last`: duration of the enlarged end [s]; by default it contains the last two blows.
+def pulses(ds: xr.Dataset) -> Figure:
+    """Draw bit and hole above the forces on the bit: the whole run at the left, its last two blows at the right.
 
     **Raises:** `InputError` if the dataset holds no trajectory of bit and hole.
     """
     hole = read_run(ds, "x3", "x4")
     first, end = float(hole.time[0]), float(hole.time[-1])
-    late = _last_blows(hole) if last is None else max(end - last, first)
+    late = _last_blows(hole)
     forces = hole.has("applied_force", "rock_force")
     figure = new_figure(10.0, 5.4 if forces else 3.4)
     ratios = {"width_ratios": [1.25, 1.0], "height_ratios": [1.3, 1.0][: 1 + forces]}

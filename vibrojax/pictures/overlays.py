@@ -190,20 +190,16 @@ def beyond(ds: xr.Dataset) -> list[str]:
 
 
 def draw_borders(axes: Axes, ds: xr.Dataset, plane: dict[str, float], start: str, x: str, y: str) -> list[str]:
-    """Draw the curves of one plane (parameter values) and one initial condition; return the kinds of borders drawn."""
+    """Draw the borders of one plane (parameter values) and one initial condition; return their kinds."""
     mask = ds[START].values == start if START in ds.coords else np.ones(ds.sizes["curve"], bool)
     for name, value in plane.items():
         mask &= np.isclose(ds[name].values, value, rtol=SAME_DIGITS, atol=0.0)
-    return _draw_paths(axes, ds, mask, ds["curve"].values, x, y)
+    return draw_curves(axes, ds, mask, x, y)
 
 
 def draw_curves(axes: Axes, ds: xr.Dataset, mask: np.ndarray, x: str, y: str) -> list[str]:
-    """Draw the curves of special points in the mask over two parameters; return their kinds."""
-    return _draw_paths(axes, ds, mask, ds["point_curve"].values, x, y)
-
-
-def _draw_paths(axes: Axes, ds: xr.Dataset, mask: np.ndarray, number: np.ndarray, x: str, y: str) -> list[str]:
-    """Draw the curves in the mask; return their kinds. `number`: index of the curve of each point."""
+    """Draw the borders, or curves of special points, in the mask over two parameters; return their kinds."""
+    number = ds["point_curve" if "point_curve" in ds else "curve"].values
     names, factors = flags(ds["kind"]), [scale(ds[name])[0] for name in (x, y)]
     stroke = [withStroke(linewidth=2.8, foreground="white", alpha=0.85)]
     kinds = []
