@@ -104,17 +104,17 @@ class Program:
 
     def compile(self, accuracy: Accuracy) -> None:
         """Compile the program, for any accuracy."""
-        self._inputs = self.sweep.inputs()
-        self._run = LaneRun(self._inputs, self.sweep.plan)
+        self._lanes = self.sweep.inputs()
+        self._run = LaneRun(self._lanes, self.sweep.plan)
         engine = self._run.engine
         engine.most_steps = STUDY_MAX_STEPS
-        self._run.compile(self._inputs)
+        self._run.compile(self._lanes)
         # The observation is still being compiled in the background; a lane that ends at once waits for it.
-        engine.observe([engine.start(self._inputs.of(np.arange(1)), accuracy).observed(0.0, np.zeros(1))])
+        engine.observe([engine.start(self._lanes.of(np.arange(1)), accuracy).observed(0.0, np.zeros(1))])
 
     def run(self, accuracy: Accuracy) -> Features:
         """Run all copies of the lanes, which is the part that is timed; return at least `finished` and `steps`."""
-        return self._run.at(self._inputs, accuracy)
+        return self._run.at(self._lanes, accuracy)
 
     def features(self, accuracy: Accuracy, ran: Features) -> Features:
         """Return the features of the lanes, each counted once, from the result of `run`."""
