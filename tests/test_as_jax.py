@@ -2,6 +2,7 @@
 
 import _thread
 import pickle
+import signal
 import threading
 import time
 
@@ -84,7 +85,7 @@ def _several_calls(g):
 
 
 @pytest.mark.parametrize("transform", [lambda g: g, jax.jit, jax.grad, _several_calls])
-def test_interrupt_is_raised_as_such(transform, monkeypatch):
+def test_interrupt_is_raised_as_such(transform, monkeypatch, request):
     """While jax calls back, every exception becomes an error of XLA."""
     f = _function()
     call, x = transform(lambda x: f(x)["period"]), jnp.asarray(HERE)
@@ -92,9 +93,12 @@ def test_interrupt_is_raised_as_such(transform, monkeypatch):
 
     def interrupted(self, x):
         threading.Timer(0.1, _thread.interrupt_main).start()
-        while True:
-            time.sleep(0.01)
+        time.sleep(20)  # which the interrupt ends
+        pytest.fail("no interrupt")
 
+    # A process that a shell starts in the background ignores interrupts.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     with monkeypatch.context() as patch:
         patch.setattr(branch.Branch, "evaluate", interrupted)
         with pytest.raises(KeyboardInterrupt):

@@ -79,27 +79,20 @@ class Recurrence(NamedTuple):
     """Fitted recurrence of differences with coefficients c_j.
 
     `sides`: right-hand sides and left-hand side of its equations, (order + 1, equations, states, lanes), the left-hand
-    side first. Each lane has a number of `equations`, after which there are zeros.
+    side first; zeros after a lane's last equation.
     """
 
     coefficients: Float[np.ndarray, "order lanes"]
     sides: Float[np.ndarray, "_ _ states lanes"]
-    equations: PerLaneInt
 
     def of(self, lanes: Index) -> "Recurrence":
         return Recurrence(*(x if len(lanes) == x.shape[-1] else np.take(x, lanes, axis=-1) for x in self))
 
     def residual(self) -> PerLane:
         """Return the relative residual of the fit."""
-        states, lanes = self.sides.shape[2:]
-        now, *before = (np.ascontiguousarray(side.reshape(-1, lanes).T) for side in self.sides)
-        off = np.einsum("lij,lj->li", np.stack(before, axis=-1), np.ascontiguousarray(self.coefficients.T)) - now
-        residual = np.empty(lanes)
-        for equations in np.flatnonzero(np.bincount(self.equations)):
-            same, number = self.equations == equations, equations * states
-            squares = (np.sum(x[same, :number] ** 2, axis=1) for x in (off, now))
-            residual[same] = np.sqrt(np.divide(*squares))
-        return residual
+        now, *before = self.sides.reshape(len(self.sides), -1, self.sides.shape[-1])
+        off = reduce(np.add, [c * column for c, column in zip(self.coefficients, before, strict=True)]) - now
+        return np.sqrt(_sum_of_rows(off**2) / _sum_of_rows(now**2))
 
     def radius(self) -> PerLane:
         """Return the largest modulus of the roots of the characteristic polynomial, which estimate multipliers."""
@@ -120,52 +113,26 @@ def fit_recurrence(
     sides = np.where(within, differences[: order + 1], 0.0)
     squares = sides[1:] ** 2
     terms = [squares[j, :, state] for state in range(dimensions) for j in range(order)]
-    weight = 1 / np.sqrt(_sum(terms) + noise**2)
+    weight = 1 / np.sqrt(reduce(np.add, terms) + noise**2)
     sides *= weight[:, None]
     # Regularization by the rounding noise in the columns: without it, large coefficients would fit noise.
-    blurred = 1e-12 + noise**2 * _sum([*weight**2], equations)
+    blurred = 1e-12 + noise**2 * _sum_of_rows(np.where(within[:, 0], weight**2, 0.0))
     gram, right = np.empty((lanes, order, order)), np.empty((lanes, order, 1))
     now, *before = sides.reshape(order + 1, -1, lanes)
     for j, column in enumerate(before):
         right[:, j, 0] = _sum_of_rows(column * now)
         for k in range(j + 1):
             gram[:, j, k] = gram[:, k, j] = _sum_of_rows(column * before[k])
-    if order == 1:
-        for number in np.flatnonzero(np.bincount(equations)):
-            same = np.flatnonzero(equations == number)
-            column, value = (np.ascontiguousarray(x[: number * dimensions, same].T) for x in (before[0], now))
-            gram[same] = np.einsum("lij,lik->ljk", column[..., None], column[..., None])
-            right[same, :, 0] = np.einsum("lij,li->lj", column[..., None], value)
     gram[:, np.arange(order), np.arange(order)] += blurred[:, None]
-    return Recurrence(np.linalg.solve(gram, right)[..., 0].T, sides, equations)
+    return Recurrence(np.linalg.solve(gram, right)[..., 0].T, sides)
 
 
 def _sum_of_rows(x: Series) -> PerLane:
-    """Return the sum of the rows, added in order. numpy adds a single column in another order than several."""
-    return np.add.reduce(x) if x.shape[1] > 1 else np.add.accumulate(x)[-1]
+    """Return the sum of the rows, added in order, so that no bit of a lane depends on the other lanes.
 
-
-ACCUMULATORS = 8
-"""Number of accumulators in numpy's sum of an array in memory."""
-
-
-def _sum(terms: list[np.ndarray], known: PerLaneInt | None = None) -> np.ndarray:
-    """Return the sum of arrays in the order in which numpy adds the numbers of one array in memory.
-
-    `known`: number of terms of each lane, if lanes have fewer than given.
+    numpy adds a single column in another order than several.
     """
-    few = reduce(np.add, terms if known is None else [np.where(k < known, x, 0.0) for k, x in enumerate(terms)])
-    if len(terms) < ACCUMULATORS:
-        return few
-    sums, rest = terms[:ACCUMULATORS], terms[ACCUMULATORS:]
-    while len(rest) >= ACCUMULATORS:
-        sums, rest = [a + b for a, b in zip(sums, rest)], rest[ACCUMULATORS:]  # noqa: B905
-    while len(sums) > 1:
-        sums = [a + b for a, b in zip(sums[::2], sums[1::2], strict=True)]
-    if known is not None:
-        rest = [np.where(k < known, x, 0.0) for k, x in enumerate(rest, len(terms) - len(rest))]
-    many = reduce(np.add, [*sums, *rest])
-    return many if known is None else np.where(known < ACCUMULATORS, few, many)
+    return np.add.reduce(x) if x.shape[1] > 1 else np.add.accumulate(x)[-1]
 
 
 def future_sum(values: Series, fit: Recurrence) -> PerLane:
