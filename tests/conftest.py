@@ -58,7 +58,6 @@ LONGEST = (
     "test_sweep_against_simulate.py",
     "test_accelerator.py",
     "test_examples.py",
-    "test_derivatives.py",
     "test_hostile.py",
     "test_curves.py",
     "test_borders.py",

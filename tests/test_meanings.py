@@ -109,7 +109,7 @@ def rates():
     "call",
     [
         lambda: vj.simulate("vibro-impact", gap=0.005, progress=False),
-        lambda: vj.derivatives("vibro-impact", of="period", by="gap", progress=False),
+        lambda: vj.sensitivity("vibro-impact", of="period", by="gap", progress=False),
         lambda: vj.picture(rates(), where={"gap": 0.0}),
         lambda: vj.fit_rop(rates(), along="gap"),
     ],

@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 from jax.test_util import check_grads
 from scipy.optimize import minimize
+from systems import IMPACT_OSCILLATOR
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -143,6 +144,93 @@ def test_eigenvalues_against_closed_forms():
     assert not alike.any()
     defective = np.array([[[0.5, 1], [1e-9, 0.5]]])
     assert eigenvalues(defective, np.zeros((1, 2, 2, 1)), right_sides)[2].all()
+
+
+# One point
+
+
+DRILL = {"beta": 0.4, "gamma": 0.75, "v": 1.5, "delta": 0.005, "start": "stuck"}
+
+
+def at_point(scene="vibro-impact", **given):
+    return vj.sensitivity(scene, progress=False, **given)
+
+
+def test_point_agrees_with_central_differences_of_orbits():
+    names, step = ["period", "impact_velocity", "multiplier_abs"], 1e-4
+    s = at_point(of=names, by=BY, **DRILL)
+    assert not s["valid"].dims and s["valid"] == 1 and s["d_period"].dims == ("parameter",)
+    point = {name: x for name, x in DRILL.items() if name != "start"}
+    rows = [point | {name: point[name] * (1 + sign * step)} for name in BY for sign in (1, -1)]
+    points = {name: [row[name] for row in rows] for name in point}
+    sweep = {"scene": "vibro-impact", "points": points, "starts": ["stuck"], "run": {"error": 1e-6}}
+    orbits = vj.orbits(sweep, progress=False).squeeze("start")
+    for k, name in enumerate(BY):
+        up, down = orbits.isel(point=2 * k), orbits.isel(point=2 * k + 1)
+        for variable in names:
+            slope = (up[variable] - down[variable]).values / (2 * step * point[name])
+            derivative = s[f"d_{variable}"].sel(parameter=name).values
+            np.testing.assert_allclose(derivative, slope, rtol=1e-5, atol=1e-6, err_msg=f"{variable}, {name}")
+    elasticity = s.d_impact_velocity * [point[name] for name in BY] / s.impact_velocity
+    np.testing.assert_allclose(s.elasticity_impact_velocity, elasticity)
+
+
+def shaw_and_holmes(a, w, damping, stop, r):
+    """Return the speed at the one impact per period of a linear oscillator, from its free motion between impacts."""
+    zeta, period = damping / 2, 2 * np.pi / w
+    free = np.sqrt(1 - zeta**2)
+    decay, c, s = np.exp(-zeta * period), np.cos(free * period), np.sin(free * period)
+    sine = (1 - decay * c) / (decay * s)  # the free motion begins and ends at 1
+    begin, end = -zeta + free * sine, decay * (-zeta * (c + sine * s) + free * (sine * c - s))
+    speed = (end - begin) / (1 + r)
+    forced = a / np.sqrt((1 - w**2) ** 2 + (damping * w) ** 2)
+    return np.roots([1 + ((r * speed + begin) / w) ** 2, -2 * stop, stop**2 - forced**2])[1] * speed
+
+
+def test_own_system_agrees_with_closed_form():
+    point, step = {"a": 1.0, "w": 0.9, "damping": 0.1, "stop": 1.0, "r": 0.7}, 1e-6
+    s = at_point(IMPACT_OSCILLATOR, of=["impact_velocity", "period"], by=[*point], **point)
+    assert s["valid"] == 1 and s.impact_velocity == pytest.approx(shaw_and_holmes(**point), rel=1e-8)
+    for name, x in point.items():
+        up, down = (shaw_and_holmes(**point | {name: x + sign * step}) for sign in (1, -1))
+        assert s.d_impact_velocity.sel(parameter=name) == pytest.approx((up - down) / (2 * step), rel=1e-7)
+    assert s.d_period.values == pytest.approx([0, -2 * np.pi / point["w"] ** 2, 0, 0, 0], abs=1e-9)
+
+
+def test_rate_of_penetration_at_a_point():
+    """With constant stiffness, scaling force and threshold together scales all lengths."""
+    s = at_point("penetration", of="rate_of_penetration", by=["force", "threshold"], rock="granite", force=5e5)
+    assert s["valid"] == 1 and float(s.elasticity_rate_of_penetration.sum()) == pytest.approx(1, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"beta": 0.601, "gamma": 0.818}, "no-orbit"),  # irregular
+        ({"delta": 0.5}, "undefined"),  # no impact
+    ],
+)
+def test_point_without_derivative_has_reason(given, reason):
+    s = at_point(of=["impact_velocity"], by=["v"], **DRILL | given)
+    assert DERIVATIVE_REASONS[int(s.reason)] == reason and s["valid"] == 0 and s.d_impact_velocity.isnull().all()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"of": ["peroid"]}, 'of: the scene has no "peroid" to differentiate; did you mean "period"'),
+        ({"of": ["impacts"]}, 'of: the scene has no "impacts" to differentiate'),  # a count
+        ({"by": ["force"]}, 'by: the scene has no "force" to differentiate'),
+        ({"bta": 0.4}, "bta: .* did you mean"),
+        ({"beta": [0.4, 0.5]}, "beta: .* is not a number"),
+        ({"start": "stock"}, 'start: "stock" is unknown; did you mean "stuck"'),
+        ({"scene": "vibro-impct", "of": "period"}, 'scene: "vibro-impct" is unknown; did you mean "vibro-impact"'),
+        ({"scene": {"scene": "vibro-impact"}, "of": "period"}, "of: belongs to one point of a scene"),
+    ],
+)
+def test_wrong_points_are_refused(given, message):
+    with pytest.raises(InputError, match=message):
+        at_point(**given)
 
 
 # Functions of JAX arrays
@@ -294,8 +382,8 @@ def test_wrong_shapes_are_refused(f):
     [
         lambda: vj.as_jax("vibro-impact", of="period", by=["beta", "beta"]),
         lambda: vj.as_jax("vibro-impact", of=["period", "period"], by=["beta"]),
-        lambda: vj.derivatives("vibro-impact", of=["period"], by=["beta", "beta"]),
-        lambda: vj.derivatives("vibro-impact", of=["period", "period"], by=["beta"]),
+        lambda: vj.sensitivity("vibro-impact", of=["period"], by=["beta", "beta"]),
+        lambda: vj.sensitivity("vibro-impact", of=["period", "period"], by=["beta"]),
         lambda: vj.sensitivity({"scene": "vibro-impact", "grid": {"beta": [0.4]}}, by=["v", "v"], progress=False),
     ],
 )

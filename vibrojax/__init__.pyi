@@ -61,7 +61,6 @@ from vibrojax.studies.rop_joint import fit_joint as fit_joint
 from vibrojax.studies.rop_law import fit_rop as fit_rop
 from vibrojax.studies.sensitivity_gradients import as_jax as as_jax
 from vibrojax.studies.sensitivity_maps import sensitivity as sensitivity
-from vibrojax.studies.sensitivity_run import derivatives as derivatives
 from vibrojax.studies.sweep_analysis import SweepAnalysis as SweepAnalysis
 from vibrojax.studies.tolerance_run import tolerance as tolerance
 from vibrojax.studies.trajectory_run import simulate as simulate

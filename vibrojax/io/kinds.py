@@ -36,7 +36,6 @@ STRUCTURES: dict[str, Callable[[xr.Dataset], bool]] = {
 
 _RECOGNISED = STRUCTURES | {
     "fit": lambda ds: ("C" in ds and "form" in ds["C"].dims) or "columns" in ds.attrs,
-    "derivatives": lambda ds: {"variable", "parameter"} <= set(ds.dims),
     "sweep": lambda ds: not {"regime", "status", "rate_of_penetration"}.isdisjoint(ds.variables),
 }
 """The structure that identifies the kind of a dataset without the attribute. The first match is used."""

@@ -50,7 +50,7 @@ class Value(Protocol):
 
 TRACED = (
     "is traced by jax (jit, grad or vmap), which does not go through here: give a number, or use vj.as_jax, whose "
-    "function jax can transform; derivatives come from vj.derivatives, in forward mode"
+    "function jax can transform; vj.sensitivity gives derivatives as numbers"
 )
 
 

@@ -181,7 +181,6 @@ _HOMES = {
     "calibration": "calibration_analysis:Calibrations",
     "fit": "rop_analysis:Fits",
     "accuracy": "accuracy_picture:AccuracyStudy",
-    "derivatives": "sensitivity_run:Derivatives",
     "sensitivity": "sensitivity_analysis:Sensitivity",
 }
 """Module and class of each of the package's own analyses, which are imported when they are needed."""

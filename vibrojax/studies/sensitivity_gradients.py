@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.errors import InputError, Place, shown
-from vibrojax.maps.read import read_point
 from vibrojax.periodic.orbit_derivatives import MARGIN, STABILITY, orbit_variables
 from vibrojax.physics.arrays import Array, check_untraced
 from vibrojax.physics.parameters import Parameter
@@ -19,7 +18,7 @@ from vibrojax.settings.toml import plain
 from vibrojax.settings.values import quantity
 from vibrojax.studies.sensitivity_branch import Branch
 from vibrojax.studies.sensitivity_interrupts import await_interrupt, deferring_interrupts
-from vibrojax.studies.sensitivity_run import read_names
+from vibrojax.studies.sensitivity_maps import read_names, read_orbit_point
 
 OUTSIDE = ("nearest", "nan")
 
@@ -144,9 +143,7 @@ def as_jax(
     place = Place("as_jax")
     if outside not in OUTSIDE:
         raise place.at("outside").error(f"{shown(outside)} is unknown; choose from {', '.join(OUTSIDE)}")
-    point = read_point(place, scene, fixed, start)
-    if not point.system.driving_part().return_states:
-        raise place.at("scene").error(f"{shown(point.scene)} has neither a section nor pulses, so it has no orbits")
+    point = read_orbit_point(place, scene, fixed, start)
     names = read_names(place.at("of"), of, orbit_variables(point.system))
     table = point.system.parameters()
     parameters = read_names(place.at("by"), by, table)

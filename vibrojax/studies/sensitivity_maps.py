@@ -1,6 +1,6 @@
-"""Derivatives at the periodic orbits of a sweep's lanes: the analysis `sensitivity`."""
+"""Derivatives at the periodic orbits of a sweep's lanes, or of one point of a scene: the function `sensitivity`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from os import PathLike
 from typing import Any
 
@@ -8,10 +8,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.errors import Place
+from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.lanes.labels import measured_besides
 from vibrojax.maps.dataset import coordinates, shared_attributes
+from vibrojax.maps.read import Point, read_point, read_sweep
 from vibrojax.maps.rerun import orbits, sweep_with_orbits
 from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.known_orbits import known_orbits
@@ -22,9 +23,14 @@ from vibrojax.periodic.orbit_derivatives import (
     orbit_features,
     orbit_variables,
 )
+from vibrojax.physics.meanings import suggest_parameter
 from vibrojax.progress import Progress
-from vibrojax.scenes import Scene
-from vibrojax.studies.sensitivity_run import read_names
+from vibrojax.scenes import SCENES, Scene
+from vibrojax.settings.names import enter_offered
+from vibrojax.settings.run_settings import read_settings
+from vibrojax.settings.toml import bundled_names
+from vibrojax.settings.values import check_distinct
+from vibrojax.systems.system import DEFINED
 
 KIND = "sensitivity"
 
@@ -36,6 +42,8 @@ ORBIT_VARIABLES = {
 }
 """Variables of orbits that sweeps do not have."""
 
+_MULTIPLIERS = "multiplier_abs"
+
 _VALID = Variable("1", "whether the derivatives of the lane hold", np.int8, ("not-valid", "valid"))
 _REASON = Variable("1", "why the derivatives of the lane do not hold", np.int8, DERIVATIVE_REASONS)
 
@@ -43,19 +51,29 @@ _REASON = Variable("1", "why the derivatives of the lane do not hold", np.int8, 
 def described(scene: Scene[Any], name: str) -> Variable:
     """Return unit and meaning of a feature of a scene's orbits."""
     known = VARIABLES | ORBIT_VARIABLES | measured_besides(scene)
-    return known["multiplier_abs" if name.startswith(MODULUS) else name]
+    return known[_variable(name)]
+
+
+def _variable(feature: str) -> str:
+    """Return the variable of a dataset that holds a feature of orbits."""
+    return _MULTIPLIERS if feature.startswith(MODULUS) else feature
 
 
 OWN_ORBIT = 1e-3
 """Largest distance from the orbit in the dataset, in half swings, of the orbit whose derivatives are computed."""
 
 
-def at_orbits(sweep: Sweep, lanes: xr.Dataset, by: Sequence[str], progress: bool) -> xr.Dataset:
-    """Return the dataset of [vibrojax.sensitivity][]; `lanes`: dataset of the sweep with orbits."""
+def at_orbits(
+    sweep: Sweep, lanes: xr.Dataset, by: Sequence[str], progress: bool, variables: Sequence[str] = ()
+) -> xr.Dataset:
+    """Return the dataset of [vibrojax.sensitivity][]; `lanes`: dataset of the sweep with orbits.
+
+    If `variables` are given, the dataset has no others, and a lane without one of them is not valid.
+    """
     scene = sweep.system
     table = scene.parameters()
     by = read_names(Place("sensitivity").at("by"), by, table) if by else [*table]
-    of = orbit_variables(scene)
+    of = [name for name in orbit_variables(scene) if not variables or _variable(name) in variables]
     values = sweep.lane_values(0, sweep.lanes)[0]
     values = {name: values[name].astype(float) for name in table}
     lanes = lanes.transpose(*sweep.dims, ...)
@@ -76,64 +94,140 @@ def at_orbits(sweep: Sweep, lanes: xr.Dataset, by: Sequence[str], progress: bool
                 features[index], slopes[index], reason[index] = orbit.values, orbit.derivatives, orbit.reason
                 report.add(len(part))
     points = np.stack([values[name] for name in by], axis=1)
-    return _described(sweep, of, by, points, features, slopes, _of_lane(reason))
+    return _described(sweep, of, by, points, features, slopes, _of_lane(reason, bool(variables)))
 
 
 def sensitivity(
-    source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep,
+    source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep | Scene[Any],
     *,
+    of: str | Sequence[str] = (),
     by: str | Sequence[str] = (),
+    start: str | Sequence[float] | None = None,
+    settle: float | None = None,
+    observe: float | None = None,
     progress: bool = True,
+    **parameters: Any,
 ) -> xr.Dataset:
-    """Differentiate the features of a sweep's periodic orbits with respect to the parameters of the scene.
+    """Differentiate the features of periodic orbits with respect to the parameters of the scene.
 
         s = vj.sensitivity(ds)
         s.d_impact_velocity.sel(parameter="beta")  # m/s per unit of beta, in every lane
+        vj.sensitivity("vibro-impact", of=["period"], by=["beta"], start="stuck", delta=0.005)  # at one point
 
     The derivatives are those along the family of orbits, by the implicit function theorem at the fixed point of the
     return map: ds/dp = (1 - P_s)^-1 P_p for the state s at the section. Features are then measured over one period of
-    the orbit, with tangents along (ds/dp, dp) through all events. Unlike in [vibrojax.derivatives][], nothing depends
-    on the time in which the motion settles, and unstable orbits have derivatives, too.
+    the orbit, with tangents along (ds/dp, dp) through all events. Nothing depends on the time in which the motion
+    settles, and unstable orbits have derivatives, too.
 
     **Arguments:**
 
     - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. Unless the dataset has orbits
       (`orbits = true`), its sweep is run again.
+    - Instead of a sweep, a scene: its name, or the scene itself. The derivatives are then those of the orbit on which
+      the motion from `start` settles at one point, the `parameters` (SI, as in `simulate`). A name that is also a
+      bundled sweep's, such as "drilling", means the scene if any argument of a point is given.
     - `by`: parameters of the scene, by default all.
+    - `of`: variables at a point, by default all that vary smoothly. `settle`, `observe` [s]: as in a sweep.
     - `progress`: True to report progress on stderr.
 
-    **Returns:** a dataset over the dimensions of the sweep.
+    **Returns:** a dataset over the dimensions of the sweep; at a point, without these dimensions.
 
     - The variables of the orbits that vary smoothly, among them `period`, `impact_velocity`, `impact_energy`,
       `impact_power`, `peak_impact_force`, `impact_phase`, `grazing_margin`, `multiplier_abs` along `multiplier`,
       `log_multiplier` (the natural logarithm of the largest modulus), and `rate_of_penetration` with rock.
     - `d_VARIABLE` along `parameter`: their derivatives, in the unit of the variable per unit of the parameter
       (`parameter_unit`). They are NaN where the variable is not defined, as the impact velocity without impacts.
+      At a point also `elasticity_VARIABLE`: the relative change per relative change of the parameter.
     - `valid` (0 or 1) and `reason`. *no-orbit*: the lane is not periodic, or no orbit was found. *neutral-orbit*: a
       multiplier is 1, so that the orbit does not depend smoothly on the parameters. *near-grazing*, *near-stick*: an
       impact, or a stick phase, is about to appear or vanish; derivatives hold only very close to the point.
       *equal-multipliers*: two multipliers, or their moduli, are almost equal; only the derivatives of multipliers do
-      not hold. *failed*: the lane failed, or the derivative cannot be computed.
+      not hold. *undefined*: the orbit lacks a variable named in `of`. *failed*: the lane failed, or the derivative
+      cannot be computed.
 
-    **Raises:** `InputError` if the source is not a sweep or the dataset of one, or a parameter is unknown.
+    **Raises:** `InputError` if the source is not a sweep, the dataset of one, or a scene, or a name is unknown.
 
     **Example:**
 
-    >>> point = {"beta": 0.4, "gamma": 0.75, "delta": 0.005}
-    >>> sweep = {"scene": "vibro-impact", "parameters": point, "starts": ["stuck"]}
-    >>> s = vj.sensitivity(sweep, by=["v", "delta"], progress=False)
-    >>> s.d_impact_velocity.values.ravel().round(2).tolist()  # per m/s, and per m of the gap
+    >>> point = {"beta": 0.4, "gamma": 0.75, "delta": 0.005, "start": "stuck"}
+    >>> s = vj.sensitivity("vibro-impact", of=["impact_velocity"], by=["v", "delta"], **point, progress=False)
+    >>> s.d_impact_velocity.values.round(2).tolist()  # per m/s, and per m of the gap
     [1.3, 27.28]
     """
+    of, by = ([names] if isinstance(names, str) else list(names) for names in (of, by))
+    given = {"of": of or None, "start": start, "settle": settle, "observe": observe, **parameters}
+    given = {name: x for name, x in given.items() if x is not None}
+    enter_offered()
+    names = {*SCENES, *DEFINED} - {*bundled_names()}
+    if isinstance(source, Scene) or (isinstance(source, str) and (given or source in names)):
+        return _at_point(source, of, by, start, {"settle": settle, "observe": observe}, parameters, progress)
+    for name in given:
+        raise Place("sensitivity").at(name).error("belongs to one point of a scene, and this is a sweep; leave it out")
     sweep = sweep_with_orbits(source)
-    lanes = orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
-    return at_orbits(sweep, lanes, [by] if isinstance(by, str) else by, progress)
+    return at_orbits(sweep, orbits(source if isinstance(source, xr.Dataset) else sweep, progress), by, progress)
 
 
-def _of_lane(reason: np.ndarray) -> np.ndarray:
-    """Return the reason of each lane: the first in order that is not that the variable is undefined."""
-    defined = np.where(reason == DERIVATIVE_REASONS.index("undefined"), 0, reason)
-    known = np.where(defined > 0, defined, len(DERIVATIVE_REASONS)).min(axis=1)
+def _at_point(
+    scene: object,
+    of: Sequence[str],
+    by: Sequence[str],
+    start: object,
+    times: Mapping[str, float | None],
+    parameters: Mapping[str, object],
+    progress: bool,
+) -> xr.Dataset:
+    """Return the derivatives at the orbit on which the motion from `start` settles at one point."""
+    place = Place("sensitivity")
+    point = read_orbit_point(place, scene, parameters, start)
+    variables = [*dict.fromkeys(map(_variable, orbit_variables(point.system)))]
+    of = read_names(place.at("of"), of, variables) if of else []
+    by = read_names(place.at("by"), by, point.system.parameters()) if by else [*point.system.parameters()]
+    run: dict[str, object] = {"orbits": True, **{name: x for name, x in times.items() if x is not None}}
+    read_settings(place, run, point.system)
+    options = {name: x for name, x in parameters.items() if name in point.options}
+    fixed = {name: x for name, x in point.parameters.items() if name != by[0]}
+    grid = {by[0]: [point.parameters[by[0]]]}
+    tables = {"scene": scene, "parameters": options | fixed, "grid": grid, "run": run, "title": point.scene}
+    begin = {} if point.start is None else {"starts": [point.start]}
+    sweep = read_sweep(tables | begin | {"unusual": True})
+    ds = at_orbits(sweep, orbits(sweep, progress), by, progress, of).squeeze(sweep.dims)
+    for name in [name for name in variables if name in ds and name not in (_MULTIPLIERS, STABILITY)]:
+        elasticity = ds[f"d_{name}"] * ds["parameter_value"] / ds[name].where(ds[name] != 0)
+        meaning = "relative change per relative change of the parameter, of"
+        ds[f"elasticity_{name}"] = elasticity.assign_attrs(
+            units="1", long_name=f"{meaning}: {described(point.system, name).long_name}"
+        )
+    return ds
+
+
+def read_orbit_point(place: Place, scene: object, parameters: Mapping[str, object], start: object) -> Point:
+    """Return a checked point of a scene whose motions may have orbits."""
+    point = read_point(place, scene, parameters, start)
+    if not point.system.driving_part().return_states:
+        raise place.at("scene").error(f"{shown(point.scene)} has neither a section nor pulses, so it has no orbits")
+    return point
+
+
+def read_names(place: Place, value: str | Sequence[str], known: Collection[str]) -> list[str]:
+    """Return the validated list of names, which must be in `known`."""
+    names = [value] if isinstance(value, str) else list(value)
+    if not names:
+        raise place.error(f"is empty; choose from {', '.join(known)}")
+    for name in names:
+        if name not in known:
+            hint = suggest_parameter(str(name), known) if isinstance(known, Mapping) else suggestion(str(name), known)
+            raise place.error(f"the scene has no {shown(name)} to differentiate; {hint}")
+    check_distinct(place, names, "name")
+    return names
+
+
+def _of_lane(reason: np.ndarray, all_defined: bool) -> np.ndarray:
+    """Return the reason of each lane: the first in order, unless it is that the variable is undefined.
+
+    `all_defined`: whether every variable must be defined.
+    """
+    undefined = (reason == DERIVATIVE_REASONS.index("undefined")) & (not all_defined)
+    known = np.where((reason > 0) & ~undefined, reason, len(DERIVATIVE_REASONS)).min(axis=1)
     return np.where(known == len(DERIVATIVE_REASONS), 0, known)
 
 
@@ -156,17 +250,17 @@ def _described(
     data["parameter_value"] = ((*sweep.dims, "parameter"), points.reshape(*sweep.shape, len(by)), meaning)
     groups: dict[str, list[int]] = {}
     for place, name in enumerate(of):
-        groups.setdefault("multiplier_abs" if name.startswith(MODULUS) else name, []).append(place)
+        groups.setdefault(_variable(name), []).append(place)
     for name, places in groups.items():
         about = described(scene, of[places[0]])
-        several = name == "multiplier_abs"
+        several = name == _MULTIPLIERS
         dims = (*sweep.dims, "multiplier") if several else sweep.dims
         size = (*sweep.shape, len(places)) if several else sweep.shape
         data[name] = (dims, features[:, places].reshape(size), about.attributes())
         meaning = {"units": about.units, "long_name": f"derivative, per unit of the parameter, of: {about.long_name}"}
         data[f"d_{name}"] = ((*dims, "parameter"), slopes[:, places].reshape(*size, len(by)), meaning)
     coords = {
-        **coordinates(sweep, {"multiplier": len(sweep.system.driving_part().return_states)}),
+        **coordinates(sweep, {"multiplier": len(groups[_MULTIPLIERS])} if _MULTIPLIERS in groups else {}),
         "parameter": ("parameter", list(by), {"long_name": "parameter of the derivative"}),
         "parameter_unit": ("parameter", [table[name].unit for name in by], {"long_name": "unit of the parameter"}),
     }
