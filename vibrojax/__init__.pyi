@@ -54,7 +54,6 @@ from vibrojax.studies.design_run import design as design
 from vibrojax.studies.effects_run import study as study
 from vibrojax.studies.family_run import follow as follow
 from vibrojax.studies.frequencies import frequencies as frequencies
-from vibrojax.studies.friction_fit import fit_friction as fit_friction
 from vibrojax.studies.push_run import smallest_push as smallest_push
 from vibrojax.studies.rig_measures import rig as rig
 from vibrojax.studies.rop_joint import fit_joint as fit_joint

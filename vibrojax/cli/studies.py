@@ -175,17 +175,26 @@ def study(options: Options) -> None:
     argument(
         "file",
         "FILE",
-        "a calibration: the path of a TOML file with scene, data (a CSV of operating conditions and observations), "
-        "[unknown] NAME = [low, high] and, as needed, start, [parameters], [error], [prior]",
+        "a calibration: the path of a TOML file with scene, data (a CSV of operating conditions and observations) or "
+        "history (a CSV of the bit's velocity over time), [unknown] NAME = [low, high] and, as needed, start, "
+        "[parameters], [error], [prior]",
+    ),
+    argument(
+        "--columns",
+        "NAME=COLUMN",
+        'of the history: which column is what, in which unit, like time="t (ms)" v1="bit speed (mm/s)"',
+        nargs="+",
+        action="extend",
     ),
     output_options("NAME-calibration.nc"),
     JSON,
 )
 def calibrate(options: Options) -> None:
-    """Estimate parameters of a drill from observations of its periodic motion, and say which the data determine."""
+    """Estimate parameters of a drill from observations of its motion, and say which the data determine."""
+    from vibrojax.io.log_columns import read_columns
     from vibrojax.studies.calibration_spec import read_calibration
 
-    spec = read_calibration(options.file)
+    spec = read_calibration(options.file, read_columns(options.columns or []))
 
     def compute() -> "xarray.Dataset":
         from vibrojax.studies.calibration_run import find_calibration

@@ -9,6 +9,7 @@ from scipy.stats import qmc
 
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_sweep
+from vibrojax.studies.calibration_history import VELOCITY
 from vibrojax.studies.calibration_spec import CONSTANT, RATE, RELIEF, CalibrationSpec
 from vibrojax.studies.sensitivity_branch import Branch
 
@@ -104,11 +105,13 @@ class Model:
     def __init__(self, spec: CalibrationSpec, theta: Theta, row: int) -> None:
         """Begin the branch at the orbit on which the motion settles at `theta` and the observation `row`."""
         self._spec = spec
+        self._free = [name for name in spec.of_parameters.names if name != CONSTANT]
         self._places = [k for k, name in enumerate(spec.names) if name != CONSTANT]
         self._of = _features(spec)
-        self._branch = Branch(spec.point, self._of, _parameters(spec))
         self._last: tuple[bytes, list[Prediction]] | None = None
-        self._branch.evaluate(_points(spec, theta[None])[[row]])
+        if spec.rows:
+            self._branch = Branch(spec.point, self._of, _parameters(spec))
+            self._branch.evaluate(_points(spec, theta[None])[[row]])
 
     def predict(self, theta: Theta) -> Prediction:
         """Return the predictions at theta."""
@@ -118,18 +121,32 @@ class Model:
         """Return the predictions at each row of `thetas`."""
         if self._last is not None and self._last[0] == thetas.tobytes():
             return self._last[1]
-        orbits = self._branch.evaluate(_points(self._spec, thetas))
-        shape = len(thetas), len(self._spec.labels), len(self._branch.of)
-        values, valid = orbits.values.reshape(shape), orbits.valid.reshape(shape[:2])
-        own = np.zeros((*shape, thetas.shape[1]))  # the first features are `_of`
-        own[..., self._places] = orbits.derivatives.reshape(*shape, -1)[..., : len(self._places)]
-        parts = [self._observed(theta, x, d) for theta, x, d in zip(thetas, values, own, strict=True)]
+        rows, history = self._spec.rows, self._spec.history
+        values = np.zeros((len(thetas), *self._spec.values.shape))
+        slopes, valid = np.zeros((*values.shape, thetas.shape[1])), np.zeros(values.shape[:2], bool)
+        if rows:
+            own = np.s_[:, :rows, : values.shape[2] - (history is not None)]
+            values[own], slopes[own], has_orbit = self._of_rows(thetas)
+            valid[:, :rows] = has_orbit & np.isfinite(values[own]).all(axis=2)
+        if history is not None:
+            velocity, derivatives = history.predict(self._free, thetas[:, self._places])
+            values[:, rows:, -1], valid[:, rows:] = velocity, np.isfinite(velocity)
+            slopes[:, rows:, -1, self._places] = derivatives
         predictions = [
-            Prediction(np.nan_to_num(x), np.nan_to_num(d), ok & np.isfinite(x).all(axis=1))
-            for (x, d), ok in zip(parts, valid, strict=True)
+            Prediction(np.nan_to_num(x), np.nan_to_num(d), ok) for x, d, ok in zip(values, slopes, valid, strict=True)
         ]
         self._last = thetas.tobytes(), predictions
         return predictions
+
+    def _of_rows(self, thetas: Float[np.ndarray, "draws unknown"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the observed variables of the rows, their derivatives, and a mask of the rows with a stable orbit."""
+        orbits = self._branch.evaluate(_points(self._spec, thetas))
+        shape = len(thetas), self._spec.rows, len(self._branch.of)
+        values, places = orbits.values.reshape(shape), self._places[: len(self._free)]
+        own = np.zeros((*shape, thetas.shape[1]))  # the first features are `_of`
+        own[..., places] = orbits.derivatives.reshape(*shape, -1)[..., : len(places)]
+        parts = [self._observed(theta, x, d) for theta, x, d in zip(thetas, values, own, strict=True)]
+        return np.stack([x for x, _ in parts]), np.stack([d for _, d in parts]), orbits.valid.reshape(shape[:2])
 
     def _observed(self, theta: Theta, values: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the observed variables and their derivatives, from those of the features of the orbits."""
@@ -141,25 +158,25 @@ class Model:
                 slope = theta[place] * change / relief[:, None]
                 slope[:, place] = np.log(relief)
                 columns[RATE] = theta[place] * np.log(relief), slope
-        pairs = [columns[name] for name in self._spec.observed]
+        pairs = [columns[name] for name in self._spec.observed if name != VELOCITY]
         return np.stack([x for x, _ in pairs], axis=1), np.stack([x for _, x in pairs], axis=1)
 
 
 def _features(spec: CalibrationSpec) -> list[str]:
     """Return the features of orbits from which the observed variables follow."""
     lawful = CONSTANT in spec.names
-    names = [name for name in spec.observed if name != RATE or not lawful]
+    names = [name for name in spec.observed if name != VELOCITY and (name != RATE or not lawful)]
     return names + [RELIEF] * (lawful and RELIEF not in names)
 
 
 def _parameters(spec: CalibrationSpec) -> list[str]:
-    return [*(name for name in spec.names if name != CONSTANT), *spec.conditions]
+    return [*(name for name in spec.of_parameters.names if name != CONSTANT), *spec.conditions]
 
 
 def _points(spec: CalibrationSpec, thetas: Float[np.ndarray, "draws unknown"]) -> Float[np.ndarray, "points by"]:
-    """Return the parameters of all observations at each row of `thetas`, one observation after the other."""
-    rows = len(spec.labels)
-    free = thetas[:, [k for k, name in enumerate(spec.names) if name != CONSTANT]]
+    """Return the parameters of all rows at each row of `thetas`, one row of data after the other."""
+    rows = spec.rows
+    free = thetas[:, [k for k, name in enumerate(spec.of_parameters.names) if name != CONSTANT]]
     conditions = np.stack([*spec.conditions.values()], axis=1) if spec.conditions else np.zeros((rows, 0))
     return np.concatenate([np.repeat(free, rows, axis=0), np.tile(conditions, (len(thetas), 1))], axis=1)
 
@@ -177,9 +194,14 @@ def theta_of(spec: CalibrationSpec, free: np.ndarray) -> np.ndarray:
 
 
 def errors_at(spec: CalibrationSpec, values: Values) -> Values:
-    """Return the standard errors of the observations, or else the sizes of `values`, to which the noise is relative."""
+    """Return the standard errors of the observations, or else the sizes of `values`, to which the noise is relative.
+
+    For samples of a history, the size is the root mean square of all samples.
+    """
     if spec.errors is not None:
         return np.stack([spec.errors[name] for name in spec.observed], axis=1)
+    if spec.history is not None:
+        return np.full_like(values, np.sqrt(np.nanmean(spec.values**2)) or 1.0)
     floor = SMALLEST_SHARE * np.nanmean(np.abs(spec.values), axis=0)
     return np.fmax(np.abs(values), np.where(floor > 0, floor, 1.0))
 
@@ -187,14 +209,21 @@ def errors_at(spec: CalibrationSpec, values: Values) -> Values:
 def starts(spec: CalibrationSpec) -> list[tuple[Theta, int]]:
     """Return the points of the box at which searches begin, best first, each with an observation that has an orbit.
 
-    The motions of a sample of points are simulated from the start. Different points may lead to different kinds of
-    orbits, so that each search follows a branch of its own.
+    The motions of a sample of points are simulated from the start, or over the history if there is nothing else.
+    Different points may lead to different kinds of orbits, so that each search follows a branch of its own.
     """
-    unit = qmc.Sobol(len(spec.names), seed=spec.seed).random(SCREENED)
+    own, history = spec.of_parameters, spec.history
+    unit = qmc.Sobol(len(own.names), seed=spec.seed).random(SCREENED)
     unit[0] = 0.5
-    low, high = free_of(spec, spec.low), free_of(spec, spec.high)
-    thetas = theta_of(spec, low + (high - low) * unit)
-    rows = np.unique(np.linspace(0, len(spec.labels) - 1, SCREENED_ROWS).round().astype(int))
+    low, high = free_of(own, own.low), free_of(own, own.high)
+    thetas = theta_of(own, low + (high - low) * unit)
+    if history is not None:
+        thetas = np.concatenate([thetas, np.tile(history.guess, (SCREENED, 1))], axis=1)
+    if not spec.rows:
+        predictions = Model(spec, thetas[0], 0).predict_all(thetas)
+        off = [np.where(x.valid, np.abs(x.values[:, -1] - spec.values[:, -1]), np.inf).sum() for x in predictions]
+        return [(thetas[k], 0) for k in np.argsort(off, kind="stable")]
+    rows = np.unique(np.linspace(0, spec.rows - 1, SCREENED_ROWS).round().astype(int))
     by, point = _parameters(spec), spec.point
     columns = _points(spec, thetas).reshape(SCREENED, -1, len(by))[:, rows]
     tables: dict[str, Any] = {

@@ -13,6 +13,7 @@ from vibrojax.errors import InputError, counted
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.progress import Progress
+from vibrojax.studies.calibration_history import VELOCITY
 from vibrojax.studies.calibration_model import (
     ORBIT_ERROR,
     SCREENED,
@@ -47,11 +48,13 @@ LARGEST_OFFSET = 0.05
 (Bates and Watts 1981)."""
 
 ERROR_MODELS = {
-    False: "all values have the same relative error (normal, proportional to the predicted value), which the residuals "
-    "give; 95 % intervals by Student's t with {freedom} degrees of freedom",
-    True: "normal errors with the standard errors given; 95 % intervals by the normal distribution",
+    "history": "all samples have the same error (normal), which the residuals give; 95 % intervals by Student's t with "
+    "{freedom} degrees of freedom",
+    "relative": "all values have the same relative error (normal, proportional to the predicted value), which the "
+    "residuals give; 95 % intervals by Student's t with {freedom} degrees of freedom",
+    "given": "normal errors with the standard errors given; 95 % intervals by the normal distribution",
 }
-"""Error models without and with standard errors of the observations."""
+"""Error models without standard errors of the observations, for a history and for rows, and with them."""
 
 _OF, _PARAMETER = ("observation", "of"), ("parameter",)
 
@@ -82,7 +85,7 @@ SCHEMA: dict[str, tuple[tuple[str, ...], Variable]] = {
 
 
 def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
-    """Estimate parameters of a drill from observations of its periodic motion, by gradients through the orbits.
+    """Estimate parameters of a drill from observations of its motion, by gradients through all events.
 
         runs = {"v": [1.2, 1.5, 1.8], "period": [...], "impact_velocity": [...]}
         fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})
@@ -92,8 +95,13 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     motions from `start` are simulated. From the best of these points, the orbit is continued to all rows, and SciPy's
     `least_squares` minimises the residuals with the derivatives of the orbits. Rows without a stable orbit at the end
     of a search are left out. The best end has many rows and small residuals, by their likelihood. Attractors coexist:
-    observations of another motion are fitted by the wrong orbit, and their residuals show it. To fit
-    friction to the velocity of the bit over time, use [vibrojax.fit_friction][].
+    observations of another motion are fitted by the wrong orbit, and their residuals show it.
+
+    A recorded velocity of the bit over time, beside the rows or in place of them, is compared with the motion itself:
+    over a few returns it determines the friction (`mu`, `v_cr`). The state at its first sample is fitted too, unless it
+    is given.
+
+        vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
 
     The Fisher information J'J of the residuals, in logarithms of positive parameters, has eigenvectors: combinations of
     powers of the parameters that the data determine, each with its relative error. The posterior is the normal
@@ -107,6 +115,12 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     - `data`: path of a CSV file or, in a dict, a table. Headers are names of parameters and variables, with units as in
       `peak_impact_force (kN)`; columns `NAME_error` hold standard errors. In `drilling`, `C` [m/s] may be unknown too:
       then `rate_of_penetration` is C ln(relief).
+    - `history`: dataset of `simulate`, table, or path of a CSV or NetCDF file with the columns `time` [s] and `v1`
+      [m/s], the velocity of the bit relative to the drive, with other units as in `v1 (mm/s)`; `x1`, `x2`, `v2` begin
+      the search for the first state. Or a table `[history]` with this as `data`, `columns` (NAME = COLUMN, if columns
+      have other names), `window` (begin and end [s], by default all), `start` (the state at the first sample, as in
+      `simulate`), and the operating conditions that are columns of the rows. `[error]` v1 is the standard error [m/s]
+      of a sample.
     - `[unknown]` NAME = [low, high]; `[error]` NAME = standard error of a variable (without errors, all values have
       the same relative error, which the residuals give; a value below a hundredth of its variable's mean size has the
       error of that hundredth); `[prior]` NAME = [mean, standard deviation].
@@ -114,7 +128,8 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
 
     **Returns:** a dataset with `estimate`, `estimate_stderr`, the 95 % interval from `estimate_low` to `estimate_high`,
     and `reason` along `parameter`; `correlation`, `direction` and `direction_error` along `combination`, `posterior`
-    along `draw`; `observed`, `predicted`, `residual` and `used` (1 or 0) along `observation`; attribute `error_model`.
+    along `draw`; `observed`, `predicted`, `residual` and `used` (1 or 0) along `observation`, with `time` for samples
+    of a history; `first_state` along `state`, if it is fitted; attribute `error_model`.
 
     **Raises:** `InputError` for invalid input, too few observations with an orbit, or if no search reaches a minimum.
 
@@ -158,9 +173,14 @@ def _dataset(spec: CalibrationSpec, model: Model, fit: Fit) -> xr.Dataset:
     theta, prediction, target, cost, freedom, _ = fit
     residuals, jacobian = target.residuals(prediction, theta), target.jacobian(prediction)
     given = spec.errors is not None
+    own, history = spec.of_parameters, spec.history
+    count = len(own.names)
     variance = 1.0 if given else max(cost / freedom, ORBIT_ERROR**2)
     noise = np.nan if given else float(np.sqrt(variance))
-    known = uncertainty_of(spec, theta, jacobian, variance)
+    # Unknown states follow the parameters: what they cannot compensate determines the parameters.
+    along = jacobian[:, count:]
+    follow = -np.linalg.pinv(along) @ jacobian[:, :count]
+    known = uncertainty_of(own, theta[:count], jacobian[:, :count] + along @ follow, variance)
     width = np.sqrt(np.diag(known.covariance))
     step = -np.linalg.lstsq(jacobian, residuals)[0]
     margin = AT_BOUND * (spec.high - spec.low)
@@ -177,53 +197,71 @@ def _dataset(spec: CalibrationSpec, model: Model, fit: Fit) -> xr.Dataset:
             "bounds, another start, more searches, or leave out observations of other motions"
         )
     reason = np.where(width < VAGUE, REASONS.index("identified"), REASONS.index("confounded"))
-    reason = np.where(beyond, REASONS.index("at-bound"), reason)
-    draws = posterior_draws(spec, theta, known, freedom)
+    reason = np.where(beyond[:count], REASONS.index("at-bound"), reason)
+    draws = posterior_draws(own, theta[:count], known, freedom)
+    whole = np.concatenate([draws, theta[count:] + (draws - theta[:count]) @ follow.T], axis=1)
     quantile = scipy.stats.norm.ppf(0.5 + INTERVAL / 2) if given else scipy.stats.t.ppf(0.5 + INTERVAL / 2, freedom)
     with np.errstate(over="ignore"):
-        ends = [moved(spec, theta, known.scale, sign * quantile * width) for sign in (-1, 1)]
+        ends = [moved(own, theta[:count], known.scale, sign * quantile * width) for sign in (-1, 1)]
     error = errors_at(spec, prediction.values) * (1.0 if given else noise)
+    predicted = prediction.values.copy()
+    if history is not None:  # rows have no samples, and samples no variables of orbits
+        predicted[: spec.rows, -1] = predicted[spec.rows :, :-1] = np.nan
     table: dict[str, Any] = {
-        "estimate": theta,
+        "estimate": theta[:count],
         "estimate_stderr": known.scale * width,
         "estimate_low": ends[0],
         "estimate_high": ends[1],
-        "low": spec.low,
-        "high": spec.high,
+        "low": own.low,
+        "high": own.high,
         "reason": reason,
         "correlation": known.covariance / width / width[:, None],
         "direction": known.directions,
         "direction_error": known.errors,
         "posterior": draws,
         "observed": spec.values,
-        "predicted": prediction.values,
+        "predicted": predicted,
         "residual": np.where(target.weight > 0, (prediction.values - spec.values) / error, np.nan),
         "used": target.used,
         "chi_squared": cost / variance,
         "freedom": freedom,
         "noise": noise,
-        "nonlinearity": np.nan if reason.any() else nonlinearity(model, fit, jacobian, draws),
+        "nonlinearity": np.nan if reason.any() else nonlinearity(model, fit, jacobian, whole),
     }
     parameters = spec.point.system.parameters()
-    about = {name: (parameters[name].unit, parameters[name].long_name) for name in spec.names if name != CONSTANT}
+    about = {name: (parameters[name].unit, parameters[name].long_name) for name in own.names if name != CONSTANT}
     about |= {CONSTANT: ("m s-1", "coefficient of the law, rate = C ln(P/D)")}
     coordinates: dict[str, Any] = {
-        "parameter": [*spec.names],
-        "other": [*spec.names],
+        "parameter": [*own.names],
+        "other": [*own.names],
         "of": [*spec.observed],
         "observation": spec.labels,
-        "parameter_unit": ("parameter", [about[name][0] for name in spec.names]),
-        "parameter_long_name": ("parameter", [about[name][1] for name in spec.names]),
-        "of_unit": ("of", [VARIABLES[name].units for name in spec.observed]),
+        "parameter_unit": ("parameter", [about[name][0] for name in own.names]),
+        "parameter_long_name": ("parameter", [about[name][1] for name in own.names]),
+        "of_unit": ("of", ["m s-1" if name == VELOCITY else VARIABLES[name].units for name in spec.observed]),
     }
     for name, x in spec.conditions.items():
         meaning = {"units": parameters[name].unit, "long_name": parameters[name].long_name}
+        if history is not None:
+            x = np.append(x, np.full(len(history.times), history.point.parameters[name]))
         coordinates[name] = ("observation", x, meaning)
     variables = {
         name: (dims, np.asarray(table[name], schema.dtype), schema.attributes())
         for name, (dims, schema) in SCHEMA.items()
     }
+    if history is not None:
+        at = np.append(np.full(spec.rows, np.nan), history.begin + history.times)
+        coordinates["time"] = ("observation", at, {"units": "s", "long_name": "time of a sample of the history"})
+        if history.states:
+            units = {state.name: state.unit for state in spec.point.system.states}
+            coordinates |= {
+                "state": [*history.states],
+                "state_unit": ("state", [units[name] for name in history.states]),
+            }
+            meaning = {"long_name": "state at the first sample of the history, in its own unit"}
+            variables["first_state"] = (("state",), theta[count:], meaning)
     attributes = dataset_attributes("calibration", spec.title, "calibrate", scene=spec.point.scene)
-    model_text = ERROR_MODELS[given].format(freedom=freedom)
+    kind = "given" if given else "relative" if history is None else "history"
+    model_text = ERROR_MODELS[kind].format(freedom=freedom)
     fixed = {"specification": spec.text, "searches": spec.searches, "error_model": model_text}
     return xr.Dataset(variables, coordinates, attributes | fixed)
