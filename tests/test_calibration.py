@@ -1,15 +1,20 @@
 """Test calibrations: recovery of known parameters, coverage of standard errors, undetermined parameters, bad input."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.errors import InputError
+from vibrojax.compile.xla import precision
+from vibrojax.errors import InputError, Place
+from vibrojax.maps.read import read_point
 from vibrojax.studies import calibration_run as run
 from vibrojax.studies.analysis import analysis_of
+from vibrojax.studies.calibration_history import History
 from vibrojax.studies.calibration_model import Model, Prediction
 from vibrojax.studies.calibration_run import REASONS
+from vibrojax.studies.calibration_spec import read_calibration
 
 SPEEDS = np.linspace(1.1, 2.0, 6)
 TRUE_VALUES = {"mu": 0.4, "v_cr": 3.0}
@@ -226,3 +231,174 @@ def test_bad_input_is_refused_in_one_line(change, message):
     with pytest.raises(InputError) as caught:
         vj.calibrate({**FIXED, "data": data, "unknown": UNKNOWN, **change}, progress=False)
     assert message.replace("'", '"') in str(caught.value).replace("'", '"') and "\n" not in str(caught.value)
+
+
+# Histories
+
+
+FRICTION = {"mu": 0.35, "v_cr": 2.5}
+WIDE = {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}
+SAMPLING = 4e-3
+
+
+def recorded(scene="rotary", duration=0.5, **parameters):
+    settings = {"start": "stuck", "duration": duration, "sampling": SAMPLING, "error": 1e-6, "progress": False}
+    return vj.simulate(scene, **settings, **FRICTION | parameters)
+
+
+def from_history(history, scene="rotary", unknown=WIDE, **settings):
+    return vj.calibrate({"scene": scene, "unknown": unknown, "history": history, **settings}, progress=False)
+
+
+def is_true(fit, rel=1e-8):
+    return fit.estimate.values == pytest.approx([*FRICTION.values()], rel=rel) and not fit.reason.any()
+
+
+@pytest.fixture(scope="module")
+def history():
+    return recorded(duration=1.0)
+
+
+@pytest.mark.parametrize("scene", ["rotary", "vibro-impact"])
+def test_derivatives_along_a_history_agree_with_central_differences(scene):
+    """The second scene has several impacts; `start` depends on the unknown speed of the drive."""
+    values = {"mu": 0.35, "v_cr": 2.5, "v": 1.5}
+    times = np.arange(0.0, 0.8, SAMPLING)
+    point = read_point(Place("x"), scene, {"delta": 0.005} if scene != "rotary" else {}, "stuck")
+    history = History(point, 0.0, times, times, (), np.zeros(0), np.zeros(0))
+    theta, step = np.array([[*values.values()]]), 1e-6
+    with precision("float64"):
+        velocity, slopes = history.predict([*values], theta)
+        motion = vj.simulate(
+            scene, start="stuck", duration=times[-1], sampling=SAMPLING, error=1e-9, progress=False,
+            **values | ({"delta": 0.005} if scene != "rotary" else {}),
+        )  # fmt: skip
+        np.testing.assert_allclose(velocity[0], motion.v1.values[: len(times)], atol=1e-9)
+        assert scene == "rotary" or (motion.event_kind == 3).sum() > 1
+        for k in range(len(values)):
+            up, down = (history.predict([*values], theta + sign * step * np.eye(3)[k])[0][0] for sign in (1, -1))
+            np.testing.assert_allclose(slopes[0, :, k], (up - down) / (2 * step), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "window", [{"window": [0.0, 0.5], "start": "stuck"}, {"window": [0.5, 1.0]}], ids=["known", "fitted"]
+)
+def test_friction_is_recovered_from_a_velocity(history, window):
+    fit = from_history({"data": history[["v1"]], **window})
+    assert is_true(fit) and float(fit.nonlinearity) < 0.1
+    if "start" not in window:
+        first = [history[str(name)].sel(time=0.5).item() for name in fit.state.values]
+        assert fit.first_state.values == pytest.approx(first, abs=1e-6)
+    assert fit.time.values[[0, -1]] == pytest.approx(window["window"]) and fit.used.all()
+
+
+def test_friction_is_recovered_through_impacts_beside_rows(motion):
+    """The history has impacts, which hide nothing: the motion is that of the whole scene."""
+    impacts = recorded("vibro-impact", delta=0.005)
+    assert (impacts.impact_force > 0).any()
+    drill = {"scene": "vibro-impact", "parameters": {"delta": 0.005}}
+    assert is_true(from_history(impacts, **drill))
+    rows = {"v": SPEEDS, "period": motion.period.values[:, 0]}
+    true = recorded("vibro-impact", delta=0.005, **TRUE_VALUES)
+    settings = {"data": rows, "start": "stuck", "searches": 1, "error": {"period": 1e-4, "v1": 1e-2}}
+    fit = from_history({"data": true, "v": 1.5}, unknown=UNKNOWN, **drill, **settings)
+    assert fit.estimate.values == pytest.approx([*TRUE_VALUES.values()], rel=1e-6)
+    assert fit.sizes["observation"] == len(SPEEDS) + len(true.time) and np.isnan(fit.time.values[: len(SPEEDS)]).all()
+    period, velocity = fit.predicted.values.T
+    assert np.isnan(velocity[: len(SPEEDS)]).all() and np.isnan(period[len(SPEEDS) :]).all()
+
+
+@pytest.mark.parametrize("start", ["stuck", None], ids=["known", "fitted"])
+def test_standard_errors_of_a_noisy_velocity_cover_the_truth(history, start):
+    """In standard errors, the squared distance from the truth is chi-squared with two degrees of freedom."""
+    rng, noise, distances = np.random.default_rng(20260102), 0.005, []
+    for _ in range(20):
+        noisy = history[["v1"]].assign(v1=history.v1 + noise * rng.standard_normal(history.sizes["time"]))
+        window = [0.0, 0.5] if start else [0.0, 1.0]
+        fit = from_history({"data": noisy, "window": window} | ({"start": start} if start else {}), searches=1, draws=2)
+        size = np.sqrt(np.mean(fit.observed.values**2))
+        assert float(fit.noise) * size == pytest.approx(noise, rel=0.3)
+        stderr, deviation = fit.estimate_stderr.values, fit.estimate.values - [*FRICTION.values()]
+        distances.append(deviation @ np.linalg.solve(fit.correlation.values * np.outer(stderr, stderr), deviation))
+    # The mean is 2 and its standard error is sqrt(4/20). The test allows four standard errors.
+    assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 20)
+
+
+def test_bit_that_never_slides_does_not_determine_friction():
+    fit = from_history({"data": recorded(v=0.0, duration=0.1), "start": "stuck"}, parameters={"v": 0.0}, searches=1)
+    assert [REASONS[flag] for flag in fit.reason.values] == ["confounded"] * 2
+
+
+@pytest.mark.filterwarnings("ignore:.*semicolons separate the columns, commas are decimal marks")
+def test_histories_of_all_forms_are_read(history, tmp_path):
+    time, v1 = history.time.values[:100], history.v1.values[:100]
+    for separator, name in ((",", "a.csv"), (";", "b.csv")):
+        lines = [separator.join(["t (ms)", "note", "speed (mm/s)"])]
+        lines += [separator.join([f"{1e3 * t:.9f}", "x", f"{1e3 * v:.9f}"]) for t, v in zip(time, v1, strict=True)]
+        text = "\n".join(lines)
+        (tmp_path / name).write_text(text.replace(".", ",") if separator == ";" else text)
+    history.isel(time=slice(100)).to_netcdf(tmp_path / "c.nc")
+    columns = {"columns": {"time": "t (ms)", "v1": "speed (mm/s)"}}
+    forms = (
+        history.isel(time=slice(100)),
+        {"time": time, "v1": v1, "note": ["a"] * 100},
+        pd.DataFrame({"time": time, "v1 (mm/s)": 1e3 * v1}),
+        {"data": tmp_path / "a.csv", **columns},
+        {"data": str(tmp_path / "b.csv"), **columns},
+        str(tmp_path / "c.nc"),
+    )
+    for form in forms:
+        spec = read_calibration({"scene": "rotary", "unknown": WIDE, "history": form})
+        np.testing.assert_allclose(spec.history.times, time, rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(spec.history.velocity, v1, rtol=1e-8, atol=1e-9)
+
+
+def test_command_calibrates_from_a_history(history, tmp_path, capsys):
+    table = np.column_stack([1e3 * history.time.values, history.v1.values])
+    np.savetxt(tmp_path / "bit.csv", table, delimiter=",", header="t (ms),speed (m/s)", comments="", fmt="%.12g")
+    text = 'scene = "rotary"\nhistory = "bit.csv"\nsearches = 1\n[unknown]\nmu = [0.1, 0.8]\nv_cr = [1.0, 6.0]\n'
+    (tmp_path / "bit.toml").write_text(text)
+    words = ["calibrate", str(tmp_path / "bit.toml"), "-o", str(tmp_path / "fit.nc")]
+    assert main([*words, "--quiet"]) == 2
+    assert "bit.csv: time: missing; columns time [s] and v1 [m/s] are needed" in capsys.readouterr().err
+    assert main([*words, "--columns", "time=t (ms)", "v1=speed (m/s)"]) == 0
+    assert "mu = 0.35" in capsys.readouterr().out and (tmp_path / "fit.png").exists()
+    assert is_true(vj.open_dataset(tmp_path / "fit.nc"))
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda d: 3, "history: 3 is no recording; give a dataset, a table, or the path of a CSV file"),
+        (lambda d: d.drop_vars("v1"), "v1: missing; columns time [s] and v1 [m/s] are needed"),
+        (lambda d: {"time": d.time, "v1": d.v1[1:]}, "history: its columns differ in length"),
+        (lambda d: {"time": d.time, "v1 (kg)": d.v1}, "v1 (kg): is in kg, not a unit of v1 [m s-1]"),
+        (lambda d: {"time": d.time, "v1": ["a"] * d.sizes["time"]}, "v1: does not hold numbers"),
+        (lambda d: d.isel(time=[0, 2, 1, 3]), "time: does not rise from sample to sample"),
+        (lambda d: {"data": d, "window": [3.0, 4.0]}, "window: holds 0 samples with a velocity; two or more"),
+        (lambda d: {"data": d, "window": 0.5}, "window: 0.5 is not a pair of times"),
+        (lambda d: {"data": d, "start": "stock"}, 'start: "stock" is unknown; did you mean "stuck"?'),
+        (lambda d: {"data": d, "columns": {"v1": "speed"}}, 'columns.v1: "speed" is not a column of the recording'),
+        (lambda d: {"data": d, "columns": {"u1": "speed"}}, 'columns: "u1" is unknown'),
+        (lambda d: {"data": d, "window": [0.0, 1.0], "contacts": []}, "contacts: unknown key"),
+    ],
+)
+def test_bad_history_is_refused_in_one_line(history, change, line):
+    with pytest.raises(InputError) as caught:
+        from_history(change(history))
+    assert line in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({"scene": "penetration", "unknown": {"k3": [1e8, 3e8]}}, 'history: scene "penetration" has no bit'),
+        ({"start": "stuck"}, "start: belongs in [history]"),
+        ({"data": {"v": [1.5], "period": [0.2]}}, "history.v: missing; the rows have values of their own"),
+        ({"error": {"v2": 0.1}}, 'error: "v2" is unknown'),
+    ],
+)
+def test_history_with_wrong_settings_is_refused(history, settings, line):
+    with pytest.raises(InputError) as caught:
+        from_history(history, **settings)
+    assert line in str(caught.value) and "\n" not in str(caught.value)

@@ -1,6 +1,4 @@
-"""Test the smoothed stepper: its fourth order, its convergence to the sharp motion, and its derivatives."""
-
-from functools import partial
+"""Test the smoothed stepper: its fourth order and its convergence to the sharp motion."""
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +9,6 @@ from by_kernels import by_kernels
 from vibrojax.scenes.rotary import Rotary
 from vibrojax.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping import Accuracy, Goal, Located, Smoothed, lane_at
-from vibrojax.stepping.smoothed import smoothed_trajectory
 
 ROTARY, DRILL = Rotary(), VibroImpact()
 
@@ -86,54 +83,3 @@ def test_convergence_in_width_while_bit_sticks_and_breaks_away(scene):
     assert np.all(log_slopes(distances, widths) > 0.65), distances
     assert np.all(log_slopes(distances, widths) < 1.1), distances
     assert distances[-1] < 0.01
-
-
-DEFAULTS = {name: jnp.asarray(ROTARY.parameters()[name].default) for name in ("mu", "v_cr", "k1")}
-
-
-@partial(jax.jit, static_argnums=(2,))
-def final_x2(values, h=1e-3, steps=60):
-    """Return x2 [m] after 60 ms of the rotary scene, when the bit breaks away. Friction switches within 0.1 m/s."""
-    p = ROTARY.constants(
-        {name: jnp.asarray(parameter.default) for name, parameter in ROTARY.parameters().items()} | values
-    )
-    start = (jnp.asarray(-0.004), -p.drill.slip.v, jnp.asarray(0.01), jnp.asarray(0.5))
-    return smoothed_trajectory(ROTARY, p, start, h, steps, 0.1)[2][-1]
-
-
-@partial(jax.jit, static_argnums=(1,))
-def gradient(h, steps):
-    return jax.grad(final_x2)(DEFAULTS, h, steps)
-
-
-@jax.jit
-def forward_derivative(along):
-    return jax.jvp(final_x2, (DEFAULTS,), (along,))[1]
-
-
-@pytest.mark.parametrize("name", DEFAULTS)
-def test_derivatives(name):
-    """d x2/d parameter, in reverse and forward mode, agrees with the central difference (y(q + e) - y(q - e))/(2 e)."""
-    e = 1e-5 * DEFAULTS[name]
-    up, down = (final_x2(DEFAULTS | {name: DEFAULTS[name] + sign * e}) for sign in (1.0, -1.0))
-    difference = (up - down) / (2 * e)
-    assert abs(difference * DEFAULTS[name]) > 1e-6
-    np.testing.assert_allclose(gradient(1e-3, 60)[name], difference, rtol=1e-6)
-    np.testing.assert_allclose(
-        forward_derivative({parameter: jnp.asarray(float(parameter == name)) for parameter in DEFAULTS}),
-        difference,
-        rtol=1e-6,
-    )
-
-
-def test_derivatives_converge_with_step():
-    """At half the step the derivative hardly changes, so it belongs to the motion and not to the steps."""
-    np.testing.assert_allclose(gradient(1e-3, 60)["mu"], gradient(5e-4, 120)["mu"], rtol=1e-4)
-
-
-def test_trajectory_agrees_with_stepper():
-    """Plain steps of the rotary scene agree with the stepper's, which also end on turns. Both are of fourth order."""
-    p = constants(ROTARY)
-    plain = smoothed_trajectory(ROTARY, p, ROTARY.start(p, "stuck", (1,)), 5e-4, 1000, 0.05)
-    stepped = final_states(ROTARY, Smoothed(), "stuck", step=np.array([5e-4]), stride=1.0, smoothing=0.05)
-    np.testing.assert_allclose(np.stack([y[-1] for y in plain]), stepped, rtol=0, atol=1e-6)

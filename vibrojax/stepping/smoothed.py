@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
-from jax import lax
 
 from vibrojax.physics.arrays import Array, Real
 from vibrojax.scenes.declared import Values
@@ -123,29 +122,3 @@ class Smoothed(Stepper):
         series = event.functions(tuple(known(polynomial) for polynomial in polynomials))
         trial = Trial(polynomials, [f.arrays(self.degree, h) for f in series], h, jnp.ones_like(h), goal.moving)
         return taken(event, lane, trial, h, locate(event, trial))
-
-
-def smoothed_trajectory(scene: Scene[Any], constants: Any, state: Values, h: Real, steps: int, width: Real) -> Values:
-    """Return the states of a smoothed motion after each of a number of fixed steps, as a differentiable function.
-
-    The contact acts at each Runge-Kutta stage at which the striker is beyond the gap. Steps do not end on the contact,
-    so that their length stays fixed. An impact therefore lowers the order, and the derivative of the impact time is
-    lost (see the tests).
-
-    **Arguments:**
-
-    - `constants`: the scene's constants; `state`: initial state, a tuple of arrays of one shape.
-    - `h`: step length [s]; `steps`: number of steps (static); `width`: width of the friction switch [m/s].
-
-    **Returns:** tuple of arrays (steps, *shape), one per state.
-    """
-
-    def rates(y: Values) -> Values:
-        return scene.smoothed_field(constants, scene.mode_at(constants, y), y, width)
-
-    def advance(y: Values, _: None) -> tuple[Values, Values]:
-        after = runge_kutta(rates, y, h)[0]
-        return after, after
-
-    trajectory: Values = lax.scan(advance, state, length=steps)[1]
-    return trajectory

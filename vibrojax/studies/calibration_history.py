@@ -30,7 +30,7 @@ SAMPLES_PER_CALL = 64
 SAME_TIME = 1e-9
 """Difference of times [s] that rounding may cause."""
 
-MOST_STEPS_PER_SAMPLE = 10_000
+MOST_STEPS_PER_SAMPLE = 2_000
 """Limit of steps from one sample to the next, far more than between two returns to the section."""
 
 Begin = tuple[dict[str, Lanes], Values]

@@ -273,10 +273,11 @@ def fit_from(spec: CalibrationSpec, model: Model, theta: Theta) -> Fit:
             slopes = target.jacobian(model.predict(at)) * np.where(spec.low > 0, at, 1.0)
             return np.concatenate([slopes, np.zeros((target.values.size, len(at)))])
 
-        found = least_squares(
-            residuals, np.clip(free_of(spec, theta), low, high), jacobian, (low, high), x_scale="jac",
-            ftol=None, xtol=TOLERANCE, gtol=None, max_nfev=MAX_EVALUATIONS,
-        )  # fmt: skip
+        with np.errstate(all="ignore"):  # no derivative is different from 0 if, say, the bit never slides
+            found = least_squares(
+                residuals, np.clip(free_of(spec, theta), low, high), jacobian, (low, high), x_scale="jac",
+                ftol=None, xtol=TOLERANCE, gtol=None, max_nfev=MAX_EVALUATIONS,
+            )  # fmt: skip
         theta = theta_of(spec, found.x)
         prediction = model.predict(theta)
         # Observations come back in the first rounds only, so that the rounds end.

@@ -103,7 +103,9 @@ class CalibrationSpec:
         least = len(self.names) + (self.errors is None)
         if count >= least:
             return ""
-        wanted = counted(len(self.names), "unknown") + " and the size of the noise" * (self.errors is None)
+        wanted = counted(
+            len(self.names), "unknown" if self.history else "unknown parameter"
+        ) + " and the size of the noise" * (self.errors is None)
         more = "give standard errors in [error], " if self.errors is None else "give a [prior], "
         return f"{counted(count, 'value')} for {wanted}; add rows or observed variables, {more}or leave an unknown out"
 
@@ -288,8 +290,9 @@ def _read_samples(
             continue
         if name in found:
             raise file.at(header).error(f"is a second column of {name}; give one")
+        scale = _factor(file.at(header), name, unit, units[name])
         try:
-            found[name] = np.asarray(data[header], float) * _factor(file.at(header), name, unit, units[name])
+            found[name] = scale * np.asarray(data[header], float)
         except (TypeError, ValueError):
             raise file.at(header).error("does not hold numbers") from None
     for name, text in chosen.items():

@@ -35,15 +35,13 @@ else:
     Data = Columns = object  # at run time `open_data` checks the user's argument, with a one-line error message
 
 
-def open_data(
-    data: Data, fit: str, rates: bool = False, columns: Columns = None, **reading: str | None
-) -> tuple[Place, xr.Dataset]:
+def open_data(data: Data, fit: str, columns: Columns = None, **reading: str | None) -> tuple[Place, xr.Dataset]:
     """Return the dataset, opened if `data` is a path, and the `Place` that error messages mention.
 
-    `fit` is the name of the calling function. With `rates`, the data must contain a rate of penetration and a relief,
-    and may be a CSV, a LAS file or a table with `columns`; `reading` are further arguments of `read_log`.
+    `fit` is the name of the calling function. The data must contain a rate of penetration and a relief, and may be a
+    CSV, a LAS file or a table with `columns`; `reading` are further arguments of `read_log`.
     """
-    if rates and isinstance(data, pd.DataFrame):
+    if isinstance(data, pd.DataFrame):
         return Place(fit), _with_rates(Place(fit), read_rig(Path(fit), columns, data, **reading))
     if not isinstance(data, (xr.Dataset, str, PathLike)):
         raise InputError(f"{fit}: {shown(data)} is not data; give a dataset or a path")
@@ -53,16 +51,15 @@ def open_data(
         raise place.error("has its names and units already; `columns` is for a CSV")
     if isinstance(data, xr.Dataset):
         dataset = data
-    elif rates and path.suffix.lower() in (".csv", ".las"):
+    elif path.suffix.lower() in (".csv", ".las"):
         dataset = read_rig(path, columns, **reading)
     elif path.suffix.lower() == ".nc":
         from vibrojax.io.dataset import open_dataset
 
         dataset = open_dataset(path)
     else:
-        wrong = "ends in neither .nc nor .csv nor .las" if rates else "does not end in .nc"
-        raise place.error(f"{wrong}; give a sweep's dataset{' or a CSV or LAS file' if rates else ''}")
-    return place, _with_rates(place, dataset) if rates else dataset
+        raise place.error("ends in neither .nc nor .csv nor .las; give a sweep's dataset or a CSV or LAS file")
+    return place, _with_rates(place, dataset)
 
 
 def _with_rates(place: Place, dataset: xr.Dataset) -> xr.Dataset:

@@ -104,7 +104,7 @@ def fit_joint(
     >>> f"C = {1e3 * float(joint.C):.0f} mm/s, in proportion to force^{joint.C_exponent.item():.1f}"
     'C = 14 mm/s, in proportion to force^2.9'
     """
-    place, data = open_data(data, "fit_joint", rates=True, columns=columns)
+    place, data = open_data(data, "fit_joint", columns=columns)
     choice(place.at("onset"), onset, ONSETS)
     lanes = usable_lanes(data)
     if along is not None:

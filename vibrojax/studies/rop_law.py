@@ -134,7 +134,7 @@ def read_groups(
 
     **Raises:** `InputError`.
     """
-    place, data = open_data(data, "fit_rop", rates=True, columns=columns, **reading)
+    place, data = open_data(data, "fit_rop", columns=columns, **reading)
     lanes, by = usable_lanes(data), (by,) if isinstance(by, str) else tuple(by)
     if segments:
         if "dialect" not in data.attrs:

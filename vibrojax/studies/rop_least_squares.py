@@ -25,7 +25,7 @@ Square = Float[np.ndarray, "coefficients coefficients"]
 class Reason(IntEnum):
     """Reasons why a fitted value is NaN.
 
-    CONFOUNDED occurs only in the fits of the joint law and of friction, CONSTANT_RATES only for R². UNKNOWN_THRESHOLD
+    CONFOUNDED occurs only in fits of the joint law, CONSTANT_RATES only for R². UNKNOWN_THRESHOLD
     occurs in fits of logs without a threshold, for the forms that then are the same curve as another one.
     """
 
