@@ -34,6 +34,9 @@ MAX_ROUNDS = 8
 SAME_WEIGHTS = 1e-3
 """Relative change of the weights, far below any error of an estimated noise, at which the rounds end."""
 
+STEP_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
+"""Shares of a step of Gauss and Newton that are tried where a search ends."""
+
 SMALLEST_SHARE = 1e-2
 """Share of its variable's mean size below which a value has no smaller error: values near 0 are not exact."""
 
@@ -284,7 +287,10 @@ def fit_from(spec: CalibrationSpec, model: Model, theta: Theta) -> Fit:
         back = prediction.valid if number < MAX_ROUNDS // 2 else prediction.valid & target.used
         new = _target(spec, back, prediction.values)
         if np.allclose(new.weight, target.weight, rtol=SAME_WEIGHTS, atol=0):
-            break
+            if spec.history is None or not (along := best_along_step(spec, model, target, theta))[1] > 0:
+                break
+            theta = along[0]  # the search stalled at a kink
+            prediction = model.predict(theta)
         target = new
     target = target._replace(weight=np.where(prediction.valid[:, None], target.weight, 0.0))
     cost = float(np.sum(target.residuals(prediction, theta) ** 2))
@@ -296,6 +302,21 @@ def fit_from(spec: CalibrationSpec, model: Model, theta: Theta) -> Fit:
     else:
         score = 2 * freedom * np.log(max(np.sqrt(cost / freedom), ORBIT_ERROR)) if freedom > 0 else np.inf
     return Fit(theta, prediction, target, cost, freedom, score)
+
+
+def best_along_step(spec: CalibrationSpec, model: Model, target: Target, theta: Theta) -> tuple[Theta, float]:
+    """Return the best point on the step of Gauss and Newton, and by how much the sum of squares falls there.
+
+    The sum of squares of a history has kinks, where an event passes a sample, at which a search may stall.
+    """
+    prediction = model.predict(theta)
+    residuals = target.residuals(prediction, theta)
+    step = -np.linalg.lstsq(target.jacobian(prediction), residuals)[0]
+    thetas = np.clip(theta + np.array(STEP_SHARES)[:, None] * step, spec.low, spec.high)
+    pairs = zip(thetas, model.predict_all(thetas), strict=True)
+    costs = [float(np.sum(target.residuals(x, at) ** 2)) if x.valid[target.used].all() else np.inf for at, x in pairs]
+    best = int(np.argmin(costs))
+    return thetas[best], float(np.sum(residuals**2)) - costs[best]
 
 
 def _target(spec: CalibrationSpec, used: Rows, sizes: Values) -> Target:

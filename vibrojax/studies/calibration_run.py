@@ -20,7 +20,7 @@ from vibrojax.studies.calibration_model import (
     TOLERANCE,
     Fit,
     Model,
-    Theta,
+    best_along_step,
     errors_at,
     fit_from,
     starts,
@@ -48,8 +48,9 @@ LARGEST_OFFSET = 0.05
 """Length of the residuals along the tangent plane, in standard errors, up to which a search has reached a minimum
 (Bates and Watts 1981)."""
 
-SHARES = (1.0, 0.1, 0.01)
-"""Shares of a step along which the sum of squares must not fall at a minimum without a gradient of 0."""
+LARGEST_FALL = 0.1
+"""Variances by which the sum of squares of a history may fall along a step, where its minimum is at a kink: the
+estimate is then within a third of a standard error of it."""
 
 ERROR_MODELS = {
     "history": "all samples have the same error (normal), which the residuals give; 95 % intervals by Student's t with "
@@ -173,16 +174,6 @@ def find_calibration(spec: CalibrationSpec, progress: bool = True) -> xr.Dataset
         return _dataset(spec, model, fit)
 
 
-def _falls(spec: CalibrationSpec, model: Model, fit: Fit, step: Theta) -> bool:
-    """Return whether the sum of squares falls along a step.
-
-    The minimum over a history may be at a kink, where an event passes a sample. There the gradient does not vanish.
-    """
-    thetas = np.clip(fit.theta + np.array(SHARES)[:, None] * step, spec.low, spec.high)
-    pairs = zip(thetas, model.predict_all(thetas), strict=True)
-    return any(np.sum(fit.target.residuals(x, theta) ** 2) < fit.cost for theta, x in pairs)
-
-
 def _dataset(spec: CalibrationSpec, model: Model, fit: Fit) -> xr.Dataset:
     theta, prediction, target, cost, freedom, _ = fit
     residuals, jacobian = target.residuals(prediction, theta), target.jacobian(prediction)
@@ -204,7 +195,7 @@ def _dataset(spec: CalibrationSpec, model: Model, fit: Fit) -> xr.Dataset:
     free = jacobian * ~beyond
     offset = np.linalg.norm(free @ np.linalg.lstsq(free, residuals)[0])
     far = offset > LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE
-    if far and (history is None or _falls(spec, model, fit, step)):
+    if far and (history is None or best_along_step(spec, model, target, theta)[1] > LARGEST_FALL * variance):
         where = ", ".join(f"{name} = {x:.4g}" for name, x in zip(spec.names, theta, strict=True))
         raise InputError(
             f"{spec.file}: no search has reached a minimum of the residuals; the best one ended at {where}, where "
