@@ -197,6 +197,19 @@ def test_own_system_agrees_with_closed_form():
     assert s.d_period.values == pytest.approx([0, -2 * np.pi / point["w"] ** 2, 0, 0, 0], abs=1e-9)
 
 
+@pytest.mark.long
+def test_own_law_agrees_with_central_differences_of_orbits():
+    law = vj.FrictionLaw(
+        name="hyperbolic", reference="none", parameters=vj.FRICTION_LAWS["stribeck"].parameters,
+        mu=lambda u, p: p["mu"] / (1 + u / p["v_cr"]),
+    )  # fmt: skip
+    s, step = at_point("rotary", of="period", by="mu", start="stuck", friction=law), 1e-4
+    points = {"mu": [0.4 * (1 + step), 0.4 * (1 - step)]}
+    sweep = {"scene": "rotary", "parameters": {"friction": law}, "points": points, "starts": ["stuck"]}
+    up, down = vj.orbits(sweep | {"run": {"error": 1e-6}}, progress=False).period.values.ravel()
+    assert s["valid"] == 1 and s.d_period.item() == pytest.approx((up - down) / (2 * step * 0.4), rel=1e-6)
+
+
 def test_rate_of_penetration_at_a_point():
     """With constant stiffness, scaling force and threshold together scales all lengths."""
     s = at_point("penetration", of="rate_of_penetration", by=["force", "threshold"], rock="granite", force=5e5)
