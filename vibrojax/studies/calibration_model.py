@@ -1,17 +1,15 @@
 """The model of a calibration: predictions on a branch of orbits, the start of the searches, and their least squares."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from vibrojax.maps.read import read_sweep
-from vibrojax.maps.run import run_sweep
 from vibrojax.studies.calibration_history import VELOCITY
 from vibrojax.studies.calibration_spec import CONSTANT, RATE, RELIEF, CalibrationSpec
-from vibrojax.studies.sensitivity_branch import Branch
+from vibrojax.studies.sensitivity_branch import Branch, settled_at
 
 MAX_EVALUATIONS = 60
 """Limit of the evaluations of one search; a search from a point of the box takes 5 to 20."""
@@ -227,18 +225,9 @@ def starts(spec: CalibrationSpec) -> list[tuple[Theta, int]]:
         off = [np.where(x.valid, np.abs(x.values[:, -1] - spec.values[:, -1]), np.inf).sum() for x in predictions]
         return [(thetas[k], 0) for k in np.argsort(off, kind="stable")]
     rows = np.unique(np.linspace(0, spec.rows - 1, SCREENED_ROWS).round().astype(int))
-    by, point = _parameters(spec), spec.point
+    by = _parameters(spec)
     columns = _points(spec, thetas).reshape(SCREENED, -1, len(by))[:, rows]
-    tables: dict[str, Any] = {
-        "scene": point.system,
-        "parameters": {name: x for name, x in point.parameters.items() if name not in by},
-        "points": {name: columns[..., k].ravel().tolist() for k, name in enumerate(by)},
-        "run": {"orbits": True},
-        "unusual": True,
-    }
-    if point.start is not None:
-        tables["starts"] = [point.start if isinstance(point.start, str) else list(point.start)]
-    ds = run_sweep(read_sweep(tables), progress=False)
+    ds = settled_at(spec.point, by, columns.reshape(-1, len(by)))
     lanes = {name: ds[name].values.reshape(SCREENED, -1) for name in (*_features(spec), "stable") if name in ds}
     stable = lanes["stable"] == 1
     cost = np.zeros(stable.shape)

@@ -6,6 +6,7 @@ from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 from jaxtyping import Bool, Float
 
 from vibrojax.errors import shown
@@ -172,19 +173,9 @@ class Branch:
 
     def _settle(self, rows: Points, x: Float[np.ndarray, " by"]) -> bool:
         """Settle from the start at the points `rows`; remember the stable orbit nearest to `x`; return success."""
-        point, scene = self.point, self.point.system
-        fixed = {name: value for name, value in point.parameters.items() if name not in self.by}
-        tables: dict[str, Any] = {
-            "scene": scene,
-            "parameters": fixed,
-            "points": {name: rows[:, k].tolist() for k, name in enumerate(self.by)},
-            "run": {"orbits": True},
-            "unusual": True,
-        }
-        if point.start is not None:
-            tables["starts"] = [point.start if isinstance(point.start, str) else list(point.start)]
-        ds = run_sweep(read_sweep(tables), progress=False)
-        driving = scene.driving_part()
+        point = self.point
+        ds = settled_at(point, self.by, rows)
+        driving = point.system.driving_part()
         values = {name: np.full(len(rows), value) for name, value in point.parameters.items()}
         values |= {name: rows[:, k] for k, name in enumerate(self.by)}
         known = known_orbits(driving, ds, {name: values[name] for name in driving.parameters()})
@@ -235,6 +226,19 @@ class Branch:
             done[moved] = goal[reached]
             step[active] *= np.where(reached, 2.0, 0.5)
         return here
+
+
+def settled_at(point: Point, by: Sequence[str], rows: Points) -> xr.Dataset:
+    """Return the lanes, with their orbits, that begin at the start of `point`, with the parameters `by` in `rows`."""
+    tables: dict[str, Any] = {
+        "scene": point.system,
+        "parameters": {name: value for name, value in point.parameters.items() if name not in by},
+        "points": {name: rows[:, k].tolist() for k, name in enumerate(by)},
+        "run": {"orbits": True},
+        "unusual": True,
+    }
+    begin = {} if point.start is None else {"starts": [point.start]}
+    return run_sweep(read_sweep(tables | begin), progress=False)
 
 
 def _place(x: Points, orbit: OrbitFeatures) -> _Place:
