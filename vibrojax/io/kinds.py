@@ -29,7 +29,7 @@ STRUCTURES: dict[str, Callable[[xr.Dataset], bool]] = {
     "study": lambda ds: {"first_order", "total_order", "effect"} <= set(ds.variables) and "of" in ds.dims,
     "rig": lambda ds: {"founder_weight", "founder_reason", "specific_energy"} <= set(ds.variables),
     "calibration": lambda ds: {"estimate", "posterior", "direction", "residual"} <= set(ds.variables),
-    "design": lambda ds: "candidate" in ds.dims and {"objective", "parameter", "limit"} <= set(ds.variables),
+    "design": lambda ds: "candidate" in ds.dims and {"objective", "parameter"} <= set(ds.variables),
     "accuracy": lambda ds: "setting" in ds.dims and "error_worst" in ds,
 }
 """The structure that pictures and summaries of each kind require."""

@@ -1,4 +1,4 @@
-"""The analysis `design`: summary and picture of the best drill, of the limits that bind, and of a front."""
+"""The analysis `design`: summary and picture of the best drill, and of a front."""
 
 import numpy as np
 import xarray as xr
@@ -11,14 +11,7 @@ from vibrojax.pictures.axes import label, pretty_unit, scale, values_along
 from vibrojax.pictures.sheet import legend_at_right, write_margins
 from vibrojax.pictures.style import BIT, FAINT, IMPACT, INK, colour_map, new_figure, styled
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.studies.design_chart import chart_page
-from vibrojax.studies.design_dataset import DESIGN_VARIABLES
-
-BORDER_SHARE = 0.1
-"""Share of the gradient that no limit balances, from which the summary names the border of a regime."""
-
-RELAXED = 0.01
-"""Share of a limit, or of a range, by which the summary relaxes a limit that binds."""
+from vibrojax.studies.design_run import DESIGN_VARIABLES
 
 _MAX_PANELS = 6
 
@@ -130,14 +123,11 @@ class Designs(Analysis):
 
     kind = "design"
     variables = DESIGN_VARIABLES
-    pictures = (
-        PictureRule("designer's chart", lambda held: "chart_region" in held.variables, chart_page),
-        PictureRule("candidates over the map of a design", lambda held: True, design_picture),
-    )
+    pictures = (PictureRule("candidates over the map of a design", lambda held: True, design_picture),)
     view = "plots"
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the best candidate, the limits that bind, what relaxing them brings, and the other candidates."""
+        """Return the best candidate, its worst values within the tolerances, the other candidates, and the front."""
         best = ds.isel(candidate=0)
         names = [str(name) for name in ds["parameter"].values]
         where = ", ".join(f"{name} = {float(best[name]):.6g}" for name in names)
@@ -155,7 +145,6 @@ class Designs(Analysis):
         for name in _subject(ds):
             worst = quantity_text(float(best[f"{name}_worst"]), ds[name])
             lines.append(f"  {name.replace('_', ' ')} {quantity_text(float(best[name]), ds[name])}, worst {worst}")
-        lines += _limit_lines(ds, best)
         on_map = float(ds["map_objective"].max()) if ds["map_objective"].notnull().any() else np.nan
         if np.isfinite(on_map):
             lines.append(f"  best point of the map: {quantity_text(on_map, ds['objective'])}, without tolerances")
@@ -170,10 +159,6 @@ class Designs(Analysis):
             "subject": {
                 name: {"nominal": float(best[name]), "worst": float(best[f"{name}_worst"])} for name in _subject(ds)
             },
-            "binds": {
-                str(n): float(best["relaxation"].sel(limit=n)) for n in ds["limit"].values[best["binds"].values == 1]
-            },
-            "border": bool(best["unexplained"] > BORDER_SHARE),
         }
         if "front" in ds.dims:
             known = int((ds["front_feasible"] == 1).sum())
@@ -186,27 +171,3 @@ class Designs(Analysis):
 def _subject(ds: xr.Dataset) -> list[str]:
     own = (str(name) for name in ds.data_vars if ds[name].dims == ("candidate",))
     return [name for name in own if f"{name}_worst" in ds and name not in ("objective", "regime", "share")]
-
-
-def _limit_lines(ds: xr.Dataset, best: xr.Dataset) -> list[str]:
-    """Return a line for each limit that binds: what relaxing it by a hundredth brings."""
-    lines = []
-    for name in ds["limit"].values[best["binds"].values == 1]:
-        variable, _, end = str(name).partition(" ")
-        gain = float(best["relaxation"].sel(limit=name))
-        if variable in ds["parameter"].values:
-            step, about = RELAXED * float(np.ptp(ds[f"map_{variable}"].values)), "bound"
-        else:
-            step, about = RELAXED * abs(float(best["limit_value"].sel(limit=name))), "limit"
-        change = "more" if end == "most" else "less"
-        lines.append(
-            f"  binds: {about} {variable} {end}; {quantity_text(step, ds[variable])} {change} would bring "
-            f"{quantity_text(gain * step, ds['objective'])}"
-        )
-    if float(best["unexplained"]) > BORDER_SHARE:
-        lines.append("  binds: the border of the regime, or of the starts that reach it, within the tolerances")
-    elif not np.isfinite(float(best["unexplained"])):
-        lines.append("  limits that bind are unknown: the motion has no derivative")
-    elif not lines:
-        lines.append("  no limit binds")
-    return lines

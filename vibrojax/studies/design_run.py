@@ -1,33 +1,46 @@
-"""The function `design`: map, search, verification, fronts; and the line that says why a design has no result."""
+"""The function `design`: map, search, front and dataset, and the line that says why a design has no result."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from vibrojax.errors import InputError, counted
-from vibrojax.measures.labels import REGIMES
+from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.measures.labels import REGIMES, UNBOUNDED
 from vibrojax.progress import Progress
-from vibrojax.studies.design_conditions import conditions, slopes_at
-from vibrojax.studies.design_dataset import Result, design_dataset, held
-from vibrojax.studies.design_evaluation import (
-    Assessment,
-    CoarseMap,
-    Simulator,
-    Unit,
-    coarse_map,
-    distinct_starts,
-    extreme,
-)
-from vibrojax.studies.design_fronts import find_front
-from vibrojax.studies.design_orbit_search import advance
-from vibrojax.studies.design_robustness import box_samples, search_offsets, settle
-from vibrojax.studies.design_search import SEEDS, Candidate, improve, seeds
-from vibrojax.studies.design_spec import Constraint, DesignSpec, read_design
+from vibrojax.studies.design_search import Assessment, Search, extreme
+from vibrojax.studies.design_spec import MARGIN, Constraint, DesignSpec, read_design
 
-SAME_POINT = 0.01
-"""Distance in the unit box within which two candidates count as one."""
+TOLERANCE_SPAN = (0.0, 2.0)
+"""Default range of the factor of the tolerances."""
+
+WARM_RADIUS = 0.02
+"""Radius of the zoom for a point of a front, in the unit box."""
+
+_YES_NO = ("no", "yes")
+
+DESIGN_VARIABLES = {
+    "share": Variable("1", "share of the starts from which all requirements hold at the nominal point"),
+    "share_worst": Variable("1", "least such share at the samples of the tolerances"),
+    "feasible": Variable("1", "whether all requirements hold at the samples of the tolerances", np.int8, _YES_NO),
+    "irregular_share": Variable("1", "share of the lanes of the samples that are irregular, undecided or failed"),
+    "gradient": Variable("", "derivative of the objective at the nominal orbit, in its unit per the parameter's"),
+    "map_feasible": Variable("1", "whether all requirements hold at the nominal point", np.int8, _YES_NO),
+    "front_feasible": Variable("1", "whether a feasible point was found", np.int8, _YES_NO),
+}
+"""Variables whose units do not depend on the design, unlike objective, subject, map and front."""
+
+
+class FrontPoint(NamedTuple):
+    """A point of a front: its limit, and its verification."""
+
+    limit: float
+    checked: Assessment
 
 
 def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool = True) -> xr.Dataset:
@@ -36,24 +49,25 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
         best = vj.design("design.toml")
         best.isel(candidate=0)
 
-    A coarse map over the varied parameters, from every start, gives the points from which the search begins. The search
-    uses derivatives at the periodic orbits; each of its points is simulated from every start, at the nominal values and
-    at corners of the tolerance box. Finished candidates are simulated again at all corners and at 256 draws; those that
-    fail are repaired, or left out. Worst values are those of these samples, no bounds of the tolerance box: where
-    `irregular_share` is above 0, they depend on the time of observation as well.
+    A coarse map over the varied parameters, from every start, gives the points from which SLSQP begins, with the
+    derivatives of the periodic orbits. Lanes then improve what they find, where a stick phase appears, or where a
+    border of the regime ends the search. Candidates are simulated again from every start, at all corners of the
+    tolerance box and at 256 draws; those that fail are repaired, or left out. Worst values are those of these samples,
+    no bounds of the tolerance box: where `irregular_share` is above 0, they depend on the time of observation as well.
 
     **Arguments:**
 
     - `source`: path of a TOML file, a bundled name such as "energy", or a dict with the same structure: `scene`,
-      `maximise`, `vary`, and optionally `subject`, `tolerance`, `parameters`, `starts`, `run`, `front`, `title`.
+      `maximise`, `vary`, and optionally `robust`, `subject`, `tolerance`, `parameters`, `starts`, `run`, `front`,
+      `title`.
     - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset along `candidate`, best first:
 
     - the varied parameters; `objective` at the nominal point, worst over the starts; `objective_worst` of the samples
-      of the tolerances; the variables of the subject, each at the nominal point and as `NAME_worst`; `feasible`.
-    - `gradient` along `parameter`; along `limit`, for constraints and bounds: `slack`, `binds`, and `relaxation`, the
-      gain of the objective per unit by which the limit is relaxed (Lagrange multiplier).
+      of the tolerances, by which a robust design is ranked; the variables of the subject, each at the nominal point
+      and as `NAME_worst`; `feasible`.
+    - `gradient` along `parameter`.
     - with a front: along `front`, `front_objective`, the varied parameters, and what the front is drawn against.
     - along `map`: the coarse map.
 
@@ -73,112 +87,123 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
 
 def find_design(spec: DesignSpec, progress: bool = True) -> xr.Dataset:
     """Return the dataset of a checked design, see [vibrojax.studies.design_run.design][]."""
-    simulator, samples = Simulator(spec), box_samples(spec)
-    with Progress(3 + (spec.front is not None), "stages", progress, pace=False) as bar:
-        coarse = coarse_map(simulator)
-        count = sum(a.feasible for a in coarse.assessments)
-        bar.add(1, f"map: {count} of {len(coarse.unit)} points feasible without tolerances")
-        candidates = seeds(simulator, coarse, search_offsets(spec), spec.constraints, 2 * SEEDS)
-        advance(simulator, candidates)
-        # Over few parameters, borders of regimes cut off an orbit's optimum more often, and lanes are cheap.
-        candidates = distinct(candidates)[: SEEDS + 2 * (len(spec.varied) <= 2)]
-        improve(simulator, candidates)
-        bar.add(1, f"search: {len(candidates)} candidates, {simulator.lanes} lanes so far")
-        candidates = distinct(candidates)
-        checked: list[Assessment] = []
-        for candidate in candidates:
-            if sum(assessment.feasible for assessment in checked) < SEEDS:
-                checked.append(settle(simulator, candidate, samples))
-        for c, assessment in zip(candidates, checked, strict=False):
-            c.assessment = assessment
-        verified = distinct(candidates[: len(checked)])
-        feasible = [c for c in verified if c.result.feasible]
-        if not feasible:
-            raise infeasibility(spec, coarse, verified)
-        check_objective(spec, coarse, feasible)
-        bar.add(1, f"verification: {len(feasible)} of {len(verified)} candidates feasible")
-        results = _concluded(simulator, feasible)
-        front = find_front(simulator, coarse, [r.candidate for r in results]) if spec.front else []
+    search = Search(spec)
+    with Progress(2 + (spec.front is not None), "stages", progress, pace=False) as bar:
+        points = search.map()
+        count = sum(a.feasible for a in points)
+        bar.add(1, f"map: {count} of {len(points)} points feasible without tolerances")
+        checked = search.best(search.seeds(points), search.spacing(len(points)) / 2)
+        results = [a for a in checked if a.feasible]
+        if not results:
+            raise infeasibility(spec, points, checked)
+        check_objective(spec, points, results)
+        bar.add(1, f"search: {counted(len(results), 'candidate')}, {search.counts['lanes']} lanes so far")
+        front = _front(search, points, results) if spec.front else []
         if spec.front:
-            bar.add(1, f"front: {len(front)} points")
-    return design_dataset(spec, simulator, coarse, results, front)
+            bar.add(1, f"front: {counted(len(front), 'point')}")
+    return _dataset(search, points, results, front)
 
 
-def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates, best first, without those that ended at the same point as a better one."""
-    kept: list[Candidate] = []
-    for c in sorted(candidates, key=lambda c: c.result.rank):
-        if all(np.abs(c.point - other.point).max() > SAME_POINT for other in kept):
-            kept.append(c)
-    return kept
+def _front(search: Search, points: Sequence[Assessment], results: Sequence[Assessment]) -> list[FrontPoint]:
+    """Return the points of the design's front, each from the last optimum and the map, the tightest limit first."""
+    spec, front = search.spec, search.spec.front
+    assert front is not None
+    limits = _front_limits(spec, points, results)
+    found: list[FrontPoint] = []
+    last: list[Assessment] = []
+    for limit in sorted(limits, reverse=front.against == "tolerance" or front.end == "least"):
+        if front.against == "tolerance":
+            widths = {name: limit * width for name, width in spec.tolerances.items() if limit}
+            own = Search(replace(spec, tolerances=widths), search.counts)
+        else:
+            margin = MARGIN * spec.template.run.error * abs(limit)
+            limited = (*_without_limit(spec), Constraint(front.against, front.end, float(limit), margin))
+            own = Search(replace(spec, constraints=limited), search.counts)
+        known = [Assessment.of(own.spec, a.unit, own.centre, a.nominal) for a in (*points, *results)]
+        seeds = own.assess(np.array([a.unit for a in last]), own.box) + own.seeds(known)[:2]
+        checked = own.best(seeds, WARM_RADIUS)
+        if last:  # what holds under a tighter limit holds under this one
+            checked += own.verify(own.assess(np.array([a.unit for a in last]), own.box))
+        best = min(checked, key=lambda a: a.rank)
+        last = [best] if best.feasible else last
+        found.append(FrontPoint(float(limit), best))
+    return sorted(found, key=lambda point: [*limits].index(point.limit))
 
 
-def _concluded(simulator: Simulator, candidates: Sequence[Candidate]) -> list[Result]:
-    """Return the results of verified candidates, with gradients and conditions at the nominal points."""
-    spec = simulator.spec
-    slopes = slopes_at(simulator, [c.point for c in candidates], [c.result for c in candidates])
-    results = []
-    for c, own in zip(candidates, slopes, strict=True):
-        gradient = own[spec.maximise][distinct_starts(c.result)[0]] / (spec.high - spec.low)
-        results.append(Result(c, conditions(spec, c.point, c.result, own), gradient))
-    return results
+def _front_limits(spec: DesignSpec, points: Sequence[Assessment], results: Sequence[Assessment]) -> np.ndarray:
+    """Return the limits of a front, by default from the least that the map reaches to that of the free optimum."""
+    front = spec.front
+    assert front is not None
+    if front.span is not None or front.against == "tolerance":
+        return np.linspace(*(front.span or TOLERANCE_SPAN), front.points)
+    free = replace(spec, constraints=_without_limit(spec))
+    known = [Assessment.of(free, a.unit, a.offsets[:1], a.nominal) for a in points]
+    fit = [extreme(a.values[front.against], front.end) for a in known if a.fit.all()]
+    top = [extreme(a.values[front.against], front.end) for a in (min(known, key=lambda a: a.rank), results[0])]
+    low, high = (min(fit), max(top)) if front.end == "most" else (max(fit), min(top))
+    return np.linspace(low + 0.02 * (high - low), high, front.points)
 
 
-def infeasibility(spec: DesignSpec, coarse: CoarseMap, candidates: Sequence[Candidate]) -> InputError:
+def _without_limit(spec: DesignSpec) -> tuple[Constraint, ...]:
+    """Return the constraints without that of the variable against which the front is drawn."""
+    assert spec.front is not None
+    own = spec.front.against, spec.front.end
+    return tuple(c for c in spec.constraints if (c.variable, c.end) != own)
+
+
+def infeasibility(spec: DesignSpec, points: Sequence[Assessment], checked: Sequence[Assessment]) -> InputError:
     """Return the error for a design without a feasible point."""
-    pairs = [(c.point, c.result) for c in candidates]
-    pairs += list(zip(coarse.unit, coarse.assessments, strict=True)) if not spec.tolerances else []
-    point, nearest = min(pairs, key=lambda pair: pair[1].badness)
-    where, place, fit = _place_text(spec, point), spec.place.at("subject"), nearest.lanes.in_regime
+    nearest = min([*checked, *([] if spec.tolerances else points)], key=lambda a: a.badness)
+    where, place, fit = _place_text(spec, nearest), spec.place.at("subject"), nearest.fit
     whole = " within the tolerances" if spec.tolerances else ""
-    lanes = f"nearest: {fit.sum()} of {counted(fit.size, 'lane')} {where}{_regimes_text(nearest)}"
     violated = _violated(nearest) if fit.any() else []
     if spec.share is not None:
         share = float(nearest.good.mean(axis=1).min())
         ends = f"least {spec.share[0]:g}, most {spec.share[1]:g}"
-        there = "".join(f"; there {_limit_text(spec, nearest, j)}" for j in violated[:1])
+        there = "".join(f"; there {_limit_text(spec, nearest, c)}" for c in violated[:1])
         return place.at("share").error(f"{ends} cannot be met{whole}; nearest: {share:.3g} {where}{there}")
     if not violated:
+        others = [REGIMES[k] for k in np.unique(nearest.lanes["regime"][~fit])] if "regime" in nearest.lanes else []
+        lanes = f"nearest: {fit.sum()} of {counted(fit.size, 'lane')} {where}"
+        lanes += f" ({', '.join(others)})" * bool(others)
         what = f"{spec.regime} from every start" if spec.regime else f"a value of {spec.maximise} from every start"
-        if any(a.feasible for a in coarse.assessments):
+        if any(a.feasible for a in points):
             return spec.place.at("tolerance").error(f"{what} cannot be held within the tolerances; {lanes}")
         return place.at("regime" if spec.regime else spec.maximise).error(f"{what} cannot be reached{whole}; {lanes}")
-    limit = spec.constraints[violated[0]]
-    value = extreme(held(nearest, limit.variable), limit.end)
-    alone = [extreme(held(a, limit.variable), limit.end) for a in coarse.assessments if a.lanes.in_regime.all()]
-    reached = extreme(np.array(alone), "most" if limit.end == "least" else "least")
-    obstacles = ["the tolerances"] * bool(spec.tolerances) + ["the other limits"] * (len(spec.constraints) > 1)
-    free = f"; without {' and '.join(obstacles)}, the map reaches {_amount(spec, limit, reached)}"
-    others = " with the other limits" if len(spec.constraints) > 1 else ""
+    limit = violated[0]
+    alone = np.array([extreme(a.held(limit.variable), limit.end) for a in points if a.fit.all()])
+    reached = extreme(alone, "most" if limit.end == "least" else "least")
+    others = ["the tolerances"] * bool(spec.tolerances) + ["the other limits"] * (len(spec.constraints) > 1)
+    free = f"; without {' and '.join(others)}, the map reaches {_amount(spec, limit, reached)}"
     return place.at(limit.variable).error(
-        f"{limit.end} {_amount(spec, limit, limit.limit)} cannot be met{whole}{others}; "
-        f"nearest: {_amount(spec, limit, value)} {where}" + (free if obstacles and np.isfinite(reached) else "")
+        f"{limit.end} {_amount(spec, limit, limit.limit)} cannot be met{whole}"
+        + " with the other limits" * (len(spec.constraints) > 1)
+        + f"; nearest: {_amount(spec, limit, extreme(nearest.held(limit.variable), limit.end))} {where}"
+        + (free if others and np.isfinite(reached) else "")
     )
 
 
-def check_objective(spec: DesignSpec, coarse: CoarseMap, feasible: Sequence[Candidate]) -> None:
+def check_objective(spec: DesignSpec, points: Sequence[Assessment], results: Sequence[Assessment]) -> None:
     """Raise `InputError` if the objective is 0 at every feasible point, as where no blow breaks the rock."""
-    if any(a.objective for a in [*(c.result for c in feasible), *(a for a in coarse.assessments if a.feasible)]):
+    if any(a.objective for a in (*results, *points) if a.feasible):
         return
-    pairs = [pair for pair in zip(coarse.unit, coarse.assessments, strict=True) if pair[1].objective > 0]
     hint = "; it is 0 on the whole map"
-    if pairs:
-        point, nearest = min(pairs, key=lambda pair: pair[1].badness)
-        limits = ", ".join(_limit_text(spec, nearest, j) for j in _violated(nearest)) or "from other starts"
+    if positive := [a for a in points if a.objective > 0]:
+        nearest = min(positive, key=lambda a: a.badness)
+        limits = ", ".join(_limit_text(spec, nearest, c) for c in _violated(nearest)) or "from other starts"
         amount = f"{nearest.objective:.3g} {spec.variables[spec.maximise].units}"
-        hint = f"; nearest above 0: {amount} {_place_text(spec, point)}, {limits}"
+        hint = f"; nearest above 0: {amount} {_place_text(spec, nearest)}, {limits}"
     raise spec.place.at("maximise").error(f"{spec.maximise} is 0 wherever the requirements hold{hint}")
 
 
-def _violated(assessment: Assessment) -> list[int]:
-    """Return the constraints that are violated, by index, the worst first."""
-    slack = assessment.slack.min(axis=1)
-    return [int(j) for j in np.argsort(slack) if slack[j] < 0]
+def _violated(a: Assessment) -> list[Constraint]:
+    """Return the violated constraints, the worst first."""
+    slack = np.where(a.fit, a.slack, np.inf).min(axis=(1, 2))
+    return [a.constraints[j] for j in np.argsort(slack) if slack[j] < 0]
 
 
-def _limit_text(spec: DesignSpec, assessment: Assessment, index: int) -> str:
-    limit = spec.constraints[index]
-    value = extreme(held(assessment, limit.variable), limit.end)
+def _limit_text(spec: DesignSpec, a: Assessment, limit: Constraint) -> str:
+    value = extreme(a.held(limit.variable), limit.end)
     return f"{limit.variable} is {_amount(spec, limit, value)}, {limit.end} {_amount(spec, limit, limit.limit)}"
 
 
@@ -187,14 +212,100 @@ def _amount(spec: DesignSpec, limit: Constraint, value: float) -> str:
     return f"{value:.6g}" if unit == "1" else f"{value:.6g} {unit}"
 
 
-def _place_text(spec: DesignSpec, point: Unit) -> str:
-    columns = spec.columns(point[None], np.zeros((1, len(spec.tolerances))))
+def _place_text(spec: DesignSpec, a: Assessment) -> str:
+    columns = spec.columns(a.unit[None], np.zeros((1, len(spec.tolerances))))
     return "at " + ", ".join(f"{name} = {x[0]:.4g}" for name, x in columns.items())
 
 
-def _regimes_text(assessment: Assessment) -> str:
-    """Return the regimes of the lanes that are not in the regime asked for, like " (irregular)"."""
-    if "regime" not in assessment.lanes.dataset:
-        return ""
-    others = np.unique(assessment.lanes.dataset["regime"].values[~assessment.lanes.in_regime])
-    return f" ({', '.join(REGIMES[k] for k in others)})" if others.size else ""
+def _dataset(
+    search: Search, points: Sequence[Assessment], results: Sequence[Assessment], front: Sequence[FrontPoint]
+) -> xr.Dataset:
+    """Return the dataset of the candidates, best first, with the map and the front."""
+    spec = search.spec
+    about = spec.variables[spec.maximise]
+    data: dict[str, Any] = {}
+
+    def add(name: str, dims: str | tuple[str, ...], values: Any, variable: Variable) -> None:
+        attributes = {key: x for key, x in variable.attributes().items() if key != "units" or variable.units}
+        data[name] = dims, np.asarray(values, variable.dtype), attributes
+
+    def of(name: str, words: str) -> Variable:
+        return Variable(spec.variables[name].units, words.format(spec.variables[name].long_name))
+
+    add("objective", "candidate", [a.objective for a in results],
+        of(spec.maximise, "{} at the nominal point, worst over the starts"))  # fmt: skip
+    add("objective_worst", "candidate", [a.worst for a in results],
+        of(spec.maximise, "least {} of the samples of the tolerances, from all starts"))  # fmt: skip
+    for name, end in {c.variable: c.end for c in spec.constraints}.items():
+        add(name, "candidate", [extreme(a.held(name, slice(1)), end) for a in results],
+            of(name, "{}, at the nominal point, worst over the starts"))  # fmt: skip
+        add(f"{name}_worst", "candidate", [extreme(a.held(name), end) for a in results],
+            of(name, "{}, worst of the samples of the tolerances"))  # fmt: skip
+    if spec.regime is not None:
+        required = REGIMES.index(spec.regime)
+        others = [x[x != required].tolist() + [required] for a in results for x in [a.lanes["regime"]]]
+        first = [x[x != required].tolist() + [required] for a in results for x in [a.lanes["regime"][0]]]
+        add("regime", "candidate", [x[0] for x in first], VARIABLES["regime"])
+        words = "first other regime at the samples of the tolerances, else that asked for"
+        add("regime_worst", "candidate", [x[0] for x in others], Variable("1", words, np.int8, REGIMES))
+    irregular = [float(np.isin(a.lanes["regime"], UNBOUNDED).mean()) if "regime" in a.lanes else 0.0 for a in results]
+    columns: dict[str, tuple[Any, Any]] = {
+        "share": ("candidate", [a.good[0].mean() for a in results]),
+        "share_worst": ("candidate", [a.good.mean(axis=1).min() for a in results]),
+        "feasible": ("candidate", [a.feasible for a in results]),
+        "irregular_share": ("candidate", irregular),
+        "gradient": (("candidate", "parameter"), search.gradients(results)),
+        "map_feasible": ("map", [a.feasible for a in points]),
+    }
+    for name, (dims, values) in columns.items():
+        add(name, dims, values, DESIGN_VARIABLES[name])
+    add("map_objective", "map", [a.objective if a.feasible else np.nan for a in points],
+        of(spec.maximise, "{} on the map, worst over the starts; NaN: not feasible"))  # fmt: skip
+    if spec.front is not None:
+        against, end = spec.front.against, spec.front.end
+
+        def known(value: Callable[[Assessment], Any]) -> list[Any]:
+            return [value(p.checked) if p.checked.feasible else np.nan for p in front]
+
+        factor = Variable("1", "factor of the tolerances")
+        limit = factor if against == "tolerance" else of(against, "limit of {}")
+        add("front_limit", "front", [p.limit for p in front], limit)
+        add("front_objective", "front", known(lambda a: a.objective), about)
+        add("front_objective_worst", "front", known(lambda a: a.worst), about)
+        add("front_feasible", "front", [p.checked.feasible for p in front], DESIGN_VARIABLES["front_feasible"])
+        if against != "tolerance":
+            reached = known(lambda a: extreme(a.held(against, slice(1)), end))
+            add(f"front_{against}", "front", reached, of(against, "{}"))
+    coordinates = ["parameter"]
+    parameters = spec.template.system.parameters()
+    sets: dict[str, tuple[str, list[Any]]] = {
+        "": ("candidate", [a.unit for a in results]),
+        "map_": ("map", [a.unit for a in points]),
+        "front_": ("front", [np.where(p.checked.feasible, p.checked.unit, np.nan) for p in front]),
+    }
+    for prefix, (dim, unit) in sets.items():
+        for k, name in enumerate(spec.varied if unit else ()):
+            known_as = parameters.get(name)
+            variable = Variable("1", name) if known_as is None else Variable(known_as.unit, known_as.long_name)
+            add(prefix + name, dim, spec.low[k] + np.array(unit)[:, k] * (spec.high[k] - spec.low[k]), variable)
+            coordinates += [prefix + name] if prefix != "front_" else []
+    data["parameter"] = "parameter", list(spec.varied), {"long_name": "varied parameter"}
+    title = str(spec.tables.get("title") or f"Design of {spec.template.scene}: most {about.long_name}")
+    attributes = dataset_attributes(
+        "design", title, "design", scene=spec.template.scene, design=spec.text, lanes=search.counts["lanes"],
+        orbit_solves=search.counts["orbits"], maximise=spec.maximise, requirements=requirements(spec),
+    )  # fmt: skip
+    attributes |= {f"tolerance_{name}": width for name, width in spec.tolerances.items()}
+    attributes |= {"against": spec.front.against} if spec.front is not None else {}
+    attributes |= {"robust": 1} if spec.robust else {}
+    return xr.Dataset(data, attrs=attributes).set_coords(coordinates)
+
+
+def requirements(spec: DesignSpec) -> str:
+    """Return the subject of a design in one line of text."""
+    words = [f"regime {spec.regime}"] if spec.regime else []
+    words += [f"{c.variable} {c.end} {c.limit:g} {spec.variables[c.variable].units}" for c in spec.constraints]
+    if spec.share is not None:
+        words.append(f"share of starts {spec.share[0]:g} to {spec.share[1]:g}")
+    words += [f"{name} +- {width:g}" for name, width in spec.tolerances.items()]
+    return ", ".join(words) or "none"

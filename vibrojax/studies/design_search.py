@@ -1,239 +1,498 @@
-"""The search: proposals are ranked on the orbits' equations, and the best of them simulated over their tolerance boxes.
+"""The search of a design: lanes over the tolerance box, SLSQP on the periodic orbits, a zoom by lanes, verification."""
 
-Orbits are continuous where a stick phase or an impact appears, so a proposal costs no settling there either. What the
-orbit does not know is the border of the regime and of the basins of attraction. Simulations find it: a lane that fails
-excludes every nominal point whose tolerance box contains it.
-"""
-
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import minimize
 from scipy.stats import qmc
 
-from vibrojax.studies.design_evaluation import Assessment, CoarseMap, Offsets, Simulator, Unit, assess, ranked
-from vibrojax.studies.design_orbits import Motion, Request, motions_at, predict
-from vibrojax.studies.design_spec import Constraint
+from vibrojax.io.variables import ORBIT_REASONS, orbit_name
+from vibrojax.maps.run import run_sweep
+from vibrojax.maps.sweep import with_substitutes
+from vibrojax.measures.labels import REGIMES
+from vibrojax.periodic.known_orbits import trace_orbits
+from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_features, orbit_variables
+from vibrojax.periodic.return_map import Segments
+from vibrojax.studies.design_spec import DRAWN_BOX, Constraint, DesignSpec
 
-MAX_ITERATIONS = 40
-LARGEST_RADIUS, LEAST_RADIUS = 0.25, 4e-4
-"""Bounds of the search region's half-width in the unit box; the search ends below the lower one."""
+Unit = Float[np.ndarray, " varied"]
+Points = Float[np.ndarray, "points varied"]
+Offsets = Float[np.ndarray, "samples tolerances"]
+Lanes = dict[str, np.ndarray]
+"""Variables of lanes by name, arrays (points or samples, starts, ...)."""
 
-PROPOSALS = 64
-"""Proposals of an iteration, of which the orbits are computed. A quarter of them lies near the candidate."""
+MAP_AXIS = {1: 33, 2: 16}
+"""Points per axis of the map for one and two varied parameters, which make a grid."""
 
-NEAR = 0.25
-"""Half-width of the region of the near proposals, relative to that of the others."""
+FIRST_SAMPLE, LARGEST_SAMPLE, ENOUGH_FEASIBLE = 64, 2048, 8
+"""Sobol points of the map for more varied parameters: doubled until enough of them are feasible."""
 
-PATTERN_BACK, PATTERN_FACTORS = (1, 2, 4), (0.5, 1.0, 2.0, 4.0)
-"""Further proposals continue the last moves: the numbers of moves, and multiples of their sums. They follow ridges."""
+SEEDS, TRIED_SEEDS, RESULTS = 6, 16, 3
+"""Seeds from which SLSQP begins, points compared over their boxes to choose them, and candidates that are kept."""
 
-SIMULATED = 2
-"""Proposals of an iteration that are simulated."""
+APART, SAME_POINT = 0.12, 0.01
+"""Least distance between two seeds, and between two candidates, in the unit box (greatest coordinate)."""
 
-CRITICAL = 4
-"""Samples of the tolerance box, those of least slack, at which a proposal's orbits are computed as well."""
+MAX_CORNERS = 16
+"""Largest number of corners in the search; verification has all."""
 
-LEAST_GAIN = 1e-4
-"""Relative gain of the objective that a proposal must promise."""
+DRAWS, NEAR_WIDTHS, NEAR_DRAWS = 256, (0.25, 0.06), 16
+"""Draws of verification; half-widths of the regions around the worst samples, and draws in each of these."""
 
-SAME_REGION = 0.01
-"""Distance in the unit box within which a candidate ends in favour of a better one, at least its region's size."""
+LARGEST_MODULUS = 0.98
+"""Largest modulus of a multiplier on orbits: nearer to 1, an orbit is about to lose its stability."""
 
-LEAST_RELIEF = 1e-2
-"""Relative reduction of the violations by which a trial must improve a candidate that is not feasible."""
+SLSQP_MAX_ITERATIONS, SLSQP_MAX_ROUNDS = 12, 20
+"""Iterations of SLSQP in a box around the best point so far, and boxes: the next begins at the best point of all."""
 
-UNGUIDED = 6
-"""Proposals of an iteration, besides two for each varied parameter, where no orbit ranks them."""
+FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.05, 0.2, 1e-4
+"""Half-widths of these boxes in the unit box: the first, the largest, and the one below which the search ends."""
+
+INSIDE = 1e-6
+"""Slack that SLSQP keeps, which covers its own tolerance."""
+
+ORBIT_REACH = 1.0
+"""Distance in half swings from the prediction beyond which an orbit counts as another one."""
+
+ZOOM_ROUNDS, ZOOM_PROPOSALS, ZOOM_ELITE = 24, 24, 8
+"""Rounds of the zoom, proposals in each besides four for each varied parameter, and points that shape the next."""
+
+ZOOM_LEAST_SPREAD, ZOOM_GAIN, ZOOM_PATIENCE = 1e-4, 1e-5, 3
+"""The zoom ends below this spread in the unit box, or after some rounds without this relative gain."""
+
+MAX_REPAIRS, ADDED_SAMPLES, REPAIR_RADIUS = 4, 4, 0.01
+"""Rounds of verification and zoom, failing samples that each adds to the box of the search, and radius of the zoom."""
+
+DIFFERENCE_STEP = 1e-5
+"""Step of central differences of lanes in the unit box."""
+
+COMPLEX_STEP = 1e-20
+"""Imaginary step by which substitutions of parameters are differentiated, without rounding errors."""
 
 
-SEEDS, TRIED_SEEDS = 3, 12
-"""Number of candidates of the search, and number of points compared over their tolerance boxes to choose them."""
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """A nominal point, its lanes at samples of the tolerance box, and how well these meet the requirements.
 
-APART = 0.12
-"""Least distance between two seeds in the unit box (greatest coordinate)."""
-
-
-@dataclass
-class Candidate:
-    """A nominal point on its way to an optimum.
-
-    - `offsets` (samples, tolerances): samples of the box at which the constraints must hold; the first is the centre.
-    - `radius`: half-width of the region from which proposals come.
-    - `motions`: the periodic orbits of the point, one for each motion that the starts lead to; None if not computed,
-      empty if a motion has no orbit.
-    - `path`: points that were accepted before.
+    - `unit`: the point, scaled to the bounds. `offsets`: the samples in half-widths; the first is the centre.
+    - `lanes`: all variables; `values`: those that the design names, of arrays the greatest.
+    - `fit`, `good` (samples, starts): lanes in the regime, and those that meet the limits as well.
+    - `slack` (constraints, samples, starts): distance to the tightened limit, relative to the limit.
+    - `objective`, `worst`: of the good lanes at the nominal point, and at all samples; NaN if there are none.
+    - `badness`: 0 if all requirements hold, else a measure of the violations. `rank`: order from best to worst.
     """
 
-    point: Unit
+    unit: Unit
     offsets: Offsets
     constraints: Sequence[Constraint]
-    radius: float
-    assessment: Assessment | None = None
-    motions: list[Motion] | None = None
-    failures: int = 0
-    done: bool = False
-    path: list[Unit] = field(default_factory=list)
+    lanes: Lanes
+    values: Lanes
+    fit: Bool[np.ndarray, "samples starts"]
+    good: Bool[np.ndarray, "samples starts"]
+    slack: Float[np.ndarray, "constraints samples starts"]
+    objective: float
+    worst: float
+    badness: float
+    rank: tuple[float, float]
+
+    @classmethod
+    def of(cls, spec: DesignSpec, unit: Unit, offsets: Offsets, lanes: Lanes) -> "Assessment":
+        """Assess the lanes of a nominal point."""
+        values = {name: x if x.ndim == 2 else np.fmax.reduce(x, axis=2) for name in spec.names for x in [lanes[name]]}
+        objective = values[spec.maximise]
+        fit = np.isfinite(objective)
+        if spec.regime is not None:
+            fit = fit & (lanes["regime"] == REGIMES.index(spec.regime))
+        elif "status" in lanes:
+            fit = fit & (lanes["status"] == 0)
+        slack = np.array([c.slack(values[c.variable]) for c in spec.constraints]).reshape(-1, *fit.shape)
+        slack = np.where(np.isnan(slack) & fit, -1.0, slack)
+        good = fit & (slack >= 0).all(axis=0)
+        if spec.share is None:
+            # Of two points that fail, one in the regime is better than one outside, whatever its violations.
+            violation = np.where(fit, np.maximum(-slack, 0.0), 0.0).max(axis=(1, 2), initial=0.0)
+            badness = (len(slack) + 1) * float((~fit).mean()) + float((violation / (1 + violation)).sum())
+        else:
+            share = good.mean(axis=1)
+            badness = float(np.maximum(np.maximum(spec.share[0] - share, share - spec.share[1]), 0.0).max())
+            badness = badness if good[0].any() or badness > 0 else 1.0
+        counted = good if good[0].any() else fit
+        centre = extreme(objective[:1][counted[:1]], "least")
+        worst = extreme(objective[counted], "least")
+        merit = worst if spec.robust else centre
+        rank = badness, np.inf if np.isnan(merit) else -merit
+        return cls(unit, offsets, spec.constraints, lanes, values, fit, good, slack, centre, worst, badness, rank)
 
     @property
-    def result(self) -> Assessment:
-        """The assessment of a candidate that has been simulated."""
-        assert self.assessment is not None
-        return self.assessment
+    def feasible(self) -> bool:
+        """True if every requirement holds in every sample."""
+        return self.badness == 0
 
-    def move(self, point: Unit, assessment: Assessment) -> None:
-        """Continue from another point."""
-        self.path.append(self.point)
-        self.point, self.assessment, self.motions = point, assessment, None
+    @property
+    def nominal(self) -> Lanes:
+        """The lanes of the nominal point."""
+        return {name: x[:1] for name, x in self.lanes.items()}
 
-
-def evaluate(simulator: Simulator, trials: Sequence[tuple[Candidate, Unit]]) -> list[Assessment]:
-    """Assess points over the samples of their candidates, in one batch of lanes."""
-    if not trials:
-        return []
-    unit = np.concatenate([np.repeat(point[None], len(c.offsets), axis=0) for c, point in trials])
-    lanes = simulator(unit, np.concatenate([c.offsets for c, _ in trials]))
-    ends = np.cumsum([len(c.offsets) for c, _ in trials])
-    parts = [lanes.part(slice(end - len(c.offsets), end)) for (c, _), end in zip(trials, ends, strict=True)]
-    return [assess(part, simulator.spec, c.constraints) for (c, _), part in zip(trials, parts, strict=True)]
-
-
-def evaluate_new(simulator: Simulator, candidates: Sequence[Candidate]) -> None:
-    """Assess the candidates that have not been simulated."""
-    new = [c for c in candidates if c.assessment is None]
-    for c, assessment in zip(new, evaluate(simulator, [(c, c.point) for c in new]), strict=True):
-        c.assessment = assessment
-
-
-def seeds(
-    simulator: Simulator, coarse: CoarseMap, offsets: np.ndarray, constraints: Sequence[Constraint], most: int
-) -> list[Candidate]:
-    """Return candidates at the best points of the map that are apart from one another."""
-
-    def candidate(k: int) -> Candidate:
-        return Candidate(coarse.unit[k], offsets, constraints, radius=min(coarse.spacing / 2, 0.25))
-
-    order = ranked(simulator.spec, coarse, constraints)
-    if len(offsets) > 1:
-        tried = [candidate(k) for k in _apart(coarse, order, min(APART, coarse.spacing), TRIED_SEEDS)]
-        evaluate_new(simulator, tried)
-        tried.sort(key=lambda c: c.result.rank)
-        chosen: list[Candidate] = []
-        for c in tried:
-            if len(chosen) < most and all(np.abs(c.point - other.point).max() >= APART for other in chosen):
-                chosen.append(c)
+    @property
+    def motions(self) -> list[int]:
+        """Good starts of the nominal point that lead to different motions, the least objective first."""
+        rows = np.array([x[0] for x in self.values.values()]).T
+        starts = np.flatnonzero(self.good[0] if self.good[0].any() else self.fit[0])
+        chosen: list[int] = []
+        for start in sorted(starts, key=lambda s: rows[s, 0]):
+            if not any(np.allclose(rows[start], rows[k], rtol=1e-6, atol=0, equal_nan=True) for k in chosen):
+                chosen.append(int(start))
         return chosen
-    return [candidate(k) for k in _apart(coarse, order, APART, most)]
+
+    def held(self, name: str, rows: slice = slice(None)) -> np.ndarray:
+        """Return a variable's values in the lanes of the regime, or in all lanes if none is in it."""
+        values, fit = self.values[name][rows], self.fit[rows]
+        return np.asarray(values[fit] if fit.any() else values)
 
 
-def _apart(coarse: CoarseMap, order: Sequence[int], distance: float, most: int) -> list[int]:
-    chosen: list[int] = []
-    for k in order:
-        if len(chosen) < most and all(np.abs(coarse.unit[k] - coarse.unit[j]).max() >= distance * 0.99 for j in chosen):
-            chosen.append(k)
-    return chosen
+def extreme(values: np.ndarray, end: str) -> float:
+    """Return the worst of some values for a limit of this kind: the greatest for "most"; NaN if there are none."""
+    known = values[np.isfinite(values)]
+    return float("nan") if not known.size else float(known.max() if end == "most" else known.min())
 
 
-def improve(simulator: Simulator, candidates: Sequence[Candidate]) -> None:
-    """Improve all candidates until none gains any more; they are modified in place."""
-    evaluate_new(simulator, candidates)
-    for iteration in range(MAX_ITERATIONS):
-        active = [c for c in candidates if not c.done]
-        if not active:
-            break
-        for c in active:
-            c.motions = motions_at(simulator, c.point, c.result) if c.motions is None else c.motions
-        ranked = _ranked_proposals(simulator, active, iteration)
-        trials = [(c, point) for c, points in zip(active, ranked, strict=True) for point in points]
-        assessments = evaluate(simulator, trials)
-        for c in active:
-            own = [(point, a) for (other, point), a in zip(trials, assessments, strict=True) if other is c]
-            _update(c, own)
-        _end_rivals(active)
+def distinct(candidates: Sequence[Assessment], distance: float, most: int) -> list[Assessment]:
+    """Return the best candidates that are apart from one another, best first."""
+    kept: list[Assessment] = []
+    for a in sorted(candidates, key=lambda a: a.rank):
+        if len(kept) < most and all(np.abs(a.unit - other.unit).max() >= distance for other in kept):
+            kept.append(a)
+    return kept
 
 
-def _end_rivals(active: Sequence[Candidate]) -> None:
-    """End the candidates of the same subject that have come to the region of a better one."""
-    for c in active:
-        for other in active:
-            alike = c.constraints is other.constraints and len(c.offsets) == len(other.offsets)
-            near = np.abs(c.point - other.point).max() <= max(SAME_REGION, other.radius)
-            c.done |= alike and near and not other.done and other.result.better(c.result)
+class Visit(NamedTuple):
+    """Orbits over the box of a point: rows of objectives, limits and stability, their slopes, and the states.
+
+    `states` and `state_slopes` have one array (samples, cycles, states) or (samples, cycles, states, varied) a motion.
+    """
+
+    unit: Unit
+    rows: Float[np.ndarray, " rows"]
+    slopes: Float[np.ndarray, "rows varied"]
+    states: list[np.ndarray]
+    state_slopes: list[np.ndarray]
+
+    def rank(self, objectives: int) -> tuple[float, float]:
+        """Return the key of the order from worst to best: smaller violations, then a greater least objective."""
+        excess = float(self.rows[objectives:].min(initial=0.0)) + INSIDE / 2
+        return min(excess, 0.0), float(self.rows[:objectives].min())
 
 
-def _ranked_proposals(simulator: Simulator, active: Sequence[Candidate], iteration: int) -> list[list[Unit]]:
-    """Return the proposals to be simulated for each candidate: those that promise most."""
-    count = len(active[0].point)
-    proposals = []
-    for c in active:
-        cube = 2 * qmc.Sobol(count, seed=iteration).random(PROPOSALS) - 1
-        cube[::4] *= NEAR
-        points = np.clip(c.point + c.radius * cube, 0.0, 1.0)
-        moves = [c.point - c.path[-back] for back in PATTERN_BACK if back <= len(c.path)]
-        pattern = [np.clip(c.point + factor * move, 0.0, 1.0) for move in moves for factor in PATTERN_FACTORS]
-        points = np.concatenate([np.array(pattern).reshape(-1, count), points])
-        points = points[~_excluded(simulator, c, points)]
-        proposals.append(points if c.motions else points[: UNGUIDED + 2 * count])
-    guided = [k for k, c in enumerate(active) if c.motions]
-    centre = np.zeros((1, len(simulator.spec.tolerances)))
-    nominal = predict(simulator, [_request(active[k], proposals[k], centre) for k in guided])
-    for k, (objective, slack) in zip(guided, nominal, strict=True):
-        c = active[k]
-        promising = np.isfinite(objective) & (slack[:, 0] >= min(0.0, -_violation(c))).all(axis=-1)
-        if c.result.feasible:
-            promising &= objective > c.result.objective + LEAST_GAIN * abs(c.result.objective)
-        order = np.flatnonzero(promising)
-        proposals[k] = proposals[k][order[np.argsort(-objective[order])]]
-    critical = [active[k].offsets[_critical(active[k])] for k in guided]
-    boxes = predict(simulator, [_request(active[k], proposals[k], x) for k, x in zip(guided, critical, strict=True)])
-    for k, (_, slack) in zip(guided, boxes, strict=True):
-        violation = np.maximum(-slack.min(axis=(1, 2), initial=np.inf), 0.0)
-        order = np.argsort(violation, kind="stable")
-        order = order[violation[order] <= (0.0 if active[k].result.feasible else np.inf)]
-        proposals[k] = proposals[k][order[[0, len(order) // 2][:SIMULATED]] if len(order) > 1 else order]
-    return [list(points) for points in proposals]
+class LostOrbit(Exception):
+    """The orbits of a point are not of the same kind as those before."""
 
 
-def _request(candidate: Candidate, points: np.ndarray, offsets: Offsets) -> Request:
-    return Request(candidate.motions or [], candidate.constraints, points, offsets)
+class BoxOrbits:
+    """The periodic orbits of a point's motions over the box, as functions of the point."""
+
+    def __init__(self, spec: DesignSpec, features: dict[str, str], seed: Assessment) -> None:
+        self.spec = spec
+        self.scale = abs(seed.objective) or 1.0
+        self.of = (*(features[name] for name in spec.names), f"{MODULUS}0")
+        self.visits: list[Visit] = []
+        sound = [
+            k for k in range(len(seed.offsets))
+            if spec.robust or spec.constraints or not k
+            if all(has_orbit(seed.lanes, start, k) for start in seed.motions)
+        ]  # fmt: skip
+        self.box = seed.offsets[sound]
+        self.objectives = len(seed.motions) * (len(sound) if spec.robust else 1)
+        states = [orbit_states(spec, seed, start, sound) for start in seed.motions]
+        flat = [np.zeros((*x.shape, len(seed.unit))) for x in states]
+        self.impacts: list[float] | None = None
+        begin = Visit(seed.unit, np.zeros(0), np.zeros((0, len(seed.unit))), states, flat)
+        if (first := self._solved(seed.unit, begin)) is not None:
+            self.visits.append(first)
+
+    def at(self, unit: Unit) -> Visit:
+        """Return the orbits at a point, predicted from the nearest point visited; raise `LostOrbit` without them."""
+        near = min(self.visits, key=lambda visit: float(np.abs(visit.unit - unit).max()))
+        if np.array_equal(near.unit, unit):
+            return near
+        visit = self._solved(unit, near)
+        if visit is None:
+            raise LostOrbit
+        self.visits.append(visit)
+        return visit
+
+    def _solved(self, unit: Unit, near: Visit) -> Visit | None:
+        spec, samples = self.spec, len(self.box)
+        parameters, chain = scene_parameters(spec, np.repeat(unit[None], samples, axis=0), self.box)
+        jacobian = np.stack([*chain.values()], axis=1)
+        objectives, limits, states, state_slopes, impacts = [], [], [], [], []
+        for begin, slopes in zip(near.states, near.state_slopes, strict=True):
+            guess = np.broadcast_to(begin + slopes @ (unit - near.unit), (samples, *begin.shape[1:]))
+            orbits = orbit_features(spec.template.system, self.of, tuple(chain), parameters, guess, ORBIT_REACH)
+            values, gradients = orbits.values, orbits.derivatives @ jacobian
+            if not (np.isfinite(values).all() and np.isfinite(gradients).all() and np.ptp(orbits.impacts) == 0):
+                return None
+            impacts.append(float(orbits.impacts[0]))
+            states.append(orbits.states)
+            state_slopes.append(np.einsum("scrp,spv->scrv", orbits.state_derivatives, jacobian))
+            table = dict(zip(spec.names, zip(values.T, gradients.transpose(1, 0, 2), strict=True), strict=False))
+            value, slope = table[spec.maximise]
+            counted = slice(None) if spec.robust else slice(1)
+            objectives.append((value[counted] / self.scale, slope[counted] / self.scale))
+            limits.append((LARGEST_MODULUS - values[:, -1], -gradients[:, -1]))
+            for c in spec.constraints:
+                value, slope = table[c.variable]
+                limits.append((c.slack(value) - INSIDE, c.sign * slope / c.scale))
+        if self.impacts is not None and impacts != self.impacts:
+            return None
+        self.impacts = impacts
+        rows, slopes = (np.concatenate([pair[k] for pair in (*objectives, *limits)]) for k in range(2))
+        return Visit(unit.copy(), rows, slopes, states, state_slopes)
 
 
-def _violation(candidate: Candidate) -> float:
-    """Return the largest violation at the candidate."""
-    return float(np.maximum(-candidate.result.slack, 0.0).max(initial=0.0))
+def has_orbit(lanes: Lanes, start: int, sample: int = 0) -> bool:
+    """Return whether the orbit of a lane was found, with as many section crossings as that of the nominal point."""
+    same = lanes["orbit_cycles"][sample, start] == lanes["orbit_cycles"][0, start]
+    return bool(same and lanes["orbit_reason"][sample, start] == ORBIT_REASONS.index("found"))
 
 
-def _critical(candidate: Candidate) -> np.ndarray:
-    """Return the indices of the samples where the least slack is smallest."""
-    values = candidate.result.lanes.values
-    slack = [c.slack(values[c.variable]).min(axis=1) for c in candidate.constraints]
-    if not slack:
-        return np.zeros(0, int)
-    return np.argsort(np.nan_to_num(np.min(slack, axis=0), nan=np.inf))[:CRITICAL]
+def orbit_states(
+    spec: DesignSpec, a: Assessment, start: int, samples: Sequence[int]
+) -> Float[np.ndarray, "samples cycles states"]:
+    """Return the states of the orbits from a start at the section crossings, at samples of the box."""
+    scene = spec.template.system.driving_part()
+    begin = np.array([a.lanes[orbit_name(name)][samples, start] for name in scene.return_states])
+    cycles = a.lanes["orbit_cycles"][samples, start].astype(int)
+    if cycles[0] == 1:
+        return begin.T[:, None]
+    values, _ = scene_parameters(spec, np.repeat(a.unit[None], len(samples), axis=0), a.offsets[samples])
+    return np.stack(trace_orbits(Segments(scene), {n: values[n] for n in scene.parameters()}, begin, cycles).states)
 
 
-def _excluded(simulator: Simulator, candidate: Candidate, points: np.ndarray) -> np.ndarray:
-    """Return which nominal points have a lane that failed in their tolerance boxes."""
-    failures, spec = simulator.failures(candidate.constraints), simulator.spec
-    size = float(np.abs(candidate.offsets).max(initial=0.0))
-    widths = np.array([size * spec.tolerances.get(name, 0.0) for name in spec.varied]) / (spec.high - spec.low)
-    return np.array([(np.abs(failures - x) <= widths).all(axis=1).any() for x in points], bool)
+def scene_parameters(
+    spec: DesignSpec, unit: Points, offsets: Offsets
+) -> tuple[dict[str, np.ndarray], dict[str, Float[np.ndarray, "lanes varied"]]]:
+    """Return the scene's parameters of points, and the derivatives of those that depend on the unit box."""
+    scene, columns = spec.template.system, spec.columns(unit, offsets)
+
+    def resolved(changed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        values = with_substitutes(scene, spec.template.parameters | columns | changed)
+        return {name: np.broadcast_to(values[name], len(unit)) for name in scene.parameters()}
+
+    values = {name: np.array(x, float) for name, x in resolved({}).items()}
+    chain = {name: np.zeros(unit.shape) for name in values}
+    for k, name in enumerate(spec.varied):
+        step = 1j * COMPLEX_STEP * (spec.high[k] - spec.low[k])
+        for parameter, x in resolved({name: columns[name] + step}).items():
+            chain[parameter][:, k] = np.imag(x) / COMPLEX_STEP
+    return values, {name: slope for name, slope in chain.items() if slope.any()}
 
 
-def _update(candidate: Candidate, trials: Sequence[tuple[Unit, Assessment]]) -> None:
-    """Accept the best of the trials if it is better than the candidate, and adapt the search region."""
-    now, radius = candidate.result, candidate.radius
-    best = None
-    for point, assessment in trials:
-        if assessment.better(now if best is None else best[1]):
-            best = point, assessment
-    if best is not None and (now.feasible or best[1].badness <= (1 - LEAST_RELIEF) * now.badness):
-        moved = float(np.abs(best[0] - candidate.point).max())
-        candidate.move(*best)
-        candidate.radius = min(2 * radius, LARGEST_RADIUS) if moved > radius / 2 else radius
-        candidate.failures = 0
-        return
-    candidate.failures += 1
-    if not trials or not now.feasible or candidate.failures > 1:
-        candidate.radius, candidate.failures = radius / 2, 0
-    candidate.done = candidate.radius < LEAST_RADIUS
+class Search:
+    """The search of one design, with counts of its lanes and of the orbits that it solved."""
+
+    def __init__(self, spec: DesignSpec, counts: Counter[str] | None = None) -> None:
+        self.spec, self.counts = spec, Counter[str]() if counts is None else counts
+        count = len(spec.tolerances)
+        self.corners = np.array(list(product((-1.0, 1.0), repeat=count))).reshape(-1, count)[: 2**count * bool(count)]
+        few = self.corners
+        if len(few) > MAX_CORNERS:
+            few = np.unique(np.sign(qmc.Sobol(count, seed=1).random(MAX_CORNERS) - 0.5), axis=0)
+        self.centre = np.zeros((1, count))
+        self.box = np.concatenate([self.centre, DRAWN_BOX * few])
+
+    @cached_property
+    def features(self) -> dict[str, str]:
+        """The features of orbits that have the derivatives of the design's variables, by variable."""
+        known = orbit_variables(self.spec.template.system)
+        features = {name: f"{MODULUS}0" if name == "multiplier_abs" else name for name in self.spec.names}
+        return {name: feature for name, feature in features.items() if feature in known}
+
+    def lanes(self, unit: Points, offsets: Float[np.ndarray, "points tolerances"]) -> Lanes:
+        """Return the variables of points with offsets, one row each, from every start."""
+        sweep = self.spec.sweep(self.spec.columns(unit, offsets))
+        self.counts["lanes"] += sweep.lanes
+        ds = run_sweep(sweep, progress=False)
+        ds = ds if "start" in ds.dims else ds.expand_dims("start")
+        return {str(name): x.transpose("point", "start", ...).values for name, x in ds.items() if "point" in x.dims}
+
+    def assess(self, points: Points, offsets: Offsets) -> list[Assessment]:
+        """Assess points over samples of their boxes, in one batch of lanes."""
+        if not len(points):
+            return []
+        number = len(offsets)
+        lanes = self.lanes(np.repeat(points, number, axis=0), np.tile(offsets, (len(points), 1)))
+        parts = (slice(number * k, number * (k + 1)) for k in range(len(points)))
+        return [
+            Assessment.of(self.spec, unit, offsets, {name: x[part] for name, x in lanes.items()})
+            for unit, part in zip(points, parts, strict=True)
+        ]
+
+    def map(self) -> list[Assessment]:
+        """Assess the points of a grid or a Sobol sample over the bounds, without tolerances."""
+        count = len(self.spec.varied)
+        if count in MAP_AXIS:
+            unit = np.array(list(product(np.linspace(0, 1, MAP_AXIS[count]), repeat=count)))
+            return self.assess(unit, self.centre)
+        sampler = qmc.Sobol(count, seed=0)
+        points = self.assess(sampler.random(FIRST_SAMPLE), self.centre)
+        while sum(a.feasible for a in points) < ENOUGH_FEASIBLE and len(points) < LARGEST_SAMPLE:
+            points += self.assess(sampler.random(len(points)), self.centre)
+        return points
+
+    def seeds(self, points: Sequence[Assessment]) -> list[Assessment]:
+        """Return the best points of the map that are apart from one another, assessed over the box."""
+        spacing = self.spacing(len(points))
+        tried = distinct(points, min(APART, 0.99 * spacing), TRIED_SEEDS)
+        return distinct(self.assess(np.array([a.unit for a in tried]), self.box), APART, SEEDS)
+
+    def spacing(self, points: int) -> float:
+        """Return the typical distance between neighbouring points of the map."""
+        return 1 / (points ** (1 / len(self.spec.varied)) - 1)
+
+    def best(self, seeds: Sequence[Assessment], radius: float) -> list[Assessment]:
+        """Return verified candidates, best first: the optima of the seeds' orbits, improved by lanes.
+
+        A candidate that fails in verification adds its failing samples to the box of the search, and goes on.
+        """
+        points = [unit for seed in seeds for unit in self.climb(seed)]
+        candidates = distinct([*seeds, *self.assess(np.array(points), self.box)], APART / 2, RESULTS)
+        verified: list[Assessment] = []
+        for _ in range(MAX_REPAIRS):
+            candidates = self.zoom(candidates, radius)
+            checked = self.verify(candidates)
+            verified += checked
+            failing = [a for a in checked if not a.feasible]
+            if len(self.box) == 1 or not failing or any(a.feasible for a in checked):
+                break
+            self.box = np.concatenate([self.box, *(a.offsets[self._failing(a)] for a in failing)])
+            candidates, radius = self.assess(np.array([a.unit for a in candidates]), self.box), REPAIR_RADIUS
+        return distinct(verified, SAME_POINT, RESULTS)
+
+    def verify(self, candidates: Sequence[Assessment]) -> list[Assessment]:
+        """Assess candidates at the centre, all corners, draws of a slightly larger box, and near the worst samples."""
+        count = len(self.spec.tolerances)
+        if not count:
+            return list(candidates)
+        draws = DRAWN_BOX * (2 * qmc.Sobol(count, seed=2).random(DRAWS) - 1)
+        offsets = np.concatenate([self.centre, self.corners, draws])
+        checked = self.assess(np.array([a.unit for a in candidates]), offsets)
+        for width in NEAR_WIDTHS:  # the worst sample of a ridge that crosses the box lies between those before
+            cube = DRAWN_BOX * width * (2 * qmc.Sobol(count, seed=3).random(NEAR_DRAWS) - 1)
+            checked = [self._with_samples(a, cube) if a.feasible else a for a in checked]
+        return checked
+
+    def _with_samples(self, a: Assessment, cube: Offsets) -> Assessment:
+        """Assess a candidate at further samples, around the worst ones of the objective and of each limit."""
+        rows = [a.values[self.spec.maximise], *a.slack]
+        worst = {int(np.nanmin(np.where(a.good, x, np.inf), axis=1).argmin()) for x in rows}
+        near = np.concatenate([np.clip(a.offsets[k] + cube, -DRAWN_BOX, DRAWN_BOX) for k in sorted(worst)])
+        [b] = self.assess(a.unit[None], near)
+        lanes = {name: np.concatenate([x, b.lanes[name]]) for name, x in a.lanes.items()}
+        return Assessment.of(self.spec, a.unit, np.concatenate([a.offsets, near]), lanes)
+
+    def _failing(self, a: Assessment) -> list[int]:
+        """Return some samples at which a requirement fails, by index."""
+        share = self.spec.share or (1.0, 1.0)
+        failing = np.flatnonzero((a.good.mean(axis=1) < share[0]) | (a.good.mean(axis=1) > share[1]))
+        return list(failing[:: max(1, len(failing) // ADDED_SAMPLES)][:ADDED_SAMPLES])
+
+    def zoom(self, candidates: Sequence[Assessment], radius: float) -> list[Assessment]:
+        """Improve candidates by lanes alone, on ridges where a stick appears, at borders, and without derivatives.
+
+        Each round draws points from a box around the best one, whose shape is the covariance of the best few so far.
+        """
+        count = len(self.spec.varied)
+        sampler = qmc.Sobol(count, seed=4)
+        pools = [[a] for a in candidates]
+        shapes = [radius * np.eye(count) for _ in candidates]
+        patience = [ZOOM_PATIENCE] * len(pools)
+        for _ in range(ZOOM_ROUNDS):
+            active = [k for k, left in enumerate(patience) if left > 0]
+            cubes = [2 * sampler.random(ZOOM_PROPOSALS + 4 * count) - 1 for _ in active]
+            points = [np.clip(pools[k][0].unit + x @ shapes[k].T, 0.0, 1.0) for k, x in zip(active, cubes, strict=True)]
+            found = iter(self.assess(np.concatenate([np.zeros((0, count)), *points]), self.box))
+            for k, own in zip(active, points, strict=True):
+                best = pools[k][0]
+                pool = sorted([*pools[k], *(next(found) for _ in own)], key=lambda a: a.rank)[:ZOOM_ELITE]
+                moves = np.array([a.unit for a in pool]) - pool[0].unit
+                shapes[k] = np.linalg.cholesky(3 * moves.T @ moves / len(moves) + 1e-14 * np.eye(count))
+                pools[k] = pool
+                gain = best.rank[0] > pool[0].rank[0] or -pool[0].rank[1] > -best.rank[1] * (1 + ZOOM_GAIN)
+                patience[k] = ZOOM_PATIENCE if gain else patience[k] - 1
+                near = (pools[j][0] for j in range(len(pools)) if j != k and patience[j] > 0)
+                beaten = any(np.abs(a.unit - pool[0].unit).max() < SAME_POINT and a.rank <= pool[0].rank for a in near)
+                if beaten or np.abs(shapes[k]).max() < ZOOM_LEAST_SPREAD:
+                    patience[k] = 0
+        return distinct([pool[0] for pool in pools], SAME_POINT, RESULTS)
+
+    def climb(self, seed: Assessment) -> list[Unit]:
+        """Return points on the way to the optimum of the seed's periodic orbits, by SLSQP; none without derivatives.
+
+        SLSQP maximises t under f >= t for each motion of the starts and, for a robust design, each sample of the box.
+        The limits hold for each motion and sample. No motion has to settle here.
+        """
+        if not self.has_derivatives(seed):
+            return []
+        orbits, count = BoxOrbits(self.spec, self.features, seed), len(self.spec.varied)
+        if not orbits.visits:
+            return []
+        objectives = orbits.objectives
+        is_objective = 1.0 * (np.arange(len(orbits.visits[0].rows)) < objectives)
+        limits = {
+            "fun": lambda z: orbits.at(z[:count]).rows - z[-1] * is_objective,
+            "jac": lambda z: np.column_stack([orbits.at(z[:count]).slopes, -is_objective]),
+        }
+        path, radius = [orbits.visits[0]], FIRST_RADIUS
+        for _ in range(SLSQP_MAX_ROUNDS):
+            now = path[-1]
+            box = zip(np.maximum(0.0, now.unit - radius), np.minimum(1.0, now.unit + radius), strict=True)
+            with suppress(LostOrbit):
+                minimize(
+                    lambda z: -z[-1], [*now.unit, now.rows[:objectives].min()], jac=lambda z: -np.eye(count + 1)[-1],
+                    method="SLSQP", bounds=[*box, (None, None)], constraints={"type": "ineq", **limits},
+                    options={"maxiter": SLSQP_MAX_ITERATIONS, "ftol": 1e-9},
+                )  # fmt: skip
+            best = max(orbits.visits, key=lambda visit: visit.rank(objectives))
+            moved = float(np.abs(best.unit - now.unit).max())
+            if best is not now:
+                path.append(best)
+            radius = min(2 * radius, LARGEST_RADIUS) if moved > radius / 2 else radius / 4
+            if radius < LEAST_RADIUS:
+                break
+        self.counts["orbits"] += len(orbits.visits) * len(seed.motions) * len(orbits.box)
+        return [path[k].unit for k in sorted({len(path) - 1, len(path) // 2, len(path) // 4})]
+
+    def has_derivatives(self, a: Assessment) -> bool:
+        """Return whether all variables have derivatives, and the nominal orbits of all motions were found."""
+        known = set(self.features) == set(self.spec.names) and "orbit_reason" in a.lanes and bool(a.motions)
+        return known and all(has_orbit(a.lanes, start) for start in a.motions)
+
+    def gradients(self, candidates: Sequence[Assessment]) -> list[Unit]:
+        """Return the derivatives of the objective at nominal points, of the motion with the least objective.
+
+        They follow from the periodic orbit or, without one, from central differences of lanes. NaN: unknown.
+        """
+        spec, count = self.spec, len(self.spec.varied)
+        slopes = []
+        for a in candidates:
+            slope = np.full(count, np.nan)
+            if self.has_derivatives(a):
+                parameters, chain = scene_parameters(spec, a.unit[None], self.centre)
+                states = orbit_states(spec, a, a.motions[0], [0])
+                of = (self.features[spec.maximise],)
+                orbit = orbit_features(spec.template.system, of, tuple(chain), parameters, states)
+                slope = orbit.derivatives[0, 0] @ np.concatenate([*chain.values()])
+            if not np.isfinite(slope).all() and a.motions:
+                moves = DIFFERENCE_STEP * np.concatenate([np.eye(count), -np.eye(count)])
+                x = [b.values[spec.maximise][0, a.motions[0]] for b in self.assess(a.unit + moves, self.centre)]
+                repeats = a.lanes["cycles"][0, a.motions[0]] > 0 if "cycles" in a.lanes else True
+                slope = np.where(repeats, np.subtract(x[:count], x[count:]) / (2 * DIFFERENCE_STEP), np.nan)
+            slopes.append(slope / (spec.high - spec.low))
+        return slopes

@@ -30,7 +30,7 @@ FRONT_POINTS = 20
 """Default number of points of a front."""
 
 _KEYS = (
-    *("scene", "title", "starts", "maximise", "vary", "subject", "parameters", "tolerance", "run", "front"),
+    *("scene", "title", "starts", "maximise", "robust", "vary", "subject", "parameters", "tolerance", "run", "front"),
     "unusual",
 )
 _ENDS = ("least", "most")
@@ -62,10 +62,6 @@ class Constraint:
         """Sign of the slack's derivative with respect to the variable."""
         return -1.0 if self.end == "most" else 1.0
 
-    def at(self, limit: float) -> "Constraint":
-        """Return the constraint with another limit, and its margin in proportion."""
-        return replace(self, limit=limit, margin=self.margin * abs(limit) / self.scale)
-
 
 @dataclass(frozen=True)
 class Front:
@@ -81,6 +77,7 @@ class Front:
 class DesignSpec:
     """A checked design.
 
+    - `robust`: True to maximise the worst value over the tolerances. `names`: all variables that the design limits.
     - `varied`: names, with bounds `low` and `high`; the search scales these to the unit box.
     - `tolerances`: half-widths by name; `fixed`: nominal values of those parameters that are not varied.
     - `share`: least and greatest share of good starts, or None if all starts must be good.
@@ -93,6 +90,7 @@ class DesignSpec:
     tables: dict[str, Any]
     template: Sweep
     maximise: str
+    robust: bool
     varied: tuple[str, ...]
     low: Float[np.ndarray, " varied"]
     high: Float[np.ndarray, " varied"]
@@ -108,6 +106,12 @@ class DesignSpec:
     def place(self) -> Place:
         """The place of the design in messages."""
         return Place(self.file)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The variables that the search needs: what is maximised, limited, or the axis of a front."""
+        against = (self.front.against,) if self.front is not None and self.front.against != "tolerance" else ()
+        return tuple(dict.fromkeys((self.maximise, *(c.variable for c in self.constraints), *against)))
 
     def columns(
         self, unit: Float[np.ndarray, "points varied"], offsets: Float[np.ndarray, "points tolerances"]
@@ -129,6 +133,7 @@ class DesignSpec:
         own = {f"tolerance.{name}": width for name, width in self.tolerances.items()}
         own |= {f"subject.{c.variable}.{c.end}": c.limit for c in self.constraints}
         front = None if self.front is None else [self.front.against, self.front.end, self.front.points, self.front.span]
+        own |= {"robust": True} if self.robust else {}
         subject = {"maximise": self.maximise, "regime": self.regime, "share": self.share, "front": front}
         return self.template.identity() | {f"design.{name}": value for name, value in (own | subject).items()}
 
@@ -151,6 +156,9 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
     if maximise is None:
         raise place.at("maximise").error('missing; name a variable, like maximise = "impact_energy"')
     choice(place.at("maximise"), maximise, [name for name in known if known[name].dtype == np.float64])
+    robust = flag(place.at("robust"), tables.get("robust", False))
+    if robust and not tolerances:
+        raise place.at("robust").error("there is no [tolerance] to be robust to; add one")
     regime, share, constraints = _read_subject(place.at("subject"), tables.get("subject", {}), known)
     if share is not None and names.has_starts is False:
         raise place.at("subject").at("share").error(f"scene {shown(names.scene)} has no starts; leave it out")
@@ -173,8 +181,8 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
         replace(c, margin=MARGIN * error * abs(c.limit)) if c.variable in smooth else c for c in constraints
     )
     return DesignSpec(
-        origin.name, origin.file, origin.text, base, template, str(maximise), tuple(low), np.array([*low.values()]),
-        np.array([*high.values()]), tolerances, fixed, regime, share, constraints,
+        origin.name, origin.file, origin.text, base, template, str(maximise), robust, tuple(low),
+        np.array([*low.values()]), np.array([*high.values()]), tolerances, fixed, regime, share, constraints,
         _read_front(place.at("front"), tables.get("front"), known, constraints, tolerances, str(maximise)), known,
     )  # fmt: skip
 
