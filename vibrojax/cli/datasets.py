@@ -44,7 +44,8 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
     argument(
         "--diagram",
         "NAME",
-        "of a sweep: campbell (frequencies over the speed) or rate-over-force (rate of penetration with its onset)",
+        "of a sweep: campbell (frequencies over the speed), rate-over-force (rate of penetration with its onset) or "
+        "chart (the robust single impact over two parameters, with lines of energy, force and rate)",
     ),
     argument("--colours", "MAP", "matplotlib's colour map for quantities"),
 )

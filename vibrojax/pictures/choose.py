@@ -83,7 +83,8 @@ def picture(
       regimes.
     - `diagram`: name of a diagram to draw instead. "campbell" draws the frequencies of a sweep's motions, the natural
       frequencies and the multiples of the rotation over the speed. "rate-over-force" draws the rate of penetration over
-      the mean force, with the onset of penetration.
+      the mean force, with the onset of penetration. "chart" draws the robust single impact over two parameters, with
+      lines of energy, peak force, rate of penetration and blows per minute.
 
     **Returns:** a figure that pyplot does not manage.
 

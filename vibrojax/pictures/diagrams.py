@@ -1,4 +1,4 @@
-"""Diagrams that engineers ask for by name: the Campbell diagram, and the rate of penetration over the force."""
+"""Diagrams that engineers ask for by name: Campbell, rate of penetration over the force, designer's chart."""
 
 from collections.abc import Callable
 from typing import Literal
@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 
 from vibrojax.errors import InputError
 from vibrojax.pictures.axes import scale, with_unit
+from vibrojax.pictures.chart import chart
 from vibrojax.pictures.contents import FORM, POINT, RATE, RELIEF, lane_dims, rates_in, without_single
 from vibrojax.pictures.curves import MOST_ROWS, Across, axis_of_lines, longest_axis, new_rows, split_lines
 from vibrojax.pictures.sheet import facets, legend_at_right, write_margins
@@ -151,7 +152,11 @@ def rate_over_force(ds: xr.Dataset) -> Figure:
     return figure
 
 
-DIAGRAMS: dict[str, Callable[[xr.Dataset], Figure]] = {"campbell": campbell, "rate-over-force": rate_over_force}
+DIAGRAMS: dict[str, Callable[[xr.Dataset], Figure]] = {
+    "campbell": campbell,
+    "chart": chart,
+    "rate-over-force": rate_over_force,
+}
 """Diagrams by the name under which `picture` draws them."""
 
 

@@ -52,7 +52,7 @@ LARGEST_MODULUS = 0.98
 SLSQP_MAX_ITERATIONS, SLSQP_MAX_ROUNDS = 12, 20
 """Iterations of SLSQP in a box around the best point so far, and boxes: the next begins at the best point of all."""
 
-FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.05, 0.2, 1e-4
+FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.05, 0.2, 1e-3
 """Half-widths of these boxes in the unit box: the first, the largest, and the one below which the search ends."""
 
 INSIDE = 1e-6
@@ -61,10 +61,10 @@ INSIDE = 1e-6
 ORBIT_REACH = 1.0
 """Distance in half swings from the prediction beyond which an orbit counts as another one."""
 
-ZOOM_ROUNDS, ZOOM_PROPOSALS, ZOOM_ELITE = 24, 24, 8
-"""Rounds of the zoom, proposals in each besides four for each varied parameter, and points that shape the next."""
+ZOOM_ROUNDS, ZOOM_PROPOSALS, ZOOM_ELITE = 24, (32, 64), 8
+"""Rounds of the zoom, proposals in each with up to two and with more parameters, and points that shape the next."""
 
-ZOOM_LEAST_SPREAD, ZOOM_GAIN, ZOOM_PATIENCE = 1e-4, 1e-5, 3
+ZOOM_LEAST_SPREAD, ZOOM_GAIN, ZOOM_PATIENCE = 1e-5, 1e-6, 3
 """The zoom ends below this spread in the unit box, or after some rounds without this relative gain."""
 
 MAX_REPAIRS, ADDED_SAMPLES, REPAIR_RADIUS = 4, 4, 0.01
@@ -300,7 +300,7 @@ class Search:
     def __init__(self, spec: DesignSpec, counts: Counter[str] | None = None) -> None:
         self.spec, self.counts = spec, Counter[str]() if counts is None else counts
         count = len(spec.tolerances)
-        self.corners = np.array(list(product((-1.0, 1.0), repeat=count))).reshape(-1, count)[: 2**count * bool(count)]
+        self.corners = np.array([*product((-1.0, 1.0), repeat=count)] if count else np.zeros((0, 0)))
         few = self.corners
         if len(few) > MAX_CORNERS:
             few = np.unique(np.sign(qmc.Sobol(count, seed=1).random(MAX_CORNERS) - 0.5), axis=0)
@@ -322,7 +322,7 @@ class Search:
         ds = ds if "start" in ds.dims else ds.expand_dims("start")
         return {str(name): x.transpose("point", "start", ...).values for name, x in ds.items() if "point" in x.dims}
 
-    def assess(self, points: Points, offsets: Offsets) -> list[Assessment]:
+    def assess(self, points: Points | Sequence[Unit], offsets: Offsets) -> list[Assessment]:
         """Assess points over samples of their boxes, in one batch of lanes."""
         if not len(points):
             return []
@@ -338,8 +338,7 @@ class Search:
         """Assess the points of a grid or a Sobol sample over the bounds, without tolerances."""
         count = len(self.spec.varied)
         if count in MAP_AXIS:
-            unit = np.array(list(product(np.linspace(0, 1, MAP_AXIS[count]), repeat=count)))
-            return self.assess(unit, self.centre)
+            return self.assess(np.array([*product(np.linspace(0, 1, MAP_AXIS[count]), repeat=count)]), self.centre)
         sampler = qmc.Sobol(count, seed=0)
         points = self.assess(sampler.random(FIRST_SAMPLE), self.centre)
         while sum(a.feasible for a in points) < ENOUGH_FEASIBLE and len(points) < LARGEST_SAMPLE:
@@ -350,7 +349,7 @@ class Search:
         """Return the best points of the map that are apart from one another, assessed over the box."""
         spacing = self.spacing(len(points))
         tried = distinct(points, min(APART, 0.99 * spacing), TRIED_SEEDS)
-        return distinct(self.assess(np.array([a.unit for a in tried]), self.box), APART, SEEDS)
+        return distinct(self.assess([a.unit for a in tried], self.box), APART, SEEDS)
 
     def spacing(self, points: int) -> float:
         """Return the typical distance between neighbouring points of the map."""
@@ -361,8 +360,10 @@ class Search:
 
         A candidate that fails in verification adds its failing samples to the box of the search, and goes on.
         """
-        points = [unit for seed in seeds for unit in self.climb(seed)]
-        candidates = distinct([*seeds, *self.assess(np.array(points), self.box)], APART / 2, RESULTS)
+        points: list[Unit] = []
+        for seed in seeds:
+            points += self.climb(seed)
+        candidates = distinct([*seeds, *self.assess(points, self.box)], APART / 2, RESULTS)
         verified: list[Assessment] = []
         for _ in range(MAX_REPAIRS):
             candidates = self.zoom(candidates, radius)
@@ -372,7 +373,7 @@ class Search:
             if len(self.box) == 1 or not failing or any(a.feasible for a in checked):
                 break
             self.box = np.concatenate([self.box, *(a.offsets[self._failing(a)] for a in failing)])
-            candidates, radius = self.assess(np.array([a.unit for a in candidates]), self.box), REPAIR_RADIUS
+            candidates, radius = self.assess([a.unit for a in candidates], self.box), REPAIR_RADIUS
         return distinct(verified, SAME_POINT, RESULTS)
 
     def verify(self, candidates: Sequence[Assessment]) -> list[Assessment]:
@@ -382,7 +383,7 @@ class Search:
             return list(candidates)
         draws = DRAWN_BOX * (2 * qmc.Sobol(count, seed=2).random(DRAWS) - 1)
         offsets = np.concatenate([self.centre, self.corners, draws])
-        checked = self.assess(np.array([a.unit for a in candidates]), offsets)
+        checked = self.assess([a.unit for a in candidates], offsets)
         for width in NEAR_WIDTHS:  # the worst sample of a ridge that crosses the box lies between those before
             cube = DRAWN_BOX * width * (2 * qmc.Sobol(count, seed=3).random(NEAR_DRAWS) - 1)
             checked = [self._with_samples(a, cube) if a.feasible else a for a in checked]
@@ -393,7 +394,7 @@ class Search:
         rows = [a.values[self.spec.maximise], *a.slack]
         worst = {int(np.nanmin(np.where(a.good, x, np.inf), axis=1).argmin()) for x in rows}
         near = np.concatenate([np.clip(a.offsets[k] + cube, -DRAWN_BOX, DRAWN_BOX) for k in sorted(worst)])
-        [b] = self.assess(a.unit[None], near)
+        [b] = self.assess([a.unit], near)
         lanes = {name: np.concatenate([x, b.lanes[name]]) for name, x in a.lanes.items()}
         return Assessment.of(self.spec, a.unit, np.concatenate([a.offsets, near]), lanes)
 
@@ -401,7 +402,7 @@ class Search:
         """Return some samples at which a requirement fails, by index."""
         share = self.spec.share or (1.0, 1.0)
         failing = np.flatnonzero((a.good.mean(axis=1) < share[0]) | (a.good.mean(axis=1) > share[1]))
-        return list(failing[:: max(1, len(failing) // ADDED_SAMPLES)][:ADDED_SAMPLES])
+        return failing[:: max(1, len(failing) // ADDED_SAMPLES)][:ADDED_SAMPLES].tolist()
 
     def zoom(self, candidates: Sequence[Assessment], radius: float) -> list[Assessment]:
         """Improve candidates by lanes alone, on ridges where a stick appears, at borders, and without derivatives.
@@ -415,9 +416,9 @@ class Search:
         patience = [ZOOM_PATIENCE] * len(pools)
         for _ in range(ZOOM_ROUNDS):
             active = [k for k, left in enumerate(patience) if left > 0]
-            cubes = [2 * sampler.random(ZOOM_PROPOSALS + 4 * count) - 1 for _ in active]
+            cubes = [2 * sampler.random(ZOOM_PROPOSALS[count > 2]) - 1 for _ in active]
             points = [np.clip(pools[k][0].unit + x @ shapes[k].T, 0.0, 1.0) for k, x in zip(active, cubes, strict=True)]
-            found = iter(self.assess(np.concatenate([np.zeros((0, count)), *points]), self.box))
+            found = iter(self.assess([unit for own in points for unit in own], self.box))
             for k, own in zip(active, points, strict=True):
                 best = pools[k][0]
                 pool = sorted([*pools[k], *(next(found) for _ in own)], key=lambda a: a.rank)[:ZOOM_ELITE]

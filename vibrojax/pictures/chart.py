@@ -1,0 +1,144 @@
+"""The designer's chart: the stable single impact over two parameters, with lines of what a machine does there."""
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
+
+from vibrojax.errors import InputError
+from vibrojax.measures.labels import REGIMES
+from vibrojax.pictures.axes import label, number, pretty_unit, scale, values_along, with_unit
+from vibrojax.pictures.contents import POINT, REGIME, START, axes_of_map, lane_dims, without_single
+from vibrojax.pictures.sheet import legend_at_right, write_margins
+from vibrojax.pictures.style import DASHED, IMPACT, INK, new_figure, styled
+
+RECTANGLE = {"beta": (0.25, 0.6), "gamma": (0.6, 0.8)}
+"""The region that the source recommends (chapter 7)."""
+
+SAME_MOTION = 0.02
+"""Relative spread of the impact energy over the starts, up to which their motions count as one."""
+
+CLIFF = 0.4
+"""Difference of the impact energy between neighbouring cells, relative to the chart's greatest, from which another
+motion begins between them."""
+
+_REGIONS = {
+    "#FFFFFF": "robust: the cells\naround as well",
+    "#FFF3C9": "the same single impact\nfrom every start",
+    "#D9D9D9": "other motions",
+}
+_PANELS = ("impact_energy", "peak_impact_force"), ("rate_of_penetration", "impact_power", "blow_frequency")
+_LINES = {
+    "impact_energy": ("impact energy", "#9A3B00"),
+    "peak_impact_force": ("peak force", "#004488"),
+    "rate_of_penetration": ("rate of penetration", "#1B7837"),
+    "impact_power": ("impact power", "#1B7837"),
+    "blow_frequency": ("blows", "#6A1B5D"),
+}
+_WORST_IS_GREATEST = {"peak_impact_force"}
+_LEVELS = 9
+
+
+@styled
+def chart(ds: xr.Dataset) -> Figure:
+    """Draw the designer's chart of a sweep over two parameters: values are the worst over the starts.
+
+    White cells are robust: every start leads to the same stable single impact, and so do the cells around. Lines are
+    the impact energy, the peak force, the rate of penetration or the impact power, and the blows per minute. The star
+    is the robust cell with the greatest rate of penetration, else power, else energy.
+
+    **Raises:** `InputError` if the dataset has no single impacts over two axes.
+    """
+    ds = without_single(ds)
+    if REGIME not in ds or "impact_energy" not in ds or POINT in lane_dims(ds):
+        raise InputError("chart: the dataset holds no impacts over a grid; give a sweep of a drill over two parameters")
+    x, y = axes_of_map(ds)
+    if others := [name for name in lane_dims(ds) if name not in (x, y, START)]:
+        raise InputError(f"chart: {', '.join(others)} varies as well; fix it, as in --where {others[0]}=VALUE")
+    ds = ds.transpose(y, x, ...).sortby([x, y])
+    single = _single(ds)
+    energy = np.nan_to_num(np.where(single, _worst(ds, "impact_energy"), np.nan))
+    box = np.ones((3, 3), bool)
+    cliff = maximum_filter(energy, footprint=box) - minimum_filter(energy, footprint=box) > CLIFF * energy.max()
+    robust = binary_erosion(single, box, border_value=1) & ~cliff
+    names = [[name for name in group if name in ds] for group in _PANELS]
+    names[1] = [*names[1][:1], "blow_frequency"] if names[1][1:] else names[1]
+    figure = new_figure(6.2 * sum(map(bool, names)) + 1.8, 5.2)
+    grid = figure.subplots(1, sum(map(bool, names)), squeeze=False, sharey=True)[0]
+    best = _best(ds, robust, names)
+    for axes, group in zip(grid, filter(None, names), strict=True):
+        _draw_panel(axes, ds, (x, y), single.astype(int) + robust, group)
+        if RECTANGLE.keys() == {x, y}:
+            (left, right), (low, high) = RECTANGLE[x], RECTANGLE[y]
+            axes.add_patch(Rectangle((left, low), right - left, high - low, fill=False, edgecolor=INK, linewidth=1.6))
+        if best is not None:
+            place = [float(values_along(ds[name])[k]) for name, k in zip((x, y), best[::-1], strict=True)]
+            axes.plot(*place, "*", color=IMPACT, markersize=14, markeredgecolor="white", clip_on=False, zorder=5)
+    grid[0].set_ylabel(label(ds[y]))
+    keys = [Patch(facecolor=c, edgecolor=INK, linewidth=0.6, label=words) for c, words in _REGIONS.items()]
+    if RECTANGLE.keys() == {x, y}:
+        keys.append(Patch(fill=False, edgecolor=INK, linewidth=1.6, label="recommended by\nthe source"))
+    note = "" if best is None else _best_text(ds, (x, y), best, names)
+    if best is not None:
+        keys.append(Line2D([], [], color=IMPACT, marker="*", markersize=11, linestyle="none", label="best robust cell"))
+    legend_at_right(figure, keys)
+    write_margins(figure, ds, "Values are the worst over the starts" if START in ds.dims else "", note)
+    return figure
+
+
+def _single(ds: xr.Dataset) -> Bool[np.ndarray, "y x"]:
+    """Return the cells in which every start leads to the same stable single impact."""
+    single, energy = ds[REGIME] == REGIMES.index("single-impact"), ds["impact_energy"]
+    if "stable" in ds:
+        single = single & (ds["stable"] == 1)
+    if START not in single.dims:
+        return np.asarray(single.values)
+    same = energy.max(START) <= (1 + SAME_MOTION) * energy.min(START)
+    return np.asarray((single.all(START) & same).values)
+
+
+def _worst(ds: xr.Dataset, name: str) -> Float[np.ndarray, "y x"]:
+    if START not in ds[name].dims:
+        return np.asarray(ds[name].values, float)
+    return np.asarray((ds[name].max(START) if name in _WORST_IS_GREATEST else ds[name].min(START)).values, float)
+
+
+def _best(ds: xr.Dataset, robust: np.ndarray, names: list[list[str]]) -> tuple[int, int] | None:
+    """Return the robust cell with the greatest rate of penetration, power or energy; None if nothing is robust."""
+    name = names[1][0] if names[1] and names[1][0] != "blow_frequency" else "impact_energy"
+    values = np.where(robust, _worst(ds, name), np.nan)
+    if not (values > 0).any():
+        return None
+    row, column = np.unravel_index(np.nanargmax(values), values.shape)
+    return int(row), int(column)
+
+
+def _best_text(ds: xr.Dataset, axes: tuple[str, str], best: tuple[int, int], names: list[list[str]]) -> str:
+    place = ", ".join(f"{name} = {number(float(ds[name][k]))}" for name, k in zip(axes, best[::-1], strict=True))
+    words = []
+    for name in (name for group in names for name in group):
+        factor, unit = scale(ds[name])
+        words.append(f"{_LINES[name][0]} {number(factor * _worst(ds, name)[best])} {pretty_unit(unit)}")
+    return f"Best robust cell: {place}; {', '.join(words)}"
+
+
+def _draw_panel(axes: Axes, ds: xr.Dataset, over: tuple[str, str], region: np.ndarray, names: list[str]) -> None:
+    x, y = (values_along(ds[name]) for name in over)
+    axes.pcolormesh(x, y, region, cmap=ListedColormap([*_REGIONS][::-1]), vmin=-0.5, vmax=2.5, rasterized=True)
+    handles = []
+    for name, style in zip(names, ("solid", "dashed"), strict=False):
+        words, colour = _LINES[name]
+        factor, unit = scale(ds[name])
+        z = np.ma.masked_invalid(np.where(region == 2, factor * _worst(ds, name), np.nan))
+        if z.count() > 1 and np.ptp(z.compressed()) and min(z.shape) > 1:
+            lines = axes.contour(x, y, z, levels=_LEVELS, colors=colour, linestyles=style, linewidths=1.1)
+            axes.clabel(lines, fontsize=7.5, inline_spacing=3)
+        look = DASHED if style == "dashed" else "-"
+        handles.append(Line2D([], [], color=colour, linestyle=look, label=with_unit(words, unit)))
+    axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=9)
+    axes.set_xlabel(label(ds[over[0]]))
