@@ -52,7 +52,7 @@ LARGEST_MODULUS = 0.98
 SLSQP_MAX_ITERATIONS, SLSQP_MAX_ROUNDS = 12, 20
 """Iterations of SLSQP in a box around the best point so far, and boxes: the next begins at the best point of all."""
 
-FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.05, 0.2, 1e-3
+FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.1, 0.2, 1e-3
 """Half-widths of these boxes in the unit box: the first, the largest, and the one below which the search ends."""
 
 INSIDE = 1e-6
@@ -362,7 +362,7 @@ class Search:
         """
         points: list[Unit] = []
         for seed in seeds:
-            points += self.climb(seed)
+            points += self.climb(seed, points)
         candidates = distinct([*seeds, *self.assess(points, self.box)], APART / 2, RESULTS)
         verified: list[Assessment] = []
         for _ in range(MAX_REPAIRS):
@@ -422,7 +422,7 @@ class Search:
             for k, own in zip(active, points, strict=True):
                 best = pools[k][0]
                 pool = sorted([*pools[k], *(next(found) for _ in own)], key=lambda a: a.rank)[:ZOOM_ELITE]
-                moves = np.array([a.unit for a in pool]) - pool[0].unit
+                moves = np.array([a.unit for a in pool]) - best.unit  # from the last best one: steady progress widens the box
                 shapes[k] = np.linalg.cholesky(3 * moves.T @ moves / len(moves) + 1e-14 * np.eye(count))
                 pools[k] = pool
                 gain = best.rank[0] > pool[0].rank[0] or -pool[0].rank[1] > -best.rank[1] * (1 + ZOOM_GAIN)
@@ -433,11 +433,11 @@ class Search:
                     patience[k] = 0
         return distinct([pool[0] for pool in pools], SAME_POINT, RESULTS)
 
-    def climb(self, seed: Assessment) -> list[Unit]:
+    def climb(self, seed: Assessment, known: Sequence[Unit]) -> list[Unit]:
         """Return points on the way to the optimum of the seed's periodic orbits, by SLSQP; none without derivatives.
 
         SLSQP maximises t under f >= t for each motion of the starts and, for a robust design, each sample of the box.
-        The limits hold for each motion and sample. No motion has to settle here.
+        The limits hold for each motion and sample. No motion has to settle here. It ends near points that are `known`.
         """
         if not self.has_derivatives(seed):
             return []
@@ -465,7 +465,7 @@ class Search:
             if best is not now:
                 path.append(best)
             radius = min(2 * radius, LARGEST_RADIUS) if moved > radius / 2 else radius / 4
-            if radius < LEAST_RADIUS:
+            if radius < LEAST_RADIUS or any(np.abs(best.unit - unit).max() < SAME_POINT for unit in known):
                 break
         self.counts["orbits"] += len(orbits.visits) * len(seed.motions) * len(orbits.box)
         return [path[k].unit for k in sorted({len(path) - 1, len(path) // 2, len(path) // 4})]
