@@ -149,3 +149,27 @@ def test_undrawable_diagrams_are_refused(drilling, call, line):
     with pytest.raises(InputError) as error:
         vj.picture(drilling, **call)
     assert line in str(error.value) and "\n" not in str(error.value)
+
+
+def test_chart_shows_best_robust_cell():
+    """Compare the cell under the star with the greatest power among cells whose neighbours are single impacts, too."""
+    axes = {"beta": np.linspace(0.3, 0.5, 7).tolist(), "gamma": np.linspace(0.65, 0.9, 8).tolist()}
+    table = {"scene": "vibro-impact", "parameters": {"delta": 0.005}, "starts": ["stuck"], "grid": axes, "run": RUN}
+    ds = vj.run_sweep(table, progress=False)
+    figure = vj.picture(ds, diagram="chart")
+    single = (ds.regime == 3).isel(start=0).transpose("beta", "gamma").values
+    robust = np.pad(single, 1, constant_values=True)
+    inner = np.lib.stride_tricks.sliding_window_view(robust, (3, 3)).all(axis=(2, 3))
+    power = ds.impact_power.isel(start=0).transpose("beta", "gamma").where(inner)
+    best = power.isel(power.argmax(...))
+    energy, blows = figure.axes[:2]
+    stars = [line for line in energy.lines if line.get_marker() == "*"]
+    assert [stars[0].get_xdata()[0], stars[0].get_ydata()[0]] == [float(best.gamma), float(best.beta)]
+    assert {"robust: the cells\naround as well", "best robust cell"} <= set(legend(figure))
+    assert [text.get_text() for text in blows.get_legend().get_texts()] == ["impact power [W]", "blows [1/min]"]
+    assert len(energy.patches) == 1  # the source's rectangle over beta and gamma
+    with pytest.raises(InputError, match="chart: no map: gamma is all that varies"):
+        vj.picture(ds, diagram="chart", where={"beta": axes["beta"][0]})
+    more = xr.concat([ds.assign_coords(v=v) for v in (1.0, 1.5)], "v")
+    with pytest.raises(InputError, match="chart: v varies as well; fix it, as in --where v=VALUE"):
+        vj.picture(more, diagram="chart")

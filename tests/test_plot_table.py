@@ -53,9 +53,8 @@ ESTIMATED |= {"direction": (("combination", "parameter"), [[1.0]]), "residual": 
 ESTIMATES = xr.Dataset(ESTIMATED, attrs={"kind": "calibration"})
 LOG = {"specific_energy": ("row", [1e8]), "founder_weight": ((), 1e5), "founder_reason": ((), 0)}
 LOG = xr.Dataset(LOG, attrs={"kind": "rig"})
-CANDIDATES = {"objective": ("candidate", [1.0]), "limit": ["force"], "parameter": ["gamma"]}
+CANDIDATES = {"objective": ("candidate", [1.0]), "parameter": ["gamma"]}
 BEST = xr.Dataset(CANDIDATES, attrs={"kind": "design"})
-CHART = BEST.assign({"chart_region": (("chart_beta", "chart_gamma"), [[1]])})
 OSCILLATION = xr.Dataset({"x": ("time", np.sin(np.arange(32.0)))}, {"time": np.arange(32.0)})
 
 EXPECTED = {
@@ -82,7 +81,6 @@ EXPECTED = {
     "regime_bars": drills.KINDS["counts"],
     "rate_grid": rocks.KINDS["map"],
     "design_picture": lambda: BEST,
-    "chart_page": lambda: CHART,
     "elasticities": lambda: SLOPES,
     "bars_and_interactions": lambda: EFFECTS,
     "calibration_picture": lambda: ESTIMATES,

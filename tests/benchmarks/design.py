@@ -11,12 +11,11 @@ of six parameters.
 import sys
 import time
 import warnings
-from itertools import product
 
 import numpy as np
 
 import vibrojax as vj
-from vibrojax.studies.design_evaluation import Simulator, assess
+from vibrojax.studies.design_search import Search
 from vibrojax.studies.design_spec import DesignSpec, read_design
 
 DESIGNS = ("energy", "rate-in-sandstone", "power-at-120-kn")
@@ -39,38 +38,29 @@ def maps(name: str) -> None:
     value = float(best.objective[0])
     print(f"{name}: {value:.6g} with {best.attrs['lanes']} lanes, {best.attrs['orbit_solves']} orbits; "
           f"{wall:.1f} s by the clock, {cpu:.1f} s of processor time")  # fmt: skip
-    simulator, began = Simulator(spec), time.process_time()
+    own, began = Search(spec), time.process_time()
     axis = np.linspace(0, 1, FINE)
     unit = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    corners = np.array([(0.0, 0.0), *product((-1.0, 1.0), repeat=2)])
     found = []
     for first in range(0, len(unit), CELLS_AT_ONCE):
-        lanes = simulator(unit[first : first + CELLS_AT_ONCE], np.zeros_like(unit[first : first + CELLS_AT_ONCE]))
-        found += [assess(lanes.part(slice(k, k + 1)), spec, spec.constraints) for k in range(len(lanes.in_regime))]
-    fine = time.process_time() - began
-    order = sorted((k for k, a in enumerate(found) if a.feasible), key=lambda k: -found[k].objective)
-    print(f"  map {FINE} x {FINE}: {simulator.lanes} lanes, {fine:.1f} s; best cell {found[order[0]].objective:.6g}")
-    for k in order:  # corners are needed only for candidates for the best cell
-        lanes = simulator(np.repeat(unit[k][None], len(corners), axis=0), corners)
-        if assess(lanes, spec, spec.constraints).feasible:
-            print(f"  best cell whose corners hold: {found[k].objective:.6g}; corners of all cells: "
-                  f"{5 * len(unit) * lanes.in_regime.shape[1]} lanes")  # fmt: skip
-            break
+        found += own.assess(unit[first : first + CELLS_AT_ONCE], own.centre)
+    order = sorted((a for a in found if a.feasible), key=lambda a: a.rank)
+    print(f"  map {FINE} x {FINE}: {own.counts['lanes']} lanes, {time.process_time() - began:.1f} s; "
+          f"best cell {order[0].objective:.6g}")  # fmt: skip
+    corners = np.concatenate([own.centre, own.corners])
+    held = next(a for a in order if own.assess([a.unit], corners)[0].feasible)
+    print(f"  best cell whose corners hold: {held.objective:.6g}")
 
 
 def draws(name: str, count: int = 200) -> None:
     spec, best = read_design(name), vj.design(name, progress=False)
     rng = np.random.default_rng(7)
-    simulator = Simulator(spec)
+    own = Search(spec)
     for candidate in range(best.sizes["candidate"]):
         values = np.array([float(best[key][candidate]) for key in spec.varied])
-        unit = np.repeat(((values - spec.low) / (spec.high - spec.low))[None], count, axis=0)
-        lanes = simulator(unit, rng.uniform(-1, 1, (count, len(spec.tolerances))))
-        kept = lanes.in_regime.all(axis=1)
-        for c in spec.constraints:
-            x = lanes.values[c.variable]
-            kept &= ((x <= c.limit) if c.end == "most" else (x >= c.limit)).all(axis=1)
-        print(f"{name}, candidate {candidate}: {kept.sum()} of {count} draws keep the constraints")
+        offsets = rng.uniform(-1, 1, (count, len(spec.tolerances)))
+        [found] = own.assess([(values - spec.low) / (spec.high - spec.low)], offsets)
+        print(f"{name}, candidate {candidate}: {found.good.all(axis=1).sum()} of {count} draws keep the constraints")
 
 
 def search() -> None:
@@ -86,37 +76,35 @@ def search() -> None:
               f"{np.median(lanes) / best.attrs['lanes']:.1f} times as many; {sorted(lanes)}")  # fmt: skip
 
 
-def costs(spec: DesignSpec, simulator: Simulator, unit: np.ndarray) -> np.ndarray:
+def costs(own: Search, unit: np.ndarray) -> np.ndarray:
     """Return the quantity to minimise: minus the objective of feasible points, else a penalty."""
-    lanes = simulator(unit, np.zeros((len(unit), 0)))
-    found = [assess(lanes.part(slice(k, k + 1)), spec, spec.constraints) for k in range(len(unit))]
-    return np.array([-a.objective if a.feasible else 1e3 * a.badness for a in found])
+    return np.array([-a.objective if a.feasible else 1e3 * a.badness for a in own.assess(unit, own.centre)])
 
 
 def by_cma(spec: DesignSpec, target: float, seed: int) -> float:
     import cma
 
-    simulator = Simulator(spec)
+    own = Search(spec)
     rng = np.random.default_rng(seed)
-    while simulator.lanes < MOST:  # restarts from random points
+    while own.counts["lanes"] < MOST:  # restarts from random points
         options = {"bounds": [0, 1], "seed": int(rng.integers(1, 2**31)), "verbose": -9}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             run = cma.CMAEvolutionStrategy(rng.uniform(0, 1, len(spec.varied)), 0.3, options)
-            while not run.stop() and simulator.lanes < MOST:
+            while not run.stop() and own.counts["lanes"] < MOST:
                 points = run.ask()
-                values = costs(spec, simulator, np.array(points))
+                values = costs(own, np.array(points))
                 if values.min() <= -target:
-                    return simulator.lanes
+                    return own.counts["lanes"]
                 run.tell(points, values.tolist())
     return np.inf
 
 
 def by_random(spec: DesignSpec, target: float, seed: int) -> float:
-    simulator, rng = Simulator(spec), np.random.default_rng(seed)
-    while simulator.lanes < MOST:
-        if costs(spec, simulator, rng.uniform(0, 1, (200, len(spec.varied)))).min() <= -target:
-            return simulator.lanes
+    own, rng = Search(spec), np.random.default_rng(seed)
+    while own.counts["lanes"] < MOST:
+        if costs(own, rng.uniform(0, 1, (200, len(spec.varied)))).min() <= -target:
+            return own.counts["lanes"]
     return np.inf
 
 

@@ -55,7 +55,7 @@ def chart(ds: xr.Dataset) -> Figure:
     **Raises:** `InputError` if the dataset has no single impacts over two axes.
     """
     ds = without_single(ds)
-    if REGIME not in ds or "impact_energy" not in ds or POINT in lane_dims(ds):
+    if REGIME not in ds or not {"impact_energy", "blow_frequency"} <= set(ds) or POINT in lane_dims(ds):
         raise InputError("chart: the dataset holds no impacts over a grid; give a sweep of a drill over two parameters")
     x, y = axes_of_map(ds)
     if others := [name for name in lane_dims(ds) if name not in (x, y, START)]:
@@ -66,12 +66,12 @@ def chart(ds: xr.Dataset) -> Figure:
     box = np.ones((3, 3), bool)
     cliff = maximum_filter(energy, footprint=box) - minimum_filter(energy, footprint=box) > CLIFF * energy.max()
     robust = binary_erosion(single, box, border_value=1) & ~cliff
-    names = [[name for name in group if name in ds] for group in _PANELS]
+    names = [[name for name in group if name in ds and bool((ds[name] > 0).any())] for group in _PANELS]
     names[1] = [*names[1][:1], "blow_frequency"] if names[1][1:] else names[1]
-    figure = new_figure(6.2 * sum(map(bool, names)) + 1.8, 5.2)
-    grid = figure.subplots(1, sum(map(bool, names)), squeeze=False, sharey=True)[0]
+    figure = new_figure(14.2, 5.2)
+    grid = figure.subplots(1, 2, sharey=True)
     best = _best(ds, robust, names)
-    for axes, group in zip(grid, filter(None, names), strict=True):
+    for axes, group in zip(grid, names, strict=True):
         _draw_panel(axes, ds, (x, y), single.astype(int) + robust, group)
         if RECTANGLE.keys() == {x, y}:
             (left, right), (low, high) = RECTANGLE[x], RECTANGLE[y]
@@ -110,7 +110,7 @@ def _worst(ds: xr.Dataset, name: str) -> Float[np.ndarray, "y x"]:
 
 def _best(ds: xr.Dataset, robust: np.ndarray, names: list[list[str]]) -> tuple[int, int] | None:
     """Return the robust cell with the greatest rate of penetration, power or energy; None if nothing is robust."""
-    name = names[1][0] if names[1] and names[1][0] != "blow_frequency" else "impact_energy"
+    name = names[1][0] if len(names[1]) > 1 else "impact_energy"
     values = np.where(robust, _worst(ds, name), np.nan)
     if not (values > 0).any():
         return None

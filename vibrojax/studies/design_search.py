@@ -422,7 +422,9 @@ class Search:
             for k, own in zip(active, points, strict=True):
                 best = pools[k][0]
                 pool = sorted([*pools[k], *(next(found) for _ in own)], key=lambda a: a.rank)[:ZOOM_ELITE]
-                moves = np.array([a.unit for a in pool]) - best.unit  # from the last best one: steady progress widens the box
+                moves = (
+                    np.array([a.unit for a in pool]) - best.unit
+                )  # from the last best one: steady progress widens the box
                 shapes[k] = np.linalg.cholesky(3 * moves.T @ moves / len(moves) + 1e-14 * np.eye(count))
                 pools[k] = pool
                 gain = best.rank[0] > pool[0].rank[0] or -pool[0].rank[1] > -best.rank[1] * (1 + ZOOM_GAIN)
