@@ -187,6 +187,7 @@ GRANITE = {"parameters": {"rock": "granite", "beta": 0.4, "delta": 0.005}}
 )  # fmt: skip
 def test_infeasible_requirements_are_refused_in_one_line(change, line, monkeypatch):
     monkeypatch.setitem(search.MAP_AXIS, 1, 5)
+    monkeypatch.setattr(search, "SEEDS", 1)
     monkeypatch.setattr(search, "MAX_REPAIRS", 1)
     monkeypatch.setattr(search, "ZOOM_ROUNDS", 0)
     table = FREE | {"vary": {"gamma": [0.7, 0.72]}} | change

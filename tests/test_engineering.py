@@ -168,7 +168,7 @@ def test_chart_shows_best_robust_cell():
     assert {"robust: the cells\naround as well", "best robust cell"} <= set(legend(figure))
     assert [text.get_text() for text in blows.get_legend().get_texts()] == ["impact power [W]", "blows [1/min]"]
     assert len(energy.patches) == 1  # the source's rectangle over beta and gamma
-    with pytest.raises(InputError, match="chart: no map: gamma is all that varies"):
+    with pytest.raises(InputError, match="no map: gamma is all that varies"):
         vj.picture(ds, diagram="chart", where={"beta": axes["beta"][0]})
     more = xr.concat([ds.assign_coords(v=v) for v in (1.0, 1.5)], "v")
     with pytest.raises(InputError, match="chart: v varies as well; fix it, as in --where v=VALUE"):

@@ -1,8 +1,11 @@
 """The designer's chart: the stable single impact over two parameters, with lines of what a machine does there."""
 
+from typing import Literal
+
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -15,7 +18,7 @@ from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures.axes import label, number, pretty_unit, scale, values_along, with_unit
 from vibrojax.pictures.contents import POINT, REGIME, START, axes_of_map, lane_dims, without_single
 from vibrojax.pictures.sheet import legend_at_right, write_margins
-from vibrojax.pictures.style import DASHED, IMPACT, INK, new_figure, styled
+from vibrojax.pictures.style import IMPACT, INK, new_figure, styled
 
 RECTANGLE = {"beta": (0.25, 0.6), "gamma": (0.6, 0.8)}
 """The region that the source recommends (chapter 7)."""
@@ -80,7 +83,9 @@ def chart(ds: xr.Dataset) -> Figure:
             place = [float(values_along(ds[name])[k]) for name, k in zip((x, y), best[::-1], strict=True)]
             axes.plot(*place, "*", color=IMPACT, markersize=14, markeredgecolor="white", clip_on=False, zorder=5)
     grid[0].set_ylabel(label(ds[y]))
-    keys = [Patch(facecolor=c, edgecolor=INK, linewidth=0.6, label=words) for c, words in _REGIONS.items()]
+    keys: list[Artist] = [
+        Patch(facecolor=c, edgecolor=INK, linewidth=0.6, label=words) for c, words in _REGIONS.items()
+    ]
     if RECTANGLE.keys() == {x, y}:
         keys.append(Patch(fill=False, edgecolor=INK, linewidth=1.6, label="recommended by\nthe source"))
     note = "" if best is None else _best_text(ds, (x, y), best, names)
@@ -131,14 +136,14 @@ def _draw_panel(axes: Axes, ds: xr.Dataset, over: tuple[str, str], region: np.nd
     x, y = (values_along(ds[name]) for name in over)
     axes.pcolormesh(x, y, region, cmap=ListedColormap([*_REGIONS][::-1]), vmin=-0.5, vmax=2.5, rasterized=True)
     handles = []
-    for name, style in zip(names, ("solid", "dashed"), strict=False):
+    styles: tuple[Literal["solid", "dashed"], ...] = ("solid", "dashed")
+    for name, style in zip(names, styles, strict=False):
         words, colour = _LINES[name]
         factor, unit = scale(ds[name])
         z = np.ma.masked_invalid(np.where(region == 2, factor * _worst(ds, name), np.nan))
         if z.count() > 1 and np.ptp(z.compressed()) and min(z.shape) > 1:
             lines = axes.contour(x, y, z, levels=_LEVELS, colors=colour, linestyles=style, linewidths=1.1)
             axes.clabel(lines, fontsize=7.5, inline_spacing=3)
-        look = DASHED if style == "dashed" else "-"
-        handles.append(Line2D([], [], color=colour, linestyle=look, label=with_unit(words, unit)))
+        handles.append(Line2D([], [], color=colour, linestyle=style, label=with_unit(words, unit)))
     axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=9)
     axes.set_xlabel(label(ds[over[0]]))

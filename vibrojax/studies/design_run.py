@@ -120,9 +120,9 @@ def _front(search: Search, points: Sequence[Assessment], results: Sequence[Asses
             limited = (*_without_limit(spec), Constraint(front.against, front.end, float(limit), margin))
             own = Search(replace(spec, constraints=limited), search.counts)
         known = [Assessment.of(own.spec, a.unit, own.centre, a.nominal) for a in (*points, *results)]
-        seeds = own.assess([a.unit for a in last], own.box) + own.seeds(known)[:2]
+        seeds = own.assess([a.unit for a in last], own.box) + own.seeds(known)[:1]
         checked = own.best(seeds, WARM_RADIUS)
-        if last:  # what holds under a tighter limit holds under this one
+        if last and min(checked, key=lambda a: a.rank).rank > last[0].rank:  # what held under a tighter limit
             checked += own.verify(own.assess([a.unit for a in last], own.box))
         best = min(checked, key=lambda a: a.rank)
         last = [best] if best.feasible else last

@@ -34,7 +34,7 @@ MAP_AXIS = {1: 33, 2: 16}
 FIRST_SAMPLE, LARGEST_SAMPLE, ENOUGH_FEASIBLE = 64, 2048, 8
 """Sobol points of the map for more varied parameters: doubled until enough of them are feasible."""
 
-SEEDS, TRIED_SEEDS, RESULTS = 6, 16, 3
+SEEDS, TRIED_SEEDS, RESULTS = 8, 24, 3
 """Seeds from which SLSQP begins, points compared over their boxes to choose them, and candidates that are kept."""
 
 APART, SAME_POINT = 0.12, 0.01
@@ -69,6 +69,9 @@ ZOOM_LEAST_SPREAD, ZOOM_GAIN, ZOOM_PATIENCE = 1e-5, 1e-6, 3
 
 MAX_REPAIRS, ADDED_SAMPLES, REPAIR_RADIUS = 4, 4, 0.01
 """Rounds of verification and zoom, failing samples that each adds to the box of the search, and radius of the zoom."""
+
+CHECK_RADIUS = 0.0025
+"""Radius in the unit box within which lanes check an optimum of SLSQP."""
 
 DIFFERENCE_STEP = 1e-5
 """Step of central differences of lanes in the unit box."""
@@ -305,6 +308,7 @@ class Search:
         if len(few) > MAX_CORNERS:
             few = np.unique(np.sign(qmc.Sobol(count, seed=1).random(MAX_CORNERS) - 0.5), axis=0)
         self.centre = np.zeros((1, count))
+        self.optima: list[Unit] = []
         self.box = np.concatenate([self.centre, DRAWN_BOX * few])
 
     @cached_property
@@ -408,12 +412,14 @@ class Search:
         """Improve candidates by lanes alone, on ridges where a stick appears, at borders, and without derivatives.
 
         Each round draws points from a box around the best one, whose shape is the covariance of the best few so far.
+        An optimum of SLSQP ends after one round nearby without a gain.
         """
         count = len(self.spec.varied)
         sampler = qmc.Sobol(count, seed=4)
         pools = [[a] for a in candidates]
-        shapes = [radius * np.eye(count) for _ in candidates]
-        patience = [ZOOM_PATIENCE] * len(pools)
+        smooth = [any(np.array_equal(a.unit, unit) for unit in self.optima) for a in candidates]
+        shapes = [(CHECK_RADIUS if done else radius) * np.eye(count) for done in smooth]
+        patience = [1 if done else ZOOM_PATIENCE for done in smooth]
         for _ in range(ZOOM_ROUNDS):
             active = [k for k, left in enumerate(patience) if left > 0]
             cubes = [2 * sampler.random(ZOOM_PROPOSALS[count > 2]) - 1 for _ in active]
@@ -456,18 +462,23 @@ class Search:
         for _ in range(SLSQP_MAX_ROUNDS):
             now = path[-1]
             box = zip(np.maximum(0.0, now.unit - radius), np.minimum(1.0, now.unit + radius), strict=True)
+            done = False
             with suppress(LostOrbit):
-                minimize(
+                end = minimize(
                     lambda z: -z[-1], [*now.unit, now.rows[:objectives].min()], jac=lambda z: -np.eye(count + 1)[-1],
                     method="SLSQP", bounds=[*box, (None, None)], constraints={"type": "ineq", **limits},
                     options={"maxiter": SLSQP_MAX_ITERATIONS, "ftol": 1e-9},
                 )  # fmt: skip
+                done = bool(end.success) and float(np.abs(end.x[:count] - now.unit).max()) < 0.99 * radius
             best = max(orbits.visits, key=lambda visit: visit.rank(objectives))
             moved = float(np.abs(best.unit - now.unit).max())
             if best is not now:
                 path.append(best)
+            if done:
+                self.optima.append(best.unit)
             radius = min(2 * radius, LARGEST_RADIUS) if moved > radius / 2 else radius / 4
-            if radius < LEAST_RADIUS or any(np.abs(best.unit - unit).max() < SAME_POINT for unit in known):
+            met = any(np.abs(best.unit - unit).max() < SAME_POINT for unit in known)
+            if done or met or radius < LEAST_RADIUS:
                 break
         self.counts["orbits"] += len(orbits.visits) * len(seed.motions) * len(orbits.box)
         return [path[k].unit for k in sorted({len(path) - 1, len(path) // 2, len(path) // 4})]
