@@ -13,7 +13,8 @@ from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures.labels import REGIMES, UNBOUNDED
 from vibrojax.progress import Progress
-from vibrojax.studies.design_search import Assessment, Search, extreme
+from vibrojax.studies.design_points import Assessment, extreme
+from vibrojax.studies.design_search import Search
 from vibrojax.studies.design_spec import MARGIN, Constraint, DesignSpec, read_design
 
 TOLERANCE_SPAN = (0.0, 2.0)

@@ -1,32 +1,31 @@
-"""The search of a design: lanes over the tolerance box, SLSQP on the periodic orbits, a zoom by lanes, verification."""
+"""The search of a design: seeds from a map, SLSQP on the periodic orbits, a zoom by lanes, and verification."""
 
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.optimize import minimize
 from scipy.stats import qmc
 
-from vibrojax.io.variables import ORBIT_REASONS, orbit_name
 from vibrojax.maps.run import run_sweep
-from vibrojax.maps.sweep import with_substitutes
-from vibrojax.measures.labels import REGIMES
-from vibrojax.periodic.known_orbits import trace_orbits
 from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_features, orbit_variables
-from vibrojax.periodic.return_map import Segments
-from vibrojax.studies.design_spec import DRAWN_BOX, Constraint, DesignSpec
-
-Unit = Float[np.ndarray, " varied"]
-Points = Float[np.ndarray, "points varied"]
-Offsets = Float[np.ndarray, "samples tolerances"]
-Lanes = dict[str, np.ndarray]
-"""Variables of lanes by name, arrays (points or samples, starts, ...)."""
+from vibrojax.studies.design_points import (
+    Assessment,
+    BoxOrbits,
+    Lanes,
+    LostOrbit,
+    Offsets,
+    Points,
+    Unit,
+    has_orbit,
+    orbit_states,
+    scene_parameters,
+)
+from vibrojax.studies.design_spec import DRAWN_BOX, DesignSpec
 
 MAP_AXIS = {1: 33, 2: 16}
 """Points per axis of the map for one and two varied parameters, which make a grid."""
@@ -46,20 +45,11 @@ MAX_CORNERS = 16
 DRAWS, NEAR_WIDTHS, NEAR_DRAWS = 256, (0.25, 0.06), 16
 """Draws of verification; half-widths of the regions around the worst samples, and draws in each of these."""
 
-LARGEST_MODULUS = 0.98
-"""Largest modulus of a multiplier on orbits: nearer to 1, an orbit is about to lose its stability."""
-
 SLSQP_MAX_ITERATIONS, SLSQP_MAX_ROUNDS = 12, 20
 """Iterations of SLSQP in a box around the best point so far, and boxes: the next begins at the best point of all."""
 
 FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.1, 0.2, 1e-3
 """Half-widths of these boxes in the unit box: the first, the largest, and the one below which the search ends."""
-
-INSIDE = 1e-6
-"""Slack that SLSQP keeps, which covers its own tolerance."""
-
-ORBIT_REACH = 1.0
-"""Distance in half swings from the prediction beyond which an orbit counts as another one."""
 
 ZOOM_ROUNDS, ZOOM_PROPOSALS, ZOOM_ELITE = 24, (32, 64), 8
 """Rounds of the zoom, proposals in each with up to two and with more parameters, and points that shape the next."""
@@ -76,95 +66,6 @@ CHECK_RADIUS = 0.0025
 DIFFERENCE_STEP = 1e-5
 """Step of central differences of lanes in the unit box."""
 
-COMPLEX_STEP = 1e-20
-"""Imaginary step by which substitutions of parameters are differentiated, without rounding errors."""
-
-
-@dataclass(frozen=True, eq=False)
-class Assessment:
-    """A nominal point, its lanes at samples of the tolerance box, and how well these meet the requirements.
-
-    - `unit`: the point, scaled to the bounds. `offsets`: the samples in half-widths; the first is the centre.
-    - `lanes`: all variables; `values`: those that the design names, of arrays the greatest.
-    - `fit`, `good` (samples, starts): lanes in the regime, and those that meet the limits as well.
-    - `slack` (constraints, samples, starts): distance to the tightened limit, relative to the limit.
-    - `objective`, `worst`: of the good lanes at the nominal point, and at all samples; NaN if there are none.
-    - `badness`: 0 if all requirements hold, else a measure of the violations. `rank`: order from best to worst.
-    """
-
-    unit: Unit
-    offsets: Offsets
-    constraints: Sequence[Constraint]
-    lanes: Lanes
-    values: Lanes
-    fit: Bool[np.ndarray, "samples starts"]
-    good: Bool[np.ndarray, "samples starts"]
-    slack: Float[np.ndarray, "constraints samples starts"]
-    objective: float
-    worst: float
-    badness: float
-    rank: tuple[float, float]
-
-    @classmethod
-    def of(cls, spec: DesignSpec, unit: Unit, offsets: Offsets, lanes: Lanes) -> "Assessment":
-        """Assess the lanes of a nominal point."""
-        values = {name: x if x.ndim == 2 else np.fmax.reduce(x, axis=2) for name in spec.names for x in [lanes[name]]}
-        objective = values[spec.maximise]
-        fit = np.isfinite(objective)
-        if spec.regime is not None:
-            fit = fit & (lanes["regime"] == REGIMES.index(spec.regime))
-        elif "status" in lanes:
-            fit = fit & (lanes["status"] == 0)
-        slack = np.array([c.slack(values[c.variable]) for c in spec.constraints]).reshape(-1, *fit.shape)
-        slack = np.where(np.isnan(slack) & fit, -1.0, slack)
-        good = fit & (slack >= 0).all(axis=0)
-        if spec.share is None:
-            # Of two points that fail, one in the regime is better than one outside, whatever its violations.
-            violation = np.where(fit, np.maximum(-slack, 0.0), 0.0).max(axis=(1, 2), initial=0.0)
-            badness = (len(slack) + 1) * float((~fit).mean()) + float((violation / (1 + violation)).sum())
-        else:
-            share = good.mean(axis=1)
-            badness = float(np.maximum(np.maximum(spec.share[0] - share, share - spec.share[1]), 0.0).max())
-            badness = badness if good[0].any() or badness > 0 else 1.0
-        counted = good if good[0].any() else fit
-        centre = extreme(objective[:1][counted[:1]], "least")
-        worst = extreme(objective[counted], "least")
-        merit = worst if spec.robust else centre
-        rank = badness, np.inf if np.isnan(merit) else -merit
-        return cls(unit, offsets, spec.constraints, lanes, values, fit, good, slack, centre, worst, badness, rank)
-
-    @property
-    def feasible(self) -> bool:
-        """True if every requirement holds in every sample."""
-        return self.badness == 0
-
-    @property
-    def nominal(self) -> Lanes:
-        """The lanes of the nominal point."""
-        return {name: x[:1] for name, x in self.lanes.items()}
-
-    @property
-    def motions(self) -> list[int]:
-        """Good starts of the nominal point that lead to different motions, the least objective first."""
-        rows = np.array([x[0] for x in self.values.values()]).T
-        starts = np.flatnonzero(self.good[0] if self.good[0].any() else self.fit[0])
-        chosen: list[int] = []
-        for start in sorted(starts, key=lambda s: rows[s, 0]):
-            if not any(np.allclose(rows[start], rows[k], rtol=1e-6, atol=0, equal_nan=True) for k in chosen):
-                chosen.append(int(start))
-        return chosen
-
-    def held(self, name: str, rows: slice = slice(None)) -> np.ndarray:
-        """Return a variable's values in the lanes of the regime, or in all lanes if none is in it."""
-        values, fit = self.values[name][rows], self.fit[rows]
-        return np.asarray(values[fit] if fit.any() else values)
-
-
-def extreme(values: np.ndarray, end: str) -> float:
-    """Return the worst of some values for a limit of this kind: the greatest for "most"; NaN if there are none."""
-    known = values[np.isfinite(values)]
-    return float("nan") if not known.size else float(known.max() if end == "most" else known.min())
-
 
 def distinct(candidates: Sequence[Assessment], distance: float, most: int) -> list[Assessment]:
     """Return the best candidates that are apart from one another, best first."""
@@ -173,128 +74,6 @@ def distinct(candidates: Sequence[Assessment], distance: float, most: int) -> li
         if len(kept) < most and all(np.abs(a.unit - other.unit).max() >= distance for other in kept):
             kept.append(a)
     return kept
-
-
-class Visit(NamedTuple):
-    """Orbits over the box of a point: rows of objectives, limits and stability, their slopes, and the states.
-
-    `states` and `state_slopes` have one array (samples, cycles, states) or (samples, cycles, states, varied) a motion.
-    """
-
-    unit: Unit
-    rows: Float[np.ndarray, " rows"]
-    slopes: Float[np.ndarray, "rows varied"]
-    states: list[np.ndarray]
-    state_slopes: list[np.ndarray]
-
-    def rank(self, objectives: int) -> tuple[float, float]:
-        """Return the key of the order from worst to best: smaller violations, then a greater least objective."""
-        excess = float(self.rows[objectives:].min(initial=0.0)) + INSIDE / 2
-        return min(excess, 0.0), float(self.rows[:objectives].min())
-
-
-class LostOrbit(Exception):
-    """The orbits of a point are not of the same kind as those before."""
-
-
-class BoxOrbits:
-    """The periodic orbits of a point's motions over the box, as functions of the point."""
-
-    def __init__(self, spec: DesignSpec, features: dict[str, str], seed: Assessment) -> None:
-        self.spec = spec
-        self.scale = abs(seed.objective) or 1.0
-        self.of = (*(features[name] for name in spec.names), f"{MODULUS}0")
-        self.visits: list[Visit] = []
-        sound = [
-            k for k in range(len(seed.offsets))
-            if spec.robust or spec.constraints or not k
-            if all(has_orbit(seed.lanes, start, k) for start in seed.motions)
-        ]  # fmt: skip
-        self.box = seed.offsets[sound]
-        self.objectives = len(seed.motions) * (len(sound) if spec.robust else 1)
-        states = [orbit_states(spec, seed, start, sound) for start in seed.motions]
-        flat = [np.zeros((*x.shape, len(seed.unit))) for x in states]
-        self.impacts: list[float] | None = None
-        begin = Visit(seed.unit, np.zeros(0), np.zeros((0, len(seed.unit))), states, flat)
-        if (first := self._solved(seed.unit, begin)) is not None:
-            self.visits.append(first)
-
-    def at(self, unit: Unit) -> Visit:
-        """Return the orbits at a point, predicted from the nearest point visited; raise `LostOrbit` without them."""
-        near = min(self.visits, key=lambda visit: float(np.abs(visit.unit - unit).max()))
-        if np.array_equal(near.unit, unit):
-            return near
-        visit = self._solved(unit, near)
-        if visit is None:
-            raise LostOrbit
-        self.visits.append(visit)
-        return visit
-
-    def _solved(self, unit: Unit, near: Visit) -> Visit | None:
-        spec, samples = self.spec, len(self.box)
-        parameters, chain = scene_parameters(spec, np.repeat(unit[None], samples, axis=0), self.box)
-        jacobian = np.stack([*chain.values()], axis=1)
-        objectives, limits, states, state_slopes, impacts = [], [], [], [], []
-        for begin, slopes in zip(near.states, near.state_slopes, strict=True):
-            guess = np.broadcast_to(begin + slopes @ (unit - near.unit), (samples, *begin.shape[1:]))
-            orbits = orbit_features(spec.template.system, self.of, tuple(chain), parameters, guess, ORBIT_REACH)
-            values, gradients = orbits.values, orbits.derivatives @ jacobian
-            if not (np.isfinite(values).all() and np.isfinite(gradients).all() and np.ptp(orbits.impacts) == 0):
-                return None
-            impacts.append(float(orbits.impacts[0]))
-            states.append(orbits.states)
-            state_slopes.append(np.einsum("scrp,spv->scrv", orbits.state_derivatives, jacobian))
-            table = dict(zip(spec.names, zip(values.T, gradients.transpose(1, 0, 2), strict=True), strict=False))
-            value, slope = table[spec.maximise]
-            counted = slice(None) if spec.robust else slice(1)
-            objectives.append((value[counted] / self.scale, slope[counted] / self.scale))
-            limits.append((LARGEST_MODULUS - values[:, -1], -gradients[:, -1]))
-            for c in spec.constraints:
-                value, slope = table[c.variable]
-                limits.append((c.slack(value) - INSIDE, c.sign * slope / c.scale))
-        if self.impacts is not None and impacts != self.impacts:
-            return None
-        self.impacts = impacts
-        rows, slopes = (np.concatenate([pair[k] for pair in (*objectives, *limits)]) for k in range(2))
-        return Visit(unit.copy(), rows, slopes, states, state_slopes)
-
-
-def has_orbit(lanes: Lanes, start: int, sample: int = 0) -> bool:
-    """Return whether the orbit of a lane was found, with as many section crossings as that of the nominal point."""
-    same = lanes["orbit_cycles"][sample, start] == lanes["orbit_cycles"][0, start]
-    return bool(same and lanes["orbit_reason"][sample, start] == ORBIT_REASONS.index("found"))
-
-
-def orbit_states(
-    spec: DesignSpec, a: Assessment, start: int, samples: Sequence[int]
-) -> Float[np.ndarray, "samples cycles states"]:
-    """Return the states of the orbits from a start at the section crossings, at samples of the box."""
-    scene = spec.template.system.driving_part()
-    begin = np.array([a.lanes[orbit_name(name)][samples, start] for name in scene.return_states])
-    cycles = a.lanes["orbit_cycles"][samples, start].astype(int)
-    if cycles[0] == 1:
-        return begin.T[:, None]
-    values, _ = scene_parameters(spec, np.repeat(a.unit[None], len(samples), axis=0), a.offsets[samples])
-    return np.stack(trace_orbits(Segments(scene), {n: values[n] for n in scene.parameters()}, begin, cycles).states)
-
-
-def scene_parameters(
-    spec: DesignSpec, unit: Points, offsets: Offsets
-) -> tuple[dict[str, np.ndarray], dict[str, Float[np.ndarray, "lanes varied"]]]:
-    """Return the scene's parameters of points, and the derivatives of those that depend on the unit box."""
-    scene, columns = spec.template.system, spec.columns(unit, offsets)
-
-    def resolved(changed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        values = with_substitutes(scene, spec.template.parameters | columns | changed)
-        return {name: np.broadcast_to(values[name], len(unit)) for name in scene.parameters()}
-
-    values = {name: np.array(x, float) for name, x in resolved({}).items()}
-    chain = {name: np.zeros(unit.shape) for name in values}
-    for k, name in enumerate(spec.varied):
-        step = 1j * COMPLEX_STEP * (spec.high[k] - spec.low[k])
-        for parameter, x in resolved({name: columns[name] + step}).items():
-            chain[parameter][:, k] = np.imag(x) / COMPLEX_STEP
-    return values, {name: slope for name, slope in chain.items() if slope.any()}
 
 
 class Search:
