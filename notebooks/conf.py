@@ -64,7 +64,7 @@ nitpick_ignore_regex = [
     ("py:.*", r"(?!vibrojax\.).*"),
     (
         "py:.*",
-        r"vibrojax\.(physics\.arrays|maps\.(executor|slurm|work)|systems\.numbers|stepping\.series)\..*|.*\.[A-Z]",
+        r"vibrojax\.(physics\.arrays|maps\.(executor|slurm)|lanes\.inputs|systems\.numbers|stepping\.series)\..*|.*\.[A-Z]",
     ),
 ]
 """Types in signatures: those of others, whose sites are not asked, and aliases and type variables."""

@@ -21,7 +21,7 @@ from vibrojax.compile.xla import workers
 from vibrojax.lanes.agreement import Comparison, lanes_of, scene_subject
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.engine import Batch, Engine
-from vibrojax.lanes.programs import Kind
+from vibrojax.lanes.programs import ProgramKey
 from vibrojax.measures import recorder_for
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.scenes.penetration import PULSE_SHAPES
@@ -136,7 +136,7 @@ SELECT = elementwise.COMPOSED["select_n"]
 
 
 def compare_kernel(scene, derives=False):
-    kind = Kind(scene, vj.Located(), recorder_for(scene), scene.starts)
+    kind = ProgramKey(scene, vj.Located(), recorder_for(scene), scene.starts)
     return Comparison(kind, lanes_of(kind, ()), derives).difference()
 
 
@@ -367,7 +367,7 @@ class ForeignStepper(vj.Located):
 def test_foreign_code_is_recognised(scene, foreign):
     """Scenes, laws, gauges and steppers from outside the package are foreign."""
     scene, stepper = (VibroImpact(), scene) if isinstance(scene, ForeignStepper) else (scene, vj.Located())
-    assert is_foreign(Kind(scene, stepper, recorder_for(scene), scene.starts)) == foreign
+    assert is_foreign(ProgramKey(scene, stepper, recorder_for(scene), scene.starts)) == foreign
 
 
 SOUND_SCENES = [

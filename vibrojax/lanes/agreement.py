@@ -25,7 +25,7 @@ from vibrojax.compile.agreement import Difference, first_difference, take_lanes
 from vibrojax.compile.assembly import LANES
 from vibrojax.compile.native import Kernel
 from vibrojax.errors import InputError
-from vibrojax.lanes.programs import Given, Kind, constants_of, state_of
+from vibrojax.lanes.programs import LaneArguments, ProgramKey, constants_of, state_of
 from vibrojax.measures import recorder_for
 from vibrojax.scenes import Scene
 from vibrojax.stepping import Accuracy, AccuracyRequest, Goal, Lane, Located, Stepper, lane_at
@@ -73,7 +73,7 @@ class Read(NamedTuple):
     features: Any
 
 
-def begin(kind: Kind, given: Given) -> Beginning:
+def begin(kind: ProgramKey, given: LaneArguments) -> Beginning:
     """Return lanes at t = 0, without recorder values if the scene cannot be measured."""
     scene, recorder, c = kind.scene, kind.recorder, constants_of(kind, given)
     lane = lane_at(scene, c, state_of(kind, scene.constants(given.parameters), given))
@@ -84,7 +84,7 @@ def begin(kind: Kind, given: Given) -> Beginning:
 
 
 def step(
-    kind: Kind, derives: bool, given: Given, c: Any, way: LaneProgress, accuracy: Accuracy, event: Any
+    kind: ProgramKey, derives: bool, given: LaneArguments, c: Any, way: LaneProgress, accuracy: Accuracy, event: Any
 ) -> ComparedStep:
     """Compute one step of lanes with the constants `c`, and its derivative if `derives`.
 
@@ -116,7 +116,7 @@ def step(
     return ComparedStep(guards, jump, derivative, after)
 
 
-def read(kind: Kind, c: Any, observed: Any) -> Read:
+def read(kind: ProgramKey, c: Any, observed: Any) -> Read:
     """Return the features of lanes. A trajectory reads them by a kernel with the same text."""
     return Read(kind.recorder.read(kind.scene, c, observed))
 
@@ -128,7 +128,7 @@ class Comparison:
     made.
     """
 
-    def __init__(self, kind: Kind, given: Given, derives: bool) -> None:
+    def __init__(self, kind: ProgramKey, given: LaneArguments, derives: bool) -> None:
         dtype = np.dtype(jnp.result_type(float))
         accuracy = kind.stepper.accuracy(AccuracyRequest(precision=dtype.name), kind.scene)
         lanes = np.resize(np.arange(min(COMPARED_LANES, len(given.start))), COMPARED_LANES)
@@ -167,14 +167,14 @@ class Comparison:
 
 
 def scene_subject(static: tuple[Hashable, ...], arguments: tuple[Any, ...], derives: bool) -> Subject | None:
-    """Return the scene of a call as subject of a comparison, or None if no static argument is a scene or a `Kind`."""
-    kind = next((x for x in static if isinstance(x, Kind)), None)
+    """Return the scene of a call as subject of a comparison, or None if no static argument has a scene."""
+    kind = next((x for x in static if isinstance(x, ProgramKey)), None)
     if kind is None:
         scene = next((x for x in static if isinstance(x, Scene)), None)
         if scene is None:
             return None
         stepper = next((x for x in static if isinstance(x, Stepper)), Located())
-        kind = Kind(scene, stepper, recorder_of(scene), scene.starts)
+        kind = ProgramKey(scene, stepper, recorder_of(scene), scene.starts)
     return Subject(
         owner=kind.scene,
         label=f'scene "{kind.scene.name}"',
@@ -193,13 +193,13 @@ def recorder_of(scene: Scene[Any]) -> Any:
         return None
 
 
-def lanes_of(kind: Kind, arguments: tuple[Any, ...]) -> Given:
+def lanes_of(kind: ProgramKey, arguments: tuple[Any, ...]) -> LaneArguments:
     """Return lanes on which to compare a call: those among its arguments.
 
     If there are none, the lanes have the parameters among the arguments, or else values near the defaults, and the
     scene's initial conditions in turn.
     """
-    given = next((x for x in arguments if isinstance(x, Given)), None)
+    given = next((x for x in arguments if isinstance(x, LaneArguments)), None)
     if given is not None:
         return given
     dtype, lanes = jnp.result_type(float), np.arange(COMPARED_LANES)
@@ -211,4 +211,4 @@ def lanes_of(kind: Kind, arguments: tuple[Any, ...]) -> Given:
     else:
         values = {name: np.resize(np.asarray(known[name]), COMPARED_LANES) for name in parameters}
     starts = lanes % max(len(kind.starts), 1)
-    return Given({name: x.astype(dtype) for name, x in values.items()}, starts.astype(np.int32))
+    return LaneArguments({name: x.astype(dtype) for name, x in values.items()}, starts.astype(np.int32))

@@ -15,7 +15,7 @@ from vibrojax.compile.agreement import check
 from vibrojax.compile.native import BoundKernel, Kernel
 from vibrojax.compile.xla import BoundProgram, compiler_options, evaluation
 from vibrojax.lanes.agreement import scene_subject
-from vibrojax.lanes.programs import Kind, settle_lanes
+from vibrojax.lanes.programs import ProgramKey, settle_lanes
 from vibrojax.physics import elementary
 
 R = TypeVar("R")
@@ -48,7 +48,7 @@ def lane_function(static: int, derives: bool = False) -> Callable[[Callable[...,
 
 
 class Programs:
-    """Compiled programs of one `Kind`. They take and return arrays whose last axis is the lane axis, of any length.
+    """Compiled programs with one `ProgramKey`, of arrays of any length whose last axis is the lane axis.
 
     The programs are kernels for the CPU, which raise `Untranslatable` if no kernel can be made or trusted, or compiled
     by XLA for the devices of a `platform`, such as "cpu".
@@ -58,7 +58,7 @@ class Programs:
     - `compiler`: name of the compiler.
     """
 
-    def __init__(self, kind: Kind, dtype: np.dtype, platform: str | None = None) -> None:
+    def __init__(self, kind: ProgramKey, dtype: np.dtype, platform: str | None = None) -> None:
         self.kind, self._dtype, self._platform = kind, dtype, platform
         self._kernels: dict[Hashable, Kernel] = {}
         self.compiler = "llvm" if platform is None else "xla"

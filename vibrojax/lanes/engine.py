@@ -23,15 +23,15 @@ from vibrojax.lanes.compiler import Programs
 from vibrojax.lanes.inputs import Features, Index, LaneInputs, Mask, PerLane, Report, unreported
 from vibrojax.lanes.programs import (
     CARRIED,
-    Given,
-    Kind,
+    LaneArguments,
+    ProgramKey,
     lanes_on_orbit,
     observe_lanes,
     settle_lanes,
     start_lanes,
 )
 from vibrojax.lanes.threads import by_drivers, in_parallel
-from vibrojax.measures.recorder import Effort, Records, Underway
+from vibrojax.measures.recorder import Effort, LaneState, Records
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes import Scene
 from vibrojax.scenes.declared import Values
@@ -55,10 +55,10 @@ class Batch:
 
     accuracy: Accuracy
     lanes: Index
-    given: Given
+    given: LaneArguments
     begin: PerLane
     duration: PerLane
-    underway: Underway | None
+    underway: LaneState | None
     recent: Int[np.ndarray, " lanes"]
 
     def of(self, lanes: Index) -> "Batch":
@@ -109,14 +109,14 @@ class Engine:
         self.accelerated = workers[0].platform != "cpu"
         self.most_steps = LANE_MAX_STEPS
         self._dtype = np.dtype(run.precision)
-        kind = Kind(scene, stepper, recorder, start_names, run.carry is not None)
+        kind = ProgramKey(scene, stepper, recorder, start_names, run.carry is not None)
         self.programs = Programs(kind, self._dtype, workers[0].platform if self.accelerated else None)
 
-    def given(self, inputs: LaneInputs) -> Given:
+    def given(self, inputs: LaneInputs) -> LaneArguments:
         """Return parameters and initial conditions of lanes, in the precision of the run."""
         parameters: dict[str, Array] = {name: x.astype(self._dtype) for name, x in inputs.parameters.items()}
         states = tuple(x.astype(self._dtype) for x in inputs.states)
-        return Given(parameters, inputs.start.astype(np.int32), states)
+        return LaneArguments(parameters, inputs.start.astype(np.int32), states)
 
     def start(self, inputs: LaneInputs, accuracy: Accuracy) -> Batch:
         """Return lanes at t = 0."""
@@ -139,7 +139,7 @@ class Engine:
     def begun(self, batch: Batch) -> Batch:
         """Return the lanes at t = 0, in their initial states."""
         lane, carry = self._run([batch], lambda batch: self.programs.bind(start_lanes, batch.given))[0]
-        return replace(batch, underway=Underway(lane, carry, np.zeros_like(batch.recent)))
+        return replace(batch, underway=LaneState(lane, carry, np.zeros_like(batch.recent)))
 
     def on_orbit(self, batch: Batch, state: Values, states: Array, times: Array, period: PerLane) -> Batch:
         """Return the lanes at t = 0 at the intersection of a periodic orbit with the section, see `lanes_on_orbit`."""
@@ -147,7 +147,7 @@ class Engine:
             self.workers[0],
             lambda: self.programs.bind(lanes_on_orbit, batch.given, state, states, times, period).whole(),
         )
-        return replace(batch, underway=Underway(lane, carry, np.zeros(len(batch.begin), np.int32)))
+        return replace(batch, underway=LaneState(lane, carry, np.zeros(len(batch.begin), np.int32)))
 
     def settle(self, batches: list[Batch], until: float = np.inf, report: Report = unreported) -> list[Batch]:
         """Return the lanes at the time `until` [s], or at the beginning of their observation if that is earlier.

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 from vibrojax.measures.recorder import (
     Effort,
     Features,
+    LaneState,
     Recorder,
     Records,
-    Underway,
     observe_block,
     settle_block,
     start_block,
@@ -21,7 +21,7 @@ from vibrojax.scenes.declared import Values
 from vibrojax.stepping import Lane, Stepper, lane_at
 
 
-class Kind(NamedTuple):
+class ProgramKey(NamedTuple):
     """The static arguments of programs: `starts` are names of initial conditions.
 
     `tells_end`: True if the final states of observed lanes are returned as a feature.
@@ -35,13 +35,13 @@ class Kind(NamedTuple):
 
 
 CARRIED = -1
-"""Value of `Given.start` for a lane that begins in the final state of another lane."""
+"""Value of `LaneArguments.start` for a lane that begins in the final state of another lane."""
 
 END = "end_state"
 """Name of the feature that holds a lane's final state: (states, lanes)."""
 
 
-class Given(NamedTuple):
+class LaneArguments(NamedTuple):
     """Parameters and initial condition of each lane, arrays (lanes,).
 
     `start`: index of the initial condition in the names, the number of names for `states`, or `CARRIED` for `carried`,
@@ -54,14 +54,14 @@ class Given(NamedTuple):
     carried: tuple[Lanes, ...] = ()
 
 
-def start_lanes(kind: Kind, given: Given) -> tuple[Lane, Any]:
+def start_lanes(kind: ProgramKey, given: LaneArguments) -> tuple[Lane, Any]:
     """Return the lanes and the values of their recorder at t = 0."""
     constants = kind.scene.constants(given.parameters)
     return start_block(kind.scene, kind.recorder, constants, state_of(kind, constants, given))
 
 
 def lanes_on_orbit(
-    kind: Kind, given: Given, state: Values, states: Array, times: Array, period: Lanes
+    kind: ProgramKey, given: LaneArguments, state: Values, states: Array, times: Array, period: Lanes
 ) -> tuple[Lane, Any]:
     """Return the lanes and the values of their recorder at t = 0, with all states given on the section of an orbit.
 
@@ -73,13 +73,15 @@ def lanes_on_orbit(
     return lane, on_orbit(carry, states, times, period) if isinstance(kind.recorder, Recorder) else carry
 
 
-def settle_lanes(kind: Kind, given: Given, underway: Underway, until: Lanes, effort: Effort) -> Underway:
+def settle_lanes(
+    kind: ProgramKey, given: LaneArguments, underway: LaneState, until: Lanes, effort: Effort
+) -> LaneState:
     """Return the lanes at the times `until` [s]; see `settle_block`."""
     return settle_block(kind.scene, kind.stepper, kind.recorder, constants_of(kind, given), underway, until, effort)
 
 
 def observe_lanes(
-    kind: Kind, given: Given, underway: Underway, begin: Lanes, duration: Lanes, effort: Effort
+    kind: ProgramKey, given: LaneArguments, underway: LaneState, begin: Lanes, duration: Lanes, effort: Effort
 ) -> Features:
     """Return features by name, (lanes,), or (returns, lanes) for the last section crossings; see `observe_block`."""
     constants = constants_of(kind, given)
@@ -89,13 +91,13 @@ def observe_lanes(
     return features | ({END: jnp.stack(lane.state)} if kind.tells_end else {})
 
 
-def constants_of(kind: Kind, given: Given) -> Any:
+def constants_of(kind: ProgramKey, given: LaneArguments) -> Any:
     """Return the scene's constants for a motion from each lane's initial state."""
     constants = kind.scene.constants(given.parameters)
     return kind.scene.scaled(constants, state_of(kind, constants, given))
 
 
-def state_of(kind: Kind, constants: Any, given: Given) -> Values:
+def state_of(kind: ProgramKey, constants: Any, given: LaneArguments) -> Values:
     """Return the state of each lane at t = 0. A scene without named initial conditions has a default state."""
     start = given.start
     starts = (*kind.starts, *((given.states,) if given.states else ())) or (None,)

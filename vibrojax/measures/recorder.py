@@ -204,7 +204,7 @@ class Effort(NamedTuple):
     most_steps: Any
 
 
-class Underway(NamedTuple):
+class LaneState(NamedTuple):
     """A block of lanes between two programs: the lanes, the recorder's carry, and the number of steps since t = 0."""
 
     lane: Lane
@@ -222,8 +222,8 @@ def start_block(scene: Scene[Any], recorder: Records, c: Any, state: Values) -> 
 
 
 def settle_block(
-    scene: Scene[Any], stepper: Stepper, recorder: Records, c: Any, begun: Underway, until: Lanes, effort: Effort
-) -> Underway:
+    scene: Scene[Any], stepper: Stepper, recorder: Records, c: Any, begun: LaneState, until: Lanes, effort: Effort
+) -> LaneState:
     """Return the lanes at the times `until` [s] (lanes,).
 
     `c`: the scene's constants after `Scene.scaled` for the initial state.
@@ -241,7 +241,7 @@ def observe_block(
     stepper: Stepper,
     recorder: Records,
     c: Any,
-    begun: Underway,
+    begun: LaneState,
     begin: Lanes,
     duration: Lanes,
     effort: Effort,
@@ -288,19 +288,19 @@ def run_block(
     c = scene.scaled(c, state)
     none = jnp.zeros_like(state[0])
     begin, duration = none + settle, none + observe
-    begun = settle_block(scene, stepper, recorder, c, Underway(lane, carry, none), begin, effort)
+    begun = settle_block(scene, stepper, recorder, c, LaneState(lane, carry, none), begin, effort)
     return observe_block(scene, stepper, recorder, c, begun, begin, duration, effort)[1]
 
 
 def _run(
-    begun: Underway,
+    begun: LaneState,
     end: Lanes,
     effort: Effort,
     steps_per_turn: int,
     step: Callable[[Lane, Any, Goal], tuple[Lane, Any]],
     turn: Callable[[Any, Lane], Any],
     moves: Callable[[Any], Flags | bool] = lambda carry: True,
-) -> Underway:
+) -> LaneState:
     """Step every lane to its `end` with `step`, and update the recorder's carry with `turn` every few steps.
 
     `moves` returns a mask of the lanes that do not wait for `turn`.
@@ -309,16 +309,16 @@ def _run(
     def active(lane: Lane) -> Flags:
         return lane.clock.until(end) > 0  # false for NaN
 
-    def advance(_: Any, now: Underway) -> Underway:
+    def advance(_: Any, now: LaneState) -> LaneState:
         moving = active(now.lane) & moves(now.carry) & (now.steps < effort.most_steps)
         lane, carry = step(now.lane, now.carry, Goal(end, moving))
-        return Underway(lane, carry, jnp.where(moving, now.steps + 1, now.steps))
+        return LaneState(lane, carry, jnp.where(moving, now.steps + 1, now.steps))
 
-    def several(now: Underway) -> Underway:
+    def several(now: LaneState) -> LaneState:
         lane, carry, steps = jax.lax.fori_loop(0, steps_per_turn, advance, now)
-        return Underway(lane, turn(carry, lane), steps)
+        return LaneState(lane, turn(carry, lane), steps)
 
-    def continues(now: Underway) -> Array:
+    def continues(now: LaneState) -> Array:
         return jnp.any(active(now.lane) & (now.steps < effort.most_steps))
 
     return jax.lax.while_loop(continues, several, begun)

@@ -10,7 +10,7 @@ from vibrojax.lanes.inputs import Features, Index, LaneInputs
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.repeats import REPEATS_WITHIN, TIME, state_name
 from vibrojax.measures.since_start import half_names, scale_names, stored_scales
-from vibrojax.periodic.margin import GRAZING, HOW, Begun, Measuring, begun, joined
+from vibrojax.periodic.margin import GRAZING, HOW, Measuring, OrbitStart, begun, joined
 from vibrojax.periodic.newton import (
     ACCEPTED,
     MIN_RELATIVE_SWING,
@@ -91,7 +91,7 @@ class Orbits:
         }
         result |= {name: features[name].copy() for name in ("drift_estimate",) if name in features}
         parameters = inputs.driving_parameters
-        parts: list[Begun] = []
+        parts: list[OrbitStart] = []
         with np.errstate(all="ignore"):
             if self._scene.section is None:
                 features = features | _repeats_under_pulses(self._scene, features, self._map.of(parameters))
@@ -105,7 +105,7 @@ class Orbits:
 
     def _find(
         self, lanes: Index, repeat: int, parameters: dict[str, np.ndarray], features: Features, result: Features
-    ) -> Begun:
+    ) -> OrbitStart:
         """Enter the orbits of `lanes`, of `repeat` crossings per period, in `result`; return those to be measured."""
         guess, scale = last_returns(self._scene, lanes, repeat, features)
         drift = features["drift_estimate"][lanes]
@@ -155,13 +155,13 @@ class Orbits:
         for name in ("multiplier_abs", "multiplier_arg", "grazing_margin", *states):
             result[name][lanes] = np.nan
 
-    def _measured(self, inputs: LaneInputs, orbit: Begun, own: Features, result: Features) -> Features:
+    def _measured(self, inputs: LaneInputs, orbit: OrbitStart, own: Features, result: Features) -> Features:
         """Return the chunk's features, measured on the orbits; remove orbits that the measurement contradicts."""
         if not len(orbit.lanes):
             return {}
         columns = [x[orbit.lanes] for x in inputs.parameters.values()]
         distinct, of_lane = _distinct([orbit.state.T, orbit.steps, *columns])
-        measures, whole = self._measure(inputs, Begun(*(x[..., distinct] for x in orbit)))
+        measures, whole = self._measure(inputs, OrbitStart(*(x[..., distinct] for x in orbit)))
         measures, whole = {name: x[of_lane] for name, x in measures.items()}, whole[of_lane]
         if "impacts" in own:
             whole &= np.abs(measures["impacts"] * orbit.cycles - own["impacts"][orbit.lanes]) < 0.5

@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.compile.xla import workers
 from vibrojax.lanes.engine import Batch, Engine
 from vibrojax.lanes.inputs import Features, Index, LaneInputs, PerLane
-from vibrojax.lanes.programs import Given
+from vibrojax.lanes.programs import LaneArguments
 from vibrojax.measures import recorder_for
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.physics.arrays import Array, Flags, Lanes
@@ -190,7 +190,7 @@ DRIVEN_RETURNS = 4
 """Section crossings after which a driven part has settled on the motion that the orbit imposes."""
 
 
-class Begun(NamedTuple):
+class OrbitStart(NamedTuple):
     """Initial conditions of lanes on their orbits, at the section; the last axis of all arrays is the lane.
 
     - `lanes`: indices in their chunk; `state`: state of the return map; `cycles`: section crossings per period.
@@ -216,22 +216,22 @@ def begun(
     states: Float[np.ndarray, "lanes cycles states"],
     times: Float[np.ndarray, "lanes cycles"],
     steps: PerLane,
-) -> Begun:
+) -> OrbitStart:
     """Return initial conditions at the first of the `states` of each orbit; `times`: time to the next state [s]."""
     cycles, length = states.shape[1], times.sum(axis=1)
     ago = np.concatenate([np.zeros((len(lanes), 1)), np.cumsum(times[:, ::-1], axis=1)], axis=1)
     when = [-(ago[:, k % cycles] + (k // cycles) * length) for k in range(MOST_CYCLES)]
     past = np.moveaxis(states[:, -np.arange(MOST_CYCLES) % cycles], 0, -1)
     between = times[:, 0], times[:, 1 % cycles], times[:, -1]
-    return Begun(lanes, states[:, 0].T, past, np.stack(when), np.full(len(lanes), cycles), steps, length, *between)
+    return OrbitStart(lanes, states[:, 0].T, past, np.stack(when), np.full(len(lanes), cycles), steps, length, *between)
 
 
-def joined(parts: list[Begun]) -> Begun:
+def joined(parts: list[OrbitStart]) -> OrbitStart:
     """Concatenate the lanes of all `parts`."""
-    return Begun(*(np.concatenate(fields, axis=-1) for fields in zip(*parts, strict=True)))
+    return OrbitStart(*(np.concatenate(fields, axis=-1) for fields in zip(*parts, strict=True)))
 
 
-def observation(scene: Scene[Any], begun: Begun) -> tuple[PerLane, PerLane, str]:
+def observation(scene: Scene[Any], begun: OrbitStart) -> tuple[PerLane, PerLane, str]:
     """Return settling time [s], duration [s], and the name of the feature that counts section crossings (or pulses).
 
     The observation covers one period of the orbit. It ends between two section crossings, so that rounding errors do
@@ -256,12 +256,12 @@ class Measuring:
         recorder = recorder_for(scene, run.keep_returns)
         self._engine = Engine(scene, exact, start_names, Located(), recorder, workers())
 
-    def __call__(self, inputs: LaneInputs, begun: Begun) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
+    def __call__(self, inputs: LaneInputs, begun: OrbitStart) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
         """Measure some of the lanes, see `of`."""
         return self.of(self._engine.given(inputs), begun)
 
     def of(
-        self, given: Given, begun: Begun, steps: Accuracy = ORBIT_ACCURACY
+        self, given: LaneArguments, begun: OrbitStart, steps: Accuracy = ORBIT_ACCURACY
     ) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
         """Return the features over one period, and a mask of lanes with the expected number of section crossings.
 

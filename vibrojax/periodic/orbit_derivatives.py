@@ -21,7 +21,7 @@ from vibrojax.lanes.labels import measured_besides
 from vibrojax.measures import PulseRecorder, Recorder, recorder_for
 from vibrojax.measures.derived import HOLE_RADIUS
 from vibrojax.measures.derived import derived as derived_quantities
-from vibrojax.measures.recorder import Effort, Underway, observe_block, settle_block
+from vibrojax.measures.recorder import Effort, LaneState, observe_block, settle_block
 from vibrojax.measures.repeats import KeptReturns
 from vibrojax.measures.section import on_orbit
 from vibrojax.periodic.margin import begun, observation
@@ -203,7 +203,7 @@ def _of_multiplier(name: str, alike: Bool[np.ndarray, "lanes states"]) -> Bool[n
 
 
 class _OnOrbit(NamedTuple):
-    """Inputs of a motion on an orbit; the last axis is the lane. See [vibrojax.periodic.margin.Begun][]."""
+    """Inputs of a motion on an orbit; the last axis is the lane. See [vibrojax.periodic.margin.OrbitStart][]."""
 
     parameters: dict[str, Lanes]
     state: Array
@@ -233,7 +233,7 @@ def _features(scene: Scene[Any], on: _OnOrbit, past: Array, settle: Lanes, obser
     carry = recorder.settling(scene, lane)
     if isinstance(recorder, Recorder):
         carry = on_orbit(carry, past, on.when, on.period)
-    underway = Underway(*with_derivatives((lane, carry)), zero)
+    underway = LaneState(*with_derivatives((lane, carry)), zero)
     underway = settle_block(scene, Located(), recorder, c, underway, settle, effort)
     _, features = observe_block(scene, Located(), recorder, c, underway, settle, observe, effort)
     if "impacts" in features:  # per section crossing, because the observation is too short to detect a repeat

@@ -143,14 +143,14 @@ def square(x: Any) -> Any:
     return 1.0 - 2.0 * (half - 2.0 * jnp.floor(0.5 * half))
 
 
-def raised(x: Any, exponent: Any) -> Any:
+def integer_power(x: Any, exponent: Any) -> Any:
     """Return `x**exponent` for number types other than arrays; a natural exponent admits every sign of `x`."""
     if exponent == 1:
         return x
     if isinstance(exponent, int) and exponent >= 2:
-        half = raised(x, exponent // 2)
+        half = integer_power(x, exponent // 2)
         square = half * half
         return square * x if exponent % 2 else square
     if isinstance(exponent, int) and exponent < 0:
-        return 1.0 / raised(x, -exponent)
+        return 1.0 / integer_power(x, -exponent)
     return power(x, exponent)

@@ -22,7 +22,7 @@ from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FrictionLaw
 from vibrojax.scenes import Scene
 from vibrojax.settings.run_settings import RunSettings
-from vibrojax.settings.values import number
+from vibrojax.settings.values import require_number
 from vibrojax.stepping import Stepper
 
 _PACKAGE = Path(__file__).parents[1]
@@ -177,7 +177,7 @@ def plain(place: Place, value: object) -> object:
     if isinstance(value, PurePath):
         return str(value)
     if isinstance(value, int) and not isinstance(value, bool):
-        number(place, value)  # rejects numbers with thousands of digits, which Python cannot format
+        require_number(place, value)  # rejects numbers with thousands of digits, which Python cannot format
     if isinstance(value, (bool, int, float, str, *_OBJECTS)):
         return value
     raise place.error(f"{shown(value)} cannot stand in a sweep; write a number, text, a list or a table")

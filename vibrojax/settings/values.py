@@ -32,7 +32,7 @@ _RANGE_ADVICE = {
 _AXIS_EXAMPLE = "write a list like [0.3, 0.4], or { start = 0.3, stop = 0.6, num = 7 }"
 
 
-def number(place: Place, value: object, unit: str = "") -> float:
+def require_number(place: Place, value: object, unit: str = "") -> float:
     """Return `value` as a float, which may be NaN or infinite; raise if it is not a number, like true or "0.4".
 
     `unit`: the parameter's unit, for the message in case that `value` is a string with a number and a unit.
@@ -55,7 +55,7 @@ def number(place: Place, value: object, unit: str = "") -> float:
 
 def quantity(place: Place, value: object, parameter: Parameter) -> float:
     """Return `value` as a float; raise if it is not admissible for `parameter`."""
-    checked = number(place, value, parameter.unit)
+    checked = require_number(place, value, parameter.unit)
     problem = parameter.problem(checked)
     if problem is not None:
         raise place.error(problem)

@@ -143,7 +143,7 @@ class Series:
         return Series(other, {}) / self
 
     def __pow__(self, exponent: "Value | int") -> "Series":
-        return elementary.raised(self, exponent)
+        return elementary.integer_power(self, exponent)
 
     def __abs__(self) -> "Series":
         return elementary.absolute(self)

@@ -24,7 +24,7 @@ from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.units import factor
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import plain, read_source
-from vibrojax.settings.values import as_table, choice, count, known_keys, number
+from vibrojax.settings.values import as_table, choice, count, known_keys, require_number
 from vibrojax.studies.calibration_history import VELOCITY, History
 
 CONSTANT = "C"
@@ -233,7 +233,7 @@ def _read_history(
         pair, there = plain(here, table["window"]), here.at("window")
         if not isinstance(pair, list) or len(pair) != 2:
             raise there.error(f"{shown(pair)} is not a pair of times [s]; write [0.0, 0.5]")
-        begin, end = (number(there.item(k), end) for k, end in enumerate(pair))
+        begin, end = (require_number(there.item(k), end) for k, end in enumerate(pair))
     inside = (x["time"] >= begin) & (x["time"] <= end) & np.isfinite(x[VELOCITY])
     x = {name: column[inside] for name, column in x.items()}
     size = len(x["time"])
@@ -325,7 +325,7 @@ def _read_unknown(
         here = place.at(CONSTANT)
         if not isinstance(own, list) or len(own) != 2:
             raise here.error(f"{shown(own)} is not a pair of a least and a greatest value [m/s]; write [1e-4, 1e-2]")
-        low, high = (number(here.item(k), end) for k, end in enumerate(own))
+        low, high = (require_number(here.item(k), end) for k, end in enumerate(own))
         if not 0 < low < high:
             raise here.error(f"{shown(own)} is no interval above 0")
         bounds[CONSTANT] = (low, high)
@@ -414,7 +414,7 @@ def _read_errors(
         own = columns.get(f"{name}_error")
         if own is None and name not in table:
             continue
-        errors[name] = np.broadcast_to(number(place.at(name), table[name]), x.shape) if own is None else own
+        errors[name] = np.broadcast_to(require_number(place.at(name), table[name]), x.shape) if own is None else own
         if not (errors[name][np.isfinite(x)] > 0).all():
             raise place.at(name).error("is not above 0 for every observation; give its standard error in SI units")
     if errors and (missing := sorted(observed.keys() - errors.keys())):
@@ -433,7 +433,7 @@ def _read_prior(
         if not isinstance(pair, list) or len(pair) != 2:
             raise place.at(name).error(f"{shown(pair)} is not a mean and a standard deviation; write [0.4, 0.05]")
         k = list(bounds).index(name)
-        mean[k], error[k] = (number(place.at(name).item(i), x) for i, x in enumerate(pair))
+        mean[k], error[k] = (require_number(place.at(name).item(i), x) for i, x in enumerate(pair))
         if not error[k] > 0:
             raise place.at(name).error(f"{error[k]:g} is not a standard deviation; it must be above 0")
     return mean, error

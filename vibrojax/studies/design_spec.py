@@ -12,12 +12,11 @@ from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.variables import Variable
 from vibrojax.lanes.scene_variables import sweep_variables
 from vibrojax.maps.bounds import MAX_TOLERANCES, read_bounds, read_points_of, read_specification
-from vibrojax.maps.read import read_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import REGIMES
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import read_source
-from vibrojax.settings.values import as_table, choice, count, flag, known_keys, number
+from vibrojax.settings.values import as_table, choice, count, flag, known_keys, require_number
 
 DRAWN_BOX = 1.04
 """Size of the box from which verification draws, relative to the tolerances: what holds there holds in the box."""
@@ -126,7 +125,7 @@ class DesignSpec:
 
     def sweep(self, columns: Mapping[str, np.ndarray]) -> Sweep:
         """Return the sweep of points, from every start."""
-        return read_sweep(self.tables | {"points": {name: x.tolist() for name, x in columns.items()}})
+        return replace(self.template, points=dict(columns))
 
     def identity(self) -> dict[str, object]:
         """Return all settings on which the result depends, as flat JSON values."""
@@ -210,7 +209,7 @@ def _read_tolerances(
     widths, fixed = {}, {}
     for name, given in table.items():
         about = names.parameter(place.at(name), name)
-        width = number(place.at(name), given)
+        width = require_number(place.at(name), given)
         if not (np.isfinite(width) and width > 0):
             raise place.at(name).error(f"{shown(given)} is not a half-width above zero")
         if name in low:
@@ -256,7 +255,7 @@ def _read_ends(place: Place, entry: object) -> dict[str, float]:
     if not isinstance(entry, dict) or not entry:
         raise place.error(f"{shown(entry)} is not a limit; write {{ least = ... }}, {{ most = ... }} or both")
     known_keys(place, entry, _ENDS, {"min": "write least", "max": "write most"})
-    ends = {end: number(place.at(end), entry[end]) for end in _ENDS if end in entry}
+    ends = {end: require_number(place.at(end), entry[end]) for end in _ENDS if end in entry}
     for end, limit in ends.items():
         if not np.isfinite(limit):
             raise place.at(end).error(f"{limit:g} is not a finite limit; leave it out")
@@ -288,7 +287,7 @@ def _read_front(
         raise place.error("from and to belong together; give both or neither")
     span = None
     if "from" in table:
-        span = number(place.at("from"), table["from"]), number(place.at("to"), table["to"])
+        span = require_number(place.at("from"), table["from"]), require_number(place.at("to"), table["to"])
         if not (np.all(np.isfinite(span)) and span[0] != span[1]):
             raise place.at("from").error(f"{span[0]:g} to {span[1]:g} is no interval")
     end = next((c.end for c in constraints if c.variable == against), "most")

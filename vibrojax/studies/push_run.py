@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,11 @@ from jaxtyping import Float, Int
 from vibrojax.errors import Place
 from vibrojax.io.variables import VARIABLES, orbit_name
 from vibrojax.maps.dataset import shared_attributes
-from vibrojax.maps.points import VECTOR
-from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_sweep
 from vibrojax.measures.labels import EQUILIBRIUM, IRREGULAR, UNDECIDED
 from vibrojax.periodic.known_orbits import KnownOrbits, known_orbits, why_no_orbit
+from vibrojax.periodic.lane_stages import plan_of, run_lanes
+from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.studies.attractor_grouping import is_on_orbit
 from vibrojax.studies.push_spec import PRECISION, SCAN, PushSpec, push_spec
@@ -194,21 +195,28 @@ class _Search:
 
         **Returns:** for each motion, whether it returns to its cycle, whether it leaves the cycle, and its regime.
         """
-        sweep, tables = self._spec.sweep, self._spec.tables
-        columns = {name: np.array(x)[self._points[point]].tolist() for name, x in self._spec.columns.items()}
-        columns |= {f"{VECTOR}{name}": x.tolist() for name, x in zip(sweep.system.start_states, begin.T, strict=True)}
-        run = tables["run"] | {"settle": factor * tables["run"]["settle"]}
-        dataset = run_sweep(read_sweep(tables | {"points": columns, "run": run}), progress=self._progress)
+        sweep = self._spec.sweep
+        run = replace(sweep.run, settle=factor * sweep.run.settle)
+        inputs = replace(
+            sweep.inputs_of(self._points[point]),
+            run=run,
+            start=np.zeros(len(point), int),
+            start_names=(),
+            states=tuple(begin.T),
+        )
+        plan = plan_of(inputs.scene, run, len(point), len(point) / len(np.unique(point)))
+        with Progress(len(point), "lanes", self._progress) as bar:
+            found = run_lanes(inputs, plan, bar.add).variables
         names = map(orbit_name, sweep.system.driving_part().return_states)
-        orbits = np.stack([dataset[name].values for name in names], axis=1)
-        regime = dataset["regime"].values.astype(int)
+        orbits = np.stack([found[name] for name in names], axis=1)
+        regime = found["regime"].astype(int)
         returned = np.zeros(len(point), bool)
         for number, (states, scales) in enumerate(zip(self._orbits.states, self._orbits.scales, strict=True)):
-            lanes = np.flatnonzero((point == number) & (dataset["orbit_cycles"].values == len(states)))
+            lanes = np.flatnonzero((point == number) & (found["orbit_cycles"] == len(states)))
             returned[lanes] = is_on_orbit(orbits[lanes], states, scales)
-        on_another = np.isfinite(orbits).all(axis=1) & (dataset["stable"].values != 0) & (regime != UNDECIDED)
+        on_another = np.isfinite(orbits).all(axis=1) & (found["stable"] != 0) & (regime != UNDECIDED)
         # An irregular motion near an orbit may still converge to this orbit: it has neither returned nor left.
-        irregular = (regime == IRREGULAR) & (dataset["nearby_cycles"].values == 0)
+        irregular = (regime == IRREGULAR) & (found["nearby_cycles"] == 0)
         return returned, ~returned & (on_another | irregular | (regime == EQUILIBRIUM)), regime
 
 

@@ -19,13 +19,12 @@ SCAN, PRECISION = 256, 1e-3
 class PushSpec:
     """A checked specification.
 
-    - `sweep`: sweep with one lane per working cycle; `tables`: its sweep file as tables, without points.
+    - `sweep`: sweep with one lane per working cycle.
     - `columns`: parameter values of its points, by parameter name.
     - `most`, `scan`, `precision`: as in `smallest_push`.
     """
 
     sweep: Sweep
-    tables: dict[str, Any]
     columns: dict[str, list[Any]]
     most: dict[str, float]
     scan: int
@@ -74,4 +73,4 @@ def push_spec(
     tables: dict[str, Any] = {"scene": scene, "parameters": fixed, "run": run, "unusual": True}
     starts = [point.start if isinstance(point.start, str) else list(point.start)]
     sweep = read_sweep(tables | {"starts": starts} | ({"points": columns} if columns else {}))
-    return PushSpec(sweep, tables, columns, bounds, scan, width)
+    return PushSpec(sweep, columns, bounds, scan, width)

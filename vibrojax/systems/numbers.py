@@ -49,7 +49,7 @@ class _Number:
         return -self + other
 
     def __pow__(self, exponent: Any) -> Any:
-        return elementary.raised(self, exponent)
+        return elementary.integer_power(self, exponent)
 
     def __abs__(self) -> Any:
         return elementary.absolute(self)
