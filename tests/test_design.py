@@ -4,8 +4,10 @@ import copy
 import json
 import math
 import random
+import tomllib
 import traceback
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -146,6 +148,16 @@ def test_bundled_designs_are_as_good_as_by_other_searches(name, least):
     assert name in bundled_names("design")
     best = vj.design(name, progress=False).isel(candidate=0)
     assert best.feasible == 1 and float(best.objective) >= least
+
+
+@pytest.mark.long
+def test_robust_energy():
+    """A robust design trades nominal energy for the worst case."""
+    text = (Path(__file__).parents[1] / "sweeps/designs/energy.toml").read_text()
+    tables = tomllib.loads(text)
+    best = [vj.design(tables | {"robust": robust}, progress=False).isel(candidate=0) for robust in (False, True)]
+    found = [float(x) for design in best for x in (design.objective, design.objective_worst)]
+    np.testing.assert_allclose(found, [713, 430, 694, 671], rtol=2e-3)
 
 
 SINGLE = {"regime": "single-impact"}

@@ -77,8 +77,8 @@ def test_list_of_starts_needs_no_grid():
 def test_million_starts_are_two_arrays():
     sweep = read_starts(sobol(10**6))
     assert sweep.lanes == 10**6 and sweep.starts.vectors.nbytes + sweep.starts.number.nbytes == 5 * 8 * 10**6
-    index, states = sweep.lane_starts(999_990, 10**6)
-    assert index.shape == (10,) and all(state.shape == (10,) for state in states)
+    lanes = sweep.inputs(999_990, 10**6)
+    assert lanes.start.shape == (10,) and {state.shape for state in lanes.states} == {(10,)}
     text = str(sweep.identity())
     assert len(text) < 4000 and text != str(read_starts(sobol(10**6, seed=1)).identity())
 

@@ -173,7 +173,7 @@ def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) ->
 
 
 def sweep_of(ds: xr.Dataset, own: Sweep | None = None) -> tuple[Sweep | None, str]:
-    """Return the sweep of a dataset and an empty string, or None and the reason if there is no sweep.
+    """Return the sweep of a dataset and an empty string, or None and the reason if it has none.
 
     **Raises:** `InputError` if the dataset does not have the lanes of the sweep `own`.
     """

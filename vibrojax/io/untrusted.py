@@ -57,7 +57,7 @@ def readable(path: Path) -> Iterator[Path]:
 def global_attributes(path: Path) -> dict[str, Any]:
     """Return the attributes of a dataset in a file or store.
 
-    **Raises:** `InputError` if there is no dataset, or it cannot be read.
+    **Raises:** `InputError` if no dataset is there, or it cannot be read.
     """
     if not path.exists() or not (path.is_file() or path.is_dir()):
         raise InputError(f"{path}: is not a dataset")

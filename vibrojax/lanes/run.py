@@ -197,7 +197,7 @@ class LaneRun:
         return certified(fine, check, self.stepper.error_share, least)
 
     def described(self, steps: int) -> dict[str, Any]:
-        """Return how lanes have been stepped, in all with so many `steps`, for the dataset's attribute `solver`."""
+        """Return how lanes were stepped, with the total number of `steps`, for the dataset's attribute `solver`."""
         device, cores = self.engine.workers[0], len(self.engine.workers)
         return {
             "method": self.stepper.name,

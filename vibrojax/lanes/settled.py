@@ -132,7 +132,7 @@ class StopRule(Protocol):
         """Return a mask of the lanes that deserve a closer examination, from a test of negligible cost."""
 
     def ended(self, batch: Batch) -> list[Ended]:
-        """Return those of the lanes that need no more steps."""
+        """Return the lanes that need no more steps."""
 
 
 def checkpoints(run: RunSettings, on_orbits: bool = False) -> list[list[float]]:

@@ -28,7 +28,7 @@ class _Pool:
 
 
 class _CurrentMember(threading.local):
-    """Whether the current thread is one of a pool."""
+    """A flag of the current thread: True if it is one of a pool."""
 
     within = False
 

@@ -36,7 +36,7 @@ PROGRAM_BYTES, LOOP_BYTES = 450e6, 4000.0
 """Memory for imported and compiled code, and for a lane in the time loop [bytes]."""
 
 TRIED_LANES, TRIED_RUNS = 256, 8
-"""Number of lanes that `tried` computes, in so many runs of consecutive lanes, which may share orbits."""
+"""Number of lanes that `tried` computes, and of runs of consecutive lanes among them, which may share orbits."""
 
 STEPPED_MAX_LANES = 2**40
 """Number of lanes above which a sweep is certainly rejected and its stiffness is therefore not sampled."""

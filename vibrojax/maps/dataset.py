@@ -46,7 +46,7 @@ WallTime = Callable[[float], float]
 
 
 def stored(result: LaneResult, seconds: float) -> Features:
-    """Return the arrays of a chunk that has taken so many `seconds`, of which the dataset is made."""
+    """Return the arrays of a chunk from which the dataset is made; `seconds`: computing time of the chunk."""
     return result.variables | {SECONDS: np.array(seconds), STEPS: np.array(int(result.features["steps"].sum()))}
 
 
@@ -119,7 +119,7 @@ class _Lanes:
         self.seconds, self.steps = 0.0, 0
 
     def take(self, first: int, end: int) -> Features:
-        """Return the variables of the lanes from `first` to `end` (exclusive), which follow those of the last call."""
+        """Return the variables of the lanes from `first` to `end` (exclusive), which follow the last ones."""
         parts = []
         for index in range(first // self._size, (end - 1) // self._size + 1):
             if index != self._index:

@@ -135,7 +135,7 @@ def compute_chunk(task: bytes, index: int, threads: int | None) -> Features:
 
 @lru_cache(maxsize=2)
 def _compiled(task: bytes, threads: int | None) -> tuple[Sweep, LaneRun]:
-    """Return a sweep and its run on so many `threads`, whose programs are compiled once per worker."""
+    """Return a sweep and its run on this number of `threads`; its programs are compiled once per worker."""
     sweep: Sweep = pickle.loads(task)
     inputs = sweep.inputs(*sweep.chunk(0))
     run = lane_run(inputs, sweep.plan)

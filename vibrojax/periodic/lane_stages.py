@@ -34,7 +34,7 @@ return map anyway."""
 
 
 def plan_of(scene: Scene[Any], run: RunSettings, lanes: int, starts_per_point: float = 1.0) -> Plan:
-    """Return the plan of a run of so many lanes."""
+    """Return the plan of a run; `lanes`: number of its lanes."""
     plan = Plan(lanes, starts_per_point, 0)
     usual = CHUNK_SHARING_ORBITS if _ends_on_orbits(scene, run, plan) == "shared" else CHUNK
     accelerated = workers()[0].platform != "cpu"
