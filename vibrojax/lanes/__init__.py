@@ -1,1 +1,1 @@
-"""Computation of a sweep: compiled programs that step lanes in batches and chunks."""
+"""Runs of lanes, arrays in and arrays out: compiled programs step them in batches and chunks."""

@@ -29,7 +29,7 @@ COMPARED = {*LABELLED_BY, "period", "impact_velocity", "rate_of_penetration"}
 
 
 class LaneRun:
-    """A run of lanes of one scene, by all cores. Its programs are compiled once, at its first chunk.
+    """A run of lanes of one scene on all cores. Its programs are compiled once, at its first chunk.
 
     `inputs`: lanes, which determine scene, settings and names of initial conditions; `stop`: rule by which lanes end
     before their time, besides having settled; `stages`: add features to observed lanes, in this order.
@@ -107,7 +107,7 @@ class LaneRun:
         return self._observed([batch], Portions(len(inputs), unreported))[0]
 
     def before_observation(self, inputs: LaneInputs) -> Batch:
-        """Return lanes after those steps towards their observation that main run and check run share."""
+        """Return lanes at the last checkpoint, up to which main run and check run share their steps."""
         self.compile(inputs)
         rounds = checkpoints(self.settings, self.stop is not None)
         return self._stepped(self.engine.start(inputs, self.accuracy), rounds)

@@ -28,7 +28,7 @@ from vibrojax.physics.parameters import differing, substitutes
 from vibrojax.progress import LOG, quiet
 
 REGION, REGION_BYTES = 1 << 16, 32e6
-"""Maximum number of lanes that are labelled and written together, and approximate limit on their features [bytes]."""
+"""Maximum number of lanes that are read and written together, and approximate limit on their variables [bytes]."""
 
 COMPRESSED_BYTES = 64e6
 """Size of a dataset [bytes] up to which all variables are compressed. In a larger one, flags, counts and variables that

@@ -110,8 +110,9 @@ def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], save: Sa
         for future in running:
             future.cancel()
     LOG.info("workers: %.1f s busy in %.1f s", busy, time.monotonic() - began)
-    for index, arrays in compute(sweep, lane_run(sweep.inputs(0, 1), sweep.plan), local):
-        save(index, arrays)
+    if local:
+        for index, arrays in compute(sweep, lane_run(sweep.inputs(0, 1), sweep.plan), local):
+            save(index, arrays)
 
 
 def compute(
