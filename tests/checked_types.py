@@ -48,9 +48,9 @@ def checked(thing=None, *, typechecker=None):
 
 
 def annotations_are_known(function):
-    """Return whether all annotations can be evaluated. Imports for type checkers only prevent it."""
+    """Return whether all annotations can be evaluated here; Self and imports for type checkers only prevent it."""
     try:
-        typing.get_type_hints(function, include_extras=True)
+        hints = typing.get_type_hints(function, include_extras=True)
     except NameError:
         return False
-    return True
+    return "typing.Self" not in str(hints)

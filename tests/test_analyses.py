@@ -12,7 +12,7 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax import cli
 from vibrojax.cli import main
-from vibrojax.cli.analyses import analysis_command
+from vibrojax.cli.studies import study_command
 from vibrojax.io.kinds import STRUCTURES, kind_of
 from vibrojax.studies.analysis import _USED, analysis_named, analysis_of, offered_analyses
 
@@ -136,7 +136,7 @@ class StableLanes(vj.SweepAnalysis):
 def test_command_records_kind_that_analysis_omits(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(_USED, StableLanes.kind, StableLanes())
-    monkeypatch.setitem(cli._COMMANDS, StableLanes.kind, analysis_command(StableLanes.kind, "count"))
+    monkeypatch.setitem(cli._COMMANDS, StableLanes.kind, study_command(StableLanes.kind, "count"))
     point = 'scene = "vibro-impact"\nstarts = ["stuck"]\n[grid]\ngamma = [0.75]\n[parameters]\ndelta = 0.005\n'
     Path("one.toml").write_text(point)
     assert main([StableLanes.kind, "one.toml", "-o", "one.nc"]) == 0
@@ -154,6 +154,15 @@ def test_each_kind_of_package_has_an_analysis():
     for kind in ("sweep", "fit", *STRUCTURES):
         analysis = analysis_named(kind)
         assert analysis.kind == kind and analysis.__doc__
+
+
+def test_summaries_of_commands_are_those_of_their_analyses():
+    """`--help` imports no analysis, so the table of commands repeats the first line of each docstring."""
+    commands = {analysis.command or kind: analysis for kind in STRUCTURES if (analysis := analysis_named(kind))}
+    summaries = {name: cli._COMMANDS[name].summary for name in commands if name in cli._COMMANDS}
+    assert len(summaries) > 8
+    for name in summaries.keys() - {"borders", "attractors", "curves", "rig", "accuracy"}:
+        assert str(commands[name].__doc__).startswith(summaries[name]), name
 
 
 @pytest.mark.parametrize("kind", STRUCTURES)

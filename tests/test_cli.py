@@ -3,8 +3,9 @@
 import os
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,11 +36,8 @@ def calls(monkeypatch, tmp_path):
     made = Calls()
 
     def module(name, **functions):
-        stand_in = ModuleType(name)
         for function, result in functions.items():
-            setattr(stand_in, function, stand_in_for(function, result))
-        monkeypatch.setitem(sys.modules, name, stand_in)
-        return stand_in
+            monkeypatch.setattr(import_module(name), function, stand_in_for(function, result))
 
     def stand_in_for(name, result):
         def call(*arguments, **named):
@@ -52,7 +50,8 @@ def calls(monkeypatch, tmp_path):
     cost = SimpleNamespace(memory=2.5e6, disk=1234, file=512, seconds=190.0)
     module("vibrojax.maps.run", run_to_file=dataset)
     module("vibrojax.maps.cost", check_size=None, tried=cost)
-    module("vibrojax.studies.trajectory_run", simulate=dataset, simulate_point=dataset)
+    simulated = stand_in_for("simulate_point", dataset)
+    monkeypatch.setattr("vibrojax.studies.trajectory_analysis.simulate_point", simulated)
     module("vibrojax.io.dataset", write_dataset=None, open_dataset=dataset)
     module("vibrojax.pictures.choose", save_picture=None, picture=None)
     monkeypatch.chdir(tmp_path)
@@ -76,9 +75,10 @@ def refused(capsys, *argv) -> str:
 
 
 def test_help_imports_nothing_heavy():
+    """Only the help of a study imports: that of its own settings."""
     code = "import sys; from vibrojax.cli import main; status = main(sys.argv[1:]); "
     code += "print(status, sorted({'jax', 'numpy', 'xarray', 'matplotlib'} & set(sys.modules)))"
-    for argv in (["--help"], ["sweep", "--help"], ["simulate", "--help"], ["sweep"], ["--version"]):
+    for argv in (["--help"], ["sweep", "--help"], ["plot", "--help"], ["sweep"], ["--version"]):
         completed = subprocess.run([sys.executable, "-c", code, *argv], capture_output=True, text=True, cwd=ROOT)
         assert completed.stdout.splitlines()[-1] == f"{2 if argv == ['sweep'] else 0} []", (
             completed.stdout + completed.stderr
@@ -165,7 +165,7 @@ def test_bad_input_detected_late_is_refused_in_one_line(calls, capsys, monkeypat
         ),
         (["swep"], "argument COMMAND: invalid choice: 'swep'; did you mean \"sweep\"?; see vibrojax --help"),
         (["explore"], "explore: the following arguments are required: OUT.nc; see vibrojax explore --help"),
-        (["push", "rotary", "scan=1"], "vibrojax: push: scan: 1 is not a whole number"),
+        (["push", "rotary", "scan=1"], "vibrojax: push: scan: 1 does not fit"),
         (["simulate", "drilling", "start=moving"], 'did you mean "touching"? (starts: drive, stuck, touching)'),
         (["sweep"], "sweep: the following arguments are required: SWEEP; see vibrojax sweep --help"),
         (["sweep", "map.toml", "--fesh"], "unrecognized arguments: --fesh"),

@@ -7,7 +7,7 @@ import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
-from vibrojax.studies.push_analysis import push_lines
+from vibrojax.studies.push import push_lines
 
 PARAMETERS = {"beta": 0.4, "delta": 0.005}
 STATES = ("x1", "v1", "x2", "v2")
@@ -119,7 +119,7 @@ def test_largest_push_can_be_chosen():
             PARAMETERS | {"gamma": 0.75, "start": "drive"},
             "irregular after 40 s.: no cycle to push; give another start",
         ),
-        ("vibro-impact", {"scan": 1}, "scan: 1 is not a whole number from 2 to 10000"),
+        ("vibro-impact", {"scan": 1}, "scan: 1 does not fit; a whole number from 2 to 10000 is needed"),
         ("vibro-impact", {"most": {"x9": 1.0}}, '"x9" is no state of a start'),
         ("vibro-impact", {"most": {"x1": -1.0}}, "most.x1"),
         ("vibro-impact", {"gamma": []}, "gamma: is empty"),
@@ -146,7 +146,7 @@ def test_push_command(strong_cycle, tmp_path, capsys, monkeypatch):
     np.testing.assert_array_equal(stored.push_x1, strong_cycle.push_x1)
     assert push_lines(stored) == push_lines(strong_cycle)
     assert main(["info", "vibro-impact-push.nc"]) == 0
-    monkeypatch.setattr("vibrojax.studies.push_run.find_pushes", lambda *_, **__: strong_cycle)
+    monkeypatch.setattr("vibrojax.studies.push.Pushes.compute", lambda *_, **__: strong_cycle)
     capsys.readouterr()
     assert main(["push", "vibro-impact", *words]) == 0
     assert capsys.readouterr().out.splitlines()[:-1] == output.splitlines()[:-1]

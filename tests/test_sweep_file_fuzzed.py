@@ -20,10 +20,10 @@ from hypothesis import strategies as st
 
 from vibrojax.cli import main
 from vibrojax.cli.command import named_values
-from vibrojax.cli.points import SIMULATE_SETTINGS
 from vibrojax.errors import InputError, Place
 from vibrojax.maps.cost import check_size, estimated_steps
 from vibrojax.maps.read import read_point, read_sweep
+from vibrojax.studies.trajectory_analysis import Trajectories
 
 SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
 fuzzed = settings(
@@ -152,7 +152,7 @@ def test_points(file, header, rows, comma, newline, encoding):
 def test_names_and_values_on_command_line(scene, words):
     try:
         settings, parameters = named_values(
-            Place("simulate"), ["".join(word) for word in words], SIMULATE_SETTINGS, lists=False
+            Place("simulate"), ["".join(word) for word in words], Trajectories.words(), lists=False
         )
         read_point(Place("simulate"), scene, parameters, settings.pop("start", None))
     except InputError as error:

@@ -54,14 +54,14 @@ from vibrojax.studies.design_run import design as design
 from vibrojax.studies.effects_run import study as study
 from vibrojax.studies.family_run import follow as follow
 from vibrojax.studies.frequencies import frequencies as frequencies
-from vibrojax.studies.push_run import smallest_push as smallest_push
+from vibrojax.studies.push import smallest_push as smallest_push
 from vibrojax.studies.rig_measures import rig as rig
 from vibrojax.studies.rop_joint import fit_joint as fit_joint
 from vibrojax.studies.rop_law import fit_rop as fit_rop
 from vibrojax.studies.sensitivity_gradients import as_jax as as_jax
 from vibrojax.studies.sensitivity_maps import sensitivity as sensitivity
 from vibrojax.studies.sweep_analysis import SweepAnalysis as SweepAnalysis
-from vibrojax.studies.tolerance_run import tolerance as tolerance
+from vibrojax.studies.tolerance import tolerance as tolerance
 from vibrojax.studies.trajectory_run import simulate as simulate
 from vibrojax.systems.events import Friction as Friction
 from vibrojax.systems.events import Impact as Impact

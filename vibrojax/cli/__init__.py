@@ -17,12 +17,9 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import entry_points
 from typing import NoReturn
 
-from vibrojax.cli.analyses import analysis_command, curves, orbits
 from vibrojax.cli.command import Command, Options, either, flag
-from vibrojax.cli.datasets import explore, info, plot
-from vibrojax.cli.designs import design
-from vibrojax.cli.points import follow, push, scenes, simulate, tolerance
-from vibrojax.cli.studies import accuracy, calibrate, fit, rig, study
+from vibrojax.cli.datasets import explore, info, plot, scenes
+from vibrojax.cli.studies import accuracy, curves, fit, orbits, rig, study_command
 from vibrojax.cli.sweeps import sweep
 from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.provenance import package_version
@@ -49,22 +46,39 @@ _LOUDNESS = either(
 
 _COMMANDS: dict[str, Command] = {
     "sweep": sweep,
-    "simulate": simulate,
+    "simulate": study_command("trajectory", "Simulate one point: write its trajectory as a dataset, and a picture"),
     "orbits": orbits,
-    "follow": follow,
+    "follow": study_command(
+        "family",
+        "Follow a family of periodic orbits, stable and unstable, along one parameter, with its special points",
+    ),
     "curves": curves,
-    "borders": analysis_command(
+    "borders": study_command(
         "borders",
         "Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there",
     ),
-    "attractors": analysis_command(
+    "attractors": study_command(
         "attractors", "Find the attractors that a sweep's starts lead to, and the share of starts of each"
     ),
-    "push": push,
-    "tolerance": tolerance,
-    "design": design,
-    "study": study,
-    "calibrate": calibrate,
+    "push": study_command(
+        "push",
+        "Find the smallest push in each state variable after which a machine no longer returns to its working cycle",
+    ),
+    "tolerance": study_command(
+        "tolerance",
+        "Simulate a machine at samples of the box of its tolerances: regimes, extremes, and where they occur",
+    ),
+    "design": study_command(
+        "design", "Find the best drill under constraints that hold from every start and at samples of the tolerances"
+    ),
+    "study": study_command(
+        "study",
+        "Find which parameters decide about a machine: effects, interactions and Sobol indices; FILE is a study (TOML)",
+    ),
+    "calibrate": study_command(
+        "calibration",
+        "Estimate parameters of a drill from observations of its motion, and say which the data determine",
+    ),
     "plot": plot,
     "explore": explore,
     "info": info,
@@ -178,7 +192,7 @@ def _run(run: Callable[[Options], None], options: Options) -> None:
 def _commands() -> dict[str, Command]:
     """Return the commands of this package, and those of analyses that installed packages register."""
     registered = {
-        entry.name: analysis_command(entry.name, f"analysis of the package {entry.dist.name if entry.dist else '?'}")
+        entry.name: study_command(entry.name, f"analysis of the package {entry.dist.name if entry.dist else '?'}")
         for entry in entry_points(group="vibrojax.analyses")
         if entry.name not in _COMMANDS
     }

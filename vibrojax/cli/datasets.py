@@ -1,4 +1,4 @@
-"""The commands `plot`, `info` and `explore`, which show a dataset."""
+"""The commands `plot`, `info` and `explore`, which show a dataset, and `scenes`."""
 
 import os
 import sys
@@ -17,7 +17,6 @@ from vibrojax.cli.command import (
     number_or_name,
 )
 from vibrojax.cli.output import PICTURES, print_json, shortened, view_path, write_view
-from vibrojax.cli.points import SIMULATE_SETTINGS
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.io.threads import on_leaving
 from vibrojax.progress import timed
@@ -156,9 +155,10 @@ def explore(options: Options) -> None:
         out = view_path(options, path, (".html",), parts)
     over = None
     if scene:
+        from vibrojax.studies.trajectory_analysis import Trajectories
         from vibrojax.studies.trajectory_run import simulate
 
-        settings, parameters = named_values(Place("explore"), options.values, SIMULATE_SETTINGS, lists=False)
+        settings, parameters = named_values(Place("explore"), options.values, Trajectories.words(), lists=False)
         arguments: dict[str, Any] = settings | parameters
         dataset = simulate(options.file, **arguments, progress=progress)
     else:
@@ -207,3 +207,16 @@ def _serve(options: Options, live: Any) -> None:
             redirect.write_text(f'<meta http-equiv="refresh" content="0; url={live.url}"><a href="{live.url}">page</a>')
             webbrowser.open(redirect.as_uri())
         live.wait()
+
+
+@command(argument("scene", "SCENE", "one of them, in full", nargs="?"))
+def scenes(options: Options) -> None:
+    """List the scenes, or a scene's parameters, initial conditions, friction laws, variables and settings."""
+    from vibrojax.studies.catalogue import list_scenes, scene_text
+
+    if options.scene is not None:
+        print(scene_text(options.scene))
+        return
+    for name, row in list_scenes().iterrows():
+        print(f"{name:<18}{row['what']}")
+        print(f"{'':<18}starts: {row['starts'] or 'always the same'}")

@@ -210,7 +210,7 @@ def answer(
     default: str,
     identity: Mapping[str, object],
     compute: Callable[[], "xarray.Dataset"],
-    facts: Callable[["xarray.Dataset"], Mapping[str, object]] | None = None,
+    facts: Callable[["xarray.Dataset"], Mapping[str, object] | None] = lambda _: None,
     *,
     numbered: bool = False,
 ) -> None:
@@ -236,7 +236,8 @@ def answer(
         return
     parts = analysis_of(dataset).summary(dataset)
     if options.json:
-        own = {key: fact for part in parts for key, fact in part.facts.items()} if facts is None else facts(dataset)
+        own = facts(dataset)
+        own = {key: fact for part in parts for key, fact in part.facts.items()} if own is None else own
         print_json({**own, **file_facts(out, drawn)})
     else:
         print("\n".join([*(line for part in parts for line in part.lines), last]))

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
-import jax
 import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
@@ -234,13 +233,3 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     ordered = {name: values[name] for name in names.parameters}
     radius = fixed.get("bit_radius", HOLE_RADIUS)
     return Point(names.scene, dict(names.options), start, ordered, names.system, radius)
-
-
-def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:
-    """Split parameters into those with several values, returned as lists, and those with a single value."""
-    several = {
-        name: list(x)
-        for name, x in parameters.items()
-        if isinstance(x, (list, tuple)) or (isinstance(x, (np.ndarray, jax.Array)) and x.ndim > 0)
-    }
-    return several, {name: x for name, x in parameters.items() if name not in several}

@@ -1,14 +1,12 @@
 """Settings of a run: the table [run] of a sweep file."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 from vibrojax.errors import Place, shown
-from vibrojax.physics.parameters import Parameter
 from vibrojax.scenes import Scene
-from vibrojax.settings.values import choice, count, flag, known_keys, quantity
+from vibrojax.settings.fields import Settings, setting
+from vibrojax.settings.values import choice
 from vibrojax.stepping import STEPPERS, Accuracy, AccuracyRequest, Located, Stepper, stepper_named
 
 
@@ -22,51 +20,42 @@ def _read_carry(place: Place, value: object) -> str:
     return value
 
 
-def _number(unit: str, below: float | None = None, zero: bool = False) -> Callable[[Place, object], float]:
-    """Return a reader of a positive number, or of zero as well, less than `below`."""
-    limits = Parameter("", 0.0, unit, "", "", lowest=0.0, open_below=not zero, below=below)
-    return partial(quantity, parameter=limits)
+@dataclass(frozen=True, kw_only=True)
+class RunSettings(Settings):
+    """The table [run] of a sweep file."""
 
-
-def _key(default: Any, meaning: str, read: Callable[[Place, Any], Any]) -> Any:
-    """Declare a key of [run]; `read` validates its value at a place."""
-    return field(default=default, metadata={"meaning": meaning, "read": read})
-
-
-@dataclass(frozen=True)
-class RunSettings:
-    """The table [run] of a sweep file. `MEANINGS` describes the keys."""
-
-    settle: float = _key(40.0, "time before the observation [s]", _number("s", zero=True))
-    observe: float = _key(8.0, "time of the observation [s]", _number("s"))
-    error: float = _key(
-        1e-4, "accepted error_estimate of a lane that repeats; the steps follow from it", _number("1", below=1.0)
+    settle: float = setting(40.0, "time before the observation [s]", unit="s", least=0.0)
+    observe: float = setting(8.0, "time of the observation [s]", unit="s", above=0.0)
+    error: float = setting(
+        1e-4, "accepted error_estimate of a lane that repeats; the steps follow from it", above=0.0, below=1.0
     )
-    end_early: bool = _key(True, "whether a settled lane may stop before its time", flag)
-    keep_returns: int = _key(0, "number of last returns to store", partial(count, least=0, most=2**31 - 1))
-    orbits: bool = _key(False, "whether to find the periodic orbits of lanes that repeat, with multipliers", flag)
-    lyapunov: bool = _key(
+    end_early: bool = setting(True, "whether a settled lane may stop before its time")
+    keep_returns: int = setting(0, "number of last returns to store", least=0)
+    orbits: bool = setting(
+        False, "whether to find the periodic orbits of lanes that repeat, with multipliers", later=True
+    )
+    lyapunov: bool = setting(
         False,
         "whether to find the largest Lyapunov exponents of lanes, and the natures of those that do not repeat",
-        flag,
+        later=True,
     )
-    carry: str | None = _key(
+    carry: str | None = setting(
         None,
         "axis along which lanes run one after another, up and down, each from the end of the previous one",
-        _read_carry,
+        read=_read_carry,
+        later=True,
     )
-    method: str | Stepper = _key("located", "stepping method: located or smoothed", _read_method)  # noqa: RUF009
-    step: float | None = _key(None, "length of the steps [s]; left out, it follows from error", _number("s"))
-    smoothing: float | None = _key(
+    method: str | Stepper = setting("located", "stepping method: located or smoothed", read=_read_method)  # noqa: RUF009
+    step: float | None = setting(None, "length of the steps [s]; left out, it follows from error", unit="s", above=0.0)
+    smoothing: float | None = setting(
         None,
         "width of the friction switch of the smoothed method [m/s]; left out, it follows from error",
-        _number("m s-1"),
+        unit="m s-1",
+        above=0.0,
     )
-    precision: str = _key("float64", "float64 or float32", partial(choice, choices=("float64", "float32")))
-    chunk: int | None = _key(
-        None,
-        "lanes computed together and stored as one; left out, the program decides",
-        partial(count, least=1, most=2**31 - 1),
+    precision: str = setting("float64", "float64 or float32", choices=("float64", "float32"))
+    chunk: int | None = setting(
+        None, "lanes computed together and stored as one; left out, the program decides", least=1, results=False
     )
 
     @property
@@ -78,31 +67,16 @@ class RunSettings:
         return AccuracyRequest(self.error, self.step, self.smoothing, self.precision)
 
     def described(self) -> dict[str, object]:
-        """Return the settings, including defaults, as JSON values.
-
-        The chunk size is omitted because it does not change results. Keys that earlier versions did not have are
-        omitted if they have their default, so that datasets of these versions keep their identity.
-        """
-        later: dict[str, object] = {"orbits": False, "lyapunov": False, "carry": None}
-        settings = {name: value for name, value in vars(self).items() if name != "chunk"}
-        settings = {name: value for name, value in settings.items() if name not in later or value != later[name]}
-        return settings | {"method": self.stepper.name}
+        return super().described() | {"method": self.stepper.name}
 
     def accuracy(self, scene: Scene[Any]) -> Accuracy:
         """Return the accuracy of the steps in `scene`: as specified, or else derived from the accepted error."""
         return self.stepper.accuracy(self.requested, scene)
 
 
-MEANINGS: dict[str, str] = {field.name: field.metadata["meaning"] for field in fields(RunSettings)}
-"""Meanings of the keys of [run]."""
-
-
 def read_settings(place: Place, values: dict[str, object], scene: Scene[Any]) -> RunSettings:
     """Return the validated table [run], which is at `place`, completed with defaults, some of which the scene sets."""
-    known_keys(place, values, MEANINGS)
-    keys = RunSettings.__dataclass_fields__
-    values = dict(zip(("settle", "observe"), scene.usual_times, strict=True)) | values
-    settings = RunSettings(**{name: keys[name].metadata["read"](place.at(name), x) for name, x in values.items()})
+    settings = RunSettings.read(place, dict(zip(("settle", "observe"), scene.usual_times, strict=True)) | values)
     unused = f"has no use with method {shown(settings.stepper.name)}"
     if settings.smoothing is not None and not settings.stepper.smooths:
         raise place.at("smoothing").error(f'{settings.smoothing:g} {unused}; leave it out, or set method = "smoothed"')

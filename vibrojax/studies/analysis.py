@@ -15,6 +15,7 @@ import xarray as xr
 from vibrojax.errors import InputError, printable, shown
 from vibrojax.io.kinds import KIND, check_structure, dataset_attributes, kind_of
 from vibrojax.io.variables import Variable, described
+from vibrojax.settings.fields import Settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,7 +66,7 @@ class PictureRule(NamedTuple):
     draw: Callable[..., "Figure"]
 
 
-class Analysis:
+class Analysis(Settings):
     """An analysis, whose settings are attributes of the object and whose result is a dataset.
 
     A subclass provides `kind` and `run`, and usually `variables`, `picture` or `pictures`, and `summary`. If the
@@ -90,8 +91,14 @@ class Analysis:
     ('share of lanes', 1.0)
     """
 
+    subject: ClassVar[str] = "sweep"
+    """What is analysed, by which its command reads it: "sweep", "machines" (SCENE NAME=VALUE) or "file"."""
+
     kind: ClassVar[str] = ""
     """Attribute `kind` of the analysis's datasets, and name of its command."""
+
+    command: ClassVar[str] = ""
+    """Name of the command, if it is not the kind."""
 
     variables: ClassVar[Mapping[str, Variable]] = {}
     """Variables by name that sweeps do not have: units, meaning, type and flags of each."""
@@ -173,8 +180,8 @@ _HOMES = {
     "curves": "curve_analysis:Curves",
     "borders": "border_analysis:Borders",
     "attractors": "attractor_analysis:Attractors",
-    "push": "push_analysis:Pushes",
-    "tolerance": "tolerance_analysis:Tolerances",
+    "push": "push:Pushes",
+    "tolerance": "tolerance:Tolerances",
     "design": "design_analysis:Designs",
     "study": "effects_analysis:Studies",
     "rig": "rig_analysis:Rigs",

@@ -1,6 +1,7 @@
 """The analysis `calibration`: summary, and picture of residuals, posterior and combinations."""
 
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 import xarray as xr
@@ -13,8 +14,10 @@ from vibrojax.io.variables import Variable
 from vibrojax.pictures.axes import pretty_unit, scale, with_unit
 from vibrojax.pictures.sheet import write_margins
 from vibrojax.pictures.style import BIT, FAINT, IMPACT, INK, new_figure, styled
-from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart
-from vibrojax.studies.calibration_run import SCHEMA, VAGUE, calibrate
+from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.calibration_run import SCHEMA, VAGUE, find_calibration
+from vibrojax.studies.calibration_spec import CalibrationSpec, read_calibration
+from vibrojax.studies.subjects import FileAnalysis
 
 MIN_EXPONENT = 0.1
 """Exponent in a combination below which the summary leaves a parameter out."""
@@ -104,17 +107,30 @@ def _combination(ds: xr.Dataset, k: int) -> str:
     return " ".join(parts)
 
 
-class Calibrations(Analysis):
-    """Estimate parameters of the drill from observations of periodic motions, by gradients through the orbits."""
+class Calibrations(FileAnalysis[CalibrationSpec]):
+    """Estimate parameters of a drill from observations of its motion, and say which the data determine."""
 
     kind = "calibration"
     variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
     pictures = (PictureRule("a calibration", lambda held: "posterior" in held.variables, calibration_picture),)
     view = "plots"
 
-    def run(self, source: Source, progress: bool = True) -> xr.Dataset:
-        """Run a calibration, as [vibrojax.calibrate][] does."""
-        return calibrate(source, progress=progress)
+    command = "calibrate"
+    about = (
+        "a calibration: the path of a TOML file with scene, data (a CSV of operating conditions and observations) or "
+        "history (a CSV of the bit's velocity over time), [unknown] NAME = [low, high] and, as needed, start, "
+        "[parameters], [error], [prior]"
+    )
+    columns = 'of the history: which column is what, in which unit, like time="t (ms)" v1="bit speed (mm/s)"'
+
+    def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> CalibrationSpec:
+        return read_calibration(file, columns)
+
+    def identity(self, asked: CalibrationSpec) -> dict[str, object]:
+        return asked.identity()
+
+    def compute(self, asked: CalibrationSpec, progress: bool = True) -> xr.Dataset:
+        return find_calibration(asked, progress)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the estimates, the combinations that the data determine, and what speaks against the estimates."""

@@ -20,13 +20,14 @@ from vibrojax.physics.parameters import REPLACED, ROTATION, Parameter, substitut
 from vibrojax.physics.rock import ROCKS
 from vibrojax.scenes import SCENES, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.scenes.penetration import PULSE_SHAPES
+from vibrojax.settings.fields import meanings
 from vibrojax.settings.names import Names, enter_offered, read_names
-from vibrojax.settings.run_settings import MEANINGS, RunSettings
+from vibrojax.settings.run_settings import RunSettings
 from vibrojax.studies import glossary
 from vibrojax.studies.analysis import offered_variables
 from vibrojax.studies.design_run import DESIGN_VARIABLES
 from vibrojax.studies.effects_run import SCHEMA as STUDY_SCHEMA
-from vibrojax.studies.tolerance_run import tolerance_variables
+from vibrojax.studies.tolerance import tolerance_variables
 
 
 def list_scenes() -> pd.DataFrame:
@@ -131,7 +132,8 @@ def list_settings() -> pd.DataFrame:
     >>> vj.list_settings().default[["settle", "observe", "error"]].to_dict()
     {'settle': 40.0, 'observe': 8.0, 'error': 0.0001}
     """
-    rows = {field.name: {"default": field.default, "meaning": MEANINGS[field.name]} for field in fields(RunSettings)}
+    known = meanings(RunSettings)
+    rows = {item.name: {"default": item.default, "meaning": known[item.name]} for item in fields(RunSettings)}
     return pd.DataFrame.from_dict(rows, orient="index", dtype=object).rename_axis("setting")
 
 

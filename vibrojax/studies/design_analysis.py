@@ -1,5 +1,8 @@
 """The analysis `design`: summary and picture of the best drill, and of a front."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -10,8 +13,10 @@ from vibrojax.errors import counted
 from vibrojax.pictures.axes import label, pretty_unit, scale, values_along
 from vibrojax.pictures.sheet import legend_at_right, write_margins
 from vibrojax.pictures.style import BIT, FAINT, IMPACT, INK, colour_map, new_figure, styled
-from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.studies.design_run import DESIGN_VARIABLES
+from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.design_run import DESIGN_VARIABLES, find_design
+from vibrojax.studies.design_spec import DesignSpec, read_design
+from vibrojax.studies.subjects import FileAnalysis
 
 _MAX_PANELS = 6
 
@@ -118,13 +123,27 @@ def quantity_text(value: float, data: xr.DataArray) -> str:
     return f"{value * factor:.4g} {pretty_unit(unit)}".rstrip()
 
 
-class Designs(Analysis):
-    """The best drill under constraints that hold from every start and at samples of the tolerances."""
+class Designs(FileAnalysis[DesignSpec]):
+    """Find the best drill under constraints that hold from every start and at samples of the tolerances."""
 
     kind = "design"
     variables = DESIGN_VARIABLES
     pictures = (PictureRule("candidates over the map of a design", lambda held: True, design_picture),)
     view = "plots"
+    about = (
+        "a design: the path of a TOML file with scene, maximise, [vary] and, as needed, robust, [subject], "
+        "[tolerance], [parameters], starts, [run], [front]; or a bundled name: energy, rate-in-sandstone, "
+        "power-at-120-kn"
+    )
+
+    def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> DesignSpec:
+        return read_design(file)
+
+    def identity(self, asked: DesignSpec) -> dict[str, object]:
+        return asked.identity()
+
+    def compute(self, asked: DesignSpec, progress: bool = True) -> xr.Dataset:
+        return find_design(asked, progress)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the best candidate, its worst values within the tolerances, the other candidates, and the front."""

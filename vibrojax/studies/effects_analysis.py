@@ -1,7 +1,9 @@
 """The analysis `study`: the picture of Sobol indices and interactions, and a sentence for each parameter and pair."""
 
+from collections.abc import Mapping
 from itertools import combinations
-from typing import ClassVar
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import xarray as xr
@@ -12,13 +14,15 @@ from matplotlib.patches import Patch
 
 from vibrojax.errors import counted
 from vibrojax.io.variables import Variable
+from vibrojax.maps.run import lanes_beside, run_sweep
 from vibrojax.pictures.axes import pretty_unit, scale
 from vibrojax.pictures.sheet import legend_at_right, write_margins
 from vibrojax.pictures.style import BIT, FAINT, INK, Mark, new_figure, styled
-from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart
-from vibrojax.studies.effects_run import SCHEMA, study
+from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.effects_run import SCHEMA, study_of
 from vibrojax.studies.effects_sampling import REASONS
-from vibrojax.studies.effects_spec import SHARE
+from vibrojax.studies.effects_spec import SHARE, Study, read_study
+from vibrojax.studies.subjects import FileAnalysis
 
 MIN_SHARE = 0.05
 """Share of the variance below which a parameter or a pair counts as unimportant."""
@@ -117,17 +121,29 @@ def _why(row: xr.Dataset) -> str:
     )
 
 
-class Studies(Analysis):
-    """Find which parameters decide about a machine's performance: Sobol indices and a two-level factorial design."""
+class Studies(FileAnalysis[Study]):
+    """Find which parameters decide about a machine: effects, interactions and Sobol indices; FILE is a study (TOML)."""
 
     kind = "study"
     variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
     pictures = (PictureRule("effects", lambda held: "first_order" in held.variables, bars_and_interactions),)
     view = "plots"
 
-    def run(self, source: Source, progress: bool = True) -> xr.Dataset:
-        """Run a study, as [vibrojax.studies.effects_run.study][] does."""
-        return study(source, progress=progress)
+    about = "a study: a bundled name, like drill, or the path of a TOML file"
+    chunks = True
+
+    def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Study:
+        return read_study(file)
+
+    def identity(self, asked: Study) -> dict[str, object]:
+        return asked.identity()
+
+    def compute(self, asked: Study, progress: bool = True) -> xr.Dataset:
+        return study_of(asked, run_sweep(asked.sweep, progress=progress))
+
+    def compute_beside(self, asked: Study, out: Path, resume: bool, progress: bool) -> xr.Dataset:
+        with lanes_beside(asked.sweep, out, resume=resume, progress=progress) as lanes:
+            return study_of(asked, lanes)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return a sentence for each parameter and each important pair of parameters, and the lanes treated by rule."""

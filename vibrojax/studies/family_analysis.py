@@ -1,7 +1,8 @@
 """The analysis `family`: picture and summary of branches of periodic orbits along a parameter."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Circle
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from vibrojax.errors import counted, printable
+from vibrojax.errors import Place, counted, printable
+from vibrojax.io.attributes import attribute_of
+from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.pictures.axes import label, scale, values_along, with_unit
 from vibrojax.pictures.branch_data import FAMILY, along_name, branches, kind_names, numbers_of, stable_intervals
 from vibrojax.pictures.branches import (
@@ -31,7 +34,10 @@ from vibrojax.pictures.branches import (
 from vibrojax.pictures.sheet import write_margins
 from vibrojax.pictures.starts import SYMBOLS
 from vibrojax.pictures.style import INK, colour_map, new_figure, styled
-from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.settings.fields import given, setting
+from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.family_run import FamilySpec, continue_families, family_spec
+from vibrojax.studies.subjects import MachineAnalysis
 
 _VALUES_SHOWN, _FAMILIES_SHOWN = 4, 12
 _DIGITS = 9  # special points are located to nine digits
@@ -229,12 +235,51 @@ def _draw_plane(axes: Axes, bar: Axes, ds: xr.Dataset, curves: Sequence[Curve]) 
     return f"The plane leaves out {outside} of {len(points)} orbits' largest multiplier" if outside else ""
 
 
-class Families(Analysis):
-    """Continue a family of stable and unstable periodic orbits along one parameter, with its special points."""
+_SYNTAX = "along=NAME at=VALUE from=A to=B"
 
-    kind = "family"
-    view = "families"
+
+@dataclass(frozen=True, kw_only=True)
+class Families(MachineAnalysis[FamilySpec]):
+    """Follow a family of periodic orbits, stable and unstable, along one parameter, with its special points."""
+
+    kind, command = "family", "follow"
+    file, view = "SCENE-NAME.nc", "families"
     pictures = (PictureRule("families", lambda held: True, families),)
+
+    along: object = setting(None, f"{_SYNTAX}: the parameter, where the family begins, and its bounds", read=given)
+    at: object = setting(None, "", read=given)
+    span: object = setting(None, "", read=given)
+    cycles: object = setting(MOST_CYCLES, "the most returns of doubled branches", read=given)
+
+    @classmethod
+    def words(cls) -> tuple[str, ...]:
+        return ("along", "at", "from", "to", "cycles", "start", *cls.run_settings)
+
+    @classmethod
+    def of_words(cls, values: dict[str, Any]) -> dict[str, Any]:
+        missing = [name for name in ("along", "at", "from", "to") if name not in values]
+        if missing:
+            raise Place("follow").error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_SYNTAX}")
+        return values | {"span": (values.pop("from"), values.pop("to"))}
+
+    def machines(
+        self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
+    ) -> FamilySpec:
+        times = run["settle"], run["observe"]
+        return family_spec(scene, self.along, self.at, self.span, start, *times, self.cycles, parameters)
+
+    def identity(self, asked: FamilySpec) -> dict[str, object]:
+        return asked.identity()
+
+    def file_name(self, asked: FamilySpec) -> str:
+        return f"{asked.sweep.scene}-{asked.along}.nc"
+
+    def compute(self, asked: FamilySpec, progress: bool = True) -> xr.Dataset:
+        return continue_families(asked, progress)
+
+    def facts(self, ds: xr.Dataset, asked: FamilySpec) -> Mapping[str, object]:
+        machine = {"scene": ds.attrs["scene"], "start": ds.attrs.get("start")}
+        return {**machine, "parameters": attribute_of(ds, "parameters"), **family_facts(ds)}
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("families", family_lines(ds), {"families": family_facts(ds)})]

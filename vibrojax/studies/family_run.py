@@ -1,6 +1,5 @@
 """Continuation of families of periodic orbits along one parameter: `follow`."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import Place, shown
-from vibrojax.maps.read import read_point, read_sweep, several_and_single
+from vibrojax.maps.machines import read_machines, several_and_single
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep, resolved
 from vibrojax.measures.ledger import MOST_CYCLES
@@ -17,14 +16,11 @@ from vibrojax.periodic.families import FamilyContinuation, in_order
 from vibrojax.periodic.known_orbits import known_orbits, why_no_orbit
 from vibrojax.periodic.problem import UNITS_PER_SPAN, Problem
 from vibrojax.physics.meanings import suggest_parameter
-from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION, not_negative, positive
+from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import Names, read_names
-from vibrojax.settings.values import UnusualValue, quantity, warn_if_far
+from vibrojax.settings.values import count, warn_if_far
 from vibrojax.studies.family_dataset import families_dataset
-
-SETTLE = not_negative("settle", 40.0, "s", "time for which motions settle", "settle")
-OBSERVE = positive("observe", 8.0, "s", "time for which they are then observed", "observe")
 
 
 def follow(
@@ -114,7 +110,7 @@ class FamilySpec:
 
 
 def family_spec(
-    scene: str | Scene[Any],
+    scene: object,
     along: object,
     at: object,
     span: object,
@@ -129,7 +125,7 @@ def family_spec(
     **Raises:** `InputError` with a one-line message at the first invalid argument.
     """
     place = Place("follow")
-    several, fixed = several_and_single(parameters)
+    fixed = several_and_single(parameters)[1]
     names = read_names(place.at("scene"), scene, dict(fixed), place)
     if not isinstance(along, str) or along not in names.parameters:
         instead = suggest_parameter(str(along), names.parameters)
@@ -149,33 +145,14 @@ def family_spec(
         if along in ("m1", "k1"):
             fault = f"fixes {REPLACED[name]} only at one {along}, and {along} varies along the family"
             raise place.at(name).error(f"{fault}; give {REPLACED[name]}")
-    if isinstance(cycles, bool) or not isinstance(cycles, int) or not 1 <= cycles <= MOST_CYCLES:
-        raise place.at("cycles").error(f"{shown(cycles)} is not a whole number from 1 to {MOST_CYCLES}")
     low, high = read_span(place, names, along, span)
     begin = names.quantity(place.at("at"), along, at)
     if not low <= begin <= high:
         raise place.at("at").error(f"{begin:g} is not between from = {low:g} and to = {high:g}")
-    usual = names.system.usual_times
-    settled = quantity(place.at("settle"), usual[0] if settle is None else settle, SETTLE)
-    observed = quantity(place.at("observe"), usual[1] if observe is None else observe, OBSERVE)
-    families = _count_families(place, names, several)
-    first = {name: column[0] for name, column in several.items()}
-    with warnings.catch_warnings():  # all values are checked below
-        warnings.simplefilter("ignore", UnusualValue)
-        point = read_point(place, scene, {**fixed, **first, along: begin}, start)
-    for name, value in {**fixed, **several, along: begin}.items():
-        if name in names.writable:
-            warn_if_far(place.at("at" if name == along else name), names.writable[name], value)
-    tables: dict[str, Any] = {
-        "scene": scene,
-        "points": {along: [begin] * families} | several,
-        "parameters": fixed,
-        "run": {"orbits": True, "settle": settled, "observe": observed},
-        "unusual": True,
-    }
-    if point.start is not None:
-        tables["starts"] = [point.start if isinstance(point.start, str) else list(point.start)]
-    return FamilySpec(read_sweep(tables), along, low, high, cycles)
+    warn_if_far(place.at("at"), names.writable[along], begin)
+    run = {"orbits": True, "settle": settle, "observe": observe}
+    machines = read_machines(place, scene, parameters, start, run, {along: begin})
+    return FamilySpec(machines.sweep, along, low, high, count(place.at("cycles"), cycles, 1, MOST_CYCLES))
 
 
 def read_span(place: Place, names: Names, name: str, span: object) -> tuple[float, float]:
@@ -186,26 +163,6 @@ def read_span(place: Place, names: Names, name: str, span: object) -> tuple[floa
     if not low < high:
         raise place.at("to").error(f"{high:g} is the same as from; give the two bounds of {name}")
     return low, high
-
-
-def _count_families(place: Place, names: Names, several: Mapping[str, list[Any]]) -> int:
-    """Check the values that differ between families, and return the number of families."""
-    for name, column in several.items():
-        if name in names.options:
-            raise place.at(name).error(f"{shown(column)} is a list; it is chosen once for all families")
-        if not column:
-            raise place.at(name).error("is empty; give a value")
-        for index, value in enumerate(column):
-            item = place.at(name).item(index)
-            if name in names.presets:
-                names.preset(item, name, value)
-            else:
-                names.quantity(item, name, value)
-    sizes = {name: len(column) for name, column in several.items()}
-    if len(set(sizes.values())) > 1:
-        lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
-        raise place.error(f"lists of different lengths ({lengths}); give one family's values at the same place of each")
-    return next(iter(sizes.values()), 1)
 
 
 def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:

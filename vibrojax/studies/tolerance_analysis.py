@@ -8,13 +8,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from vibrojax.errors import counted
-from vibrojax.io.attributes import flags
-from vibrojax.pictures.axes import label, pretty_unit, scale, values_along
+from vibrojax.pictures.axes import label, scale, values_along
 from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_handles
 from vibrojax.pictures.sheet import legend_at_right, write_margins
 from vibrojax.pictures.style import new_figure, styled
-from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.studies.tolerance_run import QUANTITIES, REFINED, SAMPLE_VARIABLES
 
 _TOLERANCE = "tolerance_"
 _MARKERS = "os^Dv"
@@ -70,78 +67,3 @@ def extremes_picture(ds: xr.Dataset) -> Figure:
         else "",
     )
     return figure
-
-
-class Tolerances(Analysis):
-    """Simulate a machine at samples of the box of its parameter tolerances: regimes, extremes, and where they occur."""
-
-    kind = "tolerance"
-    variables = SAMPLE_VARIABLES
-    pictures = (PictureRule("extremes of the samples of a tolerance box", lambda held: True, extremes_picture),)
-    view = "plots"
-
-    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the nominal behaviour, the regimes and the extremes, for each start."""
-        lanes = ds if "start" in ds.dims else ds.expand_dims("start")
-        facts, lines = {}, _irregular_lines(lanes)
-        for k in range(lanes.sizes["start"]):
-            lane = lanes.isel(start=k)
-            start = str(lane["start"].values) if "start" in lane.coords else ""
-            facts[start], text = _start_summary(ds, lane)
-            lines += [f"from {start}:"] * bool(start) + [f"  {line}" if start else line for line in text]
-        lines += [str(ds.attrs["extremes"])] * ("extremes" in ds.attrs)
-        return [SummaryPart("tolerance", lines, {"tolerance": facts})]
-
-
-def _irregular_lines(lanes: xr.Dataset) -> list[str]:
-    """Return a line if motions are irregular, so that the extremes say little about the box."""
-    shares = lanes["irregular_share"].values if "irregular_share" in lanes else np.zeros(1)
-    if not (shares > 0).any():
-        return []
-    starts = [f" from {start}" for start in lanes["start"].values] if "start" in lanes.coords else [""]
-    where = ", ".join(f"{100 * x:.2g} % of the samples{start}" for x, start in zip(shares, starts, strict=True))
-    return [
-        f"irregular motions in the box ({where}): extremes depend on the time of observation, and other points of the "
-        "box may be far beyond them"
-    ]
-
-
-def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object], list[str]]:
-    """Return the behaviour from one start, as facts and as lines of text."""
-    meanings, drawn = flags(ds["regime"]), lane["place"].values != REFINED
-    samples, regimes = int(drawn.sum()), lane["regime"].values[drawn]
-    nominal = meanings[int(regimes[0])]
-    counts = {meanings[flag]: int((regimes == flag).sum()) for flag in np.unique(regimes).tolist()}
-    others = [f"{name} at {count}" for name, count in counts.items() if name != nominal]
-    line = f"{nominal} at {counts[nominal]} of {counted(samples, 'sample')}"
-    if others:
-        first = int(np.flatnonzero(regimes != regimes[0])[0])
-        line += f"; {', '.join(others)}, such as {_place_text(ds, first)}"
-    facts: dict[str, object] = {"nominal": nominal, "samples": samples, "regimes": counts}
-    lines = [line]
-    for name in (name for name in QUANTITIES if f"{name}_least" in lane):
-        ends = {word: float(lane[f"{name}_{word}"]) for word in ("least", "most")}
-        if not np.isfinite(ends["least"]):
-            continue
-        where = {word: int(lane[f"{name}_{word}_sample"]) for word in ends}
-        factor, unit = scale(ds[f"{name}_most"])
-        known = int(lane[name].notnull().values[drawn].sum())
-        low, high = (f"{ends[word] * factor:.4g}" for word in ends)
-        worst = "most" if name == "peak_impact_force" else "least"
-        text = (
-            f"{name.replace('_', ' ')} {low} to {high} {pretty_unit(unit)}, nominal {float(lane[name][0]) * factor:.4g}"
-        )
-        text += f"; {worst} at {_place_text(ds, where[worst])}"
-        lines.append(
-            text + (f" ({counted(samples - known, 'sample has', 'samples have')} none)" if known < samples else "")
-        )
-        facts[name] = {**ends, **{f"{word}_at": _place(ds, index) for word, index in where.items()}, "samples": known}
-    return facts, lines
-
-
-def _place(ds: xr.Dataset, sample: int) -> dict[str, float]:
-    return {name: float(ds[name][sample]) for name in toleranced(ds)}
-
-
-def _place_text(ds: xr.Dataset, sample: int) -> str:
-    return ", ".join(f"{name} = {value:.6g}" for name, value in _place(ds, sample).items())

@@ -1,7 +1,8 @@
 """Search from the extreme samples of a tolerance box for points that are more extreme."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import xarray as xr
@@ -27,9 +28,15 @@ SAME_POINT = 1e-9
 Units = Float[np.ndarray, "samples dimensions"]
 
 
-def refine(
-    sweep_over: Callable[[Units], Sweep], units: Units, ds: xr.Dataset, quantities: Sequence[str]
-) -> tuple[xr.Dataset, int, int]:
+@runtime_checkable
+class Box(Protocol):
+    """The box of tolerances: sweeps over points of it, in half-widths from the nominal point."""
+
+    def sweep_over(self, units: Units) -> Sweep: ...
+    def written_over(self, units: Units) -> Sweep: ...
+
+
+def refine(box: Box, units: Units, ds: xr.Dataset, quantities: Sequence[str]) -> tuple[xr.Dataset, int, int]:
     """Return the samples and, after them, the points that are more extreme; and how many points were tried and added.
 
     For each start and quantity, a search begins at the least and at the greatest sample. Its points are a step along
@@ -59,7 +66,7 @@ def refine(
         apart = np.abs(points[:, None] - units[None]).max(axis=2).min(axis=1, initial=np.inf)
         points = points[apart > SAME_POINT]
         if len(points):
-            parts.append(run_sweep(sweep_over(points), progress=False))
+            parts.append(run_sweep(box.sweep_over(points), progress=False))
             units = np.concatenate([units, points])
         elif all(step < LEAST_STEP for _, step in steps.values()):
             break
@@ -67,7 +74,7 @@ def refine(
     if added:
         whole = xr.concat(parts, "point", data_vars="minimal", join="override", combine_attrs="override")
         kept = [*range(first), *added]
-        ds = _with_attributes(sweep_over(units[kept]), whole.isel(point=kept))
+        ds = _with_attributes(box.written_over(units[kept]), whole.isel(point=kept))
     return ds, len(units) - first, len(added)
 
 

@@ -1,17 +1,26 @@
 """The analysis `trajectory`: pictures and summary of one motion over time."""
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import xarray as xr
 
-from vibrojax.errors import counted
-from vibrojax.io.attributes import flags, parameters_of, run_of
+from vibrojax.errors import Place, counted
+from vibrojax.io.attributes import attribute_of, flags, parameters_of, run_of
+from vibrojax.maps.read import Point, read_point
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.pictures.axes import pretty_unit, scale
 from vibrojax.pictures.hole import pulses, response
 from vibrojax.pictures.time_history import states_over_time, trajectory
-from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.scenes import HasRock
+from vibrojax.settings.code_identity import code_identity
+from vibrojax.settings.fields import setting
+from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.frequencies import frequency_part
+from vibrojax.studies.subjects import MachineAnalysis
+from vibrojax.studies.trajectory_run import simulate_point
 
 SECTION = "to the section (the bit overtakes the drive)"
 
@@ -22,17 +31,60 @@ DURATION_MARGIN = 1.15
 """Ratio of the recommended duration to the shortest sufficient duration."""
 
 
-class Trajectories(Analysis):
-    """Simulation of one point: its trajectory as a dataset, and a picture."""
+@dataclass(frozen=True, kw_only=True)
+class Trajectories(MachineAnalysis[Point]):
+    """Simulate one point: write its trajectory as a dataset, and a picture."""
 
-    kind = "trajectory"
+    kind, command = "trajectory", "simulate"
     view = "motion"
+    run_settings = ()
+    file, lists, numbered = "SCENE.nc, SCENE-2.nc, ...", False, True
     pictures = (
         PictureRule("motion", lambda held: held.bit_on_rock and held.swept_sine, response),
         PictureRule("motion", lambda held: held.bit_on_rock, pulses),
         PictureRule("motion", lambda held: held.drill, trajectory),
         PictureRule("motion", lambda held: held.run, states_over_time),
     )
+
+    duration: float | None = setting(None, "simulated time, s", unit="s", above=0.0)
+    sampling: float | None = setting(None, "interval of the samples, s", unit="s", above=0.0)
+    error: float | None = setting(None, "accepted relative error: 0.0001", above=0.0)
+    method: str | None = setting(None, "located, smoothed or diffrax")
+    solver: str | None = setting(None, "a solver of diffrax")
+    step: float | None = setting(None, "greatest step, s", unit="s", above=0.0)
+    smoothing: float | None = setting(None, "width of the friction switch, m/s", unit="m s-1", above=0.0)
+
+    def machines(
+        self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
+    ) -> Point:
+        return read_point(place, scene, parameters, start)
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the settings that were given."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+    def identity(self, asked: Point) -> dict[str, object]:
+        return {**asked.identity(), **self.arguments(), **code_identity(asked.system, asked.options)}
+
+    def file_name(self, asked: Point) -> str:
+        return f"{asked.scene}.nc"
+
+    def compute(self, asked: Point, progress: bool = True) -> xr.Dataset:
+        return simulate_point(asked, **self.arguments(), progress=progress)
+
+    def facts(self, ds: xr.Dataset, asked: Point) -> Mapping[str, object]:
+        return {
+            "scene": asked.scene,
+            **asked.options,
+            "start": asked.start,
+            "parameters": asked.parameters,
+            **({"bit_radius": asked.hole_radius} if isinstance(asked.system, HasRock) else {}),
+            "duration": float(ds["time"][-1]),
+            "run": attribute_of(ds, "run"),
+            "found": features(ds),
+            **frequency_part(ds).facts,
+            "solver": attribute_of(ds, "solver"),
+        }
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("found", feature_lines(ds), {"found": features(ds)}), frequency_part(ds)]

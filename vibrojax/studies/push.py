@@ -1,25 +1,35 @@
-"""Search for the smallest push in each state variable that makes a machine leave its working cycle: `smallest_push`."""
+"""The analysis `push`: the smallest push in each state variable after which a machine leaves its working cycle."""
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.errors import Place
+from vibrojax.errors import Place, shown, suggestion
+from vibrojax.io.attributes import flags
 from vibrojax.io.variables import VARIABLES, orbit_name
 from vibrojax.maps.dataset import shared_attributes
+from vibrojax.maps.machines import Machines
 from vibrojax.maps.run import run_sweep
 from vibrojax.measures.labels import EQUILIBRIUM, IRREGULAR, UNDECIDED
 from vibrojax.periodic.known_orbits import KnownOrbits, known_orbits, why_no_orbit
 from vibrojax.periodic.lane_stages import plan_of, run_lanes
+from vibrojax.physics.parameters import positive
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
+from vibrojax.settings.fields import setting
+from vibrojax.settings.values import as_table, quantity
+from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.attractor_grouping import is_on_orbit
-from vibrojax.studies.push_spec import PRECISION, SCAN, PushSpec, push_spec
+from vibrojax.studies.push_analysis import smallest_pushes
+from vibrojax.studies.subjects import MachineAnalysis, answered
+
+SCAN, PRECISION = 256, 1e-3
+"""Default number of pushes per scan, and default relative width of the final bracket."""
 
 MAX_SCANS = 5
 """Largest number of scans; each scan covers the range below the smallest push that the previous scan found."""
@@ -93,40 +103,90 @@ def smallest_push(
     >>> f"{1e3 * float(pushed.push_x1.sel(sign=1)):.0f} mm"  # of the bit at the section; it ends in another motion
     '48 mm'
     """
-    return find_pushes(push_spec(scene, start, most, scan, precision, settle, observe, parameters), progress)
+    settings = {"most": most, "scan": scan, "precision": precision}
+    return answered(
+        Pushes, scene, settings | {"start": start, "settle": settle, "observe": observe}, parameters, progress
+    )
 
 
-def find_pushes(spec: PushSpec, progress: bool = True) -> xr.Dataset:
-    """Return the smallest pushes as `smallest_push` does; raise `InputError` if there is no stable cycle to push."""
-    sweep = spec.sweep
-    cycle = run_sweep(sweep, progress=progress)
-    cycle = cycle.isel(start=0, drop=True) if "start" in cycle.dims else cycle
-    cycle = cycle if "point" in cycle.dims else cycle.expand_dims("point")
-    stable = np.flatnonzero(cycle["stable"].values == 1)
-    if not len(stable):
-        why = why_no_orbit(cycle.isel(point=0))
-        raise Place("push").error(f"the motion {why}: no cycle to push; give another start or point")
-    scene, values = sweep.system.driving_part(), sweep.lane_values(0, sweep.lanes)[0]
-    section = {name: cycle[orbit_name(name)].values[stable] for name in scene.return_states}
-    begin = np.stack([section.get(name, np.zeros(len(stable))) for name in sweep.system.start_states], axis=1)
-    bound = _bounds(spec, cycle.isel(point=stable))
-    orbits = known_orbits(scene, cycle, {name: values[name] for name in scene.parameters()}, stable)
-    search = _Search(spec, stable, orbits, begin, bound, progress)
-    search.run()
-    return _dataset(spec, cycle, stable, search)
+_MOST = "most_"
 
 
-def _bounds(spec: PushSpec, cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
-    """Return the greatest push to be tried in each state variable."""
-    section = spec.sweep.system.driving_part().section
-    assert section is not None
-    bounds: dict[str, np.ndarray] = {}
-    for swing in section.swings:
-        bounds[swing.position] = 2 * cycle[swing.amplitude].values
-        if swing.velocity is not None:
-            bounds[swing.velocity] = bounds[swing.position] * 2 * np.pi / cycle["period"].values
-    bounds |= {name: np.full(cycle.sizes["point"], x) for name, x in spec.most.items()}
-    return np.stack([bounds[name] for name in spec.sweep.system.start_states], axis=1)
+@dataclass(frozen=True, kw_only=True)
+class Pushes(MachineAnalysis[Machines]):
+    """Find the smallest push in each state variable after which a machine no longer returns to its working cycle."""
+
+    kind = "push"
+    pictures = (PictureRule("pushes", lambda held: True, smallest_pushes),)
+    always = {"orbits": True}  # noqa: RUF012
+    file, numbered = "SCENE-push.nc, SCENE-push-2.nc, ...", True
+    scenes = "rotary, vibro-impact or drilling"
+
+    scan: int = setting(SCAN, "pushes of each scan in a direction", least=2, most=10_000)
+    precision: float = setting(PRECISION, "relative width of the final bracket", above=0.0)
+    most: Mapping[str, Any] = setting(
+        dict, "greatest push, m or m/s, as most_x1, most_v1, most_x2, most_v2", read=as_table
+    )
+
+    @classmethod
+    def words(cls) -> tuple[str, ...]:
+        return (*super().words(), *(_MOST + name for name in ("x1", "v1", "x2", "v2")))
+
+    @classmethod
+    def of_words(cls, values: dict[str, Any]) -> dict[str, Any]:
+        most = {name.removeprefix(_MOST): values.pop(name) for name in list(values) if name.startswith(_MOST)}
+        return values | ({"most": most} if most else {})
+
+    def machines(
+        self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
+    ) -> Machines:
+        machines = super().machines(place, scene, parameters, start, run)
+        system = machines.sweep.system
+        missing = [name for name in system.driving_part().return_states if name not in system.start_states]
+        if system.driving_part().section is None or missing or machines.first.start is None:
+            why = f"{', '.join(missing)} of it cannot be given as a start" if missing else "it has no drill"
+            raise place.at("scene").error(f"{shown(machines.sweep.scene)} has no working cycle to push: {why}")
+        for name, value in self.most.items():
+            if name not in system.start_states:
+                hint = suggestion(name, system.start_states)
+                raise place.at("most").error(f"{shown(name)} is no state of a start; {hint}")
+            quantity(place.at("most").at(name), value, positive(name, 1.0, "1", "greatest push", name))
+        return machines
+
+    def compute(self, asked: Machines, progress: bool = True) -> xr.Dataset:
+        """Return the smallest pushes; raise `InputError` if there is no stable cycle to push."""
+        sweep = asked.sweep
+        cycle = run_sweep(sweep, progress=progress)
+        cycle = cycle.isel(start=0, drop=True) if "start" in cycle.dims else cycle
+        cycle = cycle if "point" in cycle.dims else cycle.expand_dims("point")
+        stable = np.flatnonzero(cycle["stable"].values == 1)
+        if not len(stable):
+            why = why_no_orbit(cycle.isel(point=0))
+            raise asked.place.error(f"the motion {why}: no cycle to push; give another start or point")
+        scene, values = sweep.system.driving_part(), sweep.lane_values(0, sweep.lanes)[0]
+        section = {name: cycle[orbit_name(name)].values[stable] for name in scene.return_states}
+        begin = np.stack([section.get(name, np.zeros(len(stable))) for name in sweep.system.start_states], axis=1)
+        bound = self._bounds(sweep.system, cycle.isel(point=stable))
+        orbits = known_orbits(scene, cycle, {name: values[name] for name in scene.parameters()}, stable)
+        search = _Search(self, asked, stable, orbits, begin, bound, progress)
+        search.run()
+        return _dataset(self, asked, cycle, stable, search)
+
+    def _bounds(self, system: Scene[Any], cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
+        """Return the greatest push to be tried in each state variable."""
+        section = system.driving_part().section
+        assert section is not None
+        bounds: dict[str, np.ndarray] = {}
+        for swing in section.swings:
+            bounds[swing.position] = 2 * cycle[swing.amplitude].values
+            if swing.velocity is not None:
+                bounds[swing.velocity] = bounds[swing.position] * 2 * np.pi / cycle["period"].values
+        bounds |= {name: np.full(cycle.sizes["point"], x) for name, x in self.most.items()}
+        return np.stack([bounds[name] for name in system.start_states], axis=1)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return a line for each machine, state variable and sign of the push."""
+        return [SummaryPart("pushes", push_lines(ds))]
 
 
 class _Search:
@@ -141,20 +201,22 @@ class _Search:
 
     def __init__(
         self,
-        spec: PushSpec,
+        settings: Pushes,
+        machines: Machines,
         points: Int[np.ndarray, " points"],
         orbits: KnownOrbits,
         begin: Float[np.ndarray, "points states"],
         bound: Float[np.ndarray, "points states"],
         progress: bool,
     ) -> None:
-        self._spec, self._points, self._orbits, self._begin, self._progress = spec, points, orbits, begin, progress
+        self._settings, self._sweep, self._progress = settings, machines.sweep, progress
+        self._points, self._orbits, self._begin = points, orbits, begin
         self.bound, self._bounds = bound, np.repeat(bound, len(SIGNS), axis=1)
         self.low, self.high = np.zeros_like(self._bounds), np.full_like(self._bounds, np.nan)
         self.regime = np.zeros(self._bounds.shape, int)
 
     def run(self) -> None:
-        scan = np.arange(1, self._spec.scan + 1) / self._spec.scan
+        scan = np.arange(1, self._settings.scan + 1) / self._settings.scan
         top, mask = self._bounds, np.ones(self._bounds.shape, bool)
         for _ in range(MAX_SCANS):
             before = self.high.copy()
@@ -164,7 +226,7 @@ class _Search:
                 break
         share = np.arange(1, BRACKET_PIECES) / BRACKET_PIECES
         for _ in range(BRACKET_ROUNDS):
-            mask = self.high - self.low > self._spec.precision * self.high  # False for NaN
+            mask = self.high - self.low > self._settings.precision * self.high  # False for NaN
             if not mask.any():
                 break
             self._narrow(self.low[..., None] + (self.high - self.low)[..., None] * share, mask)
@@ -195,7 +257,7 @@ class _Search:
 
         **Returns:** for each motion, whether it returns to its cycle, whether it leaves the cycle, and its regime.
         """
-        sweep = self._spec.sweep
+        sweep = self._sweep
         run = replace(sweep.run, settle=factor * sweep.run.settle)
         inputs = replace(
             sweep.inputs_of(self._points[point]),
@@ -220,9 +282,11 @@ class _Search:
         return returned, ~returned & (on_another | irregular | (regime == EQUILIBRIUM)), regime
 
 
-def _dataset(spec: PushSpec, cycle: xr.Dataset, stable: Int[np.ndarray, " stable"], search: _Search) -> xr.Dataset:
+def _dataset(
+    asked: Pushes, machines: Machines, cycle: xr.Dataset, stable: Int[np.ndarray, " stable"], search: _Search
+) -> xr.Dataset:
     """Return the dataset of pushes; points without a stable cycle have NaN, and 0 as regime after the push."""
-    sweep, flags = spec.sweep, VARIABLES["regime"]
+    sweep, regimes = machines.sweep, VARIABLES["regime"]
     variables: dict[str, Any] = {}
 
     def add(name: str, x: np.ndarray, long_name: str, about: Mapping[str, Any], fill: float = np.nan) -> None:
@@ -232,19 +296,19 @@ def _dataset(spec: PushSpec, cycle: xr.Dataset, stable: Int[np.ndarray, " stable
 
     for k, name in enumerate(sweep.system.start_states):
         state, pair = sweep.system.states[sweep.system.place(name)], slice(2 * k, 2 * k + 2)
-        high, regime = search.high[:, pair], search.regime[:, pair].astype(flags.dtype)
+        high, regime = search.high[:, pair], search.regime[:, pair].astype(regimes.dtype)
         push, units = f"push in the {state.long_name}, at the section", {"units": state.unit}
         add(f"push_{name}", high, f"smallest {push}, that leaves the working cycle", units)
         distance = high - search.low[:, pair]
         add(f"bracket_{name}", distance, f"distance to the next smaller {push}, that returns", units)
         add(f"bound_{name}", search.bound[:, k], f"greatest {push}, that was tried", units)
         ends = f"regime in which the motion ends after the smallest {push}"
-        add(f"regime_{name}", regime, ends, flags.attributes(), 0.0)
+        add(f"regime_{name}", regime, ends, regimes.attributes(), 0.0)
     own = ["regime", "period", *map(orbit_name, sweep.system.driving_part().return_states)]
     variables |= {name: ("point", cycle[name].values, cycle[name].attrs) for name in own}
     coordinates = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
     sign = ("sign", list(SIGNS), {"units": "1", "long_name": "side of the push: -1 less, 1 more"})
-    settings = {"method": METHOD, "scan": spec.scan, "precision": spec.precision, "patience": PATIENCE}
+    settings = {"method": METHOD, "scan": asked.scan, "precision": asked.precision, "patience": PATIENCE}
     attributes = {
         **shared_attributes(sweep, "push", f"Smallest pushes out of the working cycle: {sweep.scene}", "smallest_push"),
         "start": json.dumps(sweep.starts[0]) if sweep.starts is not None else "",
@@ -252,4 +316,36 @@ def _dataset(spec: PushSpec, cycle: xr.Dataset, stable: Int[np.ndarray, " stable
         "pushes": json.dumps(settings),
     }
     dataset = xr.Dataset(variables, {**coordinates, "sign": sign}, attributes)
-    return dataset if spec.columns else dataset.isel(point=0, drop=True)
+    return dataset if machines.several else dataset.isel(point=0, drop=True)
+
+
+def push_lines(ds: xr.Dataset) -> list[str]:
+    """Return lines of text: the working cycle of each machine, then its smallest pushes.
+
+    The line of each state variable and sign contains the smallest push and the regime in which the motion then ends.
+    """
+    machines = ds if "point" in ds.dims else ds.expand_dims("point")
+    varied = [name for name, data in machines.coords.items() if data.dims == ("point",) and name != "point"]
+    meanings = flags(ds["regime"])
+    lines = []
+    for index in range(machines.sizes["point"]):
+        machine = machines.isel(point=index)
+        values = [f"{name} = {machine[name].item():g}" for name in varied if machine[name].dtype.kind == "f"]
+        lines += [f"{', '.join(values)}:"] if values else []
+        regime = meanings[int(machine["regime"])]
+        if not float(machine["bound_x1"]) > 0:
+            lines.append(f"no stable cycle ({regime})")
+            continue
+        lines.append(f"working cycle: {regime}, {float(machine['period']):.5g} s")
+        states = [str(name).removeprefix("push_") for name in machine.data_vars if str(name).startswith("push_")]
+        for state in states:
+            push = machine[f"push_{state}"]
+            unit = push.attrs["units"].replace(" s-1", "/s")
+            for k, sign in enumerate("-+"):
+                size, bracket = float(push[k]), float(machine[f"bracket_{state}"][k])
+                text = f"none up to {float(machine[f'bound_{state}']):.4g} {unit} leaves it"
+                if size == size:
+                    regime = meanings[int(machine[f"regime_{state}"][k])]
+                    text = f"{size:.4g} {unit} (within {bracket:.1g}): {regime}"
+                lines.append(f"  {state} {sign}  {text}")
+    return lines

@@ -1,0 +1,156 @@
+"""Analyses by what they analyse: machines (points of a scene), or a file of the user's.
+
+Reading and computing are two steps: a command checks all input, and looks for a finished result, before it computes.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Generic, Self, TypeVar
+
+import xarray as xr
+
+from vibrojax.errors import Place
+from vibrojax.maps.machines import Machines, read_machines
+from vibrojax.settings.fields import settings_of
+from vibrojax.studies.analysis import Analysis, checked_result
+
+Asked = TypeVar("Asked")
+"""Class of what was checked, and is computed: `Machines`, or the analysis's own."""
+
+
+class CheckedAnalysis(Analysis, Generic[Asked]):
+    """An analysis whose input is checked before it is computed.
+
+    A subclass provides `kind`, `identity` and `compute`.
+    """
+
+    file: ClassVar[str] = ""
+    """Default name of the command's file, for `--help`."""
+
+    numbered: ClassVar[bool] = False
+    """Whether files of different results, if no name is given, get numbers instead of an error."""
+
+    def identity(self, asked: Asked) -> dict[str, object]:
+        """Return all settings on which the result depends, as flat JSON values."""
+        raise NotImplementedError(f"{type(self).__name__}.identity")
+
+    def facts(self, ds: xr.Dataset, asked: Asked) -> Mapping[str, object] | None:
+        """Return what `--json` prints; None for the facts of the summary."""
+        return None
+
+    def compute(self, asked: Asked, progress: bool = True) -> xr.Dataset:
+        """Return the result; raise `InputError` if there is none."""
+        raise NotImplementedError(f"{type(self).__name__}.compute")
+
+    def run(self, source: Any, progress: bool = True) -> xr.Dataset:
+        """Return the dataset of the analysis of what was checked."""
+        return self.compute(source, progress)
+
+
+class MachineAnalysis(CheckedAnalysis[Asked]):
+    """An analysis of machines, whose settings, start and run settings stand beside the parameters.
+
+    A subclass provides `kind` and `compute`. It overrides `machines` to check them, or to read them otherwise.
+    """
+
+    subject = "machines"
+
+    scenes: ClassVar[str] = "rotary, vibro-impact, penetration, drilling or coupled-drilling"
+    """Scenes that `--help` names."""
+
+    run_settings: ClassVar[tuple[str, ...]] = ("settle", "observe")
+    """Settings of the table [run] that may be given."""
+
+    always: ClassVar[Mapping[str, object]] = {}
+    """Settings of the table [run] that the analysis needs."""
+
+    lists: ClassVar[bool] = True
+    """Whether a parameter may have several values, each of a machine of its own."""
+
+    tolerances: ClassVar[bool] = False
+    """Whether a parameter may be written NAME=VALUE+-HALF_WIDTH."""
+
+    @classmethod
+    def words(cls) -> tuple[str, ...]:
+        """Return the names that are not parameters on the command line."""
+        return ("start", *settings_of(cls), *cls.run_settings)
+
+    @classmethod
+    def of_words(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """Return the values for `asked` from those of the words of the command line."""
+        return values
+
+    @classmethod
+    def asked(cls, scene: object, values: Mapping[str, object], parameters: Mapping[str, object]) -> tuple[Self, Asked]:
+        """Return the analysis with its settings, and the checked machines.
+
+        **Arguments:** `values`: settings, `start` and settings of the run by name, None for a default.
+
+        **Raises:** `InputError` with a one-line message at the first error.
+        """
+        place, beside = Place(cls.command or cls.kind), ("start", *cls.run_settings)
+        analysis = cls.read(place, {name: value for name, value in values.items() if name not in beside})
+        run = {name: values[name] for name in cls.run_settings if values.get(name) is not None}
+        return analysis, analysis.machines(place, scene, parameters, values.get("start"), run | dict(cls.always))
+
+    def machines(
+        self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
+    ) -> Asked:
+        """Return the checked machines, the argument of `compute`."""
+        machines: Any = read_machines(place, scene, parameters, start, run)
+        return machines
+
+    def identity(self, asked: Asked) -> dict[str, object]:
+        """Return all settings on which the result depends, as flat JSON values."""
+        assert isinstance(asked, Machines)  # else the analysis has its own
+        identity = asked.sweep.identity()
+        for name, value in self.described().items():
+            identity |= {f"{name}_{key}": x for key, x in value.items()} if isinstance(value, dict) else {name: value}
+        return identity
+
+    def file_name(self, asked: Asked) -> str:
+        """Return the name of the command's file."""
+        assert isinstance(asked, Machines)
+        return f"{asked.sweep.scene}-{self.kind}.nc"
+
+
+class FileAnalysis(CheckedAnalysis[Asked]):
+    """An analysis of a file of the user's: a TOML file, or a bundled name.
+
+    A subclass provides `kind`, `about`, `asked`, `identity` and `compute`.
+    """
+
+    subject = "file"
+
+    about: ClassVar[str] = ""
+    """What FILE is, in `--help`."""
+
+    columns: ClassVar[str] = ""
+    """Help of the option `--columns`; empty: there is none."""
+
+    chunks: ClassVar[bool] = False
+    """Whether finished chunks of its lanes are kept beside the file of the result until that is written."""
+
+    def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Asked:
+        """Return the checked content of the file; raise `InputError` at the first error."""
+        raise NotImplementedError(f"{type(self).__name__}.asked")
+
+    def compute_beside(self, asked: Asked, out: Path, resume: bool, progress: bool) -> xr.Dataset:
+        """Return the result, and keep finished chunks beside `out` until it is written."""
+        return self.compute(asked, progress)
+
+    def run(self, source: Any, progress: bool = True) -> xr.Dataset:
+        """Return the dataset of the analysis of a file, or of a dict with the same structure."""
+        return self.compute(self.asked(source), progress)
+
+
+def answered(
+    kind: type[MachineAnalysis[Any]],
+    scene: object,
+    values: Mapping[str, object],
+    parameters: Mapping[str, object],
+    progress: bool,
+) -> xr.Dataset:
+    """Return the dataset of an analysis of machines with these settings; see `MachineAnalysis.asked`."""
+    analysis, machines = kind.asked(scene, values, parameters)
+    return checked_result(analysis, analysis.compute(machines, progress))
