@@ -17,8 +17,14 @@ from vibrojax.io.variables import NATURES
 from vibrojax.lanes.run import LaneRun
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
 from vibrojax.studies.attractor_analysis import Attractors
-from vibrojax.studies.attractor_grouping import PointMotion, PointMotions, classify_motions, is_ambiguous, join_chains
-from vibrojax.studies.attractor_matching import number_attractors
+from vibrojax.studies.attractor_grouping import (
+    PointMotion,
+    PointMotions,
+    classify_motions,
+    is_ambiguous,
+    join_chains,
+    number_attractors,
+)
 
 BOX = {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 GAMMA = [0.35, 0.3625, 0.7375, 0.75, 0.7625]

@@ -12,7 +12,7 @@ from vibrojax.io.variables import NATURES
 from vibrojax.lanes.run import LaneRun
 from vibrojax.measures.labels import IRREGULAR
 from vibrojax.periodic.growth import TANGENT_ACCURACY, exponents, grow, zero_one
-from vibrojax.periodic.lane_orbits import last_returns
+from vibrojax.periodic.orbit_stages import last_returns
 from vibrojax.periodic.return_map import Segments
 
 GAP = {"scene": "vibro-impact", "starts": ["stuck"], "parameters": {"delta": 0.005}}

@@ -5,10 +5,11 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.maps.read import read_sweep
-from vibrojax.periodic import early_stopping as ends
 from vibrojax.periodic import lane_stages
-from vibrojax.periodic.approach import Approach, extrapolate, will_reach
-from vibrojax.periodic.newton import PeriodicOrbits
+from vibrojax.periodic import settled_on_orbit as ends
+from vibrojax.periodic.orbits import Orbits
+from vibrojax.periodic.settled_on_orbit import Approach, extrapolate, will_reach
+from vibrojax.scenes import SCENES
 
 LANES = 384
 WIDE = {"beta": (0.1, 1.2), "gamma": (0.3, 1.2), "v": (0.3, 3.0), "delta": (-0.006, 0.012)}
@@ -103,7 +104,9 @@ def reaches_orbit(multipliers, away, repeats=100, bend=0.0, error=1e-4):
         returns.append(derivative @ returns[-1] + bend * returns[-1] ** 2)
     approach = Approach(np.arange(1), np.ones((1, 3)), np.stack(returns[::-1])[..., None], np.zeros((1, 1, 3)))
     ones = np.ones(1)
-    orbit = PeriodicOrbits(
+    orbit = Orbits(
+        scene=SCENES["vibro-impact"](),
+        parameters={},
         scales=np.ones((1, 3)),
         states=np.zeros((1, 1, 3)),
         times=np.ones((1, 1)),
@@ -114,7 +117,8 @@ def reaches_orbit(multipliers, away, repeats=100, bend=0.0, error=1e-4):
         impacts=ones,
         margin=ones,
         reach=ones,
-        steps=ones,
+        steps=np.ones((1, 1)),
+        lane=np.arange(1),
     )
     return will_reach(approach, orbit, np.array([float(repeats)]), 1e-7, error)[0]
 

@@ -7,10 +7,10 @@ import vibrojax as vj
 from vibrojax.maps.dataset import SECONDS
 from vibrojax.maps.executor import compute
 from vibrojax.maps.read import read_sweep
-from vibrojax.periodic import early_stopping as ends
 from vibrojax.periodic import lane_stages
-from vibrojax.periodic.early_stopping import candidates, rank_in_point
+from vibrojax.periodic import settled_on_orbit as ends
 from vibrojax.periodic.lane_stages import lane_run
+from vibrojax.periodic.settled_on_orbit import candidates, rank_in_point
 
 BOX = {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 GRID = {"beta": [0.3, 0.4], "gamma": [0.35, 0.75]}
@@ -77,9 +77,10 @@ def test_orbit_of_two_returns_is_recognised_at_either_return(monkeypatch, search
     original, remaining = ends.EarlyEnds.on_orbits, [1]
 
     def find_one_orbit(self, near, batch):
-        orbits = original(self, near, batch)
-        remaining[0], subset = remaining[0] - len(orbits.lanes), np.arange(min(remaining[0], len(orbits.lanes)))
-        return orbits.of(subset)
+        found = original(self, near, batch)
+        subset = np.arange(min(remaining[0], len(found.orbits)))
+        remaining[0] -= len(found.orbits)
+        return found.of(subset)
 
     monkeypatch.setattr(ends.EarlyEnds, "on_orbits", find_one_orbit)
     spec = sweep(64, orbits=True) | {"grid": {"beta": [0.4], "gamma": [0.35]}}

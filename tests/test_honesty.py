@@ -6,7 +6,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
-from vibrojax.periodic.early_stopping import EarlyEnds
+from vibrojax.periodic.settled_on_orbit import EarlyEnds
 from vibrojax.stepping import Accuracy
 
 CANCELLING = {

@@ -15,7 +15,7 @@ from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
-from vibrojax.periodic.lane_orbits import Orbits
+from vibrojax.periodic.orbit_stages import OrbitStage
 from vibrojax.studies.sweep import orbit_lines
 
 CASES = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["orbits"]
@@ -153,7 +153,7 @@ def lanes():
 
 def find_orbits(lanes, **damage):
     inputs, features = lanes
-    stage = Orbits(inputs.scene, inputs.run, inputs.start_names)
+    stage = OrbitStage(inputs.scene, inputs.run, inputs.start_names)
     return stage(inputs, {name: x.copy() for name, x in features.items()} | damage)
 
 

@@ -14,7 +14,8 @@ from systems import IMPACT_OSCILLATOR
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.periodic.orbit_derivatives import DERIVATIVE_REASONS, orbit_features, orbit_variables
+from vibrojax.periodic.derivatives import DERIVATIVE_REASONS, orbit_variables
+from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.return_map import Segments
 from vibrojax.periodic.variations import eigenvalues
 from vibrojax.scenes import SCENES
@@ -106,15 +107,20 @@ def converged_lane(scene, values, returns=200):
     return p, state.T[None]
 
 
+def orbit_at(scene, p, guess):
+    return Orbits.find(scene, p, guess).refined()
+
+
 def test_derivatives_near_grazing_are_marked_invalid():
     """The grazing margin of a striker that turns before the bit is linear in the gap. Its slope predicts the graze."""
     scene, of = SCENES["vibro-impact"](), ("grazing_margin", "period")
     p, guess = converged_lane(scene, {"beta": 0.4, "gamma": 0.75, "delta": 0.034})
-    far = orbit_features(scene, of, ("delta",), p, guess)
-    assert far.impacts == 0 and far.valid
+    orbit = orbit_at(scene, p, guess)
+    far = orbit.derivatives(of, ("delta",))
+    assert orbit.impacts == 0 and far.valid
     margin, slope = far.values[0, 0], far.derivatives[0, 0, 0]
     for close, reason in ((1e-3, "none"), (1e-5, "near-grazing")):
-        near = orbit_features(scene, of, (), p | {"delta": p["delta"] - (margin - close) / slope}, guess)
+        near = orbit_at(scene, p | {"delta": p["delta"] - (margin - close) / slope}, guess).derivatives(of, ())
         assert near.values[0, 0] == pytest.approx(close, rel=1e-6)
         assert near.reason[0].tolist() == [DERIVATIVE_REASONS.index(reason)] * 2
 
@@ -124,11 +130,13 @@ def test_derivatives_with_rock_agree_with_central_differences_of_orbits():
     scene = SCENES["drilling"]()
     p, guess = converged_lane(scene, values)
     of = ("rate_of_penetration", "relief", "deepest_gap", "impact_energy", "log_multiplier")
-    orbit = orbit_features(scene, of, by, p, guess)
+    whole = orbit_at(scene, p, guess)
+    orbit = whole.derivatives(of, by)
     assert set(of) <= set(orbit_variables(scene)) and orbit.valid.all()
     for place, varied in enumerate(by):
         step = STEP * values[varied]
-        up, down = (orbit_features(scene, of, (), p | {varied: p[varied] + h}, orbit.states) for h in (step, -step))
+        moved = (orbit_at(scene, p | {varied: p[varied] + h}, whole.states) for h in (step, -step))
+        up, down = (orbit.derivatives(of, ()) for orbit in moved)
         slope, scale = (up.values - down.values)[0] / (2 * step), 0.1 * np.abs(orbit.values[0]) / values[varied]
         np.testing.assert_array_less(np.abs(slope - orbit.derivatives[0, :, place]), 1e-6 * scale)
 

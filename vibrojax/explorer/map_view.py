@@ -35,9 +35,9 @@ from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.rerun import has_lanes_of
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.repeats import state_name
-from vibrojax.periodic.lane_orbits import Orbits
 from vibrojax.periodic.lane_stages import stop_rule
-from vibrojax.periodic.margin import DRIVEN_RETURNS
+from vibrojax.periodic.measuring import DRIVEN_RETURNS
+from vibrojax.periodic.orbit_stages import OrbitStage
 from vibrojax.pictures.axes import scale, with_unit
 from vibrojax.pictures.contents import (
     FORM,
@@ -222,7 +222,7 @@ def lane_cells(sweep: Sweep, progress: bool = True) -> Iterator[Cell]:
     names = sweep.system.driving_part().return_states
     sweep = replace(sweep, run=replace(sweep.run, orbits=bool(names)))
     like, plan = sweep.inputs(0, 1), sweep.plan
-    stages = [Orbits(like.scene, like.run, like.start_names)] if names else []
+    stages = [OrbitStage(like.scene, like.run, like.start_names)] if names else []
     run = LaneRun(like, plan, stop_rule(like, plan), stages)
     with Progress(sweep.lanes, "lanes", progress) as bar:
         for index in range(sweep.chunks):

@@ -37,7 +37,7 @@ from vibrojax.maps.read import Point, read_point
 from vibrojax.maps.rerun import has_lanes_of, rerun_problem, sweep_of_dataset
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep, with_substitutes
-from vibrojax.periodic.margin import DRIVEN_RETURNS
+from vibrojax.periodic.measuring import DRIVEN_RETURNS
 from vibrojax.pictures.branch_data import (
     along_name,
     family_coordinates,

@@ -7,10 +7,9 @@ from vibrojax.lanes.compiler import XLA_BLOCK_ON_ACCELERATOR
 from vibrojax.lanes.inputs import LaneInputs, LaneResult, Plan, Report, Stage, unreported
 from vibrojax.lanes.run import LaneRun
 from vibrojax.lanes.settled import StopRule
-from vibrojax.periodic.early_stopping import EarlyEnds
-from vibrojax.periodic.lane_orbits import Orbits
 from vibrojax.periodic.natures import Natures
-from vibrojax.periodic.nearby import Nearby
+from vibrojax.periodic.orbit_stages import NearbyStage, OrbitStage
+from vibrojax.periodic.settled_on_orbit import EarlyEnds
 from vibrojax.scenes import Scene
 from vibrojax.settings.run_settings import RunSettings
 from vibrojax.stepping import Located
@@ -60,7 +59,7 @@ def stop_rule(inputs: LaneInputs, plan: Plan) -> StopRule | None:
 def lane_run(inputs: LaneInputs, plan: Plan) -> LaneRun:
     """Return a run of lanes like `inputs`, with the stop rule and the stages that their settings and the plan imply."""
     about = inputs.scene, inputs.run, inputs.start_names
-    stages: list[Stage] = [Orbits(*about), Nearby(*about)] if inputs.run.orbits else []
+    stages: list[Stage] = [OrbitStage(*about), NearbyStage(*about)] if inputs.run.orbits else []
     stages += [Natures(*about)] if inputs.run.lyapunov else []
     return LaneRun(inputs, plan, stop_rule(inputs, plan), stages)
 

@@ -25,9 +25,8 @@ from vibrojax.periodic.growth import (
     grow,
     zero_one,
 )
-from vibrojax.periodic.lane_orbits import Orbits, last_returns, reason
-from vibrojax.periodic.nearby import MOST_STEPS, REACH
-from vibrojax.periodic.newton import ACCEPTED, orbits, repeats_after, spectral_radius
+from vibrojax.periodic.orbit_stages import MOST_STEPS, REACH, OrbitStage, last_returns, reason
+from vibrojax.periodic.orbits import ACCEPTED, Orbits
 from vibrojax.periodic.return_map import STEPS, Segments
 from vibrojax.scenes import Scene
 from vibrojax.settings.run_settings import RunSettings
@@ -107,7 +106,7 @@ class Natures:
 
     def __init__(self, scene: Scene[Any], run: RunSettings, start_names: tuple[str, ...]) -> None:
         self._scene = scene.driving_part()
-        self._orbits = None if run.orbits else Orbits(scene, run, start_names)
+        self._orbits = None if run.orbits else OrbitStage(scene, run, start_names)
 
     def __call__(self, inputs: LaneInputs, features: Features) -> Features:
         """Return the features `lyapunov`, `lyapunov_stderr`, `zero_one` and `nature` of some lanes.
@@ -240,8 +239,7 @@ def has_embedded_orbit(
         begin = np.stack([own[first + k, :, column] for k in range(repeat)], axis=1)
         values = {name: x[lanes] for name, x in parameters.items()}
         with np.errstate(all="ignore"):
-            orbit = orbits(begin, scale.T[lanes], np.full(len(lanes), REACH), segments.of(values), ACCEPTED)
-            accepted = (orbit.residual <= ACCEPTED) & (repeats_after(orbit) == repeat)
-            accepted &= spectral_radius(orbit.product) < 1
+            orbit = Orbits.find(scene, values, begin, scale.T[lanes], REACH, segments, ACCEPTED)
+            accepted = orbit.converged & orbit.stable & (orbit.minimal_cycles() == repeat)
         stable[lanes[accepted]] = True
     return stable

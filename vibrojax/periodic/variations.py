@@ -18,7 +18,7 @@ from jaxtyping import Float
 from vibrojax.compile.xla import workers
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.periodic.margin import Margin
-from vibrojax.periodic.newton import PeriodicOrbits, PerLane, shooting_matrix, solve
+from vibrojax.periodic.newton import PerLane, shooting_matrix, solve
 from vibrojax.periodic.return_map import MOST_STEPS, ReturnLoop, in_calls, map_state
 from vibrojax.physics.arrays import Array, Lanes
 from vibrojax.scenes import Scene
@@ -53,18 +53,22 @@ class Variations(NamedTuple):
 
     @staticmethod
     def of(
-        driving: Scene[Any], by: Sequence[str], parameters: Mapping[str, PerLane], orbit: PeriodicOrbits
+        driving: Scene[Any],
+        by: Sequence[str],
+        parameters: Mapping[str, PerLane],
+        begin: Float[np.ndarray, "lanes cycles states"],
+        scale: Float[np.ndarray, "lanes states"],
     ) -> "Variations":
         """Return the variations of the map along all states and parameters, combined by the implicit function theorem.
 
         Each pair of a state and a direction, in which the map is differentiated once and twice, has lanes of its own,
         so that one small compiled program serves all parameters.
         """
-        lanes, cycles, rows = orbit.states.shape
+        lanes, cycles, rows = begin.shape
         count = rows + len(by)
         shape = (lanes, cycles, rows, count)
         lane, crossing, column, direction = (index.ravel() for index in np.indices(shape))
-        states = orbit.states[lane, crossing].T
+        states = begin[lane, crossing].T
         along = {name: (direction == rows + by.index(name)) + 0.0 if name in by else 0.0 * lane for name in parameters}
         basis = np.arange(rows)[:, None]
         first, second = (basis == column) + 0.0, (basis == direction) + 0.0
@@ -83,7 +87,6 @@ class Variations(NamedTuple):
         jacobian = np.swapaxes(moved[:, :, :, 0], 2, 3)
         by_image, by_time, by_margin = (slopes[k][:, :, 0] for k in (0, 1, 3))
         by_jacobian = np.moveaxis(slopes[2], 2, -1)  # (lanes, cycles, directions, images, columns)
-        scale = orbit.scales
         scaled = jacobian * scale[:, None, None, :] / scale[:, None, :, None]
         right = -np.swapaxes(by_image[:, :, rows:], 2, 3) / scale[:, None, :, None]
         d_states = solve(shooting_matrix(scaled), right.reshape(lanes, cycles * rows, len(by)))

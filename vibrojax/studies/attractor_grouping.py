@@ -1,6 +1,9 @@
-"""Lanes of a grid point grouped by their final motion: by orbit, or by statistics if they are not periodic."""
+"""Final motions of the lanes of a grid point, and attractors: motions of neighbouring points that are linked.
 
-from collections.abc import Mapping
+Lanes are grouped by orbit, or by statistics if they are not periodic. Links are numbered by union-find.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,11 +14,9 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.io.variables import NATURES, orbit_name
 from vibrojax.lanes.inputs import Index
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, UNDECIDED
-from vibrojax.periodic.known_orbits import known_orbits
+from vibrojax.periodic.orbits import Orbits, orbits_of
+from vibrojax.periodic.return_map import Segments
 from vibrojax.scenes import Scene
-
-SAME_ORBIT_WITHIN = 1e-4
-"""Scaled distance below which two orbits of a point are the same; Newton's method finds orbits to 1e-10."""
 
 IRREGULAR_WITHIN = 0.25
 """Resolution of irregular motions: two are the same if no statistic differs by more than this relative amount."""
@@ -41,6 +42,15 @@ STATISTICS = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
 
 _FAR_APART = 1e3  # exceeds the difference of any two logarithms
 
+MATCHING_FIRST_STEP, MATCHING_MIN_STEP = 1 / 4, 1 / 256
+"""First and least continuation step, as fractions of the distance to the neighbour. Orbits that need less are lost."""
+
+PREDICTION_WITHIN = 0.05
+"""Scaled distance from the prediction beyond which an orbit counts as another orbit."""
+
+Links = dict[tuple[int, int], float]
+"""Distance between two motions of one attractor, by the indices of the motions, the lower index first."""
+
 PerStatistic = Float[np.ndarray, "_ statistics"]
 
 
@@ -54,20 +64,19 @@ class PointMotion:
     """Final motion of some lanes of one grid point.
 
     - `cell`: index of the grid point; `regime`: most frequent regime of the lanes.
-    - `states` (cycles, states): orbit at the section; `scales` (states,): their scales; None without an orbit.
+    - `orbit`: the single orbit of a periodic motion; else None.
     - `statistics`: natural logarithms of the statistics of an irregular motion; else None.
     """
 
     cell: int
     regime: int
-    states: np.ndarray | None = None
-    scales: np.ndarray | None = None
+    orbit: Orbits | None = None
     statistics: np.ndarray | None = None
 
     @property
     def cycles(self) -> int:
         """Period of the orbit in returns to the section; 0 for other motions."""
-        return 0 if self.states is None else len(self.states)
+        return 0 if self.orbit is None else self.orbit.states.shape[1]
 
 
 @dataclass
@@ -94,13 +103,6 @@ class PointMotions:
         self.items = [motion for motion, removed in zip(self.items, mask, strict=True) if not removed]
 
 
-def is_on_orbit(
-    states: Float[np.ndarray, "lanes states"], orbit: Float[np.ndarray, "cycles states"], scales: np.ndarray
-) -> Bool[np.ndarray, " lanes"]:
-    """Return which states at the section are on an orbit."""
-    return (np.abs(states[:, None] - orbit) / scales).max(axis=2).min(axis=1) < SAME_ORBIT_WITHIN
-
-
 def classify_motions(
     scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int
 ) -> PointMotions:
@@ -116,14 +118,17 @@ def classify_motions(
     has_orbit = np.isfinite(states).all(axis=1) & (cycles > 0) & (dataset["stable"].values.ravel() != 0)
     remaining = np.flatnonzero(has_orbit & ~np.isin(regime, (EQUILIBRIUM, FAILED, UNDECIDED)))
     while len(remaining):  # the orbit of each point's first lane, then that of its first lane on another orbit, ...
-        cells = _split_by_cell(remaining, starts)
-        known = known_orbits(scene, dataset, parameters, np.array([lanes[0] for lanes in cells]))
-        motions.max_steps = max(motions.max_steps, known.most_steps)
-        for lanes, orbit, scale in zip(cells, known.states, known.scales, strict=True):
-            same = is_on_orbit(states[lanes], orbit, scale) & (cycles[lanes] == len(orbit))
+        cells = {int(lanes[0]): lanes for lanes in _split_by_cell(remaining, starts)}
+        orbits: dict[int, Orbits] = {}
+        for batch in orbits_of(scene, dataset, parameters, np.array([*cells])):
+            motions.max_steps = max(motions.max_steps, batch.most_steps)
+            orbits |= {lane: batch.of([k]) for k, lane in enumerate(batch.lane.tolist())}
+        for first, lanes in cells.items():
+            orbit = orbits[first]
+            same = orbit.contain(states[lanes]) & (cycles[lanes] == cycles[first])
             same[0] = True  # the lane whose orbit this is, whatever the scales
             label = int(np.argmax(np.bincount(regime[lanes[same]])))
-            motions.add(lanes[same], PointMotion(int(lanes[0]) // starts, label, orbit, scale))
+            motions.add(lanes[same], PointMotion(first // starts, label, orbit))
         remaining = remaining[motions.of_lane[remaining] < 0]
     for lanes in _split_by_cell(np.flatnonzero(regime == EQUILIBRIUM), starts):
         motions.add(lanes, PointMotion(int(lanes[0]) // starts, EQUILIBRIUM))
@@ -227,3 +232,106 @@ def join_chains(
 def _split_by_cell(lanes: Index, starts: int) -> list[Index]:
     """Split lanes into one array per grid point, in order."""
     return np.split(lanes, np.flatnonzero(np.diff(lanes // starts)) + 1) if len(lanes) else []
+
+
+def find_links(
+    scene: Scene[Any],
+    parameters: Mapping[str, Float[np.ndarray, " points"]],
+    shape: tuple[int, ...],
+    motions: PointMotions,
+) -> Links:
+    """Return the links between motions of neighbouring grid points; they do not depend on the direction of axes.
+
+    A stable orbit is continued by Newton's method to the neighbour's parameters, and linked to the orbit there that it
+    becomes, if any. Continued backwards through its period doubling, an orbit becomes the orbit from which it
+    bifurcated. Neighbouring equilibria are linked, and so are irregular motions of similar statistics.
+
+    **Arguments:** `parameters`: values at the points by name, in row-major order over the grid's `shape`.
+    """
+    in_cell: dict[int, list[int]] = {}
+    for index, motion in enumerate(motions.items):
+        in_cell.setdefault(motion.cell, []).append(index)
+    links: Links = {}
+    edges: dict[int, list[tuple[int, int]]] = {}  # by cycles: pairs of an orbit and the cell to which it is continued
+    for here, there in _neighbours(shape):
+        for index in in_cell.get(here, ()):
+            motion, others = motions.items[index], in_cell.get(there, ())
+            if motion.cycles:
+                if any(motions.items[other].cycles for other in others):
+                    edges.setdefault(motion.cycles, []).append((index, there))
+                continue
+            for other in others:
+                distance = _distance(motion, motions.items[other])
+                if distance is not None:
+                    links[min(index, other), max(index, other)] = distance
+    for same_cycles in edges.values():
+        begin = [motions.items[index].orbit for index, _ in same_cycles]
+        own = Orbits.joined(orbit for orbit in begin if orbit is not None)
+        cells = np.array([cell for _, cell in same_cycles])
+        carried, arrived = own.carry_to(
+            {name: x[cells] for name, x in parameters.items()},
+            within=PREDICTION_WITHIN,
+            first=MATCHING_FIRST_STEP,
+            least=MATCHING_MIN_STEP,
+            accept=lambda orbits: orbits.stable,
+            go=Segments(scene, most=motions.max_steps),
+        )
+        for k in np.flatnonzero(arrived).tolist():
+            index, cell = same_cycles[k]
+            final = carried.of([k])
+            for other in in_cell[cell]:
+                orbit = motions.items[other].orbit
+                if orbit is not None and final.same_as(orbit)[0]:
+                    # Distance between the two orbits: that between their nearest states.
+                    apart = np.abs(own.states[k][:, None] - orbit.states) / ((own.scales[k] + orbit.scales) / 2)
+                    links[min(index, other), max(index, other)] = float(apart.max(axis=2).min())
+    return links
+
+
+def _neighbours(shape: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Return all pairs of neighbouring points along an axis, in both directions."""
+    cells = np.arange(int(np.prod(shape, dtype=int))).reshape(shape)
+    pairs: list[tuple[int, int]] = []
+    for axis in range(len(shape)):
+        along = np.moveaxis(cells, axis, 0)
+        ends = along[:-1].ravel().tolist(), along[1:].ravel().tolist()
+        pairs += [*zip(*ends, strict=True), *zip(*ends[::-1], strict=True)]
+    return pairs
+
+
+def _distance(motion: PointMotion, other: PointMotion) -> float | None:
+    """Return the distance between two motions without orbits, or None if they are not linked."""
+    if motion.regime == EQUILIBRIUM and other.regime == EQUILIBRIUM:
+        return 0.0
+    if motion.statistics is None or other.statistics is None:
+        return None
+    distance = float(np.abs(motion.statistics - other.statistics).max())
+    return distance if distance <= np.log(SIMILAR_FACTOR) else None
+
+
+def number_attractors(
+    cells: Sequence[int], lanes: Sequence[int], links: Links, order: Sequence[tuple[float, ...]]
+) -> Int[np.ndarray, " motions"]:
+    """Return the attractor number of each motion. Attractors are numbered from 0 by decreasing number of lanes.
+
+    Linked motions have the same number, but no two motions of one point do. Links are processed in order of increasing
+    distance. A link that would give two motions of one point the same number is dropped: near a cusp, two attractors
+    are connected through other motions. Numbers therefore do not depend on the direction of the axes.
+
+    **Arguments:** `cells`, `lanes`: grid point and number of lanes of each motion; `order`: sort key of each motion.
+    The least key of an attractor breaks ties between attractors with equally many lanes.
+    """
+    from scipy.cluster.hierarchy import DisjointSet  # slow to import
+
+    groups, points = DisjointSet(range(len(cells))), [{cell} for cell in cells]
+    for pair in sorted(links, key=lambda pair: (links[pair], sorted(order[motion] for motion in pair))):
+        small, large = sorted((groups[motion] for motion in pair), key=lambda root: len(points[root]))
+        if points[small].isdisjoint(points[large]):
+            points[large] |= points[small]
+            groups.merge(small, large)
+            points[groups[large]] = points[large]
+    ranked = sorted(groups.subsets(), key=lambda own: (-sum(lanes[m] for m in own), min(order[m] for m in own)))
+    number = np.zeros(len(cells), int)
+    for place, own in enumerate(ranked):
+        number[list(own)] = place
+    return number

@@ -24,17 +24,20 @@ from vibrojax.maps.starts import DEFAULT_STARTS, list_of
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.derived import blow_frequency
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
+from vibrojax.periodic.orbits import SAME_ORBIT
 from vibrojax.studies.attractor_grouping import (
     EXPONENT_STDERRS,
     IRREGULAR_MIN_LANES,
     IRREGULAR_WITHIN,
+    PREDICTION_WITHIN,
     RESOLUTION_STDERRS,
-    SAME_ORBIT_WITHIN,
     SIMILAR_FACTOR,
     PointMotions,
     classify_motions,
+    find_links,
     irregular_groups,
     is_ambiguous,
+    number_attractors,
 )
 from vibrojax.studies.attractor_long_run import (
     CONVERGED_STDERR,
@@ -43,7 +46,6 @@ from vibrojax.studies.attractor_long_run import (
     SPLIT_MIN_WINDOWS,
     with_long_statistics,
 )
-from vibrojax.studies.attractor_matching import PREDICTION_WITHIN, find_links, number_attractors
 
 NAMED = "named_start"
 """Dimension of the scene's named initial conditions, in addition to a sample or a plane of initial conditions."""
@@ -219,8 +221,8 @@ def _columns(
         columns[name][cells] = medians[name]
     for motion, *cell in zip(motions.items, *cells, strict=True):
         columns["regime"][*cell], columns["cycles"][*cell] = motion.regime, motion.cycles
-        if motion.states is not None:
-            for name, state in zip(of_orbits(sweep.system), motion.states[0], strict=True):
+        if motion.orbit is not None:
+            for name, state in zip(of_orbits(sweep.system), motion.orbit.states[0, 0], strict=True):
                 columns[name][*cell] = state
     if "blow_frequency" in dataset:
         columns["blow_frequency"] = blow_frequency(columns["impacts"], columns["cycles"], columns["period"])
@@ -247,7 +249,7 @@ def _dataset(
     coordinates = {name: x for name, x in dataset.coords.items() if set(x.dims) <= set(sweep.dims)}
     settings = {
         "method": METHOD,
-        "same_within": SAME_ORBIT_WITHIN,
+        "same_within": SAME_ORBIT,
         "irregular_within": IRREGULAR_WITHIN,
         "standard_errors": RESOLUTION_STDERRS,
         "windows": [FEWEST_WINDOWS, MOST_WINDOWS],

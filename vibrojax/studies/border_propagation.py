@@ -17,13 +17,11 @@ from vibrojax.periodic.arclength import ENDED, STALLED, continue_branches
 from vibrojax.periodic.brackets import Brackets, shrink_brackets
 from vibrojax.periodic.location import TEST_FUNCTIONS, classify_event_changes
 from vibrojax.periodic.newton import multipliers, spectral_radius
+from vibrojax.periodic.orbits import SAME_ORBIT
 from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, towards
 from vibrojax.periodic.segments import STEP_AFTER_CORNER
 from vibrojax.periodic.special_points import turn_corner
 from vibrojax.scenes import Scene
-
-SAME_ORBIT = 1e-4
-"""Scaled distance within which two orbits at one grid point count as equal."""
 
 MAX_ORBITS_PER_POINT = 6
 """Largest number of stable single impacts at one grid point, which limits the computing time."""

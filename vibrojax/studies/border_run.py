@@ -16,7 +16,7 @@ from vibrojax.maps.rerun import orbits as with_orbits
 from vibrojax.maps.rerun import sweep_with_orbits
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
-from vibrojax.periodic.known_orbits import known_orbits
+from vibrojax.periodic.orbits import orbits_of
 from vibrojax.physics.parameters import REPLACED, substitutes
 from vibrojax.scenes import HasImpacts
 from vibrojax.studies.border_chains import Vertex, around_region
@@ -146,21 +146,21 @@ class Regions:
         for name in scene.parameters():
             grid = xr.DataArray(values[name].reshape(sweep.shape), dims=sweep.dims).transpose(*order)
             lanes[name] = grid.values.astype(float).ravel()
-        known = known_orbits(scene, dataset, lanes)
+        known = orbits_of(scene, dataset, lanes)
         points = {name: x.reshape(shape)[..., 0] for name, x in lanes.items()}
         axes = sweep.axes[names[0]], sweep.axes[names[1]]
-        self._grid = OrbitGrid(scene, names, axes, points, known.most_steps)
+        self._grid = OrbitGrid(scene, names, axes, points, max((orbits.most_steps for orbits in known), default=0.0))
         self._regime = dataset["regime"].values.reshape(shape)
         self._single = self._regime == SINGLE_IMPACT
         settled = self._single & (dataset["stable"].values.reshape(shape) == 1)
         self._continued = ContinuedBorders(self._grid)
         self._own: dict[tuple[int, int, int, int], GridOrbit] = {}
-        for lane, states, scale in zip(known.lanes.tolist(), known.states, known.scales, strict=True):
-            plane, i, j, start = (int(k) for k in np.unravel_index(lane, shape))
-            if not settled[plane, i, j, start] or len(states) != 1:
-                continue
-            cell, state = (plane, i, j), states[0]
-            self._own[plane, i, j, start] = self._grid.find(cell, state) or self._grid.add(cell, state, scale)
+        for single in (orbits for orbits in known if orbits.states.shape[1] == 1):
+            for lane, state, scale in zip(single.lane.tolist(), single.states[:, 0], single.scales, strict=True):
+                plane, i, j, start = (int(k) for k in np.unravel_index(lane, shape))
+                if settled[plane, i, j, start]:
+                    own = self._grid.find((plane, i, j), state) or self._grid.add((plane, i, j), state, scale)
+                    self._own[plane, i, j, start] = own
         self._grid.propagate()
 
     def borders(self, at: tuple[str, float] | None = None, progress: bool = True) -> xr.Dataset:

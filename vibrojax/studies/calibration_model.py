@@ -227,8 +227,8 @@ def starts(spec: CalibrationSpec) -> list[tuple[Theta, int]]:
     rows = np.unique(np.linspace(0, spec.rows - 1, SCREENED_ROWS).round().astype(int))
     by = _parameters(spec)
     columns = _points(spec, thetas).reshape(SCREENED, -1, len(by))[:, rows]
-    ds = settled_at(spec.point, by, columns.reshape(-1, len(by)))
-    lanes = {name: ds[name].values.reshape(SCREENED, -1) for name in (*_features(spec), "stable") if name in ds}
+    found = settled_at(spec.point, by, columns.reshape(-1, len(by)))
+    lanes = {name: found[name].reshape(SCREENED, -1) for name in (*_features(spec), "stable") if name in found}
     stable = lanes["stable"] == 1
     cost = np.zeros(stable.shape)
     for k, name in enumerate(spec.observed):

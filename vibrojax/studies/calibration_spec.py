@@ -19,7 +19,7 @@ from vibrojax.io.tables import column_numbers, read_numbers, read_table, rows_wi
 from vibrojax.io.variables import VARIABLES
 from vibrojax.maps.bounds import read_bounds, read_specification
 from vibrojax.maps.read import Point, read_point
-from vibrojax.periodic.orbit_derivatives import orbit_variables
+from vibrojax.periodic.derivatives import orbit_variables
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.units import factor
 from vibrojax.settings.names import Names

@@ -13,8 +13,7 @@ from vibrojax.periodic.curve_branching import condition_at, with_branches, witho
 from vibrojax.periodic.curve_equations import EVENTS, CurveProblem
 from vibrojax.periodic.curve_following import follow_curves
 from vibrojax.periodic.event_map import conditions_of
-from vibrojax.periodic.known_orbits import STEP_ALLOWANCE, trace_orbits
-from vibrojax.periodic.newton import MIN_RELATIVE_SWING
+from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.problem import FAMILY_ACCURACY, UNITS_PER_SPAN
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
 from vibrojax.pictures.branch_data import branches, kind_names, places
@@ -110,14 +109,13 @@ def problem_through(
     go = Segments(scene, (first, second), FAMILY_ACCURACY)
     cycles = np.array([number for number, _ in orbits])
     states, scales, most_steps = [state[None] for _, state in orbits], np.ones((count, len(scene.return_states))), 0.0
-    moving = np.flatnonzero(kinds != "hopf")  # an equilibrium does not return to the section
-    if len(moving):
-        begin = np.array([orbits[k][1] for k in moving]).T
-        traced = trace_orbits(go, {name: x[moving] for name, x in parameters.items()}, begin, cycles[moving])
-        size = MIN_RELATIVE_SWING * np.maximum(traced.greatest, -traced.least)
-        swing = np.maximum((traced.greatest - traced.least) / 2, size).T
-        scales[moving], most_steps = np.where(swing > 0, swing, 1.0), STEP_ALLOWANCE * traced.steps
-        for k, whole in zip(moving.tolist(), traced.states, strict=True):
+    moving = kinds != "hopf"  # an equilibrium does not return to the section
+    for repeat in np.unique(cycles[moving]).tolist():
+        index = np.flatnonzero(moving & (cycles == repeat))
+        own = {name: x[index] for name, x in parameters.items()}
+        traced = Orbits.trace(scene, own, np.array([orbits[k][1] for k in index]), repeat, go)
+        scales[index], most_steps = traced.scales, max(most_steps, traced.most_steps)
+        for k, whole in zip(index.tolist(), traced.states, strict=True):
             states[k] = whole
     none = np.zeros((count, len(conditions_of(scene))))
     problem = CurveProblem(

@@ -7,12 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vibrojax.io.variables import ORBIT_REASONS, orbit_name
+from vibrojax.io.variables import ORBIT_REASONS
 from vibrojax.maps.sweep import with_substitutes
 from vibrojax.measures.labels import REGIMES
-from vibrojax.periodic.known_orbits import trace_orbits
-from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_features
-from vibrojax.periodic.return_map import Segments
+from vibrojax.periodic.derivatives import MODULUS
+from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.studies.design_spec import Constraint, DesignSpec
 
 Unit = Float[np.ndarray, " varied"]
@@ -121,16 +120,18 @@ def extreme(values: np.ndarray, end: str) -> float:
 
 
 class Visit(NamedTuple):
-    """Orbits over the box of a point: rows of objectives, limits and stability, their slopes, and the states.
+    """Orbits over the box of a point: rows of objectives, limits and stability, and their slopes.
 
-    `states` and `state_slopes` have one array (samples, cycles, states) or (samples, cycles, states, varied) a motion.
+    `orbits` has one batch of samples for each motion, `orbit_slopes` the derivatives of their states with respect to
+    the parameters `by`.
     """
 
     unit: Unit
     rows: Float[np.ndarray, " rows"]
     slopes: Float[np.ndarray, "rows varied"]
-    states: list[np.ndarray]
-    state_slopes: list[np.ndarray]
+    orbits: list[Orbits]
+    by: tuple[str, ...]
+    orbit_slopes: list[np.ndarray]
 
     def rank(self, objectives: int) -> tuple[float, float]:
         """Return the key of the order from worst to best: smaller violations, then a greater least objective."""
@@ -157,38 +158,42 @@ class BoxOrbits:
         ]  # fmt: skip
         self.box = seed.offsets[sound]
         self.objectives = len(seed.motions) * (len(sound) if spec.robust else 1)
-        states = [orbit_states(spec, seed, start, sound) for start in seed.motions]
-        flat = [np.zeros((*x.shape, len(seed.unit))) for x in states]
         self.impacts: list[float] | None = None
-        begin = Visit(seed.unit, np.zeros(0), np.zeros((0, len(seed.unit))), states, flat)
-        if (first := self._solved(seed.unit, begin)) is not None:
+        first = self._visit(seed.unit, [orbits_at(spec, seed, start, sound) for start in seed.motions])
+        if first is not None:
             self.visits.append(first)
 
     def at(self, unit: Unit) -> Visit:
-        """Return the orbits at a point, predicted from the nearest point visited; raise `LostOrbit` without them."""
+        """Return the orbits at a point, carried from the nearest point visited; raise `LostOrbit` without them."""
         near = min(self.visits, key=lambda visit: float(np.abs(visit.unit - unit).max()))
         if np.array_equal(near.unit, unit):
             return near
-        visit = self._solved(unit, near)
+        parameters, _ = self._parameters(unit)
+        carried = [
+            orbits.carry_to(parameters, within=ORBIT_REACH, least=1.0, by=near.by, slopes=slopes)
+            for orbits, slopes in zip(near.orbits, near.orbit_slopes, strict=True)
+        ]
+        arrived = all(arrived.all() for _, arrived in carried)
+        visit = self._visit(unit, [orbits for orbits, _ in carried]) if arrived else None
         if visit is None:
             raise LostOrbit
         self.visits.append(visit)
         return visit
 
-    def _solved(self, unit: Unit, near: Visit) -> Visit | None:
-        spec, samples = self.spec, len(self.box)
-        parameters, chain = scene_parameters(spec, np.repeat(unit[None], samples, axis=0), self.box)
+    def _parameters(self, unit: Unit) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        return scene_parameters(self.spec, np.repeat(unit[None], len(self.box), axis=0), self.box)
+
+    def _visit(self, unit: Unit, orbits: list[Orbits]) -> Visit | None:
+        """Return the rows of a point from its orbits; None if these lack a value or are not of the same kind."""
+        spec, (_, chain) = self.spec, self._parameters(unit)
         jacobian = np.stack([*chain.values()], axis=1)
-        objectives, limits, states, state_slopes, impacts = [], [], [], [], []
-        for begin, slopes in zip(near.states, near.state_slopes, strict=True):
-            guess = np.broadcast_to(begin + slopes @ (unit - near.unit), (samples, *begin.shape[1:]))
-            orbits = orbit_features(spec.template.system, self.of, tuple(chain), parameters, guess, ORBIT_REACH)
-            values, gradients = orbits.values, orbits.derivatives @ jacobian
-            if not (np.isfinite(values).all() and np.isfinite(gradients).all() and np.ptp(orbits.impacts) == 0):
+        objectives, limits, orbit_slopes = [], [], []
+        for batch in orbits:
+            features = batch.derivatives(self.of, tuple(chain))
+            values, gradients = features.values, features.derivatives @ jacobian
+            if not (np.isfinite(values).all() and np.isfinite(gradients).all() and np.ptp(batch.impacts) == 0):
                 return None
-            impacts.append(float(orbits.impacts[0]))
-            states.append(orbits.states)
-            state_slopes.append(np.einsum("scrp,spv->scrv", orbits.state_derivatives, jacobian))
+            orbit_slopes.append(features.state_derivatives)
             table = dict(zip(spec.names, zip(values.T, gradients.transpose(1, 0, 2), strict=True), strict=False))
             value, slope = table[spec.maximise]
             counted = slice(None) if spec.robust else slice(1)
@@ -197,11 +202,12 @@ class BoxOrbits:
             for c in spec.constraints:
                 value, slope = table[c.variable]
                 limits.append((c.slack(value) - INSIDE, c.sign * slope / c.scale))
+        impacts = [float(batch.impacts[0]) for batch in orbits]
         if self.impacts is not None and impacts != self.impacts:
             return None
         self.impacts = impacts
         rows, slopes = (np.concatenate([pair[k] for pair in (*objectives, *limits)]) for k in range(2))
-        return Visit(unit.copy(), rows, slopes, states, state_slopes)
+        return Visit(unit.copy(), rows, slopes, orbits, tuple(chain), orbit_slopes)
 
 
 def has_orbit(lanes: Lanes, start: int, sample: int = 0) -> bool:
@@ -210,17 +216,14 @@ def has_orbit(lanes: Lanes, start: int, sample: int = 0) -> bool:
     return bool(same and lanes["orbit_reason"][sample, start] == ORBIT_REASONS.index("found"))
 
 
-def orbit_states(
-    spec: DesignSpec, a: Assessment, start: int, samples: Sequence[int]
-) -> Float[np.ndarray, "samples cycles states"]:
-    """Return the states of the orbits from a start at the section crossings, at samples of the box."""
-    scene = spec.template.system.driving_part()
-    begin = np.array([a.lanes[orbit_name(name)][samples, start] for name in scene.return_states])
-    cycles = a.lanes["orbit_cycles"][samples, start].astype(int)
-    if cycles[0] == 1:
-        return begin.T[:, None]
+def orbits_at(spec: DesignSpec, a: Assessment, start: int, samples: Sequence[int]) -> Orbits:
+    """Return the orbits of the lanes from a start, at samples of the box."""
+    scene = spec.template.system
     values, _ = scene_parameters(spec, np.repeat(a.unit[None], len(samples), axis=0), a.offsets[samples])
-    return np.stack(trace_orbits(Segments(scene), {n: values[n] for n in scene.parameters()}, begin, cycles).states)
+    [lanes] = orbits_of(
+        scene, {name: x[samples, start] for name, x in a.lanes.items() if x.ndim == 2}, values, np.arange(len(samples))
+    )
+    return Orbits.find(scene, values, lanes.states, within=ORBIT_REACH).refined()
 
 
 def scene_parameters(

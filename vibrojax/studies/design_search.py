@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from vibrojax.maps.run import run_sweep
-from vibrojax.periodic.orbit_derivatives import MODULUS, orbit_features, orbit_variables
+from vibrojax.periodic.derivatives import MODULUS, orbit_variables
 from vibrojax.studies.design_points import (
     Assessment,
     BoxOrbits,
@@ -22,7 +22,7 @@ from vibrojax.studies.design_points import (
     Points,
     Unit,
     has_orbit,
-    orbit_states,
+    orbits_at,
     scene_parameters,
 )
 from vibrojax.studies.design_spec import DRAWN_BOX, DesignSpec
@@ -277,10 +277,9 @@ class Search:
         for a in candidates:
             slope = np.full(count, np.nan)
             if self.has_derivatives(a):
-                parameters, chain = scene_parameters(spec, a.unit[None], self.centre)
-                states = orbit_states(spec, a, a.motions[0], [0])
+                _, chain = scene_parameters(spec, a.unit[None], self.centre)
                 of = (self.features[spec.maximise],)
-                orbit = orbit_features(spec.template.system, of, tuple(chain), parameters, states)
+                orbit = orbits_at(spec, a, a.motions[0], [0]).derivatives(of, tuple(chain))
                 slope = orbit.derivatives[0, 0] @ np.concatenate([*chain.values()])
             if not np.isfinite(slope).all() and a.motions:
                 moves = DIFFERENCE_STEP * np.concatenate([np.eye(count), -np.eye(count)])

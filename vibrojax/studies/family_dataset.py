@@ -13,7 +13,8 @@ from vibrojax.io.variables import VARIABLES, described, orbit_name
 from vibrojax.lanes.labels import measured_besides, of_orbits
 from vibrojax.maps.dataset import parameter_attributes, shared_attributes
 from vibrojax.maps.sweep import Sweep
-from vibrojax.periodic.margin import HOW, Measuring, begun, joined
+from vibrojax.periodic.margin import HOW
+from vibrojax.periodic.measuring import Measuring, joined, start_on_orbit
 from vibrojax.periodic.newton import multipliers
 from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, Points, Problem
 from vibrojax.periodic.segments import Mark
@@ -121,7 +122,7 @@ def measured(sweep: Sweep, problem: Problem, points: list[Mark], family: np.ndar
         u = np.concatenate([points[k].orbit.u for k in subset])
         times = np.concatenate([points[k].orbit.times for k in subset])
         steps = np.full(len(subset), STEPS_PER_RETURN * cycles)
-        parts.append(begun(subset, problem.states(family[subset], u), times, steps))
+        parts.append(start_on_orbit(subset, problem.states(family[subset], u), times, steps))
     orbits = joined(parts)
     features, whole = Measuring(lanes.system, lanes.run, lanes.start_names)(lanes.inputs(), orbits)
     measures: Table = {}

@@ -13,7 +13,8 @@ from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep, resolved
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.families import FamilyContinuation, in_order
-from vibrojax.periodic.known_orbits import known_orbits, why_no_orbit
+from vibrojax.periodic.orbit_stages import why_no_orbit
+from vibrojax.periodic.orbits import orbits_of
 from vibrojax.periodic.problem import UNITS_PER_SPAN, Problem
 from vibrojax.physics.meanings import suggest_parameter
 from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION
@@ -185,15 +186,16 @@ def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarr
     system = sweep.system.driving_part()
     values, _ = sweep.lane_values(0, sweep.lanes)
     parameters = {name: values[name].astype(float) for name in system.parameters()}
-    known = known_orbits(system, dataset, parameters)
-    families = known.lanes
+    known = orbits_of(system, dataset, parameters)
+    families = np.sort(np.concatenate([orbits.lane for orbits in known] or [np.zeros(0, int)]))
     if not len(families):
         lane = dataset.isel(point=0)
         why = why_no_orbit(lane)
         instead = "begin where it does" if why.startswith("does not repeat") else "begin elsewhere"
         raise Place("follow").at("at").error(f"the motion at {along} = {float(lane[along]):g} {why}; {instead}")
     scale = np.ones((sweep.lanes, len(system.return_states)))
-    scale[families] = known.scales
+    for orbits in known:
+        scale[orbits.lane] = orbits.scales
     bounds = ((spec.high - spec.low) / UNITS_PER_SPAN, spec.low, spec.high)
     unit, first, last = (np.full((sweep.lanes, 1), x) for x in bounds)
     problem = Problem(
@@ -204,10 +206,10 @@ def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarr
         unit=unit,
         first=first,
         last=last,
-        most_steps=known.most_steps,
+        most_steps=max(orbits.most_steps for orbits in known),
     )
-    unknowns = [
-        problem.unknowns(families[[k]], states[None], parameters[along][families[[k]], None])[0]
-        for k, states in enumerate(known.states)
-    ]
-    return problem, families, unknowns
+    unknowns: dict[int, np.ndarray] = {}
+    for orbits in known:
+        own = problem.unknowns(orbits.lane, orbits.states, orbits.parameters[along][:, None])
+        unknowns |= dict(zip(orbits.lane.tolist(), own, strict=True))
+    return problem, families, [unknowns[family] for family in families.tolist()]

@@ -16,15 +16,15 @@ from vibrojax.maps.dataset import shared_attributes
 from vibrojax.maps.machines import Machines
 from vibrojax.maps.run import run_sweep
 from vibrojax.measures.labels import EQUILIBRIUM, IRREGULAR, UNDECIDED
-from vibrojax.periodic.known_orbits import KnownOrbits, known_orbits, why_no_orbit
 from vibrojax.periodic.lane_stages import plan_of, run_lanes
+from vibrojax.periodic.orbit_stages import why_no_orbit
+from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.physics.parameters import positive
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.settings.fields import setting
 from vibrojax.settings.values import as_table, quantity
 from vibrojax.studies.analysis import PictureRule, SummaryPart
-from vibrojax.studies.attractor_grouping import is_on_orbit
 from vibrojax.studies.push_analysis import smallest_pushes
 from vibrojax.studies.subjects import MachineAnalysis, answered
 
@@ -167,7 +167,7 @@ class Pushes(MachineAnalysis[Machines]):
         section = {name: cycle[orbit_name(name)].values[stable] for name in scene.return_states}
         begin = np.stack([section.get(name, np.zeros(len(stable))) for name in sweep.system.start_states], axis=1)
         bound = self._bounds(sweep.system, cycle.isel(point=stable))
-        orbits = known_orbits(scene, cycle, {name: values[name] for name in scene.parameters()}, stable)
+        orbits = orbits_of(scene, cycle, values, stable)
         search = _Search(self, asked, stable, orbits, begin, bound, progress)
         search.run()
         return _dataset(self, asked, cycle, stable, search)
@@ -204,7 +204,7 @@ class _Search:
         settings: Pushes,
         machines: Machines,
         points: Int[np.ndarray, " points"],
-        orbits: KnownOrbits,
+        orbits: list[Orbits],
         begin: Float[np.ndarray, "points states"],
         bound: Float[np.ndarray, "points states"],
         progress: bool,
@@ -273,9 +273,10 @@ class _Search:
         orbits = np.stack([found[name] for name in names], axis=1)
         regime = found["regime"].astype(int)
         returned = np.zeros(len(point), bool)
-        for number, (states, scales) in enumerate(zip(self._orbits.states, self._orbits.scales, strict=True)):
-            lanes = np.flatnonzero((point == number) & (found["orbit_cycles"] == len(states)))
-            returned[lanes] = is_on_orbit(orbits[lanes], states, scales)
+        for cycle in self._orbits:
+            number = np.searchsorted(cycle.lane, self._points[point]).clip(max=len(cycle) - 1)
+            own = (cycle.lane[number] == self._points[point]) & (found["orbit_cycles"] == cycle.states.shape[1])
+            returned[own] = cycle.of(number[own]).contain(orbits[own])
         on_another = np.isfinite(orbits).all(axis=1) & (found["stable"] != 0) & (regime != UNDECIDED)
         # An irregular motion near an orbit may still converge to this orbit: it has neither returned nor left.
         irregular = (regime == IRREGULAR) & (found["nearby_cycles"] == 0)

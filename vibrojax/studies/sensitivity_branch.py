@@ -1,19 +1,22 @@
 """The branch of orbits on which a function of parameters is evaluated, continued from its first orbit to each point."""
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
-import xarray as xr
 from jaxtyping import Bool, Float
 
-from vibrojax.errors import shown
-from vibrojax.maps.read import Point, read_sweep
-from vibrojax.maps.run import run_sweep
-from vibrojax.periodic.known_orbits import known_orbits
-from vibrojax.periodic.orbit_derivatives import DERIVATIVE_REASONS, MARGIN, STABILITY, OrbitFeatures, orbit_features
+from vibrojax.errors import Place, shown
+from vibrojax.lanes.inputs import Features
+from vibrojax.maps.read import Point
+from vibrojax.maps.starts import list_of
+from vibrojax.maps.sweep import Sweep
+from vibrojax.periodic.derivatives import MARGIN, STABILITY
+from vibrojax.periodic.lane_stages import run_lanes
+from vibrojax.periodic.orbits import Orbits, orbits_of
+from vibrojax.settings.run_settings import RunSettings, read_settings
 
 MAX_CACHED = 1024
 """Largest number of results that are kept for points that are evaluated again."""
@@ -24,14 +27,10 @@ SAME_BRANCH = 0.05
 LEAST_FRACTION = 1 / 64
 """Smallest step of the continuation, as a fraction of the way from the first orbit."""
 
-MAX_STEPS = 200
-"""Limit of steps of one continuation."""
-
 SEARCHED = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Relative changes of the parameters at which the first orbit is searched, if there is none at the first point."""
 
 Points = Float[np.ndarray, "lanes by"]
-Flags = Bool[np.ndarray, " lanes"]
 
 
 class Evaluated(NamedTuple):
@@ -45,17 +44,6 @@ class Evaluated(NamedTuple):
     derivatives: Float[np.ndarray, "*lanes of by"]
     valid: Bool[np.ndarray, "*lanes"]
     reached: Float[np.ndarray, "*lanes by"]
-
-
-class _Place(NamedTuple):
-    """Points on the branch: parameters, states (lanes, cycles, states), and the states' derivatives."""
-
-    x: Points
-    states: Float[np.ndarray, "lanes cycles states"]
-    slopes: Float[np.ndarray, "lanes cycles states by"]
-
-    def of(self, lanes: Any) -> "_Place":
-        return _Place(*(x[lanes] for x in self))
 
 
 class Branch:
@@ -73,9 +61,9 @@ class Branch:
         self.point, self.by, self.at = point, tuple(by), at
         self.of = tuple(dict.fromkeys((*of, STABILITY, MARGIN)))
         self._scale = np.array([abs(point.parameters[name]) or 1.0 for name in by])
-        self._first: _Place | None = None
+        self._first: Orbits | None = None
+        self._slopes = np.zeros(0)
         self._begun = False
-        self._impacts = np.nan
         self._cached: OrderedDict[bytes, Evaluated] = OrderedDict()
         self._lock = Lock()
 
@@ -119,7 +107,7 @@ class Branch:
         table = dict(zip(self.of, values, strict=True))
         if (reached != x).any():
             return (
-                f"beyond-branch: from {self.described(self._first.x[0])}, the orbit continues to "
+                f"beyond-branch: from {self.described(self._reached(self._first)[0])}, the orbit continues to "
                 f"{self.described(reached)}, with margin = {table[STABILITY]:.3g}, {MARGIN} = {table[MARGIN]:.3g}"
             )
         if table[STABILITY] >= 0:
@@ -145,15 +133,26 @@ class Branch:
             self._begun = True
         if self._first is None:
             return self.unknown(len(x))
-        orbit, on_branch = self._correct(x, self._first.of(np.zeros(len(x), int)), self.of)
-        values, derivatives, reached = orbit.values, orbit.derivatives, x.copy()
-        far = np.flatnonzero(~on_branch)
-        if len(far):
-            end = self._continue(x[far])
-            orbit = self._correct(end.x, end, self.of)[0]
-            values[far], derivatives[far], reached[far] = orbit.values, orbit.derivatives, end.x
+        first, each = self._first, np.zeros(len(x), int)
+        orbits, _ = first.of(each).carry_to(
+            self._parameters(x),
+            within=SAME_BRANCH,
+            least=LEAST_FRACTION,
+            by=self.by,
+            slopes=self._slopes[each],
+            accept=lambda orbits: (orbits.impacts == first.impacts) & ~orbits.neutral,
+        )
+        values, derivatives, *_ = orbits.derivatives(self.of, self.by)
+        reached = self._reached(orbits)
         valid = (reached == x).all(axis=1) & (values[:, self.of.index(STABILITY)] < 0)
         return Evaluated(values, derivatives, valid & np.isfinite(derivatives).all(axis=(1, 2)), reached)
+
+    def _parameters(self, x: Points) -> dict[str, np.ndarray]:
+        fixed = {name: np.full(len(x), value) for name, value in self.point.parameters.items()}
+        return fixed | {name: x[:, k] for k, name in enumerate(self.by)}
+
+    def _reached(self, orbits: Orbits) -> Points:
+        return np.stack([orbits.parameters[name] for name in self.by], axis=1)
 
     def _begin(self, x: Float[np.ndarray, " by"]) -> None:
         """Find the first orbit: at `x`, or else the nearest of the stable orbits at points around it."""
@@ -161,85 +160,52 @@ class Branch:
         corners = np.concatenate([np.eye(len(x)), -np.eye(len(x)), np.ones((1, len(x))), -np.ones((1, len(x)))])
         around = [x + share * corners * self._scale for share in SEARCHED]
         defaults = np.array([[self.point.parameters[name] for name in self.by]])
-        table = self.point.system.parameters()
+        table = [self.point.system.parameters()[name] for name in self.by]
         for points in (*places, np.concatenate([*around, defaults])):
-            rows = np.atleast_2d(points)
-            for place, name in enumerate(self.by):
-                low = table[name].lowest
-                if low is not None:
-                    rows = rows[rows[:, place] > low] if table[name].open_below else rows[rows[:, place] >= low]
+            admissible = [not any(p.problem(y) for p, y in zip(table, row, strict=True)) for row in points.tolist()]
+            rows = points[admissible]
             if len(rows) and self._settle(rows, x):
                 return
 
     def _settle(self, rows: Points, x: Float[np.ndarray, " by"]) -> bool:
         """Settle from the start at the points `rows`; remember the stable orbit nearest to `x`; return success."""
-        point = self.point
-        ds = settled_at(point, self.by, rows)
-        driving = point.system.driving_part()
-        values = {name: np.full(len(rows), value) for name, value in point.parameters.items()}
-        values |= {name: rows[:, k] for k, name in enumerate(self.by)}
-        known = known_orbits(driving, ds, {name: values[name] for name in driving.parameters()})
-        distance = np.abs((rows[known.lanes] - x) / self._scale).max(axis=1)
-        for k in np.argsort(distance, kind="stable"):
-            lane = known.lanes[k]
-            if ds["stable"].values.ravel()[lane] != 1:
-                continue
-            orbit = self._solve(rows[[lane]], known.states[k][None], ())
-            if np.isfinite(orbit.state_derivatives).all():
-                self._impacts = float(orbit.impacts[0])
-                self._first = _place(rows[[lane]], orbit)
+        scene, lanes = self.point.system, settled_at(self.point, self.by, rows)
+        distance = np.abs((rows - x) / self._scale).max(axis=1)
+        known = {
+            lane: batch.of([k])
+            for batch in orbits_of(scene, lanes, self._parameters(rows))
+            for k, lane in enumerate(batch.lane.tolist())
+            if lanes["stable"][lane] == 1
+        }
+        for lane in sorted(known, key=lambda lane: (distance[lane], lane)):
+            orbit = Orbits.find(scene, known[lane].parameters, known[lane].states).refined()
+            slopes = orbit.derivatives((), self.by).state_derivatives
+            if np.isfinite(slopes).all():
+                self._first, self._slopes = orbit, slopes
                 return True
         return False
 
-    def _solve(self, x: Points, guess: np.ndarray, of: Sequence[str], reach: float = np.inf) -> OrbitFeatures:
-        parameters = {name: np.full(len(x), value) for name, value in self.point.parameters.items()}
-        parameters |= {name: x[:, k] for k, name in enumerate(self.by)}
-        return orbit_features(self.point.system, of, self.by, parameters, guess, reach)
 
-    def _correct(self, x: Points, begin: _Place, of: Sequence[str]) -> tuple[OrbitFeatures, Flags]:
-        """Return the orbits at `x` that are predicted from `begin`, and a mask of those that are on the branch."""
-        guess = begin.states + np.einsum("lksj,lj->lks", begin.slopes, x - begin.x)
-        orbit = self._solve(x, guess, of, SAME_BRANCH)
-        sound = np.isfinite(orbit.state_derivatives).all(axis=(1, 2, 3)) & (orbit.impacts == self._impacts)
-        bad = [DERIVATIVE_REASONS.index(name) for name in ("no-orbit", "neutral-orbit", "failed")]
-        return orbit, sound & (orbit.moved <= SAME_BRANCH) & ~np.isin(orbit.reason, bad).any(axis=1)
-
-    def _continue(self, x: Points) -> _Place:
-        """Return the places on the branch that are nearest to `x` on the straight lines from the first orbit.
-
-        The whole way in one step has been tried before.
-        """
-        assert self._first is not None
-        begin, here = (self._first.of(np.zeros(len(x), int)) for _ in range(2))
-        done, step = np.zeros(len(x)), np.full(len(x), 0.5)
-        active = np.arange(len(x))
-        for _ in range(MAX_STEPS):
-            active = active[(done[active] < 1) & (step[active] >= LEAST_FRACTION)]
-            if not len(active):
-                break
-            goal = np.minimum(done[active] + step[active], 1.0)
-            target = np.where((goal == 1)[:, None], x[active], begin.x[active] + goal[:, None] * (x - begin.x)[active])
-            orbit, reached = self._correct(target, here.of(active), (STABILITY,))
-            moved, place = active[reached], _place(target, orbit).of(reached)
-            for mine, new in zip(here, place, strict=True):
-                mine[moved] = new
-            done[moved] = goal[reached]
-            step[active] *= np.where(reached, 2.0, 0.5)
-        return here
+def sweep_at(point: Point, columns: Mapping[str, np.ndarray], run: RunSettings) -> Sweep:
+    """Return the sweep of a point over `columns`, which hold values of some of its parameters."""
+    starts = None if point.start is None else list_of((point.start,), point.system.start_states)
+    return Sweep(
+        name=point.scene,
+        text="",
+        title="",
+        scene=point.scene,
+        options=point.options,
+        system=point.system,
+        starts=starts,
+        parameters={name: x for name, x in point.parameters.items() if name not in columns},
+        given={"bit_radius": point.hole_radius},
+        points=dict(columns),
+        run=run,
+    )
 
 
-def settled_at(point: Point, by: Sequence[str], rows: Points) -> xr.Dataset:
-    """Return the lanes, with their orbits, that begin at the start of `point`, with the parameters `by` in `rows`."""
-    tables: dict[str, Any] = {
-        "scene": point.system,
-        "parameters": {name: value for name, value in point.parameters.items() if name not in by},
-        "points": {name: rows[:, k].tolist() for k, name in enumerate(by)},
-        "run": {"orbits": True},
-        "unusual": True,
-    }
-    begin = {} if point.start is None else {"starts": [point.start]}
-    return run_sweep(read_sweep(tables | begin), progress=False)
-
-
-def _place(x: Points, orbit: OrbitFeatures) -> _Place:
-    return _Place(x.copy(), orbit.states.copy(), orbit.state_derivatives.copy())
+def settled_at(point: Point, by: Sequence[str], rows: Points) -> Features:
+    """Return the variables of lanes, with orbits, from the start of `point`, with the parameters `by` in `rows`."""
+    run = read_settings(Place("run"), {"orbits": True}, point.system)
+    sweep = sweep_at(point, {name: rows[:, k] for k, name in enumerate(by)}, run)
+    return run_lanes(sweep.inputs(), sweep.plan).variables

@@ -10,19 +10,15 @@ from jaxtyping import Float, Int
 
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.lanes.inputs import Features
 from vibrojax.lanes.labels import measured_besides
 from vibrojax.maps.dataset import coordinates, shared_attributes
-from vibrojax.maps.read import Point, read_point, read_sweep
+from vibrojax.maps.read import Point, read_point
 from vibrojax.maps.rerun import orbits, sweep_with_orbits
 from vibrojax.maps.sweep import Sweep
-from vibrojax.periodic.known_orbits import known_orbits
-from vibrojax.periodic.orbit_derivatives import (
-    DERIVATIVE_REASONS,
-    MODULUS,
-    STABILITY,
-    orbit_features,
-    orbit_variables,
-)
+from vibrojax.periodic.derivatives import DERIVATIVE_REASONS, MODULUS, NO_ORBIT, STABILITY, orbit_variables
+from vibrojax.periodic.lane_stages import run_lanes
+from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.physics.meanings import suggest_parameter
 from vibrojax.progress import Progress
 from vibrojax.scenes import SCENES, Scene
@@ -30,6 +26,7 @@ from vibrojax.settings.names import enter_offered
 from vibrojax.settings.run_settings import read_settings
 from vibrojax.settings.toml import bundled_names
 from vibrojax.settings.values import check_distinct
+from vibrojax.studies.sensitivity_branch import sweep_at
 from vibrojax.systems.system import DEFINED
 
 KIND = "sensitivity"
@@ -64,34 +61,28 @@ OWN_ORBIT = 1e-3
 
 
 def at_orbits(
-    sweep: Sweep, lanes: xr.Dataset, by: Sequence[str], progress: bool, variables: Sequence[str] = ()
+    sweep: Sweep, lanes: xr.Dataset | Features, by: Sequence[str], progress: bool, variables: Sequence[str] = ()
 ) -> xr.Dataset:
-    """Return the dataset of [vibrojax.sensitivity][]; `lanes`: dataset of the sweep with orbits.
+    """Return the dataset of [vibrojax.sensitivity][]; `lanes`: dataset or variables of the sweep's lanes with orbits.
 
     If `variables` are given, the dataset has no others, and a lane without one of them is not valid.
     """
     scene = sweep.system
-    table = scene.parameters()
-    by = read_names(Place("sensitivity").at("by"), by, table) if by else [*table]
+    by = read_names(Place("sensitivity").at("by"), by, scene.parameters()) if by else [*scene.parameters()]
     of = [name for name in orbit_variables(scene) if not variables or _variable(name) in variables]
     values = sweep.lane_values(0, sweep.lanes)[0]
-    values = {name: values[name].astype(float) for name in table}
-    lanes = lanes.transpose(*sweep.dims, ...)
-    driving = scene.driving_part()
-    known = known_orbits(driving, lanes, {name: values[name] for name in driving.parameters()})
+    lanes = lanes.transpose(*sweep.dims, ...) if isinstance(lanes, xr.Dataset) else lanes
     shape = (sweep.lanes, len(of))
     features, slopes = np.full(shape, np.nan), np.full((*shape, len(by)), np.nan)
-    reason = np.full(shape, DERIVATIVE_REASONS.index("no-orbit"))
-    reason[lanes["status"].values.ravel() != 0] = DERIVATIVE_REASONS.index("failed")
-    cycles = np.array([len(states) for states in known.states], int)
-    with Progress(len(cycles), "orbits", progress, pace=False) as report:
-        for number in np.unique(cycles):
-            alike = np.flatnonzero(cycles == number)
-            for part in np.split(alike, range(LANES_PER_CALL, len(alike), LANES_PER_CALL)):
-                index = known.lanes[part]
-                p = {name: x[index] for name, x in values.items()}
-                orbit = orbit_features(scene, of, by, p, np.stack([known.states[k] for k in part]), OWN_ORBIT)
-                features[index], slopes[index], reason[index] = orbit.values, orbit.derivatives, orbit.reason
+    reason = np.full(shape, NO_ORBIT)
+    reason[np.asarray(lanes["status"]).ravel() != 0] = DERIVATIVE_REASONS.index("failed")
+    known = orbits_of(scene, lanes, values)
+    with Progress(sum(map(len, known)), "orbits", progress, pace=False) as report:
+        for batch in known:
+            for part in np.split(np.arange(len(batch)), range(LANES_PER_CALL, len(batch), LANES_PER_CALL)):
+                orbit, lane = batch.of(part), batch.lane[part]
+                orbit = Orbits.find(scene, orbit.parameters, orbit.states, within=OWN_ORBIT).refined()
+                features[lane], slopes[lane], reason[lane], _ = orbit.derivatives(of, by)
                 report.add(len(part))
     points = np.stack([values[name] for name in by], axis=1)
     return _described(sweep, of, by, points, features, slopes, _of_lane(reason, bool(variables)))
@@ -182,15 +173,12 @@ def _at_point(
     variables = [*dict.fromkeys(map(_variable, orbit_variables(point.system)))]
     of = read_names(place.at("of"), of, variables) if of else []
     by = read_names(place.at("by"), by, point.system.parameters()) if by else [*point.system.parameters()]
-    run: dict[str, object] = {"orbits": True, **{name: x for name, x in times.items() if x is not None}}
-    read_settings(place, run, point.system)
-    options = {name: x for name, x in parameters.items() if name in point.options}
-    fixed = {name: x for name, x in point.parameters.items() if name != by[0]}
-    grid = {by[0]: [point.parameters[by[0]]]}
-    tables = {"scene": scene, "parameters": options | fixed, "grid": grid, "run": run, "title": point.scene}
-    begin = {} if point.start is None else {"starts": [point.start]}
-    sweep = read_sweep(tables | begin | {"unusual": True})
-    ds = at_orbits(sweep, orbits(sweep, progress), by, progress, of).squeeze(sweep.dims)
+    settings: dict[str, object] = {"orbits": True, **{name: x for name, x in times.items() if x is not None}}
+    run = read_settings(place, settings, point.system)
+    sweep = sweep_at(point, {by[0]: np.array([point.parameters[by[0]]])}, run)
+    with Progress(1, "lanes", progress) as bar:
+        lanes = run_lanes(sweep.inputs(), sweep.plan, bar.add).variables
+    ds = at_orbits(sweep, lanes, by, progress, of).squeeze(sweep.dims).drop_vars("point")
     for name in [name for name in variables if name in ds and name not in (_MULTIPLIERS, STABILITY)]:
         elasticity = ds[f"d_{name}"] * ds["parameter_value"] / ds[name].where(ds[name] != 0)
         meaning = "relative change per relative change of the parameter, of"
@@ -265,4 +253,5 @@ def _described(
         "parameter_unit": ("parameter", [table[name].unit for name in by], {"long_name": "unit of the parameter"}),
     }
     title = f"Sensitivities of the orbits: {sweep.title or sweep.name}"
-    return xr.Dataset(data, coords, {**shared_attributes(sweep, KIND, title, KIND), "sweep": sweep.text})
+    attributes = shared_attributes(sweep, KIND, title, KIND)
+    return xr.Dataset(data, coords, attributes | ({"sweep": sweep.text} if sweep.text else {}))

@@ -24,17 +24,14 @@ from vibrojax.measures.derived import derived as derived_quantities
 from vibrojax.measures.recorder import Effort, LaneState, observe_block, settle_block
 from vibrojax.measures.repeats import KeptReturns
 from vibrojax.measures.section import on_orbit
-from vibrojax.periodic.margin import begun, observation
-from vibrojax.periodic.newton import ACCEPTED, PeriodicOrbits, PerLane, chain, orbits
-from vibrojax.periodic.return_map import Segments, in_calls
+from vibrojax.periodic.measuring import observation, start_on_orbit
+from vibrojax.periodic.newton import PerLane, chain
+from vibrojax.periodic.return_map import in_calls
 from vibrojax.periodic.tangent_loop import with_derivatives
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, ZERO_MULTIPLIER, Variations, eigenvalues
 from vibrojax.physics.arrays import Array, Lanes
 from vibrojax.scenes import Scene
 from vibrojax.stepping import Accuracy, Located, lane_at
-
-EXACT = 1e-14
-"""Residual below which an orbit is not improved any further."""
 
 NEAR_EVENT = 1e-4
 """Grazing margin below which derivatives are not valid: they would hold over a parameter range of about its square."""
@@ -57,6 +54,8 @@ DERIVATIVE_REASONS = (
 )
 """Meaning of each value of `OrbitFeatures.reason`."""
 
+NO_ORBIT = DERIVATIVE_REASONS.index("no-orbit")
+
 COUNTED = {"impacts", "striker_turns", "settling_time", "error_estimate", "drift_estimate"}
 """Variables that do not vary smoothly with the parameters, so they cannot be differentiated."""
 
@@ -71,25 +70,21 @@ Features = dict[str, Any]
 
 
 class OrbitFeatures(NamedTuple):
-    """Features of periodic orbits, and their derivatives along the families of orbits; the first axis is the lane.
+    """Features of periodic orbits, and their derivatives along the families of orbits; the first axis is the orbit.
 
     - `values`, `derivatives`: of the features `of`, and with respect to the parameters `by`; NaN where unknown.
     - `reason`: why value or derivative do not hold, a flag of `DERIVATIVE_REASONS`; 0 where they hold.
-    - `states`, `state_derivatives`: states at the section crossings, and their derivatives.
-    - `impacts`: number of impacts in a period; `moved`: see [vibrojax.periodic.newton.PeriodicOrbits][].
+    - `state_derivatives`: derivatives of the states at the section crossings.
     """
 
-    values: Float[np.ndarray, "lanes of"]
-    derivatives: Float[np.ndarray, "lanes of by"]
-    reason: Int[np.ndarray, "lanes of"]
-    states: Float[np.ndarray, "lanes cycles states"]
-    state_derivatives: Float[np.ndarray, "lanes cycles states by"]
-    impacts: PerLane
-    moved: PerLane
+    values: Float[np.ndarray, "orbits of"]
+    derivatives: Float[np.ndarray, "orbits of by"]
+    reason: Int[np.ndarray, "orbits of"]
+    state_derivatives: Float[np.ndarray, "orbits cycles states by"]
 
     @property
-    def valid(self) -> Bool[np.ndarray, " lanes"]:
-        """Mask of the lanes in which all values and derivatives hold."""
+    def valid(self) -> Bool[np.ndarray, " orbits"]:
+        """Mask of the orbits of which all values and derivatives hold."""
         return np.asarray((self.reason == 0).all(axis=1))
 
 
@@ -106,75 +101,42 @@ def orbit_variables(scene: Scene[Any]) -> tuple[str, ...]:
     return (*period, *measured, MARGIN, STABILITY, *moduli)
 
 
-def orbit_features(
+def differentiated(
     scene: Scene[Any],
     of: Sequence[str],
     by: Sequence[str],
     parameters: Mapping[str, PerLane],
-    guess: Float[np.ndarray, "lanes cycles states"],
-    reach: float = np.inf,
+    states: Float[np.ndarray, "lanes cycles states"],
+    scales: Float[np.ndarray, "lanes states"],
+    steps: PerLane,
 ) -> OrbitFeatures:
-    """Return the features `of` the orbits near `guess`, and their derivatives with respect to the parameters `by`.
+    """Return the features `of` periodic orbits, and their derivatives with respect to the parameters `by`.
 
-    **Arguments:** `of`: names in `orbit_variables(scene)`; `parameters`: all parameters of the scene; `guess`: states
-    of the driving part's return map; `reach`: distance from the guess, in half swings, beyond which an orbit is not
-    accepted.
+    **Arguments:** `of`: names in `orbit_variables(scene)`; `parameters`: all parameters of the scene; `states`,
+    `scales`: of the driving part's return map; `steps`: approximate number of steps of one period.
     """
-    driving = scene.driving_part()
-    lanes, _, rows = guess.shape
-    with np.errstate(all="ignore"):
-        go = Segments(driving).of({name: parameters[name] for name in driving.parameters()})
-        orbit = orbits(guess, np.full((lanes, rows), np.nan), np.full(lanes, reach), go)
-        # One more Newton step leaves nothing but rounding errors. Exact states, such as rest, are left alone.
-        converged = (orbit.residual <= ACCEPTED) & (orbit.residual > EXACT) & np.isfinite(orbit.step).all(axis=(1, 2))
-        orbit = orbit._replace(states=orbit.states + np.where(converged[:, None, None], orbit.step, 0.0))
-        return _differentiated(scene, of, by, parameters, orbit)
-
-
-def _differentiated(
-    scene: Scene[Any], of: Sequence[str], by: Sequence[str], parameters: Mapping[str, PerLane], orbit: PeriodicOrbits
-) -> OrbitFeatures:
-    """Return features and derivatives of orbits that Newton's method has computed; see `orbit_features`."""
-    lanes, _, rows = orbit.states.shape
-    found = np.flatnonzero((orbit.residual <= ACCEPTED) & np.isfinite(orbit.moved))
-    parameters = {name: np.asarray(x, float)[found] for name, x in parameters.items()}
-    result = OrbitFeatures(
-        values=np.full((lanes, len(of)), np.nan),
-        derivatives=np.full((lanes, len(of), len(by)), np.nan),
-        reason=np.full((lanes, len(of)), DERIVATIVE_REASONS.index("no-orbit")),
-        states=orbit.states.copy(),
-        state_derivatives=np.full((*orbit.states.shape, len(by)), np.nan),
-        impacts=orbit.impacts.copy(),
-        moved=orbit.moved,
-    )
-    if not len(found):
-        return result
-    orbit, count = orbit.of(found), len(by)
+    count = len(by)
     by = by or [*parameters][:1]
-    varied = Variations.of(scene.driving_part(), by, parameters, orbit)
-    product, d_product = chain(varied.jacobian), varied.d_product
-    values, slopes, alike = eigenvalues(product, d_product, orbit.scales)
+    varied = Variations.of(scene.driving_part(), by, parameters, states, scales)
+    moduli, by_modulus, alike, neutral = _moduli(varied, scales)
     recorded = [name for name in of if name not in (MARGIN, STABILITY) and not name.startswith(MODULUS)]
     table: Features = {}
     tangents: Features = {}
-    whole = np.ones(len(found), bool)
+    whole = np.ones(len(states), bool)
     if recorded:
-        table, tangents, whole = _measured(scene, by, parameters, orbit, varied)
-    moduli = np.abs(values)
-    is_zero = moduli <= ZERO_MULTIPLIER
-    by_modulus = np.real(np.conj(values)[..., None] * slopes) / np.where(is_zero, 1.0, moduli)[..., None]
-    by_modulus[is_zero] = moduli[is_zero] = 0.0
-    for k in range(rows):
+        table, tangents, whole = _measured(scene, by, parameters, states, steps, varied)
+    for k in range(moduli.shape[1]):
         table[f"{MODULUS}{k}"], tangents[f"{MODULUS}{k}"] = moduli[:, k], by_modulus[:, k]
     largest = np.maximum(moduli[:, 0], np.finfo(float).eps)
     table[STABILITY], tangents[STABILITY] = np.log(largest), by_modulus[:, 0] / largest[:, None]
     least = varied.margin.min(axis=2)
     first = least.argmin(axis=1)
-    number = np.arange(len(found))
+    number = np.arange(len(states))
     kind = varied.margin[number, first].argmin(axis=1)
     table[MARGIN], tangents[MARGIN] = least.min(axis=1), varied.d_margin[number, first, kind]
-    neutral = ~(np.abs(1 - values).min(axis=1) >= NEUTRAL) | ~np.isfinite(varied.d_states).all(axis=(1, 2, 3))
     switching, grazing = (varied.margin.min(axis=1) < NEAR_EVENT).T
+    shape = (len(states), len(of))
+    values, reasons, derivatives = np.full(shape, np.nan), np.zeros(shape, int), np.full((*shape, count), np.nan)
     for place, name in enumerate(of):
         value, slope = table[name], tangents[name]
         rules = {
@@ -187,12 +149,21 @@ def _differentiated(
         }
         reason = np.select([*rules.values()], [*map(DERIVATIVE_REASONS.index, rules)], 0)
         broken = (reason == 0) & ~np.isfinite(slope).all(axis=1)
-        result.reason[found, place] = np.where(broken, DERIVATIVE_REASONS.index("failed"), reason)
-        result.values[found, place] = np.where(whole, value, np.nan)
-        result.derivatives[found, place] = np.where((whole & ~neutral)[:, None], slope, np.nan)[:, :count]
-    result.state_derivatives[found] = varied.d_states[..., :count]
-    result.impacts[found] = varied.impacts
-    return result
+        reasons[:, place] = np.where(broken, DERIVATIVE_REASONS.index("failed"), reason)
+        values[:, place] = np.where(whole, value, np.nan)
+        derivatives[:, place] = np.where((whole & ~neutral)[:, None], slope, np.nan)[:, :count]
+    return OrbitFeatures(values, derivatives, reasons, varied.d_states[..., :count])
+
+
+def _moduli(varied: Variations, scales: Float[np.ndarray, "lanes states"]) -> tuple[np.ndarray, ...]:
+    """Return the moduli of the multipliers, their derivatives, and masks of equal ones and of neutral orbits."""
+    values, slopes, alike = eigenvalues(chain(varied.jacobian), varied.d_product, scales)
+    moduli = np.abs(values)
+    is_zero = moduli <= ZERO_MULTIPLIER
+    by_modulus = np.real(np.conj(values)[..., None] * slopes) / np.where(is_zero, 1.0, moduli)[..., None]
+    by_modulus[is_zero] = moduli[is_zero] = 0.0
+    neutral = ~(np.abs(1 - values).min(axis=1) >= NEUTRAL) | ~np.isfinite(varied.d_states).all(axis=(1, 2, 3))
+    return moduli, by_modulus, alike, neutral
 
 
 def _of_multiplier(name: str, alike: Bool[np.ndarray, "lanes states"]) -> Bool[np.ndarray, " lanes"]:
@@ -203,7 +174,7 @@ def _of_multiplier(name: str, alike: Bool[np.ndarray, "lanes states"]) -> Bool[n
 
 
 class _OnOrbit(NamedTuple):
-    """Inputs of a motion on an orbit; the last axis is the lane. See [vibrojax.periodic.margin.OrbitStart][]."""
+    """Inputs of a motion on an orbit; the last axis is the lane. See [vibrojax.periodic.measuring.OrbitStart][]."""
 
     parameters: dict[str, Lanes]
     state: Array
@@ -255,11 +226,16 @@ def _measured_names(scene: Scene[Any]) -> tuple[str, ...]:
 
 
 def _measured(
-    scene: Scene[Any], by: Sequence[str], parameters: Mapping[str, PerLane], orbit: PeriodicOrbits, varied: Variations
+    scene: Scene[Any],
+    by: Sequence[str],
+    parameters: Mapping[str, PerLane],
+    states: Float[np.ndarray, "lanes cycles states"],
+    steps: PerLane,
+    varied: Variations,
 ) -> tuple[Features, Features, Bool[np.ndarray, " lanes"]]:
     """Return features over one period, derivatives (lanes, by), and a mask of lanes with the expected crossings."""
-    lanes, cycles, _ = orbit.states.shape
-    start = begun(np.arange(lanes), orbit.states, varied.times, orbit.steps)
+    lanes, cycles, _ = states.shape
+    start = start_on_orbit(np.arange(lanes), states, varied.times, steps)
     d_ago = np.cumsum(np.concatenate([np.zeros((lanes, 1, len(by))), varied.d_times[:, ::-1]], axis=1), axis=1)
     d_length = varied.d_times.sum(axis=1)
     d_when = -np.stack([d_ago[:, k % cycles] + (k // cycles) * d_length for k in range(len(start.when))])

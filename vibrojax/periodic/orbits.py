@@ -1,0 +1,450 @@
+"""Periodic orbits of many lanes at once: Newton's method by multiple shooting between section crossings.
+
+An orbit with p section crossings per period has p states s_k at the section. The return map P takes each state to the
+next, and the last to the first. All segments are mapped in one batch. The Newton steps d_k of each lane solve the
+block-cyclic system
+
+    P'(s_k) d_k - d_{k+1} = s_{k+1} - P(s_k)
+
+Even an orbit with large multipliers is thus integrated only from one section crossing to the next (Stoer and Bulirsch,
+*Introduction to Numerical Analysis*, section 7.3.5).
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import jax
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Complex, Float, Int
+
+from vibrojax.io.variables import ORBIT_REASONS, orbit_name
+from vibrojax.lanes.inputs import Features, LaneInputs
+from vibrojax.lanes.programs import LaneArguments
+from vibrojax.measures.since_start import half_names, scale_names, stored_scales
+from vibrojax.periodic.derivatives import NEUTRAL, NO_ORBIT, OrbitFeatures, differentiated
+from vibrojax.periodic.measuring import ORBIT_ACCURACY, Measuring, start_on_orbit
+from vibrojax.periodic.newton import chain, held_states, images_by_lane, multipliers, shooting_matrix, solve
+from vibrojax.periodic.return_map import Segments
+from vibrojax.scenes import Scene
+from vibrojax.stepping import Accuracy
+
+NEWTON_RESIDUAL = 1e-12
+"""Residual at which the iteration stops, because rounding errors dominate."""
+
+ACCEPTED = 1e-10
+"""Largest residual of an orbit that counts as converged."""
+
+EXACT = 1e-14
+"""Residual below which an orbit is not refined."""
+
+MIN_RELATIVE_SWING = 1e-3
+"""Smallest scale of a state, relative to its magnitude; the range of a state at rest is only rounding noise."""
+
+NEWTON_MAX_ITERATIONS = 8
+
+SAME_STATE = 1e-6
+"""Scaled distance (in units of the states' scales) within which two states of an orbit count as equal."""
+
+SAME_ORBIT = 1e-4
+"""Scaled distance below which two orbits are the same; Newton's method finds orbits to 1e-10."""
+
+STEP_ALLOWANCE = 8
+"""Step limit between two crossings of motions close to orbits, as a multiple of the steps that the orbits take."""
+
+PerOrbit = Float[np.ndarray, " orbits"]
+Mask = Bool[np.ndarray, " orbits"]
+Index = Int[np.ndarray, " _"]
+States = Float[np.ndarray, "orbits cycles states"]
+Scales = Float[np.ndarray, "orbits states"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Orbits:
+    """Periodic orbits of a scene with equally many section crossings per period; some may not have converged.
+
+    - `scene`; `parameters`: their values by name, at least those of the scene's driving part, to which orbits belong.
+    - `states`, `times` [s]: states at the section, and time from each state to the next; `scales`: of the states.
+    - `residual`: greatest scaled difference between an image and the next state; infinite if an orbit did not return.
+    - `product`: derivative of the map over one period of the motion.
+    - `step`: next Newton step, which has not been applied; its size estimates the distance from the orbit.
+    - `moved`: greatest scaled distance from the initial guess; infinite if it exceeded the limit `reach`.
+    - `impacts`: number of impacts in one period; `steps`: number of steps to each next crossing.
+    - `margin`: smallest grazing margin; `reach`: the margin that limits the validity of the derivative.
+    - `lane`: index of the lane that each orbit comes from.
+    """
+
+    scene: Scene[Any] = field(metadata={"static": True})
+    parameters: Mapping[str, PerOrbit]
+    states: States
+    scales: Scales
+    times: Float[np.ndarray, "orbits cycles"]
+    residual: PerOrbit
+    product: Float[np.ndarray, "orbits states states"]
+    step: States
+    moved: PerOrbit
+    impacts: PerOrbit
+    margin: PerOrbit
+    reach: PerOrbit
+    steps: Float[np.ndarray, "orbits cycles"]
+    lane: Index
+
+    @classmethod
+    @np.errstate(all="ignore")
+    def find(
+        cls,
+        scene: Scene[Any],
+        parameters: Mapping[str, PerOrbit],
+        guess: States,
+        scales: Scales | None = None,
+        within: PerOrbit | float = np.inf,
+        go: Segments | None = None,
+        enough: float = NEWTON_RESIDUAL,
+        iterations: int = NEWTON_MAX_ITERATIONS,
+    ) -> "Orbits":
+        """Return the orbits near the initial guesses, with the same number of section crossings as the guesses.
+
+        **Arguments:**
+
+        - `scales`: a NaN, as the default, is replaced by half the peak-to-peak range of the state along the motion
+          from the guess, or by 1 if that range is zero.
+        - `within`: scaled distance from the guess beyond which an orbit is no longer iterated.
+        - `go`: the return map of the driving part, by default at its usual accuracy.
+        - `enough`: residual at which the iteration of an orbit stops; `iterations`: their largest number.
+
+        The derivative is evaluated at the states in the result, so callers may apply one more `step`.
+        """
+        count, cycles, rows = guess.shape
+        go, own = go or Segments(scene.driving_part()), _driving(scene, parameters)
+        within = np.broadcast_to(np.asarray(within, float), count)
+
+        def evaluate(states: States, orbits: Index) -> Any:
+            index = np.repeat(orbits, cycles)
+            mapped = go({name: x[index] for name, x in own.items()}, states.reshape(-1, rows).T)
+            return images_by_lane(mapped, len(states), cycles)
+
+        best = evaluate(guess, np.arange(count))
+        unknown, usual = np.full((count, rows), np.nan) if scales is None else scales, _swings(best)
+        scales = np.where(np.isnan(unknown), usual, unknown)
+        states, residual = guess.copy(), _residual(guess, best, scales)
+        iterate, now = guess, best
+        outside = np.zeros(count, bool)
+        active = np.arange(count)
+        for _ in range(iterations):
+            on = (residual[active] > enough) & np.isfinite(residual[active])
+            active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
+            if not len(active):
+                break
+            iterate = iterate + _newton_step(iterate, now, scales[active])
+            # Far from the orbit, reaching the section may take thousands of steps.
+            distance = _distance(iterate, guess[active], scales[active])
+            outside[active[distance > within[active]]] = True
+            on = distance <= within[active]
+            active, iterate = active[on], iterate[on]
+            if not len(active):
+                break
+            now = evaluate(iterate, active)
+            reached = _residual(iterate, now, scales[active])
+            before = residual[active]
+            better = reached < before
+            kept = active[better]
+            states[kept], residual[kept] = iterate[better], reached[better]
+            _assign(best, kept, jax.tree.map(lambda x, better=better: x[better], now))
+            # A small residual that hardly decreases is dominated by rounding errors.
+            on = np.isfinite(reached) & ((reached < before / 2) | (reached > ACCEPTED))
+            active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
+        moved = np.where(outside, np.inf, _distance(states, guess, scales))
+        return cls._of_images(scene, parameters, states, scales, best, moved)
+
+    @classmethod
+    def trace(
+        cls,
+        scene: Scene[Any],
+        parameters: Mapping[str, PerOrbit],
+        begin: Float[np.ndarray, "orbits states"],
+        cycles: int,
+        go: Segments | None = None,
+    ) -> "Orbits":
+        """Return known orbits with `cycles` crossings per period, from one state of each at the section."""
+        go, own = go or Segments(scene.driving_part()), _driving(scene, parameters)
+        states, images = [begin], []
+        for _ in range(cycles):
+            images.append(images_by_lane(go(own, states[-1].T), len(begin), 1))
+            states.append(images[-1].state[:, 0])
+        traced = jax.tree.map(lambda *x: np.concatenate(x, axis=1), *images)
+        traced = traced._replace(jacobian=traced.jacobian[..., : begin.shape[1]])  # without parameters of the map
+        whole = np.stack(states[:-1], axis=1)
+        return cls._of_images(scene, parameters, whole, _swings(traced), traced, np.zeros(len(begin)))
+
+    @classmethod
+    def _of_images(
+        cls,
+        scene: Scene[Any],
+        parameters: Mapping[str, PerOrbit],
+        states: States,
+        scales: Scales,
+        images: Any,
+        moved: PerOrbit,
+    ) -> "Orbits":
+        return cls(
+            scene=scene,
+            parameters={name: np.asarray(x, float) for name, x in parameters.items()},
+            states=states,
+            scales=scales,
+            times=images.time,
+            residual=_residual(states, images, scales),
+            product=chain(images.jacobian),
+            step=_newton_step(states, images, scales),
+            moved=moved,
+            impacts=images.seen.impacts.sum(axis=1),
+            margin=images.seen.margin.min(axis=1),
+            reach=images.seen.reach.min(axis=1),
+            steps=images.seen.steps,
+            lane=np.arange(len(states)),
+        )
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    def of(self, index: Index | Mask | Sequence[int]) -> "Orbits":
+        """Return a subset of the orbits."""
+        return jax.tree.map(lambda x: x[np.asarray(index)], self)
+
+    @staticmethod
+    def joined(parts: "Iterable[Orbits]") -> "Orbits":
+        """Return the orbits of all `parts`, which have equally many section crossings per period."""
+        return jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
+    @property
+    def converged(self) -> Mask:
+        """Mask of the orbits that solve the equations."""
+        return np.asarray((self.residual <= ACCEPTED) & np.isfinite(self.moved))
+
+    @property
+    def stable(self) -> Mask:
+        """Mask of the orbits whose multipliers have moduli below 1."""
+        return np.abs(self.multipliers[:, 0]) < 1
+
+    @property
+    def multipliers(self) -> Complex[np.ndarray, "orbits states"]:
+        """Multipliers by decreasing modulus; NaN where the derivative is not finite."""
+        return multipliers(self.product)
+
+    @property
+    def neutral(self) -> Mask:
+        """Mask of the orbits with a multiplier of 1, which do not depend smoothly on the parameters."""
+        return ~(np.abs(1 - self.multipliers).min(axis=1) >= NEUTRAL)
+
+    @property
+    def most_steps(self) -> float:
+        """Step limit between two crossings of motions close to these orbits."""
+        return STEP_ALLOWANCE * float(self.steps.max(initial=0.0))
+
+    def minimal_cycles(self, within: float = SAME_STATE) -> Int[np.ndarray, " orbits"]:
+        """Return the least number of section crossings per period of each orbit, a divisor of its number of states.
+
+        States within this scaled distance count as equal.
+        """
+        repeat = self.states.shape[1]
+        minimal = np.full(len(self), repeat)
+        for divisor in (q for q in range(repeat - 1, 0, -1) if repeat % q == 0):
+            apart = np.abs(np.roll(self.states, divisor, axis=1) - self.states) / self.scales[:, None]
+            minimal[np.max(apart, axis=(1, 2)) <= within] = divisor
+        return minimal
+
+    def refined(self, mask: Mask | None = None) -> "Orbits":
+        """Return the orbits after one more Newton step, by default of those that converged.
+
+        The step leaves nothing but rounding errors. Exact states, such as rest, are left alone.
+        """
+        if mask is None:
+            mask = self.converged & (self.residual > EXACT) & np.isfinite(self.step).all(axis=(1, 2))
+        return replace(self, states=self.states + np.where(mask[:, None, None], self.step, 0.0))
+
+    def contain(
+        self, states: Float[np.ndarray, "lanes states"], within: float = SAME_ORBIT
+    ) -> Bool[np.ndarray, " lanes"]:
+        """Return which states at the section are on the orbits, each on its own or all on a single one."""
+        apart = np.abs(states[:, None] - self.states) / self.scales[:, None]
+        return np.asarray(apart.max(axis=2).min(axis=1) < within)
+
+    def same_as(self, other: "Orbits", within: float = SAME_ORBIT) -> Mask:
+        """Return which orbits are those of `other`, each its own or all a single one.
+
+        An orbit is the same as that of half its period which it has become in a period doubling.
+        """
+        return other.contain(self.states[:, 0], within)
+
+    def carry_to(
+        self,
+        parameters: Mapping[str, PerOrbit],
+        *,
+        within: float,
+        least: float,
+        first: float = 1.0,
+        by: Sequence[str] = (),
+        slopes: Float[np.ndarray, "orbits cycles states by"] | None = None,
+        accept: "Callable[[Orbits], Mask]" = lambda orbits: orbits.converged,
+        go: Segments | None = None,
+    ) -> "tuple[Orbits, Mask]":
+        """Return the orbits that these become at other parameters, and a mask of those that arrive there.
+
+        The parameters vary along straight lines. States are predicted from the slopes at the last orbit, or from the
+        last step, and corrected by Newton's method. After an orbit that is not accepted the step is halved, otherwise
+        doubled. Orbits that do not arrive are returned at the last point at which they were accepted.
+
+        **Arguments:**
+
+        - `within`: scaled distance from the prediction beyond which an orbit counts as another one.
+        - `first`, `least`: first and least step, as fractions of the way.
+        - `by`, `slopes`: parameters that vary, and derivatives of the states with respect to them. Without `by`,
+          predictions use the last step.
+        - `accept`: mask of the orbits that count as a continuation, of orbits that have converged.
+        """
+        here = self.of(np.arange(len(self)))
+
+        rate = np.zeros_like(self.states)
+        if by:
+            way = np.stack([parameters[name] - self.parameters[name] for name in by], axis=1)
+            slopes = self.derivatives((), by).state_derivatives if slopes is None else slopes
+            rate = np.einsum("lksj,lj->lks", slopes, way)
+        done, step = np.zeros(len(self)), np.full(len(self), first)
+        active = np.arange(len(self))
+        while len(active):
+            advance = np.minimum(step[active], 1 - done[active])
+            share = done[active] + advance
+            ends = {name: (x[active], parameters[name][active]) for name, x in self.parameters.items()}
+            goal = {name: (1 - share) * begin + share * end for name, (begin, end) in ends.items()}
+            guess = here.states[active] + rate[active] * advance[:, None, None]
+            orbit = Orbits.find(self.scene, goal, guess, within=within, go=go).refined()
+            good = orbit.converged & (orbit.moved <= within) & accept(orbit)
+            if by:
+                onward = np.flatnonzero(good & (share < 1))
+                slopes = orbit.of(onward).derivatives((), by).state_derivatives
+                good[onward] = sound = np.isfinite(slopes).all(axis=(1, 2, 3))
+                rate[active[onward[sound]]] = np.einsum("lksj,lj->lks", slopes, way[active[onward]])[sound]
+            accepted, rejected = active[good], active[~good]
+            if not by:
+                rate[accepted] = (orbit.states[good] - here.states[accepted]) / advance[good, None, None]
+            _assign(here, accepted, replace(orbit.of(good), lane=self.lane[accepted]))
+            done[accepted] = share[good]
+            step[accepted], step[rejected] = 2 * advance[good], advance[~good] / 2
+            active = active[(done[active] < 1) & (step[active] >= least)]
+        return here, done >= 1
+
+    @np.errstate(all="ignore")
+    def derivatives(self, of: Sequence[str], by: Sequence[str]) -> OrbitFeatures:
+        """Return the features `of` the orbits, and their derivatives with respect to the parameters `by`.
+
+        `of`: names in [vibrojax.periodic.derivatives.orbit_variables][]. `parameters` must hold all of the scene's.
+        """
+        (count, cycles, rows), found = self.states.shape, np.flatnonzero(self.converged)
+        result = OrbitFeatures(
+            values=np.full((count, len(of)), np.nan),
+            derivatives=np.full((count, len(of), len(by)), np.nan),
+            reason=np.full((count, len(of)), NO_ORBIT),
+            state_derivatives=np.full((count, cycles, rows, len(by)), np.nan),
+        )
+        if len(found):
+            own = {name: np.asarray(x, float)[found] for name, x in self.parameters.items()}
+            orbit = self.states[found], self.scales[found], self.steps[found].sum(axis=1)
+            for whole, part in zip(result, differentiated(self.scene, of, by, own, *orbit), strict=True):
+                whole[found] = part
+        return result
+
+    def measured(
+        self, measure: Measuring, inputs: LaneInputs | LaneArguments, accuracy: Accuracy = ORBIT_ACCURACY
+    ) -> tuple[Features, Mask]:
+        """Return the features over one period, and a mask of the orbits with the expected numbers of crossings.
+
+        `inputs`: chunk of lanes, of which `lane` holds the indices. If lanes have impacts, the number of these must
+        also be that of the orbit.
+        """
+        cycles = self.states.shape[1]
+        start = start_on_orbit(self.lane, self.states, self.times, self.steps.sum(axis=1))
+        features, whole = measure(inputs, start, accuracy)
+        if "impacts" in features:
+            features["impacts"] = np.round(features["impacts"] * cycles)
+            whole &= features["impacts"] == self.impacts
+        return features, whole
+
+
+def orbits_of(
+    scene: Scene[Any],
+    lanes: Mapping[str, np.ndarray] | xr.Dataset,
+    parameters: Mapping[str, np.ndarray],
+    index: Index | None = None,
+) -> list[Orbits]:
+    """Return the orbits of lanes, one batch for each number of section crossings per period.
+
+    **Arguments:** `lanes`: variables of all lanes by name, such as a dataset with orbits; `parameters`: their values,
+    in the same order; `index`: lanes, by default all with a found orbit.
+    """
+
+    def column(name: str) -> np.ndarray:
+        return np.asarray(lanes[name]).ravel()
+
+    if index is None:
+        index = np.flatnonzero(column("orbit_reason") == ORBIT_REASONS.index("found"))
+    driving = scene.driving_part()
+    cycles, section = column("orbit_cycles").astype(int), driving.section
+    batches = []
+    for repeat in np.unique(cycles[index]).tolist():
+        lane = index[cycles[index] == repeat]
+        begin = np.stack([column(orbit_name(name))[lane] for name in driving.return_states], axis=1)
+        values = {name: np.asarray(x, float)[lane] for name, x in parameters.items()}
+        orbit = replace(Orbits.trace(scene, values, begin, repeat), lane=lane)
+        if section is not None:
+            names = list(map(orbit_name, scale_names(section))) or half_names(section)
+            halves = [column(name)[lane] for name in names]
+            compared = begin.T[: len(section.compared)]
+            for k, scale in enumerate(stored_scales(section, halves, column("period")[lane], [*compared])):
+                orbit.scales[:, k] = scale
+        batches.append(orbit)
+    return batches
+
+
+def _driving(scene: Scene[Any], parameters: Mapping[str, PerOrbit]) -> dict[str, PerOrbit]:
+    return {name: parameters[name] for name in scene.driving_part().parameters()}
+
+
+def _assign(whole: Any, index: Index, part: Any) -> None:
+    """Overwrite some entries of all arrays of `whole` by those of `part`."""
+    for before, after in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
+        before[index] = after
+
+
+def _swings(images: Any) -> Scales:
+    """Return half the range of each state along a motion, 1 if it is zero."""
+    greatest, least = images.seen.greatest.max(axis=1), images.seen.least.min(axis=1)
+    swing = np.maximum((greatest - least) / 2, MIN_RELATIVE_SWING * np.maximum(greatest, -least))
+    return np.where(swing > 0, swing, 1.0)
+
+
+def _residual(states: States, images: Any, scales: Scales) -> PerOrbit:
+    off = np.abs(images.state - np.roll(states, -1, axis=1)) / scales[:, None]
+    residual = np.where(images.seen.returned.all(axis=1), off.max(axis=(1, 2)), np.inf)
+    return np.where(np.isnan(residual), np.inf, residual)
+
+
+def _distance(states: States, begin: States, scales: Scales) -> PerOrbit:
+    return np.max(np.abs(states - begin) / scales[:, None], axis=(1, 2))
+
+
+def _newton_step(states: States, images: Any, scales: Scales) -> States:
+    """Return the Newton steps, computed in scaled unknowns; NaN where the matrix is singular.
+
+    A state that the map holds keeps its value: every value belongs to an orbit, so the matrix would be singular.
+    """
+    lanes, cycles, rows = states.shape
+    jacobian = images.jacobian * scales[:, None, None, :] / scales[:, None, :, None]
+    off = (np.roll(states, -1, axis=1) - images.state) / scales[:, None]
+    matrix, off = shooting_matrix(jacobian), off.reshape(lanes, cycles * rows, 1)
+    lane, held = np.nonzero(held_states(images.jacobian).all(axis=1))
+    last = (cycles - 1) * rows + held
+    matrix[lane, last], off[lane, last] = 0.0, 0.0
+    matrix[lane, last, held] = 1.0
+    step = solve(matrix, off)
+    return step.reshape(states.shape) * scales[:, None]
