@@ -102,8 +102,10 @@ def reaches_orbit(multipliers, away, repeats=100, bend=0.0, error=1e-4):
     returns = [away * np.array([0.4, -1.0, 0.7])]
     for _ in range(7):
         returns.append(derivative @ returns[-1] + bend * returns[-1] ** 2)
-    approach = Approach(np.arange(1), np.ones((1, 3)), np.stack(returns[::-1])[..., None], np.zeros((1, 1, 3)))
     ones = np.ones(1)
+    approach = Approach(
+        np.arange(1), np.ones((1, 3)), np.stack(returns[::-1])[..., None], np.zeros((1, 1, 3)), ones * repeats
+    )
     orbit = Orbits(
         scene=SCENES["vibro-impact"](),
         parameters={},
@@ -120,7 +122,7 @@ def reaches_orbit(multipliers, away, repeats=100, bend=0.0, error=1e-4):
         steps=np.ones((1, 1)),
         lane=np.arange(1),
     )
-    return will_reach(approach, orbit, np.array([float(repeats)]), 1e-7, error)[0]
+    return will_reach(approach, orbit, 1e-7, error)[0]
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from vibrojax.measures.derived import derived as derived_quantities
 from vibrojax.measures.recorder import Effort, LaneState, observe_block, settle_block
 from vibrojax.measures.repeats import KeptReturns
 from vibrojax.measures.section import on_orbit
-from vibrojax.periodic.measuring import observation, start_on_orbit
+from vibrojax.periodic.measuring import observation, past_states, past_times
 from vibrojax.periodic.newton import PerLane, chain
 from vibrojax.periodic.return_map import in_calls
 from vibrojax.periodic.tangent_loop import with_derivatives
@@ -174,7 +174,7 @@ def _of_multiplier(name: str, alike: Bool[np.ndarray, "lanes states"]) -> Bool[n
 
 
 class _OnOrbit(NamedTuple):
-    """Inputs of a motion on an orbit; the last axis is the lane. See [vibrojax.periodic.measuring.OrbitStart][]."""
+    """Inputs of a motion on an orbit; the last axis is the lane. See [vibrojax.periodic.measuring.past_times][]."""
 
     parameters: dict[str, Lanes]
     state: Array
@@ -235,26 +235,24 @@ def _measured(
 ) -> tuple[Features, Features, Bool[np.ndarray, " lanes"]]:
     """Return features over one period, derivatives (lanes, by), and a mask of lanes with the expected crossings."""
     lanes, cycles, _ = states.shape
-    start = start_on_orbit(np.arange(lanes), states, varied.times, steps)
-    d_ago = np.cumsum(np.concatenate([np.zeros((lanes, 1, len(by))), varied.d_times[:, ::-1]], axis=1), axis=1)
-    d_length = varied.d_times.sum(axis=1)
-    d_when = -np.stack([d_ago[:, k % cycles] + (k // cycles) * d_length for k in range(len(start.when))])
-    settle, observe, counted = observation(scene, start)
+    length, d_length = varied.times.sum(axis=1), varied.d_times.sum(axis=1)
+    past, when, d_when = past_states(states), past_times(varied.times), past_times(varied.d_times)
+    settle, observe, counted = observation(scene, varied.times)
     lane, direction = np.repeat(np.arange(lanes), len(by)), np.tile(np.arange(len(by)), lanes)
 
     def work(part: Any) -> Any:
         i, j = lane[part], direction[part]
         p = {name: parameters[name][i] for name in scene.parameters()}
         unit = {name: (j == by.index(name)) + 0.0 if name in by else 0.0 * j for name in p}
-        on = _OnOrbit(p, start.state[:, i], start.when[:, i], start.length[i] / cycles)
+        on = _OnOrbit(p, states[i, 0].T, when[:, i], length[i] / cycles)
         along = _OnOrbit(unit, varied.d_states[i, 0, :, j].T, d_when[:, i, j], d_length[i, j] / cycles)
         effort = Effort(Accuracy(*map(np.float64, DERIVATIVE_ACCURACY)), np.float64(MOST_STEPS_MEASURED))
-        return _features_along(scene, on, along, start.past[..., i], settle[i], observe[i], effort)
+        return _features_along(scene, on, along, past[..., i], settle[i], observe[i], effort)
 
     both = in_calls(work, len(lane), workers())
     table, tangents = ({name: np.asarray(x).reshape(lanes, len(by)) for name, x in t.items()} for t in both)
     values = {name: x[:, 0] for name, x in table.items()}
     whole = (values["finished"] > 0) & (values["finite"] > 0)
     whole &= values[counted] == cycles + (counted == "returns")
-    values["period"], tangents["period"] = start.length / cycles, d_length / cycles
+    values["period"], tangents["period"] = length / cycles, d_length / cycles
     return values, tangents, whole

@@ -24,7 +24,7 @@ from vibrojax.lanes.inputs import Features, LaneInputs
 from vibrojax.lanes.programs import LaneArguments
 from vibrojax.measures.since_start import half_names, scale_names, stored_scales
 from vibrojax.periodic.derivatives import NEUTRAL, NO_ORBIT, OrbitFeatures, differentiated
-from vibrojax.periodic.measuring import ORBIT_ACCURACY, Measuring, start_on_orbit
+from vibrojax.periodic.measuring import ORBIT_ACCURACY, Measuring
 from vibrojax.periodic.newton import chain, held_states, images_by_lane, multipliers, shooting_matrix, solve
 from vibrojax.periodic.return_map import Segments
 from vibrojax.scenes import Scene
@@ -123,11 +123,14 @@ class Orbits:
         def evaluate(states: States, orbits: Index) -> Any:
             index = np.repeat(orbits, cycles)
             mapped = go({name: x[index] for name, x in own.items()}, states.reshape(-1, rows).T)
-            return images_by_lane(mapped, len(states), cycles)
+            images = images_by_lane(mapped, len(states), cycles)
+            return images._replace(jacobian=images.jacobian[..., :rows])  # without parameters of the map
 
         best = evaluate(guess, np.arange(count))
-        unknown, usual = np.full((count, rows), np.nan) if scales is None else scales, _swings(best)
-        scales = np.where(np.isnan(unknown), usual, unknown)
+        greatest, least = best.seen.greatest.max(axis=1), best.seen.least.min(axis=1)
+        swing = np.maximum((greatest - least) / 2, MIN_RELATIVE_SWING * np.maximum(greatest, -least))
+        swing = np.where(swing > 0, swing, 1.0)
+        scales = swing if scales is None else np.where(np.isnan(scales), swing, scales)
         states, residual = guess.copy(), _residual(guess, best, scales)
         iterate, now = guess, best
         outside = np.zeros(count, bool)
@@ -155,55 +158,37 @@ class Orbits:
             # A small residual that hardly decreases is dominated by rounding errors.
             on = np.isfinite(reached) & ((reached < before / 2) | (reached > ACCEPTED))
             active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
-        moved = np.where(outside, np.inf, _distance(states, guess, scales))
-        return cls._of_images(scene, parameters, states, scales, best, moved)
+        return cls(
+            scene=scene,
+            parameters={name: np.asarray(x, float) for name, x in parameters.items()},
+            states=states,
+            scales=scales,
+            times=best.time,
+            residual=residual,
+            product=chain(best.jacobian),
+            step=_newton_step(states, best, scales),
+            moved=np.where(outside, np.inf, _distance(states, guess, scales)),
+            impacts=best.seen.impacts.sum(axis=1),
+            margin=best.seen.margin.min(axis=1),
+            reach=best.seen.reach.min(axis=1),
+            steps=best.seen.steps,
+            lane=np.arange(count),
+        )
 
     @classmethod
     def trace(
         cls,
         scene: Scene[Any],
         parameters: Mapping[str, PerOrbit],
-        begin: Float[np.ndarray, "orbits states"],
+        begin: Scales,
         cycles: int,
         go: Segments | None = None,
     ) -> "Orbits":
         """Return known orbits with `cycles` crossings per period, from one state of each at the section."""
-        go, own = go or Segments(scene.driving_part()), _driving(scene, parameters)
-        states, images = [begin], []
-        for _ in range(cycles):
-            images.append(images_by_lane(go(own, states[-1].T), len(begin), 1))
-            states.append(images[-1].state[:, 0])
-        traced = jax.tree.map(lambda *x: np.concatenate(x, axis=1), *images)
-        traced = traced._replace(jacobian=traced.jacobian[..., : begin.shape[1]])  # without parameters of the map
-        whole = np.stack(states[:-1], axis=1)
-        return cls._of_images(scene, parameters, whole, _swings(traced), traced, np.zeros(len(begin)))
-
-    @classmethod
-    def _of_images(
-        cls,
-        scene: Scene[Any],
-        parameters: Mapping[str, PerOrbit],
-        states: States,
-        scales: Scales,
-        images: Any,
-        moved: PerOrbit,
-    ) -> "Orbits":
-        return cls(
-            scene=scene,
-            parameters={name: np.asarray(x, float) for name, x in parameters.items()},
-            states=states,
-            scales=scales,
-            times=images.time,
-            residual=_residual(states, images, scales),
-            product=chain(images.jacobian),
-            step=_newton_step(states, images, scales),
-            moved=moved,
-            impacts=images.seen.impacts.sum(axis=1),
-            margin=images.seen.margin.min(axis=1),
-            reach=images.seen.reach.min(axis=1),
-            steps=images.seen.steps,
-            lane=np.arange(len(states)),
-        )
+        go, states = go or Segments(scene.driving_part()), [begin]
+        for _ in range(cycles - 1):
+            states.append(np.asarray(go(_driving(scene, parameters), states[-1].T).state).T)
+        return cls.find(scene, parameters, np.stack(states, axis=1), go=go, iterations=0)
 
     def __len__(self) -> int:
         return len(self.states)
@@ -363,8 +348,8 @@ class Orbits:
         also be that of the orbit.
         """
         cycles = self.states.shape[1]
-        start = start_on_orbit(self.lane, self.states, self.times, self.steps.sum(axis=1))
-        features, whole = measure(inputs, start, accuracy)
+        orbit = self.lane, self.states, self.times, self.steps.sum(axis=1)
+        features, whole = measure(inputs, *orbit, accuracy)
         if "impacts" in features:
             features["impacts"] = np.round(features["impacts"] * cycles)
             whole &= features["impacts"] == self.impacts
@@ -414,13 +399,6 @@ def _assign(whole: Any, index: Index, part: Any) -> None:
     """Overwrite some entries of all arrays of `whole` by those of `part`."""
     for before, after in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
         before[index] = after
-
-
-def _swings(images: Any) -> Scales:
-    """Return half the range of each state along a motion, 1 if it is zero."""
-    greatest, least = images.seen.greatest.max(axis=1), images.seen.least.min(axis=1)
-    swing = np.maximum((greatest - least) / 2, MIN_RELATIVE_SWING * np.maximum(greatest, -least))
-    return np.where(swing > 0, swing, 1.0)
 
 
 def _residual(states: States, images: Any, scales: Scales) -> PerOrbit:

@@ -99,17 +99,25 @@ class Approach(NamedTuple):
     Scaled distances are in units of the states' scales: half the peak-to-peak range of a position, and for its velocity
     half that range times 2 pi/period. `lanes`: indices of the lanes; `scale`: NaN for states that labels do not
     compare; `returns`: states at the section crossings, newest first; `limit`: extrapolated limits of the crossings in
-    the last period, newest last.
+    the last period, newest last; `time`: time until the observation begins [s].
     """
 
     lanes: Index
     scale: Float[np.ndarray, "lanes states"]
     returns: Away
     limit: States
+    time: PerLane
 
     def of(self, lanes: Index, since: int = 0) -> "Approach":
         """Return a subset of the lanes, by index, without their `since` newest section crossings."""
-        return Approach(self.lanes[lanes], self.scale[lanes], self.returns[since:, :, lanes], self.limit[lanes])
+        lanes_, scale, limit, time = (x[lanes] for x in (self.lanes, self.scale, self.limit, self.time))
+        return Approach(lanes_, scale, self.returns[since:, :, lanes], limit, time)
+
+    def distance(self, orbit: Orbits) -> PerLane:
+        """Return the distance of the last section crossings from the orbits, in units of their scales."""
+        on_orbit = np.moveaxis(orbit.states[:, ::-1], 0, -1)  # newest first
+        apart = np.abs(self.returns[: len(on_orbit)] - on_orbit) / orbit.scales.T
+        return np.asarray(np.max(apart, axis=(0, 1)))
 
 
 def approaches_repeat(
@@ -141,15 +149,6 @@ def approaches_repeat(
     return near
 
 
-def read_approach(returns: Settling, lanes: Index, repeat: int, tolerance: float) -> Approach:
-    """Return the approach of `lanes` to orbits with `repeat` section crossings per period, with extrapolated limits."""
-    scale = np.stack(returns.passed.scales)[:, lanes].astype(float)
-    states = np.asarray(returns.seen.states)[..., lanes].astype(float)
-    limit = [extrapolate(states[phase::repeat], scale, STEP_NOISE * tolerance) for phase in range(repeat)]
-    unknown = np.full((states.shape[1] - len(scale), len(lanes)), np.nan)
-    return Approach(lanes, np.concatenate([scale, unknown]).T, states, np.stack(limit[::-1]).transpose(2, 0, 1))
-
-
 def extrapolate(
     series: Away, scale: Float[np.ndarray, "compared lanes"], noise: float
 ) -> Float[np.ndarray, "states lanes"]:
@@ -171,24 +170,15 @@ def extrapolate(
     return np.where(sound, limit, series[0])
 
 
-def distance(near: Approach, orbit: Orbits) -> PerLane:
-    """Return the distance of each lane's last section crossings from its `orbit`, in units of the orbit's scales."""
-    on_orbit = np.moveaxis(orbit.states[:, ::-1], 0, -1)  # newest first
-    apart = np.abs(near.returns[: len(on_orbit)] - on_orbit) / orbit.scales.T
-    return np.asarray(np.max(apart, axis=(0, 1)))
-
-
-def will_reach(
-    near: Approach, orbit: Orbits, repeats: PerLane, tolerance: float, error: float
-) -> Bool[np.ndarray, " lanes"]:
-    """Return a mask of lanes in the linear range of their `orbit` that will be on the orbit after `repeats` periods."""
+def will_reach(near: Approach, orbit: Orbits, tolerance: float, error: float) -> Bool[np.ndarray, " lanes"]:
+    """Return a mask of lanes in the linear range of their `orbit` that will be on it when they are observed."""
     scale, cycles = orbit.scales, orbit.states.shape[1]
     derivative = orbit.product * scale[:, None, :] / scale[:, :, None]
     on_orbit = np.moveaxis(orbit.states, 0, -1)
     away = np.moveaxis((near.returns[cycles - 1 :: cycles] - on_orbit[0]) / scale.T, -1, 0)
     noise = STEP_NOISE * tolerance
     # Only the first state of an orbit is propagated, so lanes must be closer to an orbit with several states.
-    reached = distance(near, orbit) < (NEAR_ORBIT if cycles == 1 else NEAR_ORBIT / 10)
+    reached = near.distance(orbit) < (NEAR_ORBIT if cycles == 1 else NEAR_ORBIT / 10)
     linear = np.einsum("lij,lrj->lri", derivative, away[:, 1:])
     off, far = np.max(np.abs(away[:, :-1] - linear), axis=2), np.max(np.abs(away[:, 1:]), axis=2)
     reached &= np.all((off < LINEAR_MISFIT * far + noise)[:, : EXTRAPOLATION_MAX_ORDER + 1], axis=1)
@@ -197,6 +187,7 @@ def will_reach(
         following = np.einsum("lij,lj->li", derivative, last)
         reached &= np.max(np.abs(following - last), axis=1) < 0.8 * SETTLED_WITHIN
         last = following
+    repeats = np.floor(near.time / orbit.times.sum(axis=1))
     remaining, contraction = _propagate(derivative, away[:, 0], repeats)
     remaining = remaining + noise * contraction
     return reached & (contraction < MAX_CONTRACTION) & (remaining < min(LEFT_OF_ERROR * error, LEFT_OF_LABELS))
@@ -256,6 +247,7 @@ class EarlyEnds:
         self._measure = Measuring(scene, run, start_names)
         tolerance = min(self._accuracy.tolerance, MEASURE_MAX_TOLERANCE)
         self._measure_accuracy = self._accuracy._replace(tolerance=tolerance)
+        self._bounds = self._accuracy.tolerance, run.error
         self._pools: dict[int, OnOrbits] = {}  # known orbits; keys: section crossings per period
         self._numbers: dict[bytes, int] = {}  # numbers of points; keys: their parameter values
 
@@ -271,19 +263,18 @@ class EarlyEnds:
 
     def ended(self, batch: Batch) -> list[Ended]:
         """Return the lanes of the `batch` that can stop early; the shortest periods are tried first."""
-        assert batch.underway is not None
         free = np.ones(len(batch.begin), bool)
         ended = []
         with np.errstate(all="ignore"):
             for repeat in EARLY_REPEATS:
                 lanes = np.flatnonzero(free & self._approaches(batch, repeat))
-                if len(lanes):
-                    near = read_approach(batch.underway.carry, lanes, repeat, self._accuracy.tolerance)
-                    for found in self._find(near, batch.of(lanes)):
-                        if len(found.orbits):
-                            lanes = near.lanes[found.orbits.lane]
-                            free[lanes] = False
-                            ended.append(self._ended(found.features, batch.of(lanes)))
+                if not len(lanes):
+                    continue
+                for found in self._find(self._read(batch, lanes, repeat), batch.of(lanes)):
+                    if len(found.orbits):
+                        own = lanes[found.orbits.lane]
+                        free[own] = False
+                        ended.append(self._ended(found.features, batch.of(own)))
         return ended
 
     def _approaches(self, batch: Batch, repeat: int) -> Mask:
@@ -291,6 +282,17 @@ class EarlyEnds:
         now = np.asarray(batch.underway.lane.clock.high)
         with np.errstate(all="ignore"):
             return approaches_repeat(batch.underway.carry, repeat, now, self._run.observe, self._accuracy.tolerance)
+
+    def _read(self, batch: Batch, lanes: Index, repeat: int) -> Approach:
+        """Return the approach of some `lanes` to orbits with `repeat` section crossings per period."""
+        assert batch.underway is not None
+        carry, noise = batch.underway.carry, STEP_NOISE * self._accuracy.tolerance
+        scale = np.stack(carry.passed.scales)[:, lanes].astype(float)
+        states = np.asarray(carry.seen.states)[..., lanes].astype(float)
+        limit = [extrapolate(states[phase::repeat], scale, noise) for phase in range(repeat)]
+        unknown = np.full((states.shape[1] - len(scale), len(lanes)), np.nan)
+        limits, time = np.stack(limit[::-1]).transpose(2, 0, 1), self._run.settle - batch.underway.lane.clock.high
+        return Approach(lanes, np.concatenate([scale, unknown]).T, states, limits, np.asarray(time)[lanes])
 
     def _find(self, near: Approach, batch: Batch) -> list[OnOrbits]:
         """Compare lanes with known orbits, then alternate between Newton's method for a few lanes and new comparisons.
@@ -303,7 +305,7 @@ class EarlyEnds:
         repeat = near.limit.shape[1]
         values = np.stack([np.asarray(x, float) for x in batch.given.parameters.values()], axis=1)
         points = np.array([self._numbers.setdefault(row.tobytes(), len(self._numbers)) for row in values], int)
-        known, remaining = self._compare(near, batch, points, 0, np.arange(len(points)))
+        known, remaining = self._compare(near, points, 0, np.arange(len(points)))
         per_point = 1
         while len(remaining):
             pool = self._pools.get(repeat)
@@ -314,14 +316,12 @@ class EarlyEnds:
             if len(lanes):
                 parts = [] if pool is None else [pool]
                 self._pools[repeat] = jax.tree.map(lambda *x: np.concatenate(x), *parts, found.at(points[lanes]))
-            more, remaining = self._compare(near, batch, points, 0 if pool is None else len(pool.orbits), remaining)
+            more, remaining = self._compare(near, points, 0 if pool is None else len(pool.orbits), remaining)
             known += [found.at(lanes), *more]
             per_point *= 2
         return known
 
-    def _compare(
-        self, near: Approach, batch: Batch, points: Index, since: int, remaining: Index
-    ) -> tuple[list[OnOrbits], Index]:
+    def _compare(self, near: Approach, points: Index, since: int, remaining: Index) -> tuple[list[OnOrbits], Index]:
         """Return the `remaining` lanes that will be on known orbits, and the lanes near none of these orbits.
 
         Only orbits with numbers from `since` on are considered.
@@ -337,38 +337,28 @@ class EarlyEnds:
                 if not len(lanes):
                     break
                 orbit, approach = pool.orbits.of(number[lanes]), near.of(lanes, late)
-                there = self._will_be_there(approach, orbit, batch.of(lanes))
+                there = will_reach(approach, orbit, *self._bounds)
                 matches.append(pool.of(number[lanes[there]]).at(lanes[there]))
                 # For a lane that is near the orbit but not yet on it, Newton's method would find the same orbit.
-                remaining = remaining[~np.isin(remaining, lanes[there | (distance(approach, orbit) < NEAR_ORBIT)])]
+                remaining = remaining[~np.isin(remaining, lanes[there | (approach.distance(orbit) < NEAR_ORBIT)])]
         return matches, remaining
 
     def on_orbits(self, near: Approach, batch: Batch) -> OnOrbits:
-        """Return the lanes of the `batch` that will be on orbits; Newton's method starts from the limits in `near`."""
+        """Return the lanes of the `batch` that will be on orbits; Newton's method starts from the limits in `near`.
+
+        Orbits are measured at the accuracies of the sweep and of the check run, and must close after one period.
+        """
         parameters = {name: np.asarray(batch.given.parameters[name], float) for name in self._scene.parameters()}
         guess = near.limit, near.scale, NEWTON_REACH
         orbit = Orbits.find(self._scene, parameters, *guess, self._map, LAST_STEP, EARLY_MAX_ITERATIONS)
         step = np.max(np.abs(orbit.step) / orbit.scales[:, None], axis=(1, 2))
         orbit = orbit.refined(np.ones(len(orbit), bool))
-        sure = (step < 10 * LAST_STEP) & (orbit.margin > MIN_MARGIN)
-        sure &= orbit.minimal_cycles(DISTINCT_STATES) == orbit.states.shape[1]
-        lanes = np.flatnonzero(sure & self._will_be_there(near, orbit, batch))
-        orbit = orbit.of(lanes)
-        return self._measured(replace(orbit, lane=lanes), step[lanes] ** 2 / orbit.margin, batch)
-
-    def _will_be_there(self, near: Approach, orbit: Orbits, batch: Batch) -> Mask:
-        """Return a mask of lanes in the linear range of their `orbit` that will be on it when they are observed."""
-        assert batch.underway is not None
-        repeats = np.floor((self._run.settle - batch.underway.lane.clock.high) / orbit.times.sum(axis=1))
-        return will_reach(near, orbit, repeats, self._accuracy.tolerance, self._run.error)
-
-    def _measured(self, orbit: Orbits, still: PerLane, batch: Batch) -> OnOrbits:
-        """Measure orbits at the accuracies of the sweep and of the check run; keep those that close after one period.
-
-        `still`: estimated distance of the computed orbits from the exact orbits.
-        """
         cycles, precision = orbit.states.shape[1], np.dtype(self._run.precision)
-        if not len(orbit):
+        sure = (step < 10 * LAST_STEP) & (orbit.margin > MIN_MARGIN)
+        sure &= orbit.minimal_cycles(DISTINCT_STATES) == cycles
+        lanes = np.flatnonzero(sure & will_reach(near, orbit, *self._bounds))
+        orbit = replace(orbit.of(lanes), lane=lanes)
+        if not len(lanes):
             return OnOrbits(orbit, {})
         right, runs = np.ones(len(orbit), bool), []
         for accuracy in (self._measure_accuracy, Located().coarser(self._measure_accuracy)):
@@ -376,14 +366,13 @@ class EarlyEnds:
             right &= whole
             # The values that a full observation would give.
             features["returns"] = np.floor(self._run.observe / features["period"])
-            features["cycles"] = np.full(len(orbit), float(cycles))
-            features["trend"] = np.zeros(len(orbit))
+            features |= {"cycles": np.full(len(orbit), float(cycles)), "trend": np.zeros(len(orbit))}
             # The features are stored together with those of fully simulated lanes, hence in the same precision.
             runs.append({name: x.astype(precision) if x.dtype.kind == "f" else x for name, x in features.items()})
         fine, check = runs
+        fine["drift_estimate"] = step[lanes] ** 2 / orbit.margin  # distance from the exact orbit
         least = 4 * float(np.finfo(precision).eps) + MIN_ERROR_SHARE * self._measure_accuracy.tolerance
-        features = certified(fine | {"drift_estimate": still}, check, ERROR_SHARE, least)
-        return OnOrbits(orbit, features).of(np.flatnonzero(right))
+        return OnOrbits(orbit, certified(fine, check, ERROR_SHARE, least)).of(np.flatnonzero(right))
 
     def _ended(self, features: Features, batch: Batch) -> Ended:
         """Return the lanes of the `batch` with the `features` of their orbits, and their own times and steps."""

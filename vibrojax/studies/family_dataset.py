@@ -14,7 +14,7 @@ from vibrojax.lanes.labels import measured_besides, of_orbits
 from vibrojax.maps.dataset import parameter_attributes, shared_attributes
 from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.margin import HOW
-from vibrojax.periodic.measuring import Measuring, joined, start_on_orbit
+from vibrojax.periodic.measuring import Measuring
 from vibrojax.periodic.newton import multipliers
 from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, Points, Problem
 from vibrojax.periodic.segments import Mark
@@ -116,20 +116,19 @@ def measured(sweep: Sweep, problem: Problem, points: list[Mark], family: np.ndar
     fixed = {name: x[family] for name, x in (sweep.points or {}).items()}
     run = replace(sweep.run, orbits=False, keep_returns=0)
     lanes = replace(sweep, points=fixed | {along: table[along]}, run=run)
-    parts = []
+    measure, inputs = Measuring(lanes.system, lanes.run, lanes.start_names), lanes.inputs()
+    measures: Table = {}
     for cycles in sorted(set(table["cycles"].tolist())):
         subset = np.array([k for k, p in enumerate(points) if table["cycles"][k] == cycles and p.kind != "hopf"], int)
-        u = np.concatenate([points[k].orbit.u for k in subset])
+        if not len(subset):
+            continue
+        states = problem.states(family[subset], np.concatenate([points[k].orbit.u for k in subset]))
         times = np.concatenate([points[k].orbit.times for k in subset])
-        steps = np.full(len(subset), STEPS_PER_RETURN * cycles)
-        parts.append(start_on_orbit(subset, problem.states(family[subset], u), times, steps))
-    orbits = joined(parts)
-    features, whole = Measuring(lanes.system, lanes.run, lanes.start_names)(lanes.inputs(), orbits)
-    measures: Table = {}
-    for name, x in features.items():
-        if x.ndim == 1 and x.dtype.kind == "f" and name not in ORBIT_FEATURES:
-            measures[name] = np.full(len(points), np.nan)
-            measures[name][orbits.lanes] = np.where(whole, x, np.nan)
+        steps = np.full(len(subset), float(STEPS_PER_RETURN * cycles))
+        features, whole = measure(inputs, subset, states, times, steps)
+        for name, x in features.items():
+            if x.ndim == 1 and x.dtype.kind == "f" and name not in ORBIT_FEATURES:
+                measures.setdefault(name, np.full(len(points), np.nan))[subset] = np.where(whole, x, np.nan)
     swings = {swing.amplitude for swing in problem.scene.section.swings} if problem.scene.section else set()
     for name in swings & set(measures):
         measures[name][[point.kind == "hopf" for point in points]] = 0.0

@@ -1,6 +1,5 @@
 """The branch of orbits on which a function of parameters is evaluated, continued from its first orbit to each point."""
 
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from threading import Lock
 from typing import Any, NamedTuple
@@ -64,11 +63,11 @@ class Branch:
         self._first: Orbits | None = None
         self._slopes = np.zeros(0)
         self._begun = False
-        self._cached: OrderedDict[bytes, Evaluated] = OrderedDict()
+        self._cached: dict[bytes, Evaluated] = {}
         self._lock = Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_cached": OrderedDict(), "_lock": None}
+        return self.__dict__ | {"_cached": {}, "_lock": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state | {"_lock": Lock()}
@@ -80,18 +79,15 @@ class Branch:
         """
         with self._lock, np.errstate(all="ignore"):
             keys = [row.tobytes() for row in x]
-            new = [k for k, key in enumerate(keys) if key not in self._cached and np.isfinite(x[k]).all()]
-            new = [*{keys[k]: k for k in new}.values()]
-            known = {key: self._cached[key] for key in keys if key in self._cached}
+            new = {key: row for key, row in zip(keys, x, strict=True) if np.isfinite(row).all()}
+            new = {key: row for key, row in new.items() if key not in self._cached}
             if new:
-                fresh = self._evaluate(x[new])
-                for place, k in enumerate(new):
-                    known[keys[k]] = Evaluated(*(part[place] for part in fresh))
-                    self._cached[keys[k]] = known[keys[k]]
-            while len(self._cached) > MAX_CACHED:
-                self._cached.popitem(last=False)
-            none = Evaluated(*(part[0] for part in self.unknown(1)))
-            return Evaluated(*(np.stack(parts) for parts in zip(*(known.get(key, none) for key in keys), strict=True)))
+                fresh = zip(*self._evaluate(np.stack([*new.values()])), strict=True)
+                self._cached |= {key: Evaluated(*row) for key, row in zip(new, fresh, strict=True)}
+            [none] = zip(*self.unknown(1), strict=True)
+            rows = [self._cached.get(key, none) for key in keys]
+            self._cached = dict([*self._cached.items()][-MAX_CACHED:])
+            return Evaluated(*map(np.stack, zip(*rows, strict=True)))
 
     def reason(self, x: Float[np.ndarray, " by"]) -> str:
         """Return why the features at the point `x` are not valid, or "none"."""
@@ -156,15 +152,13 @@ class Branch:
 
     def _begin(self, x: Float[np.ndarray, " by"]) -> None:
         """Find the first orbit: at `x`, or else the nearest of the stable orbits at points around it."""
-        places = [x[None]]
         corners = np.concatenate([np.eye(len(x)), -np.eye(len(x)), np.ones((1, len(x))), -np.ones((1, len(x)))])
         around = [x + share * corners * self._scale for share in SEARCHED]
         defaults = np.array([[self.point.parameters[name] for name in self.by]])
         table = [self.point.system.parameters()[name] for name in self.by]
-        for points in (*places, np.concatenate([*around, defaults])):
+        for points in (x[None], np.concatenate([*around, defaults])):
             admissible = [not any(p.problem(y) for p, y in zip(table, row, strict=True)) for row in points.tolist()]
-            rows = points[admissible]
-            if len(rows) and self._settle(rows, x):
+            if any(admissible) and self._settle(points[admissible], x):
                 return
 
     def _settle(self, rows: Points, x: Float[np.ndarray, " by"]) -> bool:
