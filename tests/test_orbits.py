@@ -16,6 +16,7 @@ from vibrojax.io.dataset import open_dataset
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 from vibrojax.periodic.orbit_stages import OrbitStage
+from vibrojax.periodic.orbits import orbits_of
 from vibrojax.studies.sweep import orbit_lines
 
 CASES = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["orbits"]
@@ -303,3 +304,33 @@ def test_other_features_do_not_change():
     for name in ("period", "impact_velocity", "bit_amplitude", "drive_power"):
         np.testing.assert_allclose(without[name], with_orbits[name], rtol=1e-4)
     assert not {"stable", "orbit_reason"} & set(without.data_vars)
+
+
+def test_orbits_are_carried_to_other_parameters():
+    """Predictions by slopes and by the last step lead to the orbit of a lane there, on which nothing else depends."""
+    tables = {"scene": "vibro-impact", "parameters": {"delta": 0.005}, "grid": {"beta": [0.36, 0.4, 0.44]}}
+    sweep = read_sweep(tables | {"starts": ["stuck"], "run": ORBITS})
+    values = sweep.lane_values(0, sweep.lanes)[0]
+    [found] = orbits_of(sweep.system, vj.run_sweep(sweep, progress=False), values)
+    here, there = found.of([0, 1]), found.of([1, 2])
+    for by in ((), ("beta",)):
+        carried, arrived = here.carry_to(there.parameters, within=0.2, least=1 / 64, by=by)
+        assert arrived.all() and carried.same_as(there).all() and not carried.same_as(here).any()
+        np.testing.assert_allclose(carried.states, there.refined().states, rtol=0, atol=1e-10)
+        np.testing.assert_array_equal(carried.lane, here.lane)
+    alone, _ = here.of([1]).carry_to(there.of([1]).parameters, within=0.2, least=1 / 64, by=("beta",))
+    np.testing.assert_array_equal(alone.states, carried.states[1:])
+
+
+def test_doubled_orbit_is_carried_back_to_half_its_period():
+    """The period of the orbit doubles between the two points, where it loses its stability."""
+    tables = {"scene": "vibro-impact", "parameters": {"delta": 0.005, "beta": 0.4}, "grid": {"gamma": [0.35, 0.3625]}}
+    sweep = read_sweep(tables | {"starts": ["drive"], "run": ORBITS})
+    values = sweep.lane_values(0, sweep.lanes)[0]
+    two, four = orbits_of(sweep.system, vj.run_sweep(sweep, progress=False), values)
+    assert (two.states.shape[1], four.states.shape[1]) == (2, 4)
+    how = {"within": 0.05, "first": 1 / 4, "least": 1 / 256, "accept": lambda orbits: orbits.stable}
+    back, arrived = four.carry_to(two.parameters, **how)
+    assert arrived.all() and back.minimal_cycles().tolist() == [2] and back.same_as(two).all()
+    last, arrived = two.carry_to(four.parameters, **how)
+    assert not arrived.any() and 0.35 < last.parameters["gamma"] < 0.3625 and last.stable.all()
