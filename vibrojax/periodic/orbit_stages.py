@@ -19,7 +19,7 @@ from vibrojax.periodic.margin import GRAZING, HOW
 from vibrojax.periodic.measuring import Measuring
 from vibrojax.periodic.newton import held_states, multipliers
 from vibrojax.periodic.orbits import ACCEPTED, MIN_RELATIVE_SWING, Orbits, States
-from vibrojax.periodic.return_map import STEPS, ReturnMap, Segments
+from vibrojax.periodic.return_map import STEPS, Segments
 from vibrojax.scenes import Scene
 from vibrojax.settings.run_settings import RunSettings
 
@@ -111,7 +111,7 @@ class OrbitStage:
         merged: Features = {}
         with np.errstate(all="ignore"):
             if self._scene.section is None:
-                features = features | _repeats_under_pulses(self._scene, features, self._map.of(parameters))
+                features = features | _repeats_under_pulses(self._scene, features, self._map, parameters)
             cycles = np.nan_to_num(features["cycles"]).astype(int)
             sound = features["finite"] & features["finished"] & (cycles > 0)
             for repeat in range(1, MOST_CYCLES + 1):
@@ -305,7 +305,7 @@ def last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> t
     return np.stack(rows, axis=-1), np.stack([*known, *unknown], axis=-1).astype(float)
 
 
-def _repeats_under_pulses(scene: Scene[Any], features: Features, go: ReturnMap) -> Features:
+def _repeats_under_pulses(scene: Scene[Any], features: Features, go: Segments, parameters: Features) -> Features:
     """Return `cycles`, `drift_estimate` and the last states at pulses (lanes, returns), newest last.
 
     The return map `go` is iterated from the state at the last pulse. `cycles` is the smallest number of pulses, up to
@@ -323,7 +323,7 @@ def _repeats_under_pulses(scene: Scene[Any], features: Features, go: ReturnMap) 
             break
         passed[:, active] = np.roll(passed[:, active], -1, axis=-1)
         passed[:, active, -1] = state[:, active]
-        mapped = go(active, state[:, active])
+        mapped = go({name: x[active] for name, x in parameters.items()}, state[:, active])
         state[:, active] = mapped.state
         least[:, active] = np.minimum(least[:, active], mapped.seen.least)
         greatest[:, active] = np.maximum(greatest[:, active], mapped.seen.greatest)

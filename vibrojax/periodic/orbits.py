@@ -289,7 +289,6 @@ class Orbits:
         - `accept`: mask of the orbits that count as a continuation, of orbits that have converged.
         """
         here = self.of(np.arange(len(self)))
-
         rate = np.zeros_like(self.states)
         if by:
             way = np.stack([parameters[name] - self.parameters[name] for name in by], axis=1)
@@ -301,7 +300,7 @@ class Orbits:
             advance = np.minimum(step[active], 1 - done[active])
             share = done[active] + advance
             ends = {name: (x[active], parameters[name][active]) for name, x in self.parameters.items()}
-            goal = {name: (1 - share) * begin + share * end for name, (begin, end) in ends.items()}
+            goal = {name: np.where(share < 1, x + share * (end - x), end) for name, (x, end) in ends.items()}
             guess = here.states[active] + rate[active] * advance[:, None, None]
             orbit = Orbits.find(self.scene, goal, guess, within=within, go=go).refined()
             good = orbit.converged & (orbit.moved <= within) & accept(orbit)

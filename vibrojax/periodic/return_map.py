@@ -68,10 +68,6 @@ class Mapped(NamedTuple):
     seen: ReturnEvents
 
 
-ReturnMap = Callable[[Int[np.ndarray, " segments"], Float[np.ndarray, "states segments"]], Mapped]
-"""`return_map(lanes, states)`: states of segments at the next section crossing; `lanes`: lane index of each segment."""
-
-
 class _Flight(NamedTuple):
     """Lanes between two section crossings."""
 
@@ -250,10 +246,6 @@ class Segments:
         self._steps = Accuracy(*map(np.float64, steps))
         self._most = np.float64(most)
         self._workers = workers()
-
-    def of(self, parameters: Mapping[str, Float[np.ndarray, " lanes"]]) -> ReturnMap:
-        """Return the map `(lanes, states) -> Mapped` for lanes with the given parameters."""
-        return lambda lanes, states: self({name: x[lanes] for name, x in parameters.items()}, states)
 
     def __call__(
         self, parameters: Mapping[str, Float[np.ndarray, " segments"]], states: Float[np.ndarray, "states segments"]

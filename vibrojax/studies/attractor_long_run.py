@@ -56,12 +56,12 @@ def with_long_statistics(
     `CONVERGED_STDERR` after `MOST_WINDOWS` windows, or if the lane has reached an orbit.
     """
     names = [name for name in STATISTICS if name in dataset]
-    none = np.zeros((len(names), 0))
-    parts = [Statistics(none, none, np.zeros(0, bool))]
+    shape = len(names), len(lanes)
+    long = Statistics(np.full(shape, np.nan), np.zeros(shape), np.zeros(len(lanes), bool))
     with quiet(), Progress(len(lanes), "irregular lanes", progress and len(lanes) > 0) as bar:
         for first in range(0, len(lanes), LANES_TOGETHER):
-            parts.append(_observe(sweep, names, lanes[first : first + LANES_TOGETHER], fewest, bar))
-    long = _concatenate(parts)
+            part = slice(first, first + LANES_TOGETHER)
+            _observe(sweep, lanes[part], Statistics(*(x[..., part] for x in long)), names, fewest, bar)
     regime = dataset["regime"]
 
     def updated(name: str, values: np.ndarray, fill: object) -> xr.DataArray:
@@ -76,30 +76,27 @@ def with_long_statistics(
     return dataset.assign(variables)
 
 
-def _observe(sweep: Sweep, names: list[str], lanes: Index, fewest: int, bar: Progress) -> Statistics:
-    """Return the statistics of `lanes`; each lane is observed until its statistics converge or cannot converge."""
+def _observe(sweep: Sweep, lanes: Index, result: Statistics, names: list[str], fewest: int, bar: Progress) -> None:
+    """Enter the statistics of `lanes` in `result`; each is observed until they converge or cannot converge."""
     now, length = sweep.run.settle, sweep.run.observe
     inputs = sweep.inputs_of(lanes)
     run = lane_run(inputs, sweep.plan)
     batch = run.before_observation(inputs)
     active, count = np.arange(len(lanes)), fewest
     windows: list[np.ndarray] = []
-    order: list[Index] = []
-    parts: list[Statistics] = []
     while len(active):
         while len(windows) < count:
             [batch] = run.engine.settle([batch.observed(now, np.full(len(active), length))])
             windows.append(_window(run.engine.observe([batch])[0], names))
             now += length
         stacked = np.stack(windows)
-        result = statistics(stacked)
-        done = result.converged | on_orbits(stacked) | ~_sound(stacked) | (count >= MOST_WINDOWS)
-        order.append(active[done])
-        parts.append(Statistics(*(x[..., done] for x in result)))
+        found = statistics(stacked)
+        done = found.converged | on_orbits(stacked) | ~_sound(stacked) | (count >= MOST_WINDOWS)
+        for whole, part in zip(result, found, strict=True):
+            whole[..., active[done]] = part[..., done]
         bar.add(int(done.sum()))
         batch, active, count = batch.of(np.flatnonzero(~done)), active[~done], 2 * count
         windows = [window[:, ~done] for window in windows]
-    return Statistics(*(x[..., np.argsort(np.concatenate(order))] for x in _concatenate(parts)))
 
 
 def _window(features: Features, names: list[str]) -> Float[np.ndarray, "fields lanes"]:
@@ -133,7 +130,3 @@ def on_orbits(windows: Windows) -> Bool[np.ndarray, " lanes"]:
 
 def _sound(windows: Windows) -> Bool[np.ndarray, " lanes"]:
     return np.all(windows[:, -1] > 0, axis=0)
-
-
-def _concatenate(parts: list[Statistics]) -> Statistics:
-    return Statistics(*(np.concatenate(x, axis=-1) for x in zip(*parts, strict=True)))

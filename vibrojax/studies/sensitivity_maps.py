@@ -85,7 +85,10 @@ def at_orbits(
                 features[lane], slopes[lane], reason[lane], _ = orbit.derivatives(of, by)
                 report.add(len(part))
     points = np.stack([values[name] for name in by], axis=1)
-    return _described(sweep, of, by, points, features, slopes, _of_lane(reason, bool(variables)))
+    # The reason of a lane is the first in order.
+    none = (reason == 0) | ((reason == DERIVATIVE_REASONS.index("undefined")) & (not variables))
+    why = np.where(none, len(DERIVATIVE_REASONS), reason).min(axis=1) % len(DERIVATIVE_REASONS)
+    return _described(sweep, of, by, points, features, slopes, why)
 
 
 def sensitivity(
@@ -207,16 +210,6 @@ def read_names(place: Place, value: str | Sequence[str], known: Collection[str])
             raise place.error(f"the scene has no {shown(name)} to differentiate; {hint}")
     check_distinct(place, names, "name")
     return names
-
-
-def _of_lane(reason: np.ndarray, all_defined: bool) -> np.ndarray:
-    """Return the reason of each lane: the first in order, unless it is that the variable is undefined.
-
-    `all_defined`: whether every variable must be defined.
-    """
-    undefined = (reason == DERIVATIVE_REASONS.index("undefined")) & (not all_defined)
-    known = np.where((reason > 0) & ~undefined, reason, len(DERIVATIVE_REASONS)).min(axis=1)
-    return np.where(known == len(DERIVATIVE_REASONS), 0, known)
 
 
 def _described(
