@@ -106,22 +106,11 @@ def reaches_orbit(multipliers, away, repeats=100, bend=0.0, error=1e-4):
     approach = Approach(
         np.arange(1), np.ones((1, 3)), np.stack(returns[::-1])[..., None], np.zeros((1, 1, 3)), ones * repeats
     )
+    none, single = np.zeros((1, 1, 3)), np.ones((1, 1))
     orbit = Orbits(
-        scene=SCENES["vibro-impact"](),
-        parameters={},
-        scales=np.ones((1, 3)),
-        states=np.zeros((1, 1, 3)),
-        times=np.ones((1, 1)),
-        residual=0 * ones,
-        product=derivative[None],
-        step=np.zeros((1, 1, 3)),
-        moved=0 * ones,
-        impacts=ones,
-        margin=ones,
-        reach=ones,
-        steps=np.ones((1, 1)),
-        lane=np.arange(1),
-    )
+        SCENES["vibro-impact"](), {}, none, np.ones((1, 3)), single, 0 * ones, derivative[None], none,
+        0 * ones, ones, ones, ones, single, np.arange(1),
+    )  # fmt: skip
     return will_reach(approach, orbit, 1e-7, error)[0]
 
 

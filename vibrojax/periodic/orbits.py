@@ -65,7 +65,7 @@ Scales = Float[np.ndarray, "orbits states"]
 class Orbits:
     """Periodic orbits of a scene with equally many section crossings per period; some may not have converged.
 
-    - `scene`; `parameters`: their values by name, at least those of the scene's driving part, to which orbits belong.
+    - `scene`; `parameters`: values by name, at least of the scene's driving part, to which the orbits belong.
     - `states`, `times` [s]: states at the section, and time from each state to the next; `scales`: of the states.
     - `residual`: greatest scaled difference between an image and the next state; infinite if an orbit did not return.
     - `product`: derivative of the map over one period of the motion.
@@ -324,18 +324,18 @@ class Orbits:
 
         `of`: names in [vibrojax.periodic.derivatives.orbit_variables][]. `parameters` must hold all of the scene's.
         """
-        (count, cycles, rows), found = self.states.shape, np.flatnonzero(self.converged)
+        (count, cycles, rows), index = self.states.shape, np.flatnonzero(self.converged)
         result = OrbitFeatures(
             values=np.full((count, len(of)), np.nan),
             derivatives=np.full((count, len(of), len(by)), np.nan),
             reason=np.full((count, len(of)), NO_ORBIT),
             state_derivatives=np.full((count, cycles, rows, len(by)), np.nan),
         )
-        if len(found):
-            own = {name: np.asarray(x, float)[found] for name, x in self.parameters.items()}
-            orbit = self.states[found], self.scales[found], self.steps[found].sum(axis=1)
+        if len(index):
+            own = {name: np.asarray(x, float)[index] for name, x in self.parameters.items()}
+            orbit = self.states[index], self.scales[index], self.steps[index].sum(axis=1)
             for whole, part in zip(result, differentiated(self.scene, of, by, own, *orbit), strict=True):
-                whole[found] = part
+                whole[index] = part
         return result
 
     def measured(

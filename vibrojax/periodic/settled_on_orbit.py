@@ -97,9 +97,11 @@ class Approach(NamedTuple):
     """Lanes whose last section crossings converge to an orbit.
 
     Scaled distances are in units of the states' scales: half the peak-to-peak range of a position, and for its velocity
-    half that range times 2 pi/period. `lanes`: indices of the lanes; `scale`: NaN for states that labels do not
-    compare; `returns`: states at the section crossings, newest first; `limit`: extrapolated limits of the crossings in
-    the last period, newest last; `time`: time until the observation begins [s].
+    half that range times 2 pi/period.
+
+    - `lanes`: indices of the lanes; `scale`: NaN for states that labels do not compare.
+    - `returns`: states at the section crossings, newest first; `time`: time until the observation begins [s].
+    - `limit`: extrapolated limits of the crossings in the last period, newest last.
     """
 
     lanes: Index
@@ -270,11 +272,11 @@ class EarlyEnds:
                 lanes = np.flatnonzero(free & self._approaches(batch, repeat))
                 if not len(lanes):
                     continue
-                for found in self._find(self._read(batch, lanes, repeat), batch.of(lanes)):
-                    if len(found.orbits):
-                        own = lanes[found.orbits.lane]
+                for group in self._find(self._read(batch, lanes, repeat), batch.of(lanes)):
+                    if len(group.orbits):
+                        own = lanes[group.orbits.lane]
                         free[own] = False
-                        ended.append(self._ended(found.features, batch.of(own)))
+                        ended.append(self._ended(group.features, batch.of(own)))
         return ended
 
     def _approaches(self, batch: Batch, repeat: int) -> Mask:
@@ -311,13 +313,13 @@ class EarlyEnds:
             pool = self._pools.get(repeat)
             first = rank_in_point(points[remaining]) < per_point
             solved, remaining = remaining[first], remaining[~first]
-            found = self.on_orbits(near.of(solved), batch.of(solved))
-            lanes = solved[found.orbits.lane]
+            group = self.on_orbits(near.of(solved), batch.of(solved))
+            lanes = solved[group.orbits.lane]
             if len(lanes):
                 parts = [] if pool is None else [pool]
-                self._pools[repeat] = jax.tree.map(lambda *x: np.concatenate(x), *parts, found.at(points[lanes]))
+                self._pools[repeat] = jax.tree.map(lambda *x: np.concatenate(x), *parts, group.at(points[lanes]))
             more, remaining = self._compare(near, points, 0 if pool is None else len(pool.orbits), remaining)
-            known += [found.at(lanes), *more]
+            known += [group.at(lanes), *more]
             per_point *= 2
         return known
 
