@@ -272,7 +272,7 @@ def test_unsuitable_sweep_is_refused(change, message):
 def test_picture_shows_shares(attractors):
     figure = vj.picture(attractors)
     assert "legend: most frequent regime, and share of all 640 lanes" in " ".join(note(figure).split())
-    panel = next(axes for axes in figure.axes if axes.get_title() == "β = 0.4")
+    panel = next(axes for axes in figure.axes if axes.get_title("left") == "β = 0.4")
     number = int(present(attractors, beta=0.4, gamma=0.75).attractor[0])
     bands = [band.get_paths()[0].vertices for band in panel.collections if isinstance(band, PolyCollection)]
     share = attractors.share.sel(beta=0.4, attractor=number).values

@@ -53,7 +53,7 @@ def calls(monkeypatch, tmp_path):
     simulated = stand_in_for("simulate_point", dataset)
     monkeypatch.setattr("vibrojax.studies.trajectory_analysis.simulate_point", simulated)
     module("vibrojax.io.dataset", write_dataset=None, open_dataset=dataset)
-    module("vibrojax.pictures.choose", save_picture=None, picture=None)
+    module("vibrojax.studies.choose", save_picture=None, picture=None)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "map.toml").write_text(MAP)
     return made
@@ -136,7 +136,7 @@ def test_interrupted_sweep_prints_command_to_resume(calls, capsys, monkeypatch):
 @pytest.mark.parametrize("argv", [["sweep", "map.toml", "-o", "a b.nc"], ["simulate", "rotary", "-o", "a b.nc"]])
 def test_interrupted_picture_keeps_dataset(calls, capsys, monkeypatch, argv):
     """The dataset is complete by then, and all chunks are removed."""
-    failing("vibrojax.pictures.choose", "save_picture", KeyboardInterrupt(), monkeypatch)
+    failing("vibrojax.studies.choose", "save_picture", KeyboardInterrupt(), monkeypatch)
     assert main(argv) == 130
     line = "vibrojax: interrupted; a b.nc is whole; for its picture: vibrojax plot 'a b.nc'\n"
     assert capsys.readouterr().err == line

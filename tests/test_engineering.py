@@ -167,7 +167,8 @@ def test_chart_shows_best_robust_cell():
     assert [stars[0].get_xdata()[0], stars[0].get_ydata()[0]] == [float(best.gamma), float(best.beta)]
     assert {"robust: the cells\naround as well", "best robust cell"} <= set(legend(figure))
     assert [text.get_text() for text in blows.get_legend().get_texts()] == ["impact power [W]", "blows [1/min]"]
-    assert len(energy.patches) == 1  # the source's rectangle over beta and gamma
+    boxes = [line.get_xydata() for line in energy.lines if len(line.get_xdata()) == 5]
+    assert any(np.ptp(box, axis=0) == pytest.approx([0.2, 0.35]) for box in boxes)  # the source's rectangle
     with pytest.raises(InputError, match="no map: gamma is all that varies"):
         vj.picture(ds, diagram="chart", where={"beta": axes["beta"][0]})
     more = xr.concat([ds.assign_coords(v=v) for v in (1.0, 1.5)], "v")

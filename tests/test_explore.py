@@ -6,6 +6,7 @@ import re
 import zlib
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,17 +14,21 @@ import xarray as xr
 from cell_blocks import decode
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib import colormaps
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.explorer import Cell, cell_of, cells_of, document_of, encode, module_text, page_text, write_page
 from vibrojax.explorer.encoding import EVENTS, MANTISSA_BITS, STATE_LEVELS, STUCK, StateColumn, pack
-from vibrojax.explorer.figure_view import figure_document
+from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.reading import first_cell
 from vibrojax.explorer.write import blocks_of
 from vibrojax.io.ownership import GENERATOR
 from vibrojax.maps.read import read_sweep
+from vibrojax.pictures.colours import value_of
+from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Scale, Sheet, Text, level
 
 COLUMNS = (StateColumn("x1", "m", "position"), StateColumn("v1", "m s-1", "velocity"))
 PLANE = {
@@ -335,53 +340,68 @@ def test_dataset_without_sweep_opens_without_motions(plane: xr.Dataset) -> None:
 # Plots of analyses.
 
 
-def test_figure_is_described_in_data_coordinates() -> None:
-    """Lines, points, areas, cells and texts keep their numbers; an axis with a name of the dataset is linked to it."""
-    x, ds = np.array([1.0, 10.0, 100.0]), xr.Dataset(coords={"force": ("force", [1e3, 1e4], {"units": "N"})})
-    figure = Figure()
-    axes, strip = figure.subplots(2)
-    axes.plot(x, 2 * x, color="#112233", linestyle="--", marker="s", label="law")
-    axes.scatter(x, x, s=16.0, color=["#ff0000", "#00ff00", "#0000ff"])
-    axes.fill_between(x, x, 3 * x, color="#abcdef", alpha=0.5)
-    axes.axhline(7.0)
-    axes.set(xscale="log", xlabel="force [kN]", ylabel="rate", title="start: a")
-    axes.legend()
-    strip.pcolormesh([0.0, 1.0, 2.0], [0.0, 1.0], [[0.0, np.nan]])
-    strip.set(xticks=[0.5, 1.5], xticklabels=["left", "right"])
-    axis = {"name": "force", "columns": [], "values": [1e3, 1e4]}
-    document = figure_document([figure], ds, [axis])
+def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
+    """Infinite coordinates become the ends of the axes; a plot over an axis of the dataset is linked to it."""
+    x = np.array([1.0, 10.0, 100.0])
+    ds = xr.Dataset(coords={"force": ("force", [1e3, 1e4], {"units": "N"}), "start": ["a", "b"]})
+    layers: list[Layer] = [
+        Line(x, 2 * x, "#112233", dash="--", marker="s", label="law"),
+        Points(x, x, ["#ff0000", "#00ff00", "#0000ff"], 4.0),
+        Area(x, x, 3 * x, "#abcdef", 0.5),
+        level(7.0, colour="#123456"),
+        Bars([1.0], [0.0], [2.0], [5.0], "#00aa00"),
+        Text(0.5, 0.5, "in the middle", relative=True),
+    ]
+    across = Axis("force [kN]", "force", (1.0, 100.0), log=True)
+    depth = Axis("depth [m]", limits=(0.0, 300.0), reversed=True)
+    strip = Cells([0.0, 1.0, 2.0], [0.0, 1.0], np.array([[0.0, np.nan]]), colormaps["viridis"], Normalize(0.0, 1.0))
+    ticks = Axis(ticks=[(0.5, "left"), (1.5, "right")])
+    value = value_of(xr.DataArray([-0.5, 3.0], name="share", attrs={"units": "%"}))
+    plots = [
+        Plot(layers, across, depth, "start: b", at={"start": "b"}),
+        Plot([strip], ticks, place=(1, 0), name="regimes"),
+    ]
+    sheet = Sheet(plots, (6.0, 4.0), heights=(1.0, 0.3), scales=[Scale((0, 1), value)])
+    axes: list[dict[str, Any]] = [{"name": name, "columns": []} for name in ("force", "start")]
+    document = figure_document([sheet], ds, axes)
     first, second = document["plots"]
-    items = {item["kind"]: item for item in reversed(first["items"]) if item.get("colour") != "#1f77b4"}
-    assert items["line"]["x"] == x.tolist() and items["line"]["y"] == (2 * x).tolist()
-    assert items["line"]["dash"] and items["line"]["colour"] == "#112233"
-    assert any(
-        entry["kind"] == "points" and entry["colours"] == ["#ff0000", "#00ff00", "#0000ff"] for entry in first["items"]
+    line, marks, points, area, upright, bar, text = (
+        next(item for item in first["items"] if item["kind"] == kind and test(item))
+        for kind, test in (
+            ("line", lambda item: item["colour"] == "#112233"),
+            ("points", lambda item: item["shape"] == "square"),
+            ("points", lambda item: item["shape"] == "circle"),
+            ("area", lambda item: item["alpha"] == 0.5),
+            ("line", lambda item: item["colour"] == "#123456"),
+            ("area", lambda item: item["colour"] == "#00aa00"),
+            ("text", lambda item: True),
+        )
     )
-    assert items["area"]["alpha"] == 0.5 and set(items["area"]["y"]) == {*x, *(3 * x)}
-    [level] = [entry for entry in first["items"] if entry.get("colour") == "#1f77b4"]
-    assert level["y"] == pytest.approx([7.0, 7.0])
-    assert first["x"]["log"] and first["x"]["direction"] == "force" and first["y"]["direction"] is None
-    assert second["items"][0]["data"]["shape"] == [2] and second["x"]["ticks"] == [[0.5, "left"], [1.5, "right"]]
-    level, missing = unpack(second["items"][0]["data"]).tolist()
-    assert level >= 0 and missing == -1
-    assert document["keys"] == [{"text": "law", "shape": "line", "colour": "#112233", "dash": items["line"]["dash"]}]
+    assert line["x"] == marks["x"] == x.tolist() and line["y"] == (2 * x).tolist() and line["dash"]
+    assert points["colours"] == ["#ff0000", "#00ff00", "#0000ff"] and points["sizes"] == [2.0]
+    assert set(area["y"]) == {*x, *(3 * x)} and upright["x"] == [1.0, 100.0] and upright["y"] == [7.0, 7.0]
+    assert bar["x"] == [1.0, 3.0, 3.0, 1.0] and bar["y"] == [0.0, 0.0, 5.0, 5.0]
+    assert text["x"] == [pytest.approx(10.0)] and text["y"] == [150.0]
+    expected = {"label": "force [kN]", "limits": [1.0, 100.0], "log": True, "reversed": False, "ticks": None}
+    assert first["x"] == expected | {"direction": "force"}
+    assert first["y"]["reversed"] and first["y"]["direction"] is None and first["at"] == {"start": 1} and first["wide"]
+    assert second["title"] == "regimes" and second["low"] and second["x"]["ticks"] == [[0.5, "left"], [1.5, "right"]]
+    shown, missing = unpack(second["items"][0]["data"]).tolist()
+    assert shown >= 0 and missing == -1
+    scale, law = document["keys"]
+    assert scale["text"] == "share [%]: −0.5 to 3" and len(scale["colours"]) == 9
+    assert law == {"text": "law", "shape": "line", "colour": "#112233", "dash": line["dash"]}
     json.dumps(document, allow_nan=False)
 
 
-def test_figure_keeps_scales_rows_and_directions() -> None:
-    """A title applies to its row, a colour bar becomes a key, and depth grows downwards."""
-    figure = Figure(layout="constrained")
-    left, right = figure.subplots(1, 2)
-    left.plot([0.0, 1.0], [1.0, 2.0])
-    left.set(title="row of a", ylabel="depth [m]")
-    left.invert_yaxis()
-    cells = right.pcolormesh([0.0, 1.0, 2.0], [0.0, 1.0], [[-0.5, 3.0]])
-    figure.colorbar(cells, ax=right, label="share [%]")
+def test_figures_of_own_analyses_are_images() -> None:
+    figure = Figure()
+    figure.subplots().set_title("spread")
     document = figure_document([figure], xr.Dataset(), [])
-    assert [plot["title"] for plot in document["plots"]] == ["row of a", "row of a"]
-    assert [plot["y"]["reversed"] for plot in document["plots"]] == [True, False]
-    [key] = document["keys"]
-    assert key["shape"] == "scale" and key["text"] == "share [%]: −0.5 to 3" and len(key["colours"]) == 9
+    [image] = document["images"]
+    assert image["title"] == "spread" and not document["plots"] and not document["keys"]
+    content = base64.b64decode(image["data"].removeprefix("data:image/png;base64,"))
+    assert content.startswith(b"\x89PNG")
 
 
 def test_pages_open_at_most_relevant_cell() -> None:

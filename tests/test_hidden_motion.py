@@ -6,7 +6,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.errors import counted
 from vibrojax.measures.labels import SINGLE_IMPACT, hides_another
-from vibrojax.pictures.choose import picture
+from vibrojax.studies.choose import picture
 from vibrojax.studies.summary import summarise, summary_lines
 
 STARTS = ["drive", "stuck", "touching"]
@@ -60,9 +60,9 @@ def test_map_marks_hidden_motions(swept):
     figure = picture(swept)
     panels = [axes for axes in figure.axes if axes.get_title().startswith("start:")]
     for axes, start in zip(panels, STARTS, strict=True):
-        marks = next(artist for artist in axes.collections if type(artist).__name__ == "PathCollection")
+        marks = next(line for line in axes.lines if line.get_marker() == "o")
         beta, gamma = np.nonzero(swept.hidden_motion.sel(start=start).values)
         expected = sorted(zip(swept.gamma.values[gamma], swept.beta.values[beta], strict=True))
-        assert sorted(map(tuple, marks.get_offsets().tolist())) == expected
+        assert sorted(map(tuple, marks.get_xydata().tolist())) == expected
     labels = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
     assert "same label, other motion\nfrom another start" in labels

@@ -10,7 +10,6 @@ LIST = "compile physics scenes systems stepping measures io settings lanes perio
 ORDER = tuple(LIST.split(" "))
 EXCEPTIONS = {
     ("measures", "io"): 1,
-    ("pictures", "studies"): 6,
 }
 """Number of imports in the wrong direction, by folders. It may only fall."""
 

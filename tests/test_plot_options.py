@@ -5,20 +5,18 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.collections import PathCollection
+from drawn import LONG, basin, flagged, lanes, law, line, plane, points, returns, rock, run, sample, square
 from matplotlib.colors import to_hex
 from read_off import axis_labels, legend, meshes, note, titles
-from test_plot import flagged, lanes, points, returns, run, square
-from test_plot_rock import law, rock
-from test_plot_starts import LONG, basin, line, plane, sample
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.pictures.choose import picture
 from vibrojax.pictures.colours import REGIME_COLOURS
+from vibrojax.pictures.plots import Points
 from vibrojax.pictures.selection import select
 from vibrojax.pictures.sheet import PAGE
+from vibrojax.studies.choose import picture, requested
 
 
 def with_shares(ds):
@@ -48,34 +46,31 @@ def test_several_variables_are_drawn_side_by_side_in_given_order():
 
 def test_variable_over_one_axis_is_drawn_as_curves_above_regimes():
     ds = with_shares(lanes({"gamma": np.linspace(0.3, 1.2, 11)}))
-    figure = picture(ds, variable="stick_fraction")
-    shown = {line.get_label(): line.get_ydata() for line in figure.axes[0].lines}
-    assert np.array_equal(shown["stuck"], ds["stick_fraction"].sel(start="stuck"))
-    assert meshes(figure)[0].get_array().shape == (2, 11)
+    curves, strip = requested(ds, "stick_fraction").plots
+    assert np.array_equal(curves.layers[1].y, ds["stick_fraction"].sel(start="stuck"))
+    assert strip.layers[0].values.shape == (2, 11)
 
 
 def test_variable_of_point_list_is_scattered():
     ds = with_shares(points())
-    figure = picture(ds, variable="stick_fraction")
-    dots = [c for axes in figure.axes for c in axes.collections if isinstance(c, PathCollection)]
-    shown = np.concatenate([c.get_array() for c in dots if c.get_array() is not None])
-    assert sorted(shown.tolist()) == sorted(ds["stick_fraction"].values.tolist())
+    shown = [layer for plot in requested(ds, "stick_fraction").plots for layer in plot.layers]
+    places = {(x, y) for layer in shown if isinstance(layer, Points) for x, y in zip(layer.x, layer.y, strict=True)}
+    assert places == set(zip(ds["beta"].values, ds["gamma"].values, strict=True))
 
 
 def test_variable_of_rock_sweep_and_of_fit_is_drawn_as_curves():
     swept = rock({"k3": [1e8, 3e8], "frequency": np.linspace(10, 40, 5)})
-    shown = {line.get_label(): line.get_ydata() for line in picture(swept, variable="relief").axes[0].lines}
-    assert np.allclose(shown["k₃ = 300 MN/m"], swept["relief"].sel(k3=3e8))
+    assert np.allclose(requested(swept, "relief").plots[0].layers[1].y, swept["relief"].sel(k3=3e8))
     fit = law({"force": [2e5, 2.5e5, 3e5]})
-    shown = {line.get_label(): line.get_ydata() for line in picture(fit, variable="aic").axes[0].lines}
-    assert set(shown) == set(fit["form"].values) and np.array_equal(shown["onset"], fit["aic"].sel(form="onset"))
+    curves = requested(fit, "aic").plots[0].layers
+    assert np.array_equal([curve.y for curve in curves], fit["aic"].transpose("form", "force"))
 
 
 def test_variables_of_run_are_drawn_as_histories():
     ds = run(duration=2.0)
-    figure = picture(ds, variable=["v2", "stuck"])
-    assert [axes.get_ylabel() for axes in figure.axes] == ["v2\n[m/s]", "stuck"]
-    assert np.array_equal(figure.axes[0].lines[0].get_ydata(), ds["v2"])
+    plots = requested(ds, ["v2", "stuck"]).plots
+    assert [plot.y.label for plot in plots] == ["v2\n[m/s]", "stuck"]
+    assert np.array_equal(plots[0].layers[0].y, ds["v2"])
 
 
 def test_flag_names_label_colour_bar():
@@ -127,11 +122,11 @@ KINDS = {
 @pytest.mark.parametrize("count", [1, 4])
 @pytest.mark.parametrize("kind", KINDS)
 def test_variables_of_every_kind_of_sweep_fit_on_page(kind, count):
-    ds = with_shares(KINDS[kind]())
-    figure = picture(ds, variable=["stick_fraction", "regime", "impact_velocity", "period"][:count])
-    figure.draw_without_rendering()
-    assert figure.get_figwidth() <= PAGE[0] and figure.get_figheight() <= PAGE[1]
-    assert "share of stick" in " ".join(axis_labels(figure)).replace("\n", " ")
+    names = ["stick_fraction", "regime", "impact_velocity", "period"][:count]
+    sheet = requested(with_shares(KINDS[kind]()), names)
+    assert sheet.size[0] <= PAGE[0] and sheet.size[1] <= PAGE[1]
+    words = [plot.y.label for plot in sheet.plots] + [scale.value.label for scale in sheet.scales]
+    assert "share of stick" in words
 
 
 # Selection by value.
@@ -231,7 +226,7 @@ def test_command_accepts_same_options(written, monkeypatch):
         received.update(path=path, how=how)
         return ""
 
-    monkeypatch.setattr("vibrojax.pictures.choose.save_picture", save_picture)
+    monkeypatch.setattr("vibrojax.studies.choose.save_picture", save_picture)
     argv = ["plot", str(written), "--variable", "stick_fraction", "regime", "--variable", "period"]
     assert main([*argv, "--where", "delta=0.005", "start=stuck", "--colours", "magma"]) == 0
     name = "map-stick_fraction-regime-period-delta-0.005-start-stuck-magma.png"
@@ -279,7 +274,7 @@ def test_command_does_not_replace_other_pictures(tmp_path, monkeypatch, capsys):
         assert main(["plot", "map.nc", *words]) == 0
         return capsys.readouterr().out.rstrip()
 
-    monkeypatch.setattr("vibrojax.pictures.choose.save_picture", save_picture)
+    monkeypatch.setattr("vibrojax.studies.choose.save_picture", save_picture)
     many = ("--variable", "a", "b", "c", "d", "e", "--where", "start=[0, 0,1,0]")
     for _ in range(2):  # the same picture is written again to the same file
         assert command_output() == "map.png"

@@ -18,8 +18,6 @@ from vibrojax.physics import modes as modes
 from vibrojax.physics import parameters as parameters
 from vibrojax.physics.friction import FRICTION_LAWS as FRICTION_LAWS
 from vibrojax.physics.friction import FrictionLaw as FrictionLaw
-from vibrojax.pictures.choose import picture as picture
-from vibrojax.pictures.choose import save_picture as save_picture
 from vibrojax.scenes import SCENES as SCENES
 from vibrojax.scenes import Driven as Driven
 from vibrojax.scenes import Guard as Guard
@@ -49,6 +47,8 @@ from vibrojax.studies.catalogue import list_parameters as list_parameters
 from vibrojax.studies.catalogue import list_scenes as list_scenes
 from vibrojax.studies.catalogue import list_settings as list_settings
 from vibrojax.studies.catalogue import list_variables as list_variables
+from vibrojax.studies.choose import picture as picture
+from vibrojax.studies.choose import save_picture as save_picture
 from vibrojax.studies.curve_run import curves as curves
 from vibrojax.studies.design_run import design as design
 from vibrojax.studies.effects_run import study as study

@@ -14,7 +14,7 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax.periodic.curve_following import crossings, follow_curves
-from vibrojax.pictures.branch_data import kind_names
+from vibrojax.pictures.branches import kind_names
 from vibrojax.studies.curve_run import problem_of
 from vibrojax.studies.curve_spec import read_curves
 

@@ -226,7 +226,7 @@ def test_picture_shows_only_forms_that_are_not_rejected(tmp_path):
     rows = rig_logs.drilling(noise=0.01, law="line")
     fit = fit_quietly(rig_logs.write(tmp_path / "line.csv", "usrop", rows), columns={"rock": "granite"})
     figure = vj.picture(fit)
-    coefficient, _, data = figure.axes
+    data, coefficient, _ = figure.axes
     assert [text.get_text() for text in coefficient.get_xticklabels()] == ["line"]
     assert len(data.collections) == 1  # the band of the line only
     assert "not percussive data" in " ".join(text.get_text().replace("\n", " ") for text in figure.texts)

@@ -25,7 +25,7 @@ from source.rules import DIFFERS, FIELD, VERDICTS, Here, Verdict, formatted
 from vibrojax.compile.xla import precision
 from vibrojax.physics.contact import contact_time, restitution
 from vibrojax.physics.rock import ROCKS
-from vibrojax.pictures.style import styled
+from vibrojax.pictures.style import settings
 from vibrojax.progress import Progress
 
 T = TypeVar("T")
@@ -155,7 +155,8 @@ def _judge(row: Mapping[str, str], needs: tuple[Labelled, ...], *answers: Answer
 
 
 def _draw(expression: str, needs: tuple[Labelled, ...], *answers: Answer) -> Figure:
-    return styled(compiled(expression))(collect(needs, list(answers)))
+    with settings():
+        return compiled(expression)(collect(needs, list(answers)))
 
 
 def _evaluated(function: Callable[..., T], answers: Sequence[Answer]) -> T | str:

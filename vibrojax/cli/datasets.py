@@ -72,7 +72,7 @@ def plot(options: Options) -> None:
         parts = [*shortened(options.variable or ()), *filter(None, [options.diagram]), *shortened(places)]
         parts += [*filter(None, [options.colours]), *(["over", *shortened(stems)] if stems else [])]
         picture = view_path(options, path, PICTURES, parts)
-        from vibrojax.pictures.choose import save_picture
+        from vibrojax.studies.choose import save_picture
 
         asked = options.variable, where, options.colours, over, options.diagram
         drawn: list[str] = []

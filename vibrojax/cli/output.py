@@ -187,7 +187,7 @@ def draw(options: Options, dataset: "xarray.Dataset", out: Path, variables: Sequ
     **Returns:** the end of an output line, which names the picture. If nothing can be drawn, the string is empty, and
     the reason is printed on stderr.
     """
-    from vibrojax.pictures.choose import save_picture
+    from vibrojax.studies.choose import save_picture
 
     dataset_written(options, out)
     picture = out.with_suffix(".png")

@@ -475,8 +475,8 @@ def accuracy(options: Options) -> None:
     from vibrojax.io.atomic import atomic_write
     from vibrojax.io.dataset import write_dataset
     from vibrojax.io.ownership import text_mark
-    from vibrojax.pictures.choose import save_picture
     from vibrojax.studies.accuracy_run import run_accuracy, table
+    from vibrojax.studies.choose import save_picture
 
     dataset = run_accuracy(quick=options.quick, progress=not options.quiet)
     write_dataset(dataset, dataset_path)

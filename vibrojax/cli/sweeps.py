@@ -90,8 +90,8 @@ def _prepare_output() -> None:
 
     import xarray as xr
 
-    from vibrojax.pictures import choose as pictures  # noqa: F401
     from vibrojax.pictures.style import new_figure
+    from vibrojax.studies import choose as pictures  # noqa: F401
 
     with suppress(Exception):  # an error would be reported when it matters
         xr.backends.list_engines()

@@ -29,7 +29,7 @@ that the page shows for one map cell. An HTML file reads them from itself (`embe
                 "list": [{"kind", "at": {axis: value}, "points": {axis: values}}],
                 "corners": [{"kind", "at": {axis: value}, "point": {axis: value}}] of codimension two} | null,
      "family": {"runs", "special", ...} only of families,
-     "figure": plots of the analysis, see `figure_view` | null,
+     "figure": plots of the analysis, see `plots_view` | null,
      "overlay": {"variable", "along", "items"}: what lies over a diagram of returns | null,
      "summary": [{"name", "lines"}], "meanings": {regime or kind of border: sentence}, "machine": {parameter: value},
      "view": directions of the first view, "first": {axis: index} of the cell shown first,

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError, shown
 from vibrojax.explorer.document import (
@@ -24,7 +23,7 @@ from vibrojax.explorer.document import (
     variable_document,
 )
 from vibrojax.explorer.encoding import Cell, pack
-from vibrojax.explorer.figure_view import items_of
+from vibrojax.explorer.plots_view import items_of
 from vibrojax.explorer.reading import first_cell
 from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SECONDS, Excerpt, record_cells
 from vibrojax.io.attributes import flags, parameters_of
@@ -61,8 +60,9 @@ from vibrojax.pictures.overlays import (
     check_borders,
     check_families,
     curves_on_map,
-    draw_over,
+    over_layers,
 )
+from vibrojax.pictures.plots import Plot
 from vibrojax.pictures.returns import returns_label
 from vibrojax.pictures.starts import described, on_axes
 from vibrojax.progress import Progress, quiet
@@ -162,10 +162,9 @@ def overlay_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
         )
     along = max(swept(ds), key=lambda name: ds.sizes[name])
     check_families(ds, [over], along)
-    axes = Figure().subplots()
     name = OF_RETURNS if shown_returns == IMPACTS_OF_RETURNS else shown_returns.replace("return_", "orbit_", 1)
-    draw_over(axes, [over], ds, along, name, scale(ds[shown_returns])[0])
-    return {"overlay": {"variable": shown_returns, "along": along, "items": items_of(axes)}}
+    lines = Plot(over_layers([over], ds, along, name, scale(ds[shown_returns])[0]))
+    return {"overlay": {"variable": shown_returns, "along": along, "items": items_of(lines)}}
 
 
 def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
@@ -198,7 +197,7 @@ def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
             place = {name: json_value(over[f"codim2_{name}"].values[k].item()) for name in axes}
             name = one_line(over["codim2_kind"].values[k], SYMBOL_MAX_CHARACTERS)
             corners.append({"kind": name, "at": curves[curve]["at"], "point": place})
-    colours = {kind: str(line["color"]) for kind, line in LINES.items()}
+    colours = {kind: str(line["colour"]) for kind, line in LINES.items()}
     of = "curves" if of_curves else "borders"
     return {"of": of, "colours": colours, "list": list(curves.values()), "corners": corners}
 

@@ -23,8 +23,8 @@ from vibrojax.explorer.document import (
     variable_document,
 )
 from vibrojax.explorer.encoding import Cell, pack
-from vibrojax.explorer.figure_view import figure_document
 from vibrojax.explorer.map_view import REPEAT_MARGIN, lane_cells, map_document, overlay_document
+from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.reading import BORDER_MEANINGS, REGIME_MEANINGS
 from vibrojax.explorer.recording import Excerpt, record_cells
 from vibrojax.explorer.trajectory_view import cell_of, motion_document
@@ -38,8 +38,10 @@ from vibrojax.maps.rerun import has_lanes_of, rerun_problem, sweep_of_dataset
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep, with_substitutes
 from vibrojax.periodic.measuring import DRIVEN_RETURNS
-from vibrojax.pictures.branch_data import (
+from vibrojax.pictures.branches import (
+    MARKS,
     along_name,
+    curves_of,
     family_coordinates,
     kind_names,
     places,
@@ -47,7 +49,6 @@ from vibrojax.pictures.branch_data import (
     stability,
     with_selected_families,
 )
-from vibrojax.pictures.branches import MARKS, curves_of
 from vibrojax.pictures.contents import FORM, START, long_axes
 from vibrojax.pictures.starts import described
 from vibrojax.progress import LOG
@@ -117,8 +118,7 @@ def picture_document(ds: xr.Dataset, document: Document) -> Document | None:
 
     The page of a dataset that its picture does not fit is complete without it.
     """
-    first = document["variables"][0]
-    drawn = [" ".join(str(first["label"]).split())]
+    drawn = [document["variables"][0]["name"]]
     try:
         figure = figure_document(
             analysis_of(ds).page_figures(ds), described(ds) if START in ds.dims else ds, document["axes"], drawn
@@ -129,7 +129,7 @@ def picture_document(ds: xr.Dataset, document: Document) -> Document | None:
     # The legend of the map has these.
     known = {"stable", "unstable", *BORDER_MEANINGS} if document["kind"] == "family" else set(REGIME_MEANINGS)
     figure["keys"] = [key for key in figure["keys"] if key["text"].split(" ")[0] not in known]
-    return figure if figure["plots"] else None
+    return figure if figure["plots"] or figure["images"] else None
 
 
 def plots_document(ds: xr.Dataset) -> Document:
@@ -268,7 +268,7 @@ def _branches(ds: xr.Dataset) -> Document:
         for index, place in zip(branch.special.tolist(), places(ds, branch).tolist(), strict=True):
             shape = MARK_SHAPES[str(MARKS[kinds[index]]["marker"])]
             special.append({"kind": kinds[index], "point": place, "shape": shape, "note": one_line(notes[index])})
-    return {"runs": stretches, "special": special, "kinds": {name: mark["color"] for name, mark in MARKS.items()}}
+    return {"runs": stretches, "special": special, "kinds": {name: mark["colour"] for name, mark in MARKS.items()}}
 
 
 def family_cells(ds: xr.Dataset) -> Iterator[Cell]:

@@ -2,27 +2,21 @@
 
 import json
 import re
-from collections.abc import Sequence
 from textwrap import fill
-from typing import Literal
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from matplotlib.axes import Axes
-from matplotlib.collections import PathCollection
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from vibrojax.errors import counted, printable
 from vibrojax.io.attributes import differing_of, flag_counts, parameters_of, table_of, text_of
-from vibrojax.pictures.style import plain
+from vibrojax.pictures.plots import Axis
 
 _HERTZ = {"s-1": "Hz", "s-2": "Hz s-1"}  # printed units of frequencies
 _FREQUENCIES = {"frequency": "f", "sweep_start": "f₀", "sweep_rate": "r"}  # the package's own: name and symbol
 _ANGULAR = re.compile(r"\bangular\b|\bomega|[ωΩ]", re.IGNORECASE)  # names of angular frequencies
 _LABEL_LETTERS = 32  # characters that fit along a panel
-_ROUNDING = 1e-6  # relative range up to which values count as equal
 _GEOMETRIC = 1e-3  # relative scatter up to which ratios or differences count as constant
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Prefixed units: name, factor, and the range of greatest magnitudes for which the prefix is used.
@@ -99,7 +93,7 @@ def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
     """
     words = re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip()
     parts = (words, str(data.attrs.get("symbol", "")).strip())
-    text = ", ".join(dict.fromkeys(filter(None, parts))) or plain(str(data.name).replace("_", " "))
+    text = ", ".join(dict.fromkeys(filter(None, parts))) or str(data.name).replace("_", " ")
     unbroken = with_unit(text, scale(data)[1]).replace(" [", "\u00a0[")
     return fill(unbroken, min(letters, _LABEL_LETTERS)).replace("\u00a0", " ")
 
@@ -111,7 +105,7 @@ def with_unit(text: str, unit: str) -> str:
 
 def symbol(data: xr.DataArray) -> str:
     """Return the symbol of a variable, or its name if it has no symbol."""
-    return str(data.attrs.get("symbol", "")).strip() or plain(str(data.name))
+    return str(data.attrs.get("symbol", "")).strip() or str(data.name)
 
 
 def number(value: float) -> str:
@@ -123,7 +117,7 @@ def number(value: float) -> str:
 def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> str:
     """Format a value of the coordinate `data`: `Δ = −5 mm` for a number, `start: drive` for a string."""
     if not np.issubdtype(np.asarray(value).dtype, np.number):
-        return f"{plain(str(data.name))}: {short(str(value))}"
+        return f"{data.name!s}: {short(str(value))}"
     factor, unit = scale(data)
     return f"{symbol(data)} = {number(float(value) * factor)} {pretty_unit(unit)}".rstrip()
 
@@ -169,7 +163,7 @@ def point_text(ds: xr.Dataset) -> str:
             parts.append(f"{sign} = {number(factor * parameters[name])}{unit}")
     for parameter in differing:
         if parameter["name"] not in _NAMED.keys() - own and parameter["name"] not in known:
-            about = {name: plain(printable(parameter[name], 40)) for name in ("units", "symbol")}
+            about = {name: printable(parameter[name], 40) for name in ("units", "symbol")}
             parts.append(
                 value_text(xr.DataArray(parameter["value"], name=parameter["name"], attrs=about), parameter["value"])
             )
@@ -204,47 +198,6 @@ def values_along(data: xr.DataArray) -> Float[np.ndarray, " values"]:
     return np.asarray(data.values * scale(data)[0], float)
 
 
-def pad_constant(axes: Axes) -> None:
-    """Widen the y limits of `axes` if all values plotted on its shared y axis are equal within rounding error."""
-    shared = axes.get_shared_y_axes().get_siblings(axes)
-    ends = np.array([other.dataLim.intervaly for other in shared])
-    low, high = float(ends[:, 0].min()), float(ends[:, 1].max())
-    if 0.0 <= high - low <= _ROUNDING * max(abs(low), abs(high)):
-        room = 0.1 * abs(high) or 1.0
-        axes.set_ylim(low - room, high + room)
-    elif len(shared) > 1:
-        axes.autoscale(axis="y")  # the limits of an earlier panel alone may have been widened
-
-
-def unclip_markers(axes: Axes) -> None:
-    """Draw whole the markers at the ends of an axis that ends at map cells, which may be narrower than markers."""
-    for artist in (*axes.lines, *axes.collections):
-        places = None
-        if isinstance(artist, PathCollection):
-            places = np.ma.getdata(artist.get_offsets())
-        elif isinstance(artist, Line2D) and artist.get_marker() not in ("None", "none", ""):
-            places = np.asarray(artist.get_xydata())
-        # An artist without a place has no extent: without clipping, the layout would fail.
-        if places is not None and np.isfinite(places).all(axis=1).any():
-            artist.set_clip_on(False)
-
-
-def shape_zero(panels: Sequence[Axes], text: str) -> bool:
-    """Leave one y tick, at zero, and write `text` on panels that share a y axis, if all their values are zero.
-
-    Return whether they are.
-    """
-    ends = np.array([axes.dataLim.intervaly for axes in panels])
-    known = ends[np.isfinite(ends)]
-    if not known.size or known.any():
-        return False
-    for axes in panels:
-        axes.set_ylim(-1.0, 1.0)
-        axes.set_yticks([0.0], ["0"])
-        axes.text(0.5, 0.7, text, transform=axes.transAxes, ha="center", va="center", color="0.3")
-    return True
-
-
 def is_geometric(values: Float[np.ndarray, " values"]) -> bool:
     """Return whether the values increase by a constant ratio, and not by a constant difference."""
     if values.size < 3 or values[0] <= 0 or np.any(np.diff(values) <= 0):
@@ -264,14 +217,22 @@ def edges(values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values+1"
     return np.concatenate([values[:1] - half[:1], values[:-1] + half, values[-1:] + half[-1:]])
 
 
-def shape_axis(axes: Axes, which: Literal["x", "y"], values: Float[np.ndarray, " values"]) -> None:
-    """Limit the x or y axis to the outer map-cell edges of `values`, and make it logarithmic for geometric values."""
-    ends = edges(values)[[0, -1]]
-    if is_geometric(values):
-        axis = axes.xaxis if which == "x" else axes.yaxis
-        axes.set(**{f"{which}scale": "log"})
-        if ends[1] / ends[0] < 1e3:  # less than three decades: 1, 2, 5 and so on as plain numbers
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
-    axes.set(**{f"{which}lim": tuple(ends)})
+def axis(data: xr.DataArray, **about: Any) -> Axis:
+    """Return the axis of a variable, with its label; `about`: further attributes of the axis."""
+    return Axis(**{"label": label(data), "name": str(data.name)} | about)
+
+
+def map_axis(data: xr.DataArray, **about: Any) -> Axis:
+    """Return the axis between the outer map-cell edges at a coordinate's values, logarithmic for geometric values."""
+    values = np.sort(values_along(data))
+    low, high = (float(end) for end in edges(values)[[0, -1]])
+    return axis(data, **{"limits": (low, high), "log": is_geometric(values)} | about)
+
+
+def margins(ds: xr.Dataset, *notes: str, point: str | None = None) -> dict[str, Any]:
+    """Return the title of a dataset and the note, as fields of a sheet.
+
+    The note begins with `point`, by default the values common to all lanes.
+    """
+    title = str(ds.attrs.get("title") or ds.attrs.get("scene", ""))
+    return {"title": title, "note": ". ".join(filter(None, (point_text(ds) if point is None else point, *notes)))}

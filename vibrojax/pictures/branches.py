@@ -1,4 +1,4 @@
-"""Branches of orbit families as lines, solid where orbits are stable, with special points and legend entries."""
+"""Branches of orbit families: points, stability, special points, and lines that are solid where orbits are stable."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -6,43 +6,172 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
-from matplotlib.patheffects import withStroke
-from matplotlib.typing import LineStyleType
+from jaxtyping import Int
 
-from vibrojax.pictures.axes import pad_constant, scale, value_text, values_along
-from vibrojax.pictures.branch_data import (
-    FAMILY,
-    STABLE,
-    UNKNOWN,
-    UNSTABLE,
-    Branch,
-    along_name,
-    branches,
-    kind_names,
-    places,
-    runs,
-    stability,
-)
+from vibrojax.errors import InputError, shown
+from vibrojax.io.kinds import SPECIAL_KINDS
+from vibrojax.pictures.axes import scale, value_text, values_along
 from vibrojax.pictures.contents import MOST_LINES, is_numeric
-from vibrojax.pictures.style import BIT, INK, Mark, line_colours, other_colour
+from vibrojax.pictures.plots import Dash, Layer, Line, Look, dots, key
+from vibrojax.pictures.style import BIT, line_colours, other_colour
+
+STABLE, UNSTABLE, UNKNOWN = 1, 0, -1
+
+KIND, FAMILY = "special_kind", "family"
+
+_KIND_PRIORITY = ("fold", "period-doubling", "torus", "hopf", "section", "grazing", "stick", "end")
+"""Kinds of special points, ordered by how well they explain a change of stability, for points with several kinds."""
+
+
+class Branch(NamedTuple):
+    """One branch of a family: indices of its points, in order along the branch, and of its special points."""
+
+    family: int
+    number: int
+    points: Int[np.ndarray, " points"]
+    special: Int[np.ndarray, " special"]
+
+
+class Interval(NamedTuple):
+    """A parameter interval in which a branch is stable.
+
+    `low_kind` and `high_kind` are the kinds of the special points at its ends, "" where there is no special point.
+    """
+
+    low: float
+    high: float
+    low_kind: str
+    high_kind: str
+
+
+def along_name(ds: xr.Dataset) -> str:
+    """Return the name of the continuation parameter."""
+    return str(ds.attrs["along"])
+
+
+def kind_names(ds: xr.Dataset) -> list[str]:
+    """Return the kind of each special point, as a string."""
+    meanings = str(ds[KIND].attrs.get("flag_meanings", "")).split()
+    if not set(meanings) <= set(SPECIAL_KINDS):
+        raise InputError(f"variable {KIND}: {shown(meanings)} are not kinds of special points")
+    return [meanings[flag] for flag in ds[KIND].values.astype(int).tolist()]
+
+
+def numbers_of(ds: xr.Dataset, which: str) -> Int[np.ndarray, " which"]:
+    """Return the family number of each point (`which` = "point") or special point (`which` = "special")."""
+    name = f"{which}_{FAMILY}"
+    return ds[name].values.astype(int) if name in ds else np.zeros(ds.sizes[which], int)
+
+
+def family_coordinates(ds: xr.Dataset, which: str) -> dict[str, np.ndarray]:
+    """Return the coordinates that distinguish families, by name: their values at each point or special point.
+
+    After a selection of one family, these are scalars. They are undefined at points of families that are left out.
+    """
+    numbers, labels = numbers_of(ds, which), family_numbers(ds)
+    same = numbers[:, None] == labels
+    coordinates = {}
+    for name, data in ds.coords.items():
+        if name != FAMILY and data.dims in ((), (FAMILY,)):
+            values = np.broadcast_to(data.values, len(labels))[same.argmax(axis=1)]
+            undefined = "" if values.dtype.kind in "UO" else np.nan
+            coordinates[str(name)] = np.where(same.any(axis=1), values, undefined)
+    return coordinates
+
+
+def with_selected_families(ds: xr.Dataset) -> xr.Dataset:
+    """Return the dataset with the points and special points of its families alone, for example after `isel`."""
+    labels = family_numbers(ds)
+    return ds.isel({name: np.isin(numbers_of(ds, name), labels) for name in ("point", "special")})
+
+
+def family_numbers(ds: xr.Dataset) -> Int[np.ndarray, " families"]:
+    """Return the numbers of a dataset's families."""
+    if FAMILY in ds.coords:
+        return np.atleast_1d(ds[FAMILY].values)
+    return np.unique(np.concatenate([numbers_of(ds, name) for name in ("point", "special")]))
+
+
+def branches(ds: xr.Dataset) -> Iterator[Branch]:
+    """Yield the branches of all families, in stored order."""
+    of_points, of_special = numbers_of(ds, "point"), numbers_of(ds, "special")
+    number, special = ds["branch"].values.astype(int), ds["special_branch"].values.astype(int)
+    for family, branch in dict.fromkeys(zip(of_points.tolist(), number.tolist(), strict=True)):
+        points = np.flatnonzero((of_points == family) & (number == branch))
+        yield Branch(family, branch, points, np.flatnonzero((of_special == family) & (special == branch)))
+
+
+def places(ds: xr.Dataset, branch: Branch) -> Int[np.ndarray, " special"]:
+    """Return, for each special point of a branch, the index of the same point among the points.
+
+    Several special points at the same parameter value are assigned to different points if possible.
+    """
+    values, special_values = ds[along_name(ds)].values[branch.points], ds["special_value"].values[branch.special]
+    taken = np.zeros(len(values), int)
+    indices = []
+    for value in special_values:
+        nearest = int(np.lexsort((taken, np.abs(values - value)))[0])
+        taken[nearest] += 1
+        indices.append(branch.points[nearest])
+    return np.array(indices, int)
+
+
+def stability(ds: xr.Dataset, branch: Branch) -> Int[np.ndarray, " segments"]:
+    """Return the stability of each segment between successive points of a branch: 1, 0, or -1 if unknown.
+
+    Multipliers at a special point hold on only one side of it. The stability of the neighbouring point is used instead.
+    """
+    stable, special = ds["stable"].values[branch.points].astype(int), np.isin(branch.points, places(ds, branch))
+    here, following = stable[:-1], stable[1:]
+    either = np.where(special[1:] & ~special[:-1], here, np.minimum(here, following))
+    either = np.where(special[:-1] & ~special[1:], following, either)
+    return np.where(here == following, here, either)
+
+
+def runs(segments: Int[np.ndarray, " segments"]) -> Iterator[tuple[int, int, int]]:
+    """Yield each run of segments with equal stability, as (first point, last point, stability)."""
+    ends = np.flatnonzero(np.diff(segments)) + 1
+    for first, last in zip([0, *ends.tolist()], [*ends.tolist(), len(segments)], strict=True):
+        if last > first:
+            yield first, last, int(segments[first])
+
+
+def stable_intervals(ds: xr.Dataset, branch: Branch) -> list[Interval]:
+    """Return the parameter intervals in which a branch is stable."""
+    values, names = ds[along_name(ds)].values[branch.points], kind_names(ds)
+    kinds: dict[int, str] = {}
+    for special, point in zip(branch.special.tolist(), places(ds, branch).tolist(), strict=True):
+        kinds[point] = min(kinds.get(point, names[special]), names[special], key=_KIND_PRIORITY.index)
+    if branch.number:
+        kinds.setdefault(int(branch.points[0]), "period-doubling")  # a period-doubled branch begins at this point
+
+    def end(index: int) -> tuple[float, str]:
+        return float(values[index]), kinds.get(int(branch.points[index]), "")
+
+    intervals = []
+    for first, last, stable in runs(stability(ds, branch)):
+        if stable == STABLE:
+            (low, low_kind), (high, high_kind) = sorted((end(first), end(last)))
+            intervals.append(Interval(low, high, low_kind, high_kind))
+    return intervals
+
+
+# Lines.
 
 LARGEST = "multiplier_abs"
-_LINES: dict[int, LineStyleType] = {STABLE: "-", UNSTABLE: (0.0, (3.5, 2.0)), UNKNOWN: ":"}
+_LINES: dict[int, Dash] = {STABLE: "-", UNSTABLE: (0.0, (3.5, 2.0)), UNKNOWN: ":"}
 _MEANINGS = {STABLE: "stable", UNSTABLE: "unstable", UNKNOWN: "stability not known"}
 
 # Shapes and colours that are distinct in greyscale and for colour-blind readers.
-MARKS: dict[str, Mark] = {
-    "fold": Mark(marker="s", color="#222222", markersize=5.5),
-    "period-doubling": Mark(marker="o", color="#D55E00", markersize=5.5),
-    "torus": Mark(marker="*", color="#CC79A7", markersize=9.0),
-    "grazing": Mark(marker="v", color="#009E73", markersize=6.0),
-    "stick": Mark(marker="|", color="#E69F00", markersize=6.0, markeredgewidth=1.4),
-    "section": Mark(marker="D", color="#56B4E9", markersize=4.5),
-    "hopf": Mark(marker="^", color="#882255", markersize=6.0),
-    "end": Mark(marker="x", color="#222222", markersize=4.5, markeredgewidth=1.2),
+MARKS: dict[str, Look] = {
+    "fold": {"marker": "s", "colour": "#222222", "size": 5.5},
+    "period-doubling": {"marker": "o", "colour": "#D55E00", "size": 5.5},
+    "torus": {"marker": "*", "colour": "#CC79A7", "size": 9.0},
+    "grazing": {"marker": "v", "colour": "#009E73", "size": 6.0},
+    "stick": {"marker": "|", "colour": "#E69F00", "size": 6.0, "edge_width": 1.4},
+    "section": {"marker": "D", "colour": "#56B4E9", "size": 4.5},
+    "hopf": {"marker": "^", "colour": "#882255", "size": 6.0},
+    "end": {"marker": "x", "colour": "#222222", "size": 4.5, "edge_width": 1.2},
 }
 _COLOUR_OF_CYCLES = {1: BIT, 2: "#D1570A", 4: "#2E8B57", 8: "#9B30C9"}
 _POINTS_PER_STEP = 8  # vertices of a smooth line between successive orbits
@@ -102,43 +231,41 @@ def heights_of(ds: xr.Dataset, name: str, factor: float) -> np.ndarray:
     return factor * np.asarray(ds[name].isel({dim: 0 for dim in ds[name].dims[1:]}).values, float)
 
 
-def draw_families(
-    axes: Axes,
+def family_layers(
     ds: xr.Dataset,
     curves: Sequence[Curve],
     name: str,
     thin: bool = False,
     factor: float | None = None,
     within: tuple[float, float] | None = None,
-) -> None:
-    """Draw the variable `name` along branches, with their special points.
+) -> list[Layer]:
+    """Return the variable `name` along branches as lines, with their special points.
 
     `thin`: use finer lines and markers; `factor`: conversion factor of the variable, by default that of its label;
     `within`: limits of the parameter, for lines with a white edge over the dots of a sweep.
     """
-    edge = [withStroke(linewidth=1.5, foreground="white")] if within else []
     factor = scale(ds[name])[0] if factor is None else factor
     along, kinds = values_along(ds[along_name(ds)]), kind_names(ds)
     low, high = within or (-np.inf, np.inf)
+    layers: list[Layer] = []
     for branch, colour in curves:
         special, segments = places(ds, branch), stability(ds, branch)
-        for shown in _shown_names(ds, branch, name):
-            heights = heights_of(ds, shown, factor)
+        for drawn in _shown_names(ds, branch, name):
+            heights = heights_of(ds, drawn, factor)
             for first, last, stable in runs(segments):
                 points = branch.points[first : last + 1]
                 width = (0.9 if thin else 1.6) if stable == STABLE else (0.7 if thin else 1.1)
-                look = Mark(color=colour, linestyle=_LINES[stable], linewidth=width, zorder=4)
                 corners = np.flatnonzero(np.isin(points, special))
-                for x, y in smooth(along[points], heights[points], corners, name == LARGEST):
-                    # Points outside become NaN, so that they do not change the limits of the panel.
-                    axes.plot(x, np.where((x >= low) & (x <= high), y, np.nan), path_effects=edge, **look)
+                smoothed = [*smooth(along[points], heights[points], corners, name == LARGEST)]
+                x, y = (np.concatenate(part) for part in zip(*smoothed, strict=True))
+                # Points outside become NaN, so that they do not change the limits of the panel.
+                inside = np.where((x >= low) & (x <= high), y, np.nan)
+                layers.append(Line(x, inside, colour, width, _LINES[stable], halo=0.3 * bool(within), order=4.0))
             for point, place in zip(branch.special, special, strict=True):
                 if low <= along[place] <= high and np.isfinite(heights[place]):
-                    look = _mark(kinds[point], 0.7 if thin or branch.number else 1.0)
-                    axes.plot(
-                        along[place], heights[place], linestyle="none", label=f"_{kinds[point]}", zorder=5, **look
-                    )
-    pad_constant(axes)
+                    mark = _mark(kinds[point], 0.7 if thin or branch.number else 1.0)
+                    layers.append(dots([along[place]], [heights[place]], order=5.0, **mark))
+    return layers
 
 
 def smooth(x: Column, y: Column, corners: Column, logarithmic: bool = False) -> Iterator[tuple[Column, Column]]:
@@ -164,16 +291,16 @@ def smooth(x: Column, y: Column, corners: Column, logarithmic: bool = False) -> 
         yield part[0], part[1]
 
 
-def _mark(kind: str, size: float) -> Mark:
+def _mark(kind: str, size: float) -> Look:
     """Return the marker of a kind of special point, scaled by `size`; filled markers get a white edge."""
-    mark = MARKS[kind] | Mark(markersize=size * MARKS[kind]["markersize"])
-    return mark if mark["marker"] in ("|", "x") else mark | Mark(markeredgecolor="white", markeredgewidth=0.5)
+    mark = MARKS[kind] | {"size": size * MARKS[kind]["size"]}
+    return mark if mark["marker"] in ("|", "x") else mark | {"edge": "white", "edge_width": 0.5}
 
 
 # Legend and notes.
 
 
-def colour_handles(ds: xr.Dataset, curves: Sequence[Curve]) -> list[Artist]:
+def colour_keys(ds: xr.Dataset, curves: Sequence[Curve]) -> list[Line]:
     """Return the legend entries for colours: families, or periods in returns."""
     entries: dict[str, str] = {}
     if FAMILY in ds.dims:
@@ -183,27 +310,19 @@ def colour_handles(ds: xr.Dataset, curves: Sequence[Curve]) -> list[Artist]:
     else:
         for cycles, colour in sorted((_cycles(ds, branch), colour) for branch, colour in curves):
             entries[f"repeats after {'one return' if cycles == 1 else f'{cycles} returns'}"] = colour
-    return [Line2D([], [], color=colour, label=name) for name, colour in entries.items()]
+    return [key(name, colour=colour) for name, colour in entries.items()]
 
 
-def stability_handles(ds: xr.Dataset, curves: Sequence[Curve], noun: str = "") -> list[Artist]:
+def stability_keys(ds: xr.Dataset, curves: Sequence[Curve], noun: str = "") -> list[Line]:
     """Return the legend entries for the line styles that occur; `noun` is appended to each label."""
     occurring = {stable for curve in curves for *_, stable in runs(stability(ds, curve.branch))}
-    return [
-        Line2D([], [], color=INK, linestyle=line, label=f"{_MEANINGS[stable]}{noun}", linewidth=1.2)
-        for stable, line in _LINES.items()
-        if stable in occurring
-    ]
+    return [key(f"{_MEANINGS[stable]}{noun}", dash=line) for stable, line in _LINES.items() if stable in occurring]
 
 
-def special_handles(ds: xr.Dataset, count: bool = True) -> list[Artist]:
+def special_keys(ds: xr.Dataset, count: bool = True) -> list[Line]:
     """Return the legend entries for the kinds of special points that occur, with their counts if `count`."""
     names = kind_names(ds)
-    return [
-        Line2D([], [], label=kind + f"  {names.count(kind)}" * count, **_mark(kind, 1.0) | Mark(linestyle="none"))
-        for kind in MARKS
-        if kind in names
-    ]
+    return [dots(label=kind + f"  {names.count(kind)}" * count, **_mark(kind, 1.0)) for kind in MARKS if kind in names]
 
 
 def ranges_text(ds: xr.Dataset, names: Sequence[str]) -> str:

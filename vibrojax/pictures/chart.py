@@ -1,27 +1,21 @@
 """The designer's chart: the stable single impact over two parameters, with lines of what a machine does there."""
 
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 
 from vibrojax.errors import InputError
 from vibrojax.measures.labels import REGIMES
-from vibrojax.pictures.axes import label, number, pretty_unit, scale, values_along, with_unit
+from vibrojax.pictures.axes import axis, edges, margins, number, pretty_unit, scale, values_along, with_unit
 from vibrojax.pictures.contents import POINT, REGIME, START, axes_of_map, lane_dims, without_single
-from vibrojax.pictures.sheet import legend_at_right, write_margins
-from vibrojax.pictures.style import IMPACT, INK, new_figure, styled
-
-RECTANGLE = {"beta": (0.25, 0.6), "gamma": (0.6, 0.8)}
-"""The region that the source recommends (chapter 7)."""
+from vibrojax.pictures.maps import REGION, contours
+from vibrojax.pictures.plots import INK, Cells, Dash, Layer, Line, Plot, Sheet, dots, key, patch
+from vibrojax.pictures.style import IMPACT
 
 SAME_MOTION = 0.02
 """Relative spread of the impact energy over the starts, up to which their motions count as one."""
@@ -44,11 +38,11 @@ _LINES = {
     "blow_frequency": ("blows", "#6A1B5D"),
 }
 _WORST_IS_GREATEST = {"peak_impact_force"}
-_LEVELS = 9
+_DASHES: tuple[Dash, ...] = ("-", "--")
+_LEVELS = 9  # approximate number of lines of a quantity
 
 
-@styled
-def chart(ds: xr.Dataset) -> Figure:
+def chart(ds: xr.Dataset) -> Sheet:
     """Draw the designer's chart of a sweep over two parameters: values are the worst over the starts.
 
     White cells are robust: every start leads to the same stable single impact, and so do the cells around. Lines are
@@ -71,29 +65,23 @@ def chart(ds: xr.Dataset) -> Figure:
     robust = binary_erosion(single, box, border_value=1) & ~cliff
     names = [[name for name in group if name in ds and bool((ds[name] > 0).any())] for group in _PANELS]
     names[1] = [*names[1][:1], "blow_frequency"] if names[1][1:] else names[1]
-    figure = new_figure(14.2, 5.2)
-    grid = figure.subplots(1, 2, sharey=True)
     best = _best(ds, robust, names)
-    for axes, group in zip(grid, names, strict=True):
-        _draw_panel(axes, ds, (x, y), single.astype(int) + robust, group)
-        if RECTANGLE.keys() == {x, y}:
-            (left, right), (low, high) = RECTANGLE[x], RECTANGLE[y]
-            axes.add_patch(Rectangle((left, low), right - left, high - low, fill=False, edgecolor=INK, linewidth=1.6))
-        if best is not None:
-            place = [float(values_along(ds[name])[k]) for name, k in zip((x, y), best[::-1], strict=True)]
-            axes.plot(*place, "*", color=IMPACT, markersize=14, markeredgecolor="white", clip_on=False, zorder=5)
-    grid[0].set_ylabel(label(ds[y]))
-    keys: list[Artist] = [
-        Patch(facecolor=c, edgecolor=INK, linewidth=0.6, label=words) for c, words in _REGIONS.items()
-    ]
-    if RECTANGLE.keys() == {x, y}:
-        keys.append(Patch(fill=False, edgecolor=INK, linewidth=1.6, label="recommended by\nthe source"))
-    note = "" if best is None else _best_text(ds, (x, y), best, names)
+    extra: list[Layer] = []
+    keys: list[Layer] = [patch(colour, words, edge=INK) for colour, words in _REGIONS.items()]
+    if REGION.keys() == {x, y}:
+        (left, right), (low, high) = REGION[x], REGION[y]
+        extra.append(Line([left, right, right, left, left], [low, low, high, high, low], width=1.6, order=3.0))
+        keys.append(key("recommended by\nthe source", width=1.6))
     if best is not None:
-        keys.append(Line2D([], [], color=IMPACT, marker="*", markersize=11, linestyle="none", label="best robust cell"))
-    legend_at_right(figure, keys)
-    write_margins(figure, ds, "Values are the worst over the starts" if START in ds.dims else "", note)
-    return figure
+        place = [[float(values_along(ds[name])[k])] for name, k in zip((x, y), best[::-1], strict=True)]
+        star = {"marker": "*", "size": 14.0, "colour": IMPACT, "edge": "white", "clip": False, "order": 5.0}
+        extra.append(dots(*place, **star))
+        keys.append(dots(label="best robust cell", **star | {"size": 11.0}))
+    plots = [_panel(ds, (x, y), single.astype(int) + robust, group) for group in names]
+    plots = [replace(plot, layers=[*plot.layers, *extra], place=(0, k)) for k, plot in enumerate(plots)]
+    note = "" if best is None else _best_text(ds, (x, y), best, names)
+    about = margins(ds, "Values are the worst over the starts" if START in ds.dims else "", note)
+    return Sheet(plots, (14.2, 5.2), (1.0, 1.0), keys=[keys], **about)
 
 
 def _single(ds: xr.Dataset) -> Bool[np.ndarray, "y x"]:
@@ -132,18 +120,18 @@ def _best_text(ds: xr.Dataset, axes: tuple[str, str], best: tuple[int, int], nam
     return f"Best robust cell: {place}; {', '.join(words)}"
 
 
-def _draw_panel(axes: Axes, ds: xr.Dataset, over: tuple[str, str], region: np.ndarray, names: list[str]) -> None:
+def _panel(ds: xr.Dataset, over: tuple[str, str], region: np.ndarray, names: list[str]) -> Plot:
     x, y = (values_along(ds[name]) for name in over)
-    axes.pcolormesh(x, y, region, cmap=ListedColormap([*_REGIONS][::-1]), vmin=-0.5, vmax=2.5, rasterized=True)
-    handles = []
-    styles: tuple[Literal["solid", "dashed"], ...] = ("solid", "dashed")
-    for name, style in zip(names, styles, strict=False):
-        words, colour = _LINES[name]
-        factor, unit = scale(ds[name])
-        z = np.ma.masked_invalid(np.where(region == 2, factor * _worst(ds, name), np.nan))
-        if z.count() > 1 and np.ptp(z.compressed()) and min(z.shape) > 1:
-            lines = axes.contour(x, y, z, levels=_LEVELS, colors=colour, linestyles=style, linewidths=1.1)
-            axes.clabel(lines, fontsize=7.5, inline_spacing=3)
-        handles.append(Line2D([], [], color=colour, linestyle=style, label=with_unit(words, unit)))
-    axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=9)
-    axes.set_xlabel(label(ds[over[0]]))
+    colours = ListedColormap([*_REGIONS][::-1])
+    layers: list[Layer] = [Cells(edges(x), edges(y), region.astype(float), colours, Normalize(0.0, 2.0))]
+    taken: list[tuple[float, float]] = []
+    for name, dash in zip(names, _DASHES, strict=False):
+        z = np.where(region == 2, scale(ds[name])[0] * _worst(ds, name), np.nan)
+        known = z[np.isfinite(z)]
+        if known.size > 1 and np.ptp(known) and min(z.shape) > 1:
+            levels = list(MaxNLocator(_LEVELS).tick_values(known.min(), known.max()))
+            words, colour = _LINES[name]
+            label = with_unit(words, scale(ds[name])[1])
+            layers += contours(x, y, z, levels, taken, colour=colour, dash=dash, width=1.1, label=label)
+    across, up = axis(ds[over[0]]), axis(ds[over[1]], group="y")
+    return Plot(layers, across, up, keys="above", key_columns=2, grid="")

@@ -3,25 +3,20 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis, XAxis
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.ticker import NullLocator
 
 from vibrojax.errors import InputError
 from vibrojax.io.attributes import flags
 from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures.axes import scale, share_text, with_unit
 from vibrojax.pictures.contents import RATE, REGIME, RELIEF, quantities_beside
-from vibrojax.pictures.style import INK, NO_VALUE, NOTHING, colour_map, other_colour
+from vibrojax.pictures.plots import Axis, Layer, dots, patch
+from vibrojax.pictures.style import NO_VALUE, NOTHING, colour_map, other_colour
 
 # One fixed colour for each regime, so that pictures of different runs can be compared. Any two differ by 27 or more in
 # CIELAB, also for readers who lack one kind of cone. The regime of interest, 3, is the brightest. The two greys differ
@@ -36,7 +31,7 @@ REGIME_COLOURS = {
     6: "#6A1B5D",
     7: "#000000",
 }
-_CLEAR = (1.0, 1.0, 1.0, 0.0)  # cells without a value show the hatched background of `hatch_gaps`
+_CLEAR = (1.0, 1.0, 1.0, 0.0)  # cells without a value show the hatched background
 REGIME_MAP = ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=_CLEAR)
 REGIME_NORM = BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
 SINGLE = REGIMES.index("single-impact")
@@ -78,7 +73,6 @@ ROBUST = (2.0, 98.0)  # percentiles
 _OUTLIER_RANGE = 2.0  # outliers are farther from the robust limits than this, in units of the robust range
 _SPREAD = {"rate_of_penetration", "slip_per_impact", "C"}  # quantities that may extend over decades
 _LOG_SHARE, _LOG_RATIO = 20.0, 15.0  # logarithmic if this percentage of values is below the greatest over this factor
-_NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
 _CONSTANT = 1e-9  # relative range up to which values count as equal
 
 Cells = Float[np.ndarray, "*shape"]
@@ -158,8 +152,8 @@ def regime_counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
     return dict(zip(occurring.astype(int).tolist(), lanes.tolist(), strict=True))
 
 
-def regime_handles(data: Sequence[xr.DataArray]) -> list[Artist]:
-    """Return a legend patch for each regime that occurs, labelled with name and fraction of the lanes."""
+def regime_keys(data: Sequence[xr.DataArray]) -> list[Layer]:
+    """Return a legend entry for each regime that occurs, with name and fraction of the lanes."""
     names = regime_names(data[0])
     lanes = sum(part.size for part in data)
     counts = regime_counts(data)
@@ -168,26 +162,13 @@ def regime_handles(data: Sequence[xr.DataArray]) -> list[Artist]:
     ]
 
 
-def sensitive_handle() -> Artist:
-    """Return the legend entry for lanes whose attractor is determined by rounding error."""
-    text = "rounding decides\nthe attractor"
-    return Line2D([], [], label=text, marker="x", markersize=4.0, markeredgewidth=0.8, linestyle="none", color=INK)
+SENSITIVE_KEY = dots(label="rounding decides\nthe attractor", marker="x", edge_width=0.8)
+"""Legend entry for lanes whose attractor is determined by rounding error."""
 
 
-def hatch_gaps(axes: Axes, cells: Cells) -> None:
-    """Hatch the background of a map, if cells without a value leave it visible."""
-    if np.isnan(cells).any():
-        axes.patch.set(**NO_VALUE, linewidth=0.0)
-
-
-def no_value_handle(name: str = "no value") -> Patch:
+def no_value_key(name: str = "no value") -> Layer:
     """Return the legend entry for map cells without a value."""
-    return Patch(**NO_VALUE, linewidth=0.4, label=name)
-
-
-def patch(colour: str, name: str) -> Patch:
-    """Return the legend entry for map cells of one colour."""
-    return Patch(facecolor=colour, edgecolor="0.35", linewidth=0.4, label=name)
+    return patch(NO_VALUE["facecolor"], name, edge=NO_VALUE["edgecolor"], hatch=NO_VALUE["hatch"])
 
 
 # Formulas of the fitted law, and quantities.
@@ -245,20 +226,14 @@ def _flags_value(data: xr.DataArray) -> Value:
     return Value(name, _QUANTITIES.get(name, (name.replace("_", " "), ""))[0], 1.0, norm, "neither", shown, names)
 
 
-def name_flags(axis: Axis, value: Value) -> None:
-    """Label the ticks of an axis with flag meanings, if `value` has flags. Many meanings on an x axis get two lines."""
+def value_axis(value: Value, text: str = "", **about: Any) -> Axis:
+    """Return the axis of a quantity, labelled by `text` or its own label; flags have ticks with their meanings."""
     if value.names:
-        two_lines = isinstance(axis, XAxis) and len(value.names) > _NAMES_ON_ONE_LINE
-        names = [name.replace("-", "-\n", 1) if two_lines else name for name in value.names.values()]
-        axis.set_ticks(list(value.names), names)
-        axis.set_minor_locator(NullLocator())
-
-
-def shape_flags(axes: Axes, value: Value) -> None:
-    """Set tick labels and limits of the y axis for flags, if `value` has flags."""
-    if value.names:
-        name_flags(axes.yaxis, value)
-        axes.set_ylim(min(value.names) - 0.5, max(value.names) + 0.5)
+        about |= {
+            "limits": (min(value.names) - 0.5, max(value.names) + 0.5),
+            "ticks": [(float(flag), name) for flag, name in value.names.items()],
+        }
+    return Axis(**{"label": text or value.label, "name": value.name} | about)
 
 
 def share_value(data: xr.DataArray, name: str) -> Value:
@@ -266,15 +241,15 @@ def share_value(data: xr.DataArray, name: str) -> Value:
     return Value(str(data.name), f"{name} [% of starts]", 1.0, Normalize(0.0, 100.0), "neither", colour_map())
 
 
-def cell_handles(data: Sequence[xr.Dataset], values: Values) -> list[Artist]:
+def cell_keys(data: Sequence[xr.Dataset], values: Values) -> list[Layer]:
     """Return the legend entries for regimes, for lanes without penetration, and for lanes without a value."""
-    handles = regime_handles([part[REGIME] for part in data]) if None in values else []
+    keys = regime_keys([part[REGIME] for part in data]) if None in values else []
     shown = [(part[value.name].values, value.of_rate) for part in data for value in values if value is not None]
     if any((cells == 0).any() for cells, of_rate in shown if of_rate):
-        handles.append(patch(NOTHING, "no penetration"))
+        keys.append(patch(NOTHING, "no penetration"))
     if any(np.isnan(cells).any() for cells, _ in shown):
-        handles.append(no_value_handle())
-    return handles
+        keys.append(no_value_key())
+    return keys
 
 
 def _varies(values: Cells) -> bool:

@@ -1,31 +1,32 @@
 """Borders, curves and families of orbits drawn over a sweep, and input checks for all overlays."""
 
-from collections.abc import Iterable, Sequence
-from typing import Any, NoReturn
+from collections.abc import Sequence
+from typing import NoReturn
 
 import numpy as np
 import xarray as xr
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
-from matplotlib.patheffects import withStroke
 
 from vibrojax.errors import InputError
 from vibrojax.io.attributes import flags, parameters_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.pictures.axes import edges, number, scale, short, values_along
-from vibrojax.pictures.branch_data import FAMILY, along_name, branches, kind_names, numbers_of
 from vibrojax.pictures.branches import (
+    FAMILY,
     MARKS,
     Curve,
+    along_name,
+    branches,
     distinguishing_coords,
-    draw_families,
+    family_layers,
+    kind_names,
+    numbers_of,
     ranges_text,
-    special_handles,
-    stability_handles,
+    special_keys,
+    stability_keys,
 )
 from vibrojax.pictures.contents import IMPACTS_OF_RETURNS, START, is_numeric
-from vibrojax.pictures.style import DASHED, FAINT, INK, Mark
+from vibrojax.pictures.plots import FAINT, INK, Layer, Line, Look, dots
+from vibrojax.pictures.style import DASHED
 
 OF_RETURNS = "impact_velocity"
 """Variable of a family that is drawn over a sweep's section crossings."""
@@ -86,10 +87,11 @@ def check_families(ds: xr.Dataset, layers: Sequence[xr.Dataset], x: str) -> None
                 raise InputError(f"over: none of the families has the {name} of the returns; follow one of that value")
 
 
-def draw_over(axes: Axes, layers: Sequence[xr.Dataset], facet: xr.Dataset, x: str, name: str, factor: float) -> None:
-    """Draw the variable `name` of those families that have the parameters of `facet`, within its range of `x`."""
+def over_layers(layers: Sequence[xr.Dataset], facet: xr.Dataset, x: str, name: str, factor: float) -> list[Layer]:
+    """Return the lines of `name` of those families that have the parameters of `facet`, within its range of `x`."""
     values = _parameter_values(facet)
     ends = edges(np.sort(values_along(facet[x])))
+    shown: list[Layer] = []
     for over in layers:
         if name not in over:
             continue
@@ -102,17 +104,19 @@ def draw_over(axes: Axes, layers: Sequence[xr.Dataset], facet: xr.Dataset, x: st
             if all(_is_near(values[key], value).any() for key, value in known.items()):
                 fitting.append(family)
         curves = [Curve(branch, INK) for branch in branches(over) if branch.family in fitting]
-        draw_families(axes, over, curves, name, thin=True, factor=factor, within=(float(ends[0]), float(ends[-1])))
+        within = float(ends[0]), float(ends[-1])
+        shown += family_layers(over, curves, name, thin=True, factor=factor, within=within)
+    return shown
 
 
-def over_handles(layers: Sequence[xr.Dataset]) -> list[Artist]:
+def over_keys(layers: Sequence[xr.Dataset]) -> list[Layer]:
     """Return the legend entries for families, without duplicates."""
-    handles: dict[str, Artist] = {}
+    keys: dict[str, Layer] = {}
     for over in layers:
         curves = [Curve(branch, INK) for branch in branches(over)]
-        entries = [*stability_handles(over, curves, " orbit"), *special_handles(over, count=False)]
-        handles |= {str(handle.get_label()): handle for handle in entries}
-    return [*(handles[name] for name in handles if name not in MARKS), *(handles[k] for k in MARKS if k in handles)]
+        entries = [*stability_keys(over, curves, " orbit"), *special_keys(over, count=False)]
+        keys |= {each.label: each for each in entries}
+    return [*(keys[name] for name in keys if name not in MARKS), *(keys[name] for name in MARKS if name in keys)]
 
 
 def special_points(over: xr.Dataset) -> list[tuple[str, float]]:
@@ -153,19 +157,18 @@ ANY = "any"
 
 # Distinguishable in greyscale and for colour-blind readers. Special points of families have the same or similar
 # colours.
-LINES: dict[str, dict[str, Any]] = {
-    "fold": {"color": "#222222", "linestyle": "-"},
-    "period-doubling": {"color": "#D55E00", "linestyle": "-"},
-    "torus": {"color": "#B5468B", "linestyle": (0.0, (7.0, 1.5))},
-    "grazing": {"color": "#009E73", "linestyle": (0.0, (5.0, 1.2, 1.2, 1.2))},
-    "stick": {"color": "#E69F00", "linestyle": "-"},
-    "section": {"color": "#0072B2", "linestyle": (0.0, (1.2, 1.2))},
-    "hopf": {"color": "#882255", "linestyle": (0.0, (9.0, 1.5, 1.2, 1.5))},
-    "end": {"color": INK, "linestyle": ":"},
-    "basin": {"color": "#6E6E6E", "linestyle": DASHED},
-    "not-settled": {"color": FAINT, "linestyle": (0.0, (1.2, 1.6))},
+LINES: dict[str, Look] = {
+    "fold": {"colour": "#222222", "dash": "-"},
+    "period-doubling": {"colour": "#D55E00", "dash": "-"},
+    "torus": {"colour": "#B5468B", "dash": (0.0, (7.0, 1.5))},
+    "grazing": {"colour": "#009E73", "dash": (0.0, (5.0, 1.2, 1.2, 1.2))},
+    "stick": {"colour": "#E69F00", "dash": "-"},
+    "section": {"colour": "#0072B2", "dash": (0.0, (1.2, 1.2))},
+    "hopf": {"colour": "#882255", "dash": (0.0, (9.0, 1.5, 1.2, 1.5))},
+    "end": {"colour": INK, "dash": ":"},
+    "basin": {"colour": "#6E6E6E", "dash": DASHED},
+    "not-settled": {"colour": FAINT, "dash": (0.0, (1.2, 1.6))},
 }
-_OTHER_LINE = {"color": INK, "linestyle": "-"}
 
 
 def over_map_text(over: xr.Dataset, drawn: bool) -> str:
@@ -189,35 +192,24 @@ def beyond(ds: xr.Dataset) -> list[str]:
     return [name for name in names if name not in (START, "curve")]
 
 
-def draw_borders(axes: Axes, ds: xr.Dataset, plane: dict[str, float], start: str, x: str, y: str) -> list[str]:
-    """Draw the borders of one plane (parameter values) and one initial condition; return their kinds."""
+def border_layers(ds: xr.Dataset, plane: dict[str, float], start: str, x: str, y: str) -> list[Layer]:
+    """Return the borders of one plane (parameter values) and one initial condition."""
     mask = ds[START].values == start if START in ds.coords else np.ones(ds.sizes["curve"], bool)
     for name, value in plane.items():
         mask &= np.isclose(ds[name].values, value, rtol=SAME_DIGITS, atol=0.0)
-    return draw_curves(axes, ds, mask, x, y)
+    return curve_layers(ds, mask, x, y)
 
 
-def draw_curves(axes: Axes, ds: xr.Dataset, mask: np.ndarray, x: str, y: str) -> list[str]:
-    """Draw the borders, or curves of special points, in the mask over two parameters; return their kinds."""
+def curve_layers(ds: xr.Dataset, mask: np.ndarray, x: str, y: str) -> list[Layer]:
+    """Return the borders, or curves of special points, in the mask over two parameters, labelled by their kinds."""
     number = ds["point_curve" if "point_curve" in ds else "curve"].values
     names, factors = flags(ds["kind"]), [scale(ds[name])[0] for name in (x, y)]
-    stroke = [withStroke(linewidth=2.8, foreground="white", alpha=0.85)]
-    kinds = []
+    layers: list[Layer] = []
     for curve in np.flatnonzero(mask & np.isin(np.arange(len(mask)), number)):
-        kinds.append(names[int(ds["kind"][curve])])
-        path = (factor * ds[name].values[number == curve] for name, factor in zip((x, y), factors, strict=True))
-        axes.plot(*path, linewidth=1.6, path_effects=stroke, **LINES.get(kinds[-1], _OTHER_LINE))
-    return kinds
-
-
-def border_handles(kinds: Iterable[str]) -> list[Artist]:
-    """Return the legend entries for kinds of borders."""
-    occurring = set(kinds)
-    return [
-        Line2D([], [], label=kind, linewidth=1.8, **LINES.get(kind, _OTHER_LINE))
-        for kind in (*LINES, *sorted(occurring - set(LINES)))
-        if kind in occurring
-    ]
+        kind = names[int(ds["kind"][curve])]
+        across, up = (f * ds[name].values[number == curve] for name, f in zip((x, y), factors, strict=True))
+        layers.append(Line(across, up, width=1.6, halo=0.6, label=kind, **LINES.get(kind, {})))
+    return layers
 
 
 def check_borders(ds: xr.Dataset, over: xr.Dataset, x: str, y: str) -> None:
@@ -228,12 +220,12 @@ def check_borders(ds: xr.Dataset, over: xr.Dataset, x: str, y: str) -> None:
     check_machine(ds, over, name, "map", "find those of")
 
 
-def draw_over_panel(axes: Axes, over: xr.Dataset, facet: xr.Dataset, x: str, y: str) -> list[str]:
-    """Draw the borders that hold for any initial condition, or curves, over a map panel; return the kinds drawn."""
+def over_panel(over: xr.Dataset, facet: xr.Dataset, x: str, y: str) -> list[Layer]:
+    """Return the borders that hold for any initial condition, or the curves, over a map panel."""
     plane = {name: float(facet[name]) for name in beyond(over) if name in facet.coords and facet[name].ndim == 0}
     if kind_of(over) != "curves":
-        return draw_borders(axes, over, plane, ANY, x, y)
-    return draw_curves(axes, over, curves_on_map(over, facet, x, y), x, y)
+        return border_layers(over, plane, ANY, x, y)
+    return curve_layers(over, curves_on_map(over, facet, x, y), x, y)
 
 
 def curves_on_map(over: xr.Dataset, lanes: xr.Dataset, x: str, y: str) -> np.ndarray:
@@ -250,15 +242,15 @@ def curves_on_map(over: xr.Dataset, lanes: xr.Dataset, x: str, y: str) -> np.nda
 _CODIM2 = "osD^v<>phP*X"  # one marker per name of points of codimension two, in the order of their first occurrence
 
 
-def draw_codim2(axes: Axes, layers: Sequence[xr.Dataset], x: str, y: str) -> list[Artist]:
-    """Mark the points of codimension two of curves; return the legend entries."""
+def codim2_layers(layers: Sequence[xr.Dataset], x: str, y: str) -> list[Layer]:
+    """Return marks of the points of codimension two of curves, labelled by their kinds."""
     if not layers:
         return []
     kinds = np.concatenate([ds["codim2_kind"].values.astype(str) for ds in layers])
     values = [np.concatenate([scale(ds[name])[0] * ds[f"codim2_{name}"].values for ds in layers]) for name in (x, y)]
-    handles: list[Artist] = []
+    marks: list[Layer] = []
     for k, kind in enumerate(dict.fromkeys(kinds.tolist())):
         places = [value[kinds == kind] for value in values]
-        mark = Mark(marker=_CODIM2[k % len(_CODIM2)], markersize=5.0, markerfacecolor="white", linestyle="none")
-        handles += axes.plot(places[0], places[1], color=INK, label=short(kind), zorder=4, **mark)
-    return handles
+        look: Look = {"marker": _CODIM2[k % len(_CODIM2)], "size": 5.0, "face": "white", "order": 4.0}
+        marks.append(dots(*places, label=short(kind), **look))
+    return marks

@@ -1,14 +1,13 @@
 """Section crossings over an axis: bifurcation diagrams, and lanes carried up and down with their jumps."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from textwrap import fill
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
-from matplotlib.artist import Artist
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from vibrojax.errors import InputError, shown
 from vibrojax.io.attributes import run_of
@@ -27,38 +26,32 @@ from vibrojax.pictures.contents import (
     swept,
     without_single,
 )
+from vibrojax.pictures.lines import Lanes, dot_size, lane_dots, stacks, starts_of, value_plots
 from vibrojax.pictures.overlays import (
     OF_RETURNS,
     Overlays,
     as_layers,
     check_families,
-    draw_over,
-    over_handles,
+    over_keys,
+    over_layers,
     over_text,
     special_points,
 )
-from vibrojax.pictures.strips import (
-    Lanes,
-    Stack,
-    dot_size,
-    draw_stacks,
-    draw_values,
-    scatter_lanes,
-    starts_of,
-)
-from vibrojax.pictures.style import Mark, nested_line, styled
+from vibrojax.pictures.plots import Axis, Layer, Plot, Points, Sheet, dots, key, upright
+from vibrojax.pictures.style import nested_line
 
 Places = Int[np.ndarray, " _"]
 
 _MARKERS = {"up": ">", "down": "<"}
 # Height of a diagram [inches] for one facet and for several, by the number of diagrams.
 _HEIGHTS = {1: (3.6, 2.6), 2: (2.4, 2.0), 3: (1.9, 1.6)}
+_LOWEST = 1.5, 1.3
 _OTHERS = "#CFCFCF"
-_HALO = 3.0  # area of the dots of other starts over that of a start's own: a rim shows where they coincide
+_HALO = 1.75  # diameter of the dots of other starts over that of a start's own: a rim shows where they coincide
+_LETTERS_PER_INCH = 13
 
 
-@styled
-def bifurcation(ds: xr.Dataset, over: Overlays = None, variable: str | None = None) -> Figure:
+def bifurcation(ds: xr.Dataset, over: Overlays = None, variable: str | None = None) -> Sheet:
     """Draw `variable` at each stored section crossing over the swept axis, one diagram per initial condition.
 
     The default is the impact velocity. It is the first state without impacts, or if some motions of a `vj.System`
@@ -82,11 +75,11 @@ def bifurcation(ds: xr.Dataset, over: Overlays = None, variable: str | None = No
     diagrams = 1 if many_starts(ds) else len(starts_of(ds))
     layers = as_layers(over)
     check_families(ds, layers, x)
-    grey = Line2D([], [], label="all other starts", linestyle="none", marker="o", markersize=6.5, color=_OTHERS)
-    handles = ([grey] if diagrams > 1 else []) + over_handles(layers)
+    grey = [dots(label="all other starts", size=6.5, colour=_OTHERS)] if diagrams > 1 else []
     shown = variable or str(returns_in(ds))
-    draw = partial(_draw_returns, shown=shown, x=x, layers=layers)
-    return draw_stacks(ds, x, diagrams, _HEIGHTS.get(diagrams, (1.5, 1.3)), draw, handles, over_text(ds, layers, shown))
+    heights = _HEIGHTS.get(diagrams, _LOWEST)
+    draw = partial(_return_plots, shown=shown, x=x, layers=layers, height=heights[1])
+    return stacks(ds, x, diagrams, heights, draw, [*grey, *over_keys(layers)], over_text(ds, layers, shown))
 
 
 def _dots(lanes: xr.DataArray, factor: float, x: str, *dims: str) -> tuple[Lanes, Lanes]:
@@ -108,39 +101,36 @@ def _of_families(returns: str) -> str:
     return OF_RETURNS if returns == IMPACTS_OF_RETURNS else returns.replace("return_", "orbit_", 1)
 
 
-def _draw_returns(stack: Stack, shown: str, x: str, layers: Sequence[xr.Dataset]) -> None:
+def _return_plots(facet: xr.Dataset, shown: str, x: str, layers: Sequence[xr.Dataset], height: float) -> list[Plot]:
     """Draw the section crossings of each initial condition over those of all others, then the families."""
-    facet, curves = stack.facet, stack.curves
     factor, unit = scale(facet[shown])
+    words = fill(with_unit(returns_label(facet[shown]), unit).replace(" [", "\u00a0["), int(_LETTERS_PER_INCH * height))
+    up = Axis(words.replace("\u00a0", " "), shown, group="returns", zero="zero everywhere")
+    families = over_layers(layers, facet, x, _of_families(shown), factor)
     size = dot_size(facet.sizes[x])
-    for position, axes in enumerate(curves):
-        if not axes.get_shared_y_axes().joined(axes, curves[0]):
-            axes.sharey(curves[0])
-        if many_starts(facet):
-            regimes = regime_cells(facet[REGIME].transpose(x, START)).ravel()
-            scatter_lanes(
-                axes, *_dots(facet[shown], factor, x, START), np.repeat(regimes, facet.sizes[RETURN]), size / 2
-            )
-        else:
-            for other, (name, colour, lanes) in enumerate(starts_of(facet)):
-                along, values = _dots(lanes[shown], factor, x)
-                known, own = np.isfinite(values), other == position
-                look = Mark(color=colour, label=name) if own else Mark(color=_OTHERS, label=f"_{name}")
-                area = size if own else _HALO * size
-                axes.scatter(along[known], values[known], s=area, linewidths=0, zorder=2 + own, rasterized=True, **look)
-                if own and name:
-                    axes.set_title(", ".join(filter(None, (stack.title, f"start: {name}"))), loc="left")
-        draw_over(axes, layers, facet, x, _of_families(shown), factor)
-    if stack.first:  # a single label, centred on all diagrams of the stack
-        middle = curves[len(curves) // 2]
-        middle.set_ylabel(with_unit(returns_label(facet[shown]), unit), y=0.5 if len(curves) % 2 else 1.1)
+    if many_starts(facet):
+        regimes = np.repeat(regime_cells(facet[REGIME].transpose(x, START)).ravel(), facet.sizes[RETURN])
+        crossings = lane_dots(*_dots(facet[shown], factor, x, START), regimes, size / np.sqrt(2))
+        return [Plot([crossings, *families], y=up)]
+    clouds = []
+    for name, colour, lanes in starts_of(facet):
+        along, values = _dots(lanes[shown], factor, x)
+        known = np.isfinite(values)
+        clouds.append((name, colour, along[known], values[known]))
+    plots = []
+    for name, colour, along, values in clouds:
+        others = [cloud for cloud in clouds if cloud[0] != name]
+        grey: list[Layer] = [Points(*other[2:], _OTHERS, _HALO * size, clip=False) for other in others]
+        own = Points(along, values, colour, size, order=3.0, clip=False)
+        title = f"start: {name}" if name else ""
+        plots.append(Plot([*grey, own, *families], y=up, title=title))
+    return plots
 
 
 # Lanes carried up and down.
 
 
-@styled
-def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = None) -> Figure:
+def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = None) -> Sheet:
     """Draw lanes carried up and down along an axis, with the jumps of both directions, above the regimes of each.
 
     The curves are `variable` at each section crossing if these were stored, else impact velocity and period. The
@@ -157,22 +147,22 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = Non
     values = () if at_returns is not None else values_beside(ds)
     layers = as_layers(over)
     check_families(ds, layers, along)
-    handles: list[Artist] = []
+    keys: list[Layer] = []
     for k, way in enumerate(starts_of(ds)):
-        look = nested_line(k, 2) if values else Mark(linestyle="none", markersize=3.5 if k else 6.0)
-        handles.append(Line2D([], [], color=way.colour, marker="o", label=way.name, **look))
+        look = nested_line(k, 2) if values else {"dash": "", "size": 3.5 if k else 6.0}
+        keys.append(key(way.name, colour=way.colour, marker="o", **look))
     others = [name for name in ds[REGIME].dims if name not in (START, along)]
     lines = [ds.isel(dict(zip(others, at, strict=True))) for at in np.ndindex(*(ds.sizes[name] for name in others))]
     for k, way in enumerate(starts_of(ds)):
         if any(jumps(line, along)[k].size for line in lines):
-            mark = Mark(marker=_MARKERS.get(way.name, "o"), linestyle="--", linewidth=1.0)
-            handles.append(Line2D([], [], color=way.colour, label=f"jump on the way {way.name}", **mark))
+            mark = {"marker": _MARKERS.get(way.name, "o"), "size": 6.0, "dash": "--", "width": 1.0}
+            keys.append(key(f"jump on the way {way.name}", colour=way.colour, **mark))
     about = "Each lane starts from where its neighbour ended; where the two ways differ, two motions coexist"
     of_families = over_text(ds, layers, at_returns or IMPACTS_OF_RETURNS)
     note = ". ".join(filter(None, (about, of_families, _jumps_text(ds, along, layers))))
     height = 3.4 if len(values) < 2 else 1.9
-    draw = partial(_draw_ways, values=values, shown=str(at_returns), x=along, layers=layers)
-    return draw_stacks(ds, along, max(len(values), 1), (height, height), draw, handles + over_handles(layers), note)
+    draw = partial(_way_plots, values=values, shown=str(at_returns), x=along, layers=layers)
+    return stacks(ds, along, max(len(values), 1), (height, height), draw, [*keys, *over_keys(layers)], note)
 
 
 def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:
@@ -230,27 +220,33 @@ def _relative_difference(a: Float[np.ndarray, " lanes"], b: Float[np.ndarray, " 
     return np.abs(a - b) / np.where(greater > 0, greater, 1.0)
 
 
-def _draw_ways(stack: Stack, values: tuple[Value, ...], shown: str, x: str, layers: Sequence[xr.Dataset]) -> None:
+def _way_plots(
+    facet: xr.Dataset, values: tuple[Value, ...], shown: str, x: str, layers: Sequence[xr.Dataset]
+) -> list[Plot]:
     """Draw `values`, or `shown` at the section crossings of both directions in one panel, with families and jumps."""
-    facet, ways = stack.facet, starts_of(stack.facet)
+    ways = starts_of(facet)
     if values:
-        draw_values(stack, values, x)
+        plots = value_plots(facet, values, x)
         factors = {value.name: value.factor for value in values}
     else:
         factor, unit = scale(facet[shown])
         factors = {_of_families(shown): factor}
-        for position, way in enumerate(ways):
-            size = dot_size(facet.sizes[x]) * (0.5 if position else 1.4)  # larger dots stay visible below smaller ones
-            dots = _dots(way.lanes[shown], factor, x)
-            stack.curves[0].scatter(*dots, s=size, linewidths=0, color=way.colour, rasterized=True)
-        if stack.first:
-            stack.curves[0].set_ylabel(with_unit(returns_label(facet[shown]), unit))
+        # Larger dots stay visible below smaller ones.
+        sizes = [dot_size(facet.sizes[x]) * (0.7 if position else 1.2) for position in range(len(ways))]
+        crossings = [
+            Points(*_dots(way.lanes[shown], factor, x), way.colour, size, clip=False)
+            for way, size in zip(ways, sizes, strict=True)
+        ]
+        plots = [Plot(crossings, y=Axis(with_unit(returns_label(facet[shown]), unit), shown, zero="zero everywhere"))]
     along = values_along(facet[x])
     between = (along[1:] + along[:-1]) / 2
-    for axes, (variable, factor) in zip(stack.curves, factors.items(), strict=True):
-        draw_over(axes, layers, facet, x, variable, factor)
-        for way, places in zip(ways, jumps(facet, x), strict=True):
-            mark = Mark(marker=_MARKERS.get(way.name, "o"), markersize=7.0, color=way.colour, markeredgecolor="white")
-            for place in between[places].tolist():
-                axes.axvline(place, color=way.colour, linestyle="--", linewidth=1.0, zorder=0.5)
-                axes.plot([place], [0.95], transform=axes.get_xaxis_transform(), linestyle="none", **mark)
+    arrows: list[Layer] = []
+    for way, places in zip(ways, jumps(facet, x), strict=True):
+        for place in between[places].tolist():
+            arrows.append(upright(place, colour=way.colour, dash="--", width=1.0, order=0.5))
+            mark = {"marker": _MARKERS.get(way.name, "o"), "size": 7.0, "colour": way.colour, "edge": "white"}
+            arrows.append(dots([place], [np.inf], **mark))  # below the upper edge
+    return [
+        replace(plot, layers=[*plot.layers, *over_layers(layers, facet, x, variable, factor), *arrows])
+        for plot, (variable, factor) in zip(plots, factors.items(), strict=True)
+    ]

@@ -11,7 +11,7 @@ from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.io.kinds import kind_of
 from vibrojax.physics.meanings import suggest_coordinate
 from vibrojax.pictures.axes import short
-from vibrojax.pictures.branch_data import FAMILY, numbers_of
+from vibrojax.pictures.branches import FAMILY, numbers_of
 from vibrojax.pictures.contents import FORM, is_numeric, lane_dims, named_groups
 
 Value = float | int | str

@@ -2,13 +2,11 @@
 
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import wraps
 from io import BytesIO
 from pathlib import Path
-from typing import Any, ParamSpec
 
 import numpy as np
 import xarray as xr
@@ -19,11 +17,12 @@ from matplotlib.figure import Figure
 
 from vibrojax.errors import printable
 from vibrojax.io.attributes import title_of
+from vibrojax.pictures.plots import FAINT as FAINT
+from vibrojax.pictures.plots import INK as INK
+from vibrojax.pictures.plots import Dash, Look
 
-INK = "#222222"
-FAINT = "#9A9A9A"
-NO_VALUE: "Mark" = {"facecolor": "#FFFFFF", "edgecolor": "#8C8C8C", "hatch": "/////"}
-"""A lane without a value is hatched, since a regime or a colour map may be grey."""
+NO_VALUE = {"facecolor": "#FFFFFF", "edgecolor": "#8C8C8C", "hatch": "/////"}
+"""Style of a lane without a value: hatched, since a regime or a colour map may be grey."""
 
 NOTHING = "#FFFFFF"  # a lane without penetration, in maps of quantities
 BIT = "#00598C"
@@ -37,23 +36,16 @@ START_COLOURS = {"drive": "#004488", "stuck": "#CC6677", "touching": "#2E8B57"}
 OTHER_COLOURS = ("#56B4E9", "#E69F00", "#9B30C9", "#222222", "#C6D937", "#7A1F1F", "#B5B5B5")
 ROCK_COLOURS = {"sandstone": "#D9A441", "limestone": "#3F8FA3", "granite": "#7A2E4D"}
 
-DASHED = (0.0, (4.0, 3.0))
+DASHED: Dash = (0.0, (4.0, 3.0))
 _NESTED_LINES = 4  # number of coinciding lines whose dashes are at different places
 VIRIDIS_RANGE = (0.0, 0.87)
 """The part of the colour map that lines use; its yellow end is hardly visible on white."""
 
 SAVED_DPI = 160.0
-TITLE_SIZE = 11.0
-_TICK_SIZE = 8.0
 _STYLE = Path(__file__).with_name("pictures.mplstyle")
 
 COLOURS: ContextVar[str | None] = ContextVar("COLOURS", default=None)
 """Colour map that the user chose for quantities; None if each quantity has its own."""
-
-Arguments = ParamSpec("Arguments")
-
-Mark = dict[str, Any]
-"""Matplotlib's properties of a line and its markers."""
 
 
 class OwnFigure(Figure):
@@ -73,21 +65,6 @@ def settings() -> Iterator[None]:
         # A character that the font lacks is drawn as a box, so no warning is needed.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield
-
-
-def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
-    """Wrap `draw` so that it runs with the common settings, on datasets whose strings can be drawn."""
-
-    @wraps(draw)
-    def draw_styled(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
-        with settings():
-            figure = draw(*map(_drawable, args), **{name: _drawable(arg) for name, arg in kwargs.items()})
-        # Ticks are created when the figure is rendered, under the user's settings.
-        for axes in figure.axes:
-            axes.tick_params(labelsize=_TICK_SIZE)
-        return figure
-
-    return draw_styled
 
 
 def new_figure(width: float, height: float) -> OwnFigure:
@@ -117,19 +94,17 @@ def start_colour(name: str, position: int) -> str:
     return START_COLOURS.get(name, other_colour(position)) if name else BIT
 
 
-def nested_line(position: int, count: int) -> Mark:
+def nested_line(position: int, count: int) -> Look:
     """Return line style, width and marker size of the line at `position` among `count` lines that may coincide.
 
     The first line is wide and solid, the others are narrow with dashes at different places. Later markers are smaller.
     """
-    size = Mark(markersize=max(5.5 - 1.8 * position, 1.6))
+    size = max(5.5 - 1.8 * position, 1.6)
     if not position:
-        return size | Mark(linewidth=2.4, linestyle="-")
+        return {"size": size, "width": 2.4, "dash": "-"}
     places = min(count, _NESTED_LINES)
     place = 1 + (position - 1) % (places - 1)
-    return size | Mark(
-        linewidth=1.3, linestyle=(2.6 * (places - place), (2.0, 2.6 * places - 2.0)), dash_capstyle="butt"
-    )
+    return {"size": size, "width": 1.3, "dash": (2.6 * (places - place), (2.0, 2.6 * places - 2.0))}
 
 
 # Strings: a dataset may come from any source, so its strings are made safe to draw.
@@ -139,24 +114,20 @@ _LONGEST_NAME = 100  # characters
 _LONGEST_ATTRIBUTE = {"long_name": 200, "units": 40, "symbol": 40}  # characters that are drawn
 
 
-def _drawable(argument: Any) -> Any:
-    """Return an argument of a drawing function; the strings of its datasets are short, single-line and not formulas."""
-    if isinstance(argument, (list, tuple)) and any(isinstance(item, xr.Dataset) for item in argument):
-        return [_drawable(item) for item in argument]
-    if not isinstance(argument, xr.Dataset):
-        return argument
-    ds = argument.copy(deep=False)
+def drawable(ds: xr.Dataset) -> xr.Dataset:
+    """Return the dataset with short strings on single lines."""
+    ds = ds.copy(deep=False)
     if "title" in ds.attrs:
-        ds.attrs["title"] = plain(title_of(ds))
+        ds.attrs["title"] = title_of(ds)
     for name in _DRAWN_ATTRIBUTES:
         if name in ds.attrs:
-            ds.attrs[name] = plain(printable(ds.attrs[name], _LONGEST_NAME))
+            ds.attrs[name] = printable(ds.attrs[name], _LONGEST_NAME)
     for variable, data in ds.variables.items():
         for key, length in _LONGEST_ATTRIBUTE.items():
             if key in data.attrs:
-                data.attrs[key] = plain(printable(data.attrs[key], length))
+                data.attrs[key] = printable(data.attrs[key], length)
         if data.dtype.kind in "UO" and data.size:
-            texts = {value: plain(printable(value, _LONGEST_NAME)) for value in set(data.values.ravel().tolist())}
+            texts = {value: printable(value, _LONGEST_NAME) for value in set(data.values.ravel().tolist())}
             if any(text != value for value, text in texts.items()):
                 values = np.vectorize(texts.__getitem__, otypes=[object])(data.values).astype(str)
                 ds = ds.assign({variable: (data.dims, values, data.attrs)})

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from vibrojax.pictures.contents import Contents
+    from vibrojax.pictures.plots import Picture
 
 Source = Any
 """Input of an analysis: a dataset, or a sweep as `run_sweep` accepts it (path, bundled name, dict or `Sweep`)."""
@@ -47,7 +48,8 @@ class PictureRule(NamedTuple):
     - `shows`: short description of the picture.
     - `fits`: function that returns whether the rule applies. Its argument has facts about the dataset as attributes:
       the names of its `variables` and `dimensions`, its `axes`, and others.
-    - `draw`: function that takes the dataset and returns a matplotlib figure.
+    - `draw`: function that takes the dataset and returns a matplotlib figure, or plots of
+      [vibrojax.pictures.plots][], which the explorer page draws itself.
 
     **Example:**
 
@@ -63,7 +65,7 @@ class PictureRule(NamedTuple):
 
     shows: str
     fits: Callable[["Contents"], bool]
-    draw: Callable[..., "Figure"]
+    draw: Callable[..., "Picture | Figure"]
 
 
 class Analysis(Settings):
@@ -127,6 +129,17 @@ class Analysis(Settings):
 
         **Raises:** `InputError` if the dataset holds nothing to draw, or its picture accepts no overlays.
         """
+        from vibrojax.pictures.draw import draw
+        from vibrojax.pictures.style import drawable
+
+        layers = [drawable(layer) if isinstance(layer, xr.Dataset) else layer for layer in over]
+        return draw(self.plots(drawable(ds), layers))
+
+    def plots(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Picture | Figure":
+        """Return the plots that make the picture of a dataset, or a figure.
+
+        **Raises:** `InputError` if the dataset holds nothing to draw, or its picture accepts no overlays.
+        """
         from vibrojax.pictures.contents import Contents
         from vibrojax.pictures.overlays import refuse_overlays
 
@@ -146,13 +159,13 @@ class Analysis(Settings):
         """Return the parts of a dataset's summary that are specific to this kind; `info` prints them."""
         return []
 
-    def page_figures(self, ds: xr.Dataset) -> Sequence["Figure"]:
-        """Return the figures that the explorer page shows of a dataset; by default its picture.
+    def page_figures(self, ds: xr.Dataset) -> Sequence["Picture | Figure"]:
+        """Return the plots and figures that the explorer page shows of a dataset; by default those of its picture.
 
-        Lines, points, areas, bars and maps become plots with zoom, files and a cursor. A plot whose axis has the label
-        of an axis of the dataset selects its lanes.
+        The page draws plots itself, with zoom, files and a cursor, and shows a figure as an image. A plot over an axis
+        of the dataset selects its lanes.
         """
-        return [self.picture(ds)]
+        return [self.plots(ds)]
 
     def page_text(self, ds: xr.Dataset) -> Sequence[SummaryPart]:
         """Return the texts that the explorer page shows of a dataset; by default its summary."""

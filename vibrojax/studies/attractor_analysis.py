@@ -1,35 +1,22 @@
 """The analysis `attractors`: coexisting attractors of a sweep, and the fraction of initial conditions of each."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
 
 from vibrojax.errors import counted
 from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import OF_ATTRACTORS
 from vibrojax.maps.sweep import Sweep
-from vibrojax.pictures.axes import edges, label, scale, shape_axis, share_text, unclip_markers, values_along, with_unit
-from vibrojax.pictures.colours import (
-    Values,
-    hatch_gaps,
-    no_value_handle,
-    regime_handles,
-    regime_names,
-    share_value,
-    value_of,
-)
+from vibrojax.pictures.axes import axis, edges, map_axis, margins, scale, share_text, values_along, with_unit
+from vibrojax.pictures.colours import Values, no_value_key, regime_keys, regime_names, share_value, value_of
 from vibrojax.pictures.contents import ATTRACTOR, HIDDEN, NAMED, REGIME, START, axes_of_map, swept, without_single
-from vibrojax.pictures.maps import draw_cells, outline_region, region_handle, write_labels
-from vibrojax.pictures.sheet import MOST_PANELS, columns, facets, legend_at_right, sheet, write_margins
+from vibrojax.pictures.maps import cell_layers, map_plot
+from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Sheet, Text, bars, dots, patch
+from vibrojax.pictures.sheet import MOST_PANELS, at, columns, facets, layout
 from vibrojax.pictures.starts import PREFIX, on_axes
-from vibrojax.pictures.style import new_figure, styled
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart
 from vibrojax.studies.attractor_run import attractors_of, drive_speed, strong_share, sweep_of
 from vibrojax.studies.sweep_analysis import SweepAnalysis
@@ -47,8 +34,7 @@ _STRONG, _COUNT, _FROM = "strong_share", "attractors", "regime_from_"
 _MOST_FACETS, _MOST_COLUMNS, _PANEL = 6, 3, (4.2, 2.0)  # _PANEL: width and height [inch]
 
 
-@styled
-def attractor_shares(ds: xr.Dataset) -> Figure:
+def attractor_shares(ds: xr.Dataset) -> Sheet:
     """Draw basin fractions of attractors, with standard errors, and impact velocities over the longest axis.
 
     Each value of further axes gets a panel. For a single point, the plane of initial conditions is drawn in the colours
@@ -58,112 +44,104 @@ def attractor_shares(ds: xr.Dataset) -> Figure:
     along, note = swept(ds), ""
     about, lanes = f"{ds.sizes[START]} starts" + " at each point" * bool(along), ds[LANES].size
     if along:
-        figure = _draw_along(ds, max(along, key=lambda name: ds.sizes[name]))
+        sheet = _shares_along(ds, max(along, key=lambda name: ds.sizes[name]))
         about += "; upright lines: one standard error"
         about += f"; legend: most frequent regime, and share of all {lanes} lanes"
     else:
-        figure, note = _draw_point(ds)
-    legend_at_right(figure, _handles(ds))
+        plot, note = _shares_at_point(ds)
+        sheet = Sheet([plot], (6.6, 4.4))
     unassigned = int(ds["unassigned"].sum())
     lost = counted(unassigned, f"lane of {ds[LANES].size} ends", f"lanes of {ds[LANES].size} end")
     lost += " in none that could be told"
-    write_margins(figure, ds, about, note, lost if unassigned else "")
-    return figure
+    return replace(sheet, keys=[_keys(ds)], **margins(ds, about, note, lost if unassigned else ""))
 
 
-def _draw_along(ds: xr.Dataset, x: str) -> Figure:
+def _shares_along(ds: xr.Dataset, x: str) -> Sheet:
     """Draw basin fractions and impact velocities over the axis `x`, with one panel per value of further axes."""
     ds = ds.sortby(x)
     panels = facets(ds, (x, ATTRACTOR), _MOST_FACETS)
     names = ["share", *([_VELOCITY] if _VELOCITY in ds and np.isfinite(ds[_VELOCITY]).any() else [])]
     wide = columns(panels, _MOST_COLUMNS)
     rows = -(-len(panels) // wide)
-    figure = new_figure(_PANEL[0] * wide + 1.8, _PANEL[1] * rows * len(names) + 0.8)
-    grid = figure.subplots(rows * len(names), wide, squeeze=False, sharex=True, sharey=False)
-    blocks = grid.reshape(rows, len(names), wide).swapaxes(1, 2).reshape(rows * wide, len(names))
+    plots = []
     for k, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
-        for axes, name in zip(blocks[k], names, strict=True):
-            _draw_curves(axes, facet, x, name)
-            shape_axis(axes, "x", values_along(ds[x]))
-            unclip_markers(axes)
-            axes.grid(True)
-            if k % wide == 0:
-                unit = scale(ds[_VELOCITY])[1] if name == _VELOCITY else ""
-                axes.set_ylabel(with_unit("impact velocity", unit) if unit else "share of starts [%]")
-        blocks[k][0].set_title(title)
-        blocks[k][-1].set_xlabel(label(ds[x]))
-        blocks[k][-1].tick_params(labelbottom=True)
-    for axes in blocks[len(panels) :].flat:
-        axes.remove()
-    return figure
+        for i, name in enumerate(names):
+            up = Axis("share of starts [%]", limits=(0.0, 100.0), group=name)
+            if name == _VELOCITY:
+                up = Axis(with_unit("impact velocity", scale(ds[name])[1]), name, group=f"{name}{k // wide}")
+            place = k // wide * len(names) + i, k % wide
+            across = map_axis(facet[x], group="across")
+            plots.append(Plot(_curves(facet, x, name), across, up, "" if i else title, place, at(facet)))
+    size = _PANEL[0] * wide + 1.8, _PANEL[1] * rows * len(names) + 0.8
+    plots.sort(key=lambda plot: plot.place)
+    return Sheet(plots, size, (1.0,) * wide, (1.0,) * (rows * len(names)))
 
 
-def _draw_curves(axes: Axes, facet: xr.Dataset, x: str, name: str) -> None:
+def _curves(facet: xr.Dataset, x: str, name: str) -> list[Layer]:
     """Draw basin fractions stacked, or a quantity of every attractor where its fraction is above zero."""
     is_share = name == "share"
     values = facet[name].transpose(x, ATTRACTOR).values * (100.0 if is_share else scale(facet[name])[0])
     occurs = facet["share"].transpose(x, ATTRACTOR).values > 0
     along = values_along(facet[x])
+    layers: list[Layer] = []
     if is_share:  # one on top of another
         tops = np.cumsum(np.nan_to_num(values), axis=1)
         for k in range(values.shape[1]):
-            axes.fill_between(
-                along, tops[:, k] - np.nan_to_num(values[:, k]), tops[:, k], color=_colour(k), alpha=0.9, linewidth=0
-            )
+            bottom = tops[:, k] - np.nan_to_num(values[:, k])
             error = 100.0 * facet["share_stderr"].transpose(x, ATTRACTOR).values[:, k]
             seen = occurs[:, k]
             low, high = np.clip([tops[:, k] - error, tops[:, k] + error], 0.0, 100.0)
-            axes.vlines(along[seen], low[seen], high[seen], color="0.2", linewidth=0.7, zorder=2)
-        axes.set_ylim(0.0, 100.0)
-        return
+            layers.append(Area(along, bottom, tops[:, k], _colour(k), 0.9))
+            layers.append(Line(*bars(along[seen], low[seen], high[seen]), "#333333", 0.7))
+        return layers
     for k in range(values.shape[1] - 1, -1, -1):
         y = np.where(occurs[:, k], values[:, k], np.nan)
-        axes.plot(along, y, color=_colour(k), linewidth=1.3, marker="o", markersize=2.6, zorder=2.5 - 0.001 * k)
+        layers.append(Line(along, y, _colour(k), 1.3, marker="o", size=2.6, order=2.5 - 0.001 * k, clip=False))
+    return layers
 
 
-def _draw_point(ds: xr.Dataset) -> tuple[Figure, str]:
-    """Draw the basins of one point, or basin fractions as bars; return the figure, and the note on its markers."""
+def _shares_at_point(ds: xr.Dataset) -> tuple[Plot, str]:
+    """Draw the basins of one point, or basin fractions as bars; return the plot, and the note on its markers."""
     spread = on_axes(ds[[LANES]].assign({REGIME: ds[LANES]}).drop_vars(HIDDEN, errors="ignore"))
     states = [str(name) for name in spread[LANES].dims if name != START]
-    figure = new_figure(6.6, 4.4)
-    axes = figure.add_subplot()
     if len(states) != 2:
         share, error = 100.0 * ds["share"].values, 100.0 * ds["share_stderr"].values
-        axes.bar(range(share.size), share, yerr=error, color=[_colour(k) for k in range(share.size)], ecolor="0.3")
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.set_xlabel("attractor")
-        axes.set_ylabel("share of starts [%]")
-        return figure, ""
+        places = np.arange(share.size, dtype=float)
+        columns = Bars(places - 0.4, 0.0 * places, 0.0 * places + 0.8, share, [_colour(k) for k in range(share.size)])
+        errors = Line(*bars(places, share - error, share + error), "#4D4D4D")
+        ticks = [(k, str(int(k))) for k in places[:: max(1, -(-share.size // _SHOWN))].tolist()]
+        up = Axis("share of starts [%]", limits=(0.0, None))
+        return Plot([columns, errors], Axis("attractor", ticks=ticks), up, grid=""), ""
     x, y = states
     cells = np.asarray(spread[LANES].transpose(y, x).values)
     shown = np.where(cells < 0, np.nan, np.minimum(cells, len(COLOURS)))
     colours = ListedColormap([*COLOURS, BEYOND])
-    hatch_gaps(axes, shown)
     ends = edges(values_along(spread[x])), edges(values_along(spread[y]))
     norm = BoundaryNorm(np.arange(-0.5, colours.N), colours.N)
-    axes.pcolormesh(*ends, np.ma.masked_invalid(shown), cmap=colours, norm=norm, rasterized=True)
-    axes.set_xlabel(label(spread[x]))
-    axes.set_ylabel(label(spread[y]))
-    return figure, _mark_orbits(axes, ds, spread, x, y)
+    orbits, note = _orbit_marks(ds, spread, (x, y), ends)
+    across, up = (axis(spread[name], limits=(float(e[0]), float(e[-1]))) for name, e in zip(states, ends, strict=True))
+    return Plot([Cells(*ends, shown, colours, norm), *orbits], across, up), note
 
 
-def _mark_orbits(axes: Axes, ds: xr.Dataset, spread: xr.Dataset, x: str, y: str) -> str:
-    """Mark where orbits cross the section, projected onto the plane of initial conditions; return the note on this."""
-    places = [_at_section(ds, name) * scale(spread[name])[0] for name in (x, y)]
-    limits = axes.get_xlim(), axes.get_ylim()
-    inside = np.all([(min(ends) <= p) & (p <= max(ends)) for p, ends in zip(places, limits, strict=True)], axis=0)
+def _orbit_marks(
+    ds: xr.Dataset, spread: xr.Dataset, axes: tuple[str, str], ends: tuple[np.ndarray, np.ndarray]
+) -> tuple[list[Layer], str]:
+    """Mark where orbits cross the section, projected onto the plane of initial conditions, with a note on this."""
+    places = [_at_section(ds, name) * scale(spread[name])[0] for name in axes]
+    inside = np.all([(end[0] <= p) & (p <= end[-1]) for p, end in zip(places, ends, strict=True)], axis=0)
     orbits = np.isfinite(places).all(axis=0)
+    layers: list[Layer] = []
     for k in np.flatnonzero(inside):
-        place = places[0][k], places[1][k]
-        axes.plot(*place, "o", markersize=11, markerfacecolor="white", markeredgecolor="black", zorder=3, clip_on=False)
-        axes.annotate(str(k), place, ha="center", va="center", fontsize=7.5, color="black", zorder=4)
+        x, y = float(places[0][k]), float(places[1][k])
+        layers.append(dots([x], [y], size=11.0, face="white", edge="black", order=3.0, clip=False))
+        layers.append(Text(x, y, str(k), colour="black", size=7.5))
     outside, without = np.flatnonzero(orbits & ~inside), np.flatnonzero(~orbits)
     texts = (
         "Circles: where the orbits pass the section" if inside.any() else "",
         _numbered(outside, "passes", "pass") + " the section outside the picture" if outside.size else "",
         _numbered(without, "has", "have") + " no orbit" if orbits.any() and without.size else "",
     )
-    return ". ".join(filter(None, texts))
+    return layers, ". ".join(filter(None, texts))
 
 
 def _numbered(attractors: np.ndarray, singular: str, plural: str) -> str:
@@ -187,26 +165,24 @@ def _colour(number: int) -> str:
     return COLOURS[number] if number < len(COLOURS) else BEYOND
 
 
-def _handles(ds: xr.Dataset) -> list[Artist]:
+def _keys(ds: xr.Dataset) -> list[Layer]:
     """Return the legend entries for attractors: number, most frequent regime, and basin fraction over the grid."""
     count, points = ds.sizes[ATTRACTOR], ds["unassigned"].size
     share, regime = (ds[name].transpose(..., ATTRACTOR).values.reshape(points, count) for name in ("share", REGIME))
     names = regime_names(ds[REGIME])
-    handles: list[Artist] = []
+    keys: list[Layer] = []
     for k in range(min(count, len(COLOURS))):
         most = int(np.argmax(np.bincount(regime[:, k], weights=share[:, k])))
-        handles.append(
-            Patch(color=_colour(k), label=f"{k}: {names[most]}, {share_text(float(share[:, k].mean()))} of starts")
-        )
+        text = f"{k}: {names[most]}, {share_text(float(share[:, k].mean()))} of starts"
+        keys.append(patch(_colour(k), text, edge=""))
     if count > len(COLOURS):
-        handles.append(Patch(color=BEYOND, label=f"{count - len(COLOURS)} others"))
+        keys.append(patch(BEYOND, f"{count - len(COLOURS)} others", edge=""))
     if int(ds["unassigned"].sum()) and points == 1:
-        handles.append(no_value_handle("could not be told"))
-    return handles
+        keys.append(no_value_key("could not be told"))
+    return keys
 
 
-@styled
-def share_map(ds: xr.Dataset) -> Figure:
+def share_map(ds: xr.Dataset) -> Sheet:
     """Draw the fraction of initial conditions that end in the strong single impact, over two axes.
 
     Next to it are the regimes reached from the scene's named initial conditions, or else the number of attractors. An
@@ -224,26 +200,24 @@ def share_map(ds: xr.Dataset) -> Figure:
     if not names:
         shown[_COUNT] = (ds["share"] > 0).sum("attractor").astype(float)
     shown[REGIME] = shown[_FROM + names[0]] if names else xr.zeros_like(share, np.int8)
-    columns: Values = (share_value(shown[_STRONG], "strong single impact"),)
-    columns += (None,) * len(names) if names else (value_of(shown[_COUNT]),)
-    panels = facets(shown, (x, y), MOST_PANELS // len(columns))
-    drawn = sheet(panels, columns)
-    places = dict.fromkeys(map(id, panels.data), -1)  # the panels of a facet come in the order of the columns
+    values: Values = (share_value(shown[_STRONG], "strong single impact"),)
+    values += (None,) * len(names) if names else (value_of(shown[_COUNT]),)
+    panels = facets(shown, (x, y), MOST_PANELS // len(values))
+    drawn = layout(panels, values)
+    plots, counts = [], dict.fromkeys(map(id, panels.data), -1)  # a facet's panels have the order of the values
     for panel in drawn.panels:
-        places[id(panel.facet)] += 1
+        counts[id(panel.facet)] += 1
+        facet, title = panel.facet, panel.title
         if panel.value is None:
-            name = names[places[id(panel.facet)] - 1]
-            panel.axes.set_title(", ".join(filter(None, (panel.title, f"from {name}"))))
-            panel.facet[REGIME] = panel.facet[_FROM + name]
-        draw_cells(panel, x, y)
-        outline_region(panel.axes, x, y)
-        write_labels(panel, shown[x], shown[y])
-    handles = regime_handles([facet[_FROM + name] for facet in panels.data for name in names]) if names else []
-    drawn.finish(handles + region_handle(drawn.panels[0].axes))
+            name = names[counts[id(facet)] - 1]
+            title = ", ".join(filter(None, (title, f"from {name}")))
+            facet = facet.assign({REGIME: facet[_FROM + name]})
+        plots.append(map_plot(panel._replace(title=title), shown[x], shown[y], cell_layers(facet, panel.value, x, y)))
+    keys = regime_keys([facet[_FROM + name] for facet in panels.data for name in names]) if names else []
     strong = "Strong: the striker hits faster than the drive moves"
     about = "Of single impacts, strong or weak" if drive_speed(ds) is None else strong
-    write_margins(drawn.figure, ds, panels.note, f"{ds.sizes[START]} starts at each point", about)
-    return drawn.figure
+    notes = margins(ds, panels.note, f"{ds.sizes[START]} starts at each point", about)
+    return Sheet(plots, keys=[keys], **drawn.sheet, **notes)
 
 
 @dataclass(frozen=True)

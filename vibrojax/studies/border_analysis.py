@@ -8,18 +8,15 @@ from textwrap import fill
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from vibrojax.errors import counted, printable
 from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import OF_BORDERS
 from vibrojax.maps.rerun import sweep_with_orbits
 from vibrojax.maps.sweep import Sweep
-from vibrojax.pictures.axes import label, share_text, value_text
-from vibrojax.pictures.overlays import ANY, axes_of, beyond, border_handles, draw_borders
-from vibrojax.pictures.sheet import legend_at_right, write_margins
-from vibrojax.pictures.style import new_figure, styled
+from vibrojax.pictures.axes import axis, margins, share_text, value_text
+from vibrojax.pictures.overlays import ANY, axes_of, beyond, border_layers
+from vibrojax.pictures.plots import Plot, Sheet, Text
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart
 from vibrojax.studies.border_run import Regions, line_of, plane_axes
 from vibrojax.studies.sweep_analysis import SweepAnalysis
@@ -28,8 +25,7 @@ _PANEL = (3.3, 3.0)  # inches
 _MOST_SHOWN = 4  # largest numbers of rows and of columns
 
 
-@styled
-def border_curves(ds: xr.Dataset) -> Figure:
+def border_curves(ds: xr.Dataset) -> Sheet:
     """Draw the borders of stable single impacts over two parameters.
 
     The figure has a row for each plane and a column for each initial condition.
@@ -41,36 +37,24 @@ def border_curves(ds: xr.Dataset) -> Figure:
     areas = dict(reversed(list(zip(zip(planes, starts, strict=True), ds["region_area"].values.tolist(), strict=True))))
     rows, columns = list(dict.fromkeys(planes)), list(dict.fromkeys(starts))
     shown_rows, shown_columns = rows[:_MOST_SHOWN], [*columns[:-1][: _MOST_SHOWN - 1], columns[-1]]
-    width, height = _PANEL
-    figure = new_figure(width * len(shown_columns) + 1.6, height * len(shown_rows) + 0.6)
-    grid = figure.subplots(len(shown_rows), len(shown_columns), squeeze=False, sharex=True, sharey=True)
-    kinds: list[str] = []
-    for axes, (plane, start) in zip(grid.flat, product(shown_rows, shown_columns), strict=True):
+    plots = []
+    for k, (plane, start) in enumerate(product(shown_rows, shown_columns)):
         values = dict(zip(others, plane, strict=True))
-        before = len(kinds)
-        kinds += draw_borders(axes, ds, values, start, x, y)
+        layers = border_layers(ds, values, start, x, y)
         words = [value_text(ds[name], value) for name, value in values.items()]
         words.append("any start" if start == ANY else f"start {start}")
-        axes.set_title(f"{', '.join(words)}: {share_text(areas[plane, start])} of the plane")
-        if len(kinds) == before:
+        title = f"{', '.join(words)}: {share_text(areas[plane, start])} of the plane"
+        if not layers:
             text = "no border" + (": a single impact is stable everywhere" if areas[plane, start] > 0.5 else "")
-            axes.text(0.5, 0.5, fill(text, 24), transform=axes.transAxes, ha="center", va="center", color="0.3")
-        axes.grid(True)
-    for axes in grid[:, 0]:
-        axes.set_ylabel(label(ds[y]))
-    for axes in grid[-1]:
-        axes.set_xlabel(label(ds[x]))
-        axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    legend_at_right(figure, border_handles(kinds))
+            layers = [Text(0.5, 0.5, fill(text, 24), relative=True)]
+        across, up = axis(ds[x], group="x", intervals=6), axis(ds[y], group="y")
+        plots.append(Plot(layers, across, up, title, divmod(k, len(shown_columns)), values))
     hidden = len(rows) - len(shown_rows), len(columns) - len(shown_columns)
     about = "Share of the plane: where a single impact is stable; any start: however its orbit is reached"
-    write_margins(
-        figure,
-        ds,
-        about,
-        f"Not shown: {counted(hidden[0], 'plane')}, {counted(hidden[1], 'start')}" if any(hidden) else "",
-    )
-    return figure
+    missing = f"Not shown: {counted(hidden[0], 'plane')}, {counted(hidden[1], 'start')}" if any(hidden) else ""
+    widths, heights = (1.0,) * len(shown_columns), (1.0,) * len(shown_rows)
+    size = _PANEL[0] * len(widths) + 1.6, _PANEL[1] * len(heights) + 0.6
+    return Sheet(plots, size, widths, heights, **margins(ds, about, missing))
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,18 @@
 """The analysis `calibration`: summary, and picture of residuals, posterior and combinations."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from vibrojax.errors import counted
 from vibrojax.io.attributes import flags, text_of
 from vibrojax.io.variables import Variable
-from vibrojax.pictures.axes import pretty_unit, scale, with_unit
-from vibrojax.pictures.sheet import write_margins
-from vibrojax.pictures.style import BIT, FAINT, IMPACT, INK, new_figure, styled
+from vibrojax.pictures.axes import margins, pretty_unit, scale, with_unit
+from vibrojax.pictures.plots import FAINT, Axis, Bars, Layer, Plot, Sheet, dots, level, upright
+from vibrojax.pictures.style import BIT, IMPACT, other_colour
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.calibration_run import SCHEMA, VAGUE, find_calibration
 from vibrojax.studies.calibration_spec import CalibrationSpec, read_calibration
@@ -31,52 +30,47 @@ LARGE_RESIDUAL = 2.0
 _MARKS = ("o", "s", "^", "D", "v", "P", "X", "<")
 
 
-@styled
-def calibration_picture(ds: xr.Dataset) -> Figure:
+def calibration_picture(ds: xr.Dataset) -> Sheet:
     """Draw the residuals of all observations, the posterior of the first two parameters, and the combinations."""
-    figure = new_figure(11.0, 3.7)
-    residuals, posterior, combinations = figure.subplots(1, 3, width_ratios=[1.3, 1.0, 1.0])
+    layers: list[Layer] = [level(0.0, width=0.6)]
     for k, name in enumerate(str(x) for x in ds["of"].values):
-        mark = _MARKS[k % len(_MARKS)]
         values = ds["residual"].values[:, k]
-        residuals.plot(np.arange(len(values)), values, mark, label=name.replace("_", " "), markersize=4)
-    residuals.axhline(0.0, color=INK, linewidth=0.6)
-    residuals.set_xlabel("observation")
-    residuals.set_ylabel("residual [standard errors]")
-    residuals.legend(fontsize="small")
-    _draw_posterior(posterior, ds)
-    _draw_combinations(combinations, ds)
-    write_margins(figure, ds, point="; ".join(_estimates(ds)))
-    return figure
+        look = {"marker": _MARKS[k % len(_MARKS)], "colour": other_colour(k), "label": name.replace("_", " ")}
+        layers.append(dots(np.arange(len(values)), values, **look))
+    residuals = Plot(layers, Axis("observation"), Axis("residual [standard errors]"), keys="best")
+    plots = [residuals, _posterior_plot(ds), _combination_plot(ds)]
+    plots = [replace(plot, place=(0, k)) for k, plot in enumerate(plots)]
+    return Sheet(plots, (11.0, 3.7), (1.3, 1.0, 1.0), **margins(ds, point="; ".join(_estimates(ds))))
 
 
-def _draw_posterior(axes: Axes, ds: xr.Dataset) -> None:
+def _posterior_plot(ds: xr.Dataset) -> Plot:
     names = [str(name) for name in ds["parameter"].values]
-    draws, estimate = ds["posterior"].values, ds["estimate"].values
     scales = [scale(_value(ds, k)) for k in range(len(names))]
-    labels = [with_unit(name, unit) for name, (_, unit) in zip(names, scales, strict=True)]
+    axes = [Axis(with_unit(name, unit), intervals=5) for name, (_, unit) in zip(names, scales, strict=True)]
+    factors = np.array([factor for factor, _ in scales])
+    draws, estimate = ds["posterior"].values * factors, ds["estimate"].values * factors
     if len(names) == 1:
-        axes.hist(draws[:, 0] * scales[0][0], bins=30, color=FAINT)
-        axes.axvline(estimate[0] * scales[0][0], color=IMPACT)
-        axes.set_ylabel("draws of the posterior")
-    else:
-        axes.plot(draws[:, 0] * scales[0][0], draws[:, 1] * scales[1][0], ".", color=BIT, markersize=2, alpha=0.4)
-        axes.plot(estimate[0] * scales[0][0], estimate[1] * scales[1][0], "*", color=IMPACT, markersize=10)
-        axes.set_ylabel(labels[1])
-    axes.set_xlabel(labels[0])
-    axes.set_title("posterior", loc="left")
+        counts, ends = np.histogram(draws[:, 0], 30)
+        bars = Bars(ends[:-1], np.zeros(30), np.diff(ends), counts)
+        layers: list[Layer] = [bars, upright(estimate[0], colour=IMPACT)]
+        return Plot(layers, axes[0], Axis("draws of the posterior", limits=(0.0, None)), "posterior", grid="")
+    layers = [
+        dots(draws[:, 0], draws[:, 1], colour=BIT, size=1.0, alpha=0.4),
+        dots(estimate[:1], estimate[1:2], marker="*", colour=IMPACT, size=10.0, order=3.0),
+    ]
+    return Plot(layers, axes[0], axes[1], "posterior", grid="")
 
 
-def _draw_combinations(axes: Axes, ds: xr.Dataset) -> None:
+def _combination_plot(ds: xr.Dataset) -> Plot:
     errors = np.clip(100 * ds["direction_error"].values, 1e-6, 1e4)
-    rows = list(range(len(errors)))
-    axes.barh(rows, errors, 0.5, color=[BIT if e < 100 * VAGUE else FAINT for e in errors])
-    if errors.max() > 10 * errors.min():
-        axes.set_xscale("log")
-    axes.set_yticks(rows, [_combination(ds, k) for k in rows], fontsize="small")
-    axes.invert_yaxis()
-    axes.set_xlabel("relative standard error [%]")
-    axes.set_title("combinations that the data determine", loc="left")
+    rows = np.arange(len(errors), dtype=float)
+    log = bool(errors.max() > 10 * errors.min())
+    begin = np.full(len(errors), 0.5 * errors.min() if log else 0.0)
+    colours = [BIT if error < 100 * VAGUE else FAINT for error in errors]
+    across = Axis("relative standard error [%]", limits=(float(begin[0]), None), log=log, intervals=5)
+    up = Axis(ticks=[(row, _combination(ds, int(row))) for row in rows.tolist()], reversed=True)
+    bars = Bars(begin, rows - 0.25, errors - begin, np.full(len(errors), 0.5), colours)
+    return Plot([bars], across, up, "combinations that the data determine", grid="")
 
 
 def _value(ds: xr.Dataset, k: int) -> xr.DataArray:

@@ -5,36 +5,27 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError, counted, printable
 from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import OF_CURVES
-from vibrojax.pictures.axes import label, scale
-from vibrojax.pictures.overlays import axes_of, border_handles, draw_codim2, draw_curves
-from vibrojax.pictures.sheet import legend_at_right, write_margins
-from vibrojax.pictures.style import new_figure, styled
+from vibrojax.pictures.axes import axis, margins, scale
+from vibrojax.pictures.overlays import axes_of, codim2_layers, curve_layers
+from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 
 _MOST_NOTES = 12  # lines of the summary for single curves
 _DIGITS = 9  # crossings and points of codimension two are located to nine digits
 
 
-@styled
-def curves_picture(ds: xr.Dataset) -> Figure:
+def curves_picture(ds: xr.Dataset) -> Sheet:
     """Draw curves of special points over two parameters, with their points of codimension two and their crossings."""
     x, y = axes_of(ds)
-    figure = new_figure(8.4, 5.2)
-    axes = figure.subplots()
-    kinds = draw_curves(axes, ds, np.ones(ds.sizes["curve"], bool), x, y)
-    handles = border_handles(kinds) + draw_codim2(axes, [ds], x, y)
-    axes.set(xlabel=label(ds[x]), ylabel=label(ds[y]))
-    for name, bounds in bounds_of(ds).items():
-        (axes.set_xlim if name == x else axes.set_ylim)(*(scale(ds[name])[0] * bound for bound in bounds))
-    axes.grid(True)
-    legend_at_right(figure, handles)
-    write_margins(figure, ds, "Lines: orbits at which the motion changes, stable or not")
-    return figure
+    layers = [*curve_layers(ds, np.ones(ds.sizes["curve"], bool), x, y), *codim2_layers([ds], x, y)]
+    limits = {name: [scale(ds[name])[0] * bound for bound in bounds] for name, bounds in bounds_of(ds).items()}
+    across, up = (axis(ds[name], limits=tuple(limits[name])) for name in (x, y))
+    note = "Lines: orbits at which the motion changes, stable or not"
+    return Sheet([Plot(layers, across, up)], (8.4, 5.2), **margins(ds, note))
 
 
 def bounds_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:

@@ -14,7 +14,7 @@ from vibrojax.periodic.curve_equations import CurveProblem
 from vibrojax.periodic.curve_following import Curve, crossings
 from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, Points
 from vibrojax.physics.parameters import differing
-from vibrojax.pictures.branch_data import family_coordinates
+from vibrojax.pictures.branches import family_coordinates
 from vibrojax.studies.curve_spec import CurvesSpec
 from vibrojax.studies.family_dataset import columns
 

@@ -16,7 +16,7 @@ from vibrojax.periodic.event_map import conditions_of
 from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.problem import FAMILY_ACCURACY, UNITS_PER_SPAN
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
-from vibrojax.pictures.branch_data import branches, kind_names, places
+from vibrojax.pictures.branches import branches, kind_names, places
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.studies.curve_dataset import curves_dataset

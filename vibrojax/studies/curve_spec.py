@@ -15,7 +15,7 @@ from vibrojax.maps.read import read_point
 from vibrojax.periodic.codim2 import CONTINUED
 from vibrojax.physics.meanings import suggest_parameter
 from vibrojax.physics.parameters import ROTATION
-from vibrojax.pictures.branch_data import along_name, family_coordinates, family_numbers, kind_names, numbers_of
+from vibrojax.pictures.branches import along_name, family_coordinates, family_numbers, kind_names, numbers_of
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.values import UnusualValue

@@ -1,18 +1,17 @@
 """The analysis `design`: summary and picture of the best drill, and of a front."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from vibrojax.errors import counted
-from vibrojax.pictures.axes import label, pretty_unit, scale, values_along
-from vibrojax.pictures.sheet import legend_at_right, write_margins
-from vibrojax.pictures.style import BIT, FAINT, IMPACT, INK, colour_map, new_figure, styled
+from vibrojax.pictures.axes import axis, label, margins, pretty_unit, scale, values_along
+from vibrojax.pictures.colours import value_of
+from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Points, Scale, Sheet, colours_of, dots
+from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.design_run import DESIGN_VARIABLES, find_design
 from vibrojax.studies.design_spec import DesignSpec, read_design
@@ -21,89 +20,75 @@ from vibrojax.studies.subjects import FileAnalysis
 _MAX_PANELS = 6
 
 
-@styled
-def design_picture(ds: xr.Dataset) -> Figure:
+def design_picture(ds: xr.Dataset) -> Sheet:
     """Draw the map with the candidates, over two parameters or over each of several, and the front if there is one."""
     names = [str(name) for name in ds["parameter"].values][:_MAX_PANELS]
-    front = "front" in ds.dims
-    panels = (1 if len(names) <= 2 else len(names)) + front
-    columns = min(panels, 3)
-    rows = -(-panels // columns)
-    figure = new_figure(1.9 + 3.6 * columns, 0.9 + 3.1 * rows)
-    grid = [figure.add_subplot(rows, columns, k + 1) for k in range(panels)]
+    plots = [_plane(ds, names)] if len(names) == 2 else [_plot_along(ds, name) for name in names]
+    plots += [_front_plot(ds)] if "front" in ds.dims else []
+    columns = min(len(plots), 3)
+    rows = -(-len(plots) // columns)
+    widths, scales = [1.0, 0.06] * columns, []
     if len(names) == 2:
-        _draw_plane(figure, grid[0], ds, names)
+        value = replace(value_of(ds["map_objective"]), label=_objective_label(ds))
+        scales = [Scale((0, 1), value, upright=True)]
     else:
-        for axes, name in zip(grid, names, strict=False):
-            _draw_along(axes, ds, name)
-    if front:
-        _draw_front(grid[-1], ds)
-    looks = {"best candidate": ("*", 11, IMPACT, IMPACT), "others": ("o", 4, INK, "none")}
-    looks |= {"map: not feasible": ("x", 4, FAINT, FAINT)}
-    if ds.sizes["candidate"] == 1:
-        del looks["others"]
-    handles = [
-        Line2D([], [], color=colour, marker=mark, markersize=size, markerfacecolor=face, linestyle="none", label=words)
-        for words, (mark, size, colour, face) in looks.items()
-    ]
-    legend_at_right(figure, handles)
+        widths = [1.0, 0.001] * columns
+    plots = [replace(plot, place=(k // columns, 2 * (k % columns))) for k, plot in enumerate(plots)]
     best = ds.isel(candidate=0)
     point = ", ".join(f"{name} = {quantity_text(float(best[name]), ds[name])}" for name in names)
     what = f"Best: {quantity_text(float(best['objective']), ds['objective'])} at {point}"
-    write_margins(figure, ds, point=f"{what}. Requirements: {ds.attrs.get('requirements', '')}")
-    return figure
+    about = margins(ds, point=f"{what}. Requirements: {ds.attrs.get('requirements', '')}")
+    return Sheet(plots, (1.9 + 3.6 * columns, 0.9 + 3.1 * rows), widths, (1.0,) * rows, scales=scales, **about)
 
 
-def _draw_plane(figure: Figure, axes: Axes, ds: xr.Dataset, names: list[str]) -> None:
-    x_name, y_name = names[1], names[0]
-    x, y = values_along(ds[f"map_{x_name}"]), values_along(ds[f"map_{y_name}"])
+def _plane(ds: xr.Dataset, names: list[str]) -> Plot:
+    across, up = names[1], names[0]
+    x, y = values_along(ds[f"map_{across}"]), values_along(ds[f"map_{up}"])
     fit = ds["map_feasible"].values == 1
-    z = ds["map_objective"].values * scale(ds["map_objective"])[0]
-    shown = axes.scatter(x[fit], y[fit], c=z[fit], s=22, marker="s", cmap=colour_map())
-    axes.scatter(x[~fit], y[~fit], c=FAINT, s=10, marker="x", linewidths=0.7)
-    _mark(axes, values_along(ds[x_name]), values_along(ds[y_name]))
-    factors = [scale(ds[name])[0] for name in (x_name, y_name)]
-    widths = [
-        float(ds.attrs.get(f"tolerance_{name}", 0.0)) * f for name, f in zip((x_name, y_name), factors, strict=True)
-    ]
+    value = value_of(ds["map_objective"])
+    colours = colours_of(value.of(ds).values[fit], value.colour_map, value.norm)
+    layers: list[Layer] = [Points(x[fit], y[fit], colours, 4.7, "s"), *_infeasible(x[~fit], y[~fit])]
+    layers += _marks(values_along(ds[across]), values_along(ds[up]))
+    widths = [float(ds.attrs.get(f"tolerance_{name}", 0.0)) * scale(ds[name])[0] for name in (across, up)]
     if all(widths):
-        centre = values_along(ds[x_name])[0], values_along(ds[y_name])[0]
-        corner = [-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]
-        axes.plot(*(c + w * np.array(k) for c, w, k in zip(centre, widths, corner, strict=True)), color=IMPACT, lw=0.9)
-    figure.colorbar(shown, ax=axes, label=_objective_label(ds))
-    axes.set_xlabel(label(_named(ds, x_name)))
-    axes.set_ylabel(label(_named(ds, y_name)))
+        centre = values_along(ds[across])[0], values_along(ds[up])[0]
+        corners = [-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]
+        right, top = (c + w * np.array(k) for c, w, k in zip(centre, widths, corners, strict=True))
+        layers.append(Line(right, top, IMPACT, 0.9))
+    return Plot(layers, axis(_named(ds, across)), axis(_named(ds, up)), grid="")
 
 
-def _draw_along(axes: Axes, ds: xr.Dataset, name: str) -> None:
+def _plot_along(ds: xr.Dataset, name: str) -> Plot:
     x, fit = values_along(ds[f"map_{name}"]), ds["map_feasible"].values == 1
     factor = scale(ds["map_objective"])[0]
     z = ds["map_objective"].values * factor
-    axes.plot(x[fit], z[fit], ".", color=BIT, markersize=4)
-    axes.plot(x[~fit], np.full((~fit).sum(), axes.get_ylim()[0]), "x", color=FAINT, markersize=3)
-    _mark(axes, values_along(ds[name]), ds["objective"].values * factor)
-    axes.set_xlabel(label(_named(ds, name)))
-    axes.set_ylabel(_objective_label(ds))
-    axes.grid(True)
+    lowest = float(np.nanmin(np.concatenate([z[fit], ds["objective"].values * factor])))
+    layers = [dots(x[fit], z[fit], colour=BIT, size=2.0), *_infeasible(x[~fit], np.full((~fit).sum(), lowest))]
+    layers += _marks(values_along(ds[name]), ds["objective"].values * factor)
+    return Plot(layers, axis(_named(ds, name)), Axis(_objective_label(ds)))
 
 
-def _draw_front(axes: Axes, ds: xr.Dataset) -> None:
+def _front_plot(ds: xr.Dataset) -> Plot:
     against = str(ds.attrs.get("against", ""))
     limit = ds[f"front_{against}"] if f"front_{against}" in ds else ds["front_limit"]
     factor = scale(ds["front_objective"])[0]
-    axes.plot(values_along(limit), ds["front_objective"].values * factor, "o-", color=BIT, markersize=3.5, lw=1.0)
+    x = values_along(limit)
+    layers: list[Layer] = [Line(x, ds["front_objective"].values * factor, BIT, 1.0, marker="o", size=3.5)]
+    title = "front"
     if (ds["front_objective_worst"].values != ds["front_objective"].values).any():
-        worst = ds["front_objective_worst"].values * factor
-        axes.plot(values_along(limit), worst, ":", color=BIT, lw=1.0)
-    axes.set_xlabel(label(limit))
-    axes.set_ylabel(_objective_label(ds))
-    axes.set_title("front (dotted: worst of the samples of the tolerances)" if "tolerance" not in against else "front")
-    axes.grid(True)
+        layers.append(Line(x, ds["front_objective_worst"].values * factor, BIT, 1.0, ":"))
+        title += " (dotted: worst of the samples of the tolerances)" if "tolerance" not in against else ""
+    return Plot(layers, axis(limit), Axis(_objective_label(ds)), title)
 
 
-def _mark(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    axes.plot(x[1:], y[1:], "o", color=INK, markerfacecolor="none", markersize=4)
-    axes.plot(x[:1], y[:1], "*", color=IMPACT, markersize=11, markeredgecolor="white", markeredgewidth=0.6)
+def _infeasible(x: np.ndarray, y: np.ndarray) -> list[Layer]:
+    return [dots(x, y, marker="x", colour=FAINT, size=3.0, edge_width=0.7, label="map: not feasible")] if x.size else []
+
+
+def _marks(x: np.ndarray, y: np.ndarray) -> list[Layer]:
+    others: list[Layer] = [dots(x[1:], y[1:], face="none", label="others")] if x.size > 1 else []
+    star = {"marker": "*", "size": 11.0, "colour": IMPACT, "edge": "white", "edge_width": 0.6, "order": 3.0}
+    return [*others, dots(x[:1], y[:1], label="best candidate", **star)]
 
 
 def _named(ds: xr.Dataset, name: str) -> xr.DataArray:

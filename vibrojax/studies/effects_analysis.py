@@ -7,17 +7,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 import xarray as xr
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib import colormaps
+from matplotlib.colors import Normalize
 
 from vibrojax.errors import counted
 from vibrojax.io.variables import Variable
 from vibrojax.maps.run import lanes_beside, run_sweep
-from vibrojax.pictures.axes import pretty_unit, scale
-from vibrojax.pictures.sheet import legend_at_right, write_margins
-from vibrojax.pictures.style import BIT, FAINT, INK, Mark, new_figure, styled
+from vibrojax.pictures.axes import margins, pretty_unit, scale
+from vibrojax.pictures.plots import FAINT, INK, Axis, Bars, Cells, Layer, Line, Plot, Sheet, Text, bars, upright
+from vibrojax.pictures.style import BIT
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.effects_run import SCHEMA, study_of
 from vibrojax.studies.effects_sampling import REASONS
@@ -40,62 +38,56 @@ _MAX_ROWS = 4
 _BAR = 0.38  # height of a bar; two stand at each parameter
 
 
-@styled
-def bars_and_interactions(ds: xr.Dataset) -> Figure:
+def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     """Draw first-order and total indices with confidence intervals, and a heat map of the interactions of pairs.
 
     There is one row per variable, four at most.
     """
     of = [str(name) for name in ds["of"].values][:_MAX_ROWS]
-    size = ds.sizes["parameter"]
-    figure = new_figure(9.0, len(of) * max(1.9, 0.8 + 0.26 * size) + 0.8)
-    grid = figure.subplots(len(of), 2, squeeze=False, width_ratios=[1.5, 1.0])
+    size = 9.0, len(of) * max(1.9, 0.8 + 0.26 * ds.sizes["parameter"]) + 0.8
     greatest = float(np.nanmax(ds["second_order"].values, initial=MIN_SHARE))
-    for name, (bars, pairs) in zip(of, grid, strict=True):
+    plots = []
+    for k, name in enumerate(of):
         row = ds.sel(of=name)
-        _draw_bars(bars, row)
-        bars.set_title(_title(row), loc="left")
-        _draw_pairs(pairs, row, greatest)
-        pairs.set_title("interactions of pairs [%]", loc="left")
-        bars.set_xlabel("share of the variance" if name == of[-1] else "")
-    handles: list[Artist] = [Patch(color=BIT, label="alone"), Patch(color=FAINT, label="with all its\ninteractions")]
-    legend_at_right(figure, handles)
+        plots.append(_share_plot(row, k, "share of the variance" if name == of[-1] else ""))
+        plots.append(_pair_plot(row, k, greatest))
     rest = ds.sizes["of"] - len(of)
     further = counted(rest, "further variable is", "further variables are") + " not drawn" if rest else ""
     level = f"{100 * float(ds.attrs.get('confidence', 0.95)):.0f} %"
-    bars = f"Lines: intervals of {level} confidence; pairs within theirs of 0 have no number"
-    write_margins(figure, ds, bars, further)
-    return figure
+    about = f"Lines: intervals of {level} confidence; pairs within theirs of 0 have no number"
+    return Sheet(plots, size, (1.5, 1.0), (1.0,) * len(of), **margins(ds, about, further))
 
 
-def _draw_bars(axes: Axes, row: xr.Dataset) -> None:
+def _share_plot(row: xr.Dataset, k: int, label: str) -> Plot:
     names = [str(name) for name in row["parameter"].values]
     places = np.arange(len(names), dtype=float)
-    for shift, key, colour in ((-_BAR / 2, "first_order", BIT), (_BAR / 2, "total_order", FAINT)):
-        errors = np.nan_to_num(row[f"{key}_conf"].values)
-        look = Mark(color=colour, ecolor=INK, error_kw={"linewidth": 0.8})
-        axes.barh(places + shift, row[key].values, _BAR, xerr=errors, **look)
-    axes.set_yticks(places, names)
-    axes.invert_yaxis()
-    axes.axvline(0.0, color=INK, linewidth=0.6)
-    axes.grid(True, axis="x")
+    layers: list[Layer] = [upright(0.0, width=0.6)]
+    looks = (-_BAR / 2, "first_order", BIT, "alone"), (_BAR / 2, "total_order", FAINT, "with all its\ninteractions")
+    for shift, key, colour, text in looks:
+        values, errors = row[key].values, np.nan_to_num(row[f"{key}_conf"].values)
+        bottom = places + shift - _BAR / 2
+        layers.append(Bars(np.zeros(len(names)), bottom, values, np.full(len(names), _BAR), colour, label=text))
+        layers.append(Line(*bars(places + shift, values - errors, values + errors)[::-1], width=0.8))
     if int(row["sobol_reason"]) != REASONS.index("known"):
-        axes.text(0.5, 0.5, _why(row), transform=axes.transAxes, ha="center", color="0.3")
+        layers.append(Text(0.5, 0.5, _why(row), relative=True))
+    up = Axis(ticks=[*zip(places.tolist(), names, strict=True)], reversed=True)
+    return Plot(layers, Axis(label), up, _title(row), (k, 0), grid="x")
 
 
-def _draw_pairs(axes: Axes, row: xr.Dataset, greatest: float) -> None:
+def _pair_plot(row: xr.Dataset, k: int, greatest: float) -> Plot:
     """Draw the lower triangle of second-order indices; pairs within their confidence interval of 0 have no number."""
     names = [str(name) for name in row["parameter"].values]
     values, errors = (row[key].values for key in ("second_order", "second_order_conf"))
     lower = np.where(np.tri(len(names), k=-1, dtype=bool), np.maximum(values, 0.0), np.nan)
-    axes.imshow(lower, cmap="Blues", vmin=0.0, vmax=greatest, aspect="auto")
+    ends = np.arange(len(names) + 1) - 0.5
+    layers: list[Layer] = [Cells(ends, ends, lower, colormaps["Blues"], Normalize(0.0, greatest), hatched=False)]
     for i, j in zip(*np.nonzero(values > errors), strict=True):
         if j < i:
-            colour = "white" if lower[i, j] > 0.6 * greatest else INK
-            axes.text(j, i, f"{100 * values[i, j]:.0f}", ha="center", va="center", color=colour, fontsize="small")
-    axes.set_xticks(range(len(names)), names, rotation=45, ha="right")
-    axes.set_yticks(range(len(names)), names)
-    axes.spines[["top", "right"]].set_visible(False)
+            colour = "#FFFFFF" if lower[i, j] > 0.6 * greatest else INK
+            layers.append(Text(float(j), float(i), f"{100 * values[i, j]:.0f}", colour=colour, size=7.5))
+    ticks = [(float(place), name) for place, name in enumerate(names)]
+    across, up = Axis(ticks=ticks, rotated=True), Axis(ticks=ticks, reversed=True)
+    return Plot(layers, across, up, "interactions of pairs [%]", (k, 1))
 
 
 def _title(row: xr.Dataset) -> str:

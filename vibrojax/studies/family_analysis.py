@@ -7,33 +7,33 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
-from matplotlib.patches import Circle
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from vibrojax.errors import Place, counted, printable
 from vibrojax.io.attributes import attribute_of
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.pictures.axes import label, scale, values_along, with_unit
-from vibrojax.pictures.branch_data import FAMILY, along_name, branches, kind_names, numbers_of, stable_intervals
+from vibrojax.pictures.axes import axis, label, margins, scale, values_along, with_unit
 from vibrojax.pictures.branches import (
+    FAMILY,
     LARGEST,
     Curve,
-    colour_handles,
+    along_name,
+    branches,
+    colour_keys,
     curves_of,
-    draw_families,
+    family_layers,
     heights_of,
+    kind_names,
+    numbers_of,
     ranges_text,
-    special_handles,
-    stability_handles,
+    special_keys,
+    stability_keys,
+    stable_intervals,
 )
-from vibrojax.pictures.sheet import write_margins
+from vibrojax.pictures.colours import Value
+from vibrojax.pictures.plots import Axis, Layer, Line, Plot, Points, Scale, Sheet, colours_of, level, upright
 from vibrojax.pictures.starts import SYMBOLS
-from vibrojax.pictures.style import INK, colour_map, new_figure, styled
+from vibrojax.pictures.style import colour_map
 from vibrojax.settings.fields import given, setting
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.family_run import FamilySpec, continue_families, family_spec
@@ -42,7 +42,6 @@ from vibrojax.studies.subjects import MachineAnalysis
 _VALUES_SHOWN, _FAMILIES_SHOWN = 4, 12
 _DIGITS = 9  # special points are located to nine digits
 _MODULUS_RANGE = (1e-2, 1e2)  # limits of the axis of the largest modulus
-_DENSE_TICKS_BELOW = 50.0  # ratio of the axis limits below which 2 and 5 also have ticks
 _HALF_PLANE = (1.2, 1.5)  # bounds of half the width of the multiplier plot
 _QUANTITIES = ("impact_velocity", "slip_per_impact", "bit_amplitude", "period")  # the first available one is drawn
 _PANEL_HEIGHT = 2.1  # inches
@@ -143,8 +142,7 @@ def _name(ds: xr.Dataset, family: int) -> str:
     return ", ".join(parts) or f"family {family}"
 
 
-@styled
-def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Figure:
+def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
     """Draw families over the parameter with their special points; stable orbits are solid, unstable orbits dashed.
 
     The panels show the impact velocity (without impacts, the bit's amplitude), the bit's position at the section, and
@@ -160,34 +158,28 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Figure:
         names = (*known[:1], *states[:1])
     names = (*names, LARGEST)
     curves, many = curves_of(ds), FAMILY in ds.dims
-    figure = new_figure(11.0, _PANEL_HEIGHT * len(names) + 0.8)
-    columns = GridSpec(1, 2, figure, width_ratios=[1.75, 1.0])
-    panels = columns[0].subgridspec(len(names), 1).subplots(sharex=True, squeeze=False)[:, 0]
-    for axes, name in zip(panels, names, strict=True):
-        draw_families(axes, ds, curves, name, thin=many)
-        axes.set_ylabel(_label(ds, name))
-        axes.grid(True)
-    moduli = panels[-1]
-    moduli.axhline(1.0, color=INK, linewidth=0.8, zorder=1)  # the stability limit
-    low, high = (float(end) for end in moduli.dataLim.intervaly)
-    low, high = max(min(low, 0.5), _MODULUS_RANGE[0]) / 1.2, min(max(high, 1.5), _MODULUS_RANGE[1]) * 1.2
-    moduli.set(yscale="log", ylim=(low, high))
-    moduli.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high / low < _DENSE_TICKS_BELOW else (1.0,)))
-    moduli.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    moduli.yaxis.set_minor_formatter(NullFormatter())
-    panels[-1].set_xlabel(label(ds[along_name(ds)]))
-    figure.align_ylabels(panels)
-    beside = columns[1].subgridspec(3, 1, height_ratios=[2.55, 0.09, 0.85 * len(names) - 0.45])
-    plane, bar, keys = (figure.add_subplot(beside[i]) for i in range(3))
-    outside = _draw_plane(plane, bar, ds, curves)
-    keys.axis("off")
-    handles = [*colour_handles(ds, curves), *stability_handles(ds, curves), *special_handles(ds)]
-    keys.legend(handles=handles, loc="upper left", ncols=2, borderpad=0.0)
+    along = ds[along_name(ds)]
+    plots = []
+    for row, name in enumerate(names):
+        layers, up = family_layers(ds, curves, name, thin=many), Axis(_label(ds, name), name)
+        if row == len(names) - 1:  # the last panel has the stability limit
+            layers = [level(1.0, width=0.8, order=1.0), *layers]
+            largest = heights_of(ds, LARGEST, 1.0)
+            low, high = np.nanmin(largest, initial=0.5), np.nanmax(largest, initial=1.5)
+            ends = max(float(low), _MODULUS_RANGE[0]) / 1.2, min(float(high), _MODULUS_RANGE[1]) * 1.2
+            up = Axis(_label(ds, name), name, ends, log=True)
+        plots.append(Plot(layers, axis(along, group="along"), up, place=(row, 0)))
+    height = _PANEL_HEIGHT * len(names) + 0.8
+    plane, values, outside = _plane(ds, curves)
+    keys = [*colour_keys(ds, curves), *stability_keys(ds, curves), *special_keys(ds)]
+    bars = [] if many else [Scale((1, 0), values)]
+    heights = 2.55, 0.09, 0.85 * len(names) - 0.45
+    beside = Sheet([plane], (4.0, height), heights=heights, keys=[keys], legend=(2, 0), legend_columns=2, scales=bars)
     largest, (low, high) = heights_of(ds, LARGEST, 1.0), _MODULUS_RANGE
     cut = bool(((largest < low) | (largest > high)).any())
     note = f"The largest modulus is drawn from {low:g} to {high:g}" if cut else ""
-    write_margins(figure, ds, ranges_text(ds, names), note, outside)
-    return figure
+    about = margins(ds, ranges_text(ds, names), note, outside)
+    return Sheet(plots, (11.0, height), heights=(1.0,) * len(names), beside=beside, **about)
 
 
 def _label(ds: xr.Dataset, name: str) -> str:
@@ -198,41 +190,44 @@ def _label(ds: xr.Dataset, name: str) -> str:
     return with_unit(words, scale(ds[name])[1]).replace(" [", "\n[")
 
 
-def _draw_plane(axes: Axes, bar: Axes, ds: xr.Dataset, curves: Sequence[Curve]) -> str:
-    """Draw the multipliers of the first branches in the complex plane; return a note on those outside the axes."""
+def _plane(ds: xr.Dataset, curves: Sequence[Curve]) -> tuple[Plot, Value, str]:
+    """Draw the multipliers of the first branches in the complex plane; return a note on those outside the axes, too."""
     parameter, many = ds[along_name(ds)], FAMILY in ds.dims
     along = values_along(parameter)
-    axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor=INK, linewidth=0.9))
-    axes.axhline(0.0, color="0.85", linewidth=0.6, zorder=0)
-    axes.axvline(0.0, color="0.85", linewidth=0.6, zorder=0)
+    turn = np.linspace(0.0, 2 * np.pi, 181)
+    grey = "#D9D9D9"
+    layers: list[Layer] = [
+        level(0.0, colour=grey, width=0.6, order=0.0),
+        upright(0.0, colour=grey, width=0.6, order=0.0),
+        Line(np.cos(turn), np.sin(turn), width=0.9),
+    ]
     first = min((curve.branch.number for curve in curves), default=0)
     shown = [curve for curve in curves if curve.branch.number == first]
     points = np.concatenate([np.zeros(0, int), *(curve.branch.points for curve in shown)])
     modulus, argument = ds[LARGEST].values[points], ds["multiplier_arg"].values[points]
     half = float(np.clip(1.1 * modulus[np.isfinite(modulus)].max(initial=0.0), *_HALF_PLANE))
     values = (modulus * np.exp(1j * argument)).reshape(len(points), -1)
-    norm = Normalize(along[points].min(), along[points].max()) if len(points) else Normalize()
+    norm = Normalize(along[points].min(), along[points].max()) if len(points) else Normalize(0.0, 1.0)
+    colours = colours_of(along[points], colour_map(), norm)
     if many:
-        colours = np.repeat([curve.colour for curve in shown], [len(curve.branch.points) for curve in shown])
-        bar.axis("off")
-    else:
-        colours = colour_map()(norm(along[points]))
-        mappable = ScalarMappable(norm, colour_map())
-        bar.figure.colorbar(
-            mappable,
-            cax=bar,
-            orientation="horizontal",
-            label=label(parameter, 60),
-            ticks=MaxNLocator(6, steps=[1, 2, 5, 10]),
-        )
+        colours = [curve.colour for curve in shown for _ in curve.branch.points.tolist()]
     for column in values.T if len(points) else ():
         for mirrored in (column, column.conj()):
-            axes.scatter(mirrored.real, mirrored.imag, s=5.0 if many else 12.0, c=colours, linewidths=0, zorder=3)
-    axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel="real part", ylabel="imaginary part")
-    axes.set_title(f"multipliers of branch {first}")
+            layers.append(Points(mirrored.real, mirrored.imag, colours, 2.2 if many else 3.5, order=3.0))
+    ends = (-half, half)
+    plot = Plot(
+        layers,
+        Axis("real part", limits=ends),
+        Axis("imaginary part", limits=ends),
+        f"multipliers of branch {first}",
+        grid="",
+        square=True,
+    )
     largest = values[:, 0] if len(points) else np.zeros(0)
     outside = int((np.maximum(np.abs(largest.real), np.abs(largest.imag)) > half).sum())
-    return f"The plane leaves out {outside} of {len(points)} orbits' largest multiplier" if outside else ""
+    note = f"The plane leaves out {outside} of {len(points)} orbits' largest multiplier" if outside else ""
+    name = str(parameter.name)
+    return plot, Value(name, label(parameter, 60), scale(parameter)[0], norm, "neither", colour_map()), note
 
 
 _SYNTAX = "along=NAME at=VALUE from=A to=B"

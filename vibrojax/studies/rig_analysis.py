@@ -1,18 +1,17 @@
 """The analysis `rig`: summary, and picture of rate over weight and of tracks over depth."""
 
+from textwrap import fill
 from typing import ClassVar
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from vibrojax.io.attributes import text_of
 from vibrojax.io.riglog import LIMITS_OF_LOGS, log_lines
 from vibrojax.io.variables import Variable
-from vibrojax.pictures.axes import label, pretty_unit, scale
-from vibrojax.pictures.sheet import write_margins
-from vibrojax.pictures.style import BIT, FAINT, IMPACT, new_figure, styled
+from vibrojax.pictures.axes import axis, margins, pretty_unit, scale
+from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Sheet, dots
+from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart
 from vibrojax.studies.rig_measures import FOUNDER_REASONS, SCHEMA, rig
 
@@ -22,53 +21,41 @@ TRACKS = (
 )
 """Variables that are drawn over depth, as far as the log has them."""
 
+_TITLE_LETTERS = 18  # of a line above a track
 
-@styled
-def rig_picture(ds: xr.Dataset) -> Figure:
+
+def rig_picture(ds: xr.Dataset) -> Sheet:
     """Draw the rate over the weight with the founder point, and the tracks over depth or row."""
     tracks = [name for name in TRACKS if name in ds and np.isfinite(ds[name].values).any()]
-    figure = new_figure(4.4 + 1.5 * len(tracks), 5.0)
-    axes = figure.subplots(1, 1 + len(tracks), squeeze=False, width_ratios=[2.2, *[1.0] * len(tracks)])[0]
-    if "weight_on_bit" in ds:
-        _draw_founder(axes[0], ds)
-    else:
-        axes[0].set_axis_off()
+    plots = [_founder_plot(ds)] if "weight_on_bit" in ds else []
     over = "depth" if "depth" in ds and np.isfinite(ds["depth"].values).all() else None
     height = ds[over].values if over else np.arange(ds.sizes["row"])
-    for track, name in zip(axes[1:], tracks, strict=True):
-        track.plot(ds[name].values * scale(ds[name])[0], height, color=BIT, linewidth=0.6)
-        track.set_ylim(height.max(), height.min())
-        track.set_title(name.replace("_", " "), fontsize="small", loc="left", wrap=True)
-        unit = pretty_unit(scale(ds[name])[1])
-        track.set_xlabel(f"[{unit}]" if unit else "")
-        track.grid(True)
-        if track is not axes[1]:
-            track.set_yticklabels([])
-    if tracks:
-        axes[1].set_ylabel("depth [m]" if over else "row")
-    write_margins(figure, ds, point=LIMITS_OF_LOGS)
-    return figure
+    ends = float(height.min()), float(height.max())
+    up = Axis("depth [m]" if over else "row", over or "", ends, reversed=True, group="depth")
+    for k, name in enumerate(tracks, 1):
+        factor, unit = scale(ds[name])
+        line = Line(ds[name].values * factor, height, BIT, 0.6)
+        across = Axis(f"[{pretty_unit(unit)}]" if pretty_unit(unit) else "", name, intervals=3)
+        plots.append(Plot([line], across, up, fill(name.replace("_", " "), _TITLE_LETTERS), (0, k)))
+    widths = [2.2, *[1.0] * len(tracks)]
+    return Sheet(plots, (4.4 + 1.5 * len(tracks), 5.0), widths, **margins(ds, point=LIMITS_OF_LOGS))
 
 
-def _draw_founder(axes: Axes, ds: xr.Dataset) -> None:
+def _founder_plot(ds: xr.Dataset) -> Plot:
     weight, rate = ds["weight_on_bit"], ds["rate_of_penetration"]
     across, up = scale(weight)[0], scale(rate)[0]
-    axes.plot(weight.values * across, rate.values * up, ".", color=FAINT, markersize=3)
-    founder = float(ds["founder_weight"])
+    layers: list[Layer] = [dots(weight.values * across, rate.values * up, colour=FAINT, size=1.5)]
+    founder, title = float(ds["founder_weight"]), "no founder point"
     if np.isfinite(founder):
         below, above = float(ds["slope_below"]), float(ds["slope_above"])
         x = np.array([np.nanmin(weight.values), founder, np.nanmax(weight.values)])
         rise = below * np.minimum(x - founder, 0.0) + above * np.maximum(x - founder, 0.0)
         inside = below * np.minimum(weight.values - founder, 0.0) + above * np.maximum(weight.values - founder, 0.0)
-        level = np.nanmean(rate.values - inside)
-        axes.plot(x * across, (level + rise) * up, color=BIT)
-        axes.plot(founder * across, level * up, "*", color=IMPACT, markersize=10)
-        axes.set_title(f"founder point at {founder * across:.3g} {pretty_unit(scale(weight)[1])}", loc="left")
-    else:
-        axes.set_title("no founder point", loc="left")
-    axes.set_xlabel(label(weight))
-    axes.set_ylabel(label(rate))
-    axes.grid(True)
+        height = np.nanmean(rate.values - inside)
+        layers.append(Line(x * across, (height + rise) * up, BIT, 1.5))
+        layers.append(dots([founder * across], [height * up], marker="*", colour=IMPACT, size=10.0, order=3.0))
+        title = f"founder point at {founder * across:.3g} {pretty_unit(scale(weight)[1])}"
+    return Plot(layers, axis(weight), axis(rate), title)
 
 
 class Rigs(Analysis):

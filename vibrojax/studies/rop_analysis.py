@@ -1,7 +1,8 @@
 """The analysis `fit`: pictures and summary of the fits of the rate-of-penetration law."""
 
+from typing import Any
+
 import xarray as xr
-from matplotlib.figure import Figure
 
 from vibrojax.io.riglog import log_lines
 from vibrojax.pictures.contents import Contents
@@ -27,8 +28,8 @@ class Fits(Analysis):
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("columns", log_lines(ds))]
 
-    def page_figures(self, ds: xr.Dataset) -> list[Figure]:
-        return [self.picture(ds), residuals(ds)]
+    def page_figures(self, ds: xr.Dataset) -> list[Any]:
+        return [self.plots(ds), residuals(ds)]
 
     def page_text(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("forms of the law", verdict(ds)), *self.summary(ds)]

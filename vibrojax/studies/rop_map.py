@@ -3,24 +3,23 @@
 import numpy as np
 import xarray as xr
 from matplotlib.colors import BoundaryNorm, ListedColormap
-from matplotlib.figure import Figure
 
-from vibrojax.pictures.axes import share_text
-from vibrojax.pictures.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
+from vibrojax.pictures.axes import edges, margins, share_text, values_along
+from vibrojax.pictures.colours import ROBUST, Value, cell_keys, form_colour, value_of
 from vibrojax.pictures.contents import FORM, law_in, long_axes
-from vibrojax.pictures.maps import fill_cells, write_labels
-from vibrojax.pictures.sheet import LEGEND_WIDTH, facets, legend_at_right, sheet, write_margins
-from vibrojax.pictures.style import styled
+from vibrojax.pictures.maps import cell_layers, map_plot
+from vibrojax.pictures.plots import Cells, Layer, Sheet, patch
+from vibrojax.pictures.sheet import LEGEND_WIDTH, facets, layout
 from vibrojax.studies.rop_picture import (
     EQUAL_AIC,
     above_best,
     data_text,
-    draw_fits,
+    fits_above,
+    form_keys,
     form_names,
     groups_to_show,
-    height_of,
-    line_handles,
     readings,
+    use_keys,
 )
 
 _MOST_MAP_FACETS = 3
@@ -28,8 +27,7 @@ _SAME_ERROR = 0.1  # range of errors, relative to the greatest, up to which a no
 _BEST, _ERROR = "best_form", "C_relative_error"
 
 
-@styled
-def law_map(fit: xr.Dataset) -> Figure:
+def law_map(fit: xr.Dataset) -> Sheet:
     """Draw maps over the two longest axes: the form that describes the data, C, and the relative error of C.
 
     The first form in the dataset's order whose AIC is as good as the best is drawn. C is that of the first reading of
@@ -53,30 +51,29 @@ def law_map(fit: xr.Dataset) -> Figure:
     good = above_best(fit) <= EQUAL_AIC
     shown[_BEST] = good.argmax(FORM).where(good.any(FORM))  # index of the first form as good as the best
     panels, groups = facets(shown, (x, y), _MOST_MAP_FACETS), groups_to_show(fit)
-    drawn = sheet(panels, (None, *values), height_of(groups))
-    uses = draw_fits(drawn.figure, drawn.above, groups)
-    if len(groups):
-        drawn.figure.set_figwidth(drawn.figure.get_figwidth() + LEGEND_WIDTH)
-        legend_at_right(drawn.figure, line_handles(fit), uses)
-    colours = ListedColormap([form_colour(name) for name in forms], name="forms").with_extremes(
-        bad=(1.0, 1.0, 1.0, 0.0)
-    )
+    drawn = layout(panels, (None, *values))
+    above = fits_above(groups, [form_keys(fit), use_keys(groups)])
+    if above is not None:
+        width, height = drawn.sheet["size"]
+        drawn.sheet["size"] = width + LEGEND_WIDTH, height + above.size[1]
+    clear = (1.0, 1.0, 1.0, 0.0)
+    colours = ListedColormap([form_colour(name) for name in forms], name="forms").with_extremes(bad=clear)
     norm = BoundaryNorm(np.arange(-0.5, len(forms)), len(forms))
+    right, top = (edges(values_along(shown[axis])) for axis in (x, y))
+    plots = []
     for panel in drawn.panels:
-        if panel.value is None:
-            fill_cells(panel, x, y, Coloured(panel.facet[_BEST].transpose(y, x).values, colours, norm))
-        else:
-            fill_cells(panel, x, y, coloured(panel.facet, panel.value, y, x))
-        write_labels(panel, shown[x], shown[y])
+        layers: list[Layer] = [Cells(right, top, panel.facet[_BEST].transpose(y, x).values, colours, norm)]
+        layers = layers if panel.value is None else cell_layers(panel.facet, panel.value, x, y)
+        plots.append(map_plot(panel, shown[x], shown[y], layers))
     best = [number for facet in panels.data for number in facet[_BEST].values.ravel().tolist()]
     shares = {name: best.count(k) / max(len(best), 1) for k, name in enumerate(forms)}
-    handles = [
+    keys: list[Layer] = [
         patch(form_colour(name), f"{name}  {share_text(share)} of groups")
         for name, share in shares.items()
         if share > 0
     ]
-    drawn.finish([*handles, *cell_handles(panels.data, values)])
+    keys += cell_keys(panels.data, values)
     along = f"fitted along {fit.attrs['along']}, " if "along" in fit.attrs else ""
     about = f"The law {along}C of the form {name}; at the left the first form within 2 of the least AIC"
-    write_margins(drawn.figure, fit, panels.note, data_text(groups, fit), about, error_note)
-    return drawn.figure
+    notes = margins(fit, panels.note, data_text(groups, fit), about, error_note)
+    return Sheet(plots, keys=[keys], above=above, **drawn.sheet, **notes)

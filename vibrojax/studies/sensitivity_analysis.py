@@ -4,12 +4,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
+from matplotlib import colormaps
+from matplotlib.colors import Normalize
 
 from vibrojax.errors import counted
 from vibrojax.io.attributes import flags
 from vibrojax.maps.sweep import Sweep
-from vibrojax.pictures.style import new_figure, styled
+from vibrojax.pictures.plots import Axis, Cells, Layer, Plot, Sheet, Text
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.sensitivity_maps import KIND, at_orbits
 from vibrojax.studies.sweep_analysis import SweepAnalysis
@@ -18,8 +19,7 @@ SMALLEST_DRAWN = 5e-3
 """Elasticity below which a cell shows no number."""
 
 
-@styled
-def elasticities(ds: xr.Dataset) -> Figure:
+def elasticities(ds: xr.Dataset) -> Sheet:
     """Draw the median elasticity of each variable with respect to each parameter, over the valid lanes.
 
     The elasticity is the relative change of the variable per relative change of the parameter.
@@ -38,17 +38,17 @@ def elasticities(ds: xr.Dataset) -> Figure:
         row = [np.median(x) if len(x) else np.nan for x in columns]
         if np.isfinite(row).any():
             rows[name.replace("_", " ")] = row
-    figure = new_figure(1.8 + 0.62 * len(by), 1.2 + 0.27 * max(len(rows), 1))
-    axes = figure.subplots()
     table = np.array(list(rows.values())).reshape(len(rows), len(by))
-    axes.imshow(np.clip(table, -1.5, 1.5), cmap="RdBu_r", vmin=-3, vmax=3, aspect="auto")
+    across, up = np.arange(len(by) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5
+    norm = Normalize(-3.0, 3.0)
+    layers: list[Layer] = [Cells(across, up, np.clip(table, -1.5, 1.5), colormaps["RdBu_r"], norm, hatched=False)]
     for (i, j), value in np.ndenumerate(table):
         if abs(value) >= SMALLEST_DRAWN:
-            axes.text(j, i, f"{value:.2f}".replace("-", "−"), ha="center", va="center", fontsize=7)
-    axes.set_xticks(range(len(by)), by)
-    axes.set_yticks(range(len(rows)), list(rows))
-    figure.suptitle(f"Median elasticity at {counted(int(valid.sum()), 'orbit')}")
-    return figure
+            layers.append(Text(float(j), float(i), f"{value:.2f}".replace("-", "−"), colour="#000000", size=7.0))
+    ticks = [[(float(k), name) for k, name in enumerate(names)] for names in (by, list(rows))]
+    plot = Plot(layers, Axis(ticks=ticks[0]), Axis(ticks=ticks[1], reversed=True))
+    size = 1.8 + 0.62 * len(by), 1.2 + 0.27 * max(len(rows), 1)
+    return Sheet([plot], size, title=f"Median elasticity at {counted(int(valid.sum()), 'orbit')}")
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,12 @@ from vibrojax.io.attributes import flag_counts, flags, parameters_of, run_of, ta
 from vibrojax.io.kinds import kind_of
 from vibrojax.maps.run import run_sweep
 from vibrojax.physics.rock import ROCKS
-from vibrojax.pictures.basins import many_starts, regime_bars
 from vibrojax.pictures.contents import Contents
-from vibrojax.pictures.maps import rate_grid, regime_grid
+from vibrojax.pictures.lines import rates, regime_lines
+from vibrojax.pictures.maps import many_starts, rate_grid, regime_bars, regime_grid
 from vibrojax.pictures.overlays import ON_MAPS, refuse_overlays
-from vibrojax.pictures.rates import rates
+from vibrojax.pictures.plots import Picture
 from vibrojax.pictures.returns import bifurcation, hysteresis
-from vibrojax.pictures.strips import regime_lines
 from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart
 from vibrojax.studies.frequencies import frequency_part
 
@@ -45,10 +44,10 @@ class Sweeps(Analysis):
         """Return the rate of penetration of a sweep with rock, or the reason why there is none, and the frequencies."""
         return [_rates(ds), frequency_part(ds)]
 
-    def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Figure:
-        """Return the picture of a sweep; `over`: borders or curves on its map, or families on its section crossings."""
+    def plots(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Picture | Figure:
+        """Return the plots of a sweep; `over`: borders or curves on its map, or families on its section crossings."""
         if not over:
-            return super().picture(ds)
+            return super().plots(ds)
         held = Contents(ds)
         if any(isinstance(layer, xr.Dataset) and kind_of(layer) in ON_MAPS for layer in over):
             if not held.regimes or held.points or len(held.axes) < 2:
@@ -56,7 +55,7 @@ class Sweeps(Analysis):
             return regime_grid(ds, over)
         if held.carried:
             return hysteresis(ds, tuple(over))
-        return bifurcation(ds, tuple(over)) if held.returns else super().picture(ds, over)
+        return bifurcation(ds, tuple(over)) if held.returns else super().plots(ds, over)
 
 
 _FAILURES_SHOWN = 3

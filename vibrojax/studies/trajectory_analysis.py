@@ -12,8 +12,7 @@ from vibrojax.io.attributes import attribute_of, flags, parameters_of, run_of
 from vibrojax.maps.read import Point, read_point
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.pictures.axes import pretty_unit, scale
-from vibrojax.pictures.hole import pulses, response
-from vibrojax.pictures.time_history import states_over_time, trajectory
+from vibrojax.pictures.time_history import pulses, response, states_over_time, trajectory
 from vibrojax.scenes import HasRock
 from vibrojax.settings.code_identity import code_identity
 from vibrojax.settings.fields import setting

@@ -65,7 +65,9 @@ export class Figure {
     this.page = page;
     this.plots = data.plots.map((plot) => this.plot(plot, data.keys));
     const legend = el("ul", { class: "vx-figurekeys" }, ...data.keys.map((key) => el("li", {}, keyMark(key), key.text)));
-    this.element = el("div", { class: "vx-figure" }, ...(data.keys.length ? [legend] : []), el("div", { class: "vx-plots" }, ...this.plots.map((one) => one.figure)));
+    const images = data.images.filter((one) => one.data.startsWith("data:image/png;base64,"))
+      .map((one) => el("figure", { class: "vx-panel vx-wideplot" }, el("img", { src: one.data, alt: one.title || page.data.title })));
+    this.element = el("div", { class: "vx-figure" }, ...(data.keys.length ? [legend] : []), el("div", { class: "vx-plots" }, ...this.plots.map((one) => one.figure), ...images));
   }
 
   async load() {

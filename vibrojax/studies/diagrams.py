@@ -1,31 +1,27 @@
 """Diagrams that engineers ask for by name: Campbell, rate of penetration over the force, designer's chart."""
 
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from matplotlib.artist import Artist
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from vibrojax.errors import InputError
-from vibrojax.pictures.axes import scale, with_unit
+from vibrojax.pictures.axes import margins, scale, with_unit
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.contents import FORM, POINT, RATE, RELIEF, lane_dims, rates_in, without_single
-from vibrojax.pictures.curves import MOST_ROWS, Across, axis_of_lines, longest_axis, new_rows, split_lines
-from vibrojax.pictures.sheet import facets, legend_at_right, write_margins
-from vibrojax.pictures.style import FAINT, INK, Mark, styled
+from vibrojax.pictures.curves import MOST_ROWS, Across, axis_of_lines, longest_axis, rows_of, split_lines
+from vibrojax.pictures.plots import FAINT, Area, Axis, Layer, Line, Look, Picture, Plot, Sheet, Text, dots, key
+from vibrojax.pictures.sheet import at, facets
 from vibrojax.studies.frequencies import frequencies
 
-_MODES: dict[str, Literal["-", ":"]] = {
+_MODES = {
     "lower_frequency": "-",
     "upper_frequency": "-",
     "bit_frequency": ":",
     "striker_frequency": ":",
 }
-_MODE_NAMES: dict[Literal["-", ":"], str] = {
+_MODE_NAMES = {
     "-": "natural frequencies\nof both masses",
     ":": "bit alone,\nstriker alone",
 }
@@ -38,8 +34,7 @@ _FORCE = "mean_force"
 Lanes = Float[np.ndarray, " lanes"]
 
 
-@styled
-def campbell(ds: xr.Dataset) -> Figure:
+def campbell(ds: xr.Dataset) -> Sheet:
     """Draw the Campbell diagram: frequencies of the motion and of the machine over the speed, or the longest axis.
 
     Dots are the returns of the bit per second and crosses the blows; lines are the natural frequencies. If the sweep
@@ -62,41 +57,38 @@ def campbell(ds: xr.Dataset) -> Figure:
     turns = "rpm" in ds and x.name in ds["rpm"].dims
     by = axis_of_lines(ds, x.name)
     panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
-    figure, rows, _ = new_rows(panels, 1)
-    for row in rows:
-        axes = row.axes[0]
-        for line in split_lines(row.facet, by):
-            across = line.lanes["rpm"].values if turns else x.of(line.lanes)
-            for name, style in _MODES.items():
-                axes.plot(across, np.broadcast_to(line.lanes[name].values, across.shape), color=FAINT, linestyle=style)
+    # The frame ends at zero and a little beyond the data; the rays do not change it.
+    values = [ds[name].values for name in (*_MODES, *_MOTIONS) if name in ds]
+    top = 1.05 * max(float(np.nanmax(part)) for part in values)
+    places = ds["rpm"].values if turns else np.zeros(1)
+    low, high = float(places.min()), float(places.max())
+    low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
+    across = Axis("rotation [1/min]", "rpm", (low, high), group="across") if turns else x.axis(ds)
+    plots = []
+    for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+        layers: list[Layer] = []
+        for line in split_lines(facet, by):
+            along = line.lanes["rpm"].values if turns else x.of(line.lanes)
+            for name, dash in _MODES.items():
+                layers.append(Line(along, np.broadcast_to(line.lanes[name].values, along.shape), FAINT, 1.5, dash))
             for name, marker in _MOTIONS.items():
                 if name in line.lanes:
-                    look = _marks(marker) | Mark(color=line.colour)
-                    axes.plot(across, line.lanes[name].values, **look)
-        row.label(0, "rotation [1/min]" if turns else x.label, "frequency [Hz]")
-        axes.set_ylim(bottom=0.0)
-        if turns:
-            (low, high), top = axes.get_xlim(), axes.get_ylim()[1]
-            for order in range(1, _ORDERS + 1):
-                axes.axline((0.0, 0.0), slope=order / 60, color=FAINT, linewidth=0.6, zorder=1)
-                end = 0.98 * min(high, 60 * top / order)
-                if end > low:
-                    axes.text(end, order * end / 60, f"{order}n", ha="right", va="top", color="0.3", fontsize="small")
-            axes.set_xlim(low, high)
-        else:
-            x.shape(axes)
-    handles: list[Artist] = [Line2D([], [], color=FAINT, linestyle=s, label=name) for s, name in _MODE_NAMES.items()]
-    for name, marker in _MOTIONS.items():
-        if name in ds:
-            handles.append(Line2D([], [], color=INK, label=_MOTION_NAMES[name], **_marks(marker)))
-    lines = [Line2D([], [], color=line.colour, label=line.name, **_marks("o")) for line in split_lines(ds, by) if by]
-    legend_at_right(figure, handles, lines)
-    write_margins(figure, ds, panels.note, "Rays: multiples of the rotation n" if turns else "")
-    return figure
+                    layers.append(dots(along, line.lanes[name].values, colour=line.colour, **_marks(marker)))
+        for order in range(1, _ORDERS + 1) if turns else ():
+            layers.append(Line([0.0, 2 * high], [0.0, 2 * high * order / 60], FAINT, 0.6, order=1.0))
+            end = 0.98 * min(high, 60 * top / order)
+            if end > low:
+                layers.append(Text(end, order * end / 60, f"{order}n", "right", "top", size=8.0))
+        up = Axis("frequency [Hz]", limits=(0.0, top), group="frequency")
+        plots.append(Plot(layers, across, up, title, (row, 0), at(facet)))
+    keys: list[Layer] = [key(name, colour=FAINT, dash=dash) for dash, name in _MODE_NAMES.items()]
+    keys += [dots(label=_MOTION_NAMES[name], **_marks(marker)) for name, marker in _MOTIONS.items() if name in ds]
+    lines = [dots(label=line.name, colour=line.colour, **_marks("o")) for line in split_lines(ds, by) if by]
+    about = margins(ds, panels.note, "Rays: multiples of the rotation n" if turns else "")
+    return Sheet(plots, keys=[keys, lines], **rows_of(panels, 1), **about)
 
 
-@styled
-def rate_over_force(ds: xr.Dataset) -> Figure:
+def rate_over_force(ds: xr.Dataset) -> Sheet:
     """Draw the rate of penetration over the mean force P, with the onset: the force at which penetration begins.
 
     The onset lies between a lane without penetration, drawn hollow, and the next one with it. Lines are the fitted law
@@ -116,12 +108,15 @@ def rate_over_force(ds: xr.Dataset) -> Figure:
     law = next(form.rate for form in FORMS if form.name == "onset")
     by = axis_of_lines(ds, x.name)
     panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
-    figure, rows, _ = new_rows(panels, 1)
     (factor, unit), (of_force, force_unit) = scale(ds[RATE]), scale(ds[_FORCE])
-    onsets: list[Artist] = []
-    for row in rows:
-        axes = row.axes[0]
-        for line in split_lines(row.facet, by):
+    lowest = -0.03 * factor * max(float(ds[RATE].max()), np.finfo(float).tiny)
+    across = Axis(with_unit("mean force P", force_unit), _FORCE, (0.0, None), group="force")
+    up = Axis(with_unit("rate of penetration", unit), RATE, (lowest, None), group="rate")
+    onsets: list[Layer] = []
+    plots = []
+    for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+        layers: list[Layer] = []
+        for line in split_lines(facet, by):
             force, rate = (np.atleast_1d(line.lanes[name].values) for name in (_FORCE, RATE))
             group = fit.sel({name: line.lanes[name].item() for name in fit["C"].dims})
             with np.errstate(all="ignore"):
@@ -133,26 +128,23 @@ def rate_over_force(ds: xr.Dataset) -> Figure:
             if not np.isfinite(above):
                 text = "no onset"
             if np.isfinite(below) and np.isfinite(above):
-                axes.axvspan(of_force * below, of_force * above, color=line.colour, alpha=0.15, linewidth=0)
-            look = Mark(linestyle="none", marker="o", markersize=4.0, color=line.colour)
+                ends = [of_force * below, of_force * above]
+                layers.append(Area(ends, [-np.inf] * 2, [np.inf] * 2, line.colour, 0.15))
             for mask, face in ((rate > 0, line.colour), (rate == 0, "white")):
-                axes.plot(of_force * force[mask], factor * rate[mask], **look | Mark(markerfacecolor=face))
+                layers.append(dots(of_force * force[mask], factor * rate[mask], colour=line.colour, face=face))
             if 0 < onset < float(np.nanmax(force)):
                 along = np.geomspace(onset, float(np.nanmax(force)), _CURVE_POINTS)
                 values = law(along / threshold, float(group["C"]), float(group["eta0"]), np.nan)
-                axes.plot(of_force * along, factor * values, color=line.colour, linewidth=1.2)
+                layers.append(Line(of_force * along, factor * values, line.colour))
             label = "\n".join(part for part in (line.name, text) if part)
-            onsets.append(Line2D([], [], label=label, **look | Mark(linestyle="-")))
-        row.label(0, with_unit("mean force P", force_unit), with_unit("rate of penetration", unit))
-        axes.set_ylim(bottom=-0.03 * factor * max(float(ds[RATE].max()), np.finfo(float).tiny))
-        axes.set_xlim(left=0.0)
-    hollow = Line2D([], [], color=INK, linestyle="none", marker="o", markerfacecolor="white", label="no penetration")
-    legend_at_right(figure, onsets, [hollow] if bool((ds[RATE] == 0).any()) else [])
-    write_margins(figure, ds, panels.note, "Shaded: the onset. Lines: the fitted law C ln(P/P0)")
-    return figure
+            onsets.append(key(label, colour=line.colour, marker="o"))
+        plots.append(Plot(layers, across, up, title, (row, 0), at(facet)))
+    hollow = [dots(label="no penetration", face="white")] if bool((ds[RATE] == 0).any()) else []
+    about = margins(ds, panels.note, "Shaded: the onset. Lines: the fitted law C ln(P/P0)")
+    return Sheet(plots, keys=[onsets, hollow], **rows_of(panels, 1), **about)
 
 
-DIAGRAMS: dict[str, Callable[[xr.Dataset], Figure]] = {
+DIAGRAMS: dict[str, Callable[[xr.Dataset], Picture]] = {
     "campbell": campbell,
     "chart": chart,
     "rate-over-force": rate_over_force,
@@ -174,8 +166,8 @@ def _force_axis(ds: xr.Dataset) -> Across:
     return x
 
 
-def _marks(marker: str) -> Mark:
-    return Mark(linestyle="none", marker=marker, markersize=5.0, markerfacecolor="none", markeredgewidth=1.2)
+def _marks(marker: str) -> Look:
+    return {"marker": marker, "size": 5.0, "face": "none", "edge_width": 1.2}
 
 
 def _onset(force: Lanes, rate: Lanes) -> tuple[float, float]:

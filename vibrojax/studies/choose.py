@@ -12,9 +12,8 @@ from vibrojax.io.atomic import atomic_write
 from vibrojax.io.kinds import kind_of
 from vibrojax.io.ownership import PICTURE_KEYS
 from vibrojax.io.provenance import source
-from vibrojax.pictures.axes import label, pad_constant
-from vibrojax.pictures.basins import many_starts
-from vibrojax.pictures.colours import Values, shape_flags, value_of
+from vibrojax.pictures.axes import axis, margins
+from vibrojax.pictures.colours import Values, value_axis, value_of
 from vibrojax.pictures.contents import (
     FORM,
     MULTIPLIER,
@@ -32,24 +31,26 @@ from vibrojax.pictures.contents import (
 from vibrojax.pictures.curves import (
     MOST_ROWS,
     axis_of_lines,
-    band_text,
-    draw_over_time,
-    line_handles,
+    line_keys,
     longest_axis,
-    new_rows,
+    path_of,
+    rows_of,
     split_lines,
 )
-from vibrojax.pictures.diagrams import DIAGRAMS
-from vibrojax.pictures.maps import draw_map
+from vibrojax.pictures.draw import draw
+from vibrojax.pictures.lines import regime_lines
+from vibrojax.pictures.maps import many_starts, map_sheet
 from vibrojax.pictures.overlays import Overlays, as_layers, refuse_overlays
+from vibrojax.pictures.plots import Picture, Plot, Sheet
 from vibrojax.pictures.returns import bifurcation, hysteresis
 from vibrojax.pictures.selection import Value, select, thin_out, thinned_text
-from vibrojax.pictures.sheet import facets, legend_at_right, write_margins
+from vibrojax.pictures.sheet import at, facets
 from vibrojax.pictures.starts import medians, medians_text, varied_states
-from vibrojax.pictures.strips import regime_lines
-from vibrojax.pictures.style import BIT, COLOURS, Mark, new_figure, settings, styled
+from vibrojax.pictures.style import BIT, COLOURS, drawable, settings
+from vibrojax.pictures.time_history import WIDTH, band_text, trace
 from vibrojax.settings.values import check_distinct
 from vibrojax.studies.analysis import analysis_of
+from vibrojax.studies.diagrams import DIAGRAMS
 from vibrojax.studies.family_analysis import families
 
 # Files contain no date, so that the same dataset gives the same file.
@@ -113,16 +114,9 @@ def picture(
     try:
         ds = select(ds, where) if where else ds
         ds = ds if layers else thin_out(ds)
-        if diagram is not None:
-            return DIAGRAMS[diagram](ds)
-        if variable is None:
+        if diagram is None and variable is None:
             return analysis_of(ds).picture(ds, layers)
-        if isinstance(variable, str) and variable in ds and RETURN in ds[variable].dims:
-            draw = hysteresis if Contents(ds).carried else bifurcation
-            return draw(ds, layers, variable)
-        if layers:
-            refuse_overlays(layers, "over no other variable")
-        return _draw_variables(ds, (variable,) if isinstance(variable, str) else variable)
+        return draw(requested(drawable(ds), () if variable is None else variable, layers, diagram))
     finally:
         COLOURS.reset(token)
 
@@ -140,7 +134,7 @@ def save_picture(
 
     **Arguments:**
 
-    - `ds`, `variable`, `where`, `colours`, `over`, `diagram`: as for [vibrojax.pictures.choose.picture][].
+    - `ds`, `variable`, `where`, `colours`, `over`, `diagram`: as for [vibrojax.studies.choose.picture][].
     - `path`: file name that ends in .png, .pdf or .svg.
 
     **Returns:** a description of the values that are drawn, or "" if all are drawn.
@@ -167,11 +161,26 @@ def save_picture(
     return thinned_text(select(ds, where) if where else ds)
 
 
+def requested(
+    ds: xr.Dataset,
+    variable: str | Sequence[str] = (),
+    layers: Sequence[xr.Dataset] = (),
+    diagram: str | None = None,
+) -> Picture:
+    """Return the plots of chosen variables, or of a diagram."""
+    if diagram is not None:
+        return DIAGRAMS[diagram](ds)
+    if isinstance(variable, str) and variable in ds and RETURN in ds[variable].dims:
+        return (hysteresis if Contents(ds).carried else bifurcation)(ds, layers, variable)
+    if layers:
+        refuse_overlays(layers, "over no other variable")
+    return _draw_variables(ds, (variable,) if isinstance(variable, str) else variable)
+
+
 _MOST_VARIABLES, _MOST_HISTORIES = 4, 8  # more do not fit in one figure
 
 
-@styled
-def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
+def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Sheet:
     """Draw the variables `names`, each in separate panels.
 
     Lanes over two axes are drawn as maps, over one axis as curves, and a list of points over two parameters as dots. A
@@ -203,9 +212,9 @@ def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
         ds = medians(ds, [name for name in names if name != REGIME])
     if held.points_over_two:
         x, y = varied(ds)
-        return draw_map(ds, x, y, values, note)
+        return map_sheet(ds, x, y, values, note)
     if not held.points and (held.worth_a_map or (held.regimes and len(held.axes) > 1)):
-        return draw_map(ds, *axes_of_map(ds), values, note)
+        return map_sheet(ds, *axes_of_map(ds), values, note)
     if not held.points and held.regimes and held.axes:
         return regime_lines(ds, note=note, values=tuple(value for value in values if value is not None))
     return _draw_curves(ds, values, note)
@@ -237,7 +246,7 @@ def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
         raise InputError(f"variable: {len(names)} names; give one to {most} for a picture")
 
 
-def _draw_curves(ds: xr.Dataset, values: Values, note: str = "") -> Figure:
+def _draw_curves(ds: xr.Dataset, values: Values, note: str = "") -> Sheet:
     """Draw variables over the longest axis, one row per facet.
 
     There is one line per value of another axis or, for a fitted penetration law, one line per formula of the law.
@@ -247,34 +256,31 @@ def _draw_curves(ds: xr.Dataset, values: Values, note: str = "") -> Figure:
     by = FORM if FORM in ds[quantities[0].name].dims else axis_of_lines(ds, x.name)
     ds = ds.sortby(x.name) if x.is_number else ds
     panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
-    figure, rows, _ = new_rows(panels, len(quantities))
-    style = x.style_of(ds)
-    for row in rows:
-        for i, (axes, value) in enumerate(zip(row.axes, quantities, strict=True)):
-            for line in split_lines(row.facet, by):
-                mark = Mark(marker="o", markersize=3.0, linewidth=1.2, linestyle=style, color=line.colour)
-                axes.plot(x.of(line.lanes), value.of(line.lanes).values.ravel(), label=line.name, **mark)
-            row.label(i, x.label, value.label)
-            x.shape(axes)
-            pad_constant(axes)
-            shape_flags(axes, value)
-    legend_at_right(figure, line_handles(split_lines(ds, by), Mark(linestyle=style)))
-    write_margins(figure, ds, panels.note, note)
-    return figure
+    dash, across = x.dash(ds), x.axis(ds)
+    plots = [
+        Plot(
+            [path_of(line, x, value.of(line.lanes), dash=dash) for line in split_lines(facet, by)],
+            across,
+            value_axis(value, group=value.name),
+            "" if i else title,
+            (row, i),
+            at(facet),
+        )
+        for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True))
+        for i, value in enumerate(quantities)
+    ]
+    keys = line_keys(split_lines(ds, by), dash=dash)
+    return Sheet(plots, keys=[keys], **rows_of(panels, len(quantities)), **margins(ds, panels.note, note))
 
 
-def _draw_histories(ds: xr.Dataset, names: Sequence[str]) -> Figure:
-    figure = new_figure(10.0, 1.5 * len(names) + 0.9)
-    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+def _draw_histories(ds: xr.Dataset, names: Sequence[str]) -> Sheet:
     time = ds[TIME].values.astype(float)
-    for axes, name in zip(panels, names, strict=True):
+    across = axis(ds[TIME], limits=(time[0], time[-1]), group="time")
+    plots = []
+    for row, name in enumerate(names):
         value = value_of(ds[name])
-        axes.grid(True)
-        axes.set_xlim(time[0], time[-1])
-        draw_over_time(axes, time, value.of(ds).values.astype(float), BIT, 1.0, name)
-        axes.set_ylabel(value.label.replace(" [", "\n["))
-        shape_flags(axes, value)
-    panels[-1].set_xlabel(label(ds[TIME]))
-    figure.align_ylabels()
-    write_margins(figure, ds, band_text(*panels))
-    return figure
+        up = value_axis(value, value.label.replace(" [", "\n["))
+        line = trace(time, value.of(ds).values.astype(float), colour=BIT, width=1.0)
+        plots.append(Plot([line], across, up, place=(row, 0)))
+    size = WIDTH, 1.5 * len(names) + 0.9
+    return Sheet(plots, size, heights=(1.0,) * len(names), **margins(ds, band_text(plots)))

@@ -1,0 +1,266 @@
+"""Plots of an analysis as JSON, which the explorer page draws and links to its cursor.
+
+A description holds the plots, the entries of their legends, and figures as images:
+
+    {"plots": [{"title", "x", "y": {"label", "limits", "log", "reversed", "ticks": [[value, text]] | null,
+                                    "direction": id of the page's direction along the axis, or null},
+                "at": {axis: index}: the map cells that the plot shows, "wide", "low", "square", "items": [...]}],
+     "keys": [{"text", "colour", "shape": "line", "patch", "scale" or a mark, "dash": [...]}],
+     "images": [{"title", "data": a PNG file as a data URL}]}
+
+Items are in data coordinates, each with a "kind": "line" (x, y, colour, width, dash), "points" (x, y, colours, sizes,
+shape, hollow), "area" (x, y, colour, alpha), "cells" (x, y: edges; colours; data: packed indices of
+colours) and "text".
+"""
+
+import base64
+from collections.abc import Iterator, Sequence
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from vibrojax.explorer.document import Document, json_value, one_line
+from vibrojax.explorer.encoding import pack
+from vibrojax.pictures.plots import (
+    Area,
+    Axis,
+    Bars,
+    Cells,
+    Dash,
+    Layer,
+    Line,
+    Picture,
+    Places,
+    Plot,
+    Points,
+    Sheet,
+    Text,
+    as_sheet,
+    labelled_layers,
+    legend_of,
+    resolved,
+)
+from vibrojax.pictures.style import settings
+
+ITEM_MAX_POINTS = 20_000
+"""Number of points of an item above which only every n-th is described; a screen has fewer pixels."""
+
+LABEL_MAX_CHARACTERS = 120
+
+LOW_INCHES, WIDE_SHARE = 1.4, 0.62
+"""Height below which a plot is a strip, and share of the sheet's width from which it has a row of its own."""
+
+IMAGE_DPI = 160
+
+_SHAPES = {
+    **{"o": "circle", ".": "circle", "s": "square", "D": "diamond", "*": "diamond", "P": "square", "X": "cross"},
+    **{"^": "triangle", "v": "triangle", "<": "triangle", ">": "triangle", "x": "cross", "+": "cross", "|": "bar"},
+}
+_DASHES = {"--": (3.7, 1.6), ":": (1.0, 1.65), "-.": (6.4, 1.6, 1.0, 1.6)}
+
+
+def figure_document(
+    pictures: Sequence[Picture | Figure], ds: xr.Dataset, axes: Sequence[Document], drawn: Sequence[str] = ()
+) -> Document:
+    """Return the description of plots and figures.
+
+    **Arguments:** `axes`: the axes of the page's document, to which plots over the same variables are linked; `drawn`:
+    names of the variables that the page draws over these axes itself. It also draws maps over two of them.
+    """
+    plots: list[Document] = []
+    keys: dict[str, Document] = {}
+    for sheet in (as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
+        for part in (sheet.above, sheet, sheet.beside):
+            if part is not None:
+                plots += _plots(part, sheet, ds, axes, drawn)
+                keys = {key["text"]: key for key in _keys(part, drawn)} | keys
+    images = [_image(picture) for picture in pictures if isinstance(picture, Figure)]
+    return {"plots": plots, "keys": list(keys.values()), "images": images}
+
+
+def _plots(
+    part: Sheet, whole: Sheet, ds: xr.Dataset, axes: Sequence[Document], drawn: Sequence[str]
+) -> Iterator[Document]:
+    columns = {
+        column["name"]: f"{axis['name']}:{column['name']}" if axis["columns"] else axis["name"]
+        for axis in axes
+        for column in axis["columns"] or [axis]
+    }
+    directions = {name: way for name, way in columns.items() if name in ds.variables and ds[name].dtype.kind in "fiu"}
+    titles: dict[int, str] = {}
+    width = part.size[0] - (part.beside.size[0] if part.beside else 0.0)
+    height = part.size[1] - (part.above.size[1] if part.above else 0.0)
+    for plot in resolved(part.plots):
+        x, y = directions.get(plot.x.name), directions.get(plot.y.name)
+        row, column, deep, wide = (*plot.place, 1, 1)[:4]
+        titles.setdefault(row, plot.title)
+        if not plot.layers or (x and (y or plot.y.name in drawn)):
+            continue
+        title = plot.title or plot.name or titles[row] or ("" if plot.x.label or plot.y.label else whole.title)
+        at = {
+            name: int(indices[0])
+            for name in (axis["name"] for axis in axes if axis["name"] in plot.at and axis["name"] in ds.coords)
+            if (indices := np.flatnonzero(ds[name].values == plot.at[name])).size
+        }
+        share = width / whole.size[0] * sum(part.widths[column : column + wide]) / sum(part.widths)
+        yield {
+            "title": _plain(title),
+            "x": _axis(plot.x, x),
+            "y": _axis(plot.y, y),
+            "at": at,
+            "wide": bool(share >= WIDE_SHARE),
+            "low": bool(height * sum(part.heights[row : row + deep]) / sum(part.heights) < LOW_INCHES),
+            "square": plot.square,
+            "items": items_of(plot),
+        }
+
+
+def _image(figure: Figure) -> Document:
+    content = BytesIO()
+    with settings():
+        figure.savefig(content, format="png", dpi=IMAGE_DPI)
+    title = figure.get_suptitle() or next((axes.get_title() for axes in figure.axes if axes.get_title()), "")
+    return {"title": _plain(title), "data": f"data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}"}
+
+
+def _plain(text: str) -> str:
+    return one_line(" ".join(text.split()), LABEL_MAX_CHARACTERS)
+
+
+def _axis(axis: Axis, direction: str | None) -> Document:
+    ticks = None if axis.ticks is None else [[json_value(float(x)), _plain(text)] for x, text in axis.ticks]
+    return {
+        "label": _plain(axis.label),
+        "limits": [json_value(float(end or 0.0)) for end in axis.limits],
+        "log": axis.log,
+        "reversed": axis.reversed,
+        "ticks": ticks,
+        "direction": direction,
+    }
+
+
+def items_of(plot: Plot) -> list[Document]:
+    """Return the descriptions of what a plot shows, in the order in which it is drawn."""
+    layers = sorted(plot.layers, key=lambda layer: layer.order)
+    return [item for layer in layers for item in _items(layer, plot)]
+
+
+def _xy(plot: Plot, x: Places, y: Places) -> Document:
+    """Return places; an infinite coordinate becomes the end of the axis."""
+    item = {}
+    pairs = np.broadcast_arrays(np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float)))
+    for name, values, axis in zip("xy", pairs, (plot.x, plot.y), strict=True):
+        low, high = (end or 0.0 for end in axis.limits)
+        inside = np.where(values == np.inf, high, np.where(values == -np.inf, low, values))
+        item[name] = [json_value(float(f"{value:.6g}")) for value in inside.ravel()]
+    return item
+
+
+def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
+    """Yield the descriptions of a layer."""
+    if isinstance(layer, Line):
+        x, y = np.broadcast_arrays(np.atleast_1d(layer.x), np.atleast_1d(layer.y))
+        step = max(1, -(-len(x) // ITEM_MAX_POINTS))
+        points = _xy(plot, x[::step], y[::step])
+        if layer.dash and len(x):
+            look = {"colour": to_hex(layer.colour), "width": layer.width, "dash": _dash(layer.dash, layer.width)}
+            yield {"kind": "line", **points, **look}
+        if layer.marker and len(x):
+            hollow = layer.face in ("none", "white")
+            colours = [to_hex(layer.colour if hollow else layer.face or layer.colour)]
+            shape = _SHAPES.get(layer.marker, "circle")
+            yield {"kind": "points", **points, "colours": colours, "sizes": [layer.size / 2]} | {
+                "shape": shape,
+                "hollow": hollow,
+            }
+    elif isinstance(layer, Points):
+        x, y = np.atleast_1d(layer.x), np.atleast_1d(layer.y)
+        if len(x):
+            step = max(1, -(-len(x) // ITEM_MAX_POINTS))
+            several = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)[::step]
+            sizes = [json_value(float(f"{size / 2:.3g}")) for size in np.atleast_1d(layer.sizes)[::step]]
+            look = {"colours": [to_hex(colour) for colour in several], "sizes": sizes, "hollow": False}
+            shape = _SHAPES.get(layer.marker, "circle")
+            yield {"kind": "points", **_xy(plot, x[::step], y[::step]), **look, "shape": shape}
+    elif isinstance(layer, Bars):
+        sides = np.broadcast_arrays(layer.x, layer.y, layer.width, layer.height)
+        colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)
+        for k, (x, y, width, height) in enumerate(np.stack(sides, axis=-1).reshape(-1, 4)):
+            corners = _xy(plot, [x, x + width, x + width, x], [y, y, y + height, y + height])
+            yield {"kind": "area", **corners, "colour": to_hex(colours[k % len(colours)]), "alpha": 1.0}
+    elif isinstance(layer, Area):
+        yield from _area(layer, plot)
+    elif isinstance(layer, Cells):
+        colours = layer.colour_map(layer.norm(np.ma.masked_invalid(layer.values))).reshape(-1, 4)
+        palette, indices = np.unique((colours * 255).round().astype(int), axis=0, return_inverse=True)
+        indices = np.where(np.isnan(layer.values).ravel() | (colours[:, 3] == 0), -1, indices.ravel())
+        ends = {"x": np.asarray(layer.x, float).tolist(), "y": np.asarray(layer.y, float).tolist()}
+        names = [to_hex(colour / 255) for colour in palette]
+        yield {"kind": "cells", **ends, "colours": names, "data": pack(indices.astype(np.int32))}
+    else:
+        across, up = _inside(plot, layer) if layer.relative else (layer.x, layer.y)
+        yield {
+            "kind": "text",
+            **_xy(plot, [across], [up]),
+            "text": _plain(layer.text),
+            "colour": to_hex(layer.colour),
+            "align": layer.align,
+            "baseline": layer.baseline if layer.baseline in ("top", "bottom") else "middle",
+        }
+
+
+def _inside(plot: Plot, text: Text) -> tuple[float, float]:
+    """Return the place of a text that is given as fractions of the panel."""
+    places = []
+    for share, axis in ((text.x, plot.x), (text.y, plot.y)):
+        share = 1 - share if axis.reversed else share
+        low, high = (end or 0.0 for end in axis.limits)
+        places.append(low * (high / low) ** share if axis.log else low + share * (high - low))
+    return places[0], places[1]
+
+
+def _area(layer: Area, plot: Plot) -> Iterator[Document]:
+    """Yield a polygon for each part of an area without gaps."""
+    x, low, high = (np.atleast_1d(np.asarray(values, float)) for values in (layer.x, layer.low, layer.high))
+    if layer.step:
+        x, low, high = np.repeat(x, 2)[1:], np.repeat(low, 2)[:-1], np.repeat(high, 2)[:-1]
+    known = ~(np.isnan(x) | np.isnan(low) | np.isnan(high))
+    for part in np.split(np.arange(len(x)), np.flatnonzero(~known)):
+        part = part[known[part]]
+        if len(part):
+            place = _xy(plot, np.append(x[part], x[part][::-1]), np.append(low[part], high[part][::-1]))
+            yield {"kind": "area", **place, "colour": to_hex(layer.colour), "alpha": layer.alpha}
+
+
+def _dash(dash: Dash, width: float) -> list[float]:
+    lengths = _DASHES.get(dash, ()) if isinstance(dash, str) else dash[1]
+    return [round(1.3 * width * float(x), 3) for x in lengths]
+
+
+def _keys(part: Sheet, drawn: Sequence[str]) -> Iterator[Document]:
+    """Yield the entries of the legends, and those of colour bars that the page does not draw itself."""
+    for scale in part.scales:
+        value = scale.value
+        if value.name not in drawn and not value.names:
+            low, high = (f"{x:.3g}".replace("-", "−") for x in (value.norm.vmin, value.norm.vmax))
+            colours = [to_hex(value.colour_map(level)) for level in np.linspace(0.0, 1.0, 9)]
+            text = _plain(value.label)
+            text = f"{text}: {low} to {high}" if text else f"{low} to {high}"
+            yield {"text": text, "shape": "scale", "colour": colours[4], "colours": colours, "dash": []}
+    own = [layer for plot in part.plots if plot.keys for layer in labelled_layers(plot)]
+    for layer in (*own, *(layer for group in legend_of(part) for layer in group)):
+        if isinstance(layer, Cells | Text):
+            continue
+        key: dict[str, Any] = {"text": _plain(layer.label), "dash": []}
+        if isinstance(layer, Line):
+            shape = "line" if layer.dash else _SHAPES.get(layer.marker, "circle")
+            dash = _dash(layer.dash, layer.width) if layer.dash else []
+            yield key | {"shape": shape, "colour": to_hex(layer.colour), "dash": dash}
+        else:
+            own_colours = layer.colour if isinstance(layer, Area) else layer.colours
+            colour = own_colours if isinstance(own_colours, str) else own_colours[0]
+            yield key | {"shape": "circle" if isinstance(layer, Points) else "patch", "colour": to_hex(colour)}

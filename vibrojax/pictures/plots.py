@@ -1,0 +1,359 @@
+"""Pictures as data: plots of lines, points, bars, areas, cells and texts, which matplotlib or the page draws.
+
+Coordinates are in the units of the axes. An infinite coordinate is the edge of the panel: `Line([2, 2], [-inf, inf])`
+is an upright line through the whole panel. A layer without coordinates is an entry of a legend.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.colors import Colormap, Normalize, to_hex
+
+INK = "#222222"
+FAINT = "#9A9A9A"
+
+Dash = str | tuple[float, tuple[float, ...]]
+"""Style of a line as in matplotlib: "-", "--", ":", offset and lengths of the dashes, or "" for no line."""
+
+Places = np.ndarray | Sequence[Any]
+"""Numbers along an axis."""
+
+Look = dict[str, Any]
+"""Fields of a layer by name."""
+
+_ROUNDING = 1e-6  # relative range up to which values count as equal
+_MARGIN = 0.05  # free fraction of an axis at each end of the data
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line, markers (`marker`, as in matplotlib) of `size` [pt], or both; hollow markers have the `face` "white"."""
+
+    x: Places = ()
+    y: Places = ()
+    colour: str = INK
+    width: float = 1.2
+    dash: Dash = "-"
+    marker: str = ""
+    size: float = 4.0
+    face: str = ""
+    edge: str = ""
+    edge_width: float = 1.0
+    label: str = ""
+    order: float = 2.0
+    halo: float = 0.0
+    alpha: float = 1.0
+    clip: bool = True
+
+
+@dataclass(frozen=True)
+class Points:
+    """Markers with own colours and sizes [pt], or one of each."""
+
+    x: Places = ()
+    y: Places = ()
+    colours: str | Sequence[str] = INK
+    sizes: float | Sequence[float] = 4.0
+    marker: str = "o"
+    edge: str = ""
+    edge_width: float = 0.0
+    hatch: str = ""
+    label: str = ""
+    order: float = 2.0
+    clip: bool = True
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Rectangles from `x` and `y` of `width` and `height`."""
+
+    x: Places = ()
+    y: Places = ()
+    width: Places = ()
+    height: Places = ()
+    colours: str | Sequence[str] = FAINT
+    edge: str = ""
+    hatch: str = ""
+    label: str = ""
+    order: float = 1.0
+
+
+@dataclass(frozen=True)
+class Area:
+    """The area from `low` to `high` over `x`; `step`: both are constant from each `x` to the next."""
+
+    x: Places = ()
+    low: Places = ()
+    high: Places = ()
+    colour: str = FAINT
+    alpha: float = 1.0
+    edge: str = ""
+    hatch: str = ""
+    step: bool = False
+    label: str = ""
+    order: float = 1.0
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Coloured cells (y, x) between the edges `x` and `y`; cells without a value are hatched, or else blank."""
+
+    x: Places
+    y: Places
+    values: Float[np.ndarray, "y x"]
+    colour_map: Colormap
+    norm: Normalize
+    hatched: bool = True
+    order: float = 0.0
+
+
+@dataclass(frozen=True)
+class Text:
+    """Text at one place; `relative`: in fractions of the panel; `offset`: from the place [pt]."""
+
+    x: float
+    y: float
+    text: str
+    align: str = "center"
+    baseline: str = "center"
+    colour: str = "#4D4D4D"
+    size: float = 9.0
+    relative: bool = False
+    halo: float = 0.0
+    box: bool = False
+    offset: tuple[float, float] = (0.0, 0.0)
+    label: str = ""
+    order: float = 4.0
+
+
+Labelled = Line | Points | Bars | Area | Text
+Layer = Labelled | Cells
+
+
+def dots(*args: Any, **look: Any) -> Line:
+    """Return markers without a line."""
+    return Line(*args, **{"dash": "", "marker": "o"} | look)
+
+
+def key(label: str, **look: Any) -> Line:
+    """Return a legend entry with a line or a marker."""
+    return Line(label=label, **look)
+
+
+def patch(colour: str, label: str, **look: Any) -> Area:
+    """Return a legend entry with an area."""
+    return Area(colour=colour, label=label, **{"edge": "#595959"} | look)
+
+
+def upright(x: float, **look: Any) -> Line:
+    """Return an upright line through the panel."""
+    return Line([x, x], [-np.inf, np.inf], **look)
+
+
+def level(y: float, **look: Any) -> Line:
+    """Return a level line through the panel."""
+    return Line([-np.inf, np.inf], [y, y], **look)
+
+
+def bars(places: Places, low: Places, high: Places) -> tuple[np.ndarray, np.ndarray]:
+    """Return the path of separate bars from `low` to `high`, such as errors: places along one axis, and the other."""
+    at, begin, end = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, float)) for x in (places, low, high)))
+    gap = np.full(at.shape, np.nan)
+    return np.stack([at, at, gap], axis=1).ravel(), np.stack([begin, end, gap], axis=1).ravel()
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a plot.
+
+    - `name`: variable of the dataset along the axis.
+    - `limits`: ends of the axis; None stands for the end of the data, with some room.
+    - `ticks`: values with their texts; None for automatic ticks, of at most `intervals`.
+    - `group`: axes of the same group have the same limits, and only the outer panels have labels.
+    - `zero`: text on panels whose values are all zero.
+    """
+
+    label: str = ""
+    name: str = ""
+    limits: tuple[float | None, float | None] = (None, None)
+    log: bool = False
+    reversed: bool = False
+    ticks: Sequence[tuple[float, str]] | None = None
+    intervals: int = 0
+    group: str = ""
+    zero: str = ""
+    margin: float = _MARGIN
+    rotated: bool = False
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A panel with its axes and layers.
+
+    - `place`: row and column on the sheet, and the number of rows and of columns, if more than one.
+    - `at`: values of the axes of a map that the plot shows.
+    - `name`: words for a plot without a title; `remark`: small text at the right above the plot.
+    - `keys`: place of the legend of its labels; "" if they belong to the legend of the sheet.
+    """
+
+    layers: Sequence[Layer]
+    x: Axis = Axis()
+    y: Axis = Axis()
+    title: str = ""
+    place: tuple[int, ...] = (0, 0)
+    at: Mapping[str, Any] = field(default_factory=dict)
+    name: str = ""
+    remark: str = ""
+    grid: str = "both"
+    square: bool = False
+    keys: str = ""
+    key_columns: int = 1
+    title_colour: str = ""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A colour bar at a place of the sheet."""
+
+    place: tuple[int, ...]
+    value: Any
+    upright: bool = False
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A picture: its plots with ratios of their `widths` and `heights`, legend, colour bars, title and note.
+
+    - `size`: width and height [inch], without the further lines of title and note.
+    - `keys`: groups of legend entries, after those of the layers with labels.
+    - `legend`: place of the legend, at the right of all plots if empty.
+    - `above`, `beside`: a further sheet above the plots, or at their right, within the size of this one.
+    """
+
+    plots: Sequence[Plot]
+    size: tuple[float, float] = (6.4, 4.8)
+    widths: Sequence[float] = (1.0,)
+    heights: Sequence[float] = (1.0,)
+    keys: Sequence[Sequence[Layer]] = ()
+    legend: tuple[int, ...] = ()
+    legend_columns: int = 1
+    scales: Sequence[Scale] = ()
+    title: str = ""
+    note: str = ""
+    above: "Sheet | None" = None
+    beside: "Sheet | None" = None
+
+
+Picture = Sheet | Sequence[Plot]
+
+
+def as_sheet(plots: Picture) -> Sheet:
+    """Return a sheet of plots, which are placed in rows of three unless they have places."""
+    if isinstance(plots, Sheet):
+        return plots
+    wide = min(len(plots), 3)
+    placed = [replace(plot, place=divmod(k, wide)) for k, plot in enumerate(plots)]
+    deep = -(-len(plots) // max(wide, 1))
+    return Sheet(placed, (3.6 * wide + 1.6, 3.0 * deep + 0.6), (1.0,) * wide, (1.0,) * deep)
+
+
+def plots_of(sheet: Sheet) -> list[Plot]:
+    """Return all plots of a sheet, those above first."""
+    parts = [part for part in (sheet.above, sheet, sheet.beside) if part is not None]
+    return [plot for part in parts for plot in resolved(part.plots)]
+
+
+def legend_of(sheet: Sheet) -> list[list[Layer]]:
+    """Return the groups of legend entries: layers with labels, each text once, and the keys of the sheet.
+
+    A legend at its own place has a single group, which the keys begin. The labels of a sheet above without keys belong
+    to this legend, too.
+    """
+    above = sheet.above.plots if sheet.above is not None and not sheet.above.keys else ()
+    plots = [plot for plot in (*above, *sheet.plots) if not plot.keys]
+    labelled: list[Layer] = [*{x.label: x for plot in plots for x in labelled_layers(plot)}.values()]
+    groups = [labelled, *map(list, sheet.keys)]
+    groups = [[layer for group in (*groups[1:], labelled) for layer in group]] if sheet.legend else groups
+    return [group for group in groups if group]
+
+
+def labelled_layers(plot: Plot) -> list[Labelled]:
+    """Return the layers of a plot that have a label, each text once."""
+    layers: list[Labelled] = [x for x in plot.layers if not isinstance(x, Cells)]
+    return list({layer.label: layer for layer in layers if layer.label}.values())
+
+
+def resolved(plots: Sequence[Plot]) -> list[Plot]:
+    """Return the plots with the limits of all axes, and with the ticks and text of axes along which all is zero."""
+    for which in ("x", "y"):
+        groups: dict[str, list[int]] = {}
+        for k, plot in enumerate(plots):
+            groups.setdefault(getattr(plot, which).group or f" {k}", []).append(k)
+        changed = list(plots)
+        for members in groups.values():
+            limits, nothing = _limits([plots[k] for k in members], which)
+            for k in members:
+                axis = replace(getattr(plots[k], which), limits=limits)
+                texts = [Text(0.5, 0.7, axis.zero, relative=True)] if nothing else []
+                axis = replace(axis, ticks=[(0.0, "0")]) if nothing else axis
+                changed[k] = replace(plots[k], **{which: axis}, layers=[*plots[k].layers, *texts])
+        plots = changed
+    return list(plots)
+
+
+def _limits(plots: Sequence[Plot], which: str) -> tuple[tuple[float, float], bool]:
+    """Return the limits of a group of axes, and whether all values along them are zero, with a text for this case."""
+    axes = [getattr(plot, which) for plot in plots]
+    first = axes[0]
+    parts = [_finite(part) for plot in plots for layer in plot.layers for part in _extents(layer, which)]
+    values = np.concatenate([*parts, np.zeros(0)])
+    values = values[values > 0] if first.log else values
+    if first.zero and values.size and not values.any():
+        return (-1.0, 1.0), True
+    given = [(low, high) for low, high in (axis.limits for axis in axes)]
+    lows, highs = ([end for end in ends if end is not None] for ends in zip(*given, strict=True))
+    cells = any(isinstance(layer, Cells) for plot in plots for layer in plot.layers)
+    low, high = (float(values.min()), float(values.max())) if values.size else (0.1 * first.log, 1.0)
+    if lows or highs:
+        low, high = min(lows, default=low), max(highs, default=high)
+    forward, back = (np.log, np.exp) if first.log else (np.asarray, np.asarray)
+    ends = np.asarray(forward([low, high]), float)
+    if np.ptp(ends) <= _ROUNDING * np.abs(ends).max() or ends[1] < ends[0]:
+        room = np.log(1.1) if first.log else 0.1 * float(np.abs(ends).max()) or 1.0
+    else:
+        room = 0.0 if cells else first.margin * float(np.ptp(ends))
+    low, high = (float(x) for x in back(ends + [-room * (not lows), room * (not highs)]))
+    return (low, high) if high > low else (low, low + (room or 1.0)), False
+
+
+def _finite(values: Places) -> np.ndarray:
+    array = np.asarray(values, float).ravel()
+    return array[np.isfinite(array)]
+
+
+def _extents(layer: Layer, which: str) -> Iterator[Places]:
+    """Yield the coordinates of a layer along an axis."""
+    if isinstance(layer, Text):
+        return
+    if isinstance(layer, Area):
+        yield from [layer.x] if which == "x" else [layer.low, layer.high]
+    elif isinstance(layer, Bars):
+        begin, size = (layer.x, layer.width) if which == "x" else (layer.y, layer.height)
+        yield from (begin, np.asarray(begin, float) + np.asarray(size, float))
+    elif isinstance(layer, Line | Points):
+        x, y = np.broadcast_arrays(np.asarray(layer.x, float), np.asarray(layer.y, float))
+        if np.isinf(x).any() or np.isinf(y).any():  # a line through the panel
+            yield x if which == "x" else y
+        else:
+            known = np.isfinite(x) & np.isfinite(y)
+            yield (x if which == "x" else y)[known]
+    else:
+        yield layer.x if which == "x" else layer.y
+
+
+def colours_of(values: Places, colour_map: Colormap, norm: Normalize) -> list[str]:
+    """Return the colours of values."""
+    return [to_hex(colour) for colour in colour_map(norm(np.asarray(values, float)))]
