@@ -251,12 +251,17 @@ def test_trajectory_of_two_blocks_on_a_belt():
 
 
 def test_cycle_of_two_blocks_on_a_belt():
-    """Two returns of the first block make one period. At both speeds it also overtakes the belt."""
-    ds = sweep(BLOCKS, {"belt": [0.2, 0.3]}, [0.0] * 4, error=1e-6)
-    assert ds.cycles.values.ravel().tolist() == [2, 2]
+    """Two returns of the first block make one period. At both speeds it also overtakes the belt.
+
+    With an error of 1e-4 at 0.3 m/s, the steps of both runs happen to change the period almost equally.
+    """
+    sweeps = [sweep(BLOCKS, {"belt": [0.2, 0.3]}, [0.0] * 4, error=error) for error in (1e-4, 1e-6)]
+    assert [ds.cycles.values.ravel().tolist() for ds in sweeps] == [[2, 2]] * 2
     for number, belt in enumerate((0.2, 0.3)):
         overtakes = [t for t, block, slip in blocks_by_scipy(belt, 400.0)[1] if (block, slip) == (0, 1)]
-        assert 2 * float(ds.period[number, 0]) == pytest.approx(overtakes[-1] - overtakes[-2], rel=1e-7)
+        for ds in sweeps:
+            error = abs(2 * float(ds.period[number, 0]) / (overtakes[-1] - overtakes[-2]) - 1)
+            assert error < float(ds.error_estimate[number, 0]) < 1e-5
 
 
 # Van der Pol's oscillator

@@ -18,14 +18,11 @@ from vibrojax.lanes.programs import END
 from vibrojax.lanes.settled import OBSERVING, SETTLED, Ended, ReadyLanes, StopRule, checkpoints, run_together
 from vibrojax.lanes.threads import by_drivers
 from vibrojax.measures import recorder_for
-from vibrojax.measures.labels import LABELLED_BY
 from vibrojax.measures.repeats import INTERVAL
+from vibrojax.measures.since_start import scale_names
 from vibrojax.progress import Portions, quiet, timed
 from vibrojax.settings.run_settings import RunSettings
 from vibrojax.stepping import Accuracy
-
-COMPARED = {*LABELLED_BY, "period", "impact_velocity", "rate_of_penetration"}
-"""Features by which the check run is compared with the main run."""
 
 
 class LaneRun:
@@ -143,8 +140,7 @@ class LaneRun:
                 apart = np.concatenate(
                     [part.fine.lanes[ends_differ(fine, check, section)] for part, fine, check in pairs]
                 )
-            check = [{name: x for name, x in one.items() if name in COMPARED} for one in observed[len(parts) :]]
-            features.insert(0, self._certified(joined(observed[: len(parts)]), joined(check)))
+            features.insert(0, self._certified(joined(observed[: len(parts)]), joined(observed[len(parts) :])))
         if not run.keep_returns and not self.stages:  # the crossings are needed only for the estimate
             features = [{name: x for name, x in one.items() if x.ndim == 1 or name == END} for one in features]
         order = np.argsort(np.concatenate([part.fine.lanes for part in parts] + [item.lanes for item in ended]))
@@ -194,7 +190,10 @@ class LaneRun:
             away = drift_under_pulses(fine, self.scene.return_states, precision, tolerance)
             return fine | {"error_estimate": error_under_pulses(fine, check, away, self.stepper.error_share, least)}
         fine = fine | {"drift_estimate": drift(fine, section, precision, tolerance)}
-        return certified(fine, check, self.stepper.error_share, least)
+        # A period that a forcing sets has no error.
+        names = scale_names(section) if self.scene.autonomous or "impacts" in fine else []
+        states = [name.removesuffix("_scale") for name in names]
+        return certified(fine, check, self.stepper.error_share, least, states)
 
     def described(self, steps: int) -> dict[str, Any]:
         """Return how lanes were stepped, with the total number of `steps`, for the dataset's attribute `solver`."""
