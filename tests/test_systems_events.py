@@ -354,6 +354,31 @@ def test_events_without_end_are_refused():
         vj.simulate(system, start=[0.0, 0.0], duration=3.0, progress=False)
 
 
+@pytest.mark.parametrize(
+    ("field", "events", "message"),
+    [
+        # Each flight lasts half as long as the last one, from 2 s to the first bounce on: 2 + 2 + 1 + ... = 6 s.
+        (
+            lambda t, y, p, s: {"x": y["v"], "v": -p["g"]},
+            [vj.Impact("floor", lambda t, y, p: y["x"], reset=lambda t, y, p: {"v": -0.5 * y["v"]})],
+            "at 6 s, events follow one another without end: floor; .* only stops with velocity=",
+        ),
+        # The speed at x = 0 is sqrt(0.4) after sqrt(10) s, and then halves in 3.75 s/m of it: 1.25^2 sqrt(10) + ... s.
+        (
+            lambda t, y, p, s: {"x": y["v"], "v": -p["g"] * s["pull"] - 0.3 * s["drag"]},
+            [vj.Switch("pull", lambda t, y, p: y["x"]), vj.Switch("drag", lambda t, y, p: y["v"])],
+            "at 7.90569 s, events follow one another without end: pull; a reset must",
+        ),
+    ],
+)
+def test_accumulating_events_are_named(field, events, message):
+    system = vj.System(
+        "accumulating", states={"x": "m", "v": "m s-1"}, parameters={"g": 0.5}, section="v", field=field, events=events
+    )
+    with pytest.raises(vj.InputError, match=message):
+        vj.simulate(system, start=[1.0, 0.0], duration=20.0, progress=False)
+
+
 def test_friction_holds_a_body_at_a_stop():
     """The pull grows as 0.5 t - 1: the stop carries -1 + 0.2 and less; friction holds until the pull exceeds 0.2."""
     rub = vj.Friction("rub", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")

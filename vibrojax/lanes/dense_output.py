@@ -26,6 +26,10 @@ BATCH = 512
 RECORD_MAX_STEPS = 20_000 * BATCH
 """Maximum number of steps of a motion. Ten million steps take some gigabytes; a longer motion is probably a mistake."""
 
+EVENTFUL, SHORTEST_BATCH = 0.9, 1e-5
+"""Fraction of the steps of a batch that end at events, and length of the batch in units of 1/rate, at which events
+follow one another without end. Bounces that come to rest last longer: the last 250 take 1e-4."""
+
 _COPIES = 3
 """Number of copies of the polynomials in memory at once: in batches, concatenated, and during evaluation."""
 
@@ -94,10 +98,12 @@ def record(
                 report(float(lane.clock.high[0]))
             if not float(lane.clock.until(end)[0]) > 0:
                 break
-            if not parts[-1]["dt"].any():
+            names = _accumulating(scene, constants, lane, parts[-1])
+            if names or not parts[-1]["dt"].any():
                 raise InputError(
-                    f"simulate: at {float(lane.clock.high[0]):.6g} s, events follow one another without end; "
-                    "check that the reset of an event moves the state off the event's own surface"
+                    f"simulate: at {float(lane.clock.high[0]):.6g} s, events follow one another without end"
+                    f"{': ' if names else ''}{' and '.join(names)}; a reset must move the state off the event's own "
+                    "surface, and only stops with velocity= and restitution= can hold a motion after many bounces"
                 )
         if recorder is not None:
             settled = recorder.settled(settled, carry)
@@ -106,6 +112,16 @@ def record(
     return Record(*(x[(whole.dt > 0) | whole.hits.any(axis=1)] for x in whole)), {
         name: np.moveaxis(np.asarray(x), -1, 0) for name, x in features.items()
     }
+
+
+def _accumulating(scene: Scene[Any], constants: Any, lane: Lane, steps: dict[str, Any]) -> list[str]:
+    """Return the names of the events at which nearly all steps end, if they are too short for a motion to go on."""
+    if steps["hits"].any(axis=1).mean() < EVENTFUL:
+        return []
+    if steps["dt"].sum() * float(_rate(scene, constants, lane.mode)[0]) > SHORTEST_BATCH:
+        return []
+    guards = zip(scene.guard_names, steps["hits"].T, strict=False)  # markers come last
+    return [name for name, hit in guards if hit.mean() > 1 - EVENTFUL]
 
 
 @lane_function(static=2)
