@@ -476,16 +476,14 @@ class SystemEquations(Scene[SystemConstants]):
 
     def _stops(self, p: Mapping[str, Any], t: Any, y: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
         """Return name, gap and restitution of each stop."""
-        stops = [event for event in self.events if isinstance(event, Impact) and event.direction is None]
-        return [(stop.name, stop.gap(t, y, p), stop.bounce(p) + 0.0 * t) for stop in stops]
+        stops = [(event.name, event) for _, event in self._flow.of(Impact) if is_stop(event)]
+        return [(name, stop.gap(t, y, p), stop.bounce(p) + 0.0 * t) for name, stop in stops]
 
+    @np.errstate(all="ignore")
     def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
         """Return stops that are passed at the start, restitutions outside 0 to 1, and rates that are not finite."""
-        with np.errstate(all="ignore"):
-            p = {name: Plain.of(x) for name, x in p.items()}
-            return self._start_faults(p, {name: Plain.of(x) for name, x in zip(self._own, state, strict=True)})
-
-    def _start_faults(self, p: Mapping[str, Any], y: dict[str, Any]) -> list[tuple[str, str, Any]]:
+        p = {name: Plain.of(x) for name, x in p.items()}
+        y = {name: Plain.of(x) for name, x in zip(self._own, state, strict=True)}
         t = 0.0 * next(iter(y.values()))
         y |= {name: t + value for name, value in self._discrete.items()}
         faults: list[tuple[str, str, Any]] = []

@@ -7,8 +7,10 @@ that hold at once follow from one linear system, so that constraints may influen
 """
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+import operator
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -130,7 +132,7 @@ class Flow:
         """Return the parts of the kinks that are in use, from the modes."""
         return mode[len(self.events) : len(self.events) + len(self.kinks)]
 
-    def field(self, c: SystemConstants, mode: Values, t: Any, y: States, sides: Sequence[Any]) -> Rates:
+    def field(self, c: SystemConstants, mode: Values, t: Any, y: States, sides: Collection[Any]) -> Rates:
         """Return the user's field with the switches at `sides`; a number becomes one value per lane."""
         rates = self.function.at(self.branches(mode), t, y, c.p, *self._sided(sides))
         zero = 0.0 * next(iter(y.values()))
@@ -138,18 +140,18 @@ class Flow:
 
     def sides_of(self, mode: Values) -> dict[str, Any]:
         """Return the sides of the switches by name."""
-        return self._named([jnp.sign(mode[index]) for index, _ in self.of(Switch)])
+        return self._named(self._signs(mode, Switch).values())
 
-    def _sided(self, sides: Sequence[Any]) -> list[dict[str, Any]]:
+    def _sided(self, sides: Collection[Any]) -> list[dict[str, Any]]:
         """Return the field's fourth argument, if it takes one."""
         return [self._named(sides)] if self.takes_sides else []
 
-    def _named(self, sides: Sequence[Any]) -> dict[str, Any]:
+    def _named(self, sides: Collection[Any]) -> dict[str, Any]:
         return {event.name: side for (_, event), side in zip(self.of(Switch), sides, strict=True)}
 
     def kink_values(self, c: SystemConstants, mode: Values, t: Any, y: States) -> list[Any]:
         """Return the functions whose zeros are the kinks, in their order."""
-        sides = [jnp.sign(mode[index]) for index, _ in self.of(Switch)]
+        sides = self._signs(mode, Switch).values()
         calls: list[tuple[Function, list[Any]]] = [(self.function, self._sided(sides))]
         calls += [(function, []) for function in self.surfaces]
         calls += [(limit, [self._named(sides), jnp.sign(mode[index])]) for index, limit in self.limits.items()]
@@ -165,7 +167,7 @@ class Flow:
 
     def plain(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Rates:
         """Return the field without events, from which rates of gaps follow."""
-        return self.field(c, mode, t, y, [jnp.sign(mode[index]) for index, _ in self.of(Switch)])
+        return self.field(c, mode, t, y, self._signs(mode, Switch).values())
 
     def slope(
         self, c: SystemConstants, mode: Values, index: int, t: Any, y: States, rates: Rates, t_rate: float = 1.0
@@ -180,17 +182,8 @@ class Flow:
 
     def gain(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Any:
         """Return the change of an impact's closing rate per change of the velocity on which it acts."""
-        if index in self.structure.still:
-            return self.structure.still[index]
         event: Any = self.events[index]
-        return self._closing_slope(c, mode, index, t, y, {event.velocity: 1.0}, 0.0)
-
-    def _closing_slope(
-        self, c: SystemConstants, mode: Values, index: int, t: Any, y: States, rates: Rates, t_rate: float = 1.0
-    ) -> Any:
-        """Return the change of an impact's closing rate if states change at `rates` and the time at `t_rate`."""
-        directions = [rates.get(name, 0.0) for name in y]
-        return slope_along(lambda t, y: self.closing(c, mode, index, t, y), t, y, directions, t_rate)
+        return self._effect(c, mode, index, t, y, {event.velocity: 1.0}, 0.0)
 
     def onto_stop(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Rates:
         """Return the position that closes the gap exactly, by name; empty if no state is the position."""
@@ -215,23 +208,21 @@ class Flow:
     def at(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Motion:
         """Return the motion in a mode, at a state or at the series of a step."""
         corners = {sides: self.field(c, mode, t, y, sides) for sides in self.combinations()}
-        sides, slips = self._signs(mode, Switch), self._signs(mode, Friction)
+        signs = self._signs(mode, Switch) | self._signs(mode, Friction)
         rates, holds = self._mixed(c, mode, t, y, corners, {})
         constraints: dict[int, Constraint] = {}
-        for index, _ in self.of(Switch):
-            low, high = (self._mixed(c, mode, t, y, corners, {index: side})[0] for side in (-1.0, 1.0))
-            half = {name: 0.5 * (high[name] - low[name]) for name in rates}
-            drift, gain = self.slope(c, mode, index, t, y, rates), self.slope(c, mode, index, t, y, half, 0.0)
-            constraints[index] = Constraint(1.0 - sides[index] * sides[index], half, drift, gain)
-        for index, event in self.of(Friction):
-            along = {event.acts_on: 1.0}
-            drift, gain = self.slope(c, mode, index, t, y, rates), self.slope(c, mode, index, t, y, along, 0.0)
-            constraints[index] = Constraint(1.0 - slips[index] * slips[index], along, drift, gain)
-        for index, event in self.of(Impact):
-            if event.velocity is not None:
+        for index, event in (*self.of(Switch), *self.of(Friction), *self.of(Impact)):
+            if isinstance(event, Switch):
+                low, high = (self._mixed(c, mode, t, y, corners, {index: other})[0] for other in (-1.0, 1.0))
+                along = {name: 0.5 * (high[name] - low[name]) for name in rates}
+            else:
+                along = {event.acts_on if isinstance(event, Friction) else event.velocity: 1.0}
+            if None not in along:  # a reset cannot hold the motion
                 drift = self._effect(c, mode, index, t, y, rates)
-                resting, gain = jnp.where(mode[index] == 1, 1.0, 0.0), self.gain(c, mode, index, t, y)
-                constraints[index] = Constraint(resting, {event.velocity: 1.0}, drift, gain)
+                gain = self._effect(c, mode, index, t, y, along, 0.0)
+                free = signs.get(index)
+                held = jnp.where(mode[index] == 1, 1.0, 0.0) if free is None else 1.0 - free * free
+                constraints[index] = Constraint(held, along, drift, gain)
 
         def effect(index: int, other: int) -> Any:
             return self._effect(c, mode, index, t, y, constraints[other].along, 0.0)
@@ -289,7 +280,8 @@ class Flow:
                 for (index, _), side in zip(switches, sides, strict=True)
             ]
             if all(not isinstance(share, float) or share for share in shares):
-                weight = _product([share for share in shares if not isinstance(share, float)])
+                varying = [share for share in shares if not isinstance(share, float)]
+                weight = reduce(operator.mul, varying) if varying else None
                 part = rates if weight is None else {name: weight * rate for name, rate in rates.items()}
                 total = {name: total[name] + part[name] for name in part} if total else dict(part)
         holds = {}
@@ -308,7 +300,8 @@ class Flow:
             return self.slope(c, mode, index, t, y, rates, t_rate)
         if index in self.structure.still:
             return self.structure.still[index] * rates.get(str(event.velocity), 0.0)
-        return self._closing_slope(c, mode, index, t, y, rates, t_rate)
+        directions = [rates.get(name, 0.0) for name in y]
+        return slope_along(lambda t, y: self.closing(c, mode, index, t, y), t, y, directions, t_rate)
 
     def fastest(self, c: SystemConstants, mode: Values, t: Any, y: States) -> tuple[Any, ...]:
         """Return the fastest rate of change of the field [1/s], for each combination of the sides of the switches."""
@@ -418,14 +411,6 @@ def _unless_zero(gain: Any, held: Any) -> Any:
     """Return a divisor that is 1 at the start of the step where the gain is zero or the constraint does not hold."""
     value = array_of(gain)
     return gain + jnp.where((held == 0) | (value == 0), 1.0 - value, 0.0)
-
-
-def _product(factors: Sequence[Any]) -> Any:
-    """Return the product of the factors, or None if there are none."""
-    product = None
-    for factor in factors:
-        product = factor if product is None else product * factor
-    return product
 
 
 def _is_array(x: Any) -> bool:

@@ -102,8 +102,8 @@ class Structure(Probe):
 
     def surfaces(self) -> set[str]:
         """Return the states whose zeros are those of an event."""
-        values = [self._surface(event)[1](self._t, self._y, self._p) for event in self._events]
-        return {key for key, y in self._y.items() for value in values if equal(abs(value), abs(y))}
+        values = [abs(self._value(event)) for event in self._events]
+        return {key for key, y in self._y.items() for value in values if equal(value, abs(y))}
 
     def dependences(self) -> Dependences:
         """Return how the functions depend on one another; refuse events that share a surface."""
@@ -112,7 +112,6 @@ class Structure(Probe):
         self._check_surfaces()
         moves = {i: self._moves(event) for i, event in events.items()}
         held = [i for i, event in events.items() if not isinstance(event, Impact) or event.velocity is not None]
-        jumped = set().union(*(self._jumped(event) for event in events.values()))
         floors = any(kink.whole for kink in self.kinks)
         return Dependences(
             still=self._still_stops(speeds),
@@ -128,7 +127,6 @@ class Structure(Probe):
                 i
                 for i, event in events.items()
                 if floors or any(depends[i] & self._jumped(other) for other in events.values() if other is not event)
-                if floors or jumped
             ),
             mixing=self._mixing(),
             linear=self._linear(),

@@ -7,7 +7,6 @@ import math
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from importlib import import_module
 from typing import Any
 from weakref import WeakValueDictionary
@@ -255,7 +254,7 @@ def impact_unit(
     y = {name: Plain.of(0.3 + 0.2 * number) for number, name in enumerate(units)}
     found: list[list[str]] = [[], [], []]
     for event in filter(_is_impact, events):
-        surface = partial(_at, event.surface, p)
+        surface = lambda t, y, event=event: event.surface(t, y, p)  # noqa: E731
         slopes = {
             name: float(slope_along(surface, Plain.of(0.1), y, [float(other == name) for other in y], 0.0))
             for name in y
@@ -265,10 +264,6 @@ def impact_unit(
         found[1] += [units[event.velocity]] if isinstance(event, Impact) and event.velocity else []
         found[2] += known
     return [*found[0], *found[1], *found[2], ImpactSystem.impact_unit][0]
-
-
-def _at(surface: Callable[..., Any], p: Mapping[str, Any], t: Any, y: Mapping[str, Any]) -> Any:
-    return surface(t, y, p)
 
 
 def _per_second(unit: str) -> str:
