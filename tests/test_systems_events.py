@@ -397,8 +397,8 @@ def test_friction_holds_a_body_at_a_stop():
 def test_friction_and_a_switch_on_one_velocity_hold_one_at_a_time():
     """v' = f + 2 below v = 1 and f - 2 above, with friction 1 and f = -t/4: v slides at 1, falls, sticks and reverses.
 
-    The mass slips at once and reaches v = t - t²/8 = 1 at 4 - sqrt(8). It slides until f = -1 at 4, stops sqrt(8) later,
-    and sticks until f = -3 at 12.
+    The mass slips at once and reaches v = t - t²/8 = 1 at 4 - sqrt(8). It slides until f = -1 at 4, stops sqrt(8)
+    later, and sticks until f = -3 at 12.
     """
     system = vj.System(
         "limited",
