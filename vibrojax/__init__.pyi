@@ -42,7 +42,7 @@ from vibrojax.studies.analysis import SummaryPart as SummaryPart
 from vibrojax.studies.analysis import analyse as analyse
 from vibrojax.studies.attractor_run import attractors as attractors
 from vibrojax.studies.border_run import borders as borders
-from vibrojax.studies.calibration_run import calibrate as calibrate
+from vibrojax.studies.calibrate import calibrate as calibrate
 from vibrojax.studies.catalogue import list_parameters as list_parameters
 from vibrojax.studies.catalogue import list_scenes as list_scenes
 from vibrojax.studies.catalogue import list_settings as list_settings
@@ -50,8 +50,8 @@ from vibrojax.studies.catalogue import list_variables as list_variables
 from vibrojax.studies.choose import picture as picture
 from vibrojax.studies.choose import save_picture as save_picture
 from vibrojax.studies.curve_run import curves as curves
-from vibrojax.studies.design_run import design as design
-from vibrojax.studies.effects_run import study as study
+from vibrojax.studies.design import design as design
+from vibrojax.studies.effects import study as study
 from vibrojax.studies.family_run import follow as follow
 from vibrojax.studies.frequencies import frequencies as frequencies
 from vibrojax.studies.push import smallest_push as smallest_push

@@ -15,8 +15,9 @@ import warnings
 import numpy as np
 
 import vibrojax as vj
+from vibrojax.studies.design import read_design
+from vibrojax.studies.design_points import DesignSpec
 from vibrojax.studies.design_search import Search
-from vibrojax.studies.design_spec import DesignSpec, read_design
 
 DESIGNS = ("energy", "rate-in-sandstone", "power-at-120-kn")
 FINE, CELLS_AT_ONCE = 160, 4096

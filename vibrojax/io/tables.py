@@ -4,7 +4,7 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -176,24 +176,6 @@ def column_numbers(
                 raise place.at(f"line {line}, column {name}").error(fault) from None
     null = np.isin(values, nulls)
     return np.where(null, np.nan, values), int(null.sum())
-
-
-def read_numbers(
-    place: Place, path: Path, wanted: Callable[[str], object], example: str
-) -> dict[str, Float[np.ndarray, " rows"]]:
-    """Return the numbers of the `wanted` columns of a CSV by header; NaN for empty cells.
-
-    **Raises:** `InputError` if the file cannot be read or a cell is not a number.
-    """
-    line, header, others = read_table(path, "measurement", "no rows; add a line for each measurement", example)
-    rows = rows_without_units(place, header, list(others))
-    columns: dict[str, Float[np.ndarray, " rows"]] = {}
-    for index, name in enumerate(header):
-        if wanted(name):
-            if name in columns:
-                raise place.at(f"line {line}").error(f"column {name} is there twice; give it once")
-            columns[name], _ = column_numbers(place, name, index, rows)
-    return columns
 
 
 def read_las(place: Place, text: str) -> tuple[int, list[str], Rows, float | None]:

@@ -1,16 +1,20 @@
-"""Specifications whose parameters vary between bounds: their tables, bounds, and the sweep over points within."""
+"""Files of studies, designs and calibrations: the keys that they share, bounds, and the sweep over points within."""
 
-from collections.abc import Collection, Mapping
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.sweep import Sweep
+from vibrojax.physics.parameters import Parameter
+from vibrojax.settings.fields import Settings, given, setting
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.toml import Source
-from vibrojax.settings.values import as_table, known_keys, warn_if_far
+from vibrojax.settings.values import as_table, quantity, require_number, warn_if_far
 
 MAX_VARIED = 12
 """Largest number of varied parameters: a dozen, as many as a person chooses by hand."""
@@ -21,52 +25,86 @@ MAX_TOLERANCES = 6
 _EXAMPLE = "write one like gamma = [0.6, 0.8]"
 
 
-def read_specification(origin: Source, keys: Collection[str]) -> tuple[Place, dict[str, Any], dict[str, object], Names]:
-    """Return the place and tables of a specification with these keys, its fixed parameters, and the scene's names."""
-    place, tables = Place(origin.file), dict(origin.tables)
-    known_keys(place, tables, keys)
-    if "scene" not in tables:
-        raise place.at("scene").error('missing; write the scene\'s name, like scene = "vibro-impact"')
-    fixed = dict(as_table(place.at("parameters"), tables.get("parameters", {})))
-    return place, tables, fixed, read_names(place.at("scene"), tables["scene"], dict(fixed), place.at("parameters"))
+@dataclass(frozen=True, kw_only=True)
+class SceneFile(Settings):
+    """The keys of a file about a scene."""
+
+    scene: Any = setting(MISSING, 'write the scene\'s name, like scene = "vibro-impact"', read=given)
+    title: Any = setting("", "title of the dataset", read=given)
+    parameters: dict[str, Any] = setting(dict, "values of the other parameters", read=as_table)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VariedFile(SceneFile):
+    """The keys of a file about a scene whose parameters vary between bounds."""
+
+    vary: Any = setting(None, "bounds of the varied parameters", read=given)
+    starts: Any = setting(None, "initial conditions, as in a sweep", read=given)
+    run: dict[str, Any] = setting(dict, "settings of the run, as in a sweep", read=as_table)
+    unusual: bool = setting(False, "whether values far from those of rigs are intended")
+
+    def sweep(self, file: str, points: Mapping[str, list[float]], **changes: object) -> Sweep:
+        """Return the sweep over points, with some keys changed; messages name the file, and its table [vary]."""
+        if "carry" in self.run:
+            raise Place(file, "run.carry").error("points have no axis along which lanes continue; leave it out")
+        tables = {name: getattr(self, name) for name in ("scene", "title", "parameters", "run", "starts")}
+        tables |= {"points": points, "unusual": True} | changes
+        try:
+            return read_sweep({name: value for name, value in tables.items() if value is not None})
+        except InputError as error:
+            words = str(error).replace("sweep:", f"{file}:", 1)
+            raise InputError(words.replace(f"{file}: points.", f"{file}: vary.", 1)) from None
+
+
+File = TypeVar("File", bound=SceneFile)
+
+
+def read_file(kind: type[File], origin: Source) -> tuple[File, Place, Names]:
+    """Return the keys of a file, its place, and the names of its scene."""
+    place = Place(origin.file)
+    file = kind.read(place, origin.tables)
+    return file, place, read_names(place.at("scene"), file.scene, dict(file.parameters), place.at("parameters"))
+
+
+def read_pair(place: Place, value: object, noun: str, parameter: Parameter | None = None) -> tuple[float, float]:
+    """Return two numbers, or two values of a parameter; `noun`: what they are, and an example."""
+    if not isinstance(value, list) or len(value) != 2:
+        raise place.error(f"{shown(value)} is not {noun}")
+    read = require_number if parameter is None else partial(quantity, parameter=parameter)
+    first, second = (read(place.item(k), number) for k, number in enumerate(value))
+    return first, second
 
 
 def read_bounds(
-    place: Place, value: object, names: Names, fixed: Mapping[str, object], unusual: bool = False
+    place: Place,
+    value: object,
+    names: Names,
+    fixed: Mapping[str, object],
+    unusual: bool = False,
+    further: Mapping[str, Parameter] | None = None,
 ) -> dict[str, tuple[float, float]]:
-    """Return the bounds of each varied parameter; `fixed`: values of the others; `unusual`: True to warn of nothing."""
+    """Return the bounds of each varied parameter.
+
+    `fixed`: values of the others; `unusual`: True to warn of nothing; `further`: parameters that the scene has not.
+    """
     table = as_table(place, {} if value is None else value)
     if not table:
         raise place.error(f"{'missing' if value is None else 'empty'}, so nothing varies; {_EXAMPLE}")
     if len(table) > MAX_VARIED:
         raise place.error(f"{len(table)} parameters vary; give at most {MAX_VARIED}")
     bounds = {}
-    for name, pair in table.items():
+    for name, ends in table.items():
         here = place.at(name)
-        parameter = names.parameter(here, name)
+        parameter = (further or {}).get(name) or names.parameter(here, name)
         if name in fixed:
             raise here.error("is in [parameters] as well; give it in one of the two")
-        if not isinstance(pair, list) or len(pair) != 2:
-            raise here.error(f"{shown(pair)} is not a pair of a least and a greatest value; {_EXAMPLE}")
-        low, high = (names.quantity(here.item(k), name, end) for k, end in enumerate(pair))
+        low, high = read_pair(here, ends, f"a pair of a least and a greatest value; {_EXAMPLE}", parameter)
         if not low < high:
             why = "the least value comes first" if low > high else "move one value to [parameters]"
-            raise here.error(f"{shown(pair)} is no interval; {why}")
+            raise here.error(f"{shown(ends)} is no interval; {why}")
         bounds[name] = (low, high)
         if not unusual:
             warn_if_far(here, parameter, np.array(bounds[name]), meant="; unusual = true says that it is meant")
     places = {name: Place(place.file, f"parameters.{name}") for name in fixed}
     names.check_substitutes(places | {name: place.at(name) for name in bounds})
     return bounds
-
-
-def read_points_of(file: str, tables: Mapping[str, object]) -> Sweep:
-    """Return the sweep over the points of another specification, whose file and table the messages name."""
-    run = tables.get("run")
-    if isinstance(run, dict) and "carry" in run:
-        raise Place(file, "run.carry").error("points have no axis along which lanes continue; leave it out")
-    try:
-        return read_sweep(tables)
-    except InputError as error:
-        words = str(error).replace("sweep:", f"{file}:", 1)
-        raise InputError(words.replace(f"{file}: points.", f"{file}: vary.", 1)) from None

@@ -45,7 +45,7 @@ class RunSettings(Settings):
         read=_read_carry,
         later=True,
     )
-    method: str | Stepper = setting("located", "stepping method: located or smoothed", read=_read_method)  # noqa: RUF009
+    method: str | Stepper = setting("located", "stepping method: located or smoothed", read=_read_method)
     step: float | None = setting(None, "length of the steps [s]; left out, it follows from error", unit="s", above=0.0)
     smoothing: float | None = setting(
         None,

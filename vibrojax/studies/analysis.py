@@ -196,7 +196,7 @@ _HOMES = {
     "push": "push:Pushes",
     "tolerance": "tolerance:Tolerances",
     "design": "design_analysis:Designs",
-    "study": "effects_analysis:Studies",
+    "study": "effects:Studies",
     "rig": "rig_analysis:Rigs",
     "calibration": "calibration_analysis:Calibrations",
     "fit": "rop_analysis:Fits",

@@ -14,8 +14,8 @@ from vibrojax.pictures.axes import margins, pretty_unit, scale, with_unit
 from vibrojax.pictures.plots import FAINT, Axis, Bars, Layer, Plot, Sheet, dots, level, upright
 from vibrojax.pictures.style import BIT, IMPACT, other_colour
 from vibrojax.studies.analysis import PictureRule, SummaryPart
-from vibrojax.studies.calibration_run import SCHEMA, VAGUE, find_calibration
-from vibrojax.studies.calibration_spec import CalibrationSpec, read_calibration
+from vibrojax.studies.calibrate import SCHEMA, VAGUE, find_calibration
+from vibrojax.studies.calibration_file import Calibration, read_calibration
 from vibrojax.studies.subjects import FileAnalysis
 
 MIN_EXPONENT = 0.1
@@ -101,7 +101,7 @@ def _combination(ds: xr.Dataset, k: int) -> str:
     return " ".join(parts)
 
 
-class Calibrations(FileAnalysis[CalibrationSpec]):
+class Calibrations(FileAnalysis[Calibration]):
     """Estimate parameters of a drill from observations of its motion, and say which the data determine."""
 
     kind = "calibration"
@@ -117,13 +117,18 @@ class Calibrations(FileAnalysis[CalibrationSpec]):
     )
     columns = 'of the history: which column is what, in which unit, like time="t (ms)" v1="bit speed (mm/s)"'
 
-    def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> CalibrationSpec:
+    def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Calibration:
         return read_calibration(file, columns)
 
-    def identity(self, asked: CalibrationSpec) -> dict[str, object]:
-        return asked.identity()
+    def identity(self, asked: Calibration) -> dict[str, object]:
+        """Return all settings on which the result depends, as flat JSON values."""
+        problem = asked.problem
+        times = {} if problem.history is None else {"time": problem.history.times}
+        tables = problem.conditions | dict(zip(problem.of, problem.values.T, strict=True)) | times
+        data = {f"data.{name}": x.tolist() for name, x in tables.items()}
+        return {"calibration": True, "specification": asked.origin.text} | data
 
-    def compute(self, asked: CalibrationSpec, progress: bool = True) -> xr.Dataset:
+    def compute(self, asked: Calibration, progress: bool = True) -> xr.Dataset:
         return find_calibration(asked, progress)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:

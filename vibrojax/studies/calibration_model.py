@@ -1,15 +1,49 @@
-"""The model of a calibration: predictions on a branch of orbits, the start of the searches, and their least squares."""
+"""The model of a calibration: predictions on a branch of orbits and over a recorded velocity, and their least squares.
 
-from typing import NamedTuple
+A recorded velocity of the bit is compared with motions at its times, which have exact derivatives.
+"""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from vibrojax.studies.calibration_history import VELOCITY
-from vibrojax.studies.calibration_spec import CONSTANT, RATE, RELIEF, CalibrationSpec
+from vibrojax.compile.xla import workers
+from vibrojax.errors import counted
+from vibrojax.lanes.compiler import lane_function
+from vibrojax.maps.read import Point
+from vibrojax.periodic.return_map import in_calls
+from vibrojax.periodic.tangent_loop import with_derivatives
+from vibrojax.periodic.variations import DERIVATIVE_ACCURACY
+from vibrojax.physics.arrays import Array, Flags, Lanes
+from vibrojax.scenes import Scene
+from vibrojax.scenes.declared import Values as States
+from vibrojax.stepping import Accuracy, Goal, Lane, Located, lane_at
 from vibrojax.studies.sensitivity_branch import Branch, settled_at
+
+CONSTANT = "C"
+"""Name of the coefficient of the law, which is no parameter of a scene: rate_of_penetration = C ln(relief)."""
+
+RATE, RELIEF = "rate_of_penetration", "relief"
+
+VELOCITY = "v1"
+"""State that a history records: the velocity of the bit relative to the drive."""
+
+SAMPLES_PER_CALL = 64
+"""Number of samples per call of the compiled program, which is compiled for this number only."""
+
+SAME_TIME = 1e-9
+"""Difference of times [s] that rounding may cause."""
+
+MOST_STEPS_PER_SAMPLE = 2_000
+"""Limit of steps from one sample to the next, far more than between two returns to the section."""
 
 MAX_EVALUATIONS = 60
 """Limit of the evaluations of one search; a search from a point of the box takes 5 to 20."""
@@ -39,8 +73,168 @@ SMALLEST_SHARE = 1e-2
 """Share of its variable's mean size below which a value has no smaller error: values near 0 are not exact."""
 
 Theta = Float[np.ndarray, " unknown"]
+Thetas = Float[np.ndarray, "draws unknown"]
 Rows = Bool[np.ndarray, " observations"]
 Values = Float[np.ndarray, "observations of"]
+Begin = tuple[dict[str, Lanes], States]
+"""Parameters by name, and initial states (ignored if the initial condition is a name)."""
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """A recorded velocity of the bit.
+
+    - `point`: parameters and initial condition of the motion; the unknown parameters are replaced.
+    - `begin` [s]: time of the first sample; `times` [s] since then; `velocity` [m/s].
+    - `states`: names of the states at the first sample that are unknown too; `guess`, `bound`: their first values and
+      greatest magnitudes.
+    """
+
+    point: Point
+    begin: float
+    times: Float[np.ndarray, " samples"]
+    velocity: Float[np.ndarray, " samples"]
+    states: tuple[str, ...]
+    guess: Float[np.ndarray, " states"]
+    bound: Float[np.ndarray, " states"]
+
+    def predict(
+        self, by: Sequence[str], values: Float[np.ndarray, "draws unknown"]
+    ) -> tuple[Float[np.ndarray, "draws samples"], Float[np.ndarray, "draws samples unknown"]]:
+        """Return the velocities at the sampling times, and their derivatives; NaN where a motion does not get there.
+
+        `values`: values of the parameters `by`, and then of the unknown `states`. Each derivative has a lane of its
+        own.
+        """
+        scene, start = self.point.system, self.point.start
+        draw, direction = (index.ravel() for index in np.indices(values.shape))
+        unknown = {name: (values[draw, k], (direction == k) + 0.0) for k, name in enumerate((*by, *self.states))}
+        zero = np.zeros(len(draw))
+        p = {name: (zero + x, zero) for name, x in self.point.parameters.items()}
+        p |= {name: unknown[name] for name in by}
+        given = () if start is None or isinstance(start, str) else zip(scene.start_states, start, strict=True)
+        state = {name: (zero, zero) for name in scene.state_names} | {name: (zero + x, zero) for name, x in given}
+        state |= {name: unknown[name] for name in self.states}
+        calls = -(-len(self.times) // SAMPLES_PER_CALL)
+        times = np.pad(self.times, (0, calls * SAMPLES_PER_CALL - len(self.times)), "edge")
+
+        def pick(part: np.ndarray, k: int) -> Begin:
+            return {name: x[k][part] for name, x in p.items()}, tuple(x[k][part] for x in state.values())
+
+        def work(part: np.ndarray) -> np.ndarray:
+            named, accuracy = start if isinstance(start, str) else None, Accuracy(*map(np.float64, DERIVATIVE_ACCURACY))
+            begin, along = pick(part, 0), pick(part, 1)
+            lane, moved = _begun(scene, named, begin, along)
+            rows = []
+            for block in times.reshape(calls, SAMPLES_PER_CALL, 1):
+                until = np.broadcast_to(block, (SAMPLES_PER_CALL, len(part))).copy()
+                lane, moved, *sampled = _sampled(scene, named, begin, along, lane, moved, until, accuracy)
+                velocity, clock, rate, slope, late = map(np.asarray, sampled)
+                # Steps have fixed lengths, so that the end of the last one moves with the times of events.
+                rows.append([np.where(clock >= until - SAME_TIME, velocity, np.nan), slope - rate * late])
+            return np.concatenate(rows, axis=1)[:, : len(self.times)]
+
+        velocity, slopes = in_calls(work, len(draw), workers()).reshape(2, len(self.times), *values.shape)
+        return velocity[..., 0].T, np.moveaxis(slopes, 0, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Observations, and the unknowns that shall explain them.
+
+    - `point`: scene, initial condition and fixed parameters of the rows.
+    - `names`: the unknown parameters, and then the unknown states at the first sample of the history; `low` and `high`:
+      their bounds; `prior_mean` and `prior_error` along them, with an infinite error where there is no prior.
+    - `conditions`: for each row the parameters that differ between rows, by name.
+    - `of`: the observed variables; `values`: their values in the rows and at the samples of the history, NaN where
+      there is none; `errors`: their standard errors, or None if the residuals shall give them.
+    - `labels`: number of each row's line in the file, or of the row; of samples their number.
+    - `seed`: seed of the points at which searches begin.
+    """
+
+    point: Point
+    history: History | None
+    names: tuple[str, ...]
+    low: Theta
+    high: Theta
+    prior_mean: Theta
+    prior_error: Theta
+    conditions: dict[str, np.ndarray]
+    of: tuple[str, ...]
+    values: Values
+    errors: Values | None
+    labels: np.ndarray
+    seed: int
+
+    @property
+    def rows(self) -> int:
+        """Number of rows; the other observations are samples of the history."""
+        return len(self.labels) - (0 if self.history is None else len(self.history.times))
+
+    @property
+    def parameters(self) -> int:
+        """Number of unknown parameters; the other unknowns are states."""
+        return len(self.names) - (0 if self.history is None else len(self.history.states))
+
+    @property
+    def free(self) -> list[int]:
+        """Indices of the unknown parameters of the scene."""
+        return [k for k, name in enumerate(self.names[: self.parameters]) if name != CONSTANT]
+
+    @property
+    def by(self) -> list[str]:
+        """Parameters of the scene that are unknown, or differ between rows."""
+        return [*(self.names[k] for k in self.free), *self.conditions]
+
+    @property
+    def features(self) -> list[str]:
+        """Features of orbits from which the observed variables follow."""
+        lawful = CONSTANT in self.names
+        names = [name for name in self.of if name != VELOCITY and (name != RATE or not lawful)]
+        return names + [RELIEF] * (lawful and RELIEF not in names)
+
+    def points(self, thetas: Thetas) -> Float[np.ndarray, "points by"]:
+        """Return the parameters `by` of all rows at each row of `thetas`, one row of data after the other."""
+        rows = np.stack([*self.conditions.values()], axis=1) if self.conditions else np.zeros((self.rows, 0))
+        return np.hstack([np.repeat(thetas[:, self.free], self.rows, axis=0), np.tile(rows, (len(thetas), 1))])
+
+    def shortage(self, used: Rows) -> str:
+        """Return why the observations `used` do not determine the unknowns with an error; empty if they do."""
+        count = int(np.isfinite(self.values[used]).sum()) + int(np.isfinite(self.prior_error).sum())
+        if count >= len(self.names) + (self.errors is None):
+            return ""
+        wanted = counted(len(self.names), "unknown" if self.history else "unknown parameter")
+        wanted += " and the size of the noise" * (self.errors is None)
+        more = "give standard errors in [error], " if self.errors is None else "give a [prior], "
+        return f"{counted(count, 'value')} for {wanted}; add rows or observed variables, {more}or leave an unknown out"
+
+    def free_of(self, theta: Theta) -> Theta:
+        """Return the unknowns as the searches vary them: logarithms of positive ones, whose bounds may span decades."""
+        with np.errstate(all="ignore"):
+            return np.where(self.low > 0, np.log(theta), theta)
+
+    def theta_of(self, free: np.ndarray) -> np.ndarray:
+        """Return theta inside the bounds; the inverse of `free_of`."""
+        with np.errstate(all="ignore"):
+            return np.clip(np.where(self.low > 0, np.exp(free), free), self.low, self.high)
+
+    def errors_at(self, values: Values) -> Values:
+        """Return the standard errors of the observations, or else the sizes of `values`, to which noise is relative.
+
+        For samples of a history, the size is the root mean square of all samples.
+        """
+        if self.errors is not None:
+            return self.errors
+        if self.history is not None:
+            return np.full_like(values, np.sqrt(np.nanmean(self.values**2)) or 1.0)
+        floor = SMALLEST_SHARE * np.nanmean(np.abs(self.values), axis=0)
+        return np.fmax(np.abs(values), np.where(floor > 0, floor, 1.0))
+
+    def target(self, used: Rows, sizes: Values) -> "Target":
+        """Return the target of a fit to the observations `used`; without standard errors, with weights at `sizes`."""
+        known = np.isfinite(self.values) & used[:, None]
+        weight = np.where(known, 1 / np.where(known, self.errors_at(sizes), 1.0), 0.0)
+        return Target(np.where(known, self.values, 0.0), weight, self.prior_mean, self.prior_error)
 
 
 class Prediction(NamedTuple):
@@ -103,180 +297,123 @@ class Fit(NamedTuple):
 class Model:
     """Predictions of all observations on one branch of orbits, as functions of the unknowns theta."""
 
-    def __init__(self, spec: CalibrationSpec, theta: Theta, row: int) -> None:
+    def __init__(self, problem: Problem, theta: Theta, row: int) -> None:
         """Begin the branch at the orbit on which the motion settles at `theta` and the observation `row`."""
-        self._spec = spec
-        self._free = [name for name in spec.of_parameters.names if name != CONSTANT]
-        self._places = [k for k, name in enumerate(spec.names) if name != CONSTANT]
-        self._of = _features(spec)
+        self._problem = problem
         self._last: tuple[bytes, list[Prediction]] | None = None
-        if spec.rows:
-            self._branch = Branch(spec.point, self._of, _parameters(spec))
-            self._branch.evaluate(_points(spec, theta[None])[[row]])
+        if problem.rows:
+            self._branch = Branch(problem.point, problem.features, problem.by)
+            self._branch.evaluate(problem.points(theta[None])[[row]])
 
     def predict(self, theta: Theta) -> Prediction:
         """Return the predictions at theta."""
         return self.predict_all(theta[None])[0]
 
-    def predict_all(self, thetas: Float[np.ndarray, "draws unknown"]) -> list[Prediction]:
+    def predict_all(self, thetas: Thetas) -> list[Prediction]:
         """Return the predictions at each row of `thetas`."""
         if self._last is not None and self._last[0] == thetas.tobytes():
             return self._last[1]
-        rows, history = self._spec.rows, self._spec.history
-        values = np.zeros((len(thetas), *self._spec.values.shape))
+        problem, rows, history = self._problem, self._problem.rows, self._problem.history
+        values = np.zeros((len(thetas), *problem.values.shape))
         slopes, valid = np.zeros((*values.shape, thetas.shape[1])), np.zeros(values.shape[:2], bool)
         if rows:
-            own = np.s_[:, :rows, : values.shape[2] - (history is not None)]
-            values[own], slopes[own], has_orbit = self._of_rows(thetas)
-            valid[:, :rows] = has_orbit & np.isfinite(values[own]).all(axis=2)
+            orbits = self._branch.evaluate(problem.points(thetas))
+            shape = len(thetas), rows, len(self._branch.of)
+            features = orbits.values.reshape(shape)
+            changes = np.zeros((*shape, thetas.shape[1]))
+            changes[..., problem.free] = orbits.derivatives.reshape(*shape, -1)[..., : len(problem.free)]
+            columns = {name: (features[..., k], changes[..., k, :]) for k, name in enumerate(problem.features)}
+            if CONSTANT in problem.names:
+                place = problem.names.index(CONSTANT)
+                relief, change = columns[RELIEF]
+                with np.errstate(all="ignore"):
+                    slope = thetas[:, place, None, None] * change / relief[..., None]
+                    slope[..., place] = np.log(relief)
+                    columns[RATE] = thetas[:, [place]] * np.log(relief), slope
+            valid[:, :rows] = orbits.valid.reshape(shape[:2])
+            for k, name in enumerate(name for name in problem.of if name != VELOCITY):
+                values[:, :rows, k], slopes[:, :rows, k] = columns[name]
+                valid[:, :rows] &= np.isfinite(columns[name][0])
         if history is not None:
-            velocity, derivatives = history.predict(self._free, thetas[:, self._places])
+            own = [*problem.free, *range(problem.parameters, len(problem.names))]
+            by = [problem.names[k] for k in problem.free]
+            velocity, derivatives = history.predict(by, thetas[:, own])
             values[:, rows:, -1], valid[:, rows:] = velocity, np.isfinite(velocity)
-            slopes[:, rows:, -1, self._places] = derivatives
+            slopes[:, rows:, -1, own] = derivatives
         predictions = [
             Prediction(np.nan_to_num(x), np.nan_to_num(d), ok) for x, d, ok in zip(values, slopes, valid, strict=True)
         ]
         self._last = thetas.tobytes(), predictions
         return predictions
 
-    def _of_rows(self, thetas: Float[np.ndarray, "draws unknown"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the observed variables of the rows, their derivatives, and a mask of the rows with a stable orbit."""
-        orbits = self._branch.evaluate(_points(self._spec, thetas))
-        shape = len(thetas), self._spec.rows, len(self._branch.of)
-        values, places = orbits.values.reshape(shape), self._places[: len(self._free)]
-        own = np.zeros((*shape, thetas.shape[1]))  # the first features are `_of`
-        own[..., places] = orbits.derivatives.reshape(*shape, -1)[..., : len(places)]
-        parts = [self._observed(theta, x, d) for theta, x, d in zip(thetas, values, own, strict=True)]
-        return np.stack([x for x, _ in parts]), np.stack([d for _, d in parts]), orbits.valid.reshape(shape[:2])
 
-    def _observed(self, theta: Theta, values: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the observed variables and their derivatives, from those of the features of the orbits."""
-        columns = {name: (values[:, k], slopes[:, k]) for k, name in enumerate(self._of)}
-        if CONSTANT in self._spec.names:
-            place = self._spec.names.index(CONSTANT)
-            relief, change = columns[RELIEF]
-            with np.errstate(all="ignore"):
-                slope = theta[place] * change / relief[:, None]
-                slope[:, place] = np.log(relief)
-                columns[RATE] = theta[place] * np.log(relief), slope
-        pairs = [columns[name] for name in self._spec.observed if name != VELOCITY]
-        return np.stack([x for x, _ in pairs], axis=1), np.stack([x for _, x in pairs], axis=1)
-
-
-def _features(spec: CalibrationSpec) -> list[str]:
-    """Return the features of orbits from which the observed variables follow."""
-    lawful = CONSTANT in spec.names
-    names = [name for name in spec.observed if name != VELOCITY and (name != RATE or not lawful)]
-    return names + [RELIEF] * (lawful and RELIEF not in names)
-
-
-def _parameters(spec: CalibrationSpec) -> list[str]:
-    return [*(name for name in spec.of_parameters.names if name != CONSTANT), *spec.conditions]
-
-
-def _points(spec: CalibrationSpec, thetas: Float[np.ndarray, "draws unknown"]) -> Float[np.ndarray, "points by"]:
-    """Return the parameters of all rows at each row of `thetas`, one row of data after the other."""
-    rows = spec.rows
-    free = thetas[:, [k for k, name in enumerate(spec.of_parameters.names) if name != CONSTANT]]
-    conditions = np.stack([*spec.conditions.values()], axis=1) if spec.conditions else np.zeros((rows, 0))
-    return np.concatenate([np.repeat(free, rows, axis=0), np.tile(conditions, (len(thetas), 1))], axis=1)
-
-
-def free_of(spec: CalibrationSpec, theta: np.ndarray) -> np.ndarray:
-    """Return the unknowns as the searches vary them: logarithms of positive ones, whose bounds may span decades."""
-    with np.errstate(all="ignore"):
-        return np.where(spec.low > 0, np.log(theta), theta)
-
-
-def theta_of(spec: CalibrationSpec, free: np.ndarray) -> np.ndarray:
-    """Return theta inside the bounds; the inverse of `free_of`."""
-    with np.errstate(all="ignore"):
-        return np.clip(np.where(spec.low > 0, np.exp(free), free), spec.low, spec.high)
-
-
-def errors_at(spec: CalibrationSpec, values: Values) -> Values:
-    """Return the standard errors of the observations, or else the sizes of `values`, to which the noise is relative.
-
-    For samples of a history, the size is the root mean square of all samples.
-    """
-    if spec.errors is not None:
-        return np.stack([spec.errors[name] for name in spec.observed], axis=1)
-    if spec.history is not None:
-        return np.full_like(values, np.sqrt(np.nanmean(spec.values**2)) or 1.0)
-    floor = SMALLEST_SHARE * np.nanmean(np.abs(spec.values), axis=0)
-    return np.fmax(np.abs(values), np.where(floor > 0, floor, 1.0))
-
-
-def starts(spec: CalibrationSpec) -> list[tuple[Theta, int]]:
+def starts(problem: Problem) -> list[tuple[Theta, int]]:
     """Return the points of the box at which searches begin, best first, each with an observation that has an orbit.
 
     The motions of a sample of points are simulated from the start, or over the history if there is nothing else.
     Different points may lead to different kinds of orbits, so that each search follows a branch of its own.
     """
-    own, history = spec.of_parameters, spec.history
-    unit = qmc.Sobol(len(own.names), seed=spec.seed).random(SCREENED)
+    unit = qmc.Sobol(problem.parameters, seed=problem.seed).random(SCREENED)
     unit[0] = 0.5
-    low, high = free_of(own, own.low), free_of(own, own.high)
-    thetas = theta_of(own, low + (high - low) * unit)
-    if history is not None:
-        thetas = np.concatenate([thetas, np.tile(history.guess, (SCREENED, 1))], axis=1)
-    if not spec.rows:
-        predictions = Model(spec, thetas[0], 0).predict_all(thetas)
-        off = [np.where(x.valid, np.abs(x.values[:, -1] - spec.values[:, -1]), np.inf).sum() for x in predictions]
+    low, high = (problem.free_of(end)[: problem.parameters] for end in (problem.low, problem.high))
+    guess = np.zeros(0) if problem.history is None else problem.history.guess
+    thetas = problem.theta_of(np.hstack([low + (high - low) * unit, np.tile(guess, (SCREENED, 1))]))
+    if not problem.rows:
+        predictions = Model(problem, thetas[0], 0).predict_all(thetas)
+        off = [np.where(x.valid, np.abs(x.values[:, -1] - problem.values[:, -1]), np.inf).sum() for x in predictions]
         return [(thetas[k], 0) for k in np.argsort(off, kind="stable")]
-    rows = np.unique(np.linspace(0, spec.rows - 1, SCREENED_ROWS).round().astype(int))
-    by = _parameters(spec)
-    columns = _points(spec, thetas).reshape(SCREENED, -1, len(by))[:, rows]
-    found = settled_at(spec.point, by, columns.reshape(-1, len(by)))
-    lanes = {name: found[name].reshape(SCREENED, -1) for name in (*_features(spec), "stable") if name in found}
+    rows = np.unique(np.linspace(0, problem.rows - 1, SCREENED_ROWS).round().astype(int))
+    columns = problem.points(thetas).reshape(SCREENED, problem.rows, -1)[:, rows]
+    found = settled_at(problem.point, problem.by, columns.reshape(SCREENED * len(rows), -1))
+    lanes = {name: found[name].reshape(SCREENED, -1) for name in (*problem.features, "stable") if name in found}
     stable = lanes["stable"] == 1
     cost = np.zeros(stable.shape)
-    for k, name in enumerate(spec.observed):
+    for k, name in enumerate(problem.of):
         with np.errstate(all="ignore"):
-            if name == RATE and CONSTANT in spec.names:
-                lanes[name] = thetas[:, [spec.names.index(CONSTANT)]] * np.log(lanes[RELIEF])
+            if name == RATE and CONSTANT in problem.names:
+                lanes[name] = thetas[:, [problem.names.index(CONSTANT)]] * np.log(lanes[RELIEF])
             if name in lanes:  # lanes do not have all features of orbits
-                off = np.abs(lanes[name] / spec.values[rows, k] - 1)
+                off = np.abs(lanes[name] / problem.values[rows, k] - 1)
                 cost += np.where(stable & (off < 1), off, 1.0)
     order = np.argsort(cost.sum(axis=1), kind="stable")
     return [(thetas[k], int(rows[stable[k].argmax()])) for k in order if stable[k].any()]
 
 
-def fit_from(spec: CalibrationSpec, model: Model, theta: Theta) -> Fit:
+def fit_from(problem: Problem, model: Model, theta: Theta) -> Fit:
     """Return the end of the search that begins at `theta`.
 
     Each fit has the observations with an orbit at the end of the fit before. At a trial point at which some of them
     have none, these count as off by their whole size: the point is not excluded, but has to be better for the others.
     """
-    low, high = free_of(spec, spec.low), free_of(spec, spec.high)
+    low, high = problem.free_of(problem.low), problem.free_of(problem.high)
     prediction = model.predict(theta)
-    target = _target(spec, prediction.valid, spec.values)
+    target = problem.target(prediction.valid, problem.values)
     for number in range(MAX_ROUNDS):
         if not target.used.any():
             break
 
         def residuals(free: np.ndarray, target: Target = target) -> np.ndarray:
-            at = theta_of(spec, free)
+            at = problem.theta_of(free)
             trial = model.predict(at)
             return np.concatenate([target.residuals(trial, at), target.losses(trial.valid)])
 
         def jacobian(free: np.ndarray, target: Target = target) -> np.ndarray:
-            at = theta_of(spec, free)
-            slopes = target.jacobian(model.predict(at)) * np.where(spec.low > 0, at, 1.0)
+            at = problem.theta_of(free)
+            slopes = target.jacobian(model.predict(at)) * np.where(problem.low > 0, at, 1.0)
             return np.concatenate([slopes, np.zeros((target.values.size, len(at)))])
 
         with np.errstate(all="ignore"):  # no derivative is different from 0 if, say, the bit never slides
             found = least_squares(
-                residuals, np.clip(free_of(spec, theta), low, high), jacobian, (low, high), x_scale="jac",
+                residuals, np.clip(problem.free_of(theta), low, high), jacobian, (low, high), x_scale="jac",
                 ftol=None, xtol=TOLERANCE, gtol=None, max_nfev=MAX_EVALUATIONS,
             )  # fmt: skip
-        theta = theta_of(spec, found.x)
+        theta = problem.theta_of(found.x)
         prediction = model.predict(theta)
         # Observations come back in the first rounds only, so that the rounds end.
         back = prediction.valid if number < MAX_ROUNDS // 2 else prediction.valid & target.used
-        new = _target(spec, back, prediction.values)
+        new = problem.target(back, prediction.values)
         if np.allclose(new.weight, target.weight, rtol=SAME_WEIGHTS, atol=0):
-            if spec.history is None or not (along := best_along_step(spec, model, target, theta))[1] > 0:
+            if problem.history is None or not (along := best_along_step(problem, model, target, theta))[1] > 0:
                 break
             theta = along[0]  # the search stalled at a kink
             prediction = model.predict(theta)
@@ -284,16 +421,16 @@ def fit_from(spec: CalibrationSpec, model: Model, theta: Theta) -> Fit:
     target = target._replace(weight=np.where(prediction.valid[:, None], target.weight, 0.0))
     cost = float(np.sum(target.residuals(prediction, theta) ** 2))
     values = int((target.weight > 0).sum())
-    freedom = values + int(np.isfinite(spec.prior_error).sum()) - len(theta)
+    freedom = values + int(np.isfinite(problem.prior_error).sum()) - len(theta)
     # Twice the negative log-likelihood, relative to values that have no orbit and may be anywhere within their size.
-    if spec.errors is not None:
+    if problem.errors is not None:
         score = cost - 2 * float(np.log(np.fmax(np.abs(target.weight * target.values), 1.0)).sum())
     else:
         score = 2 * freedom * np.log(max(np.sqrt(cost / freedom), ORBIT_ERROR)) if freedom > 0 else np.inf
     return Fit(theta, prediction, target, cost, freedom, score)
 
 
-def best_along_step(spec: CalibrationSpec, model: Model, target: Target, theta: Theta) -> tuple[Theta, float]:
+def best_along_step(problem: Problem, model: Model, target: Target, theta: Theta) -> tuple[Theta, float]:
     """Return the best point on the step of Gauss and Newton, and by how much the sum of squares falls there.
 
     The sum of squares of a history has kinks, where an event passes a sample, at which a search may stall.
@@ -301,15 +438,63 @@ def best_along_step(spec: CalibrationSpec, model: Model, target: Target, theta: 
     prediction = model.predict(theta)
     residuals = target.residuals(prediction, theta)
     step = -np.linalg.lstsq(target.jacobian(prediction), residuals)[0]
-    thetas = np.clip(theta + np.array(STEP_SHARES)[:, None] * step, spec.low, spec.high)
+    thetas = np.clip(theta + np.array(STEP_SHARES)[:, None] * step, problem.low, problem.high)
     pairs = zip(thetas, model.predict_all(thetas), strict=True)
     costs = [float(np.sum(target.residuals(x, at) ** 2)) if x.valid[target.used].all() else np.inf for at, x in pairs]
     best = int(np.argmin(costs))
     return thetas[best], float(np.sum(residuals**2)) - costs[best]
 
 
-def _target(spec: CalibrationSpec, used: Rows, sizes: Values) -> Target:
-    """Return the target of a fit to the observations `used`; without standard errors, with weights at `sizes`."""
-    known = np.isfinite(spec.values) & used[:, None]
-    weight = np.where(known, 1 / np.where(known, errors_at(spec, sizes), 1.0), 0.0)
-    return Target(np.where(known, spec.values, 0.0), weight, spec.prior_mean, spec.prior_error)
+def _constants(scene: Scene[Any], start: str | None, begin: Begin) -> tuple[Any, States]:
+    """Return the constants of the scene for a motion, and its initial state."""
+    p, state = begin
+    c = scene.constants(p)
+    state = state if start is None else scene.start(c, start, state[0].shape)
+    return scene.scaled(c, lax.stop_gradient(state)), state
+
+
+@lane_function(static=2, derives=True)
+def _begun(scene: Scene[Any], start: str | None, begin: Begin, along: Begin) -> tuple[Lane, Lane]:
+    """Return lanes at t = 0, and their derivatives along the direction `along`."""
+    return jax.jvp(lambda begin: with_derivatives(lane_at(scene, *_constants(scene, start, begin))), (begin,), (along,))
+
+
+@lane_function(static=2, derives=True)
+def _sampled(
+    scene: Scene[Any],
+    start: str | None,
+    begin: Begin,
+    along: Begin,
+    lane: Lane,
+    moved: Lane,
+    times: Array,
+    accuracy: Accuracy,
+) -> tuple[Lane, Lane, Array, Array, Array, Array, Array]:
+    """Step lanes with their derivatives `moved` to each of the `times` (samples, lanes).
+
+    **Returns:** lanes and derivatives at the last time; at each time the velocity, the clock and the acceleration, and
+    the derivatives of velocity and clock (samples, lanes).
+    """
+    place = scene.place(VELOCITY)
+
+    def to(both: tuple[Lane, Lane], time: Any) -> Any:
+        def moving(lane: Lane, steps: Any) -> Flags:
+            return (lane.clock.until(time) > 0) & (steps < MOST_STEPS_PER_SAMPLE)
+
+        def motion(begin: Begin, lane: Lane) -> Any:
+            c, _ = _constants(scene, start, begin)
+
+            def step(now: tuple[Lane, Any]) -> tuple[Lane, Any]:
+                active = moving(*now)
+                lane, _ = Located().step(scene, c, now[0], accuracy, Goal(time, active), marked=False)
+                return lane, now[1] + active.astype(time.dtype)
+
+            first = with_derivatives(lane), jnp.zeros_like(time)
+            lane, _ = lax.while_loop(lambda now: jnp.any(moving(*now)), step, first)
+            return lane, scene.field(c, lane.mode, lane.state)[place]
+
+        (lane, rate), (moved, _) = jax.jvp(motion, (begin, both[0]), (along, both[1]))
+        return (lane, moved), (lane.state[place], lane.clock.high, rate, moved.state[place], moved.clock.high)
+
+    (lane, moved), rows = lax.scan(to, (lane, moved), times)
+    return lane, moved, *rows

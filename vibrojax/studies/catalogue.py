@@ -25,8 +25,8 @@ from vibrojax.settings.names import Names, enter_offered, read_names
 from vibrojax.settings.run_settings import RunSettings
 from vibrojax.studies import glossary
 from vibrojax.studies.analysis import offered_variables
-from vibrojax.studies.design_run import DESIGN_VARIABLES
-from vibrojax.studies.effects_run import SCHEMA as STUDY_SCHEMA
+from vibrojax.studies.design import DESIGN_VARIABLES
+from vibrojax.studies.effects import SCHEMA as STUDY_SCHEMA
 from vibrojax.studies.tolerance import tolerance_variables
 
 

@@ -13,8 +13,8 @@ from vibrojax.pictures.colours import value_of
 from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Points, Scale, Sheet, colours_of, dots
 from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.studies.analysis import PictureRule, SummaryPart
-from vibrojax.studies.design_run import DESIGN_VARIABLES, find_design
-from vibrojax.studies.design_spec import DesignSpec, read_design
+from vibrojax.studies.design import DESIGN_VARIABLES, find_design, read_design
+from vibrojax.studies.design_points import DesignSpec
 from vibrojax.studies.subjects import FileAnalysis
 
 _MAX_PANELS = 6
@@ -125,7 +125,13 @@ class Designs(FileAnalysis[DesignSpec]):
         return read_design(file)
 
     def identity(self, asked: DesignSpec) -> dict[str, object]:
-        return asked.identity()
+        """Return all settings on which the result depends, as flat JSON values."""
+        own: dict[str, object] = {f"tolerance.{name}": width for name, width in asked.tolerances.items()}
+        own |= {f"subject.{c.variable}.{c.end}": c.limit for c in asked.constraints}
+        own |= {"robust": True} if asked.robust else {}
+        front = asked.front and [asked.front.against, asked.front.end, asked.front.points, asked.front.span]
+        own |= {"maximise": asked.maximise, "regime": asked.regime, "share": asked.share, "front": front}
+        return asked.template.identity() | {f"design.{name}": value for name, value in own.items()}
 
     def compute(self, asked: DesignSpec, progress: bool = True) -> xr.Dataset:
         return find_design(asked, progress)

@@ -1,18 +1,18 @@
-"""Nominal points of a design: the assessment of their lanes, and their periodic orbits over the tolerance box."""
+"""Points of a design: what it asks for, the assessment of their lanes, and their periodic orbits over the box."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vibrojax.io.variables import ORBIT_REASONS
-from vibrojax.maps.sweep import with_substitutes
+from vibrojax.errors import Place
+from vibrojax.io.variables import ORBIT_REASONS, Variable
+from vibrojax.maps.sweep import Sweep, with_substitutes
 from vibrojax.measures.labels import REGIMES
 from vibrojax.periodic.derivatives import MODULUS
 from vibrojax.periodic.orbits import Orbits, orbits_of
-from vibrojax.studies.design_spec import Constraint, DesignSpec
 
 Unit = Float[np.ndarray, " varied"]
 Points = Float[np.ndarray, "points varied"]
@@ -31,6 +31,86 @@ ORBIT_REACH = 1.0
 
 COMPLEX_STEP = 1e-20
 """Imaginary step by which substitutions of parameters are differentiated, without rounding errors."""
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """A limit of a variable; `end`: "least" or "most". `margin`: amount by which the search tightens the limit."""
+
+    variable: str
+    end: str
+    limit: float
+    margin: float = 0.0
+
+    def slack(self, values: Any) -> Any:
+        """Return the distance from the tightened limit, negative where it is violated, relative to the limit."""
+        distance = self.limit - values if self.end == "most" else values - self.limit
+        return (distance - self.margin) / self.scale
+
+    @property
+    def scale(self) -> float:
+        """Unit of the slack."""
+        return abs(self.limit) or 1.0
+
+    @property
+    def sign(self) -> float:
+        """Sign of the slack's derivative with respect to the variable."""
+        return -1.0 if self.end == "most" else 1.0
+
+
+@dataclass(frozen=True)
+class Front:
+    """A front: the best objective over values of `against`, a limited variable, or "tolerance" (a factor)."""
+
+    against: str
+    end: str
+    points: int
+    span: tuple[float, float] | None
+
+
+@dataclass(frozen=True, eq=False)
+class DesignSpec:
+    """A checked design.
+
+    - `robust`: True to maximise the worst value over the tolerances. `names`: all variables that the design limits.
+    - `varied`: names, with bounds `low` and `high`; the search scales these to the unit box.
+    - `tolerances`: half-widths by name; `fixed`: nominal values of those parameters that are not varied.
+    - `share`: least and greatest share of good starts, or None if all starts must be good.
+    - `template`: a sweep at the bounds; `place`: place of the design in messages; `text`: the design as TOML.
+    """
+
+    place: Place
+    text: str
+    template: Sweep
+    maximise: str
+    robust: bool
+    varied: tuple[str, ...]
+    low: Float[np.ndarray, " varied"]
+    high: Float[np.ndarray, " varied"]
+    tolerances: dict[str, float]
+    fixed: dict[str, float]
+    regime: str | None
+    share: tuple[float, float] | None
+    constraints: tuple[Constraint, ...]
+    front: Front | None
+    variables: dict[str, Variable]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The variables that the search needs: what is maximised, limited, or the axis of a front."""
+        against = (self.front.against,) if self.front is not None and self.front.against != "tolerance" else ()
+        return tuple(dict.fromkeys((self.maximise, *(c.variable for c in self.constraints), *against)))
+
+    def columns(
+        self, unit: Float[np.ndarray, "points varied"], offsets: Float[np.ndarray, "points tolerances"]
+    ) -> dict[str, np.ndarray]:
+        """Return the parameters of points: nominal values in the unit box, and offsets in half-widths."""
+        values = dict(zip(self.varied, (self.low + unit * (self.high - self.low)).T, strict=True))
+        for name, value in self.fixed.items():
+            values[name] = np.full(len(unit), value)
+        for k, (name, width) in enumerate(self.tolerances.items()):
+            values[name] = values[name] + offsets[:, k] * width
+        return values
 
 
 @dataclass(frozen=True, eq=False)

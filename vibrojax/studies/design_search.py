@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import cached_property
 from itertools import product
 
@@ -16,6 +17,7 @@ from vibrojax.periodic.derivatives import MODULUS, orbit_variables
 from vibrojax.studies.design_points import (
     Assessment,
     BoxOrbits,
+    DesignSpec,
     Lanes,
     LostOrbit,
     Offsets,
@@ -25,7 +27,6 @@ from vibrojax.studies.design_points import (
     orbits_at,
     scene_parameters,
 )
-from vibrojax.studies.design_spec import DRAWN_BOX, DesignSpec
 
 MAP_AXIS = {1: 33, 2: 16}
 """Points per axis of the map for one and two varied parameters, which make a grid."""
@@ -38,6 +39,9 @@ SEEDS, TRIED_SEEDS, RESULTS = 8, 24, 3
 
 APART, SAME_POINT = 0.12, 0.01
 """Least distance between two seeds, and between two candidates, in the unit box (greatest coordinate)."""
+
+DRAWN_BOX = 1.04
+"""Size of the box from which verification draws, relative to the tolerances: what holds there holds in the box."""
 
 MAX_CORNERS = 16
 """Largest number of corners in the search; verification has all."""
@@ -99,7 +103,7 @@ class Search:
 
     def lanes(self, unit: Points, offsets: Float[np.ndarray, "points tolerances"]) -> Lanes:
         """Return the variables of points with offsets, one row each, from every start."""
-        sweep = self.spec.sweep(self.spec.columns(unit, offsets))
+        sweep = replace(self.spec.template, points=self.spec.columns(unit, offsets))
         self.counts["lanes"] += sweep.lanes
         ds = run_sweep(sweep, progress=False)
         ds = ds if "start" in ds.dims else ds.expand_dims("start")

@@ -21,6 +21,9 @@ MIN_GROUPS = 8
 REASONS = ("known", "constant", "too-few-samples")
 """Meanings of the flags of `sobol_reason`."""
 
+SHARE = "share_single_impact"
+"""Name in `of` for the share of starts from which a point has a single impact."""
+
 # Up to eight parameters, all corners are run, 256 of them, and a fraction beyond. There, each further parameter is the
 # product of the signs of some of the first seven, or eight. Main effects and interactions of two parameters are not
 # confounded with each other (resolution V).
@@ -60,26 +63,14 @@ class Sampling:
         """The description of the box for SALib."""
         return {"num_vars": len(self.bounds), "names": self.names, "bounds": [list(x) for x in self.bounds.values()]}
 
-    def sobol_points(self) -> Points:
-        """Return Saltelli's sample, `samples` groups of `group` points each.
+    def points(self) -> Points:
+        """Return all points: Saltelli's sample, `samples` groups of `group` points each, and the corners.
 
         **Raises:** `InputError` if SALib is not installed.
         """
-        points: Points = salib("sample").sample(self.problem, self.samples, calc_second_order=True, seed=self.seed)
-        return points
-
-    def corner_signs(self) -> Points:
-        """Return the signs, -1 or 1, of each parameter at each corner of the design."""
-        return factorial_signs(len(self.bounds))
-
-    def corners(self) -> Points:
-        """Return the corners of the two-level design."""
+        sample = salib("sample").sample(self.problem, self.samples, calc_second_order=True, seed=self.seed)
         low, high = np.array(list(self.bounds.values())).T
-        return np.where(self.corner_signs() > 0, high, low)
-
-    def points(self) -> Points:
-        """Return all points: the Sobol sample, followed by the corners."""
-        return np.concatenate([self.sobol_points(), self.corners()])
+        return np.concatenate([sample, np.where(factorial_signs(len(low)) > 0, high, low)])
 
 
 def factorial_signs(parameters: int) -> Points:
@@ -121,7 +112,7 @@ def indices(sampling: Sampling, values: Values) -> Result:
     count = sampling.samples * sampling.group
     groups = values[:count].reshape(sampling.samples, sampling.group)
     kept = np.isfinite(groups).all(axis=1)
-    effect, interaction, corners_left_out = factorial_effects(sampling.corner_signs(), values[count:])
+    effect, interaction, corners_left_out = factorial_effects(factorial_signs(len(sampling.bounds)), values[count:])
     ends = groups[kept][:, [0, -1]]  # the independent points of each base sample
     result = {
         **_sobol_indices(sampling, groups[kept]),

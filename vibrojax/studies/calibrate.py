@@ -1,4 +1,4 @@
-"""Calibration of a drill's parameters: the function `calibrate`, and its dataset."""
+"""The function `calibrate`: the searches, the uncertainty of the best estimate, and the dataset."""
 
 from collections.abc import Mapping
 from os import PathLike
@@ -7,26 +7,29 @@ from typing import Any
 import numpy as np
 import scipy.stats
 import xarray as xr
+from jaxtyping import Float
 
 from vibrojax.compile.xla import precision
 from vibrojax.errors import InputError, counted
 from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.io.variables import VARIABLES, Variable, described
 from vibrojax.progress import Progress
-from vibrojax.studies.calibration_history import VELOCITY
+from vibrojax.studies.calibration_file import LAW, Calibration, read_calibration
 from vibrojax.studies.calibration_model import (
+    CONSTANT,
     ORBIT_ERROR,
     SCREENED,
     TOLERANCE,
+    VELOCITY,
     Fit,
     Model,
     best_along_step,
-    errors_at,
     fit_from,
     starts,
 )
-from vibrojax.studies.calibration_spec import CONSTANT, CalibrationSpec, read_calibration
-from vibrojax.studies.calibration_uncertainty import moved, nonlinearity, posterior_draws, uncertainty_of
+
+CHECKED_DRAWS = 32
+"""Draws of the posterior at which the motion is computed again, to check the linear approximation."""
 
 REASONS = ("identified", "confounded", "at-bound")
 """Whether the data determine a parameter."""
@@ -149,125 +152,169 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     return find_calibration(read_calibration(source), progress)
 
 
-def find_calibration(spec: CalibrationSpec, progress: bool = True) -> xr.Dataset:
+def find_calibration(asked: Calibration, progress: bool = True) -> xr.Dataset:
     """Return the dataset of a checked calibration."""
-    with precision("float64"), Progress(spec.searches, "searches", progress) as bar:
-        begins = starts(spec)
+    problem, searches, name = asked.problem, asked.file.searches, asked.origin.file
+    with precision("float64"), Progress(searches, "searches", progress) as bar:
+        begins = starts(problem)
         if not begins:
             raise InputError(
-                f"{spec.file}: no observation has a stable orbit from the start at any of {SCREENED} points inside the "
+                f"{name}: no observation has a stable orbit from the start at any of {SCREENED} points inside the "
                 "bounds; choose narrower bounds around plausible values, or another start"
             )
         fits = []
-        for theta, row in begins[: spec.searches]:
-            model = Model(spec, theta, row)
-            fits.append((fit_from(spec, model, theta), model))
+        for theta, row in begins[:searches]:
+            model = Model(problem, theta, row)
+            fits.append((fit_from(problem, model, theta), model))
             bar.add(1)
         fit, model = min(fits, key=lambda pair: pair[0].score)
         used = fit.target.used
-        if problem := spec.shortage(used):
+        if fault := problem.shortage(used):
             orbits = f"{used.sum()} of {counted(len(used), 'observation')} {'has' if used.sum() == 1 else 'have'}"
             raise InputError(
-                f"{spec.file}: {orbits} an orbit of one kind inside the bounds: {problem}; narrower bounds, another "
+                f"{name}: {orbits} an orbit of one kind inside the bounds: {fault}; narrower bounds, another "
                 "start or more searches may find others"
             )
-        return _dataset(spec, model, fit)
+        return _dataset(asked, model, fit)
 
 
-def _dataset(spec: CalibrationSpec, model: Model, fit: Fit) -> xr.Dataset:
-    theta, prediction, target, cost, freedom, _ = fit
+def _dataset(asked: Calibration, model: Model, fit: Fit) -> xr.Dataset:
+    problem, (theta, prediction, target, cost, freedom, _) = asked.problem, fit
     residuals, jacobian = target.residuals(prediction, theta), target.jacobian(prediction)
-    given = spec.errors is not None
-    own, history = spec.of_parameters, spec.history
-    count = len(own.names)
+    given, count, history = problem.errors is not None, problem.parameters, problem.history
+    names, low, high, estimate = problem.names[:count], problem.low[:count], problem.high[:count], theta[:count]
     variance = 1.0 if given else max(cost / freedom, ORBIT_ERROR**2)
     noise = np.nan if given else float(np.sqrt(variance))
-    # Unknown states follow the parameters: what they cannot compensate determines the parameters.
-    along = jacobian[:, count:]
-    follow = -np.linalg.pinv(along) @ jacobian[:, :count]
-    known = uncertainty_of(own, theta[:count], jacobian[:, :count] + along @ follow, variance)
-    width = np.sqrt(np.diag(known.covariance))
     step = -np.linalg.lstsq(jacobian, residuals)[0]
-    margin = AT_BOUND * (spec.high - spec.low)
-    beyond = ((theta < spec.low + margin) & (theta + step < spec.low)) | (
-        (theta > spec.high - margin) & (theta + step > spec.high)
-    )
+    margin = AT_BOUND * (problem.high - problem.low)
+    beyond = (theta < problem.low + margin) & (theta + step < problem.low)
+    beyond |= (theta > problem.high - margin) & (theta + step > problem.high)
     free = jacobian * ~beyond
     offset = np.linalg.norm(free @ np.linalg.lstsq(free, residuals)[0])
     far = offset > LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE
-    if far and (history is None or best_along_step(spec, model, target, theta)[1] > LARGEST_FALL * variance):
-        where = ", ".join(f"{name} = {x:.4g}" for name, x in zip(spec.names, theta, strict=True))
+    if far and (history is None or best_along_step(problem, model, target, theta)[1] > LARGEST_FALL * variance):
+        where = ", ".join(f"{name} = {x:.4g}" for name, x in zip(problem.names, theta, strict=True))
         raise InputError(
-            f"{spec.file}: no search has reached a minimum of the residuals; the best one ended at {where}, where "
-            f"{target.used.sum()} of {counted(len(spec.labels), 'observation')} have an orbit; give other "
+            f"{asked.origin.file}: no search has reached a minimum of the residuals; the best one ended at {where}, "
+            f"where {target.used.sum()} of {counted(len(problem.labels), 'observation')} have an orbit; give other "
             "bounds, another start, more searches, or leave out observations of other motions"
         )
+    # Unknown states follow the parameters: what they cannot compensate determines the parameters.
+    along = jacobian[:, count:]
+    follow = -np.linalg.pinv(along) @ jacobian[:, :count]
+    scale = np.where(low > 0, np.abs(estimate), high - low)
+    covariance, directions, direction_error = _uncertainty((jacobian[:, :count] + along @ follow) * scale, variance)
+    width = np.sqrt(np.diag(covariance))
+
+    def moved(steps: np.ndarray) -> np.ndarray:
+        """Return estimates changed by `steps` in units of `scale`, in logarithms of positive parameters, in bounds."""
+        with np.errstate(over="ignore"):
+            return np.clip(np.where(low > 0, estimate * np.exp(steps), estimate + scale * steps), low, high)
+
+    rng = np.random.default_rng(problem.seed)
+    finite = np.where(np.isfinite(direction_error), direction_error, 1e3)
+    steps = (rng.standard_normal((asked.file.draws, count)) * finite) @ directions
+    if not given and freedom > 0:  # the error of the observations is uncertain itself: Student's t
+        steps /= np.sqrt(rng.chisquare(freedom, (len(steps), 1)) / freedom)
+    draws = moved(steps)
     reason = np.where(width < VAGUE, REASONS.index("identified"), REASONS.index("confounded"))
     reason = np.where(beyond[:count], REASONS.index("at-bound"), reason)
-    draws = posterior_draws(own, theta[:count], known, freedom)
-    whole = np.concatenate([draws, theta[count:] + (draws - theta[:count]) @ follow.T], axis=1)
+    nonlinearity = np.nan
+    if not reason.any():
+        checked = draws[:CHECKED_DRAWS]
+        nonlinearity = _nonlinearity(
+            model, fit, jacobian, np.hstack([checked, theta[count:] + (checked - estimate) @ follow.T])
+        )
     quantile = scipy.stats.norm.ppf(0.5 + INTERVAL / 2) if given else scipy.stats.t.ppf(0.5 + INTERVAL / 2, freedom)
-    with np.errstate(over="ignore"):
-        ends = [moved(own, theta[:count], known.scale, sign * quantile * width) for sign in (-1, 1)]
-    error = errors_at(spec, prediction.values) * (1.0 if given else noise)
+    error = problem.errors_at(prediction.values) * (1.0 if given else noise)
     predicted = prediction.values.copy()
     if history is not None:  # rows have no samples, and samples no variables of orbits
-        predicted[: spec.rows, -1] = predicted[spec.rows :, :-1] = np.nan
+        predicted[: problem.rows, -1] = predicted[problem.rows :, :-1] = np.nan
     table: dict[str, Any] = {
-        "estimate": theta[:count],
-        "estimate_stderr": known.scale * width,
-        "estimate_low": ends[0],
-        "estimate_high": ends[1],
-        "low": own.low,
-        "high": own.high,
+        "estimate": estimate,
+        "estimate_stderr": scale * width,
+        "estimate_low": moved(-quantile * width),
+        "estimate_high": moved(quantile * width),
+        "low": low,
+        "high": high,
         "reason": reason,
-        "correlation": known.covariance / width / width[:, None],
-        "direction": known.directions,
-        "direction_error": known.errors,
+        "correlation": covariance / width / width[:, None],
+        "direction": directions,
+        "direction_error": direction_error,
         "posterior": draws,
-        "observed": spec.values,
+        "observed": problem.values,
         "predicted": predicted,
-        "residual": np.where(target.weight > 0, (prediction.values - spec.values) / error, np.nan),
+        "residual": np.where(target.weight > 0, (prediction.values - problem.values) / error, np.nan),
         "used": target.used,
         "chi_squared": cost / variance,
         "freedom": freedom,
         "noise": noise,
-        "nonlinearity": np.nan if reason.any() else nonlinearity(model, fit, jacobian, whole),
+        "nonlinearity": nonlinearity,
     }
-    parameters = spec.point.system.parameters()
-    about = {name: (parameters[name].unit, parameters[name].long_name) for name in own.names if name != CONSTANT}
-    about |= {CONSTANT: ("m s-1", "coefficient of the law, rate = C ln(P/D)")}
+    parameters = {**problem.point.system.parameters(), CONSTANT: LAW}
+    units = {name: about.units for name, about in VARIABLES.items()} | {VELOCITY: "m s-1"}
     coordinates: dict[str, Any] = {
-        "parameter": [*own.names],
-        "other": [*own.names],
-        "of": [*spec.observed],
-        "observation": spec.labels,
-        "parameter_unit": ("parameter", [about[name][0] for name in own.names]),
-        "parameter_long_name": ("parameter", [about[name][1] for name in own.names]),
-        "of_unit": ("of", ["m s-1" if name == VELOCITY else VARIABLES[name].units for name in spec.observed]),
+        "parameter": [*names],
+        "other": [*names],
+        "of": [*problem.of],
+        "observation": problem.labels,
+        "parameter_unit": ("parameter", [parameters[name].unit for name in names]),
+        "parameter_long_name": ("parameter", [parameters[name].long_name for name in names]),
+        "of_unit": ("of", [units[name] for name in problem.of]),
     }
-    for name, x in spec.conditions.items():
+    for name, x in problem.conditions.items():
         meaning = {"units": parameters[name].unit, "long_name": parameters[name].long_name}
         if history is not None:
             x = np.append(x, np.full(len(history.times), history.point.parameters[name]))
         coordinates[name] = ("observation", x, meaning)
-    variables = {
-        name: (dims, np.asarray(table[name], schema.dtype), schema.attributes())
-        for name, (dims, schema) in SCHEMA.items()
-    }
+    variables = described(
+        {name: (SCHEMA[name][0], x) for name, x in table.items()}, {n: v for n, (_, v) in SCHEMA.items()}
+    )
     if history is not None:
-        at = np.append(np.full(spec.rows, np.nan), history.begin + history.times)
-        coordinates["time"] = ("observation", at, {"units": "s", "long_name": "time of a sample of the history"})
+        times = np.append(np.full(problem.rows, np.nan), history.begin + history.times)
+        coordinates["time"] = ("observation", times, {"units": "s", "long_name": "time of a sample of the history"})
         if history.states:
-            units = {state.name: state.unit for state in spec.point.system.states}
-            coordinates |= {
-                "state": [*history.states],
-                "state_unit": ("state", [units[name] for name in history.states]),
-            }
+            system = problem.point.system
+            coordinates["state"] = [*history.states]
+            coordinates["state_unit"] = ("state", [system.states[system.place(name)].unit for name in history.states])
             meaning = {"long_name": "state at the first sample of the history, in its own unit"}
-            variables["first_state"] = (("state",), theta[count:], meaning)
-    attributes = dataset_attributes("calibration", spec.title, "calibrate", scene=spec.point.scene)
+            variables["first_state"] = ("state", theta[count:], meaning)
+    title = str(asked.file.title or f"Calibration of {', '.join(names)}")
+    attributes = dataset_attributes("calibration", title, "calibrate", scene=problem.point.scene)
     kind = "given" if given else "relative" if history is None else "history"
-    model_text = ERROR_MODELS[kind].format(freedom=freedom)
-    fixed = {"specification": spec.text, "searches": spec.searches, "error_model": model_text}
-    return xr.Dataset(variables, coordinates, attributes | fixed)
+    about = {"specification": asked.origin.text, "searches": asked.file.searches}
+    return xr.Dataset(
+        variables, coordinates, attributes | about | {"error_model": ERROR_MODELS[kind].format(freedom=freedom)}
+    )
+
+
+def _uncertainty(
+    scaled: Float[np.ndarray, "residuals unknown"], variance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the covariance from the Fisher information J'J, and combinations of the unknowns with their errors.
+
+    The covariance is very large, but finite, where the data do not determine a parameter. The combinations are
+    orthonormal rows, the best known first.
+    """
+    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    values, vectors = values[::-1], vectors[:, ::-1]
+    floor = np.finfo(float).eps * max(values[0], 0.0) * len(values)
+    with np.errstate(divide="ignore"):
+        errors = np.sqrt(variance / np.where(values > floor, values, 0.0))
+    finite = np.where(np.isfinite(errors), errors, 1e9)  # products with infinities would be NaN
+    signs = np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(len(values))])
+    return (vectors * finite**2) @ vectors.T, (vectors * signs).T, errors
+
+
+def _nonlinearity(model: Model, fit: Fit, jacobian: np.ndarray, draws: np.ndarray) -> float:
+    """Return the error of the linear prediction at draws of the posterior, relative to the spread of the prediction."""
+    rows, width = slice(0, fit.target.values.size), fit.target.values.shape[1]
+    centre = fit.target.residuals(fit.prediction, fit.theta)
+    off, spread = [], []
+    for draw, prediction in zip(draws, model.predict_all(draws), strict=True):
+        valid = np.repeat(prediction.valid, width)
+        linear = jacobian @ (draw - fit.theta)
+        off.append((fit.target.residuals(prediction, draw) - centre - linear)[rows][valid])
+        spread.append(linear[rows][valid])
+    total = np.sum(np.concatenate(spread) ** 2)
+    return float(np.sqrt(np.sum(np.concatenate(off) ** 2) / total)) if total > 0 else np.nan

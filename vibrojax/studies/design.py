@@ -1,21 +1,39 @@
-"""The function `design`: map, search, front and dataset, and the line that says why a design has no result."""
+"""The function `design`: its file, map, search, front and dataset, and the line that says why it has no result."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import MISSING, dataclass, replace
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from vibrojax.errors import InputError, counted
+from vibrojax.errors import InputError, Place, counted, shown, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.lanes.scene_variables import sweep_variables
+from vibrojax.maps.bounds import MAX_TOLERANCES, VariedFile, read_bounds, read_file
+from vibrojax.maps.read import read_parameters
 from vibrojax.measures.labels import REGIMES, UNBOUNDED
+from vibrojax.physics.parameters import Parameter
 from vibrojax.progress import Progress
-from vibrojax.studies.design_points import Assessment, extreme
-from vibrojax.studies.design_search import Search
-from vibrojax.studies.design_spec import MARGIN, Constraint, DesignSpec, read_design
+from vibrojax.settings.fields import Settings, given, setting
+from vibrojax.settings.names import Names
+from vibrojax.settings.toml import read_source
+from vibrojax.settings.values import STATE, as_table, choice, count, known_keys, quantity
+from vibrojax.studies.design_points import Assessment, Constraint, DesignSpec, Front, extreme
+from vibrojax.studies.design_search import DRAWN_BOX, Search
+
+MARGIN = 2.0
+"""Tightening of a limit, in units of the accepted relative error of a lane: other runs of the point meet it, too."""
+
+FRONT_POINTS = 20
+"""Default number of points of a front."""
+
+HALF_WIDTH = Parameter("half-width", 1.0, "1", "half-width of a tolerance", "w", lowest=0.0, open_below=True)
+
+_COUNTS = {"impacts", "striker_turns"}
+"""Variables that are stored as floats but are whole numbers, whose limits are not tightened."""
 
 TOLERANCE_SPAN = (0.0, 2.0)
 """Default range of the factor of the tolerances."""
@@ -42,6 +60,136 @@ class FrontPoint(NamedTuple):
 
     limit: float
     checked: Assessment
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignFile(VariedFile):
+    """The file of a design."""
+
+    maximise: Any = setting(MISSING, 'name a variable, like maximise = "impact_energy"', read=given)
+    robust: bool = setting(False, "whether to maximise the worst value over the tolerances")
+    subject: dict[str, Any] = setting(dict, "regime, share of the starts and limits of variables", read=as_table)
+    tolerance: dict[str, Any] = setting(dict, "half-widths of the tolerances", read=as_table)
+    front: dict[str, Any] | None = setting(None, "limit over which the best objective is drawn", read=as_table)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits(Settings):
+    """Limits of a variable, or of the share of the starts."""
+
+    advice: ClassVar[Mapping[str, str]] = {"min": "write least", "max": "write most"}
+
+    least: float | None = setting(None, "least value")
+    most: float | None = setting(None, "greatest value")
+
+    def check(self, place: Place) -> None:
+        if self.least is not None and self.most is not None and self.least > self.most:
+            raise place.error(f"contradictory: least {self.least:g} is above most {self.most:g}")
+
+
+def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpec:
+    """Read and check a design; raise `InputError` with a one-line message at the first problem."""
+    origin = read_source(source, "design")
+    file, place, names = read_file(DesignFile, origin)
+    bounds = read_bounds(place.at("vary"), file.vary, names, file.parameters, file.unusual)
+    options = {name: x for name, x in file.parameters.items() if name in names.options}
+    numbers = {name: x for name, x in file.parameters.items() if name not in options}
+    parameters: dict[str, Any] = read_parameters(place.at("parameters"), numbers, names)
+    tolerances, fixed = _read_tolerances(place.at("tolerance"), file.tolerance, names, parameters, bounds)
+    along = ("", "multiplier")  # one value per lane, or along multipliers
+    known = {name: about for name, about in sweep_variables(names.system).items() if about.along in along}
+    smooth = [name for name in known if known[name].dtype == np.float64]
+    maximise = choice(place.at("maximise"), file.maximise, smooth)
+    if file.robust and not tolerances:
+        raise place.at("robust").error("there is no [tolerance] to be robust to; add one")
+    # Orbits give each lane the exact values of its periodic motion, so that objective and limits are smooth.
+    run = ({"orbits": True} if file.run.get("method", "located") == "located" else {}) | file.run
+    if {maximise, *file.subject} & {"lyapunov", "lyapunov_stderr", "nature", "zero_one"}:
+        run["lyapunov"] = True
+    points = {name: [*ends] for name, ends in bounds.items()} | {name: [x, x] for name, x in fixed.items()}
+    rest = options | {name: x for name, x in parameters.items() if name not in fixed}
+    template = file.sweep(origin.file, points, parameters=rest, run=run)
+    here, regime, share, constraints = place.at("subject"), None, None, []
+    for name, entry in file.subject.items():
+        if name == "regime":
+            regime = choice(here.at(name), entry, REGIMES)
+            continue
+        if name != "share" and name not in known:
+            raise here.at(name).error(f"no such variable; {suggestion(name, ('share', *known))}")
+        if not isinstance(entry, dict) or not entry:
+            fault = f"{shown(entry)} is not a limit; write {{ least = ... }}, {{ most = ... }} or both"
+            raise here.at(name).error(fault)
+        limits = Limits.read(here.at(name), entry)
+        ends = {end: x for end, x in (("least", limits.least), ("most", limits.most)) if x is not None}
+        if name == "share":
+            share = ends.get("least", 0.0), ends.get("most", 1.0)
+            if not 0 <= share[0] <= share[1] <= 1:
+                raise here.at(name).error(f"{share[0]:g} to {share[1]:g} is not a range of shares between 0 and 1")
+            continue
+        margin = MARGIN * template.run.error * (name in smooth and name not in _COUNTS)
+        constraints += [Constraint(name, end, limit, margin * abs(limit)) for end, limit in ends.items()]
+    if share is not None and not names.has_starts:
+        raise here.at("share").error(f"scene {shown(names.scene)} has no starts; leave it out")
+    if regime is not None and template.system.section is None:
+        raise here.at("regime").error(f"motions of scene {shown(names.scene)} have no regimes")
+    front = None
+    if file.front is not None:
+        front = _read_front(place.at("front"), file.front, ("tolerance", *known), constraints)
+        if front.against == "tolerance" and not tolerances:
+            raise place.at("front").at("against").error("there is no [tolerance] to scale; add one")
+        if front.against == maximise:
+            fault = f"{shown(maximise)} is what is maximised; name another variable"
+            raise place.at("front").at("against").error(fault)
+    low, high = np.array([*bounds.values()]).T
+    return DesignSpec(
+        place, origin.text, template, maximise, file.robust, (*bounds,), low, high, tolerances, fixed, regime, share,
+        (*constraints,), front, known,
+    )  # fmt: skip
+
+
+def _read_tolerances(
+    place: Place,
+    table: Mapping[str, Any],
+    names: Names,
+    parameters: Mapping[str, float],
+    bounds: Mapping[str, tuple[float, float]],
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the half-widths by name, and the nominal values of the parameters that are not varied."""
+    if len(table) > MAX_TOLERANCES:
+        raise place.error(f"{len(table)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
+    widths, fixed = {}, {}
+    followed = names.substituted({*bounds, *parameters})
+    for name, given_width in table.items():
+        here, about = place.at(name), names.parameter(place.at(name), name)
+        width = widths[name] = quantity(here, given_width, HALF_WIDTH)
+        if name not in bounds:
+            if name not in parameters and (name in followed or name not in names.parameters):
+                raise here.error("follows from other parameters; give the tolerance of one of these")
+            fixed[name] = parameters.get(name, about.default)
+        low, high = bounds[name] if name in bounds else (fixed[name], fixed[name])
+        for end in (low - DRAWN_BOX * width, high + DRAWN_BOX * width):
+            if problem := about.problem(end):
+                raise here.error(f"{width:g} is too wide at {name} = {low:g}: {problem}")
+    return widths, fixed
+
+
+def _read_front(
+    place: Place, table: dict[str, Any], variables: Sequence[str], constraints: Sequence[Constraint]
+) -> Front:
+    """Return the variable against which the front is drawn, its points, and its limits if they are given."""
+    known_keys(place, table, ("against", "points", "from", "to"))
+    if "against" not in table:
+        raise place.at("against").error('missing; name a variable, like "peak_impact_force", or "tolerance"')
+    against = choice(place.at("against"), table["against"], variables)
+    if ("from" in table) != ("to" in table):
+        raise place.error("from and to belong together; give both or neither")
+    span = None
+    if "from" in table:
+        span = quantity(place.at("from"), table["from"], STATE), quantity(place.at("to"), table["to"], STATE)
+        if span[0] == span[1]:
+            raise place.at("from").error(f"{span[0]:g} to {span[1]:g} is no interval")
+    end = next((c.end for c in constraints if c.variable == against), "most")
+    return Front(against, end, count(place.at("points"), table.get("points", FRONT_POINTS), 2, 200), span)
 
 
 def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool = True) -> xr.Dataset:
@@ -87,7 +235,7 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
 
 
 def find_design(spec: DesignSpec, progress: bool = True) -> xr.Dataset:
-    """Return the dataset of a checked design, see [vibrojax.studies.design_run.design][]."""
+    """Return the dataset of a checked design, see [vibrojax.studies.design.design][]."""
     search = Search(spec)
     with Progress(2 + (spec.front is not None), "stages", progress, pace=False) as bar:
         points = search.map()
@@ -244,11 +392,11 @@ def _dataset(
             of(name, "{}, worst of the samples of the tolerances"))  # fmt: skip
     if spec.regime is not None:
         required = REGIMES.index(spec.regime)
-        others = [x[x != required].tolist() + [required] for a in results for x in [a.lanes["regime"]]]
-        first = [x[x != required].tolist() + [required] for a in results for x in [a.lanes["regime"][0]]]
-        add("regime", "candidate", [x[0] for x in first], VARIABLES["regime"])
         words = "first other regime at the samples of the tolerances, else that asked for"
-        add("regime_worst", "candidate", [x[0] for x in others], Variable("1", words, np.int8, REGIMES))
+        worst = Variable("1", words, np.int8, REGIMES)
+        for name, samples, variable in (("regime", 1, VARIABLES["regime"]), ("regime_worst", None, worst)):
+            regimes = [a.lanes["regime"][:samples] for a in results]
+            add(name, "candidate", [[*x[x != required], required][0] for x in regimes], variable)
     irregular = [float(np.isin(a.lanes["regime"], UNBOUNDED).mean()) if "regime" in a.lanes else 0.0 for a in results]
     columns: dict[str, tuple[Any, Any]] = {
         "share": ("candidate", [a.good[0].mean() for a in results]),
@@ -291,7 +439,7 @@ def _dataset(
             add(prefix + name, dim, spec.low[k] + np.array(unit)[:, k] * (spec.high[k] - spec.low[k]), variable)
             coordinates += [prefix + name] if prefix != "front_" else []
     data["parameter"] = "parameter", list(spec.varied), {"long_name": "varied parameter"}
-    title = str(spec.tables.get("title") or f"Design of {spec.template.scene}: most {about.long_name}")
+    title = str(spec.template.title or f"Design of {spec.template.scene}: most {about.long_name}")
     attributes = dataset_attributes(
         "design", title, "design", scene=spec.template.scene, design=spec.text, lanes=search.counts["lanes"],
         orbit_solves=search.counts["orbits"], maximise=spec.maximise, requirements=requirements(spec),

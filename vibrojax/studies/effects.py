@@ -1,0 +1,367 @@
+"""The analysis `study`: lanes at samples of a box, indices and effects of its parameters, and sentences on them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from os import PathLike
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float
+
+from vibrojax.errors import Place, counted, shown, suggestion
+from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.variables import STATUSES, Variable
+from vibrojax.lanes.scene_variables import sweep_variables
+from vibrojax.maps.bounds import VariedFile, read_bounds, read_file
+from vibrojax.maps.dataset import described_variables, parameter_attributes
+from vibrojax.maps.run import lanes_beside, run_sweep
+from vibrojax.maps.sweep import Sweep
+from vibrojax.measures.labels import EQUILIBRIUM, REGIMES, SINGLE_IMPACT
+from vibrojax.pictures.axes import pretty_unit, scale
+from vibrojax.settings.fields import given, setting
+from vibrojax.settings.toml import read_source
+from vibrojax.settings.values import check_distinct
+from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.effects_analysis import MIN_SHARE, _scale, _title, _why, bars_and_interactions
+from vibrojax.studies.effects_sampling import CONFIDENCE, REASONS, SHARE, Sampling, factorial_signs, indices
+from vibrojax.studies.subjects import FileAnalysis
+
+ZERO_WITHOUT_IMPACTS = (
+    *("impact_velocity", "impact_velocity_min", "impact_velocity_max", "impact_energy", "impact_power"),
+    *("blow_frequency", "rate_of_penetration", "slip_per_impact"),
+)
+"""Variables that are 0 in lanes without impacts, where a sweep leaves means over impacts undefined."""
+
+RULES = (
+    "lanes without impacts, or without a return of the bit and without contact: impact velocity, energy and power, "
+    "blows, rate and slip are 0; irregular lanes: their means over the observation, impact_power from the impacts per "
+    "return; several starts: the mean over them; lanes that failed or in which a variable has no value: for that "
+    "variable the base sample with all its points is left out"
+)
+"""How lanes without the regime are handled, for the dataset's attributes."""
+
+WIDE = 0.3
+"""Half-width of a confidence interval above which the summary recommends more samples."""
+
+CURVED = 0.5
+"""Ratio of an effect to that of a straight line with the same variance below which the summary calls it not steady."""
+
+NEGLIGIBLE = 1e-3
+"""Effect, relative to the standard deviation, below which the summary says that it hardly changes the variable."""
+
+_OF, _PARAMETER = ("of",), ("of", "parameter")
+_PAIR = ("of", "parameter", "other")
+
+RULED = {
+    "set_to_zero": ("lane without impacts counts as 0", "lanes without impacts count as 0"),
+    "averaged": ("irregular lane counts with its mean", "irregular lanes count with their means"),
+    "left_out": ("base sample is left out", "base samples are left out"),
+    "corners_left_out": ("corner is left out", "corners are left out"),
+}
+"""Words for the numbers of lanes, samples and corners that are treated by rule, for one and for several."""
+
+SCHEMA: dict[str, tuple[tuple[str, ...], Variable]] = {
+    "first_order": (_PARAMETER, Variable("1", "share of the variance due to the parameter alone")),
+    "first_order_conf": (_PARAMETER, Variable("1", "half-width of the confidence interval of first_order")),
+    "total_order": (_PARAMETER, Variable("1", "share of the variance due to the parameter and all its interactions")),
+    "total_order_conf": (_PARAMETER, Variable("1", "half-width of the confidence interval of total_order")),
+    "second_order": (_PAIR, Variable("1", "share of the variance due to the interaction of two parameters")),
+    "second_order_conf": (_PAIR, Variable("1", "half-width of the confidence interval of second_order")),
+    "effect": (_PARAMETER, Variable("", "mean at the high minus mean at the low level, in the variable's own unit")),
+    "interaction": (
+        _PAIR,
+        Variable("", "half the difference of an effect between the levels of the other, in the variable's own unit"),
+    ),
+    "mean": (_OF, Variable("", "mean over the box, in the variable's own unit")),
+    "std": (_OF, Variable("", "standard deviation over the box, in the variable's own unit")),
+    "left_out": (_OF, Variable("1", "base samples that are left out", np.int32)),
+    "corners_left_out": (_OF, Variable("1", "corners of the two-level design that are left out", np.int32)),
+    "set_to_zero": (_OF, Variable("1", "lanes without impacts whose value is set to 0", np.int32)),
+    "averaged": (_OF, Variable("1", "irregular lanes, which count with their means", np.int32)),
+    "sobol_reason": (_OF, Variable("1", "why there are no Sobol indices", np.int8, REASONS)),
+    SHARE: ((), Variable("1", "share of the Sobol sample's lanes with a single impact")),
+    "regime_share": (("label",), Variable("1", "share of the Sobol sample's lanes in the regime")),
+    "low": (("parameter",), Variable("", "least value of the parameter, in its own unit")),
+    "high": (("parameter",), Variable("", "greatest value of the parameter, in its own unit")),
+}
+"""Dimensions and meaning of each variable of a study's dataset."""
+
+Lanes = Float[np.ndarray, "points starts"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyFile(VariedFile):
+    """The file of a study."""
+
+    of: Any = setting(None, "variables to explain", read=given)
+    samples: int = setting(256, "number of base samples, a power of two", least=2, most=2**16)
+    seed: int = setting(0, "seed of the Sobol sequence", least=0)
+
+    def check(self, place: Place) -> None:
+        if not isinstance(self.of, list) or not self.of:
+            problem = "missing" if self.of is None else f"{shown(self.of)} names no variable"
+            raise place.at("of").error(f'{problem}; write a list like of = ["impact_energy", "blow_frequency"]')
+        if self.samples & (self.samples - 1):
+            below = 1 << (self.samples.bit_length() - 1)
+            raise place.at("samples").error(f"{self.samples} is not a power of two; give {below} or {2 * below}")
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A checked study: the variables `of` which it explains, the samples, and a sweep with one point per sample."""
+
+    of: list[str]
+    sampling: Sampling
+    sweep: Sweep
+    text: str
+
+
+def read_study(source: str | PathLike[str] | Mapping[str, object]) -> Study:
+    """Read a study from the path of a TOML file, the name of a bundled study, or a dict with the same structure.
+
+    **Raises:** `InputError` with a one-line message at the first error.
+    """
+    origin = read_source(source, "study")
+    file, place, names = read_file(StudyFile, origin)
+    bounds = read_bounds(place.at("vary"), file.vary, names, file.parameters, file.unusual)
+    known = sweep_variables(names.system)
+    allowed = [name for name, about in known.items() if not (about.flags or about.along)]
+    allowed += [SHARE] * ("impacts" in allowed and "regime" in known)
+    for index, name in enumerate(file.of):
+        if name not in allowed:
+            fault = f"scene {shown(names.scene)} has no variable {shown(name)}; {suggestion(str(name), allowed)}"
+            raise place.at("of").item(index).error(fault)
+    check_distinct(place.at("of"), file.of, "variable")
+    sampling = Sampling(bounds, file.samples, file.seed)
+    columns = {name: x.tolist() for name, x in zip(sampling.names, sampling.points().T, strict=True)}
+    sweep = file.sweep(origin.file, columns, title=file.title or f"Study of {', '.join(file.of)}")
+    return Study(file.of, sampling, sweep, origin.text)
+
+
+def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
+    """Find which parameters, and which pairs of them, decide about a machine's performance within a box of values.
+
+        ds = vj.study("drill")
+        ds.total_order.sel(of="impact_energy").to_pandas()
+
+    The study runs Saltelli's sample of the box, and the corners of a two-level factorial design. For each variable in
+    `of` it returns Sobol indices with confidence intervals, and the effects and interactions of the factorial design.
+    Up to eight parameters, all corners are run. Beyond, a fraction of resolution V is run, whose effects and
+    interactions of two parameters are not confounded with each other.
+
+    **Arguments:**
+
+    - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. It has a `scene`;
+      `of`, a list of variables of the scene's sweeps, or "share_single_impact"; and [vary] with NAME = [low, high] for
+      up to twelve parameters. Optional are [parameters], `starts` and [run] as in a sweep, `samples` (base samples, a
+      power of two: 256) and `seed` (0). D parameters take (2 D + 2) lanes per base sample and start.
+    - `progress`: whether to report progress on stderr.
+
+    **Returns:** a dataset over `of`, `parameter` and `other` (the parameters again).
+
+    - `first_order`, `total_order`: shares of the variance due to a parameter alone, and with all its interactions, with
+      95 % confidence intervals `first_order_conf` and `total_order_conf`. `second_order`: share of a pair.
+    - `effect`: mean of the variable at the high level of a parameter minus that at the low level. `interaction`: half
+      the difference of this effect between the high and the low level of the other parameter.
+    - `mean`, `std`: of the variable over the box. `share_single_impact`, `regime_share`: shares of regimes.
+    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes, base samples and corners that are
+      treated by rule, which the attribute `rules` states. `sobol_reason`: why there are no Sobol indices.
+
+    **Raises:** `InputError` if the study is invalid, or SALib is not installed.
+
+    **Example:**
+
+    >>> drill = {"scene": "vibro-impact", "parameters": {"delta": 0.005}, "starts": ["stuck"], "of": ["impact_energy"]}
+    >>> box = {"vary": {"v": [1.4, 1.6], "gamma": [0.7, 0.72]}, "samples": 16, "run": {"settle": 20.0}}
+    >>> ds = vj.study(drill | box, progress=False)
+    >>> ds.effect.sel(of="impact_energy").idxmax().item()  # a faster drive strikes harder
+    'v'
+    """
+    return Studies().run(source, progress)
+
+
+def study_of(spec: Study, lanes: xr.Dataset) -> xr.Dataset:
+    """Return the dataset of a study from the dataset of its sweep."""
+    lanes = lanes.transpose("point", ...)
+    sobol = spec.sampling.samples * spec.sampling.group
+    columns: dict[str, list[Any]] = {}
+    for name in spec.of:
+        values, zeros, averaged = values_of(lanes, name)
+        result = indices(spec.sampling, values.mean(axis=1))
+        for key, x in (result | {"set_to_zero": zeros.sum(), "averaged": averaged.sum()}).items():
+            columns.setdefault(key, []).append(x)
+    table: dict[str, Any] = {name: np.array(x) for name, x in columns.items()}
+    table["low"], table["high"] = np.array(list(spec.sampling.bounds.values())).T
+    coords: dict[str, Any] = {"of": spec.of, "parameter": spec.sampling.names, "other": spec.sampling.names}
+    if "regime" in lanes:
+        regime = lanes["regime"].values.reshape(lanes.sizes["point"], -1)[:sobol]
+        table["regime_share"] = np.array([(regime == flag).mean() for flag in range(len(REGIMES))])
+        table[SHARE] = np.asarray((regime == SINGLE_IMPACT).mean())
+        coords["label"] = list(REGIMES)
+    about = described_variables(spec.sweep) | {SHARE: SCHEMA[SHARE][1]}
+    parameters = [parameter_attributes(spec.sweep, name) for name in spec.sampling.names]
+    coords["of_unit"] = ("of", [about[name].units for name in spec.of])
+    coords["of_long_name"] = ("of", [about[name].long_name for name in spec.of])
+    coords["parameter_unit"] = ("parameter", [x["units"] for x in parameters])
+    coords["parameter_long_name"] = ("parameter", [x["long_name"] for x in parameters])
+    variables = {
+        name: (dims, table[name].astype(known.dtype), known.attributes())
+        for name, (dims, known) in SCHEMA.items()
+        if name in table
+    }
+    corners = len(factorial_signs(len(spec.sampling.bounds)))
+    fraction = "full" if corners == 2 ** len(spec.sampling.bounds) else "fraction of resolution V"
+    attributes = {
+        **dataset_attributes("study", spec.sweep.title, f"study {spec.sweep.scene}", scene=spec.sweep.scene),
+        **{name: lanes.attrs[name] for name in ("parameters", "differing", "run", "solver") if name in lanes.attrs},
+        "study": spec.text,
+        "rules": RULES,
+        "samples": spec.sampling.samples,
+        "seed": spec.sampling.seed,
+        "confidence": CONFIDENCE,
+        "design": f"{fraction}, {corners} corners",
+        "lanes": lanes.attrs["lanes"],
+        "sobol_lanes": sobol * (lanes.sizes.get("start", 1)),
+    }
+    return xr.Dataset(variables, coords, attributes)
+
+
+def values_of(lanes: xr.Dataset, name: str) -> tuple[Lanes, Bool[np.ndarray, "points starts"], Any]:
+    """Return a variable of all lanes, NaN where it has no value, and masks of lanes set to zero and averaged."""
+
+    def column(key: str) -> Lanes:
+        return lanes[key].values.reshape(lanes.sizes["point"], -1).astype(float)
+
+    done = column("status") == STATUSES.index("done")
+    none = np.zeros(done.shape, bool)
+    regime = column("regime") if "regime" in lanes else None
+    if name == SHARE:
+        assert regime is not None
+        return np.where(done, regime == SINGLE_IMPACT, np.nan), none, none
+    values = column(name)
+    if regime is None or "impacts" not in lanes:
+        return np.where(done, values, np.nan), none, none
+    impacts, irregular = column("impacts"), done & (column("cycles") == 0) & (regime != EQUILIBRIUM)
+    with np.errstate(all="ignore"):
+        if name in ("impact_power", "specific_energy"):
+            power = column("impact_energy") * impacts / column("period")  # impacts per return
+            if name == "specific_energy":
+                radius = lanes[name].attrs.get("bit_radius")
+                radius = lanes["bit_radius"].values[:, None] if radius is None else radius
+                rate = column("rate_of_penetration")
+                power = np.where(rate > 0, power / (np.pi * radius**2 * rate), np.nan)
+            values = np.where(irregular & np.isnan(values), power, values)
+    apart = (column("returns") < 2) & (column("peak_impact_force") == 0) if "peak_impact_force" in lanes else none
+    still = done & ((impacts == 0) | (regime == EQUILIBRIUM) | apart) & (name in ZERO_WITHOUT_IMPACTS)
+    zeros = still & ~(values > 0)
+    values = np.where(done, np.where(zeros, 0.0, values), np.nan)
+    values = np.where(np.isfinite(values), values, np.nan)
+    return values, zeros, irregular & ~zeros & np.isfinite(values)
+
+
+class Studies(FileAnalysis[Study]):
+    """Find which parameters decide about a machine: effects, interactions and Sobol indices; FILE is a study (TOML)."""
+
+    kind = "study"
+    variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
+    pictures = (PictureRule("effects", lambda held: "first_order" in held.variables, bars_and_interactions),)
+    view = "plots"
+
+    about = "a study: a bundled name, like drill, or the path of a TOML file"
+    chunks = True
+
+    def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Study:
+        return read_study(file)
+
+    def identity(self, asked: Study) -> dict[str, object]:
+        bounds = {f"vary.{name}": list(x) for name, x in asked.sampling.bounds.items()}
+        own = {"study": True, "of": asked.of, "samples": asked.sampling.samples, "seed": asked.sampling.seed}
+        return asked.sweep.identity() | own | bounds
+
+    def compute(self, asked: Study, progress: bool = True) -> xr.Dataset:
+        return study_of(asked, run_sweep(asked.sweep, progress=progress))
+
+    def compute_beside(self, asked: Study, out: Path, resume: bool, progress: bool) -> xr.Dataset:
+        with lanes_beside(asked.sweep, out, resume=resume, progress=progress) as lanes:
+            return study_of(asked, lanes)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return a sentence for each parameter and each important pair of parameters, and the lanes treated by rule."""
+        facts: dict[str, Any] = {}
+        lines: list[str] = []
+        keys = ("first_order", "first_order_conf", "total_order", "total_order_conf", "effect")
+        for name in map(str, ds["of"].values):
+            row, sentences = ds.sel(of=name), _sentences(ds.sel(of=name))
+            counts = {key: int(row[key]) for key in ("left_out", "corners_left_out", "set_to_zero", "averaged")}
+            table = {str(p): {key: float(row[key].sel(parameter=p)) for key in keys} for p in row["parameter"].values}
+            facts[name] = {"mean": float(row["mean"]), "std": float(row["std"]), "parameters": table, **counts}
+            facts[name] |= {"sentences": sentences}
+            rules = [counted(counts[key], *words) for key, words in RULED.items() if counts[key]]
+            lines += [f"{_title(row)} over {counted(int(ds.attrs.get('samples', 0)), 'sample')}"]
+            lines += [f"  {line}" for line in (*sentences, "; ".join(rules)) if line]
+        if SHARE in ds:
+            lines.append(f"{100 * float(ds[SHARE]):.0f} % of the lanes have a single impact")
+            facts[SHARE] = float(ds[SHARE])
+        return [SummaryPart("study", lines, {"study": facts})]
+
+
+def _sentences(row: xr.Dataset) -> list[str]:
+    """Return one sentence per important parameter, by falling importance, per important pair, and on all others."""
+    if int(row["sobol_reason"]) != REASONS.index("known"):
+        return [f"there are no shares of the variance: {_why(row)}"]
+    names = [str(name) for name in row["parameter"].values]
+    total = row["total_order"].values
+    order = [int(k) for k in np.argsort(-total) if total[k] >= MIN_SHARE]
+    sentences = [_parameter_sentence(row, k) for k in order]
+    second, errors = row["second_order"].values, row["second_order_conf"].values
+    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if second[i, j] >= max(MIN_SHARE, errors[i, j])]
+    sentences += [_pair_sentence(row, i, j) for i, j in sorted(pairs, key=lambda pair: -second[pair])]
+    others = [name for k, name in enumerate(names) if k not in order]
+    if others:
+        hardly, each = ("hardly matters", "") if len(others) == 1 else ("hardly matter", " each")
+        listed = " and ".join([", ".join(others[:-1]), others[-1]] if len(others) > 1 else others)
+        sentences.append(f"{listed} {hardly}: less than {_percent(MIN_SHARE)} of the variation{each}")
+    if float(row["total_order_conf"].max()) > WIDE:
+        sentences.append("some of these shares are uncertain; double the samples until they are known well enough")
+    return sentences
+
+
+def _parameter_sentence(row: xr.Dataset, k: int) -> str:
+    factor, unit = _scale(row)
+    name, long_name = str(row["parameter"].values[k]), str(row["parameter_long_name"].values[k]).split(" (")[0]
+    first, total, error, effect = (
+        float(row[key][k]) for key in ("first_order", "total_order", "total_order_conf", "effect")
+    )
+    text = f"{name} ({long_name}) causes {100 * min(total, 1.0):.0f} ± {_percent(error)} of the variation"
+    text += f", {_percent(min(max(first, 0.0), 1.0))} on its own"
+    if not np.isfinite(effect):
+        return text
+    change = f"{'raises' if effect > 0 else 'lowers'} it by {factor * abs(effect):.3g} {pretty_unit(unit)}".rstrip()
+    change = change if abs(effect) > NEGLIGIBLE * float(row["std"]) else "hardly changes it"
+    ends = xr.DataArray(
+        row[["low", "high"]].to_array()[:, k].values, attrs={"units": str(row["parameter_unit"][k].item())}
+    )
+    factor, unit = scale(ends)
+    span = f"{' to '.join(f'{factor * float(x):.4g}' for x in ends)} {pretty_unit(unit)}".rstrip()
+    text += f"; going from {span} {change} on average"
+    if first > MIN_SHARE and abs(effect) < CURVED * np.sqrt(12 * first) * float(row["std"]):
+        text += ", but not steadily: values in between differ more"
+    return text
+
+
+def _pair_sentence(row: xr.Dataset, i: int, j: int) -> str:
+    names = [str(name) for name in row["parameter"].values]
+    share, interaction = float(row["second_order"][i, j]), float(row["interaction"][i, j])
+    text = f"{names[i]} and {names[j]} must be chosen together: their interaction causes {_percent(share)}"
+    if not np.isfinite(interaction):
+        return text
+    factor, unit = _scale(row)
+    more = f"{factor * 2 * abs(interaction):.3g} {pretty_unit(unit)}".rstrip()
+    return f"{text}; the effect of {names[i]} is {more} {'greater' if interaction > 0 else 'less'} at high {names[j]}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
