@@ -200,8 +200,6 @@ class SystemEquations(Scene[SystemConstants]):
         speed, names = self.rate(c, mode), self.state_names
         # A state that passes through zero has the errors of its values nearby.
         near = [jnp.abs(x) + jnp.abs(rate) / speed for x, rate in zip(state, self.field(c, mode, state), strict=True)]
-        # A state at rest at zero is moved by rounding errors of others if they balance, as on a surface.
-        near = [jnp.where(x == 0, c.typical.get(name, x), x) for name, x in zip(names, near, strict=True)]
         rounded = lambda sizes: tuple(Rounded(x, size) for x, size in zip(state, sizes, strict=True))  # noqa: E731
         motion = self._motion(c, mode, rounded(near))
         sizes = [size + _size(motion.rates.get(name, 0.0)) / speed for name, size in zip(names, near, strict=True)]
@@ -395,13 +393,10 @@ class SystemEquations(Scene[SystemConstants]):
         speed, typical = jnp.stack(c.rates).min(axis=0), {name: jnp.abs(x) for name, x in y.items()}
         mode = free_modes(self._flow, c, t, y, like)
         time = 0.0 if c.period is None else c.period
-        for count in range(max(2, len(self._own))):
+        for _ in range(2):
             known = {name: Magnitude(y[name], size) for name, size in typical.items()}
             sizes = self._flow.at(c, mode, Magnitude(t, time + like), known).rates
-            for name, size in typical.items():
-                larger = jnp.maximum(size, _size(sizes[name]) / speed)
-                # Later rounds only reach the end of a chain of states that begins at rest: powers would grow.
-                typical[name] = larger if count < 2 else jnp.where(size == 0, larger, size)
+            typical = {name: jnp.maximum(size, _size(sizes[name]) / speed) for name, size in typical.items()}
         known = {name: Magnitude(y[name], size) for name, size in typical.items()}
         clock = Magnitude(t, time + like)
         surfaces = [_size(value) + like for value in self._flow.values(c, mode, clock, known)]
