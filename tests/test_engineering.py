@@ -7,7 +7,7 @@ from read_off import legend
 
 import vibrojax as vj
 import vibrojax.studies.trajectory_run as simulation
-from vibrojax.cli import main, points
+from vibrojax.cli import main, studies
 from vibrojax.errors import InputError, Place
 from vibrojax.settings.names import read_names
 
@@ -59,8 +59,10 @@ def test_wider_hole_takes_less_energy_per_volume():
 def test_each_parameter_reaches_the_equations_by_every_way(scene, monkeypatch, tmp_path):
     """`vj.simulate`, the command and a sweep of one lane resolve each parameter to the same values."""
     seen = []
-    monkeypatch.setattr(simulation, "simulate_point", lambda point, **_: seen.append(point) or xr.Dataset())
-    monkeypatch.setattr(points, "answer", lambda options, name, identity, compute, *_, **__: compute())
+    seen_point = lambda point, **_: seen.append(point) or xr.Dataset()  # noqa: E731
+    monkeypatch.setattr(simulation, "simulate_point", seen_point)
+    monkeypatch.setattr("vibrojax.studies.trajectory_analysis.simulate_point", seen_point)
+    monkeypatch.setattr(studies, "answer", lambda options, name, identity, compute, *_, **__: compute())
     names = read_names(Place("test"), scene, {}, Place("test"))
     for name, parameter in names.writable.items():
         given = {name: 1.03 * parameter.default or 0.01}

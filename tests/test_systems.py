@@ -426,7 +426,8 @@ def test_diagram_shows_states_where_some_motions_have_no_impacts():
     exact = np.array(grid[:2]) * real / (real**2 + (OSCILLATOR["damping"] * OSCILLATOR["w"]) ** 2)
     factor = 1e3 if "mm" in curves.get_ylabel() else 1.0
     assert np.asarray(dots)[:8, 1] == pytest.approx(factor * np.repeat(exact, 4), rel=1e-5)
-    assert "_grazing" in [line.get_label() for line in curves.lines]
+    legends = [legend for x in figure.axes if (legend := x.get_legend())] + figure.legends
+    assert any("grazing" in text.get_text() for legend in legends for text in legend.get_texts())
     speeds = vj.picture(ds, variable="return_impact_velocity").axes[0]
     assert (
         speeds.get_ylabel().startswith("impact velocity") and "v at" in vj.picture(ds, "return_v").axes[0].get_ylabel()

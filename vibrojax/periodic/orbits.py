@@ -272,6 +272,7 @@ class Orbits:
         by: Sequence[str] = (),
         slopes: Float[np.ndarray, "orbits cycles states by"] | None = None,
         accept: "Callable[[Orbits], Mask]" = lambda orbits: orbits.converged,
+        scales: Scales | None = None,
         go: Segments | None = None,
     ) -> "tuple[Orbits, Mask]":
         """Return the orbits that these become at other parameters, and a mask of those that arrive there.
@@ -287,6 +288,7 @@ class Orbits:
         - `by`, `slopes`: parameters that vary, and derivatives of the states with respect to them. Without `by`,
           predictions use the last step.
         - `accept`: mask of the orbits that count as a continuation, of orbits that have converged.
+        - `scales`: unit of distances from predictions; by default the half swings, as in `find`.
         """
         here = self.of(np.arange(len(self)))
         rate = np.zeros_like(self.states)
@@ -302,7 +304,8 @@ class Orbits:
             ends = {name: (x[active], parameters[name][active]) for name, x in self.parameters.items()}
             goal = {name: np.where(share < 1, x + share * (end - x), end) for name, (x, end) in ends.items()}
             guess = here.states[active] + rate[active] * advance[:, None, None]
-            orbit = Orbits.find(self.scene, goal, guess, within=within, go=go).refined()
+            unit = None if scales is None else scales[active]
+            orbit = Orbits.find(self.scene, goal, guess, unit, within, go).refined()
             good = orbit.converged & (orbit.moved <= within) & accept(orbit)
             if by:
                 onward = np.flatnonzero(good & (share < 1))

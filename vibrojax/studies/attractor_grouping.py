@@ -274,6 +274,7 @@ def find_links(
             first=MATCHING_FIRST_STEP,
             least=MATCHING_MIN_STEP,
             accept=lambda orbits: orbits.stable,
+            scales=own.scales,
             go=Segments(scene, most=motions.max_steps),
         )
         for k in np.flatnonzero(arrived).tolist():

@@ -62,7 +62,7 @@ METHOD = (
     "orbit or do not converge are unassigned, and lanes that differ are observed for at least windows_at_a_split. A "
     "motion that nowhere has fewest lanes does not count beside another of more, nor, without exponents, one of fewer "
     "within irregular_factor of it. Motions of neighbouring points are one attractor if the orbit of one, continued as "
-    "a stable one and never farther than aside, in half swings, from its prediction, becomes that of the other; "
+    "a stable one and never farther than aside over the scales from its prediction, becomes that of the other; "
     "irregular ones if they are nearest, and within irregular_factor. Numbers from 0 by falling share over the grid"
 )
 

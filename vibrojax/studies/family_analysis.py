@@ -260,7 +260,7 @@ class Families(MachineAnalysis[FamilySpec]):
     def machines(
         self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
     ) -> FamilySpec:
-        times = run["settle"], run["observe"]
+        times = run.get("settle"), run.get("observe")
         return family_spec(scene, self.along, self.at, self.span, start, *times, self.cycles, parameters)
 
     def identity(self, asked: FamilySpec) -> dict[str, object]:
