@@ -12,7 +12,7 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax import cli
 from vibrojax.cli import main
-from vibrojax.cli.studies import study_command
+from vibrojax.cli.analyses import study_command
 from vibrojax.io.kinds import STRUCTURES, kind_of
 from vibrojax.studies.analysis import _USED, analysis_named, analysis_of, offered_analyses
 

@@ -7,7 +7,7 @@ from read_off import legend
 
 import vibrojax as vj
 import vibrojax.studies.trajectory_run as simulation
-from vibrojax.cli import main, studies
+from vibrojax.cli import analyses, main
 from vibrojax.errors import InputError, Place
 from vibrojax.settings.names import read_names
 
@@ -62,7 +62,7 @@ def test_each_parameter_reaches_the_equations_by_every_way(scene, monkeypatch, t
     seen_point = lambda point, **_: seen.append(point) or xr.Dataset()  # noqa: E731
     monkeypatch.setattr(simulation, "simulate_point", seen_point)
     monkeypatch.setattr("vibrojax.studies.trajectory_analysis.simulate_point", seen_point)
-    monkeypatch.setattr(studies, "answer", lambda options, name, identity, compute, *_, **__: compute())
+    monkeypatch.setattr(analyses, "answer", lambda options, name, identity, compute, *_, **__: compute())
     names = read_names(Place("test"), scene, {}, Place("test"))
     for name, parameter in names.writable.items():
         given = {name: 1.03 * parameter.default or 0.01}

@@ -17,9 +17,10 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import entry_points
 from typing import NoReturn
 
+from vibrojax.cli.analyses import study_command
 from vibrojax.cli.command import Command, Options, either, flag
 from vibrojax.cli.datasets import explore, info, plot, scenes
-from vibrojax.cli.studies import accuracy, curves, fit, orbits, rig, study_command
+from vibrojax.cli.studies import accuracy, curves, fit, orbits, rig
 from vibrojax.cli.sweeps import sweep
 from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.provenance import package_version

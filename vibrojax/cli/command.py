@@ -13,6 +13,10 @@ AddArguments = Callable[[Any], None]
 """Function that adds arguments to a parser, or to a group of arguments of a parser."""
 
 
+SWEEP = "a sweep: a bundled name, like regime-map, or the path of a TOML file; or "
+"""Beginning of the help of FILE where it may be a sweep."""
+
+
 class Options(Namespace):
     """The arguments of a command by name, and the advice printed after an interrupt."""
 

@@ -1,24 +1,18 @@
-"""The commands of analyses: what they analyse is read and checked, then computed, written, drawn and summarised."""
+"""The commands `orbits`, `curves`, `fit`, `rig` and `accuracy`; `analyses` has those of the others."""
 
-import dataclasses
 import hashlib
-import re
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING
 
 from vibrojax.cli.command import (
     JSON,
-    Command,
+    SWEEP,
     Options,
     argument,
     command,
-    explained,
     flag,
     named_values,
     output_options,
-    point_arguments,
     whole,
 )
 from vibrojax.cli.output import (
@@ -35,236 +29,23 @@ from vibrojax.cli.output import (
     stored_result,
     write_result,
 )
-from vibrojax.errors import InputError, Place, counted, shown
+from vibrojax.errors import InputError, Place, counted
 from vibrojax.progress import timed
-from vibrojax.studies import FAMILY_WORDS, WORDS
+from vibrojax.studies import WORDS
 
 if TYPE_CHECKING:
     import xarray
 
-    from vibrojax.studies.analysis import Analysis
-    from vibrojax.studies.subjects import FileAnalysis, MachineAnalysis
 
 _DIGEST_LENGTH = 12
 """Number of hexadecimal digits of the SHA-256 by which a fit recognises its data."""
-
-_SWEEP = "a sweep: a bundled name, like regime-map, or the path of a TOML file; or "
-
-_HALF_WIDTH = re.compile(r"\+-|±|\+/-")
-
-_START = "start (a name, or [x1,x1',x2,x2'])"
-
-
-def study_command(kind: str, summary: str) -> Command:
-    """Return the command of a kind of analysis; the analysis is imported only when the command is used."""
-    subjects: dict[str, tuple[Callable[[Any, Any], None], Callable[[Any, Options], None]]] = {
-        "machines": (_add_machines, _run_machines),
-        "file": (_add_file, _run_file),
-        "sweep": (_add_sweep, _run_sweep),
-    }
-
-    def add(parser: Any) -> None:
-        analysis = _class_of(kind)
-        subjects[analysis.subject][0](analysis, parser)
-
-    def run(options: Options) -> None:
-        analysis = _class_of(kind)
-        subjects[analysis.subject][1](analysis, options)
-
-    return Command(summary, (add,), run)
-
-
-def _class_of(kind: str) -> "type[Analysis]":
-    from vibrojax.studies.analysis import analysis_named
-
-    analysis = analysis_named(kind)
-    assert analysis is not None  # commands exist only for known kinds
-    return type(analysis)
-
-
-def _add_machines(analysis: "type[MachineAnalysis[Any]]", parser: Any) -> None:
-    from vibrojax.settings.fields import meanings
-    from vibrojax.settings.run_settings import RunSettings
-
-    many = "; a list, beta=0.3,0.4,0.5, is as many machines, computed together; of several lists the first values "
-    many += "belong to one machine, the second ones to the next"
-    known = meanings(RunSettings)
-    width = "; those with a tolerance as NAME=VALUE+-HALF_WIDTH, like delta=-0.002+-0.001 or gamma=0.64+-1% (± too)"
-    about = f"parameters, and friction{many * analysis.lists}{width * analysis.tolerances}. Also {_START}"
-    for name, item in _settings(analysis).items():
-        if text := item.metadata.get("help"):
-            default = "" if item.default in (None, dataclasses.MISSING) else f": {item.default:g}"
-            about += f"; {name} ({text}{default})"
-    for name in analysis.run_settings:
-        about += f"; {name} ({known[name]})"
-    if analysis.kind == "family":
-        explained(*FAMILY_WORDS)(parser)
-    point_arguments(about.replace("%", "%%"), analysis.scenes)(parser)
-    output_options(analysis.file or f"SCENE-{analysis.kind}.nc")(parser)
-    JSON(parser)
-
-
-def _run_machines(analysis_class: "type[MachineAnalysis[Any]]", options: Options) -> None:
-    place = Place(analysis_class.command or analysis_class.kind)
-    is_pair = [bool(analysis_class.tolerances and _HALF_WIDTH.search(word)) for word in options.values]
-    pairs: dict[str, object] = {}
-    for word in (word for word, pair in zip(options.values, is_pair, strict=True) if pair):
-        name, pair = _pair(place, word)
-        if name in pairs:
-            raise place.at(name).error("has a second value; give one")
-        pairs[name] = pair
-    words = [word for word, pair in zip(options.values, is_pair, strict=True) if not pair]
-    values, parameters = named_values(place, words, analysis_class.words(), lists=analysis_class.lists)
-    for name in pairs:
-        if name in parameters or name in values:
-            raise place.at(name).error("has a second value; give one")
-    for name, item in _settings(analysis_class).items():
-        if name in values and not {float, str} & {item.type, *get_args(item.type)}:
-            values[name] = whole(values[name])
-    analysis, machines = analysis_class.asked(options.scene, analysis_class.of_words(values), parameters | pairs)
-    _answer(options, analysis, machines, analysis.file_name(machines))
-
-
-def _add_file(analysis: "type[FileAnalysis[Any]]", parser: Any) -> None:
-    argument("file", "FILE", analysis.about)(parser)
-    if analysis.columns:
-        argument("--columns", "NAME=COLUMN", analysis.columns, nargs="+", action="extend")(parser)
-    output_options(f"NAME-{analysis.kind}.nc")(parser)
-    JSON(parser)
-
-
-def _run_file(analysis_class: "type[FileAnalysis[Any]]", options: Options) -> None:
-    from vibrojax.io.log_columns import read_columns
-
-    analysis = analysis_class()
-    columns = read_columns(options.columns or []) if analysis.columns else None
-    asked, default = analysis.asked(options.file, columns), f"{Path(options.file).stem}-{analysis.kind}.nc"
-    if analysis.chunks:
-        out = options.out or default
-        options.advise("finished chunks are kept; to go on", str(options.command), options.file, "-o", out)
-    _answer(options, analysis, asked, default)
-
-
-def _answer(options: Options, analysis: Any, asked: Any, default: str) -> None:
-    """Compute and report what a `CheckedAnalysis` has read, unless its file holds the result."""
-    from vibrojax.studies.analysis import checked_result
-
-    progress = not options.quiet
-
-    def compute() -> "xarray.Dataset":
-        if getattr(analysis, "chunks", False):
-            out = Path(options.out or default)
-            return checked_result(analysis, analysis.compute_beside(asked, out, not options.fresh, progress))
-        return checked_result(analysis, analysis.compute(asked, progress))
-
-    def facts(dataset: "xarray.Dataset") -> Mapping[str, object] | None:
-        own: Mapping[str, object] | None = analysis.facts(dataset, asked)
-        return own
-
-    answer(options, default, analysis.identity(asked), compute, facts, numbered=analysis.numbered)
-
-
-def _pair(place: Place, word: str) -> tuple[str, tuple[float, float]]:
-    """Return the name, the nominal value and the half-width in NAME=VALUE+-HALF_WIDTH, which may end in %."""
-    name, _, text = (part.strip() for part in word.partition("="))
-    value, *widths = (part.strip() for part in _HALF_WIDTH.split(text, maxsplit=1))
-    width = "".join(widths)
-    try:
-        nominal = float(value)
-        return name, (nominal, abs(nominal) * float(width[:-1]) / 100 if width.endswith("%") else float(width))
-    except ValueError:
-        expected = "write NAME=VALUE+-HALF_WIDTH, like delta=0.005+-0.001 or gamma=0.64+-1%"
-        raise place.error(f"{shown(word)} is not a tolerance; {expected}") from None
-
-
-def _settings(analysis: "type[Analysis]") -> "dict[str, dataclasses.Field[Any]]":
-    """Return the settings of an analysis, which are the fields of its dataclass, by name."""
-    return {item.name: item for item in dataclasses.fields(analysis)} if dataclasses.is_dataclass(analysis) else {}
-
-
-def _add_sweep(analysis: "type[Analysis]", parser: Any) -> None:
-    about = "the dataset of a sweep (.nc), which is run again where it lacks what the analysis needs"
-    argument("file", "FILE", _SWEEP + about)(parser)
-    for name, item in _settings(analysis).items():
-        metavar = item.metadata.get("metavar", name.upper())
-        parser.add_argument(_option(name), metavar=metavar, help=item.metadata.get("help"))
-    output_options(f"NAME-{analysis.kind}.nc")(parser)
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
-
-
-def _run_sweep(analysis_class: "type[Analysis]", options: Options) -> None:
-    from vibrojax.io.dataset import open_dataset
-    from vibrojax.maps.rerun import holds_orbits
-    from vibrojax.studies.analysis import analyse, checked_result
-    from vibrojax.studies.sweep_analysis import SweepAnalysis
-
-    kind = analysis_class.kind
-    given = {
-        _option(name): (field, text)
-        for name, field in _settings(analysis_class).items()
-        if (text := getattr(options, name)) is not None
-    }
-    settings = {field.name: _value(option, field, text) for option, (field, text) in given.items()}
-    analysis = analysis_class(**settings)
-    file, progress = str(options.file), not options.quiet
-    is_dataset = file.endswith(".nc")
-    source: Any = open_dataset(Path(file)) if is_dataset else file
-    sweep, identity = None, {kind: True, "file": file, **{name: str(value) for name, value in settings.items()}}
-    if isinstance(analysis, SweepAnalysis):
-        sweep = analysis.sweep(source)
-        identity = {**analysis.identity(sweep), **sweep.identity()}
-    name = Path(file).stem if sweep is None or is_dataset else sweep.name
-    out = result_at(options, f"{name}-{kind}.nc", identity)
-    words = [kind, file, "-o", str(out), *(word for option, (_, text) in given.items() for word in (option, text))]
-    options.advise("nothing was kept; to begin again", *words)
-    # The identity of any other analysis states neither its data nor its code: it is computed again.
-    dataset = stored_result(options, out, identity) if sweep is not None else None
-    if dataset is not None:
-        line = stored_line(dataset, out, stored_picture(options, dataset, out))
-    else:
-        lanes_of: Any = nullcontext(source)
-        if sweep is not None and not (is_dataset and holds_orbits(source)):
-            from vibrojax.maps.run import lanes_beside
-
-            # Finished chunks are kept next to OUT until the result is written, so an interrupt loses none of them.
-            options.advise("finished chunks are kept; to go on", *words)
-            lanes_of = lanes_beside(sweep, out, resume=not options.fresh, progress=progress)
-        with lanes_of as lanes:
-            if isinstance(analysis, SweepAnalysis) and sweep is not None:
-                dataset = checked_result(analysis, analysis.of_lanes(sweep, lanes, progress))
-            else:
-                dataset = analyse(lanes, analysis, progress=progress)
-            drawn = write_result(options, dataset, out, identity)
-        count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
-        line = f"{out}{count}{drawn}"
-    if progress:
-        print("\n".join([line, *(text for part in analysis.summary(dataset) for text in part.lines)]))
-
-
-def _value(option: str, field: "dataclasses.Field[Any]", text: str) -> object:
-    """Return the value of an option in the type of its field: a number, a string, or a tuple of strings."""
-    kind = str(getattr(field.type, "__name__", field.type))
-    if kind.startswith("tuple"):
-        items = [item.strip() for item in text.split(",")]
-        if not all(items) or (kind.count(",") == 1 and "..." not in kind and len(items) != 2):
-            example = field.metadata.get("example", "A,B")
-            raise InputError(f"{option}: {shown(text)} is not a pair of names; write two, like {example}")
-        return tuple(items)
-    try:
-        return float(text) if kind.startswith("float") else int(text) if kind.startswith("int") else text
-    except ValueError:
-        raise InputError(f"{option}: {shown(text)} is not a number") from None
-
 
 _ORBIT_VARIABLES = ("stable", "multiplier_abs", "regime")
 """Variables in the picture of orbits: of the multipliers, the largest is drawn."""
 
 
 @command(
-    argument("file", "FILE", _SWEEP + "a sweep's dataset (.nc), whose sweep is then run again"),
+    argument("file", "FILE", SWEEP + "a sweep's dataset (.nc), whose sweep is then run again"),
     output_options("NAME-orbits.nc"),
 )
 def orbits(options: Options) -> None:

@@ -21,12 +21,11 @@ class Machines:
     """Checked points of one scene.
 
     - `place`: where errors occur, the name of the analysis.
-    - `names`: names of the scene; `first`: the first machine.
+    - `first`: the first machine.
     - `sweep`: sweep with one lane for each machine; `several`: whether a list of them was given.
     """
 
     place: Place
-    names: Names
     first: Point
     sweep: Sweep
     several: bool
@@ -71,7 +70,7 @@ def read_machines(
     tables |= {"points": columns} if columns else {}
     if point.start is not None:
         tables["starts"] = [point.start if isinstance(point.start, str) else list(point.start)]
-    return Machines(place, names, point, read_sweep(tables), several_given)
+    return Machines(place, point, read_sweep(tables), several_given)
 
 
 def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:

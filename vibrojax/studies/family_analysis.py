@@ -35,6 +35,7 @@ from vibrojax.pictures.plots import Axis, Layer, Line, Plot, Points, Scale, Shee
 from vibrojax.pictures.starts import SYMBOLS
 from vibrojax.pictures.style import colour_map
 from vibrojax.settings.fields import given, setting
+from vibrojax.studies import FAMILY_WORDS
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.family_run import FamilySpec, continue_families, family_spec
 from vibrojax.studies.subjects import MachineAnalysis
@@ -239,6 +240,7 @@ class Families(MachineAnalysis[FamilySpec]):
 
     kind, command = "family", "follow"
     file, view = "SCENE-NAME.nc", "families"
+    terms = FAMILY_WORDS
     pictures = (PictureRule("families", lambda held: True, families),)
 
     along: object = setting(None, f"{_SYNTAX}: the parameter, where the family begins, and its bounds", read=given)

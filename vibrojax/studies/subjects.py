@@ -42,6 +42,10 @@ class CheckedAnalysis(Analysis, Generic[Asked]):
         """Return the result; raise `InputError` if there is none."""
         raise NotImplementedError(f"{type(self).__name__}.compute")
 
+    def compute_beside(self, asked: Asked, out: Path, resume: bool, progress: bool) -> xr.Dataset:
+        """Return the result; an analysis with chunks of lanes keeps finished ones beside `out` until it is written."""
+        return self.compute(asked, progress)
+
     def run(self, source: Any, progress: bool = True) -> xr.Dataset:
         """Return the dataset of the analysis of what was checked."""
         return self.compute(source, progress)
@@ -66,6 +70,9 @@ class MachineAnalysis(CheckedAnalysis[Asked]):
 
     lists: ClassVar[bool] = True
     """Whether a parameter may have several values, each of a machine of its own."""
+
+    terms: ClassVar[tuple[str, ...]] = ()
+    """Terms of `vibrojax.studies.WORDS` that `--help` defines."""
 
     tolerances: ClassVar[bool] = False
     """Whether a parameter may be written NAME=VALUE+-HALF_WIDTH."""
@@ -134,10 +141,6 @@ class FileAnalysis(CheckedAnalysis[Asked]):
     def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Asked:
         """Return the checked content of the file; raise `InputError` at the first error."""
         raise NotImplementedError(f"{type(self).__name__}.asked")
-
-    def compute_beside(self, asked: Asked, out: Path, resume: bool, progress: bool) -> xr.Dataset:
-        """Return the result, and keep finished chunks beside `out` until it is written."""
-        return self.compute(asked, progress)
 
     def run(self, source: Any, progress: bool = True) -> xr.Dataset:
         """Return the dataset of the analysis of a file, or of a dict with the same structure."""
