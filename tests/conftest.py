@@ -41,7 +41,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # they are written, so that checks would take two minutes.
 PACKAGE = Path(__file__).parents[1] / "vibrojax"
 UNCHECKED = re.compile(
-    r"(compile/(?!agreement|trust|xla)|maps/(run|read|joining|bounds|starts|edited)|settings/(toml|values|code_identity)"
+    r"(compile/(?!agreement|trust|xla)|maps/(run|read|joining|bounds|starts|rerun)|settings/(toml|values|code_identity)"
     r"|studies/(\w+_run|catalogue)).*"
 )
 CHECKED = [

@@ -12,7 +12,7 @@ from read_off import note
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.io.provenance import source
+from vibrojax.io.files import source
 from vibrojax.io.variables import NATURES
 from vibrojax.lanes.run import LaneRun
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC

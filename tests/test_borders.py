@@ -6,7 +6,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.io.provenance import source
+from vibrojax.io.files import source
 from vibrojax.measures.labels import SINGLE_IMPACT
 from vibrojax.studies.border_analysis import Borders
 from vibrojax.studies.border_chains import Vertex, around_region

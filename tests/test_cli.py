@@ -13,7 +13,7 @@ import xarray as xr
 
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.io.formatting import size_text, time_text
+from vibrojax.io.files import size_text, time_text
 from vibrojax.studies.summary import summarise, summary_lines
 
 ROOT = Path(__file__).parents[1]

@@ -25,7 +25,7 @@ from vibrojax.explorer.encoding import EVENTS, MANTISSA_BITS, STATE_LEVELS, STUC
 from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.reading import first_cell
 from vibrojax.explorer.write import blocks_of
-from vibrojax.io.ownership import GENERATOR
+from vibrojax.io.identity import GENERATOR
 from vibrojax.maps.read import read_sweep
 from vibrojax.pictures.colours import value_of
 from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Scale, Sheet, Text, level

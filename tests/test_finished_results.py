@@ -13,8 +13,8 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.io.manifest import IDENTITY, changes, check_replaceable, identity_text
-from vibrojax.io.provenance import source
+from vibrojax.io.files import source
+from vibrojax.io.identity import IDENTITY, changes, check_replaceable, identity_text
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_to_file

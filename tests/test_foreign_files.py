@@ -8,7 +8,7 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.io.atomic import atomic_write
-from vibrojax.io.ownership import check_ours, text_mark
+from vibrojax.io.identity import check_ours, text_mark
 
 SWEEP = 'scene = "rotary"\n[grid]\ngamma = [0.6, 0.7]\n[run]\nsettle = 0.5\nobserve = 0.5\n'
 ADVICE = "give another name, or remove it"

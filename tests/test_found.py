@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.lanes.trajectory import window
+from vibrojax.lanes.record import window
 from vibrojax.studies import trajectory_run as _recorded
 from vibrojax.studies.frequencies import frequency_part
 from vibrojax.studies.trajectory_analysis import feature_lines

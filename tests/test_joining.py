@@ -130,7 +130,7 @@ def test_large_files_are_read_lazily(dask, tmp_path, monkeypatch):
 
 
 JOIN_SCRIPT = """
-import resource, sys
+import resource, sys, time
 from pathlib import Path
 import numpy as np
 from vibrojax.maps.read import read_sweep
@@ -148,7 +148,7 @@ def read(index):
     first, end = sweep.chunk(index)
     return {name: x[:end - first] if x.ndim else x for name, x in one.items()}
 with file_target(Path(sys.argv[1])) as target:
-    join(sweep, run, read, target, lambda seconds: seconds)
+    join(sweep, run, read, target, time.monotonic())
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """  # noqa: E501
 

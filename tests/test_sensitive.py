@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.lanes import drift as module
+from vibrojax.lanes import certificate as module
 from vibrojax.measures.labels import IRREGULAR, MULTI_IMPACT, shares_transient
 from vibrojax.scenes import SCENES
 

@@ -15,7 +15,7 @@ import pytest
 
 from vibrojax.errors import InputError
 from vibrojax.io import atomic
-from vibrojax.io.manifest import canonical, digest
+from vibrojax.io.identity import canonical, digest
 from vibrojax.maps.store import FORMAT, DamagedChunk, Store, _locked
 
 MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
@@ -138,10 +138,8 @@ def test_files_from_anywhere_are_refused(store, content):
 
 def test_folder_of_version_1_is_refused(store):
     """Its chunks hold other values. The reason is named, and a fresh run removes them."""
-    old = Store(store.folder, {})
-    old.manifest = MANIFEST
-    old._digest = digest(MANIFEST)
-    old._write_manifest()
+    manifest = {"sha256": digest(MANIFEST), "manifest": MANIFEST}
+    (store.folder / "manifest.json").write_text(json.dumps(manifest))
     os.replace(chunk_path(store, 2), store.folder / "chunk-00000002.shard")
     with pytest.raises(InputError, match="store was not there, is 2"):
         reopen(store)

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from vibrojax.compile.xla import threads, with_threads
-from vibrojax.lanes.threads import by_drivers, in_parallel
+from vibrojax.threads import by_drivers, in_parallel
 
 WORKERS = ["a", "b", "c"]
 

@@ -19,7 +19,7 @@ __all__ = list(_HOMES)  # the names of the stub
 
 def __getattr__(name: str) -> object:
     if name == "__version__":
-        value: object = import_module("vibrojax.io.provenance").package_version()
+        value: object = import_module("vibrojax.io.files").package_version()
     elif name in _HOMES:
         home = import_module(_HOMES[name])
         value = getattr(home, name) if hasattr(home, name) else import_module(f"{_HOMES[name]}.{name}")

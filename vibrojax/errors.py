@@ -1,13 +1,13 @@
-"""One-line errors for invalid input, and functions that make strings from users safe to print, embed and paste."""
+"""One-line errors for invalid input and for functions of users, and strings that are safe to print, embed and paste."""
 
 import json
 import re
 import shlex
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import SequenceMatcher
-from typing import SupportsInt
+from typing import Any, SupportsInt
 
 _LONGEST_VALUE = 60
 """Greatest number of characters of a value that an error message quotes."""
@@ -23,6 +23,8 @@ _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 _REPLACEMENT = "\ufffd"
 _PLAIN_VALUE = re.compile(r"[A-Za-z0-9 _().,/%+:-]*")
+
+CANNOT_EXPAND = "uses a function that steps cannot expand; use + - * / ** and vj.elementary, not jnp, np or math"
 
 
 class InputError(ValueError):
@@ -130,3 +132,35 @@ def shell_assignment(name: str, value: str) -> str:
 
 def _is_hidden(character: str) -> bool:
     return not " " <= character <= "~" and unicodedata.category(character) in _HIDDEN
+
+
+def asked(what: str, function: Callable[..., Any], *arguments: Any, known: Iterable[str] = ()) -> Any:
+    """Return the value of a function; `what` names it in messages, and `known` are the names it may ask for.
+
+    **Raises:** `InputError` in place of the function's own exceptions.
+    """
+    try:
+        return function(*arguments)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{what} {problem_of(error, known)}") from error
+
+
+def number_of(what: str, value: Any) -> Any:
+    """Return a number, an array or a series; raise `InputError` for anything else."""
+    if isinstance(value, int | float) or hasattr(value, "dtype") or hasattr(value, "value"):
+        return value
+    raise InputError(f"{what} gave {type(value).__name__}; it must give a number")
+
+
+def problem_of(error: Exception, known: Iterable[str] = ()) -> str:
+    """Return what the exception of a user's function says, as the end of a sentence."""
+    text = " ".join(str(error).split("\n")[0].split())
+    if isinstance(error, KeyError):
+        return f"asks for {error.args[0]!r}; there is {', '.join(known) or 'no such name'}"
+    if "truth value" in text or "not supported between instances of" in text or "boolean conversion" in text:
+        return "decides by a value (if, max or min); use vj.elementary.maximum and minimum"
+    if "__array_ufunc__" in text or "scalar arrays" in text or "must be real number" in text:
+        return CANNOT_EXPAND
+    return f"fails with {type(error).__name__}: {text}"

@@ -7,7 +7,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.lanes import dense_output as _record
+from vibrojax.lanes import record as _record
 
 TOO_LONG = r"simulate: duration: \S+ s need about \S+ steps.*; there is room for \S+ steps.*: give a shorter duration"
 

@@ -6,7 +6,7 @@ import numpy as np
 from flat import Flat
 from numpy.polynomial import polynomial
 
-from vibrojax.lanes.dense_output import record, sample
+from vibrojax.lanes.record import record, sample
 from vibrojax.scenes.penetration import Penetration
 from vibrojax.stepping import Accuracy, Located
 

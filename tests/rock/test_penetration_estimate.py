@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.lanes.certificate import error_under_pulses
-from vibrojax.lanes.drift import drift_under_pulses
+from vibrojax.lanes.certificate import drift_under_pulses, error_under_pulses
 
 BEATING = {
     "force": 364187.2,

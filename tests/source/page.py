@@ -15,8 +15,8 @@ from vibrojax.errors import InputError
 from vibrojax.explorer.content_policy import content_policy
 from vibrojax.io.atomic import atomic_write
 from vibrojax.io.dataset import write_dataset
-from vibrojax.io.ownership import text_mark
-from vibrojax.io.provenance import source
+from vibrojax.io.files import source
+from vibrojax.io.identity import text_mark
 
 FOLDER = Path(__file__).parent
 COLUMNS = ("id", "what", "source", "here", "verdict", "reading")

@@ -7,7 +7,7 @@ import pytest
 from by_kernels import by_kernels
 from flat import Flat
 
-from vibrojax.lanes.dense_output import record
+from vibrojax.lanes.record import record
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.scenes.rotary import Rotary
 from vibrojax.scenes.vibro_impact import VibroImpact

@@ -23,10 +23,10 @@ from vibrojax.cli.datasets import explore, info, plot, scenes
 from vibrojax.cli.studies import accuracy, curves, fit, orbits, rig
 from vibrojax.cli.sweeps import sweep
 from vibrojax.errors import InputError, printable, suggestion
-from vibrojax.io.provenance import package_version
-from vibrojax.io.threads import asked_to_end, in_own_thread, leave
+from vibrojax.io.files import package_version
 from vibrojax.progress import LOG, end_lines, timed
 from vibrojax.studies import glossary
+from vibrojax.threads import asked_to_end, in_own_thread, leave
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
 

@@ -19,7 +19,7 @@ from vibrojax.cli.command import (
     point_arguments,
     whole,
 )
-from vibrojax.cli.output import answer, result_at, stored_line, stored_picture, stored_result, write_result
+from vibrojax.cli.output import answer, result_at, stored_line, stored_result, write_result
 from vibrojax.errors import InputError, Place, shown
 
 if TYPE_CHECKING:
@@ -200,7 +200,7 @@ def _run_sweep(analysis_class: "type[Analysis]", options: Options) -> None:
     # The identity of any other analysis states neither its data nor its code: it is computed again.
     dataset = stored_result(options, out, identity) if sweep is not None else None
     if dataset is not None:
-        line = stored_line(dataset, out, stored_picture(options, dataset, out))
+        line = stored_line(options, dataset, out)
     else:
         lanes_of: Any = nullcontext(source)
         if sweep is not None and not (is_dataset and holds_orbits(source)):

@@ -18,8 +18,8 @@ from vibrojax.cli.command import (
 )
 from vibrojax.cli.output import PICTURES, print_json, shortened, view_path, write_view
 from vibrojax.errors import InputError, Place, shown
-from vibrojax.io.threads import on_leaving
 from vibrojax.progress import timed
+from vibrojax.threads import on_leaving
 
 _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
 

@@ -36,7 +36,7 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",), *, drawn: bool =
     **Raises:** `InputError` if the file cannot be written, its name does not end in one of `endings`, or it exists and
     this package has not written it.
     """
-    from vibrojax.io.ownership import check_ours
+    from vibrojax.io.identity import check_ours
 
     path = Path(path)
     place = f"-o: {shown(str(path))}"
@@ -115,7 +115,7 @@ def result_at(options: Options, default: str, identity: Mapping[str, object], *,
 
     **Raises:** `InputError` if the file or its picture cannot be written, or the file holds another result.
     """
-    from vibrojax.io.manifest import check_replaceable, holds
+    from vibrojax.io.identity import check_replaceable, holds
 
     if numbered and options.out is None:
         return output(_numbered(Path(default), lambda path: holds(path, identity), options.fresh), drawn=True)
@@ -146,7 +146,7 @@ def _numbered(default: Path, is_result: Callable[[Path], bool], fresh: bool = Fa
 
 def stored_result(options: Options, out: Path, identity: Mapping[str, object]) -> "xarray.Dataset | None":
     """Return the finished result with this `identity` at `out`, or None if there is none, or with `--fresh`."""
-    from vibrojax.io.manifest import holds
+    from vibrojax.io.identity import holds
     from vibrojax.maps.store import CHUNKS
 
     # Chunks beside a dataset belong to a run that was interrupted while it replaced the dataset.
@@ -158,23 +158,17 @@ def stored_result(options: Options, out: Path, identity: Mapping[str, object]) -
         return open_dataset(out)
 
 
-def stored_line(dataset: "xarray.Dataset", out: Path, drawn: str) -> str:
-    """Return the output line of a result that `out` holds already; `drawn` is the return value of `stored_picture`."""
-    return f"{out}: is there already ({dataset.attrs['source']}); it is not computed again without --fresh{drawn}"
-
-
-def stored_picture(
-    options: Options, dataset: "xarray.Dataset", out: Path, variables: Sequence[str] | None = None
-) -> str:
-    """Return the end of an output line, which names the picture next to `out`; draw the picture if it is missing."""
+def stored_line(options: Options, dataset: "xarray.Dataset", out: Path, variables: Sequence[str] | None = None) -> str:
+    """Return the output line of a result that `out` holds already; draw the picture next to `out` if it is missing."""
     picture = out.with_suffix(".png")
-    return f"; picture {picture}" if picture.exists() else draw(options, dataset, out, variables)
+    drawn = f"; picture {picture}" if picture.exists() else draw(options, dataset, out, variables)
+    return f"{out}: is there already ({dataset.attrs['source']}); it is not computed again without --fresh{drawn}"
 
 
 def write_result(options: Options, dataset: "xarray.Dataset", out: Path, identity: Mapping[str, object]) -> str:
     """Write a result and draw it; return the end of an output line, which names the picture."""
     from vibrojax.io.dataset import write_dataset
-    from vibrojax.io.manifest import IDENTITY, identity_text
+    from vibrojax.io.identity import IDENTITY, identity_text
 
     with timed("write"):
         write_dataset(dataset.assign_attrs({IDENTITY: identity_text(identity)}), out)
@@ -230,8 +224,7 @@ def answer(
         drawn = write_result(options, dataset, out, identity)
         last = f"{out}{drawn}"
     else:
-        drawn = stored_picture(options, dataset, out)
-        last = stored_line(dataset, out, drawn)
+        last = drawn = stored_line(options, dataset, out)
     if options.quiet and not options.json:
         return
     parts = analysis_of(dataset).summary(dataset)
@@ -244,8 +237,9 @@ def answer(
 
 
 def file_facts(out: Path, drawn: str) -> dict[str, object]:
-    """Return the files of a result as JSON values; `drawn` is the return value of `draw`."""
-    return {"dataset": str(out), "picture": str(out.with_suffix(".png")) if drawn else None}
+    """Return the files of a result as JSON values; `drawn` is the return value of `draw` or `stored_line`."""
+    picture = out.with_suffix(".png")
+    return {"dataset": str(out), "picture": str(picture) if drawn and picture.exists() else None}
 
 
 def print_json(facts: Mapping[str, object]) -> None:

@@ -25,7 +25,6 @@ from vibrojax.cli.output import (
     print_json,
     result_at,
     stored_line,
-    stored_picture,
     stored_result,
     write_result,
 )
@@ -66,7 +65,7 @@ def orbits(options: Options) -> None:
     options.advise("finished chunks are kept; to go on", "orbits", file, "-o", str(out))
     dataset = stored_result(options, out, sweep.identity())
     if dataset is not None:
-        line = stored_line(dataset, out, stored_picture(options, dataset, out, variables(dataset)))
+        line = stored_line(options, dataset, out, variables(dataset))
     else:
         dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
         line = f"{out}: {counted(sweep.lanes, 'lane')}{draw(options, dataset, out, variables(dataset))}"
@@ -203,7 +202,7 @@ def fit(options: Options) -> None:
 
 def _digest(file: Path) -> str:
     """Return a digest of the data in a file: of the identity of a dataset, which a repeated run keeps, or of a CSV."""
-    from vibrojax.io.manifest import digest, stored_identity
+    from vibrojax.io.identity import digest, stored_identity
 
     identity = stored_identity(file) if file.suffix == ".nc" else None
     if identity is not None:
@@ -255,7 +254,7 @@ def accuracy(options: Options) -> None:
     options.advise("nothing is kept; to start again", "accuracy", "-o", options.out, *["--quick"] * options.quick)
     from vibrojax.io.atomic import atomic_write
     from vibrojax.io.dataset import write_dataset
-    from vibrojax.io.ownership import text_mark
+    from vibrojax.io.identity import text_mark
     from vibrojax.studies.accuracy_run import run_accuracy, table
     from vibrojax.studies.choose import save_picture
 

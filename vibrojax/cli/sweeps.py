@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.cli.command import Options, argument, command, either, flag
-from vibrojax.cli.output import ZARR, draw, output, stored_line, stored_picture, stored_result
+from vibrojax.cli.output import ZARR, draw, output, stored_line, stored_result
 from vibrojax.errors import InputError, counted, shown
-from vibrojax.io.formatting import size_text, time_text
+from vibrojax.io.files import size_text, time_text
 
 if TYPE_CHECKING:
     from vibrojax.maps.executor import Executor
@@ -66,9 +66,9 @@ def sweep(options: Options) -> None:
         return
     stored = stored_result(options, out, plan.identity())
     if stored is not None:
-        drawn = stored_picture(options, stored, out)
+        line = stored_line(options, stored, out)
         if not options.quiet:
-            print(stored_line(stored, out, drawn))
+            print(line)
         return
     words = [word for change in options.changes for word in ("--set", change)]
     by = ["--workers", options.workers] if options.workers else []
@@ -112,7 +112,9 @@ def _read_workers(text: str | None) -> "Callable[[Path], AbstractContextManager[
         return lambda _: _dask_executor(text.removeprefix(_DASK))
     kind, colon, count = text.partition(":")
     if kind == _SLURM and (not colon or (count.isdecimal() and 1 <= int(count) <= MAX_JOBS)):
-        return lambda out: _slurm_executor(out, int(count or DEFAULT_JOBS))
+        from vibrojax.maps.executor import slurm_executor
+
+        return lambda out: slurm_executor(out.with_name(out.name + ".jobs").absolute(), int(count or DEFAULT_JOBS))
     raise InputError(f"--workers: {shown(text)} is not dask://HOST:PORT, slurm or slurm:N (N from 1 to {MAX_JOBS})")
 
 
@@ -131,20 +133,6 @@ def _dask_executor(address: str) -> "Iterator[Executor]":
         raise InputError(f"{place}: no scheduler of dask answers there ({reason}); start one: dask scheduler") from None
     with client:
         yield client.get_executor()
-
-
-@contextmanager
-def _slurm_executor(out: Path, jobs: int) -> "Iterator[Executor]":
-    """Yield an executor that computes each chunk in a job of SLURM, at most `jobs` at a time.
-
-    Further options of SLURM (partition, account, memory, time) are read from the environment variables SBATCH_*.
-
-    **Raises:** `InputError` if no job can be submitted, or if others can write to the folder of the jobs.
-    """
-    from vibrojax.maps.slurm import SlurmExecutor
-
-    with SlurmExecutor(out.with_name(out.name + ".jobs").absolute(), jobs) as executor:
-        yield executor
 
 
 def _print_cost(plan: "Sweep", out: Path) -> None:

@@ -25,8 +25,7 @@ from vibrojax.explorer.recording import (
 )
 from vibrojax.explorer.views import sweep_of
 from vibrojax.io.attributes import differing_of, text_of
-from vibrojax.lanes.dense_output import BATCH, Record, check_size
-from vibrojax.lanes.trajectory import window
+from vibrojax.lanes.record import BATCH, Record, check_size, window
 from vibrojax.maps.read import Point, read_point
 from vibrojax.maps.sweep import Sweep
 from vibrojax.physics.parameters import ROTATION, Parameter

@@ -13,8 +13,7 @@ from jaxtyping import Float, Int
 from vibrojax.compile.xla import precision
 from vibrojax.explorer.encoding import EVENTS, STUCK, TOUCHING, Cell, StateColumn
 from vibrojax.lanes.compiler import lane_function
-from vibrojax.lanes.dense_output import Record, record_batch, sample
-from vibrojax.lanes.trajectory import SampledMotion, events, states_shown
+from vibrojax.lanes.record import Record, SampledMotion, events, record_batch, sample, states_shown
 from vibrojax.scenes import HasContact, HasFriction, Scene
 from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at

@@ -32,9 +32,8 @@ from vibrojax.io.attributes import parameters_of, text_of
 from vibrojax.io.dataset import check_dataset
 from vibrojax.io.kinds import kind_of
 from vibrojax.io.variables import orbit_name
-from vibrojax.maps.edited import at_coordinates
 from vibrojax.maps.read import Point, read_point
-from vibrojax.maps.rerun import has_lanes_of, rerun_problem, sweep_of_dataset
+from vibrojax.maps.rerun import at_coordinates, has_lanes_of, rerun_problem, sweep_of_dataset
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep, with_substitutes
 from vibrojax.periodic.measuring import DRIVEN_RETURNS

@@ -17,7 +17,7 @@ from vibrojax.explorer.encoding import Cell, deflate, encode
 from vibrojax.explorer.motions import LiveMotions, motions_for
 from vibrojax.explorer.views import cells_of, document_of, with_map
 from vibrojax.io.atomic import atomic_write
-from vibrojax.io.provenance import source
+from vibrojax.io.files import source
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.sweep import Sweep
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from vibrojax.io.files import new_file
-from vibrojax.io.ownership import check_ours
+from vibrojax.io.identity import check_ours
 
 ZARR = ".zarr"
 """Suffix of a dataset stored as a folder (Zarr store)."""
@@ -30,7 +30,8 @@ def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:
     that this package has not written.
     """
     check_ours(path)
-    _remove_leftovers(path, ending)
+    for leftover in _leftovers(path, ending):
+        _remove(leftover)
     part = _temporary(path, ending)
     new_file(part).close()
     try:
@@ -48,15 +49,15 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     """
     restore(path)
     check_ours(path)
-    for ending in ("tmp", "before"):
-        _remove_leftovers(path, ending)
+    for leftover in (*_leftovers(path, "tmp"), *_leftovers(path, "before")):
+        _remove(leftover)
     part, before = (_temporary(path, ending) for ending in ("tmp", "before"))
     part.mkdir()  # raises `OSError` now if the parent folder is missing or not writable
     try:
         yield part
         for file in part.rglob("*"):
-            (_sync if file.is_file() else _sync_folder)(file)
-        _sync_folder(part)
+            _sync(file)
+        _sync(part)
         if path.exists():  # renaming cannot replace an existing folder; if this process ends now, `restore` undoes it
             path.rename(before)
         try:
@@ -64,7 +65,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         except BaseException:
             restore(path, before)
             raise
-        _sync_folder(path.parent)
+        _sync(path.parent)
     finally:
         for leftover in (part, before):
             _remove(leftover)
@@ -88,13 +89,8 @@ def _temporary(path: Path, ending: str) -> Path:
     return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(8)}.{ending}")
 
 
-def _remove_leftovers(path: Path, ending: str) -> None:
-    """Remove what processes that have ended left for `path` under temporary names."""
-    for other in _leftovers(path, ending):
-        _remove(other)
-
-
 def _leftovers(path: Path, ending: str) -> list[Path]:
+    """Return what processes that have ended left for `path` under temporary names."""
     temporary = re.compile(re.escape(f".{path.name}.") + r"(\d+)-[0-9a-f]{16}" + re.escape(f".{ending}"))
     names = ((other, temporary.fullmatch(other.name)) for other in path.parent.iterdir())
     return [other for other, match in names if match and _has_ended(int(match[1]))]
@@ -104,7 +100,7 @@ def commit(part: Path, path: Path) -> None:
     """Rename the finished file `part` to `path`; on return, content and name are synced to disk."""
     _sync(part)
     os.replace(part, path)
-    _sync_folder(path.parent)
+    _sync(path.parent)
 
 
 def _remove(path: Path) -> None:
@@ -116,18 +112,13 @@ def _remove(path: Path) -> None:
 
 
 def _sync(path: Path) -> None:
-    with open(path, "rb") as file:
-        os.fsync(file.fileno())
-
-
-def _sync_folder(folder: Path) -> None:
-    if os.name != "posix":  # other systems cannot open a folder
+    if os.name != "posix" and path.is_dir():  # other systems cannot open a folder
         return
-    file = os.open(folder, os.O_RDONLY)
+    handle = os.open(path, os.O_RDONLY)
     try:
-        os.fsync(file)
+        os.fsync(handle)
     finally:
-        os.close(file)
+        os.close(handle)
 
 
 def _has_ended(process: int) -> bool:

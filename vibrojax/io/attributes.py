@@ -6,7 +6,7 @@ attribute.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from typing import Any, TypedDict
 
@@ -29,6 +29,10 @@ LARGEST = 1e300
 
 LONGEST_NAME = 100
 """Maximum length of a parameter name [characters]."""
+
+
+Reader = Callable[[Place, Any], Any]
+"""Function that returns a checked value."""
 
 
 class Differing(TypedDict):
@@ -120,20 +124,21 @@ def _number(place: Place, value: object) -> float | int:
     return number
 
 
-def _run(place: Place, value: object) -> dict[str, Any]:
-    run = _json(place, value)
-    for name in ("settle", "observe", "error"):
-        if name in run:
-            run[name] = float(_number(place.at(name), run[name]))
-            if run[name] < 0:
-                raise place.at(name).error(f"is {run[name]:g}; it must not be below 0")
-    if not isinstance(run.get("carry", ""), (str, type(None))):
-        raise place.at("carry").error(f"{shown(run['carry'])} is not the name of an axis")
-    return run
+def _float(place: Place, value: object, least: float = -LARGEST) -> float:
+    number = float(_number(place, value))
+    if number < least:
+        raise place.error(f"is {number:g}; it must not be below {least:g}")
+    return number
 
 
-def _numbers(place: Place, value: object) -> dict[str, float | int]:
-    return {_name(place, name): _number(place.at(shown(name)), item) for name, item in _json(place, value).items()}
+def _axis(place: Place, value: object) -> str | None:
+    return None if value is None else _text(place, value)
+
+
+def _flag(place: Place, value: object) -> bool:
+    if not isinstance(value, bool):
+        raise place.error(f"{shown(value)} is neither true nor false")
+    return value
 
 
 def _name(place: Place, value: object) -> str:
@@ -142,52 +147,30 @@ def _name(place: Place, value: object) -> str:
     return value
 
 
+def _numbers(place: Place, value: object) -> dict[str, float | int]:
+    return {_name(place, name): _number(place.at(shown(name)), item) for name, item in _json(place, value).items()}
+
+
+def _entries(place: Place, value: object, readers: Mapping[str, Reader], needed: Collection[str] = ()) -> Any:
+    """Return a JSON object, in which `readers` read the entries with their names; those in `needed` must be there."""
+    table = _json(place, value)
+    names = [name for name in readers if name in table or name in needed]
+    return table | {name: readers[name](place.at(name), table.get(name)) for name in names}
+
+
+def _each(place: Place, value: object, read: Reader) -> dict[str, Any]:
+    """Return a JSON object of which `read` reads every value."""
+    return {name: read(place.at(shown(name)), item) for name, item in _json(place, value).items()}
+
+
 def _differing(place: Place, value: object) -> list[Differing]:
-    rows: list[Differing] = []
-    for index, item in enumerate(_json(place, value, list)):
+    readers: dict[str, Reader] = {"name": _name, "symbol": _text, "units": _text, "value": _float, "default": _float}
+    rows: list[Any] = []
+    for index, row in enumerate(_json(place, value, list)):
         here = Place(f"{place.file}[{index}]")
-        row = _json(here, item)
-        rows.append(
-            {
-                "name": _name(here.at("name"), row.get("name")),
-                "symbol": _text(here.at("symbol"), row.get("symbol", "")),
-                "units": _text(here.at("units"), row.get("units", "")),
-                "value": float(_number(here.at("value"), row.get("value"))),
-                "default": float(_number(here.at("default"), row.get("default"))),
-            }
-        )
+        table = _entries(here, {"symbol": "", "units": "", **_json(here, row)}, readers, readers)
+        rows.append({name: table[name] for name in readers})
     return rows
-
-
-def _columns(place: Place, value: object) -> dict[str, Any]:
-    columns = _json(place, value)
-    for name, about in columns.items():
-        here = place.at(shown(name))
-        if not isinstance(about, dict) or not isinstance(about.get("assumed"), bool):
-            raise here.error(f"{shown(about)} does not say what was taken, in which unit")
-        for key in ("unit", "given_in", "column"):
-            _text(here.at(key), about.get(key, ""))
-        if "value" in about:
-            _number(here.at("value"), about["value"])
-    return columns
-
-
-def _dropped(place: Place, value: object) -> dict[str, Any]:
-    dropped = _json(place, value)
-    for reason, about in dropped.items():
-        here = place.at(shown(reason))
-        if not isinstance(about, dict):
-            raise here.error(f"{shown(about)} does not say which rows were dropped")
-        _number(here.at("rows"), about.get("rows"))
-        _text(here.at("lines"), about.get("lines", ""))
-    return dropped
-
-
-def _orbits(place: Place, value: object) -> dict[str, Any]:
-    orbits = _json(place, value)
-    if "grazing_limit" in orbits:
-        orbits["grazing_limit"] = float(_number(place.at("grazing_limit"), orbits["grazing_limit"]))
-    return orbits
 
 
 def _pair(place: Place, value: object, kind: type, what: str) -> list[Any]:
@@ -197,20 +180,21 @@ def _pair(place: Place, value: object, kind: type, what: str) -> list[Any]:
     return items
 
 
-_READERS: dict[str, Callable[[Place, object], Any]] = {
+_TIME = partial(_float, least=0.0)
+_COLUMN = {"assumed": _flag, "unit": _text, "given_in": _text, "column": _text, "value": _number}
+
+_READERS: dict[str, Reader] = {
     **dict.fromkeys(("title", "scene", "friction", "pulse_shape", "start", "source", "jax", "history"), _text),
     **dict.fromkeys(("sweep", "along", "formulas", "reference", "settings"), _text),
     **dict.fromkeys(("dialect", "detected", "notes", "error_model"), _text),
     **dict.fromkeys(("solver", "identity", "machine", "attractors"), _json),
     **dict.fromkeys(("lanes", "wall_time_s", "rows_read", "reference_force"), _number),
-    "run": _run,
-    "parameters": _numbers,
+    **dict.fromkeys(("parameters", "certified", "nulls"), _numbers),
+    "run": partial(_entries, readers={"settle": _TIME, "observe": _TIME, "error": _TIME, "carry": _axis}),
     "differing": _differing,
-    "certified": _numbers,
-    "columns": _columns,
-    "dropped": _dropped,
-    "nulls": _numbers,
-    "orbits": _orbits,
+    "columns": partial(_each, read=partial(_entries, readers=_COLUMN, needed=("assumed",))),
+    "dropped": partial(_each, read=partial(_entries, readers={"rows": _number, "lines": _text}, needed=("rows",))),
+    "orbits": partial(_entries, readers={"grazing_limit": _float}),
     "span": partial(_pair, kind=float, what="numbers"),
     "axes": partial(_pair, kind=str, what="names"),
 }

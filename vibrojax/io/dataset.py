@@ -12,12 +12,12 @@ import xarray as xr
 from vibrojax.errors import InputError
 from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write, restore
 from vibrojax.io.attributes import check_attributes
+from vibrojax.io.identity import MARK
 from vibrojax.io.kinds import KIND, check_kind, check_structure, kind_of
-from vibrojax.io.ownership import MARK
 from vibrojax.io.seal import seal
-from vibrojax.io.threads import in_own_thread
 from vibrojax.io.untrusted import LAZY_FROM, readable
 from vibrojax.io.variables import VARIABLES
+from vibrojax.threads import in_own_thread
 
 COMPRESSED = 4096
 """Number of values above which a variable is compressed."""

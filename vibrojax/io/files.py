@@ -1,8 +1,9 @@
-"""Files that are opened with care: new ones where no link is followed, regular ones of a limited size; free memory."""
+"""Files that are opened with care, free memory, sizes and times as text, and the provenance of results."""
 
 import errno
 import os
 import stat
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import BinaryIO
 
@@ -54,3 +55,45 @@ def read_regular(path: Path, most: int = LARGEST) -> bytes:
     if len(content) > most:
         raise InputError(f"{path}: is larger than {most // 2**20} MiB; give a part of it, or a dataset (.nc)")
     return bytes(content)
+
+
+def size_text(size: int | float) -> str:
+    """Return a size in bytes as a string, such as `1.5 GB`."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if size < 999.5:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return _text(size, "TB", 1e9)
+
+
+def time_text(seconds: int | float) -> str:
+    """Return a time in seconds as a string, such as `2.5 h`."""
+    for unit, length in (("days", 86400), ("h", 3600), ("min", 60)):
+        if seconds >= 2 * length:
+            return _text(seconds / length, unit, 1e6)
+    return f"{seconds:.3g} s"
+
+
+def _text(amount: int | float, unit: str, largest_plain: float) -> str:
+    plain = 1000 <= amount < largest_plain
+    return f"{amount:,.0f} {unit}" if plain else f"{amount:.3g} {unit}"
+
+
+def package_version() -> str:
+    """Return the installed version of this package, or "0+unknown" if the package is not installed."""
+    try:
+        return version("vibrojax")
+    except PackageNotFoundError:
+        return "0+unknown"
+
+
+def source() -> str:
+    """Return the value of the dataset attribute `source`: package name and version."""
+    return f"vibrojax {package_version()}"
+
+
+def provenance() -> dict[str, str]:
+    """Return the attributes that state the origin of a dataset: `source` (name and version) and `jax` (version)."""
+    import jax  # not at the top: reading the package version needs no jax
+
+    return {"source": source(), "jax": jax.__version__}  # the last digits of results depend on jax's compiler

@@ -7,9 +7,8 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import InputError, Place, printable, shown
-from vibrojax.io.provenance import provenance
-from vibrojax.io.variables import VARIABLES, Variable
-from vibrojax.measures.labels import REGIMES
+from vibrojax.io.files import provenance
+from vibrojax.io.variables import REGIMES, VARIABLES, Variable
 
 KIND = "kind"
 """Name of the attribute that states which analysis made a dataset."""

@@ -16,7 +16,6 @@ import os
 import secrets
 import stat
 import struct
-from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -26,13 +25,18 @@ from platformdirs import user_cache_path
 
 from vibrojax.errors import InputError
 from vibrojax.io.files import read_regular
-from vibrojax.io.store import LARGEST_METADATA, METADATA
 
 MAGIC = b"\nvibrojax seal 1\n"
 """First bytes of the seal of a file; the digest and the code follow."""
 
 KEY = "vibrojax_seal"
 """Key of the seal in the metadata of a store."""
+
+METADATA = ".zmetadata"
+"""Name of the file with all metadata of a Zarr store of format 2."""
+
+LARGEST_METADATA = 64 * 2**20
+"""Greatest size of the metadata [bytes]."""
 
 _SIZE = hashlib.sha256().digest_size
 _LENGTH = len(MAGIC) + 2 * _SIZE
@@ -122,16 +126,11 @@ def _file_digest(file: BinaryIO, size: int) -> bytes:
 def _store_digest(path: Path, metadata: object) -> bytes:
     """Return the SHA-256 of the names and contents of a store's files, and of its metadata without the seal."""
     digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
-    for file in sorted(_files(path)):
-        with open(path / file, "rb") as content:
-            digest.update(json.dumps(file).encode() + _file_digest(content, os.fstat(content.fileno()).st_size))
+    files = (file.relative_to(path).as_posix() for file in path.rglob("*") if file.is_file())
+    for name in sorted(set(files) - {METADATA}):
+        with open(path / name, "rb") as content:
+            digest.update(json.dumps(name).encode() + _file_digest(content, os.fstat(content.fileno()).st_size))
     return digest.digest()
-
-
-def _files(path: Path) -> Iterator[str]:
-    for file in path.rglob("*"):
-        if file.is_file() and (name := file.relative_to(path).as_posix()) != METADATA:
-            yield name
 
 
 def _code(digest: bytes) -> bytes:

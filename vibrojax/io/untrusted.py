@@ -1,9 +1,11 @@
 """Reading of datasets of unknown origin in a process of its own, which damage and hostile content cannot outlive.
 
 In this process, HDF5 would hold its lock for good where a damaged file makes it loop, and every later file would wait.
+The metadata of a Zarr store are checked before a library opens it, because they name code that decodes its chunks.
 """
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,11 +16,10 @@ from typing import Any
 
 import netCDF4
 
-from vibrojax.errors import InputError, printable
+from vibrojax.errors import InputError, printable, shown
 from vibrojax.io.files import read_regular
-from vibrojax.io.seal import is_own
-from vibrojax.io.store import LARGEST_METADATA, check_store
-from vibrojax.io.threads import in_own_thread
+from vibrojax.io.seal import LARGEST_METADATA, METADATA, is_own
+from vibrojax.threads import in_own_thread
 
 LAZY_FROM = 256e6
 """Size of a dataset [bytes] above which its variables are read lazily."""
@@ -31,6 +32,18 @@ PROCESSOR_SECONDS, SLOWEST = 6.0, 2e7
 
 _OVERLOAD = 5.0
 """Ratio of elapsed time to processor time above which a file that does not end is given up."""
+
+FORMAT_3 = "zarr.json"
+"""Name of the files with the metadata of a Zarr store of format 3."""
+
+TYPES = re.compile(r"[<>|][biufSU]\d+")
+"""Types of values: booleans, integers, floats, and strings of fixed length."""
+
+TEXT = ("|O", "vlen-utf8")
+"""Type and filter of strings of variable length."""
+
+COMPRESSORS = ("blosc", "zstd", "zlib", "gzip", "bz2", "lz4")
+"""Compressors that only decompress; others may run code."""
 
 _SCRIPT = Path(__file__).with_name("untrusted_copy.py")
 
@@ -94,3 +107,39 @@ def _copied(path: Path, copy: Path) -> bool:
     if problem := answer.get("problem"):
         raise InputError(f"{path}: cannot be read {kind} ({printable(problem, 200)})")
     return not answer["large"]
+
+
+def check_store(path: Path) -> None:
+    """Raise `InputError` if a store is not of format 2, or has types, codecs or links that this package never writes.
+
+    Of other codecs, some run code that the store contains (pickle).
+    """
+    for file in path.rglob("*"):
+        if file.is_symlink() or not (file.is_file() or file.is_dir()):
+            raise InputError(f"{path}: {shown(file.name)} is a link or a device; a store has files and folders only")
+        if file.name == FORMAT_3:
+            raise InputError(f"{path}: is a Zarr store of format 3; datasets of this package have format 2")
+    try:
+        entries = json.loads(read_regular(path / METADATA, LARGEST_METADATA))["metadata"].items()
+        arrays = {key.removesuffix("/.zarray"): {**about} for key, about in entries if key.endswith(".zarray")}
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: has no file {METADATA}; give a store that this package wrote") from None
+    except (OSError, ValueError, LookupError, AttributeError, TypeError, RecursionError):
+        raise InputError(f"{path}: its metadata are damaged") from None
+    for name, about in arrays.items():
+        filters, compressor = about.get("filters") or [], about.get("compressor")
+        codecs = [codec.get("id") if isinstance(codec, dict) else codec for codec in filters]
+        used = compressor.get("id") if isinstance(compressor, dict) else compressor
+        is_text, dtype, what = (about.get("dtype"), *codecs) == TEXT, str(about.get("dtype")), ""
+        if not is_text and not TYPES.fullmatch(dtype):
+            what = f"values of the type {shown(dtype)}; datasets hold numbers and text"
+        elif codecs and not is_text:
+            what = f"the filter {shown(codecs[0])}, which is not accepted"
+        elif used is not None and used not in COMPRESSORS:
+            what = f"the compressor {shown(used)}; accepted are {', '.join(COMPRESSORS)}"
+        elif not name or "/" in name or name.startswith("."):
+            what = "a name that is no variable's"
+        if what:
+            raise InputError(f"{path}: {shown(name)} has {what}")

@@ -42,7 +42,10 @@ def copy_file(source: str, destination: str, most: float, packed: float) -> bool
         if _VIRTUAL.search(content):
             raise Refused("it has virtual variables, which show values of other files")
     with netCDF4.Dataset(destination, "w") as copy:
-        _limit_files(more=1)  # an external link fails, and so does external storage
+        free = os.open(os.devnull, os.O_RDONLY)
+        os.close(free)
+        # This process may open one more file at a time: an external link fails, and so does external storage.
+        resource.setrlimit(resource.RLIMIT_NOFILE, (free + 1, free + 1))
         with netCDF4.Dataset(source) as file:
             file.set_auto_maskandscale(False)
             file.set_auto_chartostring(False)
@@ -101,13 +104,6 @@ def _is_small(claimed: float, stored: float, most: float, packed: float) -> bool
     if claimed > packed * max(stored, 1):
         raise Refused(f"it claims {claimed / 1e9:.3g} GB, which its {stored} bytes cannot hold")
     return claimed <= most
-
-
-def _limit_files(more: int) -> None:
-    """Let this process open at most `more` further files at a time."""
-    free = os.open(os.devnull, os.O_RDONLY)
-    os.close(free)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (free + more, free + more))
 
 
 def main(source: str, destination: str, most: str, packed: str, seconds: str) -> None:

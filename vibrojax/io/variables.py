@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.measures.labels import REGIMES
-
 
 @dataclass(frozen=True)
 class Variable:
@@ -58,6 +56,18 @@ def described(table: Mapping[Any, Any], schema: Mapping[str, Variable]) -> dict[
 
     return {name: entry(name, given) for name, given in table.items()}
 
+
+REGIMES = (
+    "undecided",
+    "equilibrium",
+    "impact-free",
+    "single-impact",
+    "multi-impact",
+    "subharmonic",
+    "irregular",
+    "failed",
+)
+"""Names of the regimes; the index of a name is the flag value."""
 
 OWN_REGIMES = "regime of the motion"
 """Meaning of the variable `regime` of scenes without a striker."""

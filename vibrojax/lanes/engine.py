@@ -30,13 +30,13 @@ from vibrojax.lanes.programs import (
     settle_lanes,
     start_lanes,
 )
-from vibrojax.lanes.threads import by_drivers, in_parallel
 from vibrojax.measures.recorder import Effort, LaneState, Records
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes import Scene
 from vibrojax.scenes.declared import Values
 from vibrojax.settings.run_settings import RunSettings
 from vibrojax.stepping import Accuracy, Stepper
+from vibrojax.threads import by_drivers, in_parallel
 
 LANE_MAX_STEPS, LANE_MAX_RATE = 1e6, 1e3
 """Limit on the steps of a lane before it is abandoned: a fixed number, and a number per simulated second [1/s]. A

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.measures.derived import HOLE_RADIUS
+from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.scenes import Scene
 from vibrojax.settings.run_settings import RunSettings
 

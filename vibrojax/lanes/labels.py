@@ -5,8 +5,10 @@ Lanes that are too stiff or too slow for the steps or the precision to give a me
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Int8, Shaped
@@ -15,18 +17,24 @@ from vibrojax.compile.xla import precision
 from vibrojax.io.variables import ORBIT_REASONS, OWN_REGIMES, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.inputs import Features, LaneInputs
-from vibrojax.measures import gauge_named
-from vibrojax.measures.derived import derived
-from vibrojax.measures.labels import LABELLED_BY, REGIMES, label
+from vibrojax.measures import gauge_named, recorder_for
+from vibrojax.measures.labels import LABELLED_BY, REGIMES, derived, derived_names, label
+from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.measures.repeats import state_name
 from vibrojax.measures.since_start import scale_names
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes import HasContact, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.settings.run_settings import RunSettings
+from vibrojax.stepping import AccuracyRequest, stepper_named
 
 ERROR_UNDER_PULSES = "estimated relative error of the settled rate of penetration (none if pulses do not repeat)"
 ERROR_OF_DRILL = "estimated relative error of the settled period, impact velocity and rate of penetration, the largest"
 """Meanings of `error_estimate` of scenes without a section, and of scenes with a section and rock."""
+
+_OF_ALL = {"status", "reason", "error_estimate"}
+_WITH_ORBITS = {name for name in VARIABLES if name.startswith(("multiplier_", "orbit_"))} | {"stable", "grazing_margin"}
+_WITH_SECTION = {"regime", "check_regime", "drift_estimate", "sensitive", "hidden_motion"}
+_WITH_SECTION |= {name for name in VARIABLES if name.startswith("nearby_")}
 
 
 def labelled(inputs: LaneInputs, features: Features) -> Features:
@@ -47,6 +55,32 @@ def labelled(inputs: LaneInputs, features: Features) -> Features:
 def variables_of(scene: Scene[Any]) -> dict[str, Variable]:
     """Return all variables that lanes of a scene may have, by name and in dataset order."""
     return VARIABLES | regime_variables(scene) | measured_besides(scene) | of_orbits(scene) | scales_of_orbits(scene)
+
+
+def sweep_variables(scene: Scene[Any]) -> dict[str, Variable]:
+    """Return the variables that datasets of the scene's sweeps may have, by name."""
+    orbit_states = of_orbits(scene) | scales_of_orbits(scene)
+    held = {*_OF_ALL, *feature_names(scene), *derived_names(scene)}
+    held |= {*_WITH_ORBITS, *orbit_states} if orbit_states else set()
+    held |= _WITH_SECTION if scene.section is not None else set()
+    known = VARIABLES | measured_besides(scene) | orbit_states
+    return {name: about for name, about in known.items() if name in held}
+
+
+@cache
+def feature_names(scene: Scene[Any]) -> frozenset[str]:
+    """Return the names of the features that a scene's recorder measures."""
+
+    def run() -> Any:
+        values = {name: jnp.full(1, parameter.default) for name, parameter in scene.parameters().items()}
+        constants = scene.constants(values)
+        state = scene.start(constants, scene.starts[0] if scene.starts else None, (1,))
+        stepper = stepper_named("located")
+        effort = Effort(stepper.accuracy(AccuracyRequest(error=1e-4), scene), 1.0)
+        return run_block(scene, stepper, recorder_for(scene), constants, state, effort, 1.0, 1.0)
+
+    with precision("float64"):
+        return frozenset(jax.eval_shape(run))
 
 
 def with_radius(bit_radius: float) -> dict[str, Variable]:

@@ -9,20 +9,27 @@ from typing import Any
 import numpy as np
 
 from vibrojax.compile.xla import workers
-from vibrojax.lanes.certificate import ERROR_FLOOR, certified, error_under_pulses
-from vibrojax.lanes.drift import drift, drift_under_pulses, ends_differ, sensitive
+from vibrojax.lanes.certificate import (
+    ERROR_FLOOR,
+    certified,
+    drift,
+    drift_under_pulses,
+    ends_differ,
+    error_under_pulses,
+    sensitive,
+)
 from vibrojax.lanes.engine import Batch, Engine
 from vibrojax.lanes.inputs import Features, LaneInputs, LaneResult, Plan, Report, Stage, unreported
 from vibrojax.lanes.labels import labelled
 from vibrojax.lanes.programs import END
 from vibrojax.lanes.settled import OBSERVING, SETTLED, Ended, ReadyLanes, StopRule, checkpoints, run_together
-from vibrojax.lanes.threads import by_drivers
 from vibrojax.measures import recorder_for
 from vibrojax.measures.repeats import INTERVAL
 from vibrojax.measures.since_start import scale_names
 from vibrojax.progress import Portions, quiet, timed
 from vibrojax.settings.run_settings import RunSettings
 from vibrojax.stepping import Accuracy
+from vibrojax.threads import by_drivers
 
 
 class LaneRun:

@@ -10,10 +10,9 @@ import numpy as np
 from vibrojax.compile.xla import threads
 from vibrojax.errors import Place, counted
 from vibrojax.io.dataset import COMPRESSED
-from vibrojax.io.files import memory
-from vibrojax.io.formatting import size_text, time_text
+from vibrojax.io.files import memory, size_text, time_text
 from vibrojax.lanes.engine import steps_at_most
-from vibrojax.lanes.inputs import Index, LaneInputs, PerLane
+from vibrojax.lanes.inputs import Index, PerLane
 from vibrojax.lanes.labels import fastest_rates
 from vibrojax.maps.dataset import REGION, stored
 from vibrojax.maps.store import CHUNKS
@@ -69,7 +68,15 @@ def estimate(sweep: Sweep, to_file: bool = False) -> Cost:
 
 def tried(sweep: Sweep) -> Cost:
     """Compute one chunk of at most 256 lanes, discard it, and return the cost of the whole sweep to a file."""
-    inputs = _some(sweep)
+    row = 0 if sweep.run.carry is None else len(sweep.axes[sweep.run.carry])
+    if 0 < row <= TRIED_LANES:
+        inputs = sweep.inputs(0, min(TRIED_LANES // row * row, sweep.lanes))
+    elif sweep.lanes <= TRIED_LANES:
+        inputs = sweep.inputs()
+    else:  # runs of lanes, spread over the whole
+        length = TRIED_LANES // TRIED_RUNS
+        firsts = np.linspace(0, sweep.lanes - length, TRIED_RUNS).astype(int)
+        inputs = sweep.inputs_of((firsts[:, None] + np.arange(length)).ravel())
     run = lane_run(inputs, sweep.plan)
     with quiet():
         began = time.monotonic()
@@ -80,18 +87,6 @@ def tried(sweep: Sweep) -> Cost:
     size = sum(x.nbytes for x in arrays.values()) / len(inputs)
     seconds = compiled - began + (ended - compiled) * sweep.lanes / len(inputs)
     return _cost(sweep, True, size, seconds)
-
-
-def _some(sweep: Sweep) -> LaneInputs:
-    """Return some of a sweep's lanes, spread over the whole."""
-    row = 0 if sweep.run.carry is None else len(sweep.axes[sweep.run.carry])
-    if 0 < row <= TRIED_LANES:
-        return sweep.inputs(0, min(TRIED_LANES // row * row, sweep.lanes))
-    if sweep.lanes <= TRIED_LANES:
-        return sweep.inputs()
-    length = TRIED_LANES // TRIED_RUNS
-    firsts = np.linspace(0, sweep.lanes - length, TRIED_RUNS).astype(int).tolist()
-    return sweep.inputs_of(np.concatenate([np.arange(first, first + length) for first in firsts]))
 
 
 def _cost(sweep: Sweep, to_file: bool, lane_bytes: float, seconds: float) -> Cost:

@@ -6,6 +6,7 @@ next chunks. A large dataset is written about as fast as the disk allows; file c
 """
 
 import json
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,14 +15,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from vibrojax.io.identity import IDENTITY, identity_text
 from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.manifest import IDENTITY, identity_text
 from vibrojax.io.targets import Region, Regions, Target
 from vibrojax.io.variables import Variable
 from vibrojax.lanes.inputs import Features, LaneResult
 from vibrojax.lanes.labels import variables_of, with_radius
 from vibrojax.lanes.run import LaneRun
-from vibrojax.maps.points import VECTOR
+from vibrojax.maps.starts import VECTOR
 from vibrojax.maps.sweep import DIRECTIONS, Sweep
 from vibrojax.measures.labels import hides_another, shares_transient
 from vibrojax.physics.parameters import differing, substitutes
@@ -41,17 +42,17 @@ SECONDS, STEPS = "#seconds", "#steps"
 Read = Callable[[int], Features]
 """Function that returns a finished chunk. Every index is read once, in order."""
 
-WallTime = Callable[[float], float]
-"""Function that returns the duration [s] of a sweep, given the sum of its chunks' computing times [s]."""
-
 
 def stored(result: LaneResult, seconds: float) -> Features:
     """Return the arrays of a chunk from which the dataset is made; `seconds`: computing time of the chunk."""
     return result.variables | {SECONDS: np.array(seconds), STEPS: np.array(int(result.features["steps"].sum()))}
 
 
-def join(sweep: Sweep, run: LaneRun, read: Read, target: Target, wall_time: WallTime) -> None:
-    """Write the lanes of all chunks to `target`, and finish the target."""
+def join(sweep: Sweep, run: LaneRun, read: Read, target: Target, began: float) -> None:
+    """Write the lanes of all chunks to `target`, and finish the target; `began`: time at which the run began [s].
+
+    The stated duration includes interrupted runs, but not the time between runs.
+    """
     lanes = _Lanes(sweep, read)
     counts: Counter[str] = Counter()
     begun = False
@@ -69,7 +70,7 @@ def join(sweep: Sweep, run: LaneRun, read: Read, target: Target, wall_time: Wall
             _write(sweep, target, regions, variables)
     solver = run.described(lanes.steps)
     LOG.info("chosen: %s, %d chunks of %d lanes", json.dumps(solver), sweep.chunks, sweep.plan.chunk)
-    values = attributes(sweep, solver, counts, wall_time(lanes.seconds))
+    values = attributes(sweep, solver, counts, max(lanes.seconds, time.monotonic() - began))
     described: dict[str, dict[str, object]] = {}
     for stage in run.stages:
         described[stage.attribute] = described.get(stage.attribute, {}) | dict(stage.described)
@@ -222,39 +223,38 @@ def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
 
     `rows`: sizes of the dimensions that are added to the sweep's own, by name.
     """
-    coords: dict[str, tuple] = {
-        name: ((name,), axis, parameter_attributes(sweep, name)) for name, axis in sweep.axes.items()
-    }
-    for name, column in (sweep.points or {}).items():
-        coords[name] = (("point",), column, parameter_attributes(sweep, name))
+    coords: dict[str, tuple] = {}
+
+    def add(name: str, along: str, values: np.ndarray, long_name: str, unit: str = "1") -> None:
+        coords[name] = ((along,), values, {"units": unit, "long_name": long_name})
+
+    for along, columns in (("", sweep.axes), ("point", sweep.points or {})):
+        for name, column in columns.items():
+            coords[name] = ((along or name,), column, parameter_attributes(sweep, name))
+    states = {f"{VECTOR}{state.name}": state for state in sweep.system.states}
     for name, column in (sweep.point_vectors or {}).items():
-        state = sweep.system.states[sweep.system.place(name.removeprefix(VECTOR))]
-        coords[name] = (("point",), column, {"units": state.unit, "long_name": f"{state.long_name} at t = 0"})
+        add(name, "point", column, f"{states[name].long_name} at t = 0", states[name].unit)
     if sweep.points is not None:
-        coords["point"] = (("point",), np.arange(sweep.shape[0]), {"units": "1", "long_name": "number of the point"})
-    about = {"units": "1", "long_name": "start of the motion"}
+        add("point", "point", np.arange(sweep.shape[0]), "number of the point")
     if sweep.point_starts is not None:
-        coords["start"] = (("point",), np.array(sweep.point_starts), about)
+        add("start", "point", np.array(sweep.point_starts), "start of the motion")
     elif sweep.run.carry is not None:
         meaning = f"way along {sweep.run.carry} in which lanes run, each from where the last one ended"
-        coords["direction"] = (("direction",), np.array(DIRECTIONS), {"units": "1", "long_name": meaning})
-    elif sweep.starts is not None:
-        starts = sweep.starts
+        add("direction", "direction", np.array(DIRECTIONS), meaning)
+    elif (starts := sweep.starts) is not None:
         names = [start if isinstance(start, str) else json.dumps(list(start)) for start in starts]
-        coords["start"] = (("start",), np.array(names) if starts.listed else np.arange(len(starts)), about)
+        labels = np.array(names) if starts.listed else np.arange(len(starts))
+        add("start", "start", labels, "start of the motion")
         if starts.has_vectors:
-            meanings = {
-                state.name: {"units": state.unit, "long_name": f"{state.long_name}, at t = 0"}
-                for state in sweep.system.states
-            }
-            for name, column in zip(starts.states, starts.vectors.T, strict=True):
-                coords[f"start_{name}"] = (("start",), column, meanings.get(name, {}))
-    meanings_of_rows = {
-        "return_index": "number of the return that is kept, the newest last",
-        "multiplier": "number of the multiplier, by falling modulus",
-    }
-    for dimension, size in rows.items():
-        coords[dimension] = ((dimension,), np.arange(size), {"units": "1", "long_name": meanings_of_rows[dimension]})
+            for name, column in zip([f"{VECTOR}{name}" for name in starts.states], starts.vectors.T, strict=True):
+                coords[name] = (("start",), column, {})  # a scene may start from other states than its own
+                if name in states:
+                    add(name, "start", column, f"{states[name].long_name}, at t = 0", states[name].unit)
+    if "return_index" in rows:
+        length = np.arange(rows["return_index"])
+        add("return_index", "return_index", length, "number of the return that is kept, the newest last")
+    if "multiplier" in rows:
+        add("multiplier", "multiplier", np.arange(rows["multiplier"]), "number of the multiplier, by falling modulus")
     return coords
 
 

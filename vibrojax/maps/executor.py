@@ -1,12 +1,17 @@
-"""Computation of chunks by an executor: any `concurrent.futures.Executor`, or an object with the same `submit`."""
+"""Computation of chunks by an executor: any `concurrent.futures.Executor`, an object with its `submit`, or SLURM."""
 
+import os
 import pickle
+import shutil
+import stat
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from functools import lru_cache, partial
+from pathlib import Path
 from threading import Lock
 from typing import Any, Protocol, runtime_checkable
 
@@ -18,6 +23,7 @@ from vibrojax.maps.dataset import SECONDS, stored
 from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.lane_stages import lane_run
 from vibrojax.progress import LOG
+from vibrojax.threads import on_leaving
 
 AHEAD = 256
 """Number of chunks submitted at once to an executor with an unknown number of workers."""
@@ -27,6 +33,9 @@ QUEUED = 2
 
 FUTURE_POLL_SECONDS = 0.2
 """Interval [s] between two checks of futures other than `concurrent.futures.Future`."""
+
+SLURM_LIMIT_MINUTES = 24 * 60
+"""Time limit of a job of SLURM [min] if SBATCH_TIMELIMIT is not set; sites have their own limits."""
 
 Save = Callable[[int, Features], None]
 """Function that receives a chunk's index and its arrays."""
@@ -167,6 +176,58 @@ def _done(futures: list[Any]) -> list[Any]:
 def _first_line(error: BaseException) -> str:
     first = (str(error).splitlines() or [""])[0]
     return f"{type(error).__name__}: {first}" if first else type(error).__name__
+
+
+class _SlurmJobs:
+    """An executor that runs each call in a job of its own, at most `jobs` at a time."""
+
+    def __init__(self, executor: Any, jobs: int) -> None:
+        self._executor, self._max_workers = executor, jobs  # `by_executor` reads the number of workers
+        self._jobs: list[Any] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any) -> Any:
+        self._jobs.append(self._executor.submit(fn, *args))
+        return self._jobs[-1]
+
+    def cancel(self) -> None:
+        """Cancel the jobs that have not ended."""
+        for job in self._jobs:
+            if not job.done():
+                job.cancel(check=False)
+
+
+@contextmanager
+def slurm_executor(folder: Path, jobs: int) -> Iterator[Executor]:
+    """Yield an executor that runs each call in a job of SLURM, at most `jobs` at a time; at the end, cancel the jobs.
+
+    Further options of SLURM (partition, account, memory, time) are read from the environment variables SBATCH_*.
+
+    `folder`: the folder of the jobs, which all machines can access; it is removed at the end unless a job has failed.
+
+    **Raises:** `InputError` if no job can be submitted, or if other users can write to the folder.
+    """
+    place = "--workers slurm"
+    try:
+        import submitit
+    except ImportError:
+        raise InputError(f'{place}: submitit is not installed; pip install "vibrojax[slurm]"') from None
+    missing = [program for program in ("sbatch", "srun") if shutil.which(program) is None]
+    if missing:
+        raise InputError(f"{place}: there is no {' and no '.join(missing)} here; run it where SLURM takes jobs")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.lstat()
+    shared = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    if status.st_uid != os.geteuid() or shared or not stat.S_ISDIR(status.st_mode):  # files there are unpickled
+        raise InputError(f"{folder}: others can write to it, and could run code in the jobs; remove it")
+    executor = submitit.AutoExecutor(folder=folder, cluster="slurm")
+    executor.update_parameters(name="vibrojax", timeout_min=SLURM_LIMIT_MINUTES, cpus_per_task=1)
+    running = _SlurmJobs(executor, jobs)
+    with on_leaving(running.cancel):
+        try:
+            yield running
+        finally:
+            running.cancel()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _warn(text: str) -> None:

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.maps.points import VECTOR, Points, read_points
-from vibrojax.maps.starts import Start, list_of, read_starts
+from vibrojax.maps.starts import VECTOR, Points, Start, list_of, read_points, read_starts
 from vibrojax.maps.sweep import Sweep, with_substitutes
-from vibrojax.measures.derived import HOLE_RADIUS
+from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.scenes import SCENES, HasRock, Scene
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.run_settings import RunSettings, read_settings

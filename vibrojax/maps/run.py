@@ -6,23 +6,21 @@ chunks. `io` writes the dataset completely or not at all, and `maps.store` keeps
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from os import PathLike
 from pathlib import Path
 
 import xarray as xr
 
 from vibrojax.io.dataset import open_dataset
-from vibrojax.io.manifest import check_replaceable
-from vibrojax.io.ownership import check_ours
-from vibrojax.io.provenance import provenance
+from vibrojax.io.files import provenance
+from vibrojax.io.identity import check_ours, check_replaceable
 from vibrojax.io.targets import InMemory, Target, file_target
 from vibrojax.lanes.inputs import Features, Report
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.cost import check_size
-from vibrojax.maps.dataset import WallTime, join
+from vibrojax.maps.dataset import join
 from vibrojax.maps.executor import Executor, Save, by_executor, check_executor, compute
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.store import CHUNKS, DamagedChunk, Store, report_damage
@@ -73,7 +71,7 @@ def in_memory(sweep: Sweep, report: Report, executor: Executor | None = None) ->
     parts: dict[int, Features] = {}
     _compute(sweep, run, range(sweep.chunks), parts.__setitem__, report, executor)
     target = InMemory()
-    join(sweep, run, parts.pop, target, lambda _: time.monotonic() - began)
+    join(sweep, run, parts.pop, target, began)
     return target.dataset
 
 
@@ -143,25 +141,19 @@ def _computed(
         with Progress(sweep.lanes, "lanes", progress) as bar:
             store.open(resume)
             finished = store.finished()
-            bar.resume(sum(_width(sweep, index) for index in finished))
+            bar.resume(_lanes_of(sweep, finished))
             missing = sorted(set(range(sweep.chunks)) - finished)
             _compute(sweep, run, missing, store.write, bar.add, executor)
-        # The wall time includes interrupted runs, but not the time between runs.
-        yield partial(_write, sweep, run, store, wall_time=lambda seconds: max(seconds, time.monotonic() - began))
+
+        def read(index: int) -> Features:
+            try:
+                return store.read(index)
+            except DamagedChunk as damage:
+                report_damage(damage)
+                return next(compute(sweep, run, [index]))[1]
+
+        yield lambda target: join(sweep, run, read, target, began)
         store.remove()
-
-
-def _write(sweep: Sweep, run: LaneRun, store: Store, target: Target, wall_time: WallTime) -> None:
-    """Write the dataset from the finished chunks; recompute a chunk whose file has been damaged."""
-
-    def read(index: int) -> Features:
-        try:
-            return store.read(index)
-        except DamagedChunk as damage:
-            report_damage(damage)
-            return next(compute(sweep, run, [index]))[1]
-
-    join(sweep, run, read, target, wall_time)
 
 
 def _compute(
@@ -177,11 +169,10 @@ def _compute(
 
         def save_and_report(index: int, arrays: Features) -> None:
             save(index, arrays)
-            report(_width(sweep, index))
+            report(_lanes_of(sweep, [index]))
 
         by_executor(sweep, executor, indices, save_and_report)
 
 
-def _width(sweep: Sweep, index: int) -> int:
-    first, end = sweep.chunk(index)
-    return end - first
+def _lanes_of(sweep: Sweep, chunks: Iterable[int]) -> int:
+    return sum(end - first for first, end in map(sweep.chunk, chunks))

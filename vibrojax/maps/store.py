@@ -17,10 +17,10 @@ from jaxtyping import Shaped
 from vibrojax.errors import InputError, counted
 from vibrojax.io.atomic import commit
 from vibrojax.io.files import new_file
-from vibrojax.io.manifest import MANIFEST, canonical, changes_since, digest, is_manifest
+from vibrojax.io.identity import canonical, changes, digest
 
-LOCK = "lock"
-"""Name of the lock file in a folder of chunks."""
+LOCK, MANIFEST = "lock", "manifest.json"
+"""Names of the lock file and of the manifest in a folder of chunks."""
 
 CHUNKS = ".chunks"
 """Suffix of the folder of chunks next to an output file."""
@@ -81,13 +81,30 @@ class Store:
         **Raises:** `InputError` if another process is working there, the folder is not writable, or, with `resume`, the
         chunks belong to another manifest.
         """
-        self._make_folder()
+        try:
+            self.folder.mkdir(exist_ok=True)
+        except OSError as error:
+            line = f"{self.folder}: cannot be made a folder ({error.strerror}); give another output"
+            raise InputError(line) from None
+        manifest, before = self.folder / MANIFEST, None
+        try:
+            stored = json.loads(manifest.read_bytes())
+            is_intact = isinstance(stored["manifest"], dict) and digest(stored["manifest"]) == stored["sha256"]
+            before = stored["manifest"] if is_intact else None
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            stored = None
+        if stored is None and manifest.exists() and not self.there():
+            line = f"{manifest}: exists already, and does not say that vibrojax wrote it"
+            raise InputError(f"{line}; give another output, or remove it")
         self._lock = _locked(self.folder / LOCK)
         try:
-            if resume:
-                self._check_manifest()
+            # Without an intact manifest, each chunk itself shows that it belongs to another sweep.
+            if resume and before is not None and self.there() and (differences := changes(before, self.manifest)):
+                advice = "--fresh starts over, or give another output"
+                raise InputError(f"{self.folder}: holds chunks of another sweep: {differences}; {advice}")
             self._clear(chunks=not resume)
-            self._write_manifest()
+            content = {"sha256": self._digest, "manifest": self.manifest}
+            self._put(manifest, json.dumps(content, indent=1).encode())
         except BaseException:
             self.close()
             raise
@@ -204,31 +221,6 @@ class Store:
         for path in self.folder.iterdir():
             if _LEFTOVER.fullmatch(path.name) or (chunks and FILE.fullmatch(path.name)):
                 path.unlink(missing_ok=True)
-
-    def _make_folder(self) -> None:
-        try:
-            self.folder.mkdir(exist_ok=True)
-        except OSError as error:
-            line = f"{self.folder}: cannot be made a folder ({error.strerror}); give another output"
-            raise InputError(line) from None
-        manifest = self.folder / MANIFEST
-        if manifest.exists() and not self.there() and not is_manifest(manifest):
-            line = f"{manifest}: exists already, and does not say that vibrojax wrote it"
-            raise InputError(f"{line}; give another output, or remove it")
-
-    def _write_manifest(self) -> None:
-        content = {"sha256": self._digest, "manifest": self.manifest}
-        self._put(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
-
-    def _check_manifest(self) -> None:
-        """Raise `InputError` if the chunks belong to another sweep.
-
-        Without an intact manifest file, each chunk itself shows that it belongs to another sweep.
-        """
-        differences = changes_since(self.folder / MANIFEST, self.manifest)
-        if differences and self.there():
-            advice = "--fresh starts over, or give another output"
-            raise InputError(f"{self.folder}: holds chunks of another sweep: {differences}; {advice}")
 
 
 def report_damage(damage: object) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from vibrojax.lanes.inputs import LaneInputs, Plan
 from vibrojax.maps.starts import Starts
-from vibrojax.measures.derived import HOLE_RADIUS
+from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.periodic.lane_stages import plan_of
 from vibrojax.physics.parameters import REPLACED, substitutes
 from vibrojax.scenes import HasRock, Scene

@@ -1,24 +1,17 @@
-"""Classification of lanes into regimes, based on their features."""
+"""Regimes of lanes, and quantities of a drill such as impact power and specific energy, from measured features."""
 
 from collections.abc import Mapping
+from math import pi
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int8, Shaped
 
-UNDECIDED, EQUILIBRIUM, IMPACT_FREE, SINGLE_IMPACT, MULTI_IMPACT, SUBHARMONIC, IRREGULAR, FAILED = range(8)
+from vibrojax.io.variables import REGIMES as REGIMES
+from vibrojax.scenes.capabilities import HasContact, HasRock
+from vibrojax.scenes.scene import Scene
 
-REGIMES = (
-    "undecided",
-    "equilibrium",
-    "impact-free",
-    "single-impact",
-    "multi-impact",
-    "subharmonic",
-    "irregular",
-    "failed",
-)
-"""Names of the regimes; the index of a name is the flag value."""
+UNDECIDED, EQUILIBRIUM, IMPACT_FREE, SINGLE_IMPACT, MULTI_IMPACT, SUBHARMONIC, IRREGULAR, FAILED = range(len(REGIMES))
 
 LABELLED_BY = ("finite", "finished", "at_rest", "bit_amplitude", "returns", "trend", "cycles", "impacts")
 """Features on which the regime of a lane depends."""
@@ -40,6 +33,9 @@ COMPARED = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
 
 FEWEST_RETURNS = 9
 """Least number of section crossings needed to classify a motion as periodic or irregular."""
+
+HOLE_RADIUS = 0.036
+"""Radius of the hole [m] if no `bit_radius` is given."""
 
 PerStart = Float[np.ndarray, "points starts"]
 
@@ -150,3 +146,35 @@ def _differ(x: Any, error: Any, other: Any, other_error: Any) -> Any:
     within = SAME_WITHIN + error + other_error
     with np.errstate(invalid="ignore"):  # motions without impact
         return np.abs(x - other) > within * np.maximum(np.abs(x), np.abs(other))
+
+
+def derived_names(scene: Scene[Any]) -> tuple[str, ...]:
+    """Return the names of the derived quantities of a scene."""
+    if not isinstance(scene, HasContact):
+        return ()
+    return "impact_power", "blow_frequency", *(("specific_energy",) if isinstance(scene, HasRock) else ())
+
+
+def derived(scene: Scene[Any], features: Mapping[str, Any], bit_radius: Any, xp: Any = np) -> dict[str, Any]:
+    """Return the derived quantities of lanes by name; NaN where they are undefined.
+
+    `features`: features of the lanes; `bit_radius` [m]: radius of the hole, one value or (lanes,); `xp`: the module of
+    the arrays, numpy or jax.numpy.
+    """
+    names = derived_names(scene)
+    if not names or not {"impacts", "cycles", "period", "impact_energy"} <= features.keys():
+        return {}
+    impacts, cycles, period = (features[name] for name in ("impacts", "cycles", "period"))
+    with np.errstate(all="ignore"):
+        power = features["impact_energy"] * impacts / (cycles * period)
+        power = xp.where(cycles > 0, xp.where(impacts == 0, 0.0 * period, power), np.nan)
+        quantities = {"impact_power": power, "blow_frequency": blow_frequency(impacts, cycles, period, xp)}
+        if "specific_energy" in names:
+            rate = features["rate_of_penetration"]
+            quantities["specific_energy"] = xp.where(rate > 0, power / (pi * bit_radius**2 * rate), np.nan)
+    return {name: x.astype(period.dtype) for name, x in quantities.items()}
+
+
+def blow_frequency(impacts: Any, cycles: Any, period: Any, xp: Any = np) -> Any:
+    """Return the impacts per minute; without a repeat, `impacts` counts the impacts of one return."""
+    return 60 * impacts / (xp.maximum(cycles, 1) * period)

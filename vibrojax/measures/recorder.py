@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from vibrojax.errors import InputError, shown
+from vibrojax.errors import InputError, asked, number_of, shown
+from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import ledger, repeats, section, since_start
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.measures.ledger import Ledger
@@ -19,7 +20,6 @@ from vibrojax.measures.motion import section_of
 from vibrojax.measures.repeats import Returns
 from vibrojax.measures.section import Settling
 from vibrojax.physics.arrays import Array, Flags, Lanes, Real
-from vibrojax.physics.own_code import asked, number_of
 from vibrojax.scenes.declared import Values
 from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
@@ -143,7 +143,11 @@ class Recorder(Records):
 
         def features(whole: Whole) -> Features:
             gauges = zip(self.gauges, carry.gauges, strict=True)
-            return {name: x for gauge, own in gauges for name, x in _read(gauge, scene, c, own, whole).items()}
+            measured: Features = {}
+            for gauge, own in gauges:
+                known = (*gauge.variables, *VARIABLES)
+                measured |= _named(gauge, "read", known, "variables", scene, c, own, whole)
+            return measured
 
         returns = carry.returns
         everything, intervals = ledger.whole(carry.ledger, returns.number, jnp.zeros_like(returns.number))
@@ -164,13 +168,6 @@ class Recorder(Records):
 
 def _ask(gauge: Gauge[Any], method: str, *arguments: Any) -> Any:
     return asked(f"gauge {type(gauge).__name__}: {method}", getattr(gauge, method), *arguments)
-
-
-def _read(gauge: Gauge[Any], scene: Scene[Any], c: Any, own: Any, whole: Whole) -> Features:
-    """Return the features of a gauge."""
-    from vibrojax.io.variables import VARIABLES  # which needs the regimes of this folder
-
-    return _named(gauge, "read", (*gauge.variables, *VARIABLES), "variables", scene, c, own, whole)
 
 
 def _named(gauge: Gauge[Any], method: str, known: Collection[str], where: str, *arguments: Any) -> dict[str, Any]:

@@ -19,8 +19,8 @@ from vibrojax.io.variables import VARIABLES
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.labels import measured_besides
 from vibrojax.measures import PulseRecorder, Recorder, recorder_for
-from vibrojax.measures.derived import HOLE_RADIUS
-from vibrojax.measures.derived import derived as derived_quantities
+from vibrojax.measures.labels import HOLE_RADIUS
+from vibrojax.measures.labels import derived as derived_quantities
 from vibrojax.measures.recorder import Effort, LaneState, observe_block, settle_block
 from vibrojax.measures.repeats import KeptReturns
 from vibrojax.measures.section import on_orbit

@@ -17,13 +17,13 @@ from jaxtyping import Float, Int
 from vibrojax.compile.xla import precision, workers
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.inputs import PerLane
-from vibrojax.lanes.threads import in_parallel
 from vibrojax.measures.repeats import REPEATS_WITHIN
 from vibrojax.periodic.return_map import MOST_STEPS, at_section, passed
 from vibrojax.physics.arrays import Array, Flags, Lanes
 from vibrojax.scenes import Scene
 from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
+from vibrojax.threads import in_parallel
 
 LATE_SHARE = 0.75
 """Fraction of the returns, at the end of the series, that an exponent uses. Before, the tangent aligns and transients

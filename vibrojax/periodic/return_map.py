@@ -17,7 +17,6 @@ from jaxtyping import Float, Int
 
 from vibrojax.compile.xla import precision, workers
 from vibrojax.lanes.compiler import lane_function
-from vibrojax.lanes.threads import in_parallel
 from vibrojax.measures.section import lowest, rising
 from vibrojax.periodic.margin import Margin
 from vibrojax.periodic.tangent_loop import Loop
@@ -25,6 +24,7 @@ from vibrojax.physics.arrays import Array, Flags, Lanes, Real
 from vibrojax.scenes import Driven, HasImpacts, Scene
 from vibrojax.scenes.declared import Section, Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
+from vibrojax.threads import in_parallel
 
 MOST_STEPS = 4000
 """Default limit of steps between two section crossings; the usual drill takes about fifty."""

@@ -12,9 +12,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from vibrojax.errors import asked, number_of
 from vibrojax.physics.arrays import Value
 from vibrojax.physics.elementary import arctan, exp, maximum
-from vibrojax.physics.own_code import asked, number_of
 from vibrojax.physics.parameters import Parameter, not_negative, positive, table
 
 Numbers = Mapping[str, Any]

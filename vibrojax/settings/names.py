@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from typing import Any
 
 from vibrojax.errors import Place, nearest, shown, suggestion
@@ -219,13 +219,6 @@ def read_names(
 _GROUP = "vibrojax.objects"
 """Group of entry points for laws, scenes, steppers and gauges of other packages."""
 
-_REGISTRIES: tuple[tuple[dict[str, Any], type], ...] = (
-    (FRICTION_LAWS, FrictionLaw),
-    (STEPPERS, Stepper),
-    (GAUGES, Gauge),
-)
-"""Registries of instances, with the type of their objects. Scenes are registered as classes."""
-
 
 @cache
 def enter_offered() -> None:
@@ -237,30 +230,28 @@ def enter_offered() -> None:
 
     This function is called when names are read, not on import, because the packages import this one.
     """
+    registries: list[tuple[dict[str, Any], type]] = [
+        (FRICTION_LAWS, FrictionLaw),
+        (STEPPERS, Stepper),
+        (GAUGES, Gauge),
+    ]
     for entry in entry_points(group=_GROUP):
-        problem = _enter(entry)
-        if problem is not None:
-            owner = entry.dist.name if entry.dist is not None else "a package"
-            warnings.warn(f"{owner}: {_GROUP}: {entry.name}: {problem}; it is left out", stacklevel=2)
-
-
-def _enter(entry: EntryPoint) -> str | None:
-    """Register one object; return a description of its problem, or None if it has been registered."""
-    try:
-        offered = entry.load()
-    except Exception as error:  # the package's code may raise any exception
-        return " ".join(f"{entry.value} cannot be imported ({error})".split())
-    if isinstance(offered, System):
-        return None  # a system is known by name once it is defined
-    if isinstance(offered, type) and issubclass(offered, Scene):
-        table: dict[str, Any] = SCENES
-    else:
-        tables = [table for table, kind in _REGISTRIES if isinstance(offered, kind)]
-        if not tables:
-            return f"{entry.value} is neither a law, a scene, a stepper nor a gauge"
-        [table] = tables
-    name = getattr(offered, "name", entry.name)
-    if name in table:
-        return f'the name "{name}" is taken'
-    table[name] = offered
-    return None
+        try:
+            offered = entry.load()
+        except Exception as error:  # the package's code may raise any exception
+            problem = " ".join(f"{entry.value} cannot be imported ({error})".split())
+        else:
+            if isinstance(offered, System):
+                continue  # a system is known by name once it is defined
+            tables = [table for table, kind in registries if isinstance(offered, kind)]
+            if isinstance(offered, type) and issubclass(offered, Scene):
+                tables = [SCENES]
+            name = getattr(offered, "name", entry.name)
+            if tables and name not in tables[0]:
+                tables[0][name] = offered
+                continue
+            problem = f'the name "{name}" is taken'
+            if not tables:
+                problem = f"{entry.value} is neither a law, a scene, a stepper nor a gauge"
+        owner = entry.dist.name if entry.dist is not None else "a package"
+        warnings.warn(f"{owner}: {_GROUP}: {entry.name}: {problem}; it is left out", stacklevel=2)

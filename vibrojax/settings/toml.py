@@ -30,8 +30,7 @@ _PACKAGE = Path(__file__).parents[1]
 # folders of their own there.
 _CHECKOUT = (_PACKAGE.parent,) if (_PACKAGE.parent / "pyproject.toml").exists() else ()
 BUNDLED_FOLDERS = tuple(folder / "sweeps" for folder in (_PACKAGE, *_CHECKOUT))
-STUDY_FOLDERS = tuple(folder / "studies" for folder in BUNDLED_FOLDERS)
-DESIGN_FOLDERS = tuple(folder / "designs" for folder in BUNDLED_FOLDERS)
+_SUBFOLDERS = {"sweep": "", "study": "studies", "design": "designs"}
 
 _TABLES = ("parameters", "grid", "run")
 _TOP_KEYS = ("scene", "title", "starts", "unusual")
@@ -141,8 +140,8 @@ def bundled_names(noun: str = "sweep") -> list[str]:
 
 
 def _bundled(noun: str) -> list[Path]:
-    folders = {"sweep": BUNDLED_FOLDERS, "study": STUDY_FOLDERS, "design": DESIGN_FOLDERS}
-    return [path for folder in folders.get(noun, ()) for path in sorted(folder.glob("*.toml"))]
+    folders = [folder / _SUBFOLDERS[noun] for folder in BUNDLED_FOLDERS] if noun in _SUBFOLDERS else []
+    return [path for folder in folders for path in sorted(folder.glob("*.toml"))]
 
 
 def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
@@ -189,12 +188,9 @@ def render(table: Mapping[str, object]) -> str:
     Scenes, friction laws and steppers are represented by their names.
     """
     values = [_line(key, value) for key, value in table.items() if not isinstance(value, dict)]
-    sections = [
-        "\n".join([f"[{_key(key)}]", *(_line(name, item) for name, item in value.items())])
-        for key, value in table.items()
-        if isinstance(value, dict)
-    ]
-    return "\n\n".join(part for part in ("\n".join(values), *sections) if part) + "\n"
+    sections = [(key, value) for key, value in table.items() if isinstance(value, dict)]
+    parts = ["\n".join([f"[{_key(key)}]", *(_line(*item) for item in value.items())]) for key, value in sections]
+    return "\n\n".join(part for part in ("\n".join(values), *parts) if part) + "\n"
 
 
 def _line(key: str, value: object) -> str:

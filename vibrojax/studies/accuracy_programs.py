@@ -18,7 +18,6 @@ from jaxtyping import Float, Shaped
 from vibrojax.compile.xla import precision as in_precision
 from vibrojax.compile.xla import workers
 from vibrojax.lanes.run import LaneRun
-from vibrojax.lanes.threads import in_parallel
 from vibrojax.maps.read import read_sweep
 from vibrojax.measures.impacts import Impacts
 from vibrojax.measures.motion import Shares, Swings
@@ -27,6 +26,7 @@ from vibrojax.physics.arrays import Array
 from vibrojax.scenes import HasImpacts, Scene
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Smoothed, Step
 from vibrojax.stepping.adaptive import smoothed_solution, solver_named
+from vibrojax.threads import in_parallel
 
 REFERENCE, SECOND_REFERENCE = Accuracy(1e-14, 0.5, np.inf), Accuracy(1e-13, 0.35, np.inf)
 """Accuracies of the reference, the located method with only rounding error left, and of another one. The difference

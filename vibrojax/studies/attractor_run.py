@@ -22,8 +22,7 @@ from vibrojax.maps.rerun import sweep_with_orbits
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.starts import DEFAULT_STARTS, list_of
 from vibrojax.maps.sweep import Sweep
-from vibrojax.measures.derived import blow_frequency
-from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
+from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT, blow_frequency
 from vibrojax.periodic.orbits import SAME_ORBIT
 from vibrojax.studies.attractor_grouping import (
     EXPONENT_STDERRS,

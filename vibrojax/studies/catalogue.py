@@ -10,11 +10,9 @@ import pandas as pd
 
 from vibrojax.errors import Place
 from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
-from vibrojax.lanes.labels import of_orbits
-from vibrojax.lanes.scene_variables import sweep_variables
-from vibrojax.maps.points import VECTOR
-from vibrojax.maps.starts import PLANE, SAMPLE
-from vibrojax.measures.derived import HOLE_RADIUS
+from vibrojax.lanes.labels import of_orbits, sweep_variables
+from vibrojax.maps.starts import PLANE, SAMPLE, VECTOR
+from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
 from vibrojax.physics.rock import ROCKS

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError, Place, nearest, shown, suggestion
 from vibrojax.io.atomic import atomic_write
+from vibrojax.io.files import source
+from vibrojax.io.identity import PICTURE_KEYS
 from vibrojax.io.kinds import kind_of
-from vibrojax.io.ownership import PICTURE_KEYS
-from vibrojax.io.provenance import source
 from vibrojax.pictures.axes import axis, margins
 from vibrojax.pictures.colours import Values, value_axis, value_of
 from vibrojax.pictures.contents import (

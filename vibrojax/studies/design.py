@@ -11,7 +11,7 @@ import xarray as xr
 from vibrojax.errors import InputError, Place, counted, shown, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
-from vibrojax.lanes.scene_variables import sweep_variables
+from vibrojax.lanes.labels import sweep_variables
 from vibrojax.maps.bounds import MAX_TOLERANCES, VariedFile, read_bounds, read_file
 from vibrojax.maps.read import read_parameters
 from vibrojax.measures.labels import REGIMES, UNBOUNDED

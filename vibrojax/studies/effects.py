@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from vibrojax.errors import Place, counted, shown, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import STATUSES, Variable
-from vibrojax.lanes.scene_variables import sweep_variables
+from vibrojax.lanes.labels import sweep_variables
 from vibrojax.maps.bounds import VariedFile, read_bounds, read_file
 from vibrojax.maps.dataset import described_variables, parameter_attributes
 from vibrojax.maps.run import lanes_beside, run_sweep

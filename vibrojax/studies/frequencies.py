@@ -10,7 +10,7 @@ import xarray as xr
 from vibrojax.compile.xla import precision
 from vibrojax.io.attributes import parameters_of
 from vibrojax.maps.sweep import resolved
-from vibrojax.measures.derived import blow_frequency
+from vibrojax.measures.labels import blow_frequency
 from vibrojax.physics.modes import natural_frequencies, uncoupled_frequencies
 from vibrojax.physics.parameters import REPLACED
 from vibrojax.pictures.axes import pretty_unit

@@ -16,13 +16,26 @@ from vibrojax.errors import Place, shown
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.lanes.agreement import recorder_of
+from vibrojax.lanes.certificate import drift
 from vibrojax.lanes.compiler import lane_function
-from vibrojax.lanes.dense_output import RECORD_MAX_STEPS, Record, check_size, record, sample
-from vibrojax.lanes.drift import drift
 from vibrojax.lanes.labels import measured_besides, regime_variables, regimes, unresolved, with_radius
-from vibrojax.lanes.trajectory import KINDS, Events, SampledMotion, along_time, events, forces, states_shown, window
+from vibrojax.lanes.record import (
+    KINDS,
+    RECORD_MAX_STEPS,
+    Events,
+    Record,
+    SampledMotion,
+    along_time,
+    check_size,
+    events,
+    forces,
+    record,
+    sample,
+    states_shown,
+    window,
+)
 from vibrojax.maps.read import Point, read_point
-from vibrojax.measures.derived import derived
+from vibrojax.measures.labels import derived
 from vibrojax.measures.recorder import Features
 from vibrojax.physics.arrays import Array
 from vibrojax.physics.parameters import differing, positive

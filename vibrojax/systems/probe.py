@@ -7,10 +7,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from vibrojax.errors import InputError, shown, suggestion
+from vibrojax.errors import CANNOT_EXPAND, InputError, shown, suggestion
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.physics.own_code import CANNOT_EXPAND
 from vibrojax.physics.parameters import Parameter
 from vibrojax.physics.units import is_drawn_unit
 from vibrojax.systems.events import Event, Friction, Impact, Switch, required_arguments

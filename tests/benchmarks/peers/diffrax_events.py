@@ -13,7 +13,7 @@ import optimistix
 from peers._machine import ARMED_BELOW, C0, C2, K0, K1, M1, MU, STICK_LIMIT, V_CR, striker
 from peers._peer import CORES, Peer, Points, Ran
 from vibrojax.compile.xla import precision
-from vibrojax.lanes.threads import in_parallel
+from vibrojax.threads import in_parallel
 
 LATER = 1e-7  # s after its start from which on a segment may end, since it begins on a surface
 MOST_SEGMENTS = 5_000

@@ -12,9 +12,9 @@ import numpy as np
 from peers._machine import C0, C2, K0, K1, M1, MU, STICK_LIMIT, V_CR, striker
 from peers._peer import CORES, Peer, Points, Ran
 from vibrojax.compile.xla import precision
-from vibrojax.lanes.threads import in_parallel
 from vibrojax.maps.read import read_sweep
 from vibrojax.studies.accuracy_programs import features_of
+from vibrojax.threads import in_parallel
 
 SAMPLING = 2e-4  # s: features are read off the samples of a second run, which is not timed
 MOST_STEPS = 2_000_000

@@ -1,0 +1,151 @@
+"""Marks of files that this package wrote, and identities of results, which decide whether a file may be replaced.
+
+Pictures say in their metadata that this package wrote them, pages and tables in an element that is not shown, datasets
+in their attributes. An identity is everything on which results depend, as a manifest of chunks or an attribute of a
+dataset. If the manifest differs, the chunks belong to another sweep and are rejected.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from vibrojax.errors import InputError, shown
+from vibrojax.io.files import read_regular, source
+from vibrojax.io.seal import LARGEST_METADATA, has_seal
+from vibrojax.io.untrusted import global_attributes
+
+MARK = "vibrojax"
+"""Prefix of the attribute `source` of every dataset that this package writes."""
+
+GENERATOR = f'<meta name="generator" content="{MARK} '
+"""Beginning of the element of a page that names the program that wrote it."""
+
+PICTURE_KEYS = {".png": "Software", ".pdf": "Creator", ".svg": "Creator"}
+"""Key of a picture's metadata that names the program that wrote it, by the suffix of the file."""
+
+_MARKS = {
+    ".png": re.compile(rb"\A\x89PNG.*?Software\0vibrojax ", re.DOTALL),
+    ".pdf": re.compile(rb"\A%PDF.*/Creator \(vibrojax ", re.DOTALL),
+    ".svg": re.compile(rb"<dc:creator>\s*<cc:Agent>\s*<dc:title>vibrojax "),
+    ".html": re.compile(re.escape(GENERATOR.encode())),
+    ".md": re.compile(rb"<!-- vibrojax [^>]*-->\n\Z"),
+}
+"""Mark of each kind of file other than datasets."""
+
+_IN_STORE = re.compile(r"\.zgroup|\.zattrs|\.zmetadata|\.zarray|\d+(\.\d+)*")
+"""Names of the files of a store: metadata and chunks."""
+
+
+IDENTITY = "identity"
+"""Name of the attribute that holds, as JSON, everything that a result depends on. Runs with equal identities compute
+the same result."""
+
+_CHANGES_SHOWN = 3
+
+_DIGEST = re.compile(r"(?:(.*), )?sha256 [0-9a-f]+")
+"""Value of a manifest that a digest represents, with an optional text before it: a column's size and range, a file."""
+
+_COLUMN = re.compile(r"\d+ (?:values|names)\b.*")
+
+
+def text_mark() -> str:
+    """Return a line that marks a table in Markdown, and that no reader sees."""
+    return f"<!-- {source()} -->\n"
+
+
+def check_ours(path: Path) -> None:
+    """Raise `InputError` if there is a file or folder at `path` that this package has not written."""
+    if not path.exists() or (path.is_file() and path.stat().st_size == 0):
+        return
+    advice = "give another name, or remove it"
+    if path.is_dir():
+        for file in path.rglob("*"):
+            if file.is_symlink() or not (file.is_dir() or _IN_STORE.fullmatch(file.name)):
+                name = shown(file.relative_to(path).as_posix())
+                raise InputError(f"{path}: holds {name}, which is not of a dataset; {advice}")
+    if not _says_so(path):
+        raise InputError(f"{path}: exists already, and does not say that {MARK} wrote it; {advice}")
+
+
+def _says_so(path: Path) -> bool:
+    mark = _MARKS.get(path.suffix.lower())
+    try:
+        if path.is_dir():
+            attributes = json.loads(read_regular(path / ".zattrs", LARGEST_METADATA))
+            return isinstance(attributes, dict) and str(attributes.get("source", "")).startswith(MARK)
+        if mark is not None:
+            return mark.search(read_regular(path)) is not None
+        if has_seal(path):
+            return True
+        return str(global_attributes(path).get("source", "")).startswith(MARK)
+    except (InputError, OSError, ValueError, RecursionError):
+        return False
+
+
+def canonical(values: Mapping[str, object]) -> bytes:
+    """Return a manifest as JSON with sorted keys: equal manifests give equal bytes."""
+    return json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def digest(values: Mapping[str, object]) -> str:
+    """Return the SHA-256 of a manifest."""
+    return hashlib.sha256(canonical(values)).hexdigest()
+
+
+def changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:
+    """Describe the differences between everything two results depend on; "" if there are none."""
+
+    def value(values: Mapping[str, object], name: str) -> str:
+        if name not in values:
+            return "not there"
+        digested = _DIGEST.fullmatch(str(values[name]))
+        return (digested[1] or "there") if digested else " ".join(shown(values[name]).split())
+
+    def difference(name: str) -> str:
+        texts = value(before, name), value(now, name)
+        if texts[0] != texts[1]:
+            return f"{name} was {texts[0]}, is {texts[1]}"
+        if _COLUMN.fullmatch(texts[0]):
+            return f"the values of {name.rpartition('.')[2]} differ"
+        return f"{name if texts[0] == 'there' else texts[0]} has changed since"
+
+    names = [name for name in {**before, **now} if before.get(name, ...) != now.get(name, ...)]
+    texts = [difference(name) for name in names[:_CHANGES_SHOWN]]
+    more = f" and {len(names) - _CHANGES_SHOWN} more" if len(names) > _CHANGES_SHOWN else ""
+    return "; ".join(texts) + more
+
+
+def identity_text(identity: Mapping[str, object]) -> str:
+    """Return an identity as the JSON string that the attribute stores."""
+    return json.dumps(identity, sort_keys=True)
+
+
+def holds(out: Path, identity: Mapping[str, object]) -> bool:
+    """Return whether `out` is a result with this `identity`."""
+    stored = stored_identity(out)
+    return stored is not None and not changes(stored, json.loads(identity_text(identity)))
+
+
+def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
+    """Raise `InputError` if `out` exists and holds anything but a result with this `identity`."""
+    check_ours(out)
+    if not out.exists():
+        return
+    stored = stored_identity(out)
+    advice = "--fresh replaces it, or give another output with -o"
+    if stored is None:
+        raise InputError(f"{out}: exists already, and does not say that it holds this result; {advice}")
+    differences = changes(stored, json.loads(identity_text(identity)))
+    if differences:
+        raise InputError(f"{out}: holds another result: {differences}; {advice}")
+
+
+def stored_identity(out: Path) -> dict[str, object] | None:
+    """Return the identity of the result at `out`, or None if there is no result that states its identity."""
+    try:
+        stored = json.loads(str(global_attributes(out)[IDENTITY])) if out.exists() else None
+    except (InputError, KeyError, ValueError, RecursionError):
+        stored = None
+    return stored if isinstance(stored, dict) else None
