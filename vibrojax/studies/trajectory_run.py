@@ -19,6 +19,7 @@ from vibrojax.lanes.agreement import recorder_of
 from vibrojax.lanes.certificate import drift
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.labels import measured_besides, regime_variables, regimes, unresolved, with_radius
+from vibrojax.lanes.programs import LaneArguments
 from vibrojax.lanes.record import (
     KINDS,
     RECORD_MAX_STEPS,
@@ -301,7 +302,7 @@ def recorded(
 def constants_at(place: Place, point: Point, stepper: Stepper | None) -> Any:
     """Return the scene's constants at the point, each (1,); raise `InputError` if the point cannot be run."""
     scene = point.system
-    p = {name: np.full(1, value) for name, value in point.parameters.items()}
+    p: dict[str, Array] = {name: np.full(1, value) for name, value in point.parameters.items()}
     refusal = scene.refused(p)
     if refusal is not None and bool(refusal[1][0]):
         raise place.error(f"the point cannot be run: {refusal[0].replace('-', ' ')}")
@@ -313,12 +314,16 @@ def constants_at(place: Place, point: Point, stepper: Stepper | None) -> Any:
     if is_exact and isinstance(scene, HasFriction) and bool(unresolved(scene, point.parameters, "float64")):
         advice = "give a smaller k0, c0, c2 or gamma, or a greater beta"
         raise place.error(f"the point cannot be run: too stiff, so that nothing moves in a step; {advice}")
-    return _compiled_constants(scene, p)
+    # A kernel is compared with XLA on the lanes among its arguments: on this motion, not on a block at rest at zero.
+    named = isinstance(point.start, str) and point.start in scene.starts
+    states = () if point.start is None or isinstance(point.start, str) else tuple(np.full(1, x) for x in given)
+    start = scene.starts.index(str(point.start)) if named else len(scene.starts) if states else 0
+    return _compiled_constants(scene, LaneArguments(p, np.full(1, start, np.int32), states))
 
 
 @lane_function(static=1)
-def _compiled_constants(scene: Scene[Any], p: dict[str, Array]) -> Any:
-    return scene.constants(p)
+def _compiled_constants(scene: Scene[Any], given: LaneArguments) -> Any:
+    return scene.constants(given.parameters)
 
 
 def labelled_features(
