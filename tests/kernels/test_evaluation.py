@@ -32,6 +32,10 @@ CASES = {
         lax.optimization_barrier((x, y)),
         jnp.stack([x, y], axis=1)[2:3].squeeze(0),
     ),
+    "masks": lambda x, y: (jnp.all(x > y), jnp.any((x > y).reshape(4, -1), axis=0), x + lax.iota(x.dtype, 64)),
+    "bits": lambda x, y: lax.bitcast_convert_type(x, f"int{8 * x.dtype.itemsize}"),
+    "scan": lambda x, y: lax.scan(lambda z, row: (0.5 * z + row * y, z - row), x, jnp.stack([x, y]), reverse=True),
+    "empty scan": lambda x, y: lax.scan(lambda z, row: (z * y, z), x, jnp.zeros((0, 64))),
     "loop": lambda x, y: lax.fori_loop(0, 3, lambda _, z: 0.5 * (z + jnp.sin(y)), x),
 }
 

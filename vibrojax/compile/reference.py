@@ -23,6 +23,8 @@ def evaluate(closed: Any, *arguments: Any) -> list[Any]:
         values = [np.asarray(x.val, x.aval.dtype) if hasattr(x, "val") else known[x] for x in equation.invars]
         if name in CALLS:
             results = evaluate(equation.params[CALLS[name]], *values)
+        elif name == "scan":
+            results = _scan(equation, values)
         elif rule is not None and _is_exact(equation):
             with np.errstate(all="ignore"):
                 result = rule(equation.params, *values)
@@ -31,6 +33,21 @@ def evaluate(closed: Any, *arguments: Any) -> list[Any]:
             results = _by_xla(equation, values)
         known |= dict(zip(equation.outvars, results, strict=True))
     return [np.asarray(x.val, x.aval.dtype) if hasattr(x, "val") else known[x] for x in jaxpr.outvars]
+
+
+def _scan(equation: Any, values: Sequence[Any]) -> list[Any]:
+    """Return the results of a loop over the first axis of some arguments, see `jax.lax.scan`."""
+    params = equation.params
+    fixed, last = params["num_consts"], params["num_consts"] + params["num_carry"]
+    carry, rows = list(values[fixed:last]), []
+    for row in sorted(range(params["length"]), reverse=params["reverse"]):
+        results = evaluate(params["jaxpr"], *values[:fixed], *carry, *(np.asarray(x)[row] for x in values[last:]))
+        carry = results[: params["num_carry"]]
+        rows.append(results[params["num_carry"] :])
+    rows = rows[::-1] if params["reverse"] else rows
+    if not rows:
+        return [*carry, *(np.zeros(var.aval.shape, var.aval.dtype) for var in equation.outvars[len(carry) :])]
+    return [*carry, *map(np.stack, zip(*rows, strict=True))]
 
 
 def _by_xla(equation: Any, values: Sequence[Any]) -> list[Any]:
@@ -48,6 +65,10 @@ def _is_exact(equation: Any) -> bool:
     first, kind = types[0], types[-1].kind
     if name == "convert_element_type":
         return first.kind != "f" or kind == "f"  # what becomes of NaN as an integer is undefined
+    if name == "bitcast_convert_type":
+        return first.itemsize == types[-1].itemsize
+    if name in BITS_ONLY:
+        return kind == "b"
     if name == "select_n":
         return first.kind == "b" and len(equation.invars) == 3
     return name not in FLOATS_ONLY or first.kind == "f"
@@ -58,6 +79,10 @@ EXACT_TYPES = {*map(np.dtype, ("float64", "float32", "int64", "int32", "uint64",
 
 FLOATS_ONLY = ("div", "rem", "abs", "neg", "sqrt", "floor", "ceil", "is_finite")
 """Primitives for whose integers numpy has other results or types."""
+
+
+BITS_ONLY = ("reduce_and", "reduce_or")
+"""Primitives whose rules are those of booleans."""
 
 
 def _of(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -74,6 +99,12 @@ def _broadcast(params: Any, x: Any) -> Any:
 def _slice(params: Any, x: Any) -> Any:
     strides = params["strides"] or (1,) * np.ndim(x)
     return x[tuple(map(slice, params["start_indices"], params["limit_indices"], strides))]
+
+
+def _iota(params: Any) -> Any:
+    shape, axis = params["shape"], params["dimension"]
+    numbers = np.arange(shape[axis], dtype=params["dtype"])
+    return np.broadcast_to(numbers.reshape([-1 if k == axis else 1 for k in range(len(shape))]), shape)
 
 
 RULES: dict[str, Callable[..., Any]] = {
@@ -110,6 +141,10 @@ RULES: dict[str, Callable[..., Any]] = {
     "concatenate": lambda params, *x: np.concatenate(x, params["dimension"]),
     "stack": lambda params, *x: np.stack(x, params["axis"]),
     "optimization_barrier": lambda params, *x: list(x),
+    "reduce_and": lambda params, x: np.all(x, tuple(params["axes"])),
+    "reduce_or": lambda params, x: np.any(x, tuple(params["axes"])),
+    "iota": _iota,
+    "bitcast_convert_type": lambda params, x: np.asarray(x).view(params["new_dtype"]),
     "stop_gradient": lambda params, x: x,
 }
 """Rules that take the parameters and arguments of an equation, and return its result or the list of its results."""

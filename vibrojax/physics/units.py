@@ -133,7 +133,7 @@ def factor(unit: str, si: str) -> float | None:
 
 def is_unit(text: str) -> bool:
     """Return whether `text` is a known unit of any dimension."""
-    return any(factor(text, si) is not None for si in UNITS)
+    return text in UNITS or any(factor(text, si) is not None for si in UNITS)
 
 
 @cache
