@@ -337,11 +337,11 @@ def test_finished_chunks_survive_an_interrupt(by, tmp_path, capsys, monkeypatch)
     (tmp_path / "few.toml").write_text(FEW)
     compute, computed = LaneRun.chunk, []
 
-    def counted(self, inputs, *rest):
+    def counted(self, inputs, report):
         if by == "lanes" and len(computed) == 2:
             raise KeyboardInterrupt
         computed.append(inputs)
-        return compute(self, inputs, *rest)
+        return compute(self, inputs, report)
 
     def interrupted(*_):
         raise KeyboardInterrupt

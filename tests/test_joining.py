@@ -48,7 +48,8 @@ def swept(request):
     """Return a sweep with this many last returns, its dataset, and a `LaneRun.chunk` that computes each chunk once."""
     sweep, chunks, compute = read_sweep(SWEEP, [f"run.keep_returns={request.param}"]), {}, LaneRun.chunk
 
-    def compute_once(self, inputs, *report):
+    def compute_once(self, lanes, report=None):
+        inputs = lanes() if callable(lanes) else lanes
         key = (inputs.parameters["beta"].tobytes(), inputs.parameters["gamma"].tobytes(), inputs.start.tobytes())
         if key not in chunks:
             chunks[key] = compute(self, inputs)

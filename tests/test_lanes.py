@@ -1,7 +1,11 @@
 """Tests that a lane's result does not depend on its chunk, its position, the cores, or earlier computations."""
 
 import json
+import os
+import sys
 from pathlib import Path
+from threading import get_ident, main_thread
+from traceback import walk_stack
 
 import jax
 import numpy as np
@@ -96,6 +100,25 @@ def test_second_sweep_compiles_nothing(tiled):
     fixed = sweep(other, **SHORT) | {"parameters": {"m1": 200.0, "k0": 4e7, "c0": 10.0, "mu": 0.3}}
     vj.run_sweep(fixed, progress=False)
     assert programs_compiled() == compiled
+
+
+def test_few_frames_lie_between_run_sweep_and_a_kernel(monkeypatch):
+    """A call passes from the main thread to the driver of its chunk, and then to the pool; threads do not count."""
+    call, paths = native.BoundKernel.__call__, []
+
+    def counted(kernel, lanes):
+        stacks = {ident: walk_stack(frame) for ident, frame in sys._current_frames().items()}
+        names = {ident: [frame.f_code.co_filename for frame, _ in stack] for ident, stack in stacks.items()}
+        own = {ident: [name for name in files if f"vibrojax{os.sep}" in name] for ident, files in names.items()}
+        driver = [files for files in own.values() if any("settled.py" in name for name in files)]
+        if driver:
+            parts = own[main_thread().ident], *driver, own[get_ident()]
+            paths.append([name for part in parts for name in part if not name.endswith(("threads.py", "native.py"))])
+        return call(kernel, lanes)
+
+    monkeypatch.setattr(native.BoundKernel, "__call__", counted)
+    vj.run_sweep({"scene": "vibro-impact", "grid": {"gamma": [0.6, 0.7]}, "run": {"settle": 10.0}}, progress=False)
+    assert 0 < max(map(len, paths)) <= 9, max(paths, key=len)
 
 
 def test_memory_does_not_grow_with_time(tiled):

@@ -15,7 +15,7 @@ from commands import ROOT, TEXT
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.maps.executor import by_executor, compute_chunk
+from vibrojax.maps.executor import compute_chunk
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_to_file
 
@@ -225,7 +225,7 @@ def test_unpicklable_physics_is_refused(tmp_path):
     )
     sweep = {"scene": "vibro-impact", "parameters": {"friction": law}, "grid": {"beta": [0.4]}}
     with ThreadPoolExecutor(1) as executor, pytest.raises(InputError, match="cannot be sent to other processes"):
-        by_executor(read_sweep(sweep), executor, [0], lambda *_: None)
+        vj.run_sweep(sweep, progress=False, executor=executor)
 
 
 def test_workers_share_cores(file):

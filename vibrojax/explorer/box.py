@@ -1,5 +1,6 @@
 """A part of a sweep's map computed anew: the box of two axes that a user zooms into, with as many cells as the map."""
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -9,9 +10,11 @@ import numpy as np
 from vibrojax.errors import Place, shown
 from vibrojax.explorer.document import Document
 from vibrojax.explorer.encoding import pack
+from vibrojax.maps.executor import compute
 from vibrojax.maps.rerun import rerun_problem
-from vibrojax.maps.run import in_memory
+from vibrojax.maps.run import joined
 from vibrojax.maps.sweep import Sweep
+from vibrojax.periodic.lane_stages import lane_run
 
 BOX_MAX_SIDE = 50
 """Maximum number of values along an axis of a box; more cells would take minutes."""
@@ -45,7 +48,8 @@ def box_of(sweep: Sweep, lane: int, box: object, check: Callable[..., None]) -> 
     part = replace(sweep, axes=axes, parameters=sweep.parameters | fixed, starts=starts, run=run)
     if problem := rerun_problem(part):
         raise PLACE.error(f"it has {problem}")
-    whole = in_memory(part, check)
+    began, lanes = time.monotonic(), lane_run(part.inputs(0, 1), part.plan)
+    whole = joined(part, lanes, dict(compute(part, lanes, range(part.chunks), check)), began)
     ds = whole.isel({name: 0 for name in whole.dims if name not in axes}, drop=True)
     arrays = {str(name): x.transpose(*axes) for name, x in ds.data_vars.items() if set(x.dims) == set(axes)}
     return {

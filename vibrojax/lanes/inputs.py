@@ -91,10 +91,12 @@ class LaneResult(NamedTuple):
     - `features`: what was measured, with estimates and with the results of stages; the last section crossings
       (lanes, returns) only if a stage reads them or the run keeps them.
     - `variables`: what a dataset stores, with labels; NaN or 0 in lanes that failed or were refused.
+    - `seconds` [s]: time of the computation.
     """
 
     features: Features
     variables: Features
+    seconds: float = 0.0
 
 
 @runtime_checkable

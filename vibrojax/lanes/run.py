@@ -60,27 +60,22 @@ class LaneRun:
 
     def chunks(
         self, parts: Sequence[Callable[[], LaneInputs]], report: Report = unreported
-    ) -> Iterator[tuple[int, LaneResult, float]]:
-        """Yield (index, results, time [s]) of chunks of lanes as soon as each is finished, in any order.
+    ) -> Iterator[tuple[int, LaneResult]]:
+        """Yield (index, results) of chunks of lanes as soon as each is finished, in any order.
 
         Each of as many threads as there are cores computes a chunk of its own. `parts` return the lanes of the chunks.
         """
-
-        def compute(part: Callable[[], LaneInputs]) -> tuple[LaneResult, float]:
-            began = time.monotonic()
-            return self.chunk(part(), report), time.monotonic() - began
-
         with quiet():
             if parts:
                 self.compile(parts[0]())
-            for index, result in by_drivers(compute, parts, len(self.engine.workers)):
-                yield index, *result
+            yield from by_drivers(partial(self.chunk, report=report), parts, len(self.engine.workers))
 
-    def chunk(self, inputs: LaneInputs, report: Report = unreported) -> LaneResult:
-        """Return the results of lanes that are computed together.
+    def chunk(self, lanes: LaneInputs | Callable[[], LaneInputs], report: Report = unreported) -> LaneResult:
+        """Return the results of lanes that are computed together; `lanes` may return them when their turn comes.
 
         `report` is called with the number of lanes finished since its last call.
         """
+        began, inputs = time.monotonic(), lanes() if callable(lanes) else lanes
         self.compile(inputs)
         if inputs.row:
             features = self._rows(inputs, report)
@@ -94,15 +89,16 @@ class LaneRun:
         added: Features = {}
         for stage in self.stages:
             added |= stage(inputs, features | added)
-        return LaneResult(features | added, labelled(inputs, stored | added))
+        variables = labelled(inputs, stored | added)
+        return LaneResult(features | added, variables, time.monotonic() - began)
 
     def all(self, inputs: LaneInputs, report: Report = unreported) -> LaneResult:
         """Return the results of independent lanes, which are computed in chunks."""
         firsts = range(0, len(inputs), self.plan.chunk)
         ends = [*firsts[1:], len(inputs)]
         parts = [partial(inputs.of, np.arange(first, end)) for first, end in zip(firsts, ends, strict=True)]
-        results = {index: result for index, result, _ in self.chunks(parts, report)}
-        features, variables = zip(*(results[index] for index in range(len(parts))), strict=True)
+        results = dict(self.chunks(parts, report))
+        features, variables, _ = zip(*(results[index] for index in range(len(parts))), strict=True)
         return LaneResult(joined(list(features)), joined(list(variables)))
 
     def at(self, inputs: LaneInputs, accuracy: Accuracy) -> Features:

@@ -15,6 +15,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+
 from vibrojax.compile.xla import usable_cores, with_threads
 from vibrojax.errors import InputError, Place
 from vibrojax.lanes.inputs import Features, Report, unreported
@@ -36,9 +38,6 @@ FUTURE_POLL_SECONDS = 0.2
 
 SLURM_LIMIT_MINUTES = 24 * 60
 """Time limit of a job of SLURM [min] if SBATCH_TIMELIMIT is not set; sites have their own limits."""
-
-Save = Callable[[int, Features], None]
-"""Function that receives a chunk's index and its arrays."""
 
 _COMPILING = Lock()
 
@@ -66,8 +65,34 @@ def check_executor(executor: object) -> None:
         )
 
 
-def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], save: Save) -> None:
-    """Compute the chunks of a sweep in this order, and `save` each one, in this thread, as soon as it is finished.
+def compute(
+    sweep: Sweep,
+    run: LaneRun,
+    indices: Sequence[int],
+    report: Report = unreported,
+    executor: Executor | None = None,
+) -> Iterator[tuple[int, Features]]:
+    """Compute chunks, and yield (index, arrays to store) as soon as each is finished, in any order.
+
+    `report` is called with the number of lanes finished since its last call; `executor`: see `run_sweep`.
+    """
+    if executor is not None:
+        check_executor(executor)
+        for index, arrays in _by_executor(sweep, run, executor, indices):
+            report(int(np.subtract(*sweep.chunk(index)[::-1])))
+            yield index, arrays
+        return
+    # Chunks that are computed at the same time share the cores.
+    at_once = max(min(len(run.engine.workers), len(indices)), 1)
+    parts = [partial(sweep.inputs, *sweep.chunk(index)) for index in indices]
+    for place, result in run.chunks(parts, report):
+        yield indices[place], stored(result, result.seconds / at_once)
+
+
+def _by_executor(
+    sweep: Sweep, run: LaneRun, executor: Executor, order: Sequence[int]
+) -> Iterator[tuple[int, Features]]:
+    """Compute the chunks of a sweep in this order; yield each one as soon as it is finished.
 
     If a worker raises, this process computes its chunk. If the executor breaks down (a process of Python's own pool
     died, or the scheduler is gone), this process computes all remaining chunks. Each task contains all data for
@@ -114,25 +139,12 @@ def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], save: Sa
                     local.append(index)
                 else:
                     busy += float(arrays[SECONDS])
-                    save(index, arrays)
+                    yield index, arrays
     finally:
         for future in running:
             future.cancel()
     LOG.info("workers: %.1f s busy in %.1f s", busy, time.monotonic() - began)
-    if local:
-        for index, arrays in compute(sweep, lane_run(sweep.inputs(0, 1), sweep.plan), local):
-            save(index, arrays)
-
-
-def compute(
-    sweep: Sweep, run: LaneRun, indices: Sequence[int], report: Report = unreported
-) -> Iterator[tuple[int, Features]]:
-    """Compute chunks in this process, and yield (index, arrays to store) as soon as each is finished, in any order."""
-    # Chunks that are computed at the same time share the cores.
-    at_once = max(min(len(run.engine.workers), len(indices)), 1)
-    parts = [partial(sweep.inputs, *sweep.chunk(index)) for index in indices]
-    for place, result, seconds in run.chunks(parts, report):
-        yield indices[place], stored(result, seconds / at_once)
+    yield from compute(sweep, run, local)
 
 
 def compute_chunk(task: bytes, index: int, threads: int | None) -> Features:

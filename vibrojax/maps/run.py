@@ -6,7 +6,7 @@ chunks. `io` writes the dataset completely or not at all, and `maps.store` keeps
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -17,11 +17,11 @@ from vibrojax.io.dataset import open_dataset
 from vibrojax.io.files import provenance
 from vibrojax.io.identity import check_ours, check_replaceable
 from vibrojax.io.targets import InMemory, Target, file_target
-from vibrojax.lanes.inputs import Features, Report
+from vibrojax.lanes.inputs import Features
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.cost import check_size
 from vibrojax.maps.dataset import join
-from vibrojax.maps.executor import Executor, Save, by_executor, check_executor, compute
+from vibrojax.maps.executor import Executor, compute
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.store import CHUNKS, DamagedChunk, Store, report_damage
 from vibrojax.maps.sweep import Sweep
@@ -60,18 +60,18 @@ def run_sweep(
     """
     sweep = source if isinstance(source, Sweep) else read_sweep(source)
     check_size(sweep)
-    with Progress(sweep.lanes, "lanes", progress) as bar:
-        return in_memory(sweep, bar.add, executor)
-
-
-def in_memory(sweep: Sweep, report: Report, executor: Executor | None = None) -> xr.Dataset:
-    """Run a sweep and return its dataset. `report` is called with the number of lanes finished since its last call."""
     began = time.monotonic()
     run = lane_run(sweep.inputs(0, 1), sweep.plan)
-    parts: dict[int, Features] = {}
-    _compute(sweep, run, range(sweep.chunks), parts.__setitem__, report, executor)
+    with Progress(sweep.lanes, "lanes", progress) as bar:
+        with timed("compile and step"):
+            chunks = dict(compute(sweep, run, range(sweep.chunks), bar.add, executor))
+        return joined(sweep, run, chunks, began)
+
+
+def joined(sweep: Sweep, run: LaneRun, chunks: dict[int, Features], began: float) -> xr.Dataset:
+    """Return the dataset of a sweep from its chunks by index, which are removed; `began` [s]: monotonic time."""
     target = InMemory()
-    join(sweep, run, parts.pop, target, began)
+    join(sweep, run, chunks.pop, target, began)
     return target.dataset
 
 
@@ -143,7 +143,9 @@ def _computed(
             finished = store.finished()
             bar.resume(_lanes_of(sweep, finished))
             missing = sorted(set(range(sweep.chunks)) - finished)
-            _compute(sweep, run, missing, store.write, bar.add, executor)
+            with timed("compile and step"):
+                for index, arrays in compute(sweep, run, missing, bar.add, executor):
+                    store.write(index, arrays)
 
         def read(index: int) -> Features:
             try:
@@ -154,24 +156,6 @@ def _computed(
 
         yield lambda target: join(sweep, run, read, target, began)
         store.remove()
-
-
-def _compute(
-    sweep: Sweep, run: LaneRun, indices: Sequence[int], save: Save, report: Report, executor: Executor | None
-) -> None:
-    """Compute the chunks with these indices, and save each one as soon as it is finished."""
-    with timed("compile and step"):
-        if executor is None:
-            for index, arrays in compute(sweep, run, indices, report):
-                save(index, arrays)
-            return
-        check_executor(executor)
-
-        def save_and_report(index: int, arrays: Features) -> None:
-            save(index, arrays)
-            report(_lanes_of(sweep, [index]))
-
-        by_executor(sweep, executor, indices, save_and_report)
 
 
 def _lanes_of(sweep: Sweep, chunks: Iterable[int]) -> int:
