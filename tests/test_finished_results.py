@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from textwrap import dedent
 
 import numpy as np
@@ -64,7 +63,7 @@ def test_finished_sweep_is_not_recomputed(folder, capsys, monkeypatch, command):
         assert main([*argv, "--quiet"]) == 0 and (folder / "map.png").exists()
         assert (folder / "map.nc").stat().st_mtime_ns == written_at and capsys.readouterr() == ("", "")
     computed = []
-    monkeypatch.setattr(LaneRun, "chunk", lambda self, *words: computed.append(1) or compute(self, *words))
+    monkeypatch.setattr(LaneRun, "chunk", lambda self, part, report: computed.append(1) or compute(self, part, report))
     assert main([*argv, "--fresh"]) == 0 and computed
     assert (folder / "map.nc").stat().st_mtime_ns > written_at and "is there already" not in capsys.readouterr().out
 
@@ -158,9 +157,9 @@ def test_interrupted_sweep_continues(tmp_path, monkeypatch):
         stored.append(index)
         write(self, index, features)
 
-    def slow_compute(self, inputs, *report):
-        time.sleep(0.7)
-        return compute(self, inputs, *report)
+    def slow_compute(self, inputs, report):
+        result = compute(self, inputs, report)
+        return result._replace(seconds=result.seconds + 0.7)
 
     monkeypatch.setenv("VIBROJAX_THREADS", "2")
     with monkeypatch.context() as patch:
@@ -170,9 +169,9 @@ def test_interrupted_sweep_continues(tmp_path, monkeypatch):
             run_to_file(sweep, out, progress=False)
     assert not out.exists()
 
-    def counting_compute(self, inputs, *report):
+    def counting_compute(self, inputs, report):
         computed.append(inputs)
-        return compute(self, inputs, *report)
+        return compute(self, inputs, report)
 
     monkeypatch.setattr(LaneRun, "chunk", counting_compute)
     run_to_file(sweep, out, progress=False)
