@@ -33,8 +33,9 @@ PERTURBED_COPIES = 16
 """Number of perturbed copies of the arguments. A comparison whose outcome is determined by rounding error almost surely
 has the other outcome in at least one of 16 copies."""
 
-COPIES_WITH_ZEROS = 4
-"""Number of further copies in which zeros among other values are perturbed, such as a velocity that a surface holds."""
+COPIES_WITH_ZEROS = 8
+"""Number of further copies in which zeros and rounding errors among other values are perturbed, such as a velocity that
+a surface holds, or that has decayed."""
 
 DERIVATIVE = "derivative"
 """Part of the names of results that are derivatives."""
@@ -88,7 +89,8 @@ def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: A
 def _perturb(x: Any, random: np.random.Generator, zeros: bool) -> Any:
     """Return numbers perturbed by a few units of rounding. Integer values are modes and counts and stay unchanged.
 
-    `zeros`: whether a zero in a row of other values is perturbed too, by the rounding errors of these values.
+    `zeros`: whether a zero in a row of other values is perturbed too, by the rounding errors of these values, and a
+    value as small as these errors, such as that of a motion that has come to rest.
     """
     x = np.asarray(x)
     if x.dtype.kind != "f" or not x.ndim:
@@ -99,7 +101,8 @@ def _perturb(x: Any, random: np.random.Generator, zeros: bool) -> Any:
         if zeros:
             row = np.where(finite, np.abs(x), 0).max(axis=-1, keepdims=True, initial=0)
             measured = (finite & (x != np.round(x))).any(axis=-1, keepdims=True)
-            size = np.where(x == 0, row * measured, size)
+            noise = np.abs(x) <= PERTURBATION_ROUNDINGS * np.finfo(x.dtype).eps * row
+            size = np.where(noise, row * measured, size)
         off = x + size * np.finfo(x.dtype).eps * random.uniform(-1, 1, x.shape)
         return np.where(finite, off, x).astype(x.dtype)
 

@@ -36,6 +36,9 @@ COMPARED_LANES = 8
 COMPARED_STEPS = LANES // COMPARED_LANES
 """Number of compared steps of each lane: two to three periods of the motion of a drill."""
 
+AT_REST = 1e-10
+"""Size of all states, relative to their largest values, up to which a motion has come to rest at zero."""
+
 
 class LaneProgress(NamedTuple):
     """Lanes between two steps, with the recorder's values while they settle and while they are observed."""
@@ -156,10 +159,15 @@ class Comparison:
         for events in self._events[:-1]:
             ways.append(self._step_kernel(self._given, c, ways[-1], self._accuracy, events).way)
         every = jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *ways)
-        given, c = take_lanes((self._given, c), np.tile(np.arange(COMPARED_LANES), COMPARED_STEPS))
+        state = np.abs(np.stack(every.lane.state))
+        # Rounding errors decide what a motion does that has decayed to rest at zero.
+        moves = (state > AT_REST * state.max(axis=1, keepdims=True)).any(axis=0)
+        lanes = np.resize(np.flatnonzero(moves | ~moves.any()), LANES)
+        every, events = take_lanes((every, self._events.ravel()), lanes)
+        given, c = take_lanes((self._given, c), lanes % COMPARED_LANES)
         difference = first_difference(self._begin, self._begin_kernel, self._given)
         difference = difference or first_difference(
-            self._step, self._step_kernel, given, c, every, self._accuracy, self._events.ravel()
+            self._step, self._step_kernel, given, c, every, self._accuracy, events
         )
         if difference is None and self._read_kernel is not None:
             return first_difference(self._read, self._read_kernel, c, every.observed)
