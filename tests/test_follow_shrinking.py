@@ -90,14 +90,24 @@ def test_predators_and_prey_end_at_zero_amplitude_and_at_long_periods():
 
 
 def test_family_passes_centre_of_large_amplitude():
-    """Reversed time takes van der Pol's oscillator at mu to that at -mu: periods are equal, multipliers reciprocal."""
-    family = follow(VAN_DER_POL, along="mu", at=0.4, span=(-0.4, 0.4), start=[1.0, 0.0])
-    assert specials(family) == [("end", -0.4), ("end", 0.4)]
+    """Reversed time takes van der Pol's oscillator at mu to that at -mu: periods are equal, multipliers reciprocal.
+
+    At mu = 0, the family crosses that of a centre, whose orbits have every amplitude and the period 2 pi.
+    """
+    whole = follow(VAN_DER_POL, along="mu", at=0.4, span=(-0.4, 0.4), start=[1.0, 0.0])
+    family = whole.isel(point=whole.branch.values == 0, special=whole.special_branch.values == 0)
+    assert [kind for kind, _ in specials(family)] == ["end", "branch-point", "end"]
+    np.testing.assert_allclose(family.special_value, [-0.4, 0.0, 0.4], atol=1e-9)
     ends = [family.isel(point=int(np.abs(family.mu.values - mu).argmin())) for mu in (-0.4, 0.4)]
     assert float(ends[0].period) == pytest.approx(float(ends[1].period), rel=1e-9)
     assert float(ends[0].multiplier_abs[0] * ends[1].multiplier_abs[0]) == pytest.approx(1.0, abs=1e-7)
     away = np.abs(family.mu.values) > 1e-6
     np.testing.assert_array_equal(family.stable.values[away] == 1, family.mu.values[away] > 0)
+    centre = whole.isel(point=whole.branch.values == 1, special=whole.special_branch.values == 1)
+    np.testing.assert_allclose(centre.period, 2 * np.pi, rtol=1e-7)
+    np.testing.assert_allclose(centre.mu, 0.0, atol=1e-7)
+    assert centre.orbit_v.min() < 1e-9 and centre.orbit_v.max() > 4
+    assert sorted(kind for kind, _ in specials(centre)) == ["branch-point", "end", "hopf"]
 
 
 def test_small_forced_motion_goes_on():

@@ -29,6 +29,7 @@ BORDER_MEANINGS = {
     "stick": "A stick or a backward slip appears or vanishes.",
     "section": "The bit just catches up with the drive: beyond it, returns are counted differently.",
     "hopf": "The amplitude of the orbit shrinks to zero at an equilibrium.",
+    "branch-point": "Another family of orbits crosses.",
     "end": "A bound is reached, or the family ends.",
     "basin": "The orbit goes on and is stable, but this start no longer leads to it.",
     "not-settled": "Beyond it, motions from this start had not settled when they were observed.",

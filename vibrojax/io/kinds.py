@@ -75,10 +75,10 @@ def dataset_attributes(kind: str, title: str, command: str, **further: object) -
     }
 
 
-SPECIAL_KINDS = ("fold", "period-doubling", "torus", "grazing", "stick", "section", "hopf", "end")
+SPECIAL_KINDS = ("fold", "period-doubling", "torus", "grazing", "stick", "section", "hopf", "end", "branch-point")
 """Meanings of the flags of `special_kind`."""
 
-BORDER_KINDS = (*SPECIAL_KINDS, "basin", "not-settled")
+BORDER_KINDS = (*SPECIAL_KINDS[:8], "basin", "not-settled")
 """Meanings of the flags of `kind`: kinds of special points, and limits beyond which an initial condition no longer
 leads to an existing orbit."""
 

@@ -250,7 +250,7 @@ class _ActiveBranches:
 
     def _shrinks(self, now: Points) -> Flags:
         """Return a mask of points at which the amplitude of orbits around an equilibrium has nearly vanished."""
-        small = now.swing < SMALLEST_SWING
+        small = (now.swing < SMALLEST_SWING) & self._problem.at_section
         for k in np.flatnonzero(small).tolist():
             family = int(now.family[k])
             if family not in self._around_equilibrium:
@@ -275,6 +275,7 @@ class _ActiveBranches:
         beyond = (value > problem.last[now.family, -1]) | (value < problem.first[now.family, -1])
         sound &= ~(beyond & np.isnan(self._bound[lanes])) & ~((now.swing < LEAST_SWING) & self._shrinks(now))
         sound[sound & changed] &= ~self._faces_corner(now.of(sound & changed), taken[sound & changed])
+        sound[sound] = ~problem.left_branch(last.of(sound), now.of(sound))
         kept = lanes[sound]
         now, last, taken, turn, changed = now.of(sound), last.of(sound), taken[sound], turn[sound], changed[sound]
         self.accepted.append(now)

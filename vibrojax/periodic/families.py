@@ -41,6 +41,10 @@ MAX_BRANCHES = 32
 """Largest number of branches of a family."""
 
 
+FREE_PHASE_REACH = 0.05
+"""Scaled distance in the parameter and the period within which a branch without a section joins another one."""
+
+
 class FamilyContinuation(Tracing):
     """Continuation of the families of one problem.
 
@@ -138,7 +142,7 @@ class FamilyContinuation(Tracing):
 
     def _mark_hopf(self, segment: Segment, note: str) -> bool:
         """Add the Hopf point to which the end of a segment leads; return whether there is one."""
-        hopf = hopf_point(self._problem, segment.points)
+        hopf = hopf_point(self._problem, segment.points) if self._problem.at_section else None
         if hopf is not None:
             segment.marks.append(Mark(hopf, "hopf", note, len(segment.points.u) - 1))
         return hopf is not None
@@ -256,6 +260,8 @@ def _from_other_ends(segments: list[Segment], rows: int) -> set[tuple[int, int]]
         begin, (end, reach) = begins[first], ends[second]
         if len(begin) != len(end):
             return False
+        if (len(begin) - 1) % rows:  # without a section: the phase is free, the parameter and the period decide
+            return bool(np.abs(begin[-2:] - end[-2:]).max() <= max(reach, FREE_PHASE_REACH))
         shifts = range(0, len(begin) - 1, rows)
         shifted = (np.append(np.roll(begin[:-1], shift), begin[-1]) for shift in shifts)
         return any(np.abs(states - end).max() <= reach for states in shifted)

@@ -6,8 +6,6 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Inexact
 
-from vibrojax.periodic.return_map import Mapped
-
 PerLane = Float[np.ndarray, " lanes"]
 
 
@@ -41,7 +39,7 @@ def solve(
     return np.where(sound[:, None, None], np.linalg.solve(matrix, right), np.nan)
 
 
-def images_by_lane(mapped: Mapped, lanes: int, cycles: int) -> Any:
+def images_by_lane(mapped: tuple[Any, ...], lanes: int, cycles: int) -> Any:
     """Return a copy of `mapped` with arrays of shape (lanes, cycles, ...) instead of (..., segments)."""
     return jax.tree.map(lambda x: np.moveaxis(np.array(x), -1, 0).reshape(lanes, cycles, *np.shape(x)[:-1]), mapped)
 

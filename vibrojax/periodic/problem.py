@@ -8,7 +8,7 @@ fewer than unknowns (with two parameters, a further equation is added), so solut
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -116,8 +116,10 @@ class Problem:
     - `scales` (families, states): scales of the states.
     - `unit`, `first`, `last` (families, varied parameters): units and bounds of the varied parameters.
     - `most_steps`: step limit between two section crossings, above which a motion counts as not returning.
+    - `at_section`: whether an orbit is described by its states at the section.
     """
 
+    at_section: ClassVar[bool] = True
     scene: Scene[Any]
     along: tuple[str, ...]
     parameters: Mapping[str, PerLane]
@@ -172,6 +174,13 @@ class Problem:
         """Return scaled derivatives of images with respect to the scaled states and parameters."""
         scale = self.scales[family][:, None]
         return jacobian / scale[..., None] * np.column_stack([self.scales[family], self.unit[family]])[:, None, None]
+
+    def left_branch(self, last: Points, now: Points) -> Flags:
+        """Return a mask of points from which a step back does not lead to the point before: they are on another branch.
+
+        Only asked of points where a step may have led from one branch to another that crosses it.
+        """
+        return np.zeros(len(now.u), bool)
 
     def evaluate(self, family: Index, u: Unknowns) -> Points:
         """Evaluate the equations at the unknowns `u` of lanes; `family`: index of each lane's family."""

@@ -14,6 +14,7 @@ from vibrojax.periodic.arclength import SHORTEST_STEP
 from vibrojax.periodic.brackets import EVENT_CHANGE, Brackets
 from vibrojax.periodic.location import SAME_TIME
 from vibrojax.periodic.problem import Flags, PerLane, Points, Problem, Unknowns, towards
+from vibrojax.periodic.timed_problem import TimedProblem
 
 BEFORE_CORNER = 100 * SHORTEST_STEP
 """Scaled distance before a corner at which a point certainly has the events of the side before the corner."""
@@ -128,6 +129,8 @@ def doubled_branch(problem: Problem, points: Points) -> tuple[Unknowns, Unknowns
     The tangent is the eigenvector of the multiplier -1: after one period of the original orbit, a neighbouring state is
     on the opposite side of that orbit.
     """
+    if isinstance(problem, TimedProblem):
+        return problem.doubled(points)
     lanes, rows = len(points.u), problem.rows
     cycles = points.times.shape[1]
     values, vectors = np.linalg.eig(points.product)
@@ -145,4 +148,4 @@ def doubled_branch(problem: Problem, points: Points) -> tuple[Unknowns, Unknowns
 def branch_distance(u: Unknowns, departure: Unknowns) -> PerLane:
     """Return the signed distance of doubled branches from the original branch, along the direction `departure`."""
     half = (u.shape[1] - 1) // 2
-    return np.einsum("ij,ij->i", u[:, :half] - u[:, half:-1], departure[:, :half])
+    return np.einsum("ij,ij->i", u[:, :half] - u[:, half : 2 * half], departure[:, :half])

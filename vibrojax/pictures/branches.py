@@ -19,7 +19,7 @@ STABLE, UNSTABLE, UNKNOWN = 1, 0, -1
 
 KIND, FAMILY = "special_kind", "family"
 
-_KIND_PRIORITY = ("fold", "period-doubling", "torus", "hopf", "section", "grazing", "stick", "end")
+_KIND_PRIORITY = ("fold", "period-doubling", "torus", "branch-point", "hopf", "section", "grazing", "stick", "end")
 """Kinds of special points, ordered by how well they explain a change of stability, for points with several kinds."""
 
 
@@ -167,6 +167,7 @@ MARKS: dict[str, Look] = {
     "fold": {"marker": "s", "colour": "#222222", "size": 5.5},
     "period-doubling": {"marker": "o", "colour": "#D55E00", "size": 5.5},
     "torus": {"marker": "*", "colour": "#CC79A7", "size": 9.0},
+    "branch-point": {"marker": "P", "colour": "#117733", "size": 6.5},
     "grazing": {"marker": "v", "colour": "#009E73", "size": 6.0},
     "stick": {"marker": "|", "colour": "#E69F00", "size": 6.0, "edge_width": 1.4},
     "section": {"marker": "D", "colour": "#56B4E9", "size": 4.5},

@@ -16,6 +16,9 @@ from vibrojax.periodic.families import FamilyContinuation, in_order
 from vibrojax.periodic.orbit_stages import why_no_orbit
 from vibrojax.periodic.orbits import orbits_of
 from vibrojax.periodic.problem import UNITS_PER_SPAN, Problem
+from vibrojax.periodic.timed_families import TimedContinuation
+from vibrojax.periodic.timed_problem import free_problem, has_free_phase
+from vibrojax.periodic.timed_sections import at_section
 from vibrojax.physics.meanings import suggest_parameter
 from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION
 from vibrojax.scenes import Scene
@@ -64,8 +67,8 @@ def follow(
       [rad] along `multiplier`, and `grazing_margin`. `cycles` is the number of section crossings per period of the
       motion, `period` [s] the mean time between crossings, and `impacts` the number of impacts per period of the
       motion. Further variables are the state at the section (`orbit_x1` and so on) and the scene's measures.
-    - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf, end),
-      `special_value` (the parameter's value), `special_branch`, and `special_note`.
+    - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf,
+      branch-point, end), `special_value` (the parameter's value), `special_branch`, and `special_note`.
 
     At a *grazing* point, an impact or another event that is not a stick begins or vanishes. For other events than
     impacts, the note contains the name of the mode that changes, for example where rock begins to yield. Multipliers at
@@ -73,6 +76,11 @@ def follow(
     that side has orbits next to it; next to a grazing impact they are valid over a very small distance only. At a
     *hopf* point the amplitude is zero: the branch ends at an equilibrium, whose linear stability locates the point. A
     doubled branch that connects two period doublings is listed once.
+
+    Families of autonomous systems without events do not depend on the section: they are solved over parts of the period
+    (multiple shooting), with a phase condition that moves along. At a *branch-point* two families cross; the other one
+    is followed in both directions, as the next `branch`. Mirror images of orbits are orbits of their own. An orbit that
+    does not cross the section has NaN for its state there.
 
     **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 
@@ -170,6 +178,10 @@ def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
     """Return the families of a specification, as `follow` does; raise `InputError` if there is no initial orbit."""
     dataset = run_sweep(spec.sweep, progress=progress)
     problem, families, first = problem_of(spec, dataset)
+    if has_free_phase(problem.scene):
+        timed, first = free_problem(problem, families, first)
+        marks = in_order(TimedContinuation(timed, cycles=spec.cycles)(families, first))
+        return families_dataset(spec.sweep, problem, *(at_section(timed, problem, part) for part in marks))
     segments = FamilyContinuation(problem, cycles=spec.cycles)(families, first)
     return families_dataset(spec.sweep, problem, *in_order(segments))
 
