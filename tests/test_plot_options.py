@@ -238,8 +238,10 @@ def test_command_accepts_same_options(written, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--where", "delta"], '--where: "delta" is not AXIS=VALUE; write delta=0.005'),
+        (["--where", "delta"], 'where: "delta" is no condition; write one, like'),
         (["--where", "delta=1"], "no lane has delta = 1.0; there are -0.005, 0.005"),
+        (["--where", "delta > 1"], "where: no lane has delta > 1; there are -0.005 to 0.005"),
+        (["--where", "delta (kg) > 1"], "where: delta (kg) > 1 does not suit delta [m]; write a number in its unit"),
         (["--where", "delta=0.005", "delta=-0.005"], '--where: delta: "-0.005" is a second value; give one'),
         (["--over", "a.nc", "a.nc"], '--over[1]: "a.nc" is there already, at [0]; give each file once'),
         (["--variable", "period", "period"], 'variable[1]: "period" is there already, at [0]; give each variable once'),
@@ -256,6 +258,8 @@ def test_command_refuses_invalid_option_in_one_line(written, capsys, words, mess
 def test_command_writes_picture(written):
     assert main(["plot", str(written), "--variable", "stick_fraction", "--where", "start=drive"]) == 0
     assert written.with_name("map-stick_fraction-start-drive.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["plot", str(written), "--variable", "period", "--where", "delta (mm) > 0"]) == 0
+    assert written.with_name("map-period-delta_mm-0.png").exists()
 
 
 def test_command_does_not_replace_other_pictures(tmp_path, monkeypatch, capsys):

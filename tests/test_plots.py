@@ -737,17 +737,18 @@ def test_summary_lists_special_points(values, branch, text):
 # Laws and studies.
 
 
-def test_law_has_coefficients_with_errors_and_differences_of_aic():
+def test_law_has_coefficients_with_errors_and_evidence():
     fit = law({"force": [2e5, 2.5e5, 3e5]})
-    coefficient, excess = sheet_of(fit).plots
-    lines = {layer.colour: layer for layer in coefficient.layers if layer.marker == "o"}
-    (onset,) = lines.values()
-    assert np.allclose(onset.y, 1e3 * fit["C"].sel(form="onset"))
-    spans = [layer for layer in coefficient.layers if layer.marker == "_" and layer.colour == onset.colour]
-    assert np.allclose(spans[0].y[:2], 1e3 * fit["C"].sel(form="onset")[0].item() * np.array([0.95, 1.05]))
-    greatest = float((fit["aic"] - fit["aic"].min("form")).max())
-    top = max(float(np.max(layer.y)) for layer in excess.layers if isinstance(layer, Line))
-    assert top == pytest.approx(1 + np.log10(greatest / 10)) and dict(excess.y.ticks)[1 + np.log10(2)] == "20"
+    coefficient, evidence = sheet_of(fit).plots
+    seen = (layer for layer in coefficient.layers if layer.marker not in ("", "_") and np.isfinite(layer.y).any())
+    lines = {layer.marker: layer for layer in seen}
+    assert set(lines) == {"o", "D"}  # onset and line, which the data do not reject
+    onset = 1e3 * fit["C"].sel(form="onset")[2].item()
+    assert np.isnan(lines["o"].y[:2]).all() and lines["o"].y[2] == pytest.approx(onset)
+    spans = [layer for layer in coefficient.layers if layer.marker == "_" and layer.colour == lines["o"].colour]
+    assert np.allclose(spans[0].y[6:8], onset * np.array([0.95, 1.05]))
+    above = {layer.marker: layer.y.tolist() for layer in evidence.layers if isinstance(layer, Line)}
+    assert above["D"] == [0.0, 0.0, 30.0] and above["v"] == [3.0, 3.0, 30.0] and above["o"] == [30.0, 30.0, 0.0]
     best, shown = (layer for _, layer in cells(sheet_of(EXPECTED["law_map"]()), "forms")[:1] for _ in (0, 1))
     names = np.array(FORMS)[best.values.astype(int)]
     assert set(names[:, -1]) == {"onset"} and set(names[:, 0]) == {"line"} and best is shown
@@ -767,7 +768,8 @@ def test_fit_shows_data_and_curves_of_groups(tmp_path, columns):
     sheet = sheet_of(fit)
     assert len(sheet.above.plots) == 6 and "Data and curves of 6 of 8 groups" in sheet.note
     plot = sheet.above.plots[0]
-    assert plot.title == ("rpm = 80" if len(columns) == 1 else "rpm = 80, bit: A")
+    assert plot.title.split("\n")[0] == ("rpm = 80" if len(columns) == 1 else "rpm = 80, bit: A")
+    assert ("C = 1.6 ± " in plot.title) == (len(columns) > 1)  # without an axis of the groups, on which C is drawn
     (curve,) = (layer for layer in plot.layers if isinstance(layer, Line) and layer.colour == "#004488")
     group = fit.isel(group=0).sel(form="onset")
     assert np.allclose(curve.y, 1e3 * float(group["C"]) * np.log(curve.x / float(group["eta0"])), atol=1e-6)

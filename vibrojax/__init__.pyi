@@ -55,8 +55,7 @@ from vibrojax.studies.effects import study as study
 from vibrojax.studies.family_run import follow as follow
 from vibrojax.studies.frequencies import frequencies as frequencies
 from vibrojax.studies.push import smallest_push as smallest_push
-from vibrojax.studies.rig_measures import rig as rig
-from vibrojax.studies.rop_joint import fit_joint as fit_joint
+from vibrojax.studies.rig_analysis import rig as rig
 from vibrojax.studies.rop_law import fit_rop as fit_rop
 from vibrojax.studies.sensitivity_gradients import as_jax as as_jax
 from vibrojax.studies.sensitivity_maps import sensitivity as sensitivity

@@ -1,19 +1,231 @@
-"""Test reading of rig logs: dialects, dropped rows with reasons, and one-line refusals of bad files."""
+"""Test reading of rig logs: the same rows in the clothes of many exports, dropped rows, conditions, and refusals."""
 
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
+import vibrojax as vj
+from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.io.attributes import table_of
-from vibrojax.io.riglog import log_lines, read_log
+from vibrojax.io.log_files import decimal_mark
+from vibrojax.io.log_filters import read_conditions
+from vibrojax.io.riglog import log_lines, read_log, to_dataset
 
+sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[2] / "notebooks"))
+import exports
 import rig_logs
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*semicolons separate the columns:UserWarning")
+N = 60
+DEPTH, WEIGHT = 1000 + 0.5 * np.arange(N), 40 + 90 * ((7 * np.arange(N)) % N) / N  # m, kN
+RATE, SPEED = 6 + 22 * np.log(WEIGHT / 30), 90 + 5.5 * np.arange(N) % 30  # m/h, rpm
+TORQUE, PRESSURE, FLOW = 6 + 0.04 * np.arange(N), 15 + 0.01 * np.arange(N), np.full(N, 3035.0)  # kN m, MPa, L/min
+TONNE, KLBF, FOOT = 9.80665, 4.4482216152605, 0.3048
+SI = {
+    "depth": DEPTH,
+    "weight_on_bit": 1e3 * WEIGHT,
+    "rate_of_penetration": RATE / 3600,
+    "rotary_speed": SPEED * np.pi / 30,
+    "torque": 1e3 * TORQUE,
+    "pressure": 1e6 * PRESSURE,
+    "flow": FLOW / 6e4,
+}
+FOUR = DEPTH, RATE, WEIGHT, SPEED
+METRIC = "DEPTH (m),ROP (m/h),WOB (kN),RPM (rpm)"
+
+
+def lines_of(*columns, separator=","):
+    rows = zip(*(np.broadcast_to(column, N) for column in columns), strict=True)
+    return [separator.join(cell if isinstance(cell, str) else f"{cell:.12g}" for cell in row) for row in rows]
+
+
+def csv(*head, columns=FOUR):
+    return "\n".join([*head, *lines_of(*columns)]) + "\n"
+
+
+def las(head, data, version="2.0", wrap="NO"):
+    versions = f"~version\n VERS. {version} : CWLS\n WRAP. {wrap} : x\n~well\n NULL. -999.25 : null\n"
+    return versions + head + "\n".join(data) + "\n"
+
+
+def witsml(head, rows, more=""):
+    name = 'xmlns="http://www.witsml.org/schemas/1series" version="1.4.1.1"'
+    data = "\n".join(f"<data>{row}</data>" for row in rows)
+    return f'<?xml version="1.0"?>\n<logs {name}><log>{more}<logData>\n{head}\n{data}\n</logData></log></logs>\n'
+
+
+FIELD = (DEPTH / FOOT, RATE / FOOT, WEIGHT / KLBF, SPEED)
+CURVES = " DEPT.M : depth\n ROP .M/HR : rate\n WOB .{} : weight\n RPM .RPM : rotary\n"
+LISTS = "<mnemonicList>DEPTH,ROP,WOB,RPM</mnemonicList><unitList>m,m/h,kN,rpm</unitList>"
+INFO = "<logCurveInfo><mnemonic>{}</mnemonic><unit>{}</unit></logCurveInfo>"
+INFOS = "".join(INFO.format(*pair) for pair in (("DEPTH", "m"), ("ROP", "m/h"), ("WOB", "kN"), ("RPM", "rpm")))
+WIDE = "TVD(ft),Depth (ft),ROP(ft/hr),WOB(KLb),RPM,Torque(lb.F),Stand Pipe Pressure(Psi),Flow In(GPM)"
+IMPERIAL = TORQUE * 1e3 / FOOT / KLBF, PRESSURE * 1e6 / 6894.757293168362, FLOW / 3.785411784
+CLOCK = [f"{(23 + (30 + k) // 60) % 24:02}:{(30 + k) % 60:02}:00" for k in range(N)]
+NAMED = {"columns": {"rate_of_penetration": "ROP (m/h)", "weight_on_bit": "WOB (kN)"}}
+VOLVE = "MD,TVD,RPMA,WOBA,MFIA,TQA,SPPA,ROPA", (DEPTH, DEPTH, SPEED, WEIGHT / TONNE, FLOW, TORQUE, 1e3 * PRESSURE, RATE)
+SAID = {
+    "weight_on_bit": "WOBA (t)",
+    "torque": "TQA (kN m)",
+    "pressure": "SPPA (kPa)",
+    "flow": "MFIA (L/min)",
+    "rate_of_penetration": "ROPA (m/h)",
+}
+BOXED = "DMEA[m],ROPA[m/h],WOBA[kN],RPMA[c/min],TQA[kN.m],SPPA[bar],MFIA[L/min]"
+COMMAS = [line.replace(".", ",") for line in lines_of(*FOUR, FLOW, separator=";")]
+CLOTHES = {
+    "clock.csv": (csv(f"Time,{METRIC}", columns=(CLOCK, *FOUR)), {}),
+    "group.csv": (csv(",Rate,Weight,Rotary", "DEPTH (m),ROP (m/h),WOB (kN),RPM"), {}),
+    "title.csv": (csv("Drilling parameters,,,", "DEPTH,ROP,WOB,RPM"), NAMED),
+    "title-and-units.csv": (csv("Well 5,,,", "", "DEPTH,ROP,WOB,RPM", "m,m/h,kN,rpm"), {}),
+    "long-title.csv": (csv("Well,5,,", "Depth in m,,,", METRIC), {}),
+    "metres.csv": (
+        csv("DEPTH,ROP,WOB,RPM,TG", "METRES,M/HR,TONNES,RPM,UNITS", columns=(DEPTH, RATE, WEIGHT / TONNE, SPEED, 2)),
+        {},
+    ),
+    "klb.csv": (csv(WIDE, columns=(DEPTH / FOOT, *FIELD, *IMPERIAL)), {}),
+    "named-volve.csv": (csv(VOLVE[0], columns=VOLVE[1]), {"columns": SAID}),
+    "boxed.csv": (csv(BOXED, columns=(*FOUR, TORQUE, 10 * PRESSURE, FLOW)), {}),
+    "si.csv": (csv("DMEA,WOB,SURF_RPM,ROPA", columns=(DEPTH, 1e3 * WEIGHT, SPEED / 60, RATE / 3600)), {}),
+    "commas.csv": ("\n".join(["DEPTH (m);ROP (m/h);WOB (kN);RPM;Flow In (L/min)", *COMMAS]) + "\n", {}),
+    "tabs.txt": (csv(METRIC).replace(",", "\t"), {}),
+    "quoted.csv": (csv(METRIC, columns=(DEPTH, RATE, [f'"{x:,.9f}"' for x in WEIGHT], SPEED)), {}),
+    "feet.las": (
+        las("~CURVE\n DEPT.F :\n ROP .FT/HR :\n WOB .KLB :\n RPM .RPM :\n~A\n", lines_of(*FIELD, separator=" ")),
+        {},
+    ),
+    "lower.las": (
+        las(f"~curve\n{CURVES.format('TON')}~ascii\n", lines_of(DEPTH, RATE, WEIGHT / TONNE, SPEED, separator=" ")),
+        {},
+    ),
+    "wrapped.las": (las(f"~Curve\n{CURVES.format('KN')}~A\n", lines_of(*FOUR, separator="\n"), wrap="YES"), {}),
+    "three.las": (
+        las(
+            f"~Log_Definition\n{CURVES.format('KN')}~Log_Data | Log_Definition\n",
+            lines_of(*FOUR),
+            "3.0",
+            "NO : x\n DLM. COMMA",
+        ),
+        {},
+    ),
+    "lists.xml": (witsml(LISTS, lines_of(*FOUR)), {}),
+    "infos.xml": (witsml("", lines_of(*FOUR), INFOS), {}),
+}
+
+
+@pytest.mark.parametrize("name", list(CLOTHES))
+def test_same_rows_in_other_clothes_are_the_same(tmp_path, name):
+    text, named = CLOTHES[name]
+    (tmp_path / name).write_text(text)
+    log = read_log(tmp_path / name, **named)
+    assert len(log) == N and not log.attrs["dropped"] and set(SI) & set(log) >= set(list(SI)[:4])
+    for quantity in set(SI) & set(log):
+        np.testing.assert_allclose(log[quantity], SI[quantity], rtol=1e-8, err_msg=quantity)
+        assert log.attrs["units"][quantity]
+    if name == "clock.csv":
+        np.testing.assert_allclose(log.time, 60.0 * np.arange(N))  # past midnight
+    if name.endswith(".csv"):
+        assert log.line.iloc[-1] == text.count("\n")
+
+
+def test_xlsx_is_read_or_says_the_way_out(tmp_path, monkeypatch):
+    path = tmp_path / "log.xlsx"
+    path.write_bytes(b"PK")
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    with pytest.raises(InputError, match=r'log.xlsx: needs openpyxl.*export as CSV, or pip install "vibrojax\[xlsx\]"'):
+        read_log(path)
+    monkeypatch.undo()
+    pytest.importorskip("openpyxl")
+    with pytest.raises(InputError, match=r"log\.xlsx: cannot be read as xlsx"):
+        read_log(path)
+    pd.DataFrame(dict(zip(METRIC.split(","), FOUR, strict=True))).to_excel(path, index=False)
+    np.testing.assert_allclose(read_log(path).weight_on_bit, SI["weight_on_bit"], rtol=1e-12)
+
+
+REFUSED = {
+    "bare.csv": (csv(VOLVE[0], columns=VOLVE[1]), 'weight_on_bit="WOBA .kN or klbf or t." .*pressure="SPPA .kPa."'),
+    "bare-pressure.csv": (
+        csv("MD,SPPA,ROP (m/h)", columns=(DEPTH, 1e3 * PRESSURE, RATE)),
+        'likely --columns pressure="SPPA .kPa."',
+    ),
+    "title.csv": (
+        csv("Drilling parameters,,,", "DEPTH,ROP,WOB,RPM"),
+        'line 2: no unit is given, .* rate_of_penetration="ROP ',
+    ),
+    "header.las": (las(f"~Curve\n{CURVES.format('KN')}", []), "no section ~ASCII; export the log again, with its data"),
+    "cut.xml": (witsml(LISTS, lines_of(*FOUR))[:-30], r"not XML \(.*\); export the log again, or as CSV"),
+    "bomb.xml": ('<?xml version="1.0"?><!DOCTYPE x><x/>', "defines entities, which are not read"),
+    "two.xml": ("<logs><logData/><logData/></logs>", "holds 2 elements logData with 0 rows; a file with one log"),
+    "cut.las": (las(f"~C\n{CURVES.format('KN')}~A\n", ["1\n2 3 4 5\n6"], wrap="YES"), "has 2 cells; 4 are needed"),
+    "short.las": (
+        las(f"~C\n{CURVES.format('KN')}~A\n", ["1 2 3 4", "1 2 3"]),
+        "line 13 has 3 cells; 4 are needed, one a column",
+    ),
+    "second.las": (las(f"~C\n{CURVES.format('KN')}~A\n1 2 3 4\n~A\n", []), "line 13: begins a second log"),
+    "plain.las": ("DEPT,ROP\n1,2\n", "not LAS: it has no section ~Version"),
+    "broken.las": ("~V\nnonsense\n~C\nDEPT.M :\n~A\n1\n", "line 1: not LAS: its header cannot be read"),
+    "empty.csv": ("", "empty; a line of column names"),
+    "numbers.csv": ("1,2\n3,4\n", 'line 1: "1, 2" are numbers; the first line names the columns'),
+    "names.csv": ("DMEA,WOB,ROPA\n", "no rows; add a line for each measurement below the column names"),
+    "units.csv": ("DMEA,WOB,ROPA\nm,N,m/s\n", "no rows; add a line for each measurement below the units"),
+    "binary.csv": (b"\x00\x01\xff\xfe", r"not UTF-8 text \(byte 2\)"),
+    "cells.csv": ("DEPTH (m),ROP (m/h)\n1,2,3\n2,3\n4\n", "line 2 has 3 cells; line 4 has 1 cell; 2 are needed"),
+    "quote.csv": ('WOB (kN),ROP (m/h)\n"1,2\n', "line 2: not CSV: unexpected end of data"),
+    "both.csv": (
+        "WOB (kN);ROP (m/h)\n1,5;2.5\n3,25;4\n",
+        'line 2, column WOB .*"1,5"; line 3, .*ambiguous: the file has decimal points',
+    ),
+    "thousands.csv": ("WOB (kN);ROP (m/h)\n1,500;2,500\n", "commas are ambiguous: commas may separate thousands"),
+    "torque.csv": ("DEPTH (m),WOB (psi)\n1,2\n", r'line 1, column WOB \(psi\): "psi" is not a unit of weight_on_bit'),
+    "unit.csv": (f"WOB ({'kN/' * 700}m)\n1\n", "is not a unit of weight_on_bit"),
+    "falling.csv": (
+        csv(METRIC, columns=(DEPTH[::-1], *FOUR[1:])),
+        r"line 3, column DEPTH \(m\): the depth falls in most rows",
+    ),
+    "still.csv": (csv(METRIC, columns=(*FOUR[:3], 0)), "line 2 to 61: no row is left of 60: no rotation 60"),
+}
+
+
+@pytest.mark.parametrize("name", list(REFUSED))
+def test_what_cannot_be_read_is_refused_in_one_line(tmp_path, name):
+    text, line = REFUSED[name]
+    (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError, match=line) as caught:
+        read_log(tmp_path / name)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 1000
+
+
+def test_bad_cells_are_listed_at_once_and_nulls_can_be_named(tmp_path):
+    table = pd.DataFrame(dict(zip(METRIC.split(","), FOUR, strict=True))).astype(object)
+    table.iloc[3, 1], table.iloc[5:20, 2] = "NULL", "absent"  # NULL is known
+    with pytest.raises(InputError) as caught:
+        read_log(table)
+    line = str(caught.value)
+    assert line.startswith('read_log: line 7, column WOB (kN): "absent"; line 8, ') and line.count("column") == 10
+    assert "; and 5 more are not numbers (15 cells)" in line and line.endswith('--nulls "absent"')
+    log = read_log(table, nulls=["Absent"])
+    assert log.attrs["dropped"] == {"missing rate": 1, "missing weight": 15} and len(log) == 44
+    assert log.attrs["lines"] == {"missing rate": "5", "missing weight": "7-21"}
+    with pytest.raises(InputError, match=r"nulls: .* is not a list"):
+        read_log(table, nulls="absent")
+
+
+def test_columns_that_are_not_needed_never_stop_a_fit(tmp_path):
+    """Neither thousands, words, nor units that are not known, in columns that the law does not use."""
+    flow = [f'"{3 + k % 2},{k:03}"' for k in range(N)]
+    text = csv(f"{METRIC},Flow In (L/min),SPPA,Torque (furlong),Time", columns=(*FOUR, flow, 15000, 6, "soon"))
+    (tmp_path / "log.csv").write_text(text.replace("15000", "x", 1))
+    fit = vj.fit_rop(tmp_path / "log.csv", progress=False)
+    assert float(fit.C.sel(form="onset").item()) == pytest.approx(22 / 3600, rel=1e-6)
+    with pytest.raises(InputError, match='line 2, column SPPA: "x"'):
+        read_log(tmp_path / "log.csv")
+
+
+# rows that are dropped
 
 
 @pytest.fixture(scope="module")
@@ -21,185 +233,146 @@ def logs(tmp_path_factory):
     return rig_logs.write_all(tmp_path_factory.mktemp("logs"))
 
 
-def pason(folder, **changes):
-    """Write a log of 12 rows without traps, with columns replaced by `changes` (header: cells), and return its path."""
-    path = rig_logs.write(folder / "log.csv", "pason", rig_logs.drilling(12))
-    header, *lines = (line.split(",") for line in path.read_text().splitlines())
-    for name, cells in changes.items():
-        for line, cell in zip(lines, cells, strict=False):
-            line[header.index(name)] = str(cell)
-    path.write_text("\n".join(map(",".join, [header, *lines])) + "\n")
-    return path
-
-
 @pytest.mark.parametrize("name", list(rig_logs.DIALECTS))
-def test_dialect_is_detected_and_its_traps_are_dropped(logs, name):
-    """Only drilling rows remain, in SI units. Dropped rows are counted by reason."""
+def test_traps_of_exports_are_dropped_with_their_reasons(logs, name):
     planted, (_, traps) = rig_logs.drilling(), rig_logs.with_traps(rig_logs.drilling())
     log = read_log(logs[name])
-    assert log.dialect == name.partition("-")[0] and log.rows_read == len(planted["depth"]) + sum(traps.values())
-    assert {reason: entry["rows"] for reason, entry in table_of(log, "dropped").items()} == traps
+    assert log.attrs["dropped"] == traps and log.attrs["rows_read"] == len(planted["depth"]) + sum(traps.values())
     names = {"depth": "depth", "rate_of_penetration": "rate", "weight_on_bit": "weight"}
-    for quantity, column in names.items():
-        np.testing.assert_allclose(log[quantity], planted[column], rtol=1e-12)
-    np.testing.assert_allclose(log.rotary_speed, planted["rpm"] * 2 * np.pi / 60, rtol=1e-12)
-    for quantity in ("torque", "flow", "pressure"):
+    for quantity, column in (names | {quantity: quantity for quantity in ("torque", "flow", "pressure")}).items():
         if quantity in log:
-            np.testing.assert_allclose(log[quantity], planted[quantity], rtol=1e-12)
+            np.testing.assert_allclose(log[quantity], planted[column], rtol=1e-12)
+    np.testing.assert_allclose(log.rotary_speed, planted["rpm"] * 2 * np.pi / 60, rtol=1e-12)
     assert ("torque" in log) == (name != "pason-processed")  # the column is a pressure there
-    lines = "\n".join(log_lines(log))
-    assert f"dialect {log.dialect}: " in lines and "dropped 6 of 406 rows" in lines
-    assert "missing weight: 2 (line" in lines and ("is left out" in lines) == (name == "pason-processed")
-    last = logs[name].read_text().splitlines()[int(log.line[-1]) - 1]
-    assert last == logs[name].read_text().splitlines()[-1]
-
-
-def test_times_are_seconds_since_the_first_row(logs, tmp_path):
-    for name in ("pason", "rigcloud"):
-        log = read_log(logs[name])
+    lines = "\n".join(log_lines(to_dataset(log)))
+    assert "dropped 6 of 406 rows" in lines and "missing weight: 2 (line" in lines
+    assert name == "las" or set(log.Formation) == {"upper", "lower"}
+    if "time" in log:
         np.testing.assert_allclose(log.time, 10.0 * (log.line - 2))
-    night = pason(tmp_path, **{"HH:MM:SS": ["23:59:50"], "YYYY/MM/DD": ["2020/11/03"]})
-    np.testing.assert_allclose(read_log(night).time[:3], [0, 20, 30])
-    odd = pason(tmp_path, **{"HH:MM:SS": ["noon"] * 12})
-    assert "time" not in read_log(odd) and 'column "HH:MM:SS" holds no times' in "\n".join(log_lines(read_log(odd)))
 
 
-def test_units_and_columns_and_dialects_can_be_overridden(logs, tmp_path):
-    rigcloud = read_log(logs["rigcloud"])
-    metric = read_log(logs["rigcloud"], units={"weight_on_bit": "t"})
-    ratio = (metric.weight_on_bit / rigcloud.weight_on_bit).values
-    np.testing.assert_allclose(ratio, 9806.65 / 4448.2216152605)
-    assert table_of(metric, "columns")["weight_on_bit"] == {"column": "Weight on Bit", "unit": "t", "assumed": False}
-    given = {"bit_diameter": "8.5 in", "rate_of_penetration": "ROP(1 m) (m/h)"}
-    log = read_log(logs["pason-processed"], columns=given)
-    np.testing.assert_allclose(log.bit_diameter, 0.2159)
-    np.testing.assert_allclose(log.rate_of_penetration, rigcloud.rate_of_penetration, rtol=1e-12)
-    with pytest.raises(InputError, match='dialect: "pasen" is unknown; did you mean "pason"'):
-        read_log(logs["pason"], dialect="pasen")
-    forced = read_log(logs["witsml"], dialect="rigcloud")  # same names, other units
-    np.testing.assert_allclose(forced.weight_on_bit[:100], 4448.2216152605 * rigcloud.weight_on_bit[:100])
-    assert forced.detected == "as the user says"
-    fast = read_log(logs["pason"], fastest="3000 ft/h")
-    assert fast.sizes["row"] == rigcloud.sizes["row"] + 1 and "rate beyond reason" not in table_of(fast, "dropped")
+@pytest.mark.parametrize("name", ["RPM", "RPM (c/min)", "RPM (tr/min)", "rotary speed (rev/min)", "RPMA"])
+def test_rows_without_rotation_are_dropped_whatever_the_name(name):
+    speed = np.where(np.arange(N) % 10 < 3, 0.0, SPEED)
+    table = pd.DataFrame({"Depth (m)": DEPTH, "ROP (m/h)": RATE, "WOB (kN)": WEIGHT, name: speed})
+    assert read_log(table).attrs["dropped"] == {"no rotation": 18}
 
 
-def test_rows_off_bottom_and_depth_outliers_are_dropped(tmp_path):
-    """An outlier costs only its own row, not the rows after it."""
-    depths = (rig_logs.drilling(12)["depth"] / rig_logs.FOOT).tolist()
-    path = pason(tmp_path, **{"Hole Depth (feet)": [*depths[:4], 9e4], "Bit Depth (feet)": [*depths[:4], 9e4, 0.0]})
-    dropped = table_of(read_log(path), "dropped")
-    assert dropped == {
-        "off bottom": {"rows": 1, "lines": "7"},
-        "depth not monotonic": {"rows": 1, "lines": "6"},
-    }
+@pytest.mark.parametrize("spike", [1000.0, 9999.0, 1e20])
+def test_values_beyond_reason_do_not_reach_a_fit(spike):
+    table = pd.DataFrame(dict(zip(METRIC.split(","), FOUR, strict=True)) | {"Torque (kN m)": TORQUE})
+    table.loc[9, "WOB (kN)"], table.loc[7, "RPM (rpm)"], table.loc[5, "Torque (kN m)"] = spike, spike, spike
+    log = read_log(table)
+    assert log.attrs["dropped"] == {"weight beyond reason": 1, "rotation beyond reason": 1}
+    assert np.isnan(log.torque).sum() == 1 and "torque: 1 value above 200000 N m taken as missing" in log.attrs["notes"]
 
 
-ROWS = "10,20,30,120\n11,22,33,121\n"
+def test_rows_off_bottom_and_depth_outliers_cost_only_themselves():
+    depth, bit = DEPTH.copy(), DEPTH.copy()
+    depth[4], bit[4], bit[5] = 9e4, 9e4, 0.0
+    table = pd.DataFrame({"Hole Depth (m)": depth, "Bit Depth (m)": bit, "ROP (m/h)": RATE, "WOB (kN)": WEIGHT})
+    log = read_log(table)
+    assert log.attrs["lines"] == {"off bottom": "7", "depth not monotonic": "6"}
+
+
+def test_conditions_choose_rows(tmp_path, capsys):
+    names = ["Time (min)", *METRIC.split(","), "Formation"]
+    table = pd.DataFrame(dict(zip(names, (np.arange(N), *FOUR, ["chalk", "shale"] * (N // 2)), strict=True)))
+    for where, kept in (
+        ("WOB (klb) < 20", WEIGHT / KLBF < 20),
+        ("weight_on_bit < 20 klbf", WEIGHT / KLBF < 20),
+        (["depth (m) >= 1010", "depth < 1020"], (DEPTH >= 1010) & (DEPTH < 1020)),
+        ("time (h) > 0.5", np.arange(N) > 30),
+        ("Formation=shale", np.arange(N) % 2 == 1),
+        ({"Formation": "shale"}, np.arange(N) % 2 == 1),
+        ("Formation != shale", np.arange(N) % 2 == 0),
+        ("WOB=40", WEIGHT == 40),
+    ):
+        log = read_log(table, where=where)
+        np.testing.assert_allclose(log.weight_on_bit, 1e3 * WEIGHT[kept])
+        assert sum(log.attrs["dropped"].values()) == (~kept).sum()
+    fast = table.assign(**{"ROP (m/h)": 10 * RATE})
+    assert read_log(fast).attrs["dropped"]["rate beyond reason"] > 30
+    assert "rate beyond reason" not in read_log(fast, where="ROP < 400").attrs["dropped"]  # it replaces the limit
+    for where, line in (
+        ("WOB", 'where: "WOB" is no condition; write one, like "WOB'),
+        ("WOBB < 3", 'has no column "WOBB"; did you mean "WOB'),
+        (
+            "WOB (psi) < 3",
+            'where WOB \\(psi\\) < 3: "3" does not suit weight_on_bit; write a number with a unit of N, kN',
+        ),
+        ("Formation < 3", "texts are only compared by = or !="),
+    ):
+        with pytest.raises(InputError, match=line):
+            read_log(table, where=where)
+    table.to_csv(tmp_path / "log.csv", index=False)
+    words = ["--where", "WOB (klb) < 20", "Formation=shale", "--nulls", "absent", "-o", str(tmp_path / "x.nc")]
+    assert main(["rig", str(tmp_path / "log.csv"), *words]) == 0
+    assert "not WOB (klb) < 20: " in capsys.readouterr().out
+    assert read_conditions(None) == []
+
+
+def test_tables_of_the_law_keep_all_rows():
+    table = pd.DataFrame({"relief": [0.1, np.nan, 0.3, -1], "rate_of_penetration": [0.0, 1e-4, 2e-4, 3e-4]})
+    log = read_log(table)
+    assert len(log) == 4 and not log.attrs["rig"] and log.attrs["units"]["relief"] == "1"
+
+
+def test_result_is_accepted_in_place_of_the_file(logs):
+    log = read_log(logs["pason"])
+    again = read_log(log[log.depth > 1550], columns={"bit_diameter": "8.5 in"})
+    pd.testing.assert_frame_equal(
+        again[["weight_on_bit", "line"]], log[log.depth > 1550][["weight_on_bit", "line"]].reset_index(drop=True)
+    )
+    assert float(again.bit_diameter.iloc[0]) == pytest.approx(0.2159)
+    first, second = (vj.rig(source) for source in (logs["pason"], log))
+    np.testing.assert_allclose(second.weight_on_bit, first.weight_on_bit)
+
+
+@pytest.mark.parametrize("write", exports.ALL)
+def test_exports_with_a_planted_law_are_read(tmp_path, write):
+    path, planted = write(tmp_path)
+    reading = {name: value for name, value in planted["reading"].items() if name != "by"}
+    log = read_log(path, **reading)
+    assert len(log) == planted["rows"]
+    assert log.attrs["units"].keys() >= {"depth", "rate_of_penetration", "weight_on_bit", "rotary_speed"}
+    low, high = np.quantile(log.rate_of_penetration * 3600, [0.05, 0.95])
+    assert 2 < low < high < 25  # m/h
+    assert np.isnan(planted["founder"]) or (len(log.time) and log.time.max() == 5990)
+
+
+# units and numbers
+
+
+@pytest.mark.parametrize("text", ["8.5", "215.9"])
+def test_bit_diameter_without_a_unit_is_refused(logs, text):
+    with pytest.raises(InputError, match=f'no unit is given, .* bit_diameter {text} m .* bit_diameter="{text} '):
+        read_log(logs["pason"], columns={"bit_diameter": text})
+
+
+def test_names_that_hold_their_unit_and_windows_1252(tmp_path):
+    (tmp_path / "log.csv").write_bytes("Depth (m),WOB (kN),Temp (\xb0C)\n1,20,3\n".encode("cp1252"))
+    with pytest.warns(UserWarning, match=r"log.csv: not UTF-8 \(byte 25\), read as Windows-1252"):
+        assert "Temp (\xb0C)" in read_log(tmp_path / "log.csv")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        log = read_log(pd.DataFrame({"ROP(1 ft)": [50.0], "Depth (m)": [1.0]}))
+    assert log.rate_of_penetration.item() == pytest.approx(50 * FOOT / 3600)
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
+    ("cells", "mark"),
     [
-        ("Depth (m),WOB (kN),ROP (m/h),RPM (rpm)\n" + ROWS, "dialect generic"),
-        ('\ufeffDepth (m),"WOB (kN)",ROP (M_PER_HR),RPM (rpm)\r\n' + ROWS + "\r\n\r\n", "dialect generic"),
-        ("Depth,WOB,ROP,Rotary RPM\n(m),kN,[m/h],RPM\n" + ROWS, "line 2 holds the units of the columns"),
-        ("Depth, m;WOB, kN;ROP, m/h;RPM, rpm\n" + ROWS.replace(",", ",0;").replace("\n", ",0\n"), "dialect semicolon"),
-        ("Depth (m);WOB (N);ROP (m/h);RPM (rpm)\n10,0;20.000,0;30,0;120,0\n11,0;22.000,0;33,0;121,0\n", "semicolon"),
-        ('Depth (m),WOB (N),ROP (m/h),RPM (rpm)\n10,"20,000.0",30,120\n11,"22,000.0",33,121\n', "dialect generic"),
+        (["1.5", "2"], "."),
+        (["1,5", "2"], ","),
+        (["1.234,5", "2"], ","),
+        (["1,234", "2.5"], "."),
+        (["1,234", "2"], ""),
+        (["1,25", "2.5"], "both"),
     ],
-    ids=["plain", "byte-order-mark", "row-of-units", "commas-in-names", "german-thousands", "us-thousands"],
 )
-def test_exports_are_read_without_editing(tmp_path, text, expected):
-    (tmp_path / "log.csv").write_bytes(text.encode())
-    log = read_log(tmp_path / "log.csv")
-    np.testing.assert_allclose(log.depth, [10, 11])
-    np.testing.assert_allclose(log.weight_on_bit, [20e3, 22e3])
-    np.testing.assert_allclose(log.rate_of_penetration, np.array([30, 33]) / 3600)
-    np.testing.assert_allclose(log.rotary_speed, np.array([120, 121]) * 2 * np.pi / 60)
-    assert expected in "\n".join(log_lines(log))
-
-
-def test_windows_1252_is_read_with_a_warning(tmp_path):
-    (tmp_path / "log.csv").write_bytes("Depth (m),WOB (kN),Temp (\xb0C)\n1,2,3\n".encode("cp1252"))
-    with pytest.warns(UserWarning, match=r"log.csv: not UTF-8 \(byte 25\), read as Windows-1252"):
-        assert "Temp (\xb0C)" in read_log(tmp_path / "log.csv").coords
-
-
-BAD = {
-    "a word": ({"Weight on Bit (klbs)": [9, "high"]}, 'line 3, column Weight on Bit (klbs): "high" is not a number'),
-    "thousands": ({"Hole Depth (feet)": [5, '"1.234.5"']}, 'line 3, column Hole Depth (feet): "1.234.5" is not a n'),
-    "infinity": ({"Rate Of Penetration (ft_per_hr)": [9, 9, "1e999"]}, "line 4, column Rate Of Penetration (ft_per"),
-    "a wrong time": ({"HH:MM:SS": ["12:00:00", "25:61:00"]}, 'line 3, column HH:MM:SS: "2020-11-04 25:61:00" is not'),
-    "a falling depth": ({"Hole Depth (feet)": range(99, 0, -1)}, "line 3, column Hole Depth (feet): the depth falls"),
-    "no drilling": ({"Rotary RPM (RPM)": [0] * 12}, "line 2 to 13, column Rate Of Penetration (ft_per_hr): no row is"),
-    "nulls alone": ({"Weight on Bit (klbs)": ["-999.25"] * 12}, "no row is left of 12: missing weight 12"),
-    "a cell more": ({"Formation": ["a,b"]}, "line 2: has 13 cells; 12 are needed"),
-}
-
-
-@pytest.mark.parametrize("kind", list(BAD))
-def test_bad_cells_are_refused_with_column_and_line(tmp_path, kind):
-    changes, line = BAD[kind]
-    with pytest.raises(InputError) as caught:
-        read_log(pason(tmp_path, **changes))
-    assert line in str(caught.value) and "\n" not in str(caught.value)
-
-
-FILES = {
-    "empty": ("log.csv", "", "empty; a line of column names"),
-    "no header": ("log.csv", "1,2\n3,4\n", 'line 1: "1, 2" are numbers'),
-    "no rows": ("log.csv", "DMEA,WOB,ROPA\n", "no rows; add a line for each measurement"),
-    "units and no rows": ("log.csv", "DMEA,WOB,ROPA\nm,N,m/s\n", "no rows; add a line for each measurement below"),
-    "no text": ("log.csv", b"PK\x03\x04\xff\xfe", "not UTF-8 text (byte 4)"),
-    "a unit of other things": (
-        "log.csv",
-        "Hole Depth (feet),Rotary RPM (RPM),Weight on Bit (psi)\n1,2,3\n",
-        'line 1, column Weight on Bit (psi): "psi" is not a unit of weight_on_bit',
-    ),
-    "columns that differ": (
-        "log.csv",
-        "Depth(ft),Depth(m),ROP(1 ft),ROP(1 m)\n1,1,9,9\n2,2,9,9\n",
-        'line 1, column Depth(m): is 3.281 times column "Depth(ft)", which should be the same depth',
-    ),
-    "points and commas": ("log.csv", "WOB (kN);ROP (m/h)\n1,5;2.5\n", 'line 2: "1,5" is ambiguous'),
-    "commas of thousands": ("log.csv", "WOB (kN);ROP (m/h)\n1,500;2,500\n", 'line 2: "1,500" is ambiguous'),
-    "an open quote": ("log.csv", 'WOB (kN),ROP (m/h)\n"1,2\n', "line 2: not CSV"),
-    "LAS without data": (
-        "log.las",
-        "~Version\nVERS. 2.0 :\n~Curve\nDEPT.M :\n",
-        "not LAS 2.0: it has no section ~ASCII",
-    ),
-    "wrapped LAS": (
-        "log.las",
-        "~V\nVERS. 2.0 :\nWRAP. YES :\n~C\nDEPT.M :\n~A\n1\n",
-        "line 1: its lines are wrapped (WRAP YES)",
-    ),
-    "LAS 3": ("log.las", "~V\nVERS. 3.0 :\nWRAP. NO :\n~C\nDEPT.M :\n~A\n1\n", "line 1: it is LAS 3; write LAS 2.0"),
-    "a short row of LAS": (
-        "log.las",
-        "~V\nVERS. 2.0 :\nWRAP. NO :\n~C\nDEPT.M :\nROP.M/HR :\n~A\n1 2\n3\n",
-        "line 9, from 3: has 1 cells; 2 are needed, one a curve",
-    ),
-    "LAS in name alone": ("log.las", "DEPT,ROP\n1,2\n", "not LAS 2.0: it has no section ~Version"),
-    "no LAS header": ("log.las", "~V\nnonsense\n~C\nDEPT.M :\n~A\n1\n", "line 1: not LAS 2.0"),
-}
-
-
-@pytest.mark.parametrize("kind", list(FILES))
-def test_bad_files_are_refused_in_one_line(tmp_path, kind):
-    name, text, line = FILES[kind]
-    (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(InputError) as caught:
-        read_log(tmp_path / name)
-    assert line in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_wrong_arguments_are_refused(logs):
-    for fastest in ("fast", "500", "-1 m/h", "3 kN", "nan m/s"):
-        with pytest.raises(InputError, match="is not a rate above 0 with its unit; write one, like 500 ft/h"):
-            read_log(logs["pason"], fastest=fastest)
-    with pytest.raises(InputError, match='"kN" is not a unit of rate_of_penetration'):
-        read_log(logs["rigcloud"], units={"rate_of_penetration": "kN"})
+def test_decimal_mark(cells, mark):
+    assert decimal_mark([pd.Series(cells)]) == mark
 
 
 def test_las_requires_lasio(logs, monkeypatch):

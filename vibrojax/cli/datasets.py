@@ -1,6 +1,7 @@
 """The commands `plot`, `info` and `explore`, which show a dataset, and `scenes`."""
 
 import os
+import re
 import sys
 import webbrowser
 from pathlib import Path
@@ -33,7 +34,9 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
         dest="out",
     ),
     argument("--variable", "NAME", "draw these variables, over all that varies; regime is one of them", **_SEVERAL),
-    argument("--where", "AXIS=VALUE", "draw only the lanes there, as in delta=0.005 start=stuck", **_SEVERAL),
+    argument(
+        "--where", "CONDITION", 'draw only the lanes there, as in delta=0.005 start=stuck "v (m/s) < 2"', **_SEVERAL
+    ),
     argument(
         "--over",
         "FAMILY.nc",
@@ -51,23 +54,22 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
 def plot(options: Options) -> None:
     """Draw the picture that suits what a dataset holds, or specified variables, at specified values of its axes."""
     from vibrojax.io.dataset import open_dataset
+    from vibrojax.io.log_filters import read_conditions
     from vibrojax.settings.values import check_distinct
 
     where: dict[str, float | str] = {}
-    for word in options.where or ():
-        name, equals, value = word.partition("=")
-        if not (name and equals and value):
-            raise InputError(f"--where: {shown(word)} is not AXIS=VALUE; write delta=0.005")
-        if name.strip() in where:
-            raise InputError(f"--where: {name.strip()}: {shown(value.strip())} is a second value; give one")
-        where[name.strip()] = number_or_name(value.strip())
+    for condition in read_conditions(options.where):
+        if condition.name in where:
+            raise InputError(f"--where: {condition.name}: {shown(condition.value)} is a second value; give one")
+        is_value = condition.operator == "=" and condition.unit is None
+        where[condition.name] = number_or_name(condition.value) if is_value else condition.text
     path = Path(options.file)
     check_distinct(Place("plot", "--over"), options.over or (), "file")
     with timed("read"):
         dataset = open_dataset(path)
         over = [open_dataset(Path(name)) for name in options.over or ()] or None
     with dataset:
-        places = [word.replace("=", "-") for word in options.where or ()]
+        places = [re.sub("=|[ =<>!()]*[<>!][=<>!() ]*", "-", word) for word in options.where or ()]
         stems = [Path(name).stem for name in options.over or ()]
         parts = [*shortened(options.variable or ()), *filter(None, [options.diagram]), *shortened(places)]
         parts += [*filter(None, [options.colours]), *(["over", *shortened(stems)] if stems else [])]

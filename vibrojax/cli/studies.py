@@ -1,6 +1,7 @@
 """The commands `orbits`, `curves`, `fit`, `rig` and `accuracy`; `analyses` has those of the others."""
 
 import hashlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -120,12 +121,24 @@ def curves(options: Options) -> None:
     answer(options, f"{file.stem}-{spec.by}.nc", spec.identity(), compute, facts)
 
 
+_READING = (
+    argument(
+        "--where",
+        "CONDITION",
+        'of a rig log: rows to read, like "WOB (klb) < 35", "1000 <= depth (m) < 1200" or Formation=shale',
+        nargs="+",
+        action="extend",
+    ),
+    argument("--nulls", "TEXT", "of a rig log: further texts that stand for a missing value", nargs="+"),
+)
+
+
 @command(
     argument(
         "file",
         "FILE",
-        "a sweep's .nc, or a rig log as it is exported (CSV, LAS), or a CSV with columns relief (P/D, mean force over "
-        "the force at which the rock yields) and rate_of_penetration, or others that --columns names",
+        "a sweep's .nc, or a rig log as it is exported (CSV, LAS, WITSML, xlsx), or a CSV with columns relief (P/D, "
+        "mean force over the force at which the rock yields) and rate_of_penetration, or others that --columns names",
         nargs="?",
     ),
     argument("--along", "AXIS", "the axis to fit along (frequency, else v; of a CSV: its rows)"),
@@ -139,13 +152,7 @@ def curves(options: Options) -> None:
         action="extend",
     ),
     argument("--by", "COLUMN", "of a CSV: fit the rows of each of its values, such as formations", action="append"),
-    argument(
-        "--dialect",
-        "NAME",
-        "of a rig log: pason, rigcloud, usrop, witsml, las, semicolon, generic or plain (detected by its columns)",
-    ),
-    argument("--fastest", "RATE", 'of a rig log: rate above which a row is dropped ("500 ft/h")'),
-    flag("--segments", "of a rig log: fit intervals of depth, as many as the data suggest"),
+    *_READING,
     JSON,
     output_options("FILE-fit.nc"),
 )
@@ -162,18 +169,15 @@ def fit(options: Options) -> None:
     from vibrojax.studies.rop_results import law_facts, law_table
 
     file, columns, by = Path(options.file), read_columns(words), options.by or []
-    output(options.out or f"{file.stem}-fit.nc")
-    reading = {"dialect": options.dialect, "fastest": options.fastest}
-    data = read_groups(options.file, options.along, by, columns, options.segments, **reading)
+    reading = {"where": options.where, "nulls": options.nulls}
+    data = read_groups(options.file, options.along, by, columns, **reading)
     groups = data[-1]
     if groups["valid"].any() and not (groups["valid"] & (groups["rate"] > 0)).any():
         lanes = counted(int(groups["is_lane"].sum()), "lane")
         more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
         raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
     identity = {"data": f"{file.name}, sha256 {_digest(file)}", "along": options.along, "by": ", ".join(by)}
-    identity |= {name: text for name, text in reading.items() if text} | (
-        {"segments": True} if options.segments else {}
-    )
+    identity |= _given(reading)
     identity |= {"fit": True} | {f"columns.{name}": text for name, text in columns.items()}
     out = result_at(options, f"{file.stem}-fit.nc", identity)
     with timed("fit"):
@@ -191,13 +195,17 @@ def fit(options: Options) -> None:
         "",
         f"forms of the rate of penetration: {law.attrs['formulas']}",
         f"eta: the relief P/D, {WORDS['relief P/D']}; eta0: where it begins; a lane: {lane}",
-        "AIC: by how much a form describes the data better (lower is better, by 2 or more clearly so)"
-        + "; CV: error of rates predicted from other rows" * bool(law["cv_error"].notnull().any()),
+        "AIC: lower is better, by more than 2 clearly so"
+        + "; CV: error of rates predicted from other rows, which decides" * bool(law["cv_error"].notnull().any()),
         "",
         *facts["verdict"],
         *([] if options.quiet else [f"{out}{drawn}"]),
     ]
     print("\n".join(lines))
+
+
+def _given(reading: Mapping[str, Sequence[str] | None]) -> dict[str, str]:
+    return {name: "; ".join(words) for name, words in reading.items() if words}
 
 
 def _digest(file: Path) -> str:
@@ -211,7 +219,7 @@ def _digest(file: Path) -> str:
 
 
 @command(
-    argument("file", "FILE", "a rig log as it is exported (CSV, LAS)"),
+    argument("file", "FILE", "a rig log as it is exported (CSV, LAS, WITSML, xlsx)"),
     argument(
         "--columns",
         "NAME=COLUMN",
@@ -219,10 +227,9 @@ def _digest(file: Path) -> str:
         nargs="+",
         action="extend",
     ),
+    *_READING,
     argument(
-        "--dialect",
-        "NAME",
-        "pason, rigcloud, usrop, witsml, las, semicolon, generic or plain (detected by its columns)",
+        "--units", "driller|si", "of the picture and the summary: driller (m/h, rpm, kN, MPa), the default, or si"
     ),
     JSON,
     output_options("FILE-rig.nc"),
@@ -230,15 +237,16 @@ def _digest(file: Path) -> str:
 def rig(options: Options) -> None:
     """Compute specific energies, the founder point and stick-slip of a rig log, and draw tracks over depth."""
     from vibrojax.io.log_columns import read_columns
-    from vibrojax.studies.rig_measures import rig as measures
+    from vibrojax.studies.rig_analysis import rig as measures
 
     file, columns = Path(options.file), read_columns(list(options.columns or []))
-    identity = {"rig": f"{file.name}, sha256 {_digest(file)}", "dialect": options.dialect, **columns}
-
-    def compute() -> "xarray.Dataset":
-        return measures(file, dialect=options.dialect, columns=columns)
-
-    answer(options, f"{file.stem}-rig.nc", identity, compute)
+    reading = {"where": options.where, "nulls": options.nulls}
+    units = options.units or "driller"
+    identity = {"rig": f"{file.name}, sha256 {_digest(file)}", "units": units, **_given(reading), **columns}
+    computed = measures(
+        file, columns, **reading, units=units
+    )  # first: wrong input is refused whatever the output holds
+    answer(options, f"{file.stem}-rig.nc", identity, lambda: computed)
 
 
 @command(

@@ -181,19 +181,20 @@ def _pair(place: Place, value: object, kind: type, what: str) -> list[Any]:
 
 
 _TIME = partial(_float, least=0.0)
+_ROWS = partial(_entries, readers={"rows": _number, "lines": _text}, needed=("rows",))
 _COLUMN = {"assumed": _flag, "unit": _text, "given_in": _text, "column": _text, "value": _number}
 
 _READERS: dict[str, Reader] = {
     **dict.fromkeys(("title", "scene", "friction", "pulse_shape", "start", "source", "jax", "history"), _text),
     **dict.fromkeys(("sweep", "along", "formulas", "reference", "settings"), _text),
-    **dict.fromkeys(("dialect", "detected", "notes", "error_model"), _text),
+    **dict.fromkeys(("dialect", "detected", "notes", "error_model", "verdict", "robust"), _text),
     **dict.fromkeys(("solver", "identity", "machine", "attractors"), _json),
     **dict.fromkeys(("lanes", "wall_time_s", "rows_read", "reference_force"), _number),
     **dict.fromkeys(("parameters", "certified", "nulls"), _numbers),
     "run": partial(_entries, readers={"settle": _TIME, "observe": _TIME, "error": _TIME, "carry": _axis}),
     "differing": _differing,
     "columns": partial(_each, read=partial(_entries, readers=_COLUMN, needed=("assumed",))),
-    "dropped": partial(_each, read=partial(_entries, readers={"rows": _number, "lines": _text}, needed=("rows",))),
+    **dict.fromkeys(("dropped", "left_out_rows"), partial(_each, read=_ROWS)),
     "orbits": partial(_entries, readers={"grazing_limit": _float}),
     "span": partial(_pair, kind=float, what="numbers"),
     "axes": partial(_pair, kind=str, what="names"),

@@ -1,4 +1,4 @@
-"""Assignment of CSV columns of rig data to quantities, and the units of the columns.
+"""Assignment of the columns of a rig log to quantities, and the units of the columns.
 
 rate_of_penetration="ROP (m/h)"    the column "ROP (m/h)", "ROP [m/h]" or "ROP_m/h"; or "ROP", taken to be in m/h
 threshold="150 kN"                 no column: one value for all rows
@@ -6,21 +6,20 @@ rock="granite"                     the threshold of a rock of Table 4.5 of the s
 """
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
-import xarray as xr
+import numpy as np
 
 from vibrojax.errors import InputError, Place, nearest, shell_assignment, shown, suggestion
-from vibrojax.io.attributes import table_of
 from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT, ROTATION, Parameter, not_negative, table
 from vibrojax.physics.rock import ROCK, ROCKS
-from vibrojax.physics.units import UNITS, factor, is_unit
+from vibrojax.physics.units import UNITS, factor, is_unit, likely_units
 from vibrojax.scenes.penetration import PULSES
 
 RATE, RELIEF, FORCE, THRESHOLD = "rate_of_penetration", "relief", "mean_force", "threshold"
 WEIGHT, ROTATION_SPEED, DEPTH, BIT_DEPTH, TIME = "weight_on_bit", "rotary_speed", "depth", "bit_depth", "time"
-STICK_SLIP, LINE = "stick_slip_index", "line"
+STICK_SLIP, LINE, DATE = "stick_slip_index", "line", "date"
 
 LAW = table(
     not_negative(RATE, 1e-3, "m s-1", "rate of penetration", "ROP", (1e-5, 1e-2)),
@@ -47,21 +46,42 @@ RIG = table(
 
 KNOWN: Mapping[str, Parameter] = BIT_AND_STRIKER | CONTACT | ROTATION | PULSES | ROCK | LAW | RIG
 
-_DRILLING_TERMS = {"rop": RATE, "penetration": RATE, "wob": FORCE, "weight": FORCE, "force": FORCE, "p/d": RELIEF}
-_DECIMAL_COMMA = re.compile(r",\d")
-Guess = Callable[[str], tuple[str, str | None, bool] | None]
-"""Function that returns the quantity and the unit of a column by its name, and whether the unit is not in the name."""
+_ALIASES = {
+    DEPTH: "depth, hole depth, measured depth, total depth, dmea, dept, md",
+    BIT_DEPTH: "bit depth, dbtm",
+    RATE: "rop, rate of penetration, rop 1 ft, rop 1 m, rop depth hour, rop avg, ropa",
+    WEIGHT: "weight on bit, wob, woba, wob avg",
+    ROTATION_SPEED: "rotary speed, rotary rpm, top drive rpm, surf rpm, surface rpm, rpmx, rpma, rpm",
+    "torque": "surface torque, top drive torque, rotary torque, torque, trq, tqa, tqx",
+    "flow": "flow in, mud flow in, total pump output, mfia",
+    "pressure": "pump press, pump pressure, standpipe pressure, stand pipe pressure, spp, sppa",
+    "bit_diameter": "diameter, bit diameter, bit size, bs",
+    STICK_SLIP: "surface stick slip index, stick slip index",
+    TIME: "time, hh mm ss, date time, datetime",
+    DATE: "yyyy mm dd, date",
+}
+_QUANTITIES = {alias: name for name, text in _ALIASES.items() for alias in text.split(", ")}
+_UNITS_IN_NAMES = {"rop 1 ft": "ft/h", "rop 1 m": "m/h"}
 
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+_FIELD_SIGN = "rop depth hour"
+"""Name that only RigCLOUD's exports have, which are in US field units and do not say so."""
+_FIELD_UNITS = {"m": "ft", "m s-1": "ft/h", "N": "klbf", "rad s-1": "rpm", "N m": "ft lbf", "m3 s-1": "gal/min"}
+_FIELD_UNITS |= {"Pa": "psi"}
+
+_MARGIN = 2.0
+"""Ratio to the range of rigs beyond which the median of a column without a unit is in another unit."""
+
+NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+"""A number, and what follows it."""
 _BRACKETED = re.compile(r"\s*(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 
 
 @dataclass(frozen=True)
 class Column:
-    """The source of a quantity's values: a column of the file, or one `value` [SI] for all rows.
+    """The source of a quantity's values: the column `index` of the file, or, if that is None, one `value` [SI].
 
-    `index` is the position of the column. It is None, and `header` the user's text, if there is only a `value`.
-    `factor` converts numbers in `unit` to SI; `assumed` is True if `unit` is assumed because no unit is specified.
+    `header` is the column's name, or the user's text. `factor` converts numbers in `unit` to SI; `assumed` is True if
+    no unit is specified.
     """
 
     header: str
@@ -75,20 +95,6 @@ class Column:
         if self.index is None:
             return {"value": self.value, "given_in": self.unit, "assumed": self.assumed}
         return {"column": self.header, "unit": self.unit, "assumed": self.assumed}
-
-
-def columns_lines(data: xr.Dataset) -> list[str]:
-    """Return one line of text per entry of the attribute `columns`, or no lines without this attribute."""
-    lines = []
-    for name, source in table_of(data, "columns").items():
-        written_in = source.get("unit", source.get("given_in"))
-        unit = f", taken as {written_in}, since it names no unit" if source["assumed"] else f", in {written_in}"
-        if "value" in source:
-            si = UNITS[KNOWN[name].unit][0] if name in KNOWN else ""
-            lines.append(f"{name}: {source['value']:g} {si} for all rows" + (unit if source["assumed"] else ""))
-        else:
-            lines.append(f"{name}: column {shown(source['column'])}{unit}")
-    return lines
 
 
 def read_columns(words: list[str]) -> dict[str, str]:
@@ -108,20 +114,29 @@ def read_columns(words: list[str]) -> dict[str, str]:
     return columns
 
 
-def with_rock(columns: Mapping[str, str]) -> dict[str, str]:
-    """Return `columns` with the threshold of the rock in place of `rock`, if that is given.
-
-    **Raises:** `InputError` if the rock is unknown, or the threshold is given too.
-    """
-    columns = dict(columns)
-    if "rock" not in columns:
-        return columns
-    place, name = Place("columns", "rock"), columns.pop("rock").strip()
-    if name not in ROCKS:
-        raise place.error(f"{shown(name)} is not a rock of the source; {suggestion(name, ROCKS)}")
-    if given := {THRESHOLD, RELIEF} & set(columns):
-        raise place.error(f"gives the {THRESHOLD}, and {given.pop()} is given too; give one of them")
-    return columns | {THRESHOLD: f"{ROCKS[name].threshold:g} N"}
+def checked_columns(columns: object) -> dict[str, str]:
+    """Return the user's `columns`, checked, with the threshold of a `rock` in its place; raise `InputError`."""
+    if columns is not None and not isinstance(columns, Mapping):
+        raise InputError(f'columns: {shown(columns)} does not name columns; give a dict like {{"{RATE}": "ROP (m/h)"}}')
+    columns = dict(columns or {})
+    for name, text in columns.items():
+        here, choices = Place("columns", str(name)), (*LAW, "rock", *RIG)
+        if name not in KNOWN and name != "rock":
+            like = _QUANTITIES.get(normalised(str(name))) or nearest(str(name), (*choices, *KNOWN))
+            hint = f"did you mean {shown(like)}? " if like else ""
+            hint += f"choose from {', '.join(choices)}, or a parameter of the scenes"
+            raise here.error(f"is not a quantity of rig data; {hint}")
+        if not isinstance(text, str) or not text.strip():
+            fault = f"{shown(text)} is not a column; write one with its unit, like"
+            raise here.error(f'{fault} {name}="ROP (m/h)"')
+    if "rock" in columns:
+        place, rock = Place("columns", "rock"), columns.pop("rock").strip()
+        if rock not in ROCKS:
+            raise place.error(f"{shown(rock)} is not a rock of the source; {suggestion(rock, ROCKS)}")
+        if given := {THRESHOLD, RELIEF} & set(columns):
+            raise place.error(f"gives the {THRESHOLD}, and {given.pop()} is given too; give one of them")
+        columns[THRESHOLD] = f"{ROCKS[rock].threshold:g} N"
+    return columns
 
 
 def split_unit(header: str) -> tuple[str, str | None]:
@@ -139,64 +154,84 @@ def split_unit(header: str) -> tuple[str, str | None]:
     return header.strip(), None
 
 
-def choose_columns(
-    place: Place, header: list[str], columns: Mapping[str, str], guess: Guess, units: Mapping[str, str]
-) -> tuple[dict[str, Column], list[tuple[str, Column]], list[str]]:
-    """Return the column of each quantity: the user's `columns`, columns with the quantity's name, and guessed ones.
+def recognise(cell: str) -> tuple[str | None, str | None]:
+    """Return the quantity and the unit of a column by its name; None for a quantity or a unit that is unknown."""
+    whole = normalised(cell)
+    if cell in KNOWN:
+        return cell, None
+    if name := _QUANTITIES.get(whole):  # first: "SURF_RPM" is a name, not "SURF" in rpm
+        return name, _UNITS_IN_NAMES.get(whole)
+    base, unit = split_unit(cell)
+    return (base if base in KNOWN else _QUANTITIES.get(normalised(base))), unit
 
-    A header without a unit is recognised only for the quantities of the law, and means SI units. A header with a unit
-    is recognised for every known quantity. `place` is the location of the `header` in the file; `guess` recognises the
-    names of a dialect; `units` are the user's, by quantity, for guessed columns.
 
-    The second result holds further columns of the same quantity by the same name, such as a depth in feet beside that
-    in metres. The third holds notes on columns that were left out.
+def normalised(name: str) -> str:
+    """Return a column name in small letters, with one blank for all else than letters and digits."""
+    return " ".join(re.findall(r"[a-z0-9]+", name.casefold())).removeprefix("average ")
+
+
+def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) -> tuple[dict[str, Column], list[str]]:
+    """Return the column of each quantity, and notes on those left out: the user's `columns`, and those of known names.
+
+    `place` is the location of the `header` in the file. Parameters of scenes need a unit or the user's word.
     """
     chosen = {name: _user_column(Place("columns", name), header, name, text) for name, text in columns.items()}
     taken = {column.index: name for name, column in reversed(chosen.items()) if column.index is not None}
     for name, column in chosen.items():
         if column.index is not None and taken[column.index] != name:
-            raise Place("columns", name).error(
-                f"column {shown(column.header)} is {taken[column.index]} already; give another"
-            )
-    for index, cell in enumerate(header):
-        name, unit = (cell, None) if cell in LAW else split_unit(cell)
-        if name not in KNOWN or (unit is None and name not in LAW) or index in taken:
-            continue
-        if name in columns:
-            raise Place("columns", name).error(f"the file has a column {shown(cell)} too; rename that, or take it")
-        if name in chosen:
-            count = sum(split_unit(other)[0] == name for other in header)
-            raise place.error(f"column {name} is there {count} times; give it once")
-        chosen[name] = _column(Place(place.file, f"{place.key}, column {cell}"), name, cell, index, unit)
-        taken[index] = name
-    beside: list[tuple[str, Column]] = []
+            fault = f"column {shown(column.header)} is {taken[column.index]} already; give another"
+            raise Place("columns", name).error(fault)
     notes: list[str] = []
-    guesses = {
-        index: recognised for index, cell in enumerate(header) if index not in taken and (recognised := guess(cell))
-    }
-    for index, (name, unit, assumed) in guesses.items():
-        cell = header[index]
-        if name in columns or name not in KNOWN:
-            continue
-        unit, si = units.get(name, unit), KNOWN[name].unit
-        if name in (TIME, STICK_SLIP):  # times of the day have no unit; an index is kept as given
-            column = Column(cell, index, unit or "1", factor(unit or "s", si) or 1.0 if name == TIME else 1.0)
-        elif unit is None:
-            notes.append(f"{name}: column {shown(cell)} names no unit and is left out")
-            continue
-        elif factor(unit, si) is None and name not in (RATE, WEIGHT, DEPTH):
-            notes.append(f"{name}: column {shown(cell)} is in {unit}, not a unit of {name}, and is left out")
-            continue
-        else:
-            own = _column(Place(place.file, f"{place.key}, column {cell}"), name, cell, index, unit)
-            column = Column(cell, index, unit, own.factor, assumed and name not in units)
-        if name in chosen:
-            same = split_unit(cell)[0].casefold() == split_unit(chosen[name].header)[0].casefold()
-            beside += [(name, column)] * same
-            notes.append(f"{name}: column {shown(cell)} is another one, and is left out")
-        else:
-            chosen[name] = column
-    return chosen, beside, notes
+    is_field = any(normalised(cell) == _FIELD_SIGN for cell in header)
+    found = [(*recognise(cell), index, cell) for index, cell in enumerate(header) if cell and index not in taken]
+    known = [item for item in found if item[0] in KNOWN and (item[1] is not None or item[0] in (*LAW, *RIG))]
+    # A column with its quantity's name comes first, then those that name a unit.
+    for quantity, unit, index, cell in sorted(known, key=lambda item: (not _is_own(item[3], item[0]), item[1] is None)):
+        key = str(quantity)
+        here = Place(place.file, f"{place.key}, column {cell}")
+        si, other = KNOWN[key].unit, chosen.get(key)
+        if other is None and unit and factor(unit, si) is None and key not in (*LAW, WEIGHT, DEPTH):
+            notes.append(f"{key}: column {shown(cell)} is in {shown(unit)}, not a unit of {key}, and is left out")
+        elif other is None:
+            assumed = unit is None and key != TIME and si != "1"  # times of the day have no unit
+            default = _FIELD_UNITS.get(si, UNITS[si][0]) if is_field else UNITS[si][0]
+            chosen[key] = replace(_column(here, key, cell, index, unit or default), assumed=assumed)
+        elif _is_own(cell, key) and other.index is not None:
+            raise here.error(f"is another column {key}; rename one of them")
+        elif key not in columns:
+            notes.append(f"{key}: column {shown(cell)} is another one, and is left out")
+    return chosen, notes
+
+
+def _is_own(cell: str, name: str | None) -> bool:
+    """Return whether a column has the name that the quantity has here."""
+    return split_unit(cell)[0] == name
+
+
+def in_unit_of_rigs(name: str, column: Column, median: float) -> Column:
+    """Return the column of a rotary speed whose name has no unit in revolutions per minute or second, if one fits."""
+    low, high = KNOWN[ROTATION_SPEED].usual or (0.0, np.inf)
+    scales = {unit: factor(unit, "rad s-1") or 1.0 for unit in ("rpm", "rev/s")}
+    fitting = [unit for unit, scale in scales.items() if low <= median * scale <= high]
+    if not fitting or name != ROTATION_SPEED or not column.assumed or _is_own(column.header, name):
+        return column
+    return replace(column, unit=fitting[0], factor=scales[fitting[0]])
+
+
+def likely_words(name: str, column: Column, median: float) -> str | None:
+    """Return NAME="COLUMN (UNIT)" with likely units if the `median` of a column is far from the range of rigs.
+
+    The limits are closer for a unit that is only assumed. None if the unit is plausible.
+    """
+    quantity, value = KNOWN[name], median * column.factor
+    if quantity.usual is None:
+        return None
+    low, high = quantity.usual
+    if low / _MARGIN <= value <= high * _MARGIN or not (column.assumed or quantity.is_far(value)):
+        return None
+    choice = " or ".join(likely_units(median, quantity.unit, quantity.usual)) or "UNIT"
+    right = f"{column.header} {choice}" if column.index is None else f"{split_unit(column.header)[0]} ({choice})"
+    return shell_assignment(name, right)
 
 
 def required_names(
@@ -211,25 +246,26 @@ def required_names(
     by_force = RELIEF not in chosen or (RELIEF not in columns and bool({FORCE, THRESHOLD} & set(columns)))
     names = [RATE, FORCE, THRESHOLD] if by_force else [RATE, RELIEF]
     missing = [name for name in names if name not in chosen]
-    taken = {column.index for column in chosen.values()}
-    free = [cell for index, cell in enumerate(header) if cell and index not in taken]
+    if not missing:
+        return names
+    free = [cell for index, cell in enumerate(header) if cell and index not in {c.index for c in chosen.values()}]
+    wanted = RELIEF if len(missing) == 2 and nearest(RELIEF, free) else missing[0]
+    likely = [cell for cell in free if (unit := split_unit(cell)[1]) and factor(unit, KNOWN[wanted].unit) is not None]
+    hint = f"the file has {', '.join(cell or 'a column without a name' for cell in header)}"
+    if like := likely[0] if likely else nearest(wanted, free):
+        unit = "" if split_unit(like)[1] or wanted == RELIEF else f" ({UNITS[KNOWN[wanted].unit][0]})"
+        hint = f"if {shown(like)} is it, rename it, or name it: --columns {shell_assignment(wanted, like + unit)}"
+    if missing == [THRESHOLD]:
+        hint += f', or for all rows: --columns {THRESHOLD}="150 kN", rock=granite or {THRESHOLD}=unknown'
     if RATE in missing:
-        raise place.error(f"column {RATE} [m/s] is missing; {_candidate(RATE, header, free)}")
+        raise place.error(f"column {RATE} [m/s] is missing; {hint}")
     if len(missing) == 2:
-        meant = _candidate(RELIEF if nearest(RELIEF, free) else FORCE, header, free)
-        raise place.error(f"column {RELIEF} is missing, or {FORCE} and {THRESHOLD}; {meant}")
-    if missing:
-        constant = f', or for all rows: --columns {THRESHOLD}="150 kN", rock=granite or {THRESHOLD}=unknown'
-        constant = constant if missing[0] == THRESHOLD else ""
-        meant = _candidate(missing[0], header, free)
-        raise place.error(f"column {missing[0]} [N] is missing, or {RELIEF}; {meant}{constant}")
-    return names
+        raise place.error(f"column {RELIEF} is missing, or {FORCE} and {THRESHOLD}; {hint}")
+    raise place.error(f"column {missing[0]} [N] is missing, or {RELIEF}; {hint}")
 
 
 def _user_column(place: Place, header: list[str], name: str, text: str) -> Column:
     """Return the column or the constant value that the user's `text` specifies for the quantity `name`."""
-    if name not in KNOWN:
-        raise place.error(f"is not a quantity of rig data; choose from {', '.join(LAW)}, or a parameter of the scenes")
     base, unit = split_unit(text)
     bases = [split_unit(cell)[0] for cell in header]
     matches = _matches(header, text) or _matches(header, base) or _matches(bases, base)
@@ -242,16 +278,16 @@ def _user_column(place: Place, header: list[str], name: str, text: str) -> Colum
         if len(factors) == 2 and None not in factors and factors[0] != factors[1]:
             raise place.error(f"column {shown(cell)} is in {own} by its name, not in {unit}; give one of them")
         return _column(place, name, cell, matches[0], unit or own)
-    number = _NUMBER.fullmatch(text)
-    if number and _DECIMAL_COMMA.match(number[2]):
-        right = shown(text.replace(",", ".", 1))
-        raise place.error(f"{shown(text)} has a decimal comma; write a point, like {right}")
-    if number:
+    if number := NUMBER.fullmatch(text):
+        if number[2].startswith(","):
+            raise place.error(
+                f"{shown(text)} has a decimal comma; write a point, like {shown(text.replace(',', '.', 1))}"
+            )
         column = _column(place, name, text.strip(), 0, number[2] or None)
         value = float(number[1]) * column.factor
         if (problem := KNOWN[name].problem(value)) is not None:
             raise place.error(problem)
-        return Column(column.header, None, column.unit, column.factor, column.assumed, value)
+        return replace(column, index=None, value=value)
     like = nearest(base, header)
     hint = f"did you mean {shown(like)}?" if like else f"the file has {', '.join(map(shown, header))}"
     raise place.error(f"the file has no column {shown(text)}; {hint}")
@@ -272,21 +308,6 @@ def _column(place: Place, name: str, header: str, index: int, unit: str | None) 
 
 def _matches(names: list[str], text: str) -> list[int]:
     """Return the indices of the names equal to `text`; if there are none, ignore case and blanks."""
-
-    def plain(name: str) -> str:
-        return "".join(name.casefold().split())
-
+    plain = ["".join(name.casefold().split()) for name in (*names, text)]
     exact = [index for index, name in enumerate(names) if name == text.strip()]
-    return exact or [index for index, name in enumerate(names) if plain(name) == plain(text)]
-
-
-def _candidate(name: str, header: list[str], free: list[str]) -> str:
-    """Return a hint for an error message: the unused (`free`) column that likely holds the missing quantity `name`."""
-    units = {cell: split_unit(cell) for cell in free}
-    likely = [cell for cell, (base, _) in units.items() if _DRILLING_TERMS.get(base.casefold().split(" ")[0]) == name]
-    likely += [cell for cell, (_, unit) in units.items() if unit and factor(unit, KNOWN[name].unit) is not None]
-    like = likely[0] if likely else nearest(name, free)
-    if like is None:
-        return f"the file has {', '.join(cell or 'a column without a name' for cell in header)}"
-    unit = "" if units[like][1] or name == RELIEF else f" ({UNITS[KNOWN[name].unit][0]})"
-    return f"if {shown(like)} is it, rename it, or name it: --columns {shell_assignment(name, like + unit)}"
+    return exact or [index for index in range(len(names)) if plain[index] == plain[-1]]

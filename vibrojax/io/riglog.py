@@ -1,12 +1,11 @@
-"""Reading of rig logs into datasets in SI units, with the rows that are no drilling dropped and counted."""
+"""Reading of rig logs into tables in SI units, with the rows that are no drilling dropped and counted."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -16,38 +15,28 @@ from jaxtyping import Float
 from vibrojax.errors import InputError, Place, counted, shown
 from vibrojax.io.attributes import attribute_of, table_of, text_of
 from vibrojax.io.log_columns import (
+    DATE,
     DEPTH,
     KNOWN,
+    LAW,
     LINE,
-    RATE,
+    RELIEF,
+    RIG,
+    ROTATION_SPEED,
     TIME,
+    WEIGHT,
     Column,
+    checked_columns,
     choose_columns,
-    columns_lines,
-    split_unit,
+    in_unit_of_rigs,
+    likely_words,
+    recognise,
 )
-from vibrojax.io.log_dialects import DATE, detect_dialect, dialect_named, is_alias, recognise
-from vibrojax.io.log_drilling import line_ranges, no_drilling, not_monotonic
-from vibrojax.io.tables import (
-    Rows,
-    column_numbers,
-    is_number,
-    read_las,
-    read_table,
-    read_text,
-    row_of_units,
-    separator,
-)
-from vibrojax.physics.units import factor, is_unit
-
-NULLS = (-999.25, -999.0, -9999.0, -9999.25)
-"""Numbers that stand for a missing value in every dialect."""
-
-FASTEST = "500 ft/h"
-"""Rate of penetration above which a row is no drilling; connections and slips leave rates of thousands of ft/h."""
-
-_SAME = 0.05
-"""Relative difference of the medians of two columns of one quantity above which one of their units is wrong."""
+from vibrojax.io.log_files import NULLS, Cells, decimal_mark, read_cells, to_numbers
+from vibrojax.io.log_filters import LIMITS, Where, line_ranges, meets, no_drilling, not_monotonic, read_conditions
+from vibrojax.io.tables import is_number
+from vibrojax.physics.parameters import Parameter
+from vibrojax.physics.units import UNITS
 
 LIMITS_OF_LOGS = (
     "Rotary rig data are not percussive data: they can inform the friction at the bit and C of the law, "
@@ -55,160 +44,194 @@ LIMITS_OF_LOGS = (
 )
 """What summaries and pictures of a log say about it."""
 
-_LONGEST_CLOCK = len("23:59:59.999")
-_MEASUREMENTS = ("measurement", "no rows; add a line for each measurement", f"relief,{RATE}")
+FOR_LAW = frozenset((*LAW, WEIGHT, ROTATION_SPEED))
+"""Quantities that a fit of the law needs; faults in others do not stop it."""
+
+LOG_ENDINGS = (".csv", ".txt", ".tsv", ".las", ".xml", ".xlsx", ".xlsm", ".xls")
+"""Endings of the files that a fit takes for logs."""
+
+_DAY = 86400.0
+_MOST_LISTED = 10
+_CLOCK = r"\d{1,2}:\d\d(:\d\d(\.\d*)?)?"
+Source: TypeAlias = str | PathLike[str] | pd.DataFrame
+Nulls = Sequence[str | float] | None
+Values = dict[str, Float[np.ndarray, " rows"]]
 
 
 @dataclass(frozen=True)
 class Log:
-    """A rig log: `data` as `read_log` returns it, the names of all columns, and those that are taken for quantities."""
+    """A rig log: `data` as `read_log` returns it, the names of all columns, and those that are taken for quantities.
+
+    `unusual`: place, quantity, median and advice of each column whose values are far from those of rigs in its unit.
+    """
 
     place: Place
     line: int
     header: list[str]
     chosen: Mapping[str, Column]
-    data: xr.Dataset
+    data: pd.DataFrame
+    unusual: list[tuple[Place, Parameter, float, str]]
 
 
 def read_log(
-    path: str | PathLike[str],
-    *,
-    dialect: str | None = None,
-    columns: Mapping[str, str] | None = None,
-    units: Mapping[str, str] | None = None,
-    fastest: str | None = None,
-    table: pd.DataFrame | None = None,
-) -> xr.Dataset:
-    """Read a rig log (CSV or LAS 2.0) as it is into a dataset in SI units along `row`.
+    path: Source, columns: Mapping[str, str] | None = None, where: Where = None, nulls: Nulls = None
+) -> pd.DataFrame:
+    """Read a rig log as it was exported (CSV, LAS, WITSML, xlsx) into a table in SI units.
 
-    Rows that are no drilling are dropped, unless the dialect is "plain": no rate or weight, no rotation, a bit off the
-    bottom, a rate beyond reason, or a depth that falls (the longest sequence of rows whose depth does not fall stays).
+    Rows that are no drilling are dropped and counted: no rate or weight, no rotation, a bit off the bottom, a value
+    beyond reason, or a depth that falls (the longest sequence of rows whose depth does not fall stays). A table without
+    a column of a rig, such as one with relief and rate_of_penetration, keeps all its rows.
 
     **Arguments:**
 
-    - `path`: the file.
-    - `dialect`: a name of [vibrojax.io.log_dialects][]; by default it is detected by the names of the columns.
+    - `path`: the file, or a DataFrame with the columns of such a file.
     - `columns`: by quantity, the column and its unit, or a value for all rows, such as {"bit_diameter": "8.5 in"}.
-    - `units`: by quantity, the unit of a column that is recognised, in place of that of its name or its dialect.
-    - `fastest`: the rate with its unit above which a row is dropped, by default 500 ft/h.
-    - `table`: the table that `path` names, if it is not in a file.
+    - `where`: one or several conditions that rows must meet: "WOB (klb) < 35", "depth (m) >= 1200", "time (h) > 2",
+      "Formation=shale". A condition on a quantity replaces its limit of reason.
+    - `nulls`: further texts or numbers that stand for a missing value, beside -999.25, NULL, N/A, - and the like.
 
-    **Returns:** a dataset with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N],
-    `rate_of_penetration` [m/s], `rotary_speed` [rad/s], `torque` [N m], `flow` [m3/s], `pressure` [Pa],
-    `bit_diameter` [m] and `stick_slip_index` (as given), where the file has them. Other columns are coordinates, as is
-    `line`, the number of a row's line in the file. Attributes: `dialect`, `detected` (how), `columns` (JSON: source and
-    unit of each quantity), `rows_read`, `dropped` (JSON: by reason, number of rows and their lines), `nulls` (JSON:
-    missing values by quantity) and `notes`.
+    **Returns:** a table with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N], `rate_of_penetration`
+    [m/s], `rotary_speed` [rad/s], `torque` [N m], `flow` [m3/s], `pressure` [Pa], `bit_diameter` [m] and
+    `stick_slip_index` (as given), where the file has them; then `line`, the number of a row's line in the file, and the
+    other columns. `attrs`: `units` and `sources` by quantity, `dropped` (number of rows by reason), `lines` (of them),
+    `rows_read`, `notes`, `title`, and `rig` (whether it is the log of a rig).
 
-    **Raises:** `InputError` that names column and line.
+    **Raises:** `InputError` that names column and line; all bad cells are listed at once.
 
     **Example:**
 
     >>> import pandas as pd
     >>> table = pd.DataFrame({"Depth (ft)": [5000, 5001, 5002], "WOB (klbs)": [20, -999.25, 25], "ROP (ft/h)": 60})
-    >>> log = vj.read_log("export", table=table)
-    >>> log.rate_of_penetration.values.round(5).tolist(), log.dropped
-    ([0.00508, 0.00508], '{"missing weight": {"rows": 1, "lines": "3"}}')
+    >>> log = vj.read_log(table)
+    >>> log.rate_of_penetration.round(5).tolist(), log.attrs["dropped"]
+    ([0.00508, 0.00508], {'missing weight': 1})
     """
-    return open_log(path, dialect=dialect, columns=columns, units=units, fastest=fastest, table=table).data
+    return open_log(path, columns, where, nulls).data
 
 
 def open_log(
-    path: str | PathLike[str],
-    *,
-    dialect: str | None = None,
+    path: Source,
     columns: Mapping[str, str] | None = None,
-    units: Mapping[str, str] | None = None,
-    fastest: str | None = None,
-    table: pd.DataFrame | None = None,
+    where: Where = None,
+    nulls: Nulls = None,
+    needed: Collection[str] | None = None,
+    name: str = "read_log",
 ) -> Log:
-    """Read a rig log as `read_log` does; return it with the names of all columns."""
-    path = Path(path)
-    place, given = Place(str(path)), None if dialect is None else dialect_named(dialect)
-    limit = _limit(fastest)
-    nulls = list(NULLS)
-    if table is not None:
-        text = (table.reset_index() if any(table.index.names) else table).to_csv(index=False)
-    else:
-        text = read_text(path, windows=True)
-    notes = []
-    if text.lstrip().startswith("~") or path.suffix.lower() == ".las":
-        line, header, rows, null = read_las(place, text)
-        nulls += [null] if null is not None else []
-        spoken, why = dialect_named("las"), "it begins with a section of LAS"
-    else:
-        line, header, others = read_table(path, *_MEASUREMENTS, text=text)
-        rows = list(others)
-        if units_below := row_of_units(rows):
-            header = [
-                f"{name} ({unit})" if is_unit(unit) and (is_alias(name) or split_unit(name)[1] is None) else name
-                for name, unit in zip(header, units_below, strict=True)
-            ]
-            notes.append(f"line {rows.pop(0)[0]} holds the units of the columns")
-        if not rows:
-            raise place.error(f"{_MEASUREMENTS[1]} below the units")
-        spoken, why = detect_dialect(header, separator(text))
-    spoken, why = (given, "as the user says") if given else (spoken, why)
-    guess = partial(recognise, dialect=spoken)
-    chosen, beside, left_out = choose_columns(place.at(f"line {line}"), header, columns or {}, guess, units or {})
-    notes += left_out
-    lines = np.array([number for number, _ in rows])
-    values: dict[str, Float[np.ndarray, " rows"]] = {}
-    missing: dict[str, int] = {}
-    for name, column in chosen.items():
-        if column.index is None:
-            values[name] = np.full(len(rows), np.nan if column.value is None else column.value)
-        elif name == TIME:
-            if (times := _times(place, header, column, rows)) is not None:
-                values[name] = times
-            else:
-                notes.append(f"time: column {shown(column.header)} holds no times that are known, and is left out")
+    """Read a rig log as `read_log` does; return it with the names of all columns.
+
+    `needed`: quantities in which a bad cell or an unlikely unit is an error, by default all; faults of others are only
+    noted. `name`: what stands for the file in messages about a DataFrame.
+    """
+    columns, conditions = checked_columns(columns), read_conditions(where)
+    if nulls is not None and (isinstance(nulls, str) or not isinstance(nulls, Sequence)):
+        raise InputError(f'nulls: {shown(nulls)} is not a list; give one, like ["absent", -1]')
+    if not isinstance(path, (str, PathLike, pd.DataFrame)):
+        raise InputError(f"{name}: {shown(path)} is no log; give a path or a DataFrame")
+    place = Place(name if isinstance(path, pd.DataFrame) else str(path))
+    cells = _cells_of(place, path) if isinstance(path, pd.DataFrame) else read_cells(place, Path(path))
+    header, rows, lines = cells.header, cells.rows, cells.rows.index.to_numpy()
+    here = place.at(f"line {cells.line}")
+    chosen, notes = choose_columns(here, header, columns)
+    missing = NULLS | cells.nulls | {str(null).strip().casefold() for null in nulls or ()}
+    text = {key: rows.iloc[:, column.index] for key, column in chosen.items() if column.index is not None}
+    is_needed = {key: needed is None or key in needed or key in columns for key in chosen}
+    mark = decimal_mark(text[key] for key in text if is_needed[key]) or decimal_mark(text.values())
+    notes += ["commas are decimal marks"] * (mark == ",")
+    values: Values = {}
+    bad: dict[str, np.ndarray] = {}
+    for key, column in chosen.items():
+        if key == TIME and column.index is not None:
+            values[key], bad[key] = _times(header, column, rows)
+        elif column.index is not None:
+            values[key], bad[key] = to_numbers(text[key], mark, missing)
         else:
-            values[name], missing[name] = _quantity(place, column, rows, nulls)
-    for name, column in beside:
-        _check_same(
-            place.at(f"line {line}"), chosen[name], column, values[name], _quantity(place, column, rows, nulls)[0], name
-        )
-    cleaned = spoken.name != "plain"
-    dropped = no_drilling(values, limit) if cleaned else {}
-    kept = ~np.any([np.zeros(len(rows), bool), *dropped.values()], axis=0)
-    if cleaned and DEPTH in values:
+            values[key] = np.full(len(rows), (column.value or 0.0) / column.factor)
+    empty = np.all([np.isnan(values[key]) for key in text], axis=0) if text else np.zeros(len(rows), bool)
+    empty &= empty.mean() < 0.5  # repeated names and remarks
+    for key in [key for key in bad if not is_needed[key] or key == TIME]:
+        if (wrong := bad.pop(key) & ~empty).any():
+            fault = (
+                f"{counted(wrong.sum(), 'cell')} taken as missing, such as {shown(text[key].iloc[np.argmax(wrong)])}"
+            )
+            notes.append(f"{key}: {fault} in line {lines[np.argmax(wrong)]}")
+    _check_cells(place, {key: mask & ~empty for key, mask in bad.items()}, chosen, text, mark)
+    unusual = _to_si(here, chosen, values, is_needed, notes)
+    names = [(recognise(cell)[0] or "", cell) for cell in header]
+    is_rig = RELIEF not in chosen and any(name in RIG or (name and not cell.startswith(name)) for name, cell in names)
+    masks: list[tuple[str, np.ndarray]] = [("no numbers", empty)]
+    free = set()
+    everything = {cell: rows.iloc[:, index] for index, cell in enumerate(header)}
+    for condition in conditions:
+        quantity, mask = meets(place, condition, everything, chosen, values)
+        masks.append((f"not {condition.text}", ~mask))
+        free.add(quantity)
+    if is_rig:
+        masks += no_drilling(values, free)
+    for key in sorted({"torque", "pressure"} & set(values) - free):
+        if (large := values[key] > LIMITS[key]).any():
+            values[key] = np.where(large, np.nan, values[key])
+            limit = f"{LIMITS[key]:g} {UNITS[KNOWN[key].unit][0]}"
+            notes.append(f"{key}: {counted(large.sum(), 'value')} above {limit} taken as missing")
+    kept, dropped = np.ones(len(rows), bool), {}
+    for reason, mask in masks:
+        dropped[reason] = mask & kept
+        kept &= ~mask
+    if is_rig and DEPTH in values:
         dropped["depth not monotonic"] = not_monotonic(place, chosen[DEPTH], values[DEPTH], kept, lines)
         kept &= ~dropped["depth not monotonic"]
-    counts = {reason: int(mask.sum()) for reason, mask in dropped.items() if mask.any()}
+    dropped = {reason: mask for reason, mask in dropped.items() if mask.any()}
     if not kept.any():
-        texts = ", ".join(f"{reason} {count}" for reason, count in counts.items())
-        here = place.at(
-            f"line {lines[0]} to {lines[-1]}, column {chosen[RATE].header if RATE in chosen else header[0]}"
-        )
-        raise here.error(f"no row is left of {len(rows)}: {texts}")
-    keep = np.flatnonzero(kept)
-    variables: dict[str, Any] = {LINE: ("row", lines[keep], {"units": "1", "long_name": "line in the file"})}
-    for name, numbers in values.items():
-        variables[name] = ("row", numbers[keep], {"units": KNOWN[name].unit, "long_name": KNOWN[name].long_name})
-    others_kept = [rows[index] for index in keep]
+        texts = ", ".join(f"{reason} {mask.sum()}" for reason, mask in dropped.items())
+        hint = f"; is a unit wrong? {unusual[0][3]}" if unusual else ""
+        raise place.at(f"line {lines[0]} to {lines[-1]}").error(f"no row is left of {len(rows)}: {texts}{hint}")
+    table: dict[str, np.ndarray] = {key: numbers[kept] for key, numbers in values.items()} | {LINE: lines[kept]}
     taken = {column.index for column in chosen.values()}
-    for index, name in enumerate(header):
-        if index not in taken and name not in ("", "row", *variables):
-            try:
-                numbers, _ = column_numbers(place, name, index, others_kept, nulls)
-                variables[name] = ("row", numbers)
-            except InputError:
-                variables[name] = ("row", np.array([row[index].strip() for _, row in others_kept]))
-    attributes = {
-        "title": path.name,
-        "dialect": spoken.name,
-        "detected": why,
-        "columns": json.dumps({name: column.described() for name, column in chosen.items() if name in values}),
+    for index, cell in enumerate(header):
+        if index not in taken and cell not in ("", "row", *table):
+            found, wrong = to_numbers(rows.iloc[:, index], mark, missing)
+            table[cell] = (
+                rows.iloc[:, index].fillna("").str.strip().to_numpy(object)[kept] if wrong.any() else found[kept]
+            )
+    data = pd.DataFrame(table)
+    data.attrs = {
+        "title": Path(place.file).name,
+        "rig": is_rig,
         "rows_read": len(rows),
-        "dropped": json.dumps(
-            {reason: {"rows": count, "lines": line_ranges(lines[dropped[reason]])} for reason, count in counts.items()}
-        ),
-        "nulls": json.dumps({name: count for name, count in missing.items() if count}),
-        "notes": "; ".join(notes),
+        "units": {key: KNOWN[key].unit for key in values},
+        "sources": {key: chosen[key].described() for key in values},
+        "dropped": {reason: int(mask.sum()) for reason, mask in dropped.items()},
+        "lines": {reason: line_ranges(lines[mask]) for reason, mask in dropped.items()},
+        "notes": [*cells.notes, *notes],
     }
-    data = xr.Dataset(variables, attrs=attributes)
-    return Log(place, line, header, chosen, data.set_coords([name for name in variables if name not in KNOWN]))
+    return Log(place, cells.line, header, {key: chosen[key] for key in values}, data, unusual)
+
+
+def to_dataset(log: pd.DataFrame, dim: str = "row") -> xr.Dataset:
+    """Return a log as a dataset along `dim`: quantities as variables, other columns as coordinates.
+
+    Its attributes are those of the table, as texts: `columns`, `dropped` (JSON), `rows_read`, `notes`, `title`, and
+    `dialect` ("log" or "plain").
+    """
+    about = {name: {"units": KNOWN[name].unit, "long_name": KNOWN[name].long_name} for name in log.attrs["units"]}
+    about[LINE] = {"units": "1", "long_name": "line in the file"}
+    variables = {
+        name: (
+            dim,
+            column.to_numpy() if column.dtype.kind in "fiu" else np.array(list(column), str),
+            about.get(name, {}),
+        )
+        for name, column in log.items()
+    }
+    lines = log.attrs["lines"]
+    attributes = {
+        "title": log.attrs["title"],
+        "dialect": "log" if log.attrs["rig"] else "plain",
+        "columns": json.dumps(log.attrs["sources"]),
+        "rows_read": log.attrs["rows_read"],
+        "dropped": json.dumps({key: {"rows": n, "lines": lines[key]} for key, n in log.attrs["dropped"].items()}),
+        "notes": "; ".join(log.attrs["notes"]),
+    }
+    return xr.Dataset(variables, attrs=attributes).set_coords([name for name in variables if name not in KNOWN])
 
 
 def is_log(data: xr.Dataset) -> bool:
@@ -217,10 +240,14 @@ def is_log(data: xr.Dataset) -> bool:
 
 
 def log_lines(data: xr.Dataset) -> list[str]:
-    """Return lines of text: the dialect, the source and unit of each quantity, and what was dropped and why."""
-    if not is_log(data):
-        return columns_lines(data)
-    lines = [f"dialect {text_of(data, 'dialect')}: {text_of(data, 'detected')}", *columns_lines(data)]
+    """Return lines of text: the source and unit of each quantity, and what was dropped and why."""
+    lines = []
+    for name, source in table_of(data, "columns").items():
+        written_in = source.get("unit", source.get("given_in"))
+        unit = f", taken as {written_in}, since it names no unit" if source["assumed"] else f", in {written_in}"
+        si = UNITS[KNOWN[name].unit][0] if name in KNOWN else ""
+        value = f"{source['value']:g} {si} for all rows" if "value" in source else f"column {shown(source['column'])}"
+        lines.append(f"{name}: {value}{unit if source['assumed'] or 'value' not in source else ''}")
     if dropped := table_of(data, "dropped"):
         total, read = sum(about["rows"] for about in dropped.values()), attribute_of(data, "rows_read")
         lines.append(f"dropped {total} of {counted(read, 'row')}:")
@@ -228,71 +255,91 @@ def log_lines(data: xr.Dataset) -> list[str]:
     return lines + [part for part in text_of(data, "notes").split("; ") if part]
 
 
-def _limit(fastest: str | None) -> float:
-    fastest = FASTEST if fastest is None else fastest
-    number, _, unit = str(fastest).strip().partition(" ")
-    scale = factor(unit, "m s-1") if unit else None
-    if not is_number(number) or scale is None or not 0 < float(number) * scale < np.inf:
-        raise InputError(f"fastest: {shown(fastest)} is not a rate above 0 with its unit; write one, like {FASTEST}")
-    return float(number) * scale
+def _cells_of(place: Place, table: pd.DataFrame) -> Cells:
+    """Return the cells of a DataFrame; in one that `read_log` returned, the quantities are in SI units."""
+    units = table.attrs["units"] if "sources" in table.attrs else {}
+    table = table.reset_index() if any(table.index.names) else table
+    lines = table[LINE] if units and LINE in table else range(2, len(table) + 2)
+    table = table.drop(columns=LINE, errors="ignore") if units else table
+    if table.empty:
+        raise place.error("has no rows; give a row for each measurement")
+    names = [f"{name} ({units[name]})" if name in units else str(name) for name in table.columns]
+    rows = table.astype(object).where(table.notna(), "").map(str)
+    return Cells(names, 1, rows.set_axis(range(len(names)), axis=1).set_axis(lines))
 
 
-def _quantity(place: Place, column: Column, rows: Rows, nulls: list[float]) -> tuple[Float[np.ndarray, " rows"], int]:
-    """Return a column in SI units, and its number of null cells; raise `InputError` for an infinite number."""
-    values, count = column_numbers(place, column.header, column.index or 0, rows, nulls)
-    if (infinite := np.isinf(values)).any():
-        line, row = rows[int(np.argmax(infinite))]
-        here = place.at(f"line {line}, column {column.header}")
-        raise here.error(f"{shown(row[column.index or 0].strip())} is not finite; leave the cell empty")
-    return column.factor * values, count
+def _to_si(
+    place: Place, chosen: dict[str, Column], values: Values, is_needed: Mapping[str, bool], notes: list[str]
+) -> list[tuple[Place, Parameter, float, str]]:
+    """Convert the values to SI units; return the columns with a given unit in which they are far from those of rigs.
 
-
-def _times(place: Place, header: list[str], column: Column, rows: Rows) -> Float[np.ndarray, " rows"] | None:
-    """Return the times [s] since the first row: numbers, dates with times, or days and times in two columns.
-
-    None if no cell is a time that is known. A few wrong cells raise `InputError`.
+    **Raises:** `InputError` with all columns whose unit is only assumed and unlikely; those not needed are left out.
     """
-    index = column.index or 0
-    cells = [row[index].strip() for _, row in rows]
-    date = next((k for k, cell in enumerate(header) if recognise_date(cell)), None)
-    if date is None and all(is_number(cell) or not cell for cell in cells):
-        values = column.factor * np.array([float(cell) if cell else np.nan for cell in cells])
-        return values - values[np.isfinite(values)][:1].sum()
-    if date is not None and date != index:
-        cells = [f"{row[date].strip()} {cell}".replace("/", "-") for (_, row), cell in zip(rows, cells, strict=True)]
-    clock = date is None and all(cell.count(":") == 2 and len(cell) <= _LONGEST_CLOCK for cell in cells)
-    parse = pd.to_timedelta if clock else partial(pd.to_datetime, format="ISO8601", utc=True)
-    stamps = parse(pd.Series(cells), errors="coerce")
-    wrong = stamps.isna().to_numpy() & np.array([bool(cell.strip()) for cell in cells])
-    if wrong.all():
-        return None
-    if wrong.any():
-        position = int(np.argmax(wrong))
-        here = place.at(f"line {rows[position][0]}, column {column.header}")
-        raise here.error(f"{shown(cells[position])} is not a time; write one, like 2020-11-04 12:30:00")
-    return (stamps - stamps.iloc[0]).dt.total_seconds().to_numpy(float)
+    unusual, faults, words = [], [], []
+    for key, numbers in list(values.items()):
+        known = np.abs(numbers[np.isfinite(numbers) & (numbers != 0)])
+        median = float(np.median(known)) if known.size else np.nan
+        chosen[key] = column = in_unit_of_rigs(key, chosen[key], median)
+        values[key] = column.factor * numbers
+        if not known.size or (word := likely_words(key, column, median)) is None:
+            continue
+        low, high = KNOWN[key].usual or (0.0, 0.0)
+        fault = f"{key} {median:.6g} {column.unit} ({low:g} to {high:g} {UNITS[KNOWN[key].unit][0]})"
+        if not column.assumed:
+            here, advice = place.at(f"{column.header}, the median of its column"), f"likely --columns {word}"
+            unusual.append((here, KNOWN[key], median * column.factor, advice))
+        elif is_needed[key]:
+            faults.append(fault)
+            words.append(word)
+        else:
+            notes.append(f"{fault} is far outside what rigs have and left out: no unit is given; likely {word}")
+            del values[key]
+    if faults:
+        fault = f"no unit is given, and the median is far outside what rigs have: {', '.join(faults)}"
+        choice = " (choose one unit)" * any(" or " in word for word in words)
+        raise place.error(f"{fault}; likely --columns {' '.join(words)}{choice}")
+    return unusual
 
 
-def recognise_date(cell: str) -> bool:
-    """Return whether a column holds the day of each row."""
-    column = recognise(cell, dialect_named("pason"))
-    return column is not None and column[0] == DATE
-
-
-def _check_same(
-    place: Place,
-    first: Column,
-    second: Column,
-    values: Float[np.ndarray, " rows"],
-    others: Float[np.ndarray, " rows"],
-    name: str,
+def _check_cells(
+    place: Place, bad: Mapping[str, np.ndarray], chosen: Mapping[str, Column], text: Mapping[str, pd.Series], mark: str
 ) -> None:
-    """Check that two columns of one quantity agree, so that neither of their units is wrong."""
-    both = np.isfinite(values) & np.isfinite(others) & (values > 0)
-    if not both.any() or abs(float(np.median(others[both] / values[both])) - 1) <= _SAME:
+    """Raise `InputError` that lists the first cells that are neither numbers nor stand for a missing value."""
+    faults = sorted((int(row), key) for key, mask in bad.items() for row in np.flatnonzero(mask))
+    if not faults:
         return
-    ratio = float(np.median(others[both] / values[both]))
-    fault = f"is {ratio:.4g} times column {shown(first.header)}, which should be the same {name}"
-    raise Place(place.file, f"{place.key}, column {second.header}").error(
-        f"{fault}; choose one: --columns {name}=COLUMN"
+    cells = [(text[key].index[row], chosen[key].header, str(text[key].iloc[row]).strip()) for row, key in faults]
+    listed = "; ".join(f"line {line}, column {header}: {shown(cell)}" for line, header, cell in cells[:_MOST_LISTED])
+    right = (
+        f"write a number, leave the cell empty, or say that it stands for a missing value: --nulls {shown(cells[0][2])}"
     )
+    if "," in cells[0][2] and mark != ".":
+        other = "the file has decimal points too" if mark == "both" else "commas may separate thousands"
+        right = f"commas are ambiguous: {other}; write decimal points"
+    more = f"; and {len(faults) - _MOST_LISTED} more" if len(faults) > _MOST_LISTED else ""
+    verb = "is not a number" if len(faults) == 1 else f"are not numbers ({len(faults)} cells)"
+    raise place.error(f"{listed}{more} {verb}; {right}")
+
+
+def _times(header: list[str], column: Column, rows: pd.DataFrame) -> tuple[Float[np.ndarray, " rows"], np.ndarray]:
+    """Return the times since the first row in the column's unit, and where a cell is not a time.
+
+    Cells hold numbers, dates with times, times of the day that may pass midnight, or days and times in two columns.
+    """
+    cells = rows.iloc[:, column.index or 0].fillna("").str.strip()
+    date = next((k for k, cell in enumerate(header) if recognise(cell)[0] == DATE and k != column.index), None)
+    empty = (cells == "").to_numpy()
+    if date is None and all(is_number(cell) or not cell for cell in cells):
+        values = np.array([float(cell) if cell else np.nan for cell in cells])
+        return values - values[np.isfinite(values)][:1].sum(), np.zeros(len(rows), bool)
+    if date is None and cells[~empty].str.fullmatch(_CLOCK).mean() > 0.5:
+        clock = cells.where(cells.str.fullmatch(_CLOCK)).where(cells.str.count(":") != 1, cells + ":00")
+        values = pd.to_timedelta(clock, errors="coerce").dt.total_seconds().to_numpy(float, copy=True)
+        known = np.isfinite(values)
+        values[known] += _DAY * np.cumsum(np.diff(values[known], prepend=values[known][:1]) < -_DAY / 2)
+    else:
+        day = rows.iloc[:, date].fillna("").str.strip() + " " if date is not None else ""
+        stamps = pd.to_datetime((day + cells).str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
+        values = (stamps - stamps.min()).dt.total_seconds().to_numpy(float)
+    seconds = (values - values[np.isfinite(values)][:1].sum()) / column.factor
+    return seconds, np.isnan(values) & ~empty

@@ -1,10 +1,10 @@
-"""Tables as text: CSV files with commas or semicolons between the columns, and LAS files of well logs."""
+"""Tables as text: CSV files with commas or semicolons between the columns."""
 
 import csv
 import io
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -54,18 +54,15 @@ def read_text(path: Path, windows: bool = False) -> str:
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
 
 
-def read_table(
-    path: Path, row: str, none: str, example: str, text: str | None = None
-) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
+def read_table(path: Path, row: str, none: str, example: str) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
     """Return the header of a CSV with the number of its line, and the other rows, each with the number of its line.
 
-    `row`, `none`, `example`: name of a row, advice if there is none, and example of a header, for messages. `text`: the
-    content of the CSV, if that is not read from `path`.
+    `row`, `none`, `example`: name of a row, advice if there is none, and example of a header, for messages.
 
     **Raises:** `InputError` if the header is no list of names or, while reading rows, if one has other columns.
     """
     place = Place(str(path))
-    rows = read_csv(place, read_text(path) if text is None else text)
+    rows = read_csv(place, read_text(path))
     line, header = next(rows, (0, []))
     if not header:
         raise place.error(f"empty; a line of column names and a line for each {row} are needed")
@@ -144,28 +141,18 @@ def _with_decimal_points(place: Place, rows: list[tuple[int, list[str]]]) -> lis
     ]
 
 
-def row_of_units(rows: Rows) -> list[str] | None:
-    """Return the units in the first row of a CSV, without brackets; None if it holds no units."""
-    units = [cell.strip(" []()") for cell in rows[0][1]]
-    return units if not any(map(is_number, units)) and any(is_unit(unit) for unit in units if unit) else None
-
-
 def rows_without_units(place: Place, header: list[str], rows: Rows) -> Rows:
     """Return the rows of a CSV; raise `InputError` if the first of them holds units."""
-    if units := row_of_units(rows):
+    units = [cell.strip(" []()") for cell in rows[0][1]]
+    if not any(map(is_number, units)) and any(is_unit(unit) for unit in units if unit):
         like = f"{header[0]} ({units[0]})"
         fault = f"holds units; write them behind the names, like {like}, and leave it out"
         raise place.at(f"line {rows[0][0]}").error(fault)
     return rows
 
 
-def column_numbers(
-    place: Place, name: str, index: int, rows: Rows, nulls: Sequence[float] = ()
-) -> tuple[Float[np.ndarray, " rows"], int]:
-    """Return the numbers in a column, NaN for empty cells and for `nulls`, and the number of cells that are `nulls`.
-
-    **Raises:** `InputError` for other text.
-    """
+def column_numbers(place: Place, name: str, index: int, rows: Rows) -> Float[np.ndarray, " rows"]:
+    """Return the numbers in a column, NaN for empty cells; raise `InputError` for other text."""
     values = np.full(len(rows), np.nan)
     for position, (line, row) in enumerate(rows):
         if cell := row[index].strip():
@@ -174,44 +161,4 @@ def column_numbers(
             except ValueError:
                 fault = f"{shown(cell)} is not a number; write one, like 0.4, or leave it empty"
                 raise place.at(f"line {line}, column {name}").error(fault) from None
-    null = np.isin(values, nulls)
-    return np.where(null, np.nan, values), int(null.sum())
-
-
-def read_las(place: Place, text: str) -> tuple[int, list[str], Rows, float | None]:
-    """Return the line of the section ~Curve, its names with units, the rows, and the number of a missing value.
-
-    **Raises:** `InputError` if the text is not LAS 2.0 with one row on a line.
-    """
-    try:
-        import lasio
-    except ImportError:
-        raise place.error('LAS files need lasio, which is not installed; pip install "vibrojax[las]"') from None
-    plain = text.splitlines()
-    sections = {line[1:2].upper(): number for number, line in enumerate(plain, 1) if line.startswith("~")}
-    for letter, name in (("V", "~Version"), ("C", "~Curve"), ("A", "~ASCII")):
-        if letter not in sections:
-            raise place.error(f"not LAS 2.0: it has no section {name}")
-    try:
-        las = lasio.read(io.StringIO("\n".join(plain)), ignore_data=True)
-        version, wrap = float(las.version.VERS.value), str(las.version.WRAP.value).strip().upper()
-    except Exception:  # lasio has no error of its own for a malformed header
-        fault = "not LAS 2.0: its header cannot be read; it needs VERS and WRAP in ~Version, and a curve on each line"
-        raise place.at(f"line {sections['V']}").error(f"{fault} of ~Curve") from None
-    if version > 2 or wrap == "YES":
-        fault = "its lines are wrapped (WRAP YES)" if wrap == "YES" else f"it is LAS {version:g}"
-        raise place.at(f"line {sections['V']}").error(f"{fault}; write LAS 2.0 with one row on a line")
-    header = [f"{c.original_mnemonic} ({c.unit})" if c.unit else str(c.original_mnemonic) for c in las.curves]
-    rows = []
-    for number in range(sections["A"] + 1, len(plain) + 1):
-        cells = plain[number - 1].split()
-        if not cells or cells[0].startswith("#"):
-            continue
-        if len(cells) != len(header):
-            fault = f"has {len(cells)} cells; {len(header)} are needed, one a curve"
-            raise place.at(f"line {number}, from {cells[0]}").error(fault)
-        rows.append((number, cells))
-    if not rows:
-        raise place.at(f"line {sections['A']}").error("no rows below ~ASCII; add a line for each measurement")
-    null = las.well["NULL"].value if "NULL" in las.well else None
-    return sections["C"], header, rows, float(str(null)) if is_number(str(null)) else None
+    return values

@@ -34,7 +34,7 @@ unit as people usually write it."""
 # no prefixes, because mN (milli) and MN (mega) are easily confused. pint's own list of units is not used, because it
 # contains words that are also column names ("bit", "point").
 _DEFINITIONS = """
-    m = [length]
+    m = [length] = m = meter = meters = metre = metres = mts
     s = [time] = s = sec
     kg = [mass]
     [force] = [mass] * [length] / [time] ** 2
@@ -51,7 +51,7 @@ _DEFINITIONS = """
     min = 60 s
     hour = 3600 s = h = hr
     fph = foot / hour
-    tonne = 1e3 kg = t = ton = tons = tonnes = tf
+    tonne = 1e3 kg = t = ton = tons = tonnes = tf = mt
     pound = 0.45359237 kg = lb = lbs
     N = kg * m / s ** 2
     kN = 1e3 N
@@ -75,12 +75,12 @@ _DEFINITIONS = """
     hp = 745.6998715822702 w
     psi = lbf / inch ** 2
     liter = 1e-3 m ** 3 = l = liters = litre = litres
-    gal = 3.785411784e-3 m ** 3
+    gal = 3.785411784e-3 m ** 3 = gal = galus
     bbl = 42 gal
     gpm = gal / min
     lpm = liter / min
     hertz = 1 / s = Hz
-    rev = 1 = rev = cycle = cycles
+    rev = 1 = rev = cycle = cycles = tr
     rpm = 1 / min = rpm = bpm
 """
 _STANDARD_GRAVITY = 9.80665  # m/s2, for tonnes and pounds that are used as units of force
@@ -92,6 +92,11 @@ _powers = partial(re.compile(r"(?<=[A-Za-zµ])(?=-?\d)").sub, "**")  # "m s-1" i
 _MILLI = re.compile(r"\bm([nN]|[pP]a)\b")
 _PER = re.compile("_per_", re.IGNORECASE)  # of "ft_per_hr"
 _SEPARATORS = re.compile(r"(?<=[A-Za-z])[-_.](?=[A-Za-z])")  # of "k-lbs", "ft_lb" and "kN.m"
+_THOUSAND = re.compile(r"1000[ .*]?(?=[a-z])", re.IGNORECASE)  # of "1000 lbf"
+_CYCLES = re.compile(r"\bc/(?=s\b|min\b)", re.IGNORECASE)  # of "c/min"
+_ABBREVIATED = {("m", "f"): "ft", ("N m", "lb.f"): "ft*lbf"}
+"""Abbreviations of logs that mean this for one SI unit only."""
+_LONGEST_UNIT = 40
 
 
 @cache
@@ -108,6 +113,7 @@ def _registry() -> "pint.UnitRegistry":
 
     context = pint.Context("weight")
     context.add_transformation("[mass]", "[force]", weight)
+    context.add_transformation("[mass] * [length]", "[force] * [length]", weight)  # of "lb.ft"
     registry.add_context(context)
     return registry
 
@@ -116,21 +122,31 @@ def _registry() -> "pint.UnitRegistry":
 def factor(unit: str, si: str) -> float | None:
     """Return the factor that converts a number in `unit` to the SI unit `si`, or None if the dimensions differ.
 
-    Case does not matter, except that mN and mPa are rejected. If `si` is a force, a unit of mass stands for its weight.
-    Spellings of rig data such as `ft_per_hr`, `k-lbs` and `kN.m` are known.
+    Case does not matter, except that mN and mPa are rejected. If `si` is a force, a unit of mass stands for its weight,
+    also in a torque. Spellings of rig data such as `ft_per_hr`, `k-lbs`, `kN.m` and `1000 lbf` are known.
     """
     unit = "1" if unit.strip() == "-" else unit.strip().replace("·", "*").replace("\N{GREEK SMALL LETTER MU}", "µ")
-    unit = _SEPARATORS.sub("", _PER.sub("/", unit).replace("c/s", "rev/s"))
-    if not _UNIT.fullmatch(unit) or _MILLI.search(unit):
+    unit = _ABBREVIATED.get((si, unit.casefold()), unit)
+    if len(unit) > _LONGEST_UNIT:  # pint's parser is recursive
         return None
+    if _THOUSAND.match(unit):
+        scale = factor(_THOUSAND.sub("", unit), si)
+        return None if scale is None else 1e3 * scale
+    unit = _CYCLES.sub("rev/", _PER.sub("/", unit))
     import pint
 
-    try:
-        return float(_registry().Quantity(1.0, unit).to(si, "weight").magnitude)
-    except pint.PintError:
-        return None
+    for mark in ("", "*"):  # "kN.m" is in the list above; "lb.ft" is a product
+        text = _SEPARATORS.sub(mark, unit)
+        if not _UNIT.fullmatch(text) or _MILLI.search(text):
+            return None
+        try:
+            return float(_registry().Quantity(1.0, text).to(si, "weight").magnitude)
+        except pint.PintError:
+            continue
+    return None
 
 
+@cache
 def is_unit(text: str) -> bool:
     """Return whether `text` is a known unit of any dimension."""
     return text in UNITS or any(factor(text, si) is not None for si in UNITS)

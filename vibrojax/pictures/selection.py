@@ -1,5 +1,6 @@
 """Selection of the lanes that a picture shows: those at specified values, or not more than can be drawn."""
 
+import re
 from collections.abc import Mapping
 from math import prod
 
@@ -9,7 +10,10 @@ from jaxtyping import Int
 
 from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.io.kinds import kind_of
+from vibrojax.io.log_filters import read_conditions
+from vibrojax.io.tables import is_number
 from vibrojax.physics.meanings import suggest_coordinate
+from vibrojax.physics.units import factor
 from vibrojax.pictures.axes import short
 from vibrojax.pictures.branches import FAMILY, numbers_of
 from vibrojax.pictures.contents import FORM, is_numeric, lane_dims, named_groups
@@ -28,7 +32,8 @@ def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
 
     Families are selected by the coordinates that distinguish them, or by `branch`.
 
-    **Arguments:** `where`: values by name: numbers in the dataset's unit, accurate to four digits, or strings.
+    **Arguments:** `where`: values by name: numbers in the dataset's unit, accurate to four digits, or strings; or
+    conditions such as "v (mm/s) < 2".
 
     **Raises:** `InputError` if there is no such axis, or the axis has no such value.
     """
@@ -74,6 +79,8 @@ def _select_families(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
 def _find(data: xr.DataArray, value: Value) -> Int[np.ndarray, " indices"]:
     """Return the indices of a value; raise `InputError` that lists the existing values if it does not occur."""
     values = data.values
+    if is_numeric(data) and isinstance(value, str) and re.search("[<>=]", value):
+        return _compared(data, value)
     if is_numeric(data):
         try:
             number = float(value)
@@ -99,6 +106,20 @@ def _find(data: xr.DataArray, value: Value) -> Int[np.ndarray, " indices"]:
         more = f" and {len(names) - _LISTED_NAMES} more" if len(names) > _LISTED_NAMES else ""
         choices = f"there are {', '.join(map(short, names[:_LISTED_NAMES]))}{more}"
     raise InputError(f"where: no lane has {data.name} = {value}; {choices}")
+
+
+def _compared(data: xr.DataArray, text: str) -> Int[np.ndarray, " indices"]:
+    """Return the indices of the values that meet a condition, such as "v (mm/s) < 2"."""
+    (condition,) = read_conditions(text)
+    scale = 1.0 if condition.unit is None else factor(condition.unit, str(data.attrs.get("units", "1")))
+    if scale is None or not is_number(condition.value):
+        raise InputError(
+            f"where: {text} does not suit {data.name} [{data.attrs.get('units', '1')}]; write a number in its unit"
+        )
+    indices = np.flatnonzero(condition.holds(data.values, float(condition.value) * scale))
+    if not indices.size:
+        raise InputError(f"where: no lane has {text}; there are {data.values.min():.6g} to {data.values.max():.6g}")
+    return indices
 
 
 def thin_out(ds: xr.Dataset) -> xr.Dataset:

@@ -199,7 +199,7 @@ _HOMES = {
     "study": "effects:Studies",
     "rig": "rig_analysis:Rigs",
     "calibration": "calibration_analysis:Calibrations",
-    "fit": "rop_analysis:Fits",
+    "fit": "rop_picture:Fits",
     "accuracy": "accuracy_picture:AccuracyStudy",
     "sensitivity": "sensitivity_analysis:Sensitivity",
 }

@@ -291,7 +291,7 @@ def _read_table(
             if len({*header}) < len(header):
                 raise place.at(f"line {line}").error("has two columns of one name; give each column once")
             wanted = [k for k, name in enumerate(header) if chosen is None or quantity_of(name)[0]]
-            data = {header[k]: column_numbers(place, header[k], k, rows)[0] for k in wanted}
+            data = {header[k]: column_numbers(place, header[k], k, rows) for k in wanted}
             numbers = np.array([number for number, _ in rows])
     if isinstance(data, xr.Dataset):
         data = {name: x.values for name, x in data.variables.items() if x.ndim == 1}

@@ -1,96 +1,259 @@
-"""The analysis `rig`: summary, and picture of rate over weight and of tracks over depth."""
+"""The analysis `rig`: specific energies, founder point and stick-slip of a rig log, drawn as tracks over depth."""
 
+from collections.abc import Mapping
 from textwrap import fill
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
+from vibrojax.errors import InputError, Place
 from vibrojax.io.attributes import text_of
-from vibrojax.io.riglog import LIMITS_OF_LOGS, log_lines
+from vibrojax.io.log_columns import LINE, RATE, ROTATION_SPEED, WEIGHT
+from vibrojax.io.log_filters import Where
+from vibrojax.io.riglog import LIMITS_OF_LOGS, Nulls, Source, log_lines, open_log, to_dataset
 from vibrojax.io.variables import Variable
-from vibrojax.pictures.axes import axis, margins, pretty_unit, scale
-from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Sheet, dots
+from vibrojax.pictures.axes import margins, pretty_unit
+from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Sheet, dots, upright
 from vibrojax.pictures.style import BIT, IMPACT
-from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart
-from vibrojax.studies.rig_measures import FOUNDER_REASONS, SCHEMA, rig
+from vibrojax.settings.values import choice, warn_if_far
+from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.studies.analysis import Source as AnalysisSource
+from vibrojax.studies.rop_blocks import find_founder, wrong_rows
 
-TRACKS = (
-    *("rate_of_penetration", "weight_on_bit", "rotary_speed", "torque"),
-    *("specific_energy", "percussive_specific_energy", "stick_slip_index", "torque_stick_slip"),
-)
+WINDOW = 30.0
+"""Length [s] of the windows of the stick-slip index from torque: several periods of a drill string's torsion."""
+
+SLOWEST_SAMPLING = 2.0
+"""Longest time [s] between rows for that index. Rarer rows miss the torque's extremes within a period."""
+
+MIN_ROWS = 30
+"""Least number of rows from which a founder point is sought."""
+
+FOUNDER_REASONS = ("found", "no-bend", "too-few-rows", "no-weight")
+_NEEDED = {
+    "specific_energy": (WEIGHT, ROTATION_SPEED, "torque", "bit_diameter"),
+    "percussive_specific_energy": ("impact_power", "bit_diameter"),
+    "torque_stick_slip": ("time", "torque"),
+}
+SCHEMA = {
+    "specific_energy": Variable("J m-3", "mechanical specific energy W/A + omega T/(A R) (Teale 1965)"),
+    "percussive_specific_energy": Variable("J m-3", "power of the impacts over volume drilled per second"),
+    "torque_stick_slip": Variable(
+        "1", "stick-slip index (Tmax - Tmin)/(2 Tmean) of the surface torque over 30 s around the row"
+    ),
+    "founder_weight": Variable("N", "weight on bit above which the rate does not rise: founder point"),
+    "slope_below": Variable("m s-1 N-1", "rate per weight below the founder point, or everywhere"),
+    "slope_above": Variable("m s-1 N-1", "rate per weight above the founder point"),
+    "founder_reason": Variable("1", "whether there is a founder point", np.int8, FOUNDER_REASONS),
+}
+TRACKS = (RATE, WEIGHT, ROTATION_SPEED, "torque", *_NEEDED, "stick_slip_index")
 """Variables that are drawn over depth, as far as the log has them."""
 
+_DRILLERS = {
+    "m s-1": (3600.0, "m/h"),
+    "rad s-1": (30 / np.pi, "rpm"),
+    "N": (1e-3, "kN"),
+    "N m": (1e-3, "kN m"),
+    "J m-3": (1e-6, "MPa"),
+}
+"""Factor and name of the units of drillers, by SI unit."""
+
+UNITS = ("driller", "si")
 _TITLE_LETTERS = 18  # of a line above a track
+_TRIM = (2.0, 98.0)
+"""Percentiles between which most values lie. Values further away than these differ are not drawn, but counted."""
+
+_LOG_SPAN = 30.0
+"""Ratio of the largest to the least energy from which its axis is logarithmic."""
+
+Rows = Float[np.ndarray, " rows"]
+
+
+def rig(
+    source: Source,
+    columns: Mapping[str, str] | None = None,
+    where: Where = None,
+    nulls: Nulls = None,
+    units: str = "driller",
+) -> xr.Dataset:
+    """Compute from a rig log what drilling engineers look at: specific energies, founder point, stick-slip.
+
+        log = vj.rig("log.csv", columns={"bit_diameter": "8.5 in"})
+        vj.picture(log)
+
+    With the weight W [N], the rotary speed omega [rad/s], the torque T [N m], the rate R [m/s] and the area A of a bit
+    of the given diameter, the mechanical specific energy is W/A + omega T/(A R) (Teale 1965). In field units this is 4
+    WOB/(pi D²) + 480 TOR RPM/(D² ROP). The percussive one is the power of the impacts over A R. It needs the column or
+    value `impact_power`, which rotary rigs do not have.
+
+    The founder point is the weight above which the rate does not rise, if the data show one: see [vibrojax.fit_rop][].
+
+    At least three definitions of the stick-slip index are in use. `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the
+    surface torque. A `stick_slip_index` of the log is kept as given.
+
+    **Arguments:** `source`, `columns`, `where`, `nulls`: as for [vibrojax.read_log][]; `units`: of pictures and
+    summaries, "driller" (m/h, rpm, kN, MPa) or "si". The dataset is in SI units.
+
+    **Returns:** the log with `specific_energy`, `percussive_specific_energy` [J/m³] and `torque_stick_slip` along
+    `row`, where its columns allow them (else NaN; `notes` says why), `founder_weight` [N], `slope_below`, `slope_above`
+    and `founder_reason`.
+
+    **Raises:** `InputError`.
+
+    **Example:**
+
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"WOB (kN)": [100, 120], "RPM (rpm)": 120, "Torque (kN.m)": 5, "ROP (m/h)": [18, 20]})
+    >>> log = vj.rig(table, columns={"bit_diameter": "8.5 in"})
+    >>> (log.specific_energy / 1e6).values.round().tolist()  # MPa
+    [346.0, 312.0]
+    """
+    read = open_log(source, columns, where, nulls, name="rig")
+    for place, quantity, median, likely in read.unusual:
+        warn_if_far(place, quantity, median, likely)
+    log = to_dataset(read.data)
+    # Names of other columns may hold what a netCDF file does not accept.
+    log = log.drop_vars([name for name in log.coords if name != LINE])
+    if RATE not in log:
+        raise InputError(f'rig: the log has no rate of penetration; name its column: --columns {RATE}="ROP (m/h)"')
+    none = np.full(log.sizes["row"], np.nan)
+    of = {str(name): log[name].values.astype(float) for name in log.data_vars}
+    rate, area = of[RATE], np.pi / 4 * of.get("bit_diameter", none) ** 2
+    weight, torque, speed = (of.get(name, none) for name in (WEIGHT, "torque", ROTATION_SPEED))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = {
+            "specific_energy": np.where(rate > 0, weight / area + speed * torque / (area * rate), np.nan),
+            "percussive_specific_energy": np.where(rate > 0, of.get("impact_power", none) / (area * rate), np.nan),
+            "torque_stick_slip": torque_stick_slip(of.get("time", none), torque),
+        }
+    notes = [log.attrs["notes"]] if log.attrs["notes"] else []
+    for name, names in _NEEDED.items():
+        if missing := [column for column in names if column not in of]:
+            hint = ', which columns may give, like bit_diameter="8.5 in"' * ("bit_diameter" in missing)
+            notes.append(f"{name} is not known: the log has no {' and no '.join(missing)}{hint}")
+        elif name == "torque_stick_slip" and not np.isfinite(values[name]).any():
+            notes.append(f"{name} is not known: rows are more than {SLOWEST_SAMPLING:g} s apart")
+    table: dict[str, Any] = {name: ("row", value) for name, value in values.items()}
+    table |= {name: ((), value) for name, value in founder_point(weight, rate).items()}
+    own = Rigs().dataset(table, {}, title=log.attrs["title"])
+    more = {"notes": "; ".join(notes), "drawn_in": choice(Place("rig", "units"), units, UNITS)}
+    return log.assign(own.data_vars).assign_attrs(own.attrs | more)
+
+
+def founder_point(weight: Rows, rate: Rows) -> dict[str, float]:
+    """Return the founder weight [N], the slopes below and above it, and why there is none; rows in order of depth."""
+    known = np.isfinite(weight) & np.isfinite(rate) & (weight > 0)
+    result = dict.fromkeys(("founder_weight", "slope_below", "slope_above"), np.nan) | {"founder_reason": 3}
+    if known.sum() < MIN_ROWS or np.ptp(weight[known]) == 0:
+        return result | {"founder_reason": FOUNDER_REASONS.index("too-few-rows" if known.any() else "no-weight")}
+    x, y = weight[known], rate[known]
+    right = ~np.any([*wrong_rows(x / np.median(x), x, y, "soft-l1").values()], axis=0)
+    x, y = x[right], y[right]
+    founder = find_founder(x / np.median(x), x, y)
+    below = ~(x > founder.weight)
+    slope = np.polyfit(x[below] / x.max(), y[below], 1)[0] / x.max()
+    reason = FOUNDER_REASONS.index("found" if np.isfinite(founder.weight) else "no-bend")
+    return dict(zip(result, (founder.weight, slope, -founder.fall, reason), strict=True))
+
+
+def torque_stick_slip(time: Rows, torque: Rows) -> Rows:
+    """Return (Tmax - Tmin)/(2 Tmean) over `WINDOW` around each row; NaN where rows are too far apart."""
+    result = np.full(len(time), np.nan)
+    if len(time) < 2 or not np.isfinite(time).all():
+        return result
+    begins = np.searchsorted(time, time - WINDOW / 2)
+    ends = np.searchsorted(time, time + WINDOW / 2, side="right")
+    for row, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        part, times = torque[begin:end], time[begin:end]
+        full = times[-1] - times[0] >= 0.8 * WINDOW and np.diff(times).max(initial=0.0) <= SLOWEST_SAMPLING
+        if full and np.isfinite(part).all() and part.mean() > 0:
+            result[row] = np.ptp(part) / (2 * part.mean())
+    return result
 
 
 def rig_picture(ds: xr.Dataset) -> Sheet:
     """Draw the rate over the weight with the founder point, and the tracks over depth or row."""
     tracks = [name for name in TRACKS if name in ds and np.isfinite(ds[name].values).any()]
-    plots = [_founder_plot(ds)] if "weight_on_bit" in ds else []
-    over = "depth" if "depth" in ds and np.isfinite(ds["depth"].values).all() else None
+    over = "depth" if "depth" in ds and np.isfinite(ds["depth"].values).all() else ""
     height = ds[over].values if over else np.arange(ds.sizes["row"])
     ends = float(height.min()), float(height.max())
-    up = Axis("depth [m]" if over else "row", over or "", ends, reversed=True, group="depth")
+    down = Axis("depth [m]" if over else "row", over, ends, reversed=True, group="depth")
+    founder, force = float(ds["founder_weight"]) * _unit(ds, "N")[0], _unit(ds, "N")[1]
+    mark: list[Layer] = [upright(founder, colour=IMPACT, dash="--", width=1.0)] if np.isfinite(founder) else []
+    plots = []
+    if WEIGHT in ds:
+        across, up = (_axis(ds, name, name.replace("_", " "), 5) for name in (WEIGHT, RATE))
+        cloud = dots(_drawn(ds, WEIGHT)[0], _drawn(ds, RATE)[0], colour=FAINT, size=1.5)
+        title = f"founder point at {founder:.3g} {force}" if mark else "no founder point"
+        plots.append(Plot([cloud, *mark], across, up, title))
     for k, name in enumerate(tracks, 1):
-        factor, unit = scale(ds[name])
-        line = Line(ds[name].values * factor, height, BIT, 0.6)
-        across = Axis(f"[{pretty_unit(unit)}]" if pretty_unit(unit) else "", name, intervals=3)
-        plots.append(Plot([line], across, up, fill(name.replace("_", " "), _TITLE_LETTERS), (0, k)))
-    widths = [2.2, *[1.0] * len(tracks)]
-    return Sheet(plots, (4.4 + 1.5 * len(tracks), 5.0), widths, **margins(ds, point=LIMITS_OF_LOGS))
+        line = Line(_drawn(ds, name)[0], height, BIT, 0.6, marker=".", size=1.0)
+        title = fill(name.replace("_", " ").replace("percussive specific", "percussive"), _TITLE_LETTERS)
+        plots.append(Plot([line, *mark * (name == WEIGHT)], _axis(ds, name), down, title, (0, k)))
+    widths = [2.4, *[1.0] * len(tracks)]
+    return Sheet(plots, (4.4 + 1.5 * len(tracks), 5.6), widths, **margins(ds, point=LIMITS_OF_LOGS))
 
 
-def _founder_plot(ds: xr.Dataset) -> Plot:
-    weight, rate = ds["weight_on_bit"], ds["rate_of_penetration"]
-    across, up = scale(weight)[0], scale(rate)[0]
-    layers: list[Layer] = [dots(weight.values * across, rate.values * up, colour=FAINT, size=1.5)]
-    founder, title = float(ds["founder_weight"]), "no founder point"
-    if np.isfinite(founder):
-        below, above = float(ds["slope_below"]), float(ds["slope_above"])
-        x = np.array([np.nanmin(weight.values), founder, np.nanmax(weight.values)])
-        rise = below * np.minimum(x - founder, 0.0) + above * np.maximum(x - founder, 0.0)
-        inside = below * np.minimum(weight.values - founder, 0.0) + above * np.maximum(weight.values - founder, 0.0)
-        height = np.nanmean(rate.values - inside)
-        layers.append(Line(x * across, (height + rise) * up, BIT, 1.5))
-        layers.append(dots([founder * across], [height * up], marker="*", colour=IMPACT, size=10.0, order=3.0))
-        title = f"founder point at {founder * across:.3g} {pretty_unit(scale(weight)[1])}"
-    return Plot(layers, axis(weight), axis(rate), title)
+def _axis(ds: xr.Dataset, name: str, text: str = "", intervals: int = 3) -> Axis:
+    """Return an axis on which no spike flattens the other values; its label says how many are beyond."""
+    values, unit = _drawn(ds, name)
+    low, high, is_log, beyond = _limits(values, "energy" in name)
+    label = " ".join(filter(None, (text, f"[{unit}]" if unit else "", f"\n{beyond} beyond" if beyond else "")))
+    return Axis(label, name, (low, high), log=is_log, intervals=intervals)
+
+
+def _limits(values: Rows, is_energy: bool = False) -> tuple[float, float, bool, int]:
+    """Return limits and scale of an axis on which no spike flattens the other values, and how many are beyond."""
+    known = values[np.isfinite(values)]
+    near, far = np.percentile(known, _TRIM)
+    low, high = max(known.min(), 2 * near - far), min(known.max(), 2 * far - near)
+    if is_energy and near > 0 and known.max() > _LOG_SPAN * near:
+        return near / 2, known.max() * 1.3, True, int((known < near / 2).sum())
+    margin = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
+    return low - margin, high + margin, False, int(((known < low) | (known > high)).sum())
+
+
+def _unit(ds: xr.Dataset, unit: str) -> tuple[float, str]:
+    """Return factor and name of the unit in which values in an SI unit are drawn and printed."""
+    return (
+        (1.0, pretty_unit(unit)) if ds.attrs.get("drawn_in") == "si" else _DRILLERS.get(unit, (1.0, pretty_unit(unit)))
+    )
+
+
+def _drawn(ds: xr.Dataset, name: str) -> tuple[Rows, str]:
+    factor, unit = _unit(ds, str(ds[name].attrs.get("units", "1")))
+    return ds[name].values * factor, unit
 
 
 class Rigs(Analysis):
     """Compute specific energies, the founder point and stick-slip of a rig log, and draw tracks over depth."""
 
     kind = "rig"
-    variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
-    pictures = (PictureRule("a rig log", lambda held: "founder_weight" in held.variables, rig_picture),)
+    variables: ClassVar[dict[str, Variable]] = SCHEMA
+    pictures = (PictureRule("a rig log", lambda held: "specific_energy" in held.variables, rig_picture),)
 
-    def run(self, source: Source, progress: bool = True) -> xr.Dataset:
+    def run(self, source: AnalysisSource, progress: bool = True) -> xr.Dataset:
         """Compute the measures, as [vibrojax.rig][] does."""
         return rig(source)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return how the log was read, the founder point, the medians of the measures, and what the log can inform."""
-        lines = []
-        reason = FOUNDER_REASONS[int(ds["founder_reason"])]
+        reason, (factor, unit) = FOUNDER_REASONS[int(ds["founder_reason"])], _unit(ds, "N")
+        founder = float(ds["founder_weight"])
+        lines = [f"no founder point ({reason})"]
         if reason == "found":
-            factor, unit = scale(ds["founder_weight"])
-            lines.append(f"founder point at a weight of {factor * float(ds['founder_weight']):.4g} {pretty_unit(unit)}")
-            share = float(ds["slope_above"] / ds["slope_below"])
-            lines[-1] += f"; above it the rate rises with {share:.2f} of the slope below"
-        else:
-            lines.append(f"no founder point ({reason})")
-        facts: dict[str, object] = {"founder_weight": float(ds["founder_weight"]), "founder_reason": reason}
-        for name in ("specific_energy", "percussive_specific_energy", "torque_stick_slip"):
-            values = ds[name].values[np.isfinite(ds[name].values)]
-            facts[name] = float(np.median(values)) if len(values) else None
-            if len(values):
-                factor, unit = scale(ds[name])
-                low, middle, high = factor * np.quantile(values, [0.1, 0.5, 0.9])
-                unit = pretty_unit(unit)
-                lines.append(
-                    f"{name.replace('_', ' ')}: median {middle:.3g}, 80 % from {low:.3g} to {high:.3g} {unit}".rstrip()
-                )
-        lines += [part for part in text_of(ds, "notes").split("; ") if " is not known: " in part]
-        read = [line for line in log_lines(ds) if line not in lines]
-        return [SummaryPart("log", read, {}), SummaryPart("rig", [*lines, LIMITS_OF_LOGS], {"rig": facts})]
+            does = "falls" if float(ds["slope_above"]) < 0 else "does not rise"
+            lines = [f"founder point at a weight of {factor * founder:.4g} {unit}; above it the rate {does}"]
+        facts: dict[str, object] = {"founder_weight": founder, "founder_reason": reason}
+        for name in _NEEDED:
+            values, unit = _drawn(ds, name)
+            if known := np.isfinite(values).any():
+                low, middle, high = np.nanquantile(values, [0.1, 0.5, 0.9])
+                about = f"median {middle:.3g}, 80 % from {low:.3g} to {high:.3g} {unit}"
+                lines.append(f"{name.replace('_', ' ')}: {about}".rstrip())
+            facts[name] = float(np.nanmedian(ds[name].values)) if known else None
+        unknown = [part for part in text_of(ds, "notes").split("; ") if " is not known: " in part]
+        read = [line for line in log_lines(ds) if line not in unknown]
+        return [SummaryPart("log", read, {}), SummaryPart("rig", [*lines, *unknown, LIMITS_OF_LOGS], {"rig": facts})]

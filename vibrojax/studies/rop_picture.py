@@ -1,17 +1,18 @@
-"""Pictures of the fitted law over one axis: data and curves, C with error bars, and the comparison of the forms."""
+"""The analysis `fit`: pictures of the law with its data, C and the comparison of the forms, as curves or maps."""
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.colors import ListedColormap
 
-from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log
-from vibrojax.pictures.axes import margins, scale, with_unit
-from vibrojax.pictures.colours import form_colour
-from vibrojax.pictures.contents import FORM, POINT, law_in
+from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log, log_lines
+from vibrojax.pictures.axes import margins, pretty_unit, scale, with_unit
+from vibrojax.pictures.colours import ROBUST, Value, form_colour, value_of
+from vibrojax.pictures.contents import FORM, POINT, Contents, law_in, long_axes
 from vibrojax.pictures.curves import MOST_ROWS, Across, longest_axis, rows_of
+from vibrojax.pictures.maps import map_sheet
 from vibrojax.pictures.plots import (
     FAINT,
     Area,
@@ -20,325 +21,346 @@ from vibrojax.pictures.plots import (
     Layer,
     Line,
     Look,
+    Picture,
     Plot,
     Sheet,
-    Text,
     bars,
     dots,
     key,
     level,
     patch,
+    upright,
 )
-from vibrojax.pictures.sheet import Facets, at, facets
-from vibrojax.studies.rop_blocks import Standing
-from vibrojax.studies.rop_dataset import formulas_of
-from vibrojax.studies.rop_forms import FORMS, SAME_AS_ONSET
+from vibrojax.pictures.sheet import LEGEND_WIDTH, Facets, at, facets
+from vibrojax.pictures.style import IMPACT
+from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.studies.rop_blocks import AIC_LIMITS, BLOCK_LIMITS, Founder, Standing
+from vibrojax.studies.rop_forms import FORMS, LOGARITHMIC, SAME_AS_ONSET
+from vibrojax.studies.rop_results import formulas_of, founders, verdict
 
-EQUAL_AIC = 2.0
-"""Difference of AIC up to which a form counts as equal to the best form."""
-
-_READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
-_MARKS = {
-    "onset": "o",
-    "literal": "s",
-    "percent": "^",
-    "line": "D",
-    "power": "v",
-    "constant": "P",
-}
-# If a difference of AIC exceeds the first value, the scale is logarithmic above the second.
-_LOG_AIC_FROM, _LINEAR_AIC = 30.0, 10.0
-_TICKS = (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
-_DODGE = 0.012  # offset between error bars at the same abscissa, as a fraction of the axis
-_MOST_GROUPS, _MOST_COLUMNS = 6, 3
-_ROW_HEIGHT = 2.4  # height of a row of panels [inch]
-_MANY_LANES = 60  # number of drawn lanes in a group from which on the markers are small
-_CLOUD = 300  # number of drawn lanes in a group from which on they are a faint cloud below the curves
-_CURVE_POINTS = 200
-_CHOSEN_SIZE = 7.0  # of the marker of the chosen form
+_MARKS = dict(zip(("onset", "literal", "percent", "line", "power", "constant"), "os^DvP", strict=True))
 # The power law often coincides with the straight line, the literal form with the onset form: dashed and on top, they
 # leave the colour of the other form visible.
 _DASHES: dict[str, Dash] = {"power": (0.0, (2.5, 2.0)), "literal": (0.0, (1.5, 2.5))}
-_RELIEF, _RATE, _USE = "data_relief", "data_rate_of_penetration", "data_use"
-_RATES = {form.name: form.rate for form in FORMS}
-
 _USES: dict[str, tuple[str, Look]] = {
     "fitted": ("data", {"edge_width": 0.0}),
     "censored": ("no penetration (censored)", {"face": "white", "edge_width": 0.9}),
-    "left-out": ("left out of the fit", {"marker": "x", "colour": FAINT, "edge_width": 1.2}),
+    "above-founder": ("above the founder weight", {"marker": "+", "edge_width": 0.7, "size": 5.0}),
+    "left-out": ("left out of the fit", {"marker": "x", "colour": IMPACT, "edge_width": 1.2, "size": 5.0}),
 }
+_RELIEF, _RATE, _USE, _THRESHOLD = "data_relief", "data_rate_of_penetration", "data_use", "data_threshold"
+_RATES = {form.name: form.rate for form in FORMS}
+_MOST_GROUPS, _MOST_COLUMNS = 6, 3
+_ROW_HEIGHT, _ONE_HEIGHT, _FORMS_HEIGHT = 2.4, 3.6, 1.8  # of rows of groups, of a single group, of forms [inch]
+_LEAST_WIDTH = 8.5
+_MANY_LANES, _CLOUD = 60, 300  # lanes from which on the markers are small, and a faint cloud below the curves
+_CURVE_POINTS = 200
+_SHIFT = 0.012  # between forms at the same abscissa, as a fraction of the axis
+_MOST_EVIDENCE = 30.0  # against a form, up to which it is drawn
+_CHOSEN_SIZE = 7.0
+_SAME_ERROR = 0.1  # range of errors, relative to the greatest, up to which a note replaces their map
+_PER_HOUR = 3600.0
+
+
+def _is_law(held: Contents) -> bool:
+    return held.law and {"aic", "C_stderr"} <= held.variables
 
 
 def law_lines(fit: xr.Dataset) -> Sheet:
-    """Draw C and a comparison of the forms over the longest axis of the groups, below the data and their curves.
+    """Draw C and the evidence against each form over the longest axis of the groups, below the data and their curves.
 
-    C is that of each reading of the law, and the comparison is by AIC. For a log whose forms were compared over blocks
-    of rows, C is that of the forms that the data do not reject, and the comparison is the error of predicted rates.
+    C is that of the forms that the data do not reject. Without an axis, the panels of the data say C, and the evidence
+    is drawn over the forms.
     """
-    fit = _with_short_titles(law_in(fit))
+    fit = law_in(fit.drop_vars(["depth_from", "depth_to"], errors="ignore"))
     if "reference_force" in fit.attrs:  # the threshold is unknown: some forms are the same curve as another one
-        fit = fit.sel({FORM: [name for name in form_names(fit) if name not in SAME_AS_ONSET]})
-    x = longest_axis(fit)
+        fit = fit.sel({FORM: [name for name in _form_names(fit) if name not in SAME_AS_ONSET]})
+    x, names, limit = longest_axis(fit), _form_names(fit), _limit(fit)
     fit = fit.sortby(x.name) if x.is_number else fit
-    by_blocks, with_c, groups = _by_blocks(fit), readings(fit), groups_to_show(fit)
-    if by_blocks:  # the C of a form that the data reject means nothing
-        kept = fit["standing"] != Standing.REJECTED
-        fit = fit.assign(C=fit["C"].where(kept))
-        with_c = [name for name in form_names(fit) if bool((kept & fit["C"].notnull()).sel({FORM: name}).any())]
-    panels = facets(fit, (POINT, x.name), MOST_ROWS)
-    (factor, unit), names = scale(fit["C"]), form_names(fit)
-    across = [x.axis(fit, group=f"across{column}") for column in (0, 1)]
-    if not x.name:
-        across = [
-            replace(axis, ticks=[*zip(map(float, range(len(of))), of, strict=True)], limits=(-0.5, len(of) - 0.5))
-            for axis, of in zip(across, (with_c, names), strict=True)
-        ]
-    values = fit["C"].sel({FORM: with_c}).values * factor
-    up = Axis(with_unit("C", unit), "C", ticks=[], group="C")
-    if np.isfinite(values).any():  # the limits ignore error bars, which are huge for a failed fit
-        low, high = min(float(np.nanmin(values)), 0.0), max(float(np.nanmax(values)), 0.0)
-        room = 0.15 * ((high - low) or 1.0)
-        up = replace(up, ticks=None, limits=(low - room * (low < 0), high + room))
-    compared = Axis(with_unit("error of predicted rates", unit), "cv_error", (0.0, None), group="error")
-    if not by_blocks:
-        compared = _excess_axis(panels)
+    groups, panels = _groups_to_show(fit), facets(fit, (POINT, x.name), MOST_ROWS)
+    over_forms = Axis(ticks=[(float(k), name) for k, name in enumerate(names)], limits=(-0.5, len(names) - 0.5))
+    across = x.axis(fit) if x.name else replace(over_forms, group="across")
+    factor, unit = _rate_scale(fit, "C")
+    values = factor * fit["C"].where(_kept(fit)).values
+    low, high = (float(end(values[np.isfinite(values)], initial=0.0)) for end in (np.min, np.max))
+    room = 0.15 * (high - low) or 1.0
+    # Error bars do not count for the limits: they are huge for a failed fit.
+    up = Axis(with_unit("C", unit), "C", (low - room * (low < 0), high + room * (high > 0)), group="C")
+    evidence = Axis("evidence against the form", "evidence_against", (-1.0, 1.07 * _MOST_EVIDENCE), group="evidence")
+    ticks = *range(0, int(_MOST_EVIDENCE), 5), f"≥{_MOST_EVIDENCE:.0f}"
+    evidence = replace(evidence, ticks=[(5.0 * k, str(tick)) for k, tick in enumerate(ticks)])
     plots = []
     for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
-        layers = _coefficient_layers(facet, x, factor, with_c)
-        layers += [] if up.ticks is None else [Text(0.5, 0.6, "no group has a C", relative=True)]
-        other = _error_layers(facet, x, factor) if by_blocks else _excess_layers(facet, x, compared)
-        plots.append(Plot(layers, across[0], up, title, (row, 0), at(facet)))
-        plots.append(Plot(other, across[1], compared, "", (row, 1), at(facet)))
-    equal: list[Layer] = [patch(FAINT, "as good as the best", alpha=0.25, edge="")]
-    if by_blocks:
-        equal = [
-            dots(label="chosen form", size=_CHOSEN_SIZE),
-            dots(label="may be the truth too", face="white"),
-        ]
+        if x.name:
+            layers = [level(0.0, colour=FAINT, width=0.8), *_coefficient_layers(facet, x, factor)]
+            plots.append(Plot(layers, across, up, title, (row, 0), at(facet)))
+        layers = [Area([-np.inf, np.inf], [0.0] * 2, [limit] * 2, FAINT, 0.25), *_evidence_layers(facet, x)]
+        place = (row, 1) if x.name else (row, 0)
+        plots.append(Plot(layers, across, evidence, "" if x.name else title, place, at(facet)))
+    keys: list[Layer] = [patch(FAINT, f"not rejected: up to {limit:g}", alpha=0.25, edge="")]
+    keys += [dots(label="chosen form", size=_CHOSEN_SIZE)] if "standing" in fit else []
     over = "over the rows of the table" if fit.attrs.get("along") == POINT else f"along {fit.attrs.get('along')}"
     along = f"Fitted {over}; bars of one standard error, bands of that of C" if "along" in fit.attrs else ""
-    limits = LIMITS_OF_LOGS if is_log(fit) else ""
-    lacking = "" if by_blocks else _groups_without_c(fit)
-    about = margins(fit, panels.note, data_text(groups, fit), along, lacking, limits)
-    above, rows = fits_above(groups), rows_of(panels, 2)
-    if above is not None:
-        width, height = rows["size"]
-        rows["size"] = width, height + above.size[1]
-    return Sheet(plots, keys=[form_keys(fit), equal, use_keys(groups)], above=above, **rows, **about)
+    notes = panels.note, _data_text(groups, fit), along, LIMITS_OF_LOGS * is_log(fit)
+    rows = rows_of(panels, 1 + bool(x.name))
+    rows["size"] = rows["size"] if x.name else (rows["size"][0], _FORMS_HEIGHT * len(panels) + 0.8)
+    sheet = Sheet(plots, keys=[_form_keys(fit), keys, _use_keys(groups)], **rows, **margins(fit, *notes))
+    return _below(groups, sheet, with_c=not x.name)
+
+
+def law_map(fit: xr.Dataset) -> Sheet:
+    """Draw maps over the two longest axes: the chosen form of each group, C, and the relative error of C if it varies.
+
+    C is that of the form that all groups support or, if there is none, of a reading of the logarithmic law.
+    """
+    fit = law_in(fit)
+    x, y = long_axes(fit)[:2]
+    names = _form_names(fit)
+    likely = str(fit.attrs.get("verdict")), *LOGARITHMIC[::-1], names[0]
+    name = next(name for name in likely if name in names)
+    evidence = _evidence(fit).where(fit["standing"] == Standing.CHOSEN) if "standing" in fit else _evidence(fit)
+    best = evidence.fillna(np.inf).argmin(FORM).where(evidence.notnull().any(FORM))
+    best.attrs = {"flag_values": np.arange(len(names)), "flag_meanings": " ".join(names)}
+    shown = fit[["C", "C_stderr"]].sel({FORM: name}, drop=True).assign(best_form=best)
+    first = value_of(shown["best_form"])
+    colours = ListedColormap([form_colour(form) for form in first.names.values()], name="forms")
+    values: tuple[Value, ...] = replace(first, colour_map=colours.with_extremes(bad="#FFFFFF00")), value_of(shown["C"])
+    error = 100.0 * shown["C_stderr"] / np.abs(shown["C"])
+    error = error.where(np.isfinite(error)).assign_attrs(units="%")
+    about = f"C of the form {name}"
+    if error.notnull().any():
+        low, high = np.nanpercentile(error.values, ROBUST).tolist()  # without outliers
+        if high - low > _SAME_ERROR * high:
+            shown["C_relative_error"] = error
+            values = *values, value_of(shown["C_relative_error"])
+        else:
+            about += f", known to {high:.2g} %"
+    along = f"Fitted along {fit.attrs['along']}" if "along" in fit.attrs else ""
+    groups = _groups_to_show(fit)
+    sheet = map_sheet(shown.assign_attrs(fit.attrs), x, y, values, _data_text(groups, fit), along, about)
+    return _below(groups, sheet, [_form_keys(fit), _use_keys(groups)])
 
 
 def residuals(fit: xr.Dataset) -> Sheet:
-    """Draw the residuals of every form over the relief, with a panel for each group; no panels without the data."""
-    groups, plots = groups_to_show(law_in(fit)), []
+    """Draw the residuals of every form over the force or relief, with a panel for each group that has its data."""
+    groups, plots = _groups_to_show(law_in(fit)), []
     for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
-        factor, unit = scale(group[_RATE])
+        (factor, unit), (across, text) = _rate_scale(group, _RATE), _force_scale(group)
         relief, rate = (group[name].values[_use_masks(group).get("fitted", slice(0))] for name in (_RELIEF, _RATE))
         layers: list[Layer] = [level(0.0, colour=FAINT, width=0.8)]
-        for name in (name for name in form_names(group) if name in _RATES):
-            left = factor * (rate - _RATES[name](relief, *_coefficients(group.sel({FORM: name}))))
-            layers.append(Line(relief, left, label=name, **form_mark(name) | {"dash": "", "size": 3.5}))
+        for name in filter(_RATES.get, _form_names(group)):
+            left = factor * (rate - _RATES[name](relief, *_coefficients(group, name)))
+            layers.append(dots(across * relief, left, label=name, **_form_mark(name) | {"size": 3.5}))
         up = Axis(with_unit("measured less the form", unit), group="residuals")
-        words = f"residuals{f', {title}' if title else ''}"
-        plots.append(Plot(layers, Axis("relief P/D"), up, words, (0, k), at(group)))
+        plots.append(Plot(layers, Axis(text), up, f"residuals, {title}".rstrip(", "), (0, k), at(group)))
     return Sheet(plots, (8.0, 2.6), (1.0,) * max(len(plots), 1))
 
 
-def _with_short_titles(fit: xr.Dataset) -> xr.Dataset:
-    """Return the fit with the depths of segments as their names, and without those of other groups."""
-    if "depth_from" not in fit.coords:
-        return fit
-    fit, ends = fit.drop_vars(["depth_from", "depth_to"]), (fit["depth_from"].values, fit["depth_to"].values)
-    if "segment" in fit.coords:
-        names = [f"{low:.0f} to {high:.0f} m" for low, high in zip(*ends, strict=True)]
-        fit = fit.drop_vars("segment").assign_coords(depth=("group", names))
-    return fit
+class Fits(Analysis):
+    """The fit of the rate-of-penetration law to a sweep's dataset or to rig data."""
+
+    kind = "fit"
+    pictures = (
+        PictureRule("law", lambda held: _is_law(held) and len(held.long) > 1, law_map),
+        PictureRule("law", _is_law, law_lines),
+    )
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        return [SummaryPart("columns", log_lines(ds))]
+
+    def page_figures(self, ds: xr.Dataset) -> Sequence[Picture]:
+        return [self.plots(ds), residuals(ds)]  # type: ignore[list-item]
+
+    def page_text(self, ds: xr.Dataset) -> list[SummaryPart]:
+        return [SummaryPart("forms of the law", verdict(ds)), *self.summary(ds)]
 
 
-def _by_blocks(fit: xr.Dataset) -> bool:
+def _form_names(fit: xr.Dataset) -> list[str]:
+    return [str(name) for name in fit[FORM].values]
+
+
+def _is_by_blocks(fit: xr.Dataset) -> bool:
     """Return whether the forms were compared over blocks of rows."""
     return "cv_error" in fit and bool(fit["cv_error"].notnull().any())
 
 
-def _groups_without_c(fit: xr.Dataset) -> str:
-    """Return the note on groups without a C: their number per reading if the numbers differ."""
-    lacking = {name: int(np.isnan(fit["C"].sel({FORM: name}).values).sum()) for name in readings(fit)}
-    counts = [f"{name}: {count}" for name, count in lacking.items() if count]
-    if len(set(lacking.values())) == 1:
-        counts = [str(count) for count in lacking.values() if count][:1]
-    return f"Groups without a C, of {fit['C'].size // fit.sizes[FORM]}: {', '.join(counts)}" if counts else ""
+def _limit(fit: xr.Dataset) -> float:
+    """Return the evidence beyond which a form is rejected."""
+    return (BLOCK_LIMITS if _is_by_blocks(fit) else AIC_LIMITS)[1]
 
 
-def _places(form: xr.Dataset, x: Across, k: int) -> np.ndarray:
-    """Return the abscissae of the values of a form, the k-th of its panel."""
-    return x.of(form) if x.name else np.array([float(k)])
+def _evidence(fit: xr.Dataset) -> xr.DataArray:
+    """Return the evidence against each form, by AIC in datasets that store none."""
+    return fit["evidence_against"] if "evidence_against" in fit else fit["aic"] - fit["aic"].min(FORM)
 
 
-def _coefficient_layers(facet: xr.Dataset, x: Across, factor: float, names: Sequence[str]) -> list[Layer]:
-    """Return C of the named forms with error bars; forms are slightly offset along the abscissa."""
-    layers: list[Layer] = [level(0.0, colour=FAINT, width=0.8)]
-    for k, name in enumerate(names):
-        form = facet.sel({FORM: name})
-        values = np.atleast_1d(form["C"].values) * factor
-        errors = np.nan_to_num(np.atleast_1d(form["C_stderr"].values) * factor, posinf=0.0)
-        places = _places(form, x, k)
-        if x.name:
-            places = places + _DODGE * (float(np.ptp(places)) if x.is_number else 4.0) * k
-        ends = bars(places, values - errors, values + errors)
-        layers.append(Line(*ends, form_colour(name), 0.9, marker="_"))
-        layers.append(Line(places, values, **form_mark(name, x)))
-    return layers
+def _kept(fit: xr.Dataset) -> xr.DataArray:
+    """Return which forms the data do not reject."""
+    return fit["standing"] != Standing.REJECTED if "standing" in fit else _evidence(fit) <= _limit(fit)
 
 
-def _error_layers(facet: xr.Dataset, x: Across, factor: float) -> list[Layer]:
-    """Return the error of rates predicted from other blocks: the chosen form large, undecided ones hollow."""
-    layers: list[Layer] = []
-    for k, name in enumerate(form_names(facet)):
-        form = facet.sel({FORM: name})
-        errors, standing = (np.atleast_1d(form[variable].values) for variable in ("cv_error", "standing"))
-        places = _places(form, x, k)
-        layers.append(Line(places, factor * errors, **form_mark(name, x)))
-        rings = np.isin(standing, (Standing.UNDECIDED, Standing.CONTAINS_CHOSEN))
-        for mask, look in ((rings, {"face": "white"}), (standing == Standing.CHOSEN, {"size": _CHOSEN_SIZE})):
-            layers.append(Line(places[mask], factor * errors[mask], **form_mark(name, x) | {"dash": ""} | look))
-    return layers
+def _rate_scale(fit: xr.Dataset, name: str) -> tuple[float, str]:
+    """Return the factor and the unit of rates: m/h for logs, as drillers write them."""
+    return (_PER_HOUR, "m/h") if is_log(fit) else scale(fit[name])
 
 
-def _excess_axis(panels: Facets) -> Axis:
-    """Return the axis of differences of AIC from zero upwards; large ones are logarithmic above a bound."""
-    greatest = max(float(np.nanmax(above_best(facet).values, initial=0.0)) for facet in panels.data)
-    axis = Axis("AIC above the best form", "aic", (-0.5, max(1.1 * greatest, 2.0 * EQUAL_AIC)), group="aic")
-    if greatest <= _LOG_AIC_FROM:
-        return axis
-    ticks = [(float(_compressed(tick)), str(tick)) for tick in _TICKS if tick <= 1.6 * greatest]
-    return replace(axis, limits=(-0.1, float(_compressed(1.6 * greatest))), ticks=ticks)
+def _force_scale(group: xr.Dataset) -> tuple[float, str]:
+    """Return the factor from the relief to the abscissa, and its label: the mean force in kN where it is known."""
+    threshold = float(group[_THRESHOLD]) if _THRESHOLD in group else np.nan
+    return (threshold / 1e3, "mean force [kN]") if np.isfinite(threshold) else (1.0, "relief P/D")
 
 
-def _compressed(values: Any) -> Any:
-    """Return differences of AIC as they are drawn on a logarithmic axis: linear up to a bound, which is 1."""
-    return np.where(values <= _LINEAR_AIC, values / _LINEAR_AIC, 1 + np.log10(np.maximum(values, 1e-9) / _LINEAR_AIC))
-
-
-def _excess_layers(facet: xr.Dataset, x: Across, axis: Axis) -> list[Layer]:
-    """Return the AIC of every form relative to the best form of each group."""
-    drawn = _compressed if axis.ticks else np.asarray
-    equal = float(drawn(EQUAL_AIC))
-    layers: list[Layer] = [Area([-np.inf, np.inf], [0.0] * 2, [equal] * 2, FAINT, 0.25)]
-    for k, name in enumerate(form_names(facet)):
-        excess = drawn(np.atleast_1d(above_best(facet).sel({FORM: name}).values))
-        layers.append(Line(_places(facet, x, k), excess, **form_mark(name, x)))
-    return layers
-
-
-def form_names(fit: xr.Dataset) -> list[str]:
-    """Return the names of the forms in a fit."""
-    return [str(name) for name in fit[FORM].values]
-
-
-def readings(fit: xr.Dataset) -> list[str]:
-    """Return the forms that are readings of the logarithmic law, or all forms if none is."""
-    return [name for name in _READINGS if name in form_names(fit)] or form_names(fit)
-
-
-def form_mark(name: str, x: Across | None = None) -> Look:
-    """Return the marker and line style of a form; if `x` has string labels, points are not joined by lines."""
-    mark: Look = {"colour": form_colour(name), "marker": _MARKS.get(name, "P")}
-    return mark if x is None or x.is_number else mark | {"dash": ""}
-
-
-def form_keys(fit: xr.Dataset) -> list[Layer]:
-    """Return the legend entries of the forms, with their formulas."""
-    formulas = formulas_of(fit)
-    signs = {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}
-    keys: list[Layer] = []
-    for name in form_names(fit):
-        formula = formulas.get(name, "")
-        for text, sign in signs.items():
-            formula = formula.replace(text, sign)
-        keys.append(
-            key(f"{name}\n{formula}" if formula else name, **form_mark(name) | {"dash": _DASHES.get(name, "-")})
-        )
-    return keys
-
-
-def above_best(fit: xr.Dataset) -> xr.DataArray:
-    """Return the difference between each form's AIC and the lowest AIC in the group; NaN for a form without AIC."""
-    aic = fit["aic"].where(np.isfinite(fit["aic"]))
-    return aic - aic.min(FORM)
-
-
-def _coefficients(form: xr.Dataset) -> list[float]:
-    """Return C, eta0 and the exponent of a form in one group; NaN for those that it does not have."""
+def _coefficients(group: xr.Dataset, name: str) -> list[float]:
+    """Return C, eta0 and the exponent of a form; NaN for those that it does not have."""
+    form = group.sel({FORM: name})
     return [float(form[name]) if name in form else np.nan for name in ("C", "eta0", "exponent")]
 
 
-def groups_to_show(fit: xr.Dataset) -> Facets:
+def _form_mark(name: str) -> Look:
+    return {"colour": form_colour(name), "marker": _MARKS.get(name, "P")}
+
+
+def _form_keys(fit: xr.Dataset) -> list[Layer]:
+    """Return the legend entries of the forms, with their formulas."""
+    formulas = formulas_of(fit)
+    keys: list[Layer] = []
+    for name in _form_names(fit):
+        formula = formulas.get(name, "")
+        for text, sign in {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}.items():
+            formula = formula.replace(text, sign)
+        keys.append(key("\n".join(filter(None, (name, formula))), dash=_DASHES.get(name, "-"), **_form_mark(name)))
+    return keys
+
+
+def _coefficient_layers(facet: xr.Dataset, x: Across, factor: float) -> list[Layer]:
+    """Return C with error bars; forms are slightly shifted along the abscissa."""
+    layers: list[Layer] = []
+    kept = facet.where(_kept(facet))
+    for k, name in enumerate(_form_names(facet)):
+        values, errors = (factor * np.atleast_1d(kept[part].sel({FORM: name}).values) for part in ("C", "C_stderr"))
+        places = x.of(facet)
+        places = places + _SHIFT * k * (float(np.ptp(places)) if x.is_number else 4.0)
+        errors = np.nan_to_num(errors, posinf=0.0)
+        layers.append(Line(*bars(places, values - errors, values + errors), form_colour(name), 0.9, marker="_"))
+        layers.append(Line(places, values, dash="-" if x.is_number else "", **_form_mark(name)))
+    return layers
+
+
+def _evidence_layers(facet: xr.Dataset, x: Across) -> list[Layer]:
+    """Return the evidence against each form; the chosen form is large."""
+    layers: list[Layer] = []
+    for k, name in enumerate(_form_names(facet)):
+        form, places = facet.sel({FORM: name}), x.of(facet) if x.name else np.array([float(k)])
+        evidence = np.minimum(np.atleast_1d(_evidence(facet).sel({FORM: name}).values), _MOST_EVIDENCE)
+        layers.append(Line(places, evidence, dash="-" if x.is_number else "", **_form_mark(name)))
+        if "standing" in facet:
+            chosen = np.atleast_1d(form["standing"].values) == Standing.CHOSEN
+            layers.append(dots(places[chosen], evidence[chosen], **_form_mark(name) | {"size": _CHOSEN_SIZE}))
+    return layers
+
+
+def _groups_to_show(fit: xr.Dataset) -> Facets:
     """Return one facet per group, of at most six groups; no facets if the fit does not contain its data."""
     return facets(fit, (), _MOST_GROUPS) if {_RELIEF, _RATE, _USE} <= set(fit.data_vars) else Facets((), ())
 
 
-def fits_above(groups: Facets, keys: Sequence[Sequence[Layer]] = ()) -> Sheet | None:
-    """Return a panel per group, with the data and the fitted curve of each form; None without groups."""
-    if not len(groups):
-        return None
-    wide = min(len(groups), _MOST_COLUMNS)
-    deep = -(-len(groups) // wide)
-    plots = []
-    for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
-        factor, unit = scale(group[_RATE])
-        relief = "force over its median" if "reference_force" in group.attrs else "relief P/D"
-        across = Axis(relief if k + wide >= len(groups) else "")
-        layers, limits = _group_layers(group, factor)
-        label = with_unit("rate of penetration", unit) if k % wide == 0 else ""
-        up = Axis(label, limits=limits, zero="no penetration")
-        plots.append(Plot(layers, across, up, title, divmod(k, wide), at(group)))
-    return Sheet(plots, (6.4, _ROW_HEIGHT * deep), (1.0,) * wide, (1.0,) * deep, keys)
-
-
-def use_keys(groups: Facets) -> list[Layer]:
-    """Return the legend entries of the uses of lanes that occur: fitted, censored, left out."""
-    shown = {use for group in groups.data for use in _use_masks(group)}
-    return [dots(label=text, **{"size": 4.5} | mark) for use, (text, mark) in _USES.items() if use in shown]
-
-
-def data_text(groups: Facets, fit: xr.Dataset) -> str:
+def _data_text(groups: Facets, fit: xr.Dataset) -> str:
     """Return the note on how many groups are drawn, or an empty string if none or all of them are."""
     count = fit["C"].size // fit.sizes[FORM]
     return f"Data and curves of {len(groups)} of {count} groups" if 0 < len(groups) < count else ""
 
 
-def _group_layers(group: xr.Dataset, factor: float) -> tuple[list[Layer], tuple[float | None, float | None]]:
-    """Return data and curves of one group, and the limits of the rate."""
-    relief, rate = group[_RELIEF].values, factor * group[_RATE].values
-    seen = np.isfinite(relief) & np.isfinite(rate) & (relief > 0)
+def _below(groups: Facets, sheet: Sheet, keys: Sequence[Sequence[Layer]] = (), with_c: bool = False) -> Sheet:
+    """Return the sheet below a panel for each group, with the data and the fitted curve of each form.
+
+    `with_c`: whether the titles say C.
+    """
+    if not len(groups):
+        return sheet
+    wide = min(len(groups), _MOST_COLUMNS)
+    deep = -(-len(groups) // wide)
+    plots = []
+    for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
+        (factor, unit), (_, text) = _rate_scale(group, _RATE), _force_scale(group)
+        layers, right, top = _group_layers(group, factor)
+        across = Axis(text if k + wide >= len(groups) else "", limits=right)
+        up = Axis(with_unit("rate of penetration", unit) if k % wide == 0 else "", limits=top, zero="no penetration")
+        words = "\n".join(filter(None, (title, _chosen_text(group, factor, unit) if with_c else "")))
+        plots.append(Plot(layers, across, up, words, divmod(k, wide), at(group)))
+    width, height = (
+        max(sheet.size[0] + LEGEND_WIDTH * bool(keys), _LEAST_WIDTH),
+        (_ROW_HEIGHT if len(groups) > 1 else _ONE_HEIGHT) * deep,
+    )
+    above = Sheet(plots, (6.4, height), (1.0,) * wide, (1.0,) * deep, keys)
+    return replace(sheet, above=above, size=(width, sheet.size[1] + height))
+
+
+def _chosen_text(group: xr.Dataset, factor: float, unit: str) -> str:
+    """Return C of the form that the data support, with its standard error; empty if there is a rival or no form."""
+    standing = group["standing"].values
+    if Standing.CHOSEN not in standing or Standing.UNDECIDED in standing:
+        return ""
+    form = group.isel({FORM: int(np.argmax(standing))})
+    c, error = (factor * float(form[name]) for name in ("C", "C_stderr"))
+    return f"C = {c:.3g} ± {error:.1g} {pretty_unit(unit)}"
+
+
+_Limits = tuple[float | None, float | None]
+
+
+def _group_layers(group: xr.Dataset, factor: float) -> tuple[list[Layer], _Limits, _Limits]:
+    """Return the lanes of a group and the curve of each form up to the founder weight and above it, and the limits."""
+    across, relief, rate = _force_scale(group)[0], group[_RELIEF].values, factor * group[_RATE].values
+    masks = _use_masks(group)
+    founder = founders(group)[0] if "founder_fall" in group and across != 1.0 else Founder()
+    seen = np.any([np.zeros(relief.size, bool), *(mask for use, mask in masks.items() if use != "left-out")], axis=0)
+    if not (seen & (relief > 0)).any():
+        return [], (None, None), (None, None)
+    low, high = relief[seen & (relief > 0)].min(), relief[seen].max()
+    end = np.fmin(high, founder.weight / (1e3 * across))
+    eta = np.linspace(low, end, _CURVE_POINTS)
     layers: list[Layer] = []
-    if not seen.any():
-        return layers, (None, None)
-    eta = np.linspace(relief[seen].min(), relief[seen].max(), _CURVE_POINTS)
-    top = float(np.max(rate[seen]))
-    for name in form_names(group):
-        form = group.sel({FORM: name})
-        coefficients = _coefficients(form)
-        if name in _RATES and np.isfinite(coefficients[0]) and top > 0:
-            colour, dash = form_colour(name), _DASHES.get(name, "-")
-            curve = factor * _RATES[name](eta, *coefficients)
-            layers.append(Line(eta, curve, colour, 1.4, dash, order=2.5 if name in _DASHES else 2.0))
-            error = float(form["C_stderr"]) / coefficients[0] if coefficients[0] else np.nan
-            is_rejected = _by_blocks(group) and int(form["standing"]) == Standing.REJECTED
-            if np.isfinite(error) and not is_rejected:  # every form is proportional to its C
-                layers.append(Area(eta, curve * (1 - error), curve * (1 + error), colour, 0.15))
+    for name, kept in zip(_form_names(group), _kept(group).values.tolist(), strict=True):
+        coefficients = _coefficients(group, name)
+        if name not in _RATES or not np.isfinite(coefficients[0]):
+            continue
+        curve = factor * _RATES[name](eta, *coefficients)
+        look: Look = {
+            "colour": form_colour(name),
+            "width": 1.4,
+            "dash": _DASHES.get(name, "-"),
+            "order": 2.5 if name in _DASHES else 2.0,
+        }
+        layers.append(Line(across * eta, curve, **look))
+        if kept:  # every form is proportional to its C
+            error = curve * float(group["C_stderr"].sel({FORM: name})) / coefficients[0]
+            layers.append(Area(across * eta, curve - error, curve + error, form_colour(name), 0.15))
+            beyond = np.array([end, high])
+            fall = factor * founder.fall * 1e3 * across * (beyond - end)
+            layers += [Line(across * beyond, curve[-1] - fall, **look)] if founder.is_known else []
+    if founder.is_known:
+        layers.append(upright(founder.weight / 1e3, dash=":", width=1.0, label="founder weight"))
     is_cloud = seen.sum() >= _CLOUD
     size = 4.2 if seen.sum() < _MANY_LANES else 1.6 if is_cloud else 2.2
-    for use, mask in _use_masks(group).items():
-        look: Look = {"size": size, "order": 1.5 if is_cloud else 3.0} | _USES[use][1]
-        look |= {"colour": FAINT} if is_cloud and use == "fitted" else {}
-        layers.append(dots(relief[mask], rate[mask], **look))
+    for use, mask in masks.items():
+        mark: Look = {"size": size, "order": 1.5 if is_cloud else 3.0} | _USES[use][1]
+        mark |= {"colour": FAINT} if is_cloud and use == "fitted" else {}
+        layers.append(dots(across * relief[mask], rate[mask], **mark))
+    room, top = 0.04 * (high - low or high), float(rate[seen].max())
+    right = across * (low - room), across * (high + room)  # without weights beyond reason
     # The limits clip the curve of a form far from the data.
-    return layers, (-0.06 * top, 1.1 * top) if top > 0 else (None, None)
+    return layers, right, (-0.06 * top, 1.1 * top) if top > 0 else (None, None)
+
+
+def _use_keys(groups: Facets) -> list[Layer]:
+    """Return the legend entries of the uses of lanes that occur."""
+    shown = {use for group in groups.data for use in _use_masks(group)}
+    return [dots(label=text, **{"size": 4.5} | mark) for use, (text, mark) in _USES.items() if use in shown]
 
 
 def _use_masks(group: xr.Dataset) -> dict[str, np.ndarray]:
     """Return a mask of the drawable lanes (finite relief and rate) for each use that occurs."""
     meanings = str(group[_USE].attrs["flag_meanings"]).split()
     known = np.isfinite(group[_RELIEF].values) & np.isfinite(group[_RATE].values)
-    masks = {name: known & (group[_USE].values == meanings.index(name)) for name in _USES}
+    masks = {name: known & (group[_USE].values == meanings.index(name)) for name in _USES if name in meanings}
     return {name: mask for name, mask in masks.items() if mask.any()}

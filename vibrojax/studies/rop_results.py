@@ -4,12 +4,13 @@ A *group* is a set of lanes with a law of its own; a *form* is a formula of the 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Shaped
 from scipy.special import stdtrit
 
 from vibrojax.errors import counted
@@ -17,172 +18,177 @@ from vibrojax.io.attributes import attribute_of, table_of
 from vibrojax.io.log_columns import RATE
 from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log
 from vibrojax.physics.units import factor
-from vibrojax.studies.rop_blocks import CONTAINED, Standing
-from vibrojax.studies.rop_dataset import (
-    formulas_of,
-    group_dims,
-    group_names,
-    standings,
-    table,
-    value_text,
-)
+from vibrojax.studies.rop_blocks import Founder, Standing
+from vibrojax.studies.rop_forms import LOGARITHMIC
+from vibrojax.studies.rop_law import LEAST_DEGREES_OF_FREEDOM
 
-CLEAR_AIC_DIFFERENCE = 2.0
-"""Difference in AIC above which another form describes the data better (Burnham and Anderson's rule of thumb)."""
+_ONSET_STANDARD_ERRORS = 2.0  # by which an onset is below 1 before the verdict says so
+_GROUPS_LISTED = 12
+_PER_HOUR, _PER_STEP = 3600.0, 10e3  # the fall of the rate in m/h per 10 kN
 
-LEAST_DEGREES_OF_FREEDOM = 2
-"""Degrees of freedom below which forms are not compared: the correction of AIC for small samples, 2k(k + 1)/(n - k - 1)
-for k = 2 coefficients, is finite from n = 4 lanes on."""
 
-ONSET_STANDARD_ERRORS = 2.0
-"""Number of standard errors by which an onset is below 1 before the verdict says so."""
+def table(fit: xr.Dataset, name: str) -> Shaped[np.ndarray, "groups forms"]:
+    """Return a variable of a dataset that `fit_rop` returned as an array with one row per group."""
+    return np.asarray(fit[name].transpose(*group_dims(fit), "form").values.reshape(-1, fit.sizes["form"]))
 
-LOGARITHMIC = ("literal", "percent", "onset")
-"""Names of the three readings of the source's law, eq. 6.4."""
 
-_GROUPS_LISTED, _BEATEN_LISTED = 12, 5
+def group_dims(fit: xr.Dataset) -> list[Hashable]:
+    """Return the dimensions of the groups of a fit."""
+    return [dim for dim in fit["aic"].dims if dim != "form"]
+
+
+def group_names(fit: xr.Dataset) -> list[str]:
+    """Return the coordinates of each group as text, such as "force=200000 N, rock=granite"."""
+    along = []
+    for dim in group_dims(fit):
+        names = [name for name in fit.coords if fit[name].dims == (dim,)]
+        texts = (
+            [f"{name}={_value_text(fit[name], k)}" for name in names] or [f"{dim}={k}"] for k in range(fit.sizes[dim])
+        )
+        along.append([", ".join(parts) for parts in texts])
+    return [", ".join(parts) or "all lanes" for parts in product(*along)]
+
+
+def _value_text(coordinate: xr.DataArray, index: int) -> str:
+    value, unit = coordinate.values[index].item(), coordinate.attrs.get("units", "1")
+    return (f"{value:.6g}" if isinstance(value, float) else str(value)) + ("" if unit == "1" else f" {unit}")
+
+
+def formulas_of(fit: xr.Dataset) -> dict[str, str]:
+    """Return the formula of each form, by name; empty if the dataset contains none."""
+    return dict(part.split(": ", 1) for part in str(fit.attrs.get("formulas", "")).split("; ") if ": " in part)
+
+
+def founders(fit: xr.Dataset) -> list[Founder]:
+    """Return the founder weight of each group."""
+    names = ("founder_weight", "founder_weight_stderr", "founder_fall", "founder_fall_stderr")
+    return [Founder(*numbers) for numbers in np.array([fit[name].values.ravel() for name in names]).T.tolist()]
+
+
+def _forms(fit: xr.Dataset) -> list[str]:
+    return [str(name) for name in fit["form"].values]
+
+
+def _by_blocks(fit: xr.Dataset) -> bool:
+    return bool(fit["cv_error"].notnull().any())
 
 
 # Tables
 
 
 def law_facts(fit: xr.Dataset) -> dict[str, Any]:
-    """Return the summary of a fitted rate-of-penetration law as a dictionary of JSON values.
-
-    It contains the name and the coordinates of each group and, by form, the fitted values, with the meanings of flags.
+    """Return the summary of a fit as a dictionary of JSON values: of each group, the values of every form.
 
     **Arguments:** `fit`: a dataset that `fit_rop` returned.
     """
-    dims = group_dims(fit)
+    dims, forms = group_dims(fit), _forms(fit)
     values = {str(name): table(fit, str(name)) for name, v in fit.items() if set(v.dims) == {*dims, "form"}}
     for name in ("reason", "r_squared_reason", "standing"):
         values[name] = np.array(str(fit[name].attrs["flag_meanings"]).split())[values[name]]
     groups: list[dict[str, Any]] = []
-    choices, names = recommended(fit), group_names(fit)
-    for index, position in enumerate(np.ndindex(*(fit.sizes[dim] for dim in dims))):
-        lanes = fit.isel(dict(zip(dims, position, strict=True)))
-        coordinates = {str(name): lanes[name].item() for name in lanes.coords if lanes[name].ndim == 0}
-        forms = {
-            form: {name: rows[index, column].item() for name, rows in values.items()}
-            for column, form in enumerate(_forms(fit))
+    for index, (name, founder, choice) in enumerate(
+        zip(group_names(fit), founders(fit), recommended(fit), strict=True)
+    ):
+        position = np.unravel_index(index, [fit.sizes[dim] for dim in dims])
+        at = fit.coords.to_dataset().isel(dict(zip(dims, position, strict=True)))
+        group: dict[str, Any] = {
+            "name": name,
+            "coordinates": {str(x): at[x].item() for x in at.coords if not at[x].ndim},
         }
-        group = {"name": names[index], "coordinates": coordinates, "forms": forms}
-        groups.append({**group, "recommended": choices[index]})
+        group["forms"] = {
+            form: {name: rows[index, k].item() for name, rows in values.items()} for k, form in enumerate(forms)
+        }
+        group |= {f"founder_{x}": number for x, number in founder._asdict().items() if x != "correlation"}
+        groups.append(group | {"recommended": choice})
     facts: dict[str, Any] = {"along": str(fit.attrs["along"]), "columns": table_of(fit, "columns") or None}
     if "dialect" in fit.attrs:
-        facts |= {name: attribute_of(fit, name) for name in ("dialect", "detected", "rows_read", "dropped", "notes")}
-    return {**facts, "groups": groups, "verdict": verdict(fit)}
+        facts |= {name: attribute_of(fit, name) for name in ("dialect", "rows_read", "dropped", "notes")}
+        facts["left_out_rows"] = table_of(fit, "left_out_rows")
+    return {**facts, "groups": groups, "supported": str(fit.attrs["verdict"]), "verdict": verdict(fit)}
 
 
 def law_table(facts: Mapping[str, Any]) -> list[str]:
     """Return lines of text: a table of the forms for each of the first groups, then the number of other groups."""
     lines: list[str] = []
     for group in facts["groups"][:_GROUPS_LISTED]:
-        first = next(iter(group["forms"].values()))
+        forms = group["forms"]
+        first, reasons = next(iter(forms.values())), {str(values["reason"]) for values in forms.values()}
         left_out = f", {first['left_out']} left out" if first["left_out"] else ""
         head = f"{group['name']}: {counted(first['used'], 'lane')} along {facts['along']}{left_out}"
-        reasons = {str(values["reason"]) for values in group["forms"].values()}
-        if len(reasons) == 1 and not any(math.isfinite(values["C"]) for values in group["forms"].values()):
+        if len(reasons) == 1 and not any(math.isfinite(values["C"]) for values in forms.values()):
             lines.append(f"{head}: {reasons.pop()}")
             continue
-        by_blocks = any(values["standing"] == "chosen" for values in group["forms"].values())
-        lines += [""] * bool(lines) + [head]
-        lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>12}")
-        lines[-1] += f"{'CV [m/s]':>11}" * by_blocks
-        lines += [f"  {form:<9}{_table_row(values)}".rstrip() for form, values in group["forms"].items()]
+        by_blocks = any(math.isfinite(values["cv_error"]) for values in forms.values())
+        names = f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>12}"
+        lines += [""] * bool(lines) + [head, names + f"{'CV [m/s]':>11}" * by_blocks]
+        lines += [f"  {form:<9}{_table_row(values)}".rstrip() for form, values in forms.items()]
     return lines + _further(len(facts["groups"]))
 
 
 def _further(groups: int) -> list[str]:
     """Return a line with the number of groups that are not listed, if there are any."""
-    more = groups - _GROUPS_LISTED
-    return [f"and {counted(more, 'group')} more"] if more > 0 else []
+    return [f"and {counted(groups - _GROUPS_LISTED, 'group')} more"] * (groups > _GROUPS_LISTED)
 
 
-def _table_row(values: Mapping[str, float | int | str]) -> str:
+def _table_row(values: Mapping[str, Any]) -> str:
     """Return a table row: the coefficients with standard errors, R², AIC, and the reasons for missing values."""
-    if not math.isfinite(float(values["C"])):
+    if not math.isfinite(values["C"]):
         return str(values["reason"])
-    cells = [
-        f"{values[name]:.4g} ± {values[f'{name}_stderr']:.2g}" if math.isfinite(float(values[name])) else ""
+    c, eta0, exponent = (
+        f"{values[name]:.4g} ± {values[f'{name}_stderr']:.2g}" if math.isfinite(values[name]) else ""
         for name in ("C", "eta0", "exponent")
-    ]
-    row = f"{cells[0]:<24}{cells[1]:<22}{cells[2]:<20}{values['r_squared']:>8.4f}{values['aic']:>12.2f}"
-    row += f"{values['cv_error']:>11.4g}" if math.isfinite(float(values["cv_error"])) else ""
-    reasons = [str(values[name]) for name in ("reason", "r_squared_reason") if values[name] != "identified"]
-    reasons += [str(values["standing"])] * (values["standing"] in ("chosen", "undecided"))
-    return f"{row}  {', '.join(reasons)}" if reasons else row
+    )
+    row = f"{c:<24}{eta0:<22}{exponent:<20}{values['r_squared']:>8.4f}{values['aic']:>12.2f}"
+    reasons = [values[name] for name in ("reason", "r_squared_reason") if values[name] != "identified"]
+    if math.isfinite(values["cv_error"]):
+        row += f"{values['cv_error']:>11.4g}"
+        reasons += [values["standing"]] * (values["standing"] in ("chosen", "undecided"))
+    return f"{row}  {', '.join(reasons)}"
 
 
-# The recommended C
+# The recommended C and the comparison of the forms
 
 
 def recommended(fit: xr.Dataset) -> list[dict[str, Any] | None]:
-    """Return the recommended C of each group.
+    """Return the recommended C of each group, or None if there is none.
 
-    For a log whose forms were compared over blocks of rows, it is that of the chosen form. Otherwise it is that of the
-    reading of the log law with the lowest AIC, if the log law holds.
+    For a log whose forms were compared over blocks of rows, it is that of the form that the data support. Otherwise it
+    is that of the likeliest reading of the log law, if the log law holds and C is positive.
 
-    A dictionary holds `form`, `C` [m/s] and the ends `low` and `high` of its 95 % confidence interval [m/s], by
-    Student's distribution. With rig data it also holds these three in the unit of the data's rate, as `in_unit`, and
-    this `unit`. It is None if the log law does not hold, its C is not positive, or the lanes cannot decide it.
+    A dictionary holds `form`, `C` [m/s] and the ends `low` and `high` of its 95 % interval [m/s], by Student's
+    distribution, and, with rig data, the `unit` of the data's rate and these three in it (`in_unit`).
     """
-    names = _forms(fit)
-    judged, above_best = _judged(fit)
+    names, standing, against = _forms(fit), table(fit, "standing"), table(fit, "evidence_against")
     c, error, freedom, reason = (table(fit, name) for name in ("C", "C_stderr", "degrees_of_freedom", "reason"))
-    forms: dict[int, int] = {}
-    for row, group in zip(above_best, np.flatnonzero(judged).tolist(), strict=True):
-        form = min((names.index(name) for name in LOGARITHMIC), key=lambda column: row[column])
-        if row[form] <= CLEAR_AIC_DIFFERENCE:
-            forms[group] = form
-    forms |= {group: form for group, form in np.argwhere(standings(fit) == Standing.CHOSEN).tolist()}
+    readings = [names.index(name) for name in LOGARITHMIC]
     unit = str(table_of(fit, "columns").get(RATE, {}).get("unit", "m/s"))
     scale = factor(unit, "m s-1") or 1.0
-    choices: list[dict[str, Any] | None] = [None] * len(judged)
-    for group, form in forms.items():
-        if reason[group, form] or c[group, form] <= 0:
+    choices: list[dict[str, Any] | None] = []
+    for group, row in enumerate(standing):
+        form = int(np.argmax(row))
+        if not _by_blocks(fit) or (row == Standing.UNDECIDED).any():
+            form = readings[int(np.argmin(np.nan_to_num(against[group, readings], nan=np.inf)))]
+        if row[form] < Standing.UNDECIDED or reason[group, form] or c[group, form] <= 0:
+            choices.append(None)
             continue
         half = float(stdtrit(freedom[group, form], 0.975) * error[group, form])
-        values = {"C": float(c[group, form]), "low": float(c[group, form]) - half, "high": float(c[group, form]) + half}
+        values = {name: float(c[group, form]) + sign * half for name, sign in (("C", 0), ("low", -1), ("high", 1))}
         in_unit = {name: value / scale for name, value in values.items()}
-        choices[group] = {"form": names[form], **values} | ({"unit": unit, "in_unit": in_unit} if scale != 1 else {})
+        choices.append({"form": names[form], **values} | ({"unit": unit, "in_unit": in_unit} if scale != 1 else {}))
     return choices
 
 
-def _recommendation(fit: xr.Dataset) -> list[str]:
-    """Return lines of text with the recommended C of the first groups, in m/s and in the unit of the data's rate."""
-    lines = []
-    for name, choice in zip(group_names(fit), recommended(fit), strict=True):
-        if choice:
-            scales = [(choice, "m/s"), *([(choice["in_unit"], choice["unit"])] if "unit" in choice else [])]
-            texts = [f"{x['C']:.4g} {unit} ({x['low']:.4g} to {x['high']:.4g})" for x, unit in scales]
-            lines.append(f"{name}: C = {' = '.join(texts)}, {choice['form']}")
-    if not lines:
-        return []
-    title = "recommended C (95 % interval), of the reading of the log law with the lowest AIC:"
-    if (standings(fit) == Standing.CHOSEN).any():
-        title = "recommended C (95 % interval, by a bootstrap of blocks), of the chosen form:"
-    return [title, *(f"  {line}" for line in lines[:_GROUPS_LISTED] + _further(len(lines)))]
-
-
-# The comparison of the forms
-
-
 def verdict(fit: xr.Dataset) -> list[str]:
-    """Return lines of text: the form that describes the data best, where the log law holds, and the recommended C.
+    """Return lines of text: the form that describes the data best, the founder weight, and the recommended C.
 
-    For a log whose forms were compared over blocks of rows, they say which form the data support, and from which others
-    they cannot tell it. Otherwise, a form holds in a group if its AIC exceeds the lowest by at most
-    `CLEAR_AIC_DIFFERENCE`. The log law holds if one of its three readings holds. Groups with fewer than four lanes with
-    a rate cannot decide it.
+    The log law holds if one of its three readings is not rejected.
 
     **Arguments:** `fit`: a dataset that `fit_rop` returned.
     """
-    judged, _ = _judged(fit)
-    missing = ~np.isfinite(table(fit, "aic"))
-    lost, by_blocks = missing.any(axis=1), (standings(fit) == Standing.CHOSEN).any()
-    lines = []
-    if lost.any() and not by_blocks:  # count the reason of the first missing form in each group
+    names, standing, titles = _forms(fit), table(fit, "standing"), group_names(fit)
+    judged, missing = (standing > 0).any(axis=1), ~np.isfinite(table(fit, "aic"))
+    lost, lines = missing.any(axis=1) & ~judged, []
+    if lost.any():  # count the reason of the first missing form in each group
         meanings = str(fit["reason"].attrs["flag_meanings"]).split()
         reasons = table(fit, "reason")[lost, np.argmax(missing[lost], axis=1)]
         counts = {meanings[flag]: int((reasons == flag).sum()) for flag in np.unique(reasons)}
@@ -191,102 +197,90 @@ def verdict(fit: xr.Dataset) -> list[str]:
     if (short := ~judged & ~lost).any():
         needed = f"at least {LEAST_DEGREES_OF_FREEDOM + 2} with a rate are needed"
         lines.append(f"too few lanes to compare the forms in {short.sum()} of {judged.size}; {needed}")
-    if by_blocks:
-        lines += _forms_by_blocks(fit)
-    elif judged.any():
-        lines += _forms_by_aic(fit)
+    if judged.any():
+        lines += _comparison(fit, names, standing, titles)
     else:
         lines.append("no form can be told from the lanes that are there")
-    limits = [LIMITS_OF_LOGS] if is_log(fit) else []
-    return [*lines, *_determined_combinations(fit), *limits, *_recommendation(fit)]
+    founder_lines, choices = [], []
+    for title, founder, choice in zip(titles, founders(fit), recommended(fit), strict=True):
+        if math.isfinite(founder.weight):
+            fall, error = (_PER_HOUR * _PER_STEP * value for value in (founder.fall, founder.fall_stderr))
+            above = f"falls by {fall:.3g} ± {error:.2g} m/h per 10 kN" if founder.falls else "does not rise"
+            weight = f"{founder.weight / 1e3:.4g} ± {founder.weight_stderr / 1e3:.2g} kN"
+            founder_lines.append(f"  {title}: {weight}; above it the rate {above}")
+        if choice:
+            scales = [(choice, "m/s"), *([(choice["in_unit"], choice["unit"])] if "unit" in choice else [])]
+            texts = [f"{x['C']:.4g} {unit} ({x['low']:.4g} to {x['high']:.4g})" for x, unit in scales]
+            choices.append(f"  {title}: C = {' = '.join(texts)}, {choice['form']}")
+    how = "), of the likeliest reading of the log law"
+    if _by_blocks(fit):
+        how = ", by a bootstrap of blocks), of the form that the data support, or else of the likeliest log law"
+    lines += _listed("founder weight; the coefficients of every form are of the rows below it:", founder_lines)
+    rows = table_of(fit, "left_out_rows").items()
+    lines += [f"left out, {reason}: {counted(about['rows'], 'row')} (line {about['lines']})" for reason, about in rows]
+    lines += _combinations(fit, titles) + [LIMITS_OF_LOGS] * is_log(fit)
+    return lines + _listed(f"recommended C (95 % interval{how}:", choices)
 
 
-def _forms_by_blocks(fit: xr.Dataset) -> list[str]:
-    """Return lines of text: the form that each of the first groups supports, and forms that may be the truth too."""
-    standing, aic, names, titles = standings(fit), table(fit, "aic"), np.array(_forms(fit)), group_names(fit)
-    groups, lines = np.flatnonzero((standing == Standing.CHOSEN).any(axis=1)), []
-    for group in groups[:_GROUPS_LISTED].tolist():
-        chosen = str(names[standing[group] == Standing.CHOSEN][0])
-        if rivals := ", ".join(names[standing[group] == Standing.UNDECIDED]):
-            lines.append(f"{titles[group]}: these data cannot tell {chosen} from {rivals}")
-        else:
-            contains = (standing[group] == Standing.CONTAINS_CHOSEN).any()
-            others = "every form that does not contain it" if contains else "the other forms"
-            lines.append(f"{titles[group]}: the data support {chosen}, {formulas_of(fit)[chosen]}, against {others}")
-        best = str(names[np.nanargmin(aic[group])])
-        if best != chosen and best not in CONTAINED.get(chosen, ()):
-            lines.append(f"  AIC is lowest for {best}, but takes neighbouring rows for independent")
-    title = "by the rates of each block of rows, predicted from the other blocks (CV):"
-    return [title, *(f"  {line}" for line in lines + _further(groups.size))]
+def _listed(title: str, lines: list[str]) -> list[str]:
+    """Return a title above the first lines and the number of further ones; nothing without lines."""
+    return [title, *lines[:_GROUPS_LISTED], *_further(len(lines))] if lines else []
 
 
-def _forms_by_aic(fit: xr.Dataset) -> list[str]:
-    """Return lines of text: the forms with the lowest AIC, and where the log law holds or is beaten."""
-    names, (judged, above_best), r_squared = _forms(fit), _judged(fit), table(fit, "r_squared")
-    best, holds = np.argmin(above_best, axis=1), above_best <= CLEAR_AIC_DIFFERENCE
-    lines = [f"along {fit.attrs['along']}, over {judged.sum()} of {judged.size}:"]
-    rows = [(int((best == form).sum()), int(holds[:, form].sum()), form) for form in range(len(names))]
-    for lowest, close, form in sorted(rows, reverse=True):
-        counts = f"lowest AIC in {lowest}, within {CLEAR_AIC_DIFFERENCE:g} of it in {close}"
-        lines.append(f"  {names[form]:<8} {counts}; R2 {_range_text(r_squared[judged, form])}")
-    readings = {name: holds[:, names.index(name)] for name in LOGARITHMIC}
-    log_law = above_best[:, [names.index(name) for name in LOGARITHMIC]].min(axis=1)
-    beaten = log_law > CLEAR_AIC_DIFFERENCE
-    region = _region_text(fit, np.flatnonzero(judged)[~beaten]) if beaten.any() else ""
-    lines.append(f"the log law holds in {(~beaten).sum()} of {judged.sum()}{region}{'' if beaten.all() else ':'}")
-    for name, mask in sorted(readings.items(), key=lambda reading: not reading[1].any()):
-        share = f"R2 {_range_text(r_squared[judged, names.index(name)][mask if mask.any() else slice(None)])}"
-        if mask.any():
-            lines.append(f"  as {name}, {formulas_of(fit)[name]}, in {mask.sum()}: {share}")
-        elif name == "literal" and not beaten.all():
-            lines.append(f"  not as literal, {formulas_of(fit)[name]}, which is how the source writes it: {share}")
-    eta0, error = (table(fit, name)[judged, names.index("onset")] for name in ("eta0", "eta0_stderr"))
-    if (early := readings["onset"] & (eta0 + ONSET_STANDARD_ERRORS * error < 1)).any():
-        where = "" if early.all() else f" in {early.sum()} of {early.size}"
+def _comparison(
+    fit: xr.Dataset, names: list[str], standing: Shaped[np.ndarray, "groups forms"], titles: list[str]
+) -> list[str]:
+    """Return lines of text: the form that each group supports, its rivals, and where the log law holds."""
+    judged, formulas, lines = np.flatnonzero((standing > 0).any(axis=1)), formulas_of(fit), []
+    for group in judged.tolist():
+        chosen = names[int(np.argmax(standing[group]))]
+        rivals = ", ".join(np.array(names)[standing[group] == Standing.UNDECIDED])
+        contains = (standing[group] == Standing.CONTAINS_CHOSEN).any()
+        others = "every form that does not contain it" if contains else "the other forms"
+        text = f"the data support {chosen}, {formulas[chosen]}, against {others}"
+        lines.append(f"  {titles[group]}: {f'these data cannot tell {chosen} from {rivals}' if rivals else text}")
+    how = "by the rates of each block of rows, predicted from the other blocks (CV)"
+    lines = _listed(f"{how if _by_blocks(fit) else 'by AIC'}, in {judged.size} of {len(titles)}:", lines)
+    if judged.size > 1:
+        together = str(fit.attrs["verdict"]).replace("none", "no single form")
+        lines.append(f"all groups together: the data support {together}")
+    kept, r_squared = standing[judged] >= Standing.UNDECIDED, table(fit, "r_squared")[judged]
+    holds = {name: kept[:, names.index(name)] for name in LOGARITHMIC if kept[:, names.index(name)].any()}
+    count = np.any([*holds.values()], axis=0).sum() if holds else 0
+    lines.append(f"the log law holds in {count} of {judged.size}{':' if holds else ''}")
+    for name, mask in holds.items():
         lines.append(
-            f"the onset eta0 {_range_text(eta0[early])} is below 1{where}: penetration begins at a mean force P below "
-            "D, as the peaks of the force exceed its mean; the literal form has no rate there"
+            f"  as {name}, {formulas[name]}, in {mask.sum()}: R2 {_range_text(r_squared[mask, names.index(name)])}"
         )
-    if beaten.any():
-        lines.append(f"it is beaten in {beaten.sum()}, by an AIC of {_range_text(log_law[beaten])}:")
-        titles = group_names(fit)
-        for row in np.argsort(-log_law, kind="stable")[: min(_BEATEN_LISTED, beaten.sum())]:
-            lines.append(f"  {titles[np.flatnonzero(judged)[row]]}: {names[best[row]]} by {log_law[row]:.3g}")
-        lines += [f"  and {beaten.sum() - _BEATEN_LISTED} more"] if beaten.sum() > _BEATEN_LISTED else []
+    eta0, error = (table(fit, name)[judged, names.index("onset")] for name in ("eta0", "eta0_stderr"))
+    early = kept[:, names.index("onset")] & (eta0 + _ONSET_STANDARD_ERRORS * error < 1)
+    if early.any() and "reference_force" not in fit.attrs:
+        lines.append(
+            f"the onset eta0 {_range_text(eta0[early])} is below 1 in {early.sum()} of {early.size}: penetration "
+            "begins at a mean force P below D, as the peaks of the force exceed its mean; "
+            "the literal form has no rate there"
+        )
     return lines
 
 
-def _judged(fit: xr.Dataset) -> tuple[Bool[np.ndarray, " groups"], Float[np.ndarray, "judged forms"]]:
-    """Return a mask of the groups with enough lanes to compare all forms, and there the AIC above the lowest one."""
-    aic = table(fit, "aic")
-    judged = np.isfinite(aic).all(axis=1) & (table(fit, "degrees_of_freedom") >= LEAST_DEGREES_OF_FREEDOM).all(axis=1)
-    return judged, aic[judged] - aic[judged].min(axis=1, keepdims=True)
-
-
-def _determined_combinations(fit: xr.Dataset) -> list[str]:
+def _combinations(fit: xr.Dataset, titles: list[str]) -> list[str]:
     """Return lines of text: what the data determine if the threshold is unknown."""
     force = attribute_of(fit, "reference_force")
     if force is None:
         return []
-    onset, error = (fit[f"onset_force{name}"].sel(form="onset").values.ravel() for name in ("", "_stderr"))
-    slope = fit["C"].sel(form="line").values.ravel() / force
-    known = np.isfinite(onset)
+    onset, error = (fit[f"onset_force{name}"].sel(form="onset").values.ravel() / 1e3 for name in ("", "_stderr"))
+    slope = 1e3 * fit["C"].sel(form="line").values.ravel() / force
     lines = [
+        f"  {titles[group]}: onset eta0 D = {onset[group]:.4g} ± {error[group]:.2g} kN; "
+        f"line C/D = {slope[group]:.4g} m/s per kN"
+        for group in np.flatnonzero(np.isfinite(onset)).tolist()
+    ]
+    same = "  literal and percent have the curve of onset: D would be eta0 D, or 100 times as much"
+    about = (
         f"the threshold D is unknown, so that eta = P/{force / 1e3:.4g} kN, by the median of the mean force P. "
         "The data determine C and eta0 D of onset, C/D and eta0 D of line, the exponent and C/D^exponent of power:"
-    ]
-    for group in np.flatnonzero(known)[:_GROUPS_LISTED].tolist():
-        lines.append(
-            f"  {group_names(fit)[group]}: onset eta0 D = {onset[group] / 1e3:.4g} ± {error[group] / 1e3:.2g} kN; "
-            f"line C/D = {1e3 * slope[group]:.4g} m/s per kN"
-        )
-    if known.any():
-        lines.append("  literal and percent have the curve of onset: D would be eta0 D, or 100 times as much")
-    return lines
-
-
-def _forms(fit: xr.Dataset) -> list[str]:
-    return [str(name) for name in fit["form"].values]
+    )
+    return [about, *_listed("", lines)[1:], *[same] * bool(lines)]
 
 
 def _range_text(values: Float[np.ndarray, " groups"]) -> str:
@@ -296,15 +290,3 @@ def _range_text(values: Float[np.ndarray, " groups"]) -> str:
         return "is not defined, since no rate varies"
     low, middle, high = np.min(values), np.median(values), np.max(values)
     return f"{low:.4g}" if len(values) == 1 else f"{low:.4g} to {high:.4g} (median {middle:.4g})"
-
-
-def _region_text(fit: xr.Dataset, groups: Int[np.ndarray, " groups"]) -> str:
-    """Return text that describes the smallest box over the groups' axes that contains `groups`, flat indices."""
-    dims = group_dims(fit)
-    positions = np.unravel_index(groups, [fit.sizes[dim] for dim in dims]) if dims else ()
-    ranges = []
-    for dim, indices in zip(dims, positions, strict=True):
-        if dim in fit.coords and len(indices):
-            low, high = (value_text(fit[dim], int(index)) for index in (indices.min(), indices.max()))
-            ranges.append(f"{dim} {low}" + (f" to {high}" if high != low else ""))
-    return f", all of them within {', '.join(ranges)}" if ranges else ""

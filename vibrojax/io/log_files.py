@@ -1,0 +1,245 @@
+"""Files of rig logs as tables of text: delimited text, LAS, WITSML and xlsx; where their names and units stand."""
+
+import csv
+import io
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float
+
+from vibrojax.errors import Place, counted, shown
+from vibrojax.io.files import read_regular
+from vibrojax.io.log_columns import recognise
+from vibrojax.io.tables import is_number, read_text
+from vibrojax.physics.units import is_unit
+
+NULLS = frozenset(
+    ("-999.25", "-999", "-9999", "-9999.25", "null", "(null)", "none", "nan", "na", "n/a", "#n/a", "-", "--")
+)
+"""Numbers and texts in small letters that stand for a missing value in every file, as an empty cell does."""
+
+_HEAD = 200
+"""Number of rows in which names, units and the first numbers are sought."""
+
+_MOST_LISTED = 10
+_NO_ROWS = "no rows; add a line for each measurement"
+_NUMBERS = {
+    ",": re.compile(r"[-+]?(\d+|\d{1,3}(\.\d{3})+),\d+([eE][-+]?\d+)?"),
+    ".": re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?|[-+]?\d{1,3}(,\d{3})+\.\d+"),
+}
+"""Numbers with a decimal mark; some could be numbers with thousands and the other mark, too."""
+_THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}([{mark}]\d{{3}})+([.,]\d+)?") for mark in ",."}
+_LAS_DELIMITERS = {"COMMA": ",", "TAB": "\t"}
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A table of text: `header` (names with their units) at a `line`; `rows`, indexed by line, a column per name.
+
+    `nulls`: numbers that stand for a missing value in this file.
+    """
+
+    header: list[str]
+    line: int
+    rows: pd.DataFrame
+    nulls: frozenset[str] = frozenset()
+    notes: tuple[str, ...] = ()
+
+
+def read_cells(place: Place, path: Path) -> Cells:
+    """Return the cells of a file, whose kind is recognised by its content or its ending; raise `InputError`."""
+    if path.suffix.lower() in (".xlsx", ".xlsm", ".xls"):
+        return _below_names(place, _read_xlsx(place, path))
+    text = read_text(path, windows=True)
+    start = text.lstrip()[:1]
+    if start == "~" or path.suffix.lower() == ".las":
+        return _read_las(place, text)
+    return _read_witsml(place, text) if start == "<" else _below_names(place, _read_delimited(place, text))
+
+
+def _read_delimited(place: Place, text: str) -> pd.DataFrame:
+    """Return the rows of a text that are not empty."""
+    lines = [line for line in text.splitlines() if line.strip()][:_HEAD]
+    if not lines:
+        raise place.error("empty; a line of column names and a line for each measurement are needed")
+    separator = next((mark for mark in ";\t" if 2 * sum(mark in line for line in lines) > len(lines)), ",")
+    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True, delimiter=separator)
+    try:
+        return _table([(reader.line_num, row) for row in reader if any(map(str.strip, row))])
+    except csv.Error as error:
+        raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
+
+
+def _table(rows: list[tuple[int, list[str]]]) -> pd.DataFrame:
+    """Return rows, each with its line, as a table indexed by line, in which short rows end in None."""
+    width = max(len(cells) for _, cells in rows)
+    padded = [cells + [None] * (width - len(cells)) for _, cells in rows]
+    return pd.DataFrame(padded, index=[line for line, _ in rows], dtype=object)
+
+
+def _read_xlsx(place: Place, path: Path) -> pd.DataFrame:
+    try:
+        content = io.BytesIO(read_regular(path))
+        table = pd.read_excel(content, header=None, dtype=str, keep_default_na=False, engine="openpyxl")
+    except ImportError:
+        fault = "needs openpyxl, which is not installed; export as CSV"
+        raise place.error(f'{fault}, or pip install "vibrojax[xlsx]"') from None
+    except Exception as error:  # openpyxl raises errors of several libraries for a damaged workbook
+        raise place.error(f"cannot be read as xlsx ({type(error).__name__}); export as CSV") from None
+    table.index = pd.RangeIndex(1, len(table) + 1)
+    return table[(table != "").any(axis=1)]
+
+
+def _below_names(place: Place, table: pd.DataFrame) -> Cells:
+    """Return the cells below the names, which stand above the first row of numbers.
+
+    A row of units goes into the names. Of several other rows there, such as titles, that with most known names counts.
+    """
+    head = table.iloc[:_HEAD].fillna("").map(str.strip)
+    numbers = head.map(lambda cell: bool(cell) and is_number(cell.replace(",", "."))).sum(axis=1).to_numpy()
+    typical = float(np.median(numbers[numbers > 0])) if numbers.any() else np.inf
+    above = int(np.argmax(numbers >= typical / 2)) if numbers.any() else min(len(head), 2)
+    texts = [list(row) for row in head.iloc[:above].itertuples(index=False)]
+    if not texts:
+        first = shown(", ".join(filter(None, head.iloc[0])))
+        advice = "the first line names the columns, like relief,rate_of_penetration"
+        raise place.at(f"line {table.index[0]}").error(f"{first} are numbers; {advice}")
+    known = [sum(recognise(cell)[0] is not None for cell in row if cell) for row in texts]
+    units = [sum(is_unit(cell.strip(" []()")) for cell in row) for row in texts]
+    below = next((k for k in range(1, above) if units[k] > known[k]), None)
+    names = max((k for k in range(above) if k != below), key=lambda k: (known[k], sum(map(bool, texts[k])), k))
+    header, notes = texts[names][: table.iloc[names].notna().sum()], []
+    if below is not None:
+        header = [_with_unit(name, unit.strip(" []()")) for name, unit in zip(header, texts[below], strict=False)]
+        notes.append(f"line {table.index[below]} holds the units of the columns")
+    notes += [f"line {table.index[k]} holds no names and is not read" for k in range(above) if k not in (names, below)]
+    while not header[-1] and (table.iloc[above:, len(header) - 1].fillna("") == "").all():
+        header.pop()
+    if above == len(table):
+        raise place.error(f"{_NO_ROWS} below the {'column names' if below is None else 'units'}")
+    return _checked(place, Cells(header, int(table.index[names]), table.iloc[above:], notes=tuple(notes)))
+
+
+def _checked(place: Place, cells: Cells) -> Cells:
+    """Return the cells without empty columns beyond the header; raise `InputError` if a row has more or fewer cells."""
+    width, rows = len(cells.header), cells.rows
+    counts = rows.iloc[:, :width].notna().sum(axis=1) + (rows.iloc[:, width:].fillna("") != "").sum(axis=1)
+    if (wrong := counts[counts != width].astype(int)).size:
+        listed = [f"line {line} has {counted(count, 'cell')}" for line, count in wrong.iloc[:_MOST_LISTED].items()]
+        more = f"; and {len(wrong) - _MOST_LISTED} more" if len(wrong) > _MOST_LISTED else ""
+        raise place.error(f"{'; '.join(listed)}{more}; {width} are needed, one a column")
+    return Cells(cells.header, cells.line, rows.iloc[:, :width], cells.nulls, cells.notes)
+
+
+def _with_unit(name: str, unit: str) -> str:
+    """Return a name with its unit, if it is one or the name is known, and holds none: "Rotary RPM" ends in a unit."""
+    quantity, own = recognise(name)
+    is_wanted = unit.strip(" .-") and own is None and (quantity is not None or is_unit(unit))
+    return f"{name} ({unit})" if is_wanted else name
+
+
+def _read_witsml(place: Place, text: str) -> Cells:
+    """Return the rows of `logData` in WITSML 1.3 or 1.4, with the units of its list or of its `logCurveInfo`."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise place.error("defines entities, which are not read; export the log without them, or as CSV")
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise place.error(f"not XML ({error}); export the log again, or as CSV") from None
+    logs = root.findall(".//{*}logData")
+    rows = [(row.text or "").split(",") for row in root.findall(".//{*}logData/{*}data")]
+    if len(logs) != 1 or not rows:
+        fault = f"holds {counted(len(logs), 'element')} logData with {counted(len(rows), 'row')}"
+        raise place.error(f"{fault}; a file with one log of WITSML 1.3 or 1.4 is needed, or export as CSV")
+    names, units = ((logs[0].findtext("{*}" + tag) or "").split(",") for tag in ("mnemonicList", "unitList"))
+    about = {c.findtext("{*}mnemonic"): c.findtext("{*}unit") or "" for c in root.findall(".//{*}logCurveInfo")}
+    names = [name.strip() for name in names] if any(names) else list(map(str, about))
+    units = units if len(units) == len(names) else [about.get(name, "") for name in names]
+    lines = [number for number, line in enumerate(text.splitlines(), 1) if "<data>" in line]
+    index = lines if len(lines) == len(rows) else range(1, len(rows) + 1)
+    header = [_with_unit(name, unit.strip()) for name, unit in zip(names, units, strict=True)]
+    nulls = frozenset((null.text or "").strip() for null in root.findall(".//{*}nullValue"))
+    return _checked(place, Cells(header, max(index[0] - 1, 1), _table(list(zip(index, rows, strict=True))), nulls))
+
+
+def _read_las(place: Place, text: str) -> Cells:
+    """Return the rows of a LAS file of version 1.2, 2.0 (wrapped, too) or 3.0 with one log; raise `InputError`."""
+    try:
+        import lasio
+    except ImportError:
+        raise place.error('LAS files need lasio, which is not installed; pip install "vibrojax[las]"') from None
+    sections: dict[str, list[tuple[int, str]]] = {"": []}
+    begins: dict[str, int] = {}
+    key = ""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.startswith("~"):
+            title = line[1:].strip().upper()
+            key = "A" if title.startswith(("A", "LOG_DATA")) else "C" if title.startswith("LOG_DEF") else title[:1]
+            if key in begins and key in "AC":
+                raise place.at(f"line {number}").error("begins a second log; write one log in a file")
+            sections.setdefault(key, [])
+            begins.setdefault(key, number)
+        elif line.strip() and not line.lstrip().startswith("#"):
+            sections[key].append((number, line))
+    for letter, name in (("V", "~Version"), ("C", "~Curve"), ("A", "~ASCII")):
+        if letter not in begins:
+            raise place.error(f"not LAS: it has no section {name}; export the log again, with its data, or as CSV")
+    head = [line for key in "VWC" for line in (f"~{key}", *(line for _, line in sections.get(key, [])))]
+    try:
+        las = lasio.read(io.StringIO("\n".join([*head, "~A"])), ignore_data=True)
+        is_wrapped = str(las.version.WRAP.value).strip().upper() == "YES"
+        delimiter = _LAS_DELIMITERS.get(str(las.version["DLM"].value).upper()) if "DLM" in las.version else None
+    except Exception:  # lasio has no error of its own for a malformed header
+        fault = "not LAS: its header cannot be read; it needs VERS and WRAP in ~Version, and a curve on each line"
+        raise place.at(f"line {begins['V']}").error(f"{fault} of ~Curve; or export as CSV") from None
+    header = [_with_unit(str(curve.original_mnemonic), str(curve.unit or "")) for curve in las.curves]
+    rows = [(number, [cell.strip() for cell in line.split(delimiter)]) for number, line in sections["A"]]
+    if is_wrapped:
+        width, every = len(header), [(number, cell) for number, cells in rows for cell in cells if cell]
+        groups = [every[k : k + width] for k in range(0, len(every), width)]
+        rows = [(group[0][0], [cell for _, cell in group]) for group in groups]
+    if not rows:
+        raise place.at(f"line {begins['A']}").error(f"{_NO_ROWS} below ~ASCII")
+    null = str(las.well["NULL"].value) if "NULL" in las.well else ""
+    return _checked(place, Cells(header, begins["C"], _table(rows), frozenset((null,))))
+
+
+def decimal_mark(columns: Iterable[pd.Series]) -> str:
+    """Return the decimal mark of text cells: "." or ",", "both" if both occur, or "" if commas may be either."""
+    columns = [column.dropna().str.strip() for column in columns]
+    if not any(column.str.contains(",", regex=False).any() for column in columns):
+        return "."
+    cells = pd.concat(columns)
+    found = [
+        mark for mark in ",." if (cells.str.fullmatch(_NUMBERS[mark]) & ~cells.str.fullmatch(_THOUSANDS[mark])).any()
+    ]
+    return "both" if len(found) == 2 else "".join(found)
+
+
+def to_numbers(
+    cells: pd.Series, mark: str, nulls: frozenset[str]
+) -> tuple[Float[np.ndarray, " rows"], Bool[np.ndarray, " rows"]]:
+    """Return the numbers in text cells, NaN where there is none, and where a cell is neither a number nor a null.
+
+    `mark`: the decimal mark, as `decimal_mark` returns it; `nulls`: what stands for a missing value, in small letters.
+    """
+    cells = cells.fillna("").str.strip()
+    if mark in (",", "."):
+        other = "," if mark == "." else "."
+        grouped = cells.str.fullmatch(_THOUSANDS[other])
+        cells = cells.where(~grouped, cells.str.replace(other, "", regex=False))
+        is_comma = cells.str.fullmatch(_NUMBERS[","]) & (mark == ",")
+        cells = cells.where(~is_comma, cells.str.replace(",", ".", regex=False))
+    missing = ((cells == "") | cells.str.casefold().isin(nulls)).to_numpy(bool)
+    listed = ["nan" if none else cell for cell, none in zip(cells, missing, strict=True)]
+    try:
+        values = np.array(listed, dtype=float)
+    except ValueError:
+        values = np.array([float(cell) if is_number(cell) else np.nan for cell in listed])
+    bad = ~np.isfinite(values) & ~missing
+    return np.where(np.isin(values, [float(null) for null in nulls if is_number(null)]) | bad, np.nan, values), bad
