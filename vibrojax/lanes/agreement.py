@@ -36,8 +36,8 @@ COMPARED_LANES = 8
 COMPARED_STEPS = LANES // COMPARED_LANES
 """Number of compared steps of each lane: two to three periods of the motion of a drill."""
 
-AT_REST = 1e-10
-"""Size of all states, relative to their largest values, up to which a motion has come to rest at zero."""
+NOISE = 1e-11
+"""Size of a state that is not zero, relative to its largest value, up to which it is a rounding error."""
 
 
 class LaneProgress(NamedTuple):
@@ -160,9 +160,9 @@ class Comparison:
             ways.append(self._step_kernel(self._given, c, ways[-1], self._accuracy, events).way)
         every = jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *ways)
         state = np.abs(np.stack(every.lane.state))
-        # Rounding errors decide what a motion does that has decayed to rest at zero.
-        moves = (state > AT_REST * state.max(axis=1, keepdims=True)).any(axis=0)
-        lanes = np.resize(np.flatnonzero(moves | ~moves.any()), LANES)
+        # Rounding errors decide what a motion does whose velocity, say, has decayed to rounding errors.
+        known = ((state == 0) | (state > NOISE * state.max(axis=1, keepdims=True))).all(axis=0)
+        lanes = np.resize(np.flatnonzero(known | ~known.any()), LANES)
         every, events = take_lanes((every, self._events.ravel()), lanes)
         given, c = take_lanes((self._given, c), lanes % COMPARED_LANES)
         difference = first_difference(self._begin, self._begin_kernel, self._given)
