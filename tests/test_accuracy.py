@@ -9,9 +9,9 @@ from vibrojax.cli import main
 from vibrojax.compile.native import kernels
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
-from vibrojax.studies import accuracy_run
+from vibrojax.studies import accuracy
+from vibrojax.studies.accuracy import STATUSES, compared, pareto, run_accuracy, table
 from vibrojax.studies.accuracy_programs import SCENES, Program, Setting, settings_of
-from vibrojax.studies.accuracy_run import STATUSES, compared, pareto, run_accuracy, table
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_timed_runs_compile_nothing():
 def test_setting_with_failed_lanes_keeps_reasons(monkeypatch):
     """Steps that miss the contact change the motion."""
     coarse = Setting("vibro-impact", "smoothed", "float64", "stride", 3.0)
-    monkeypatch.setattr(accuracy_run, "settings_of", lambda scene, quick: [coarse])
+    monkeypatch.setattr(accuracy, "settings_of", lambda scene, quick: [coarse])
     failed = run_accuracy(["vibro-impact"], quick=True, progress=False)
     lanes = int(failed["lanes"][0])
     assert failed["agreeing"] < lanes and failed["status"] != 0 and not failed["on_front"].any()
@@ -88,7 +88,7 @@ def test_setting_with_failed_lanes_keeps_reasons(monkeypatch):
 
 
 def test_command_writes_dataset_table_and_picture(study, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(accuracy_run, "run_accuracy", lambda quick, progress: study)
+    monkeypatch.setattr(accuracy, "run_accuracy", lambda quick, progress: study)
     out = tmp_path / "new" / "folder"
     assert main(["accuracy", "--quick", "-o", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == {"accuracy.nc", "accuracy.md", "accuracy.png"}
@@ -121,7 +121,7 @@ def test_interrupt_prints_command_to_start_again(tmp_path, monkeypatch, capsys):
     def interrupted(**_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(accuracy_run, "run_accuracy", interrupted)
+    monkeypatch.setattr(accuracy, "run_accuracy", interrupted)
     assert main(["accuracy", "-o", str(tmp_path)]) == 130
     line = f"vibrojax: interrupted; nothing is kept; to start again: vibrojax accuracy -o {tmp_path}\n"
     assert capsys.readouterr().err == line

@@ -13,7 +13,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.studies import sensitivity_branch as branch
+from vibrojax.studies import as_jax as branch
 
 HERE, BEYOND = np.array([0.4, 0.75]), np.array([0.6, 0.5])
 RUN = {"settle": 1.0, "observe": 1.0}

@@ -16,15 +16,8 @@ from vibrojax.io.files import source
 from vibrojax.io.variables import NATURES
 from vibrojax.lanes.run import LaneRun
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
-from vibrojax.studies.attractor_analysis import Attractors
-from vibrojax.studies.attractor_grouping import (
-    PointMotion,
-    PointMotions,
-    classify_motions,
-    is_ambiguous,
-    join_chains,
-    number_attractors,
-)
+from vibrojax.studies.attractor_groups import Motion, classify_motions, is_ambiguous, join_chains, number_attractors
+from vibrojax.studies.attractors import Attractors
 
 BOX = {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 GAMMA = [0.35, 0.3625, 0.7375, 0.75, 0.7625]
@@ -195,9 +188,10 @@ def irregular(**lanes):
 
 def groups(dataset, starts=None):
     """Return the motion of each lane, numbered in the order of the lanes."""
-    of_lane = classify_motions(SCENE, dataset, {}, starts or dataset.sizes["start"]).of_lane.tolist()
-    order = [number for number in dict.fromkeys(of_lane) if number >= 0]
-    return [order.index(number) if number >= 0 else number for number in of_lane]
+    motions = classify_motions(SCENE, dataset, {}, starts or dataset.sizes["start"])
+    lanes = sorted(motion.lanes.tolist() for motion in motions)
+    of_lane = {lane: number for number, own in enumerate(lanes) for lane in own}
+    return [of_lane.get(lane, -1) for lane in range(dataset.sizes["start"])]
 
 
 def test_irregular_lanes_are_grouped_by_statistics():
@@ -212,14 +206,10 @@ def test_few_irregular_lanes_near_many_are_unassigned():
 
 def test_irregular_motion_with_one_lane_everywhere_is_ambiguous():
     """It is ambiguous beside a motion with more lanes, unless it has several lanes at a neighbouring point."""
-    motions = PointMotions(np.array([0, 0, 0, 1, 2, 3, 3, 3, 4]))
-    for cell, regime in ((0, IRREGULAR), (0, IRREGULAR), (1, IRREGULAR), (2, IRREGULAR), (2, SINGLE_IMPACT)):
-        motions.add(np.array([], int), PointMotion(cell, regime))
+    regimes = ((0, 3, IRREGULAR), (0, 1, IRREGULAR), (1, 1, IRREGULAR), (2, 3, IRREGULAR), (2, 1, SINGLE_IMPACT))
+    motions = [Motion(cell, np.arange(lanes), regime) for cell, lanes, regime in regimes]
     assert is_ambiguous(motions, np.array([0, 1, 2, 3, 4])).tolist() == [False, True, False, False, False]
     assert is_ambiguous(motions, np.array([0, 3, 2, 3, 4])).tolist() == [False] * 5
-    motions.remove(np.array([False, True, False, False, False]))
-    assert motions.of_lane.tolist() == [0, 0, 0, -1, 1, 2, 2, 2, 3]
-    assert [motion.cell for motion in motions.items] == [0, 1, 2, 2]
 
 
 def test_lanes_at_different_points_are_different_motions():
@@ -348,7 +338,7 @@ def test_finished_chunks_survive_an_interrupt(by, tmp_path, capsys, monkeypatch)
 
     monkeypatch.setattr(LaneRun, "chunk", counted)
     if by == "links":
-        monkeypatch.setattr("vibrojax.studies.attractor_analysis.attractors_of", interrupted)
+        monkeypatch.setattr("vibrojax.studies.attractor_groups.find_links", interrupted)
     assert main(["attractors", "few.toml", "-o", "out.nc", "--quiet"]) == 130
     assert "finished chunks are kept; to go on: vibrojax attractors few.toml -o out.nc" in capsys.readouterr().err
     kept = len(list((tmp_path / "out.nc.chunks").glob("*.zip")))

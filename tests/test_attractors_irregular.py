@@ -8,21 +8,19 @@ from test_attractors import BOX, groups, irregular
 import vibrojax as vj
 from vibrojax.maps.rerun import sweep_of_dataset
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
-from vibrojax.studies import attractor_long_run as long_run
-from vibrojax.studies.attractor_grouping import (
-    IRREGULAR_WITHIN,
-    RESOLUTION_STDERRS,
-    STATISTICS,
-    join_chains,
-    stderr_name,
-)
-from vibrojax.studies.attractor_long_run import (
+from vibrojax.studies import attractor_groups as long_run
+from vibrojax.studies.attractor_groups import (
     BATCHES,
     CONVERGED_STDERR,
     FEWEST_WINDOWS,
+    IRREGULAR_WITHIN,
     MOST_WINDOWS,
+    RESOLUTION_STDERRS,
+    STATISTICS,
+    join_chains,
     on_orbits,
     statistics,
+    stderr_name,
     with_long_statistics,
 )
 

@@ -7,12 +7,11 @@ import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.files import source
+from vibrojax.io.kinds import BORDER_KINDS
 from vibrojax.measures.labels import SINGLE_IMPACT
-from vibrojax.studies.border_analysis import Borders
-from vibrojax.studies.border_chains import Vertex, around_region
-from vibrojax.studies.border_continued import ContinuedBorders
-from vibrojax.studies.border_propagation import OrbitGrid
-from vibrojax.studies.border_run import BORDER_KINDS
+from vibrojax.studies.border_curves import ContinuedBorders
+from vibrojax.studies.border_grid import OrbitGrid, Vertex, around_region
+from vibrojax.studies.borders import Borders
 
 SWEEP = {
     "scene": "vibro-impact",

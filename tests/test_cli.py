@@ -50,8 +50,8 @@ def calls(monkeypatch, tmp_path):
     cost = SimpleNamespace(memory=2.5e6, disk=1234, file=512, seconds=190.0)
     module("vibrojax.maps.run", run_to_file=dataset)
     module("vibrojax.maps.cost", check_size=None, tried=cost)
-    simulated = stand_in_for("simulate_point", dataset)
-    monkeypatch.setattr("vibrojax.studies.trajectory_analysis.simulate_point", simulated)
+    simulated = stand_in_for("simulate", dataset)
+    monkeypatch.setattr("vibrojax.studies.trajectory.Trajectories.compute", simulated)
     module("vibrojax.io.dataset", write_dataset=None, open_dataset=dataset)
     module("vibrojax.studies.choose", save_picture=None, picture=None)
     monkeypatch.chdir(tmp_path)
@@ -224,12 +224,12 @@ def test_simulate_passes_checked_point(calls, capsys):
         "solver=Tsit5",
     ]
     assert main(["simulate", "vibro-impact", *words]) == 0
-    [point], named = calls.of("simulate_point")
+    (analysis, point, _), _ = calls.of("simulate")
     assert point.scene == "vibro-impact" and point.options["friction"] == "coulomb"
     assert point.parameters["beta"] == 0.3 and point.parameters["v"] == pytest.approx(0.2 * np.pi)
     assert not {"rpm", "v_cr"} & set(point.parameters) and point.start == (0.0, 0.0, 0.01, 0.0)
-    assert named["duration"] == 5.0 and named["solver"] == "Tsit5"
-    assert calls.names() == ["simulate_point", "write_dataset", "save_picture"]
+    assert analysis.duration == 5.0 and analysis.solver == "Tsit5"
+    assert calls.names() == ["simulate", "write_dataset", "save_picture"]
     assert calls.of("write_dataset")[0][1] == Path("vibro-impact.nc")
     assert capsys.readouterr().out == "vibro-impact.nc; picture vibro-impact.png\n"
 

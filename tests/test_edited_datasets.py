@@ -15,7 +15,7 @@ from vibrojax.explorer.motions import motions_for
 from vibrojax.explorer.views import document_of, family_cells, sweep_of, with_map
 from vibrojax.maps.rerun import holds_orbits, sweep_of_dataset
 from vibrojax.pictures.selection import select
-from vibrojax.studies.attractor_run import sweep_of as sweep_of_attractors
+from vibrojax.studies.attractors import Attractors
 from vibrojax.studies.curve_run import problem_of
 from vibrojax.studies.curve_spec import read_curves
 
@@ -102,7 +102,7 @@ def test_lanes_are_those_of_the_coordinates(datasets, starts, changes):
     for change in changes:
         ds = change(ds)
     sweep, given = sweep_of_dataset(ds), vj.read_sweep(tables(starts))
-    for own in (sweep, sweep_of_attractors(ds), sweep_of(ds)[0], sweep_of(ds, given)[0]):
+    for own in (sweep, Attractors().sweep(ds), sweep_of(ds)[0], sweep_of(ds, given)[0]):
         assert lanes(own) == expected_lanes(ds, starts)
     assert lanes(vj.read_sweep(tomllib.loads(sweep.text))) == lanes(sweep)  # as the next dataset states
 

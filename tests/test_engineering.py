@@ -6,7 +6,6 @@ import xarray as xr
 from read_off import legend
 
 import vibrojax as vj
-import vibrojax.studies.trajectory_run as simulation
 from vibrojax.cli import analyses, main
 from vibrojax.errors import InputError, Place
 from vibrojax.settings.names import read_names
@@ -59,9 +58,8 @@ def test_wider_hole_takes_less_energy_per_volume():
 def test_each_parameter_reaches_the_equations_by_every_way(scene, monkeypatch, tmp_path):
     """`vj.simulate`, the command and a sweep of one lane resolve each parameter to the same values."""
     seen = []
-    seen_point = lambda point, **_: seen.append(point) or xr.Dataset()  # noqa: E731
-    monkeypatch.setattr(simulation, "simulate_point", seen_point)
-    monkeypatch.setattr("vibrojax.studies.trajectory_analysis.simulate_point", seen_point)
+    seen_point = lambda self, point, progress: seen.append(point) or xr.Dataset()  # noqa: E731
+    monkeypatch.setattr("vibrojax.studies.trajectory.Trajectories.compute", seen_point)
     monkeypatch.setattr(analyses, "answer", lambda options, name, identity, compute, *_, **__: compute())
     names = read_names(Place("test"), scene, {}, Place("test"))
     for name, parameter in names.writable.items():

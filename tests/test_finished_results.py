@@ -89,7 +89,7 @@ def test_single_motions_are_numbered(folder, capsys, monkeypatch):
         assert vj.open_dataset(folder / f"{name}.nc").attrs["parameters"].count(f'"gamma": {gamma}') == 1
     (folder / "rotary.nc").unlink()
     with monkeypatch.context() as patch:
-        patch.setattr("vibrojax.studies.trajectory_analysis.simulate_point", None)
+        patch.setattr("vibrojax.studies.trajectory.Trajectories.compute", None)
         assert main([*POINT, "gamma=0.8"]) == 0
         line = f"rotary-4.nc: is there already ({source()}); it is not computed again without --fresh"
         assert capsys.readouterr().out.splitlines() == [*lines[0.8][:-1], f"{line}; picture rotary-4.png"]
@@ -109,7 +109,7 @@ def test_number_taken_by_another_process_is_not_used(folder, monkeypatch):
         return motion
 
     motion = vj.simulate("rotary", duration=0.2, progress=False)
-    monkeypatch.setattr("vibrojax.studies.trajectory_analysis.simulate_point", simulate)
+    monkeypatch.setattr("vibrojax.studies.trajectory.Trajectories.compute", simulate)
     assert main([*POINT, "--quiet"]) == 0
     assert (folder / "rotary.nc").read_bytes() == b"of another process" and (folder / "rotary-2.nc").exists()
 

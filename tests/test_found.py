@@ -8,9 +8,9 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax.lanes.record import window
-from vibrojax.studies import trajectory_run as _recorded
+from vibrojax.studies import trajectory_recording as _recorded
 from vibrojax.studies.frequencies import frequency_part
-from vibrojax.studies.trajectory_analysis import feature_lines
+from vibrojax.studies.trajectory import feature_lines
 
 STRONG = {"threshold": 30e3, "delta": 0.002}
 POINTS = {

@@ -23,7 +23,7 @@ from vibrojax.cli.command import named_values
 from vibrojax.errors import InputError, Place
 from vibrojax.maps.cost import check_size, estimated_steps
 from vibrojax.maps.read import read_point, read_sweep
-from vibrojax.studies.trajectory_analysis import Trajectories
+from vibrojax.studies.trajectory import Trajectories
 
 SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
 fuzzed = settings(

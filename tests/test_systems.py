@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from systems import BALL, BELT, BILINEAR, IMPACT_OSCILLATOR, RELAY, belt_period
 
 import vibrojax as vj
-from vibrojax.studies.trajectory_analysis import feature_lines
+from vibrojax.studies.trajectory import feature_lines
 
 OSCILLATOR = {"w": 0.9, "stiffness": 1.0, "damping": 0.1, "stop": 1.0}
 R = 0.7

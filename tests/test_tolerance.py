@@ -1,7 +1,6 @@
 """Test machines over the box of their tolerances: samples, extremes, command and refusals."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,13 +9,13 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.measures.labels import REGIMES
-from vibrojax.studies import tolerance_refinement as refinement
 from vibrojax.studies.analysis import analysis_of
 from vibrojax.studies.tolerance import (
     INTERIOR_SAMPLES,
     PLACES,
     QUANTITIES,
     REFINED,
+    refine,
     sample_box,
     tolerance_variables,
 )
@@ -75,13 +74,11 @@ def closed_form(units):
     return xr.Dataset({name: (("point", "start"), values) for name, values in lanes.items()})
 
 
-def test_search_from_extreme_samples_finds_extremes_of_box(monkeypatch):
-    monkeypatch.setattr(refinement, "run_sweep", lambda units, progress: closed_form(units))
-    monkeypatch.setattr(refinement, "_with_attributes", lambda sweep, ds: ds)
+def test_search_from_extreme_samples_finds_extremes_of_box():
     units, _ = sample_box(2)
-    box = SimpleNamespace(sweep_over=lambda points: points, written_over=lambda points: points)
     sampled = closed_form(units)
-    ds, tried, added = refinement.refine(box, units, sampled, QUANTITIES)
+    ds, places, tried = refine(units, sampled, closed_form)
+    added = len(places) - len(units)
     assert float(sampled.impact_velocity.min()) > 0.02 and float(ds.impact_velocity.min()) < 0.01
     assert 0 < added <= tried < 200 and ds.sizes["point"] == len(units) + added
     for name in ("impact_velocity", "period"):  # the corners are the greatest, and nothing leaves the box

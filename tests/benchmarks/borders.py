@@ -12,7 +12,7 @@ import numpy as np
 import vibrojax as vj
 from vibrojax.io.kinds import BORDER_KINDS
 from vibrojax.maps.rerun import sweep_with_orbits
-from vibrojax.studies.border_run import Regions
+from vibrojax.studies.borders import Regions
 
 LINES = np.linspace(0.125, 1.005, 23)
 """Mass ratios of the lines; no grid has a point there."""

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import vibrojax as vj
 from vibrojax.maps.read import read_sweep
-from vibrojax.studies.accuracy_run import machine
+from vibrojax.studies.accuracy import machine
 
 COMMAND = (sys.executable, "-m", "vibrojax")
 BOX = {

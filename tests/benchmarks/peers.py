@@ -21,7 +21,7 @@ from peers.scipy_events import Scipy
 from peers.simd import Simd
 from peers.table import table
 
-from vibrojax.studies.accuracy_run import machine
+from vibrojax.studies.accuracy import machine
 
 PEERS = (NumbaTaylor, NumbaDormandPrince, Simd, DiffraxAdaptive, DiffraxFixed, DiffraxEvents, Scipy)
 

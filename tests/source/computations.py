@@ -26,7 +26,7 @@ from vibrojax.errors import InputError, Place, counted
 from vibrojax.maps.read import read_point
 from vibrojax.maps.run import run_sweep
 from vibrojax.settings.values import UnusualValue
-from vibrojax.studies.trajectory_run import simulate
+from vibrojax.studies.trajectory import simulate
 
 STARTS = {"rotary": ("drive", "stuck"), "penetration": ()}
 """Initial conditions of all lanes, by scene, for the scenes in which bit and striker are not in contact."""

@@ -157,8 +157,7 @@ def explore(options: Options) -> None:
         out = view_path(options, path, (".html",), parts)
     over = None
     if scene:
-        from vibrojax.studies.trajectory_analysis import Trajectories
-        from vibrojax.studies.trajectory_run import simulate
+        from vibrojax.studies.trajectory import Trajectories, simulate
 
         settings, parameters = named_values(Place("explore"), options.values, Trajectories.words(), lists=False)
         arguments: dict[str, Any] = settings | parameters

@@ -263,7 +263,7 @@ def accuracy(options: Options) -> None:
     from vibrojax.io.atomic import atomic_write
     from vibrojax.io.dataset import write_dataset
     from vibrojax.io.identity import text_mark
-    from vibrojax.studies.accuracy_run import run_accuracy, table
+    from vibrojax.studies.accuracy import run_accuracy, table
     from vibrojax.studies.choose import save_picture
 
     dataset = run_accuracy(quick=options.quick, progress=not options.quiet)

@@ -23,8 +23,8 @@ from vibrojax.pictures.contents import POINT, RETURN, START
 from vibrojax.pictures.style import OTHER_COLOURS
 from vibrojax.scenes import SCENES
 from vibrojax.settings.names import known_options, read_names
-from vibrojax.studies.attractor_analysis import BEYOND
-from vibrojax.studies.attractor_analysis import COLOURS as ATTRACTOR_COLOURS
+from vibrojax.studies.attractors import BEYOND
+from vibrojax.studies.attractors import COLOURS as ATTRACTOR_COLOURS
 
 Document = dict[str, Any]
 

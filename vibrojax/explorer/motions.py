@@ -34,7 +34,7 @@ from vibrojax.scenes import Scene
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.values import UnusualValue
 from vibrojax.stepping import AccuracyRequest, Located
-from vibrojax.studies.trajectory_run import Recorded, constants_at, recorded
+from vibrojax.studies.trajectory_recording import Recorded, constants_at, recorded
 
 PLACE = Place("explore")
 

@@ -188,11 +188,11 @@ GROUP = "vibrojax.analyses"
 
 _HOMES = {
     "sweep": "sweep:Sweeps",
-    "trajectory": "trajectory_analysis:Trajectories",
+    "trajectory": "trajectory:Trajectories",
     "family": "family_analysis:Families",
     "curves": "curve_analysis:Curves",
-    "borders": "border_analysis:Borders",
-    "attractors": "attractor_analysis:Attractors",
+    "borders": "borders:Borders",
+    "attractors": "attractors:Attractors",
     "push": "push:Pushes",
     "tolerance": "tolerance:Tolerances",
     "design": "design_analysis:Designs",
@@ -200,8 +200,8 @@ _HOMES = {
     "rig": "rig_analysis:Rigs",
     "calibration": "calibration_analysis:Calibrations",
     "fit": "rop_picture:Fits",
-    "accuracy": "accuracy_picture:AccuracyStudy",
-    "sensitivity": "sensitivity_analysis:Sensitivity",
+    "accuracy": "accuracy:AccuracyStudy",
+    "sensitivity": "sensitivity:Sensitivity",
 }
 """Module and class of each of the package's own analyses, which are imported when they are needed."""
 

@@ -26,7 +26,7 @@ from vibrojax.physics.arrays import Array, Flags, Lanes
 from vibrojax.scenes import Scene
 from vibrojax.scenes.declared import Values as States
 from vibrojax.stepping import Accuracy, Goal, Lane, Located, lane_at
-from vibrojax.studies.sensitivity_branch import Branch, settled_at
+from vibrojax.studies.as_jax import Branch, settled_at
 
 CONSTANT = "C"
 """Name of the coefficient of the law, which is no parameter of a scene: rate_of_penetration = C ln(relief)."""

@@ -12,21 +12,119 @@ from jaxtyping import Float, Int
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.attributes import flags
 from vibrojax.io.variables import VARIABLES, orbit_name
+from vibrojax.lanes.inputs import Index
 from vibrojax.maps.dataset import shared_attributes
 from vibrojax.maps.machines import Machines
 from vibrojax.maps.run import run_sweep
+from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import EQUILIBRIUM, IRREGULAR, UNDECIDED
 from vibrojax.periodic.lane_stages import plan_of, run_lanes
 from vibrojax.periodic.orbit_stages import why_no_orbit
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.physics.parameters import positive
+from vibrojax.pictures.axes import axis, margins, number, scale, values_along, with_unit
+from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_names
+from vibrojax.pictures.contents import POINT, varied
+from vibrojax.pictures.plots import Axis, Bars, Layer, Line, Look, Plot, Sheet, Text, dots, key, level, patch
+from vibrojax.pictures.starts import SYMBOLS
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.settings.fields import setting
 from vibrojax.settings.values import as_table, quantity
 from vibrojax.studies.analysis import PictureRule, SummaryPart
-from vibrojax.studies.push_analysis import smallest_pushes
 from vibrojax.studies.subjects import MachineAnalysis, answered
+
+_PUSH = "push_"
+_SIDES = {-1: ("#0072B2", "v", "negative push"), 1: ("#D55E00", "^", "positive push")}
+_RETURNS: Look = {"edge": "#B3B3B3", "hatch": "//"}  # every push tried returns
+_BOUND: Look = {"colour": "#808080", "dash": "--", "width": 0.9}
+_EDGE = "#595959"
+
+
+def smallest_pushes(ds: xr.Dataset) -> Sheet:
+    """Draw the smallest push in each state variable, with a panel for each variable.
+
+    Several machines are drawn as curves over their parameter, one curve for each sign of the push. One machine is drawn
+    as a bar for each sign.
+    """
+    if POINT in ds.dims and ds.sizes[POINT] == 1:
+        ds = ds.isel({POINT: 0})
+    states = [str(name).removeprefix(_PUSH) for name in ds.data_vars if str(name).startswith(_PUSH)]
+    rows, several = -(-len(states) // 2), POINT in ds.dims
+    plots = [(_curves if several else _sides)(ds, state) for state in states]
+    plots = [replace(plot, place=divmod(k, 2)) for k, plot in enumerate(plots)]
+    known = [ds[f"bound_{state}"] > 0 for state in states]
+    returning = any(bool((ds[f"{_PUSH}{s}"].isnull() & k).any()) for s, k in zip(states, known, strict=True))
+    leaving = any(bool(ds[f"{_PUSH}{state}"].notnull().any()) for state in states)
+    keys: list[Layer] = [key(side, colour=c, marker=m, width=1.0) for c, m, side in _SIDES.values() if several]
+    if not several:
+        ends: dict[int, str] = {}
+        for state in states:
+            names = regime_names(ds[f"regime_{state}"])
+            flags_here = regime_cells(ds[f"regime_{state}"]).astype(int).tolist()
+            ends |= {flag: names[flag] for flag in flags_here if flag > 0}
+        keys += [patch(REGIME_COLOURS[flag], ends[flag]) for flag in sorted(ends)]
+    if returning:
+        hollow = dots(label="every push tried returns", colour="#4D4D4D", face="none")
+        keys.append(hollow if several else patch("#FFFFFF", hollow.label, **_RETURNS))
+    keys.append(key("greatest push tried", **_BOUND))
+    none_leaves = "No push up to the greatest tried leaves the working cycle"
+    about = margins(ds, none_leaves if returning and not (leaving or several) else "")
+    return Sheet(plots, (8.6, 2.3 * rows + 0.6), (1.0, 1.0), (1.0,) * rows, [keys], **about)
+
+
+def _curves(ds: xr.Dataset, state: str) -> Plot:
+    """Draw the smallest pushes of several machines over their parameter."""
+    (factor, unit), push = scale(ds[f"bound_{state}"]), ds[f"{_PUSH}{state}"]
+    bound = ds[f"bound_{state}"].values * factor
+    over = next(iter(varied(ds)), POINT)
+    x = values_along(ds[over]) if over in ds.coords else np.arange(ds.sizes[POINT], dtype=float)
+    order = np.argsort(x, kind="stable")
+    layers: list[Layer] = []
+    for sign, (colour, marker, _) in _SIDES.items():
+        y = push.sel(sign=sign).values * factor
+        stays = np.isnan(y) & (bound > 0)
+        layers.append(Line(x[order], y[order], colour, 1.0, marker=marker))
+        layers.append(dots(x[stays], bound[stays], colour=colour, marker=marker, size=5.0 + sign, face="none"))
+    layers.append(Line(x[order], bound[order], **_BOUND))
+    top = 1.12 * float(np.nanmax([bound, *(push.transpose("sign", ...).values * factor)]))
+    across = axis(ds[over], group="over") if over in ds.coords else Axis("machine", group="over")
+    return Plot(layers, across, Axis(_words(state, unit), limits=(-0.03 * top, top or 1.0)))
+
+
+def _sides(ds: xr.Dataset, state: str) -> Plot:
+    """Draw the smallest push of one machine as a bar for each sign, in the colour of the regime that follows."""
+    (factor, unit), push = scale(ds[f"bound_{state}"]), ds[f"{_PUSH}{state}"]
+    bound = float(ds[f"bound_{state}"].values * factor)
+    stable = bound > 0
+    layers: list[Layer] = [level(bound, **_BOUND)] if stable else []
+    for side, (size, flag) in enumerate(zip(push.values * factor, regime_cells(ds[f"regime_{state}"]), strict=True)):
+        leaves = bool(np.isfinite(size))
+        height = float(size) if leaves else bound if stable else 0.0
+        look: Look = (
+            {"colours": REGIME_COLOURS[int(flag)], "edge": _EDGE} if leaves else {"colours": "#FFFFFF"} | _RETURNS
+        )
+        layers.append(Bars([side - 0.3], [0.0], [0.6], [height], **look))
+        text = number(float(f"{size:.3g}")) if leaves else "returns" if stable else "no stable\ncycle"
+        layers.append(
+            Text(
+                float(side),
+                height if leaves else height / 2,
+                text,
+                baseline="bottom",
+                box=True,
+                offset=(0.0, 3.0 * leaves),
+            )
+        )
+    ticks = [(float(k), _SIDES[int(sign)][2]) for k, sign in enumerate(ds["sign"].values)]
+    top = 1.13 * float(np.nanmax([bound, *(push.values * factor)]))
+    up = Axis(_words(state, unit), limits=(0.0, top or 1.0), ticks=None if stable else [])
+    return Plot(layers, Axis(ticks=ticks, limits=(-0.6, len(push) - 0.4), group="over"), up, grid="")
+
+
+def _words(state: str, unit: str) -> str:
+    return with_unit(f"push in {SYMBOLS.get(state, state)}", unit)
+
 
 SCAN, PRECISION = 256, 1e-3
 """Default number of pushes per scan, and default relative width of the final bracket."""
@@ -163,14 +261,95 @@ class Pushes(MachineAnalysis[Machines]):
         if not len(stable):
             why = why_no_orbit(cycle.isel(point=0))
             raise asked.place.error(f"the motion {why}: no cycle to push; give another start or point")
-        scene, values = sweep.system.driving_part(), sweep.lane_values(0, sweep.lanes)[0]
+        scene, system = sweep.system.driving_part(), sweep.system
+        orbits = orbits_of(scene, cycle, sweep.lane_values(0, sweep.lanes)[0], stable)
         section = {name: cycle[orbit_name(name)].values[stable] for name in scene.return_states}
-        begin = np.stack([section.get(name, np.zeros(len(stable))) for name in sweep.system.start_states], axis=1)
-        bound = self._bounds(sweep.system, cycle.isel(point=stable))
-        orbits = orbits_of(scene, cycle, values, stable)
-        search = _Search(self, asked, stable, orbits, begin, bound, progress)
-        search.run()
-        return _dataset(self, asked, cycle, stable, search)
+        begin = np.stack([section.get(name, np.zeros(len(stable))) for name in system.start_states], axis=1)
+        bound = self._bounds(system, cycle.isel(point=stable))
+
+        # Directions are pairs of state variable and sign; `high`: smallest leaving push found, NaN if there is none.
+        # `low`: greatest push below it after which the motion is known to return; `regime`: where `high` leads.
+        top = np.repeat(bound, len(SIGNS), axis=1)
+        low, high, regime = np.zeros_like(top), np.full_like(top, np.nan), np.zeros(top.shape, int)
+
+        def narrow(pushes: Float[np.ndarray, "points directions pushes"], mask: np.ndarray) -> None:
+            """Update the brackets with the results of `pushes` in the directions selected by `mask`."""
+            tried = pushes[mask]
+            point, direction = np.repeat(np.argwhere(mask), pushes.shape[-1], axis=0).T
+            states = begin[point]
+            states[np.arange(len(point)), direction // len(SIGNS)] += np.array(SIGNS)[direction % 2] * tried.ravel()
+            outcomes = _outcomes(sweep, orbits, stable[point], states, 1.0, progress)
+            unclear = np.flatnonzero(outcomes[1] & (outcomes[2] == IRREGULAR))
+            if len(unclear):
+                later = _outcomes(sweep, orbits, stable[point[unclear]], states[unclear], PATIENCE, progress)
+                for whole, part in zip(outcomes, later, strict=True):
+                    whole[unclear] = part
+            returned, leaving, ends = (x.reshape(tried.shape) for x in outcomes)
+            first, leaves = np.argmax(leaving, axis=1)[:, None], leaving.any(axis=1)
+            high[mask] = np.where(leaves, np.take_along_axis(tried, first, axis=1)[:, 0], high[mask])
+            regime[mask] = np.where(leaves, np.take_along_axis(ends, first, axis=1)[:, 0], regime[mask])
+            limit = np.where(np.isnan(high), np.inf, high)[mask]
+            below = np.max(np.where(returned & (tried < limit[:, None]), tried, 0.0), axis=1)
+            low[mask] = np.maximum(np.where(low[mask] < limit, low[mask], 0.0), below)
+
+        mask = np.ones(top.shape, bool)
+        for _ in range(MAX_SCANS):
+            before = high.copy()
+            if mask.any():
+                narrow(top[..., None] * (np.arange(1, self.scan + 1) / self.scan), mask)
+            top, mask = high, high < np.where(np.isnan(before), np.inf, before)
+        for _ in range(BRACKET_ROUNDS):
+            mask = high - low > self.precision * high  # False for NaN
+            if mask.any():
+                narrow(low[..., None] + (high - low)[..., None] * (np.arange(1, BRACKET_PIECES) / BRACKET_PIECES), mask)
+        return self._dataset(asked, cycle, stable, bound, low, high, regime)
+
+    def _dataset(
+        self,
+        asked: Machines,
+        cycle: xr.Dataset,
+        stable: Index,
+        bound: Float[np.ndarray, "stable states"],
+        low: Float[np.ndarray, "stable directions"],
+        high: Float[np.ndarray, "stable directions"],
+        regime: Int[np.ndarray, "stable directions"],
+    ) -> xr.Dataset:
+        """Return the dataset of pushes; points without a stable cycle have NaN, and 0 as regime after the push."""
+        sweep = asked.sweep
+        scene, system = sweep.system.driving_part(), sweep.system
+        variables: dict[str, Any] = {}
+        for k, name in enumerate(system.start_states):
+            state, pair = system.states[system.place(name)], slice(2 * k, 2 * k + 2)
+            push, units = f"push in the {state.long_name}, at the section", {"units": state.unit}
+            flag = VARIABLES["regime"]
+            for part, x, about, long_name in (
+                ("push", high[:, pair], units, f"smallest {push}, that leaves the working cycle"),
+                ("bracket", (high - low)[:, pair], units, f"distance to the next smaller {push}, that returns"),
+                ("bound", bound[:, k], units, f"greatest {push}, that was tried"),
+                (
+                    "regime",
+                    regime[:, pair].astype(flag.dtype),
+                    flag.attributes(),
+                    f"regime in which the motion ends after the smallest {push}",
+                ),
+            ):
+                whole = np.full((cycle.sizes["point"], *x.shape[1:]), 0 if part == "regime" else np.nan, x.dtype)
+                whole[stable] = x
+                variables[f"{part}_{name}"] = (("point", "sign")[: x.ndim], whole, {**about, "long_name": long_name})
+        own = ["regime", "period", *map(orbit_name, scene.return_states)]
+        variables |= {name: ("point", cycle[name].values, cycle[name].attrs) for name in own}
+        coordinates = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
+        sign = ("sign", list(SIGNS), {"units": "1", "long_name": "side of the push: -1 less, 1 more"})
+        settings = {"method": METHOD, "scan": self.scan, "precision": self.precision, "patience": PATIENCE}
+        title = f"Smallest pushes out of the working cycle: {sweep.scene}"
+        attributes = {
+            **shared_attributes(sweep, "push", title, "smallest_push"),
+            "start": json.dumps(sweep.starts[0]) if sweep.starts is not None else "",
+            "run": cycle.attrs["run"],
+            "pushes": json.dumps(settings),
+        }
+        dataset = xr.Dataset(variables, {**coordinates, "sign": sign}, attributes)
+        return dataset if asked.several else dataset.isel(point=0, drop=True)
 
     def _bounds(self, system: Scene[Any], cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
         """Return the greatest push to be tried in each state variable."""
@@ -189,135 +368,30 @@ class Pushes(MachineAnalysis[Machines]):
         return [SummaryPart("pushes", push_lines(ds))]
 
 
-class _Search:
-    """Search for the smallest leaving pushes of stable cycles. Directions are pairs of state variable and sign.
+def _outcomes(
+    sweep: Sweep, orbits: list[Orbits], lanes: Index, begin: np.ndarray, factor: float, progress: bool
+) -> tuple[np.ndarray, ...]:
+    """Simulate motions of lanes from the states `begin`, with settling times multiplied by `factor`.
 
-    - `points`: indices of the points with a stable cycle; `orbits`: the cycles.
-    - `begin` (points, states): state of the cycle at the section; `bound`: greatest push that is tried in each state.
-    - `low`: greatest push below `high` after which the motion is known to return to the cycle.
-    - `high`: smallest leaving push found, NaN if none was found.
-    - `regime`: regime in which the motion ends after the push `high`, 0 if none was found.
+    **Returns:** for each motion, whether it returns to its cycle, whether it leaves the cycle, and its regime.
     """
-
-    def __init__(
-        self,
-        settings: Pushes,
-        machines: Machines,
-        points: Int[np.ndarray, " points"],
-        orbits: list[Orbits],
-        begin: Float[np.ndarray, "points states"],
-        bound: Float[np.ndarray, "points states"],
-        progress: bool,
-    ) -> None:
-        self._settings, self._sweep, self._progress = settings, machines.sweep, progress
-        self._points, self._orbits, self._begin = points, orbits, begin
-        self.bound, self._bounds = bound, np.repeat(bound, len(SIGNS), axis=1)
-        self.low, self.high = np.zeros_like(self._bounds), np.full_like(self._bounds, np.nan)
-        self.regime = np.zeros(self._bounds.shape, int)
-
-    def run(self) -> None:
-        scan = np.arange(1, self._settings.scan + 1) / self._settings.scan
-        top, mask = self._bounds, np.ones(self._bounds.shape, bool)
-        for _ in range(MAX_SCANS):
-            before = self.high.copy()
-            self._narrow(top[..., None] * scan, mask)
-            top, mask = self.high, self.high < np.where(np.isnan(before), np.inf, before)
-            if not mask.any():
-                break
-        share = np.arange(1, BRACKET_PIECES) / BRACKET_PIECES
-        for _ in range(BRACKET_ROUNDS):
-            mask = self.high - self.low > self._settings.precision * self.high  # False for NaN
-            if not mask.any():
-                break
-            self._narrow(self.low[..., None] + (self.high - self.low)[..., None] * share, mask)
-
-    def _narrow(self, pushes: Float[np.ndarray, "points directions pushes"], mask: np.ndarray) -> None:
-        """Update the brackets with the results of `pushes` in the directions selected by `mask`."""
-        tried, count = pushes[mask], pushes.shape[-1]
-        point, direction = np.repeat(np.argwhere(mask), count, axis=0).T
-        begin = self._begin[point]
-        begin[np.arange(len(point)), direction // len(SIGNS)] += np.array(SIGNS)[direction % 2] * tried.ravel()
-        outcomes = self._simulate(point, begin, 1.0)
-        unclear = np.flatnonzero(outcomes[1] & (outcomes[2] == IRREGULAR))
-        if len(unclear):
-            later = self._simulate(point[unclear], begin[unclear], PATIENCE)
-            for whole, part in zip(outcomes, later, strict=True):
-                whole[unclear] = part
-        returned, leaving, ends = (x.reshape(tried.shape) for x in outcomes)
-        first = np.argmax(leaving, axis=1)[:, None]
-        leaves = leaving.any(axis=1)
-        self.high[mask] = np.where(leaves, np.take_along_axis(tried, first, axis=1)[:, 0], self.high[mask])
-        self.regime[mask] = np.where(leaves, np.take_along_axis(ends, first, axis=1)[:, 0], self.regime[mask])
-        top = np.where(np.isnan(self.high), np.inf, self.high)[mask]
-        below = np.max(np.where(returned & (tried < top[:, None]), tried, 0.0), axis=1)
-        self.low[mask] = np.maximum(np.where(self.low[mask] < top, self.low[mask], 0.0), below)
-
-    def _simulate(self, point: np.ndarray, begin: np.ndarray, factor: float) -> tuple[np.ndarray, ...]:
-        """Simulate motions of points from the states `begin`, with settling times multiplied by `factor`.
-
-        **Returns:** for each motion, whether it returns to its cycle, whether it leaves the cycle, and its regime.
-        """
-        sweep = self._sweep
-        run = replace(sweep.run, settle=factor * sweep.run.settle)
-        inputs = replace(
-            sweep.inputs_of(self._points[point]),
-            run=run,
-            start=np.zeros(len(point), int),
-            start_names=(),
-            states=tuple(begin.T),
-        )
-        plan = plan_of(inputs.scene, run, len(point), len(point) / len(np.unique(point)))
-        with Progress(len(point), "lanes", self._progress) as bar:
-            found = run_lanes(inputs, plan, bar.add).variables
-        names = map(orbit_name, sweep.system.driving_part().return_states)
-        orbits = np.stack([found[name] for name in names], axis=1)
-        regime = found["regime"].astype(int)
-        returned = np.zeros(len(point), bool)
-        for cycle in self._orbits:
-            number = np.searchsorted(cycle.lane, self._points[point]).clip(max=len(cycle) - 1)
-            own = (cycle.lane[number] == self._points[point]) & (found["orbit_cycles"] == cycle.states.shape[1])
-            returned[own] = cycle.of(number[own]).contain(orbits[own])
-        on_another = np.isfinite(orbits).all(axis=1) & (found["stable"] != 0) & (regime != UNDECIDED)
-        # An irregular motion near an orbit may still converge to this orbit: it has neither returned nor left.
-        irregular = (regime == IRREGULAR) & (found["nearby_cycles"] == 0)
-        return returned, ~returned & (on_another | irregular | (regime == EQUILIBRIUM)), regime
-
-
-def _dataset(
-    asked: Pushes, machines: Machines, cycle: xr.Dataset, stable: Int[np.ndarray, " stable"], search: _Search
-) -> xr.Dataset:
-    """Return the dataset of pushes; points without a stable cycle have NaN, and 0 as regime after the push."""
-    sweep, regimes = machines.sweep, VARIABLES["regime"]
-    variables: dict[str, Any] = {}
-
-    def add(name: str, x: np.ndarray, long_name: str, about: Mapping[str, Any], fill: float = np.nan) -> None:
-        whole = np.full((cycle.sizes["point"], *x.shape[1:]), fill, x.dtype)
-        whole[stable] = x
-        variables[name] = (("point", "sign")[: x.ndim], whole, {**about, "long_name": long_name})
-
-    for k, name in enumerate(sweep.system.start_states):
-        state, pair = sweep.system.states[sweep.system.place(name)], slice(2 * k, 2 * k + 2)
-        high, regime = search.high[:, pair], search.regime[:, pair].astype(regimes.dtype)
-        push, units = f"push in the {state.long_name}, at the section", {"units": state.unit}
-        add(f"push_{name}", high, f"smallest {push}, that leaves the working cycle", units)
-        distance = high - search.low[:, pair]
-        add(f"bracket_{name}", distance, f"distance to the next smaller {push}, that returns", units)
-        add(f"bound_{name}", search.bound[:, k], f"greatest {push}, that was tried", units)
-        ends = f"regime in which the motion ends after the smallest {push}"
-        add(f"regime_{name}", regime, ends, regimes.attributes(), 0.0)
-    own = ["regime", "period", *map(orbit_name, sweep.system.driving_part().return_states)]
-    variables |= {name: ("point", cycle[name].values, cycle[name].attrs) for name in own}
-    coordinates = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
-    sign = ("sign", list(SIGNS), {"units": "1", "long_name": "side of the push: -1 less, 1 more"})
-    settings = {"method": METHOD, "scan": asked.scan, "precision": asked.precision, "patience": PATIENCE}
-    attributes = {
-        **shared_attributes(sweep, "push", f"Smallest pushes out of the working cycle: {sweep.scene}", "smallest_push"),
-        "start": json.dumps(sweep.starts[0]) if sweep.starts is not None else "",
-        "run": cycle.attrs["run"],
-        "pushes": json.dumps(settings),
-    }
-    dataset = xr.Dataset(variables, {**coordinates, "sign": sign}, attributes)
-    return dataset if machines.several else dataset.isel(point=0, drop=True)
+    run = replace(sweep.run, settle=factor * sweep.run.settle)
+    start = np.zeros(len(lanes), int)
+    inputs = replace(sweep.inputs_of(lanes), run=run, start=start, start_names=(), states=tuple(begin.T))
+    plan = plan_of(inputs.scene, run, len(lanes), len(lanes) / len(np.unique(lanes)))
+    with Progress(len(lanes), "lanes", progress) as bar:
+        found = run_lanes(inputs, plan, bar.add).variables
+    names = map(orbit_name, sweep.system.driving_part().return_states)
+    states, regime = np.stack([found[name] for name in names], axis=1), found["regime"].astype(int)
+    returned = np.zeros(len(lanes), bool)
+    for cycle in orbits:
+        number = np.searchsorted(cycle.lane, lanes).clip(max=len(cycle) - 1)
+        own = (cycle.lane[number] == lanes) & (found["orbit_cycles"] == cycle.states.shape[1])
+        returned[own] = cycle.of(number[own]).contain(states[own])
+    on_another = np.isfinite(states).all(axis=1) & (found["stable"] != 0) & (regime != UNDECIDED)
+    # An irregular motion near an orbit may still converge to this orbit: it has neither returned nor left.
+    irregular = (regime == IRREGULAR) & (found["nearby_cycles"] == 0)
+    return returned, ~returned & (on_another | irregular | (regime == EQUILIBRIUM)), regime
 
 
 def push_lines(ds: xr.Dataset) -> list[str]:

@@ -1,7 +1,9 @@
 """The analysis `tolerance`: a machine at samples of the box of its parameter tolerances."""
 
-from collections.abc import Iterable, Mapping
+import json
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -15,17 +17,18 @@ from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.maps.bounds import MAX_TOLERANCES
+from vibrojax.maps.dataset import attributes, certified
 from vibrojax.maps.read import read_point, read_sweep
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import REGIMES, UNBOUNDED
 from vibrojax.physics.arrays import check_untraced
-from vibrojax.pictures.axes import pretty_unit, scale
+from vibrojax.pictures.axes import axis, margins, pretty_unit, scale, values_along
+from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_keys
+from vibrojax.pictures.plots import Layer, Look, Plot, Points, Sheet, dots, key, level
 from vibrojax.scenes import Scene
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.subjects import MachineAnalysis
-from vibrojax.studies.tolerance_analysis import extremes_picture, toleranced
-from vibrojax.studies.tolerance_refinement import refine
 
 PLACES = ("nominal", "corner", "edge", "interior", "refined")
 """Meanings of the flags of `place`: the position of a sample in the box; refined: found from the extreme samples."""
@@ -48,6 +51,124 @@ QUANTITIES = (
 
 _WORDS = {"least": "least", "most": "greatest"}
 
+FIRST_STEP, LEAST_STEP = 0.25, 0.01
+"""First and smallest step of the search, in half-widths: at the least step a smooth extreme is exact to 1e-4 of the
+change over the box."""
+
+SHRINKAGE = 0.4
+"""Factor of the step after a round that found nothing more extreme."""
+
+MAX_ROUNDS = 12
+"""Limit of the rounds, each of which is one batch of lanes."""
+
+SAME_POINT = 1e-9
+"""Distance in half-widths within which two points count as one."""
+
+Units = Float[np.ndarray, "samples dimensions"]
+
+
+def refine(
+    units: Units, ds: xr.Dataset, simulate: Callable[[Units], xr.Dataset]
+) -> tuple[xr.Dataset, Float[np.ndarray, "kept dimensions"], int]:
+    """Return the samples and, after them, the points that are more extreme; their places; and how many were tried.
+
+    For each start and quantity, a search begins at the least and at the greatest sample. Its points are a step along
+    each parameter, and one in all parameters, in the directions that the sensitivities near the best point predict.
+    Each point is simulated, so that an extreme is never only predicted. Irregular motions are left out, because their
+    extremes depend on the time of observation.
+    """
+    first, parts = len(units), [ds]
+    steps: dict[tuple[str, int, float], tuple[int, float]] = {}
+    for _ in range(MAX_ROUNDS):
+        points = np.zeros((0, units.shape[1]))
+        for name in (name for name in QUANTITIES if name in ds):
+            periodic = (part[name].where(part["cycles"] > 0).transpose("point", ...).values for part in parts)
+            values = np.concatenate([x.reshape(len(x), -1) for x in periodic])
+            for start, sign in product(range(values.shape[1]), (1.0, -1.0)):
+                y = sign * values[:, start]
+                if not np.isfinite(y).any():
+                    continue
+                best = int(np.nanargmax(y))
+                before, step = steps.get((name, start, sign), (best, FIRST_STEP))
+                step *= SHRINKAGE if (name, start, sign) in steps and before == best else 1.0
+                steps[name, start, sign] = best, step
+                if step >= LEAST_STEP:
+                    points = np.concatenate([points, _proposals(units, y, best, step)])
+        points = np.unique(np.round(points, 12), axis=0)
+        apart = np.abs(points[:, None] - units[None]).max(axis=2).min(axis=1, initial=np.inf)
+        points = points[apart > SAME_POINT]
+        if len(points):
+            parts.append(simulate(points))
+            units = np.concatenate([units, points])
+        elif all(step < LEAST_STEP for _, step in steps.values()):
+            break
+    added, tried = sorted({best for best, _ in steps.values() if best >= first}), len(units) - first
+    if not added:
+        return ds, units[:first], tried
+    kept = [*range(first), *added]
+    whole = xr.concat(parts, "point", data_vars="minimal", join="override", combine_attrs="override")
+    return whole.isel(point=kept), units[kept], tried
+
+
+def _proposals(
+    units: Units, y: Float[np.ndarray, " samples"], best: int, step: float
+) -> Float[np.ndarray, "points dimensions"]:
+    """Return points of the box around the sample `best` at which `y` may be greater.
+
+    The sensitivities are those of a linear fit to the nearest samples.
+    """
+    here, count = units[best], units.shape[1]
+    known = np.flatnonzero(np.isfinite(y))
+    near = known[np.argsort(np.abs(units[known] - here).max(axis=1), kind="stable")][: 2 * count + 2]
+    slope = np.linalg.lstsq(units[near] - here, y[near] - y[best])[0]
+    moves = np.concatenate([np.eye(count), -np.eye(count), np.sign(slope)[None]])
+    return np.asarray(np.clip(here + step * moves, -1.0, 1.0))
+
+
+_TOLERANCE = "tolerance_"
+_MARKERS = "os^Dv"
+_NOMINAL: Look = {"colour": "#999999", "width": 0.7, "dash": "--"}
+_DRAWN = ("impact_velocity", "impact_energy", "rate_of_penetration")
+
+
+def toleranced(ds: xr.Dataset) -> list[str]:
+    """Return the names of the parameters that have a tolerance."""
+    names = [name.removeprefix(_TOLERANCE) for name in ds.attrs if name.startswith(_TOLERANCE)]
+    return [name for name in names if name in ds.coords]
+
+
+def extremes_picture(ds: xr.Dataset) -> Sheet:
+    """Draw impact velocity, energy and rate of penetration of all samples over each parameter with a tolerance."""
+    names = toleranced(ds)
+    rows = [name for name in _DRAWN if name in ds and ds[name].notnull().any()] or ["period"]
+    lanes = ds if "start" in ds.dims else ds.expand_dims("start")
+    starts = [str(name) for name in np.atleast_1d(lanes["start"].values)] if "start" in lanes.coords else [""]
+    plots = []
+    for row, quantity in enumerate(rows):
+        for column, name in enumerate(names):
+            layers: list[Layer] = []
+            for k in range(len(starts)):
+                lane = lanes.isel(start=k)
+                colours = [REGIME_COLOURS[int(flag)] for flag in regime_cells(lane["regime"])]
+                y = lane[quantity].values * scale(lanes[quantity])[0]
+                look: Look = {"marker": _MARKERS[k % len(_MARKERS)], "edge": "#4D4D4D", "edge_width": 0.4}
+                # Later starts are smaller: of samples that several starts bring to one motion, all markers show.
+                size = max(6.0 / 3.0 ** (k / 2), 2.0)
+                layers.append(level(y[0], order=0.0, **_NOMINAL))
+                layers.append(Points(values_along(ds[name]), y, colours, size, **look))
+            across = axis(ds[name], group=name, margin=0.08, intervals=4)
+            up = axis(lanes[quantity], group=quantity, margin=0.08)
+            plots.append(Plot(layers, across, up, place=(row, column)))
+    keys = regime_keys([lanes["regime"]])
+    for marker, start in zip(_MARKERS, starts, strict=False):
+        keys += [dots(label=f"start: {start}", colour="#4D4D4D", marker=marker)] if start else []
+    keys.append(key("nominal", **_NOMINAL))
+    missing = int(lanes[rows[0]].isnull().sum()) if rows[0] != "period" else 0
+    note = counted(missing, "lane without impact is", "lanes without impact are") + " not drawn" if missing else ""
+    size = 1.8 + 2.6 * len(names), 0.9 + 2.2 * len(rows)
+    return Sheet(plots, size, (1.0,) * len(names), (1.0,) * len(rows), [keys], **margins(ds, note))
+
+
 SAMPLE_VARIABLES = {
     "place": Variable("1", "position of the sample in the box", np.int8, PLACES),
     "regime_share": Variable("1", "share of the samples in the regime"),
@@ -61,25 +182,29 @@ SAMPLE_VARIABLES = {
 class ToleranceBox:
     """A checked specification.
 
-    - `sweep`: one point per sample; `tables`: its tables without the points.
-    - `nominal`, `half_widths`: nominal values and half-widths by name.
+    - `tables`: tables of a sweep, without its points; `nominal`, `half_widths`: nominal values and half-widths by name.
     - `units`: the samples in half-widths from the nominal point; `places`: the place of each.
     """
 
-    sweep: Sweep
     tables: dict[str, Any]
     nominal: dict[str, float]
     half_widths: dict[str, float]
-    units: Float[np.ndarray, "samples dimensions"]
+    units: Units
     places: np.ndarray
 
-    def sweep_over(self, units: Float[np.ndarray, "samples dimensions"]) -> Sweep:
-        """Return the sweep over other points of the box."""
-        return replace(self.sweep, points=_columns(self.nominal, self.half_widths, units))
+    def points(self, units: Units) -> dict[str, np.ndarray]:
+        """Return the parameters of points by name; `units`: in half-widths from the nominal point."""
+        return {name: x + self.half_widths[name] * units[:, k] for k, (name, x) in enumerate(self.nominal.items())}
 
-    def written_over(self, units: Float[np.ndarray, "samples dimensions"]) -> Sweep:
-        """Return the same, with the text of a sweep file from which the lanes can be run again."""
-        return _sweep(self.tables, self.nominal, self.half_widths, units)
+    def sweep_over(self, units: Units) -> Sweep:
+        """Return the sweep over points, with the text of a sweep file from which the lanes can be run again."""
+        points = {name: column.tolist() for name, column in self.points(units).items()}
+        return read_sweep({**self.tables, "points": points})
+
+    @cached_property
+    def sweep(self) -> Sweep:
+        """The sweep over the samples."""
+        return self.sweep_over(self.units)
 
 
 def tolerance_variables(names: Iterable[str]) -> dict[str, Variable]:
@@ -195,11 +320,10 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         if start is not None:
             several = isinstance(start, (list, tuple)) and any(isinstance(item, (str, list, tuple)) for item in start)
             tables["starts"] = start if several else [start]
-        units, places = sample_box(len(pairs))
-        sweep = _sweep(tables, nominal, half_widths, units)
-        if sweep.system.section is None:
-            raise place.at("scene").error(f"{shown(sweep.scene)} has no section, so its motions have no regimes")
-        return ToleranceBox(sweep, tables, nominal, half_widths, units, places)
+        box = ToleranceBox(tables, nominal, half_widths, *sample_box(len(pairs)))
+        if box.sweep.system.section is None:
+            raise place.at("scene").error(f"{shown(box.sweep.scene)} has no section, so its motions have no regimes")
+        return box
 
     def file_name(self, asked: ToleranceBox) -> str:
         return f"{asked.sweep.scene}-tolerance.nc"
@@ -210,9 +334,18 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
 
     def compute(self, asked: ToleranceBox, progress: bool = True) -> xr.Dataset:
         """Run all samples from all starts, and return the dataset of [vibrojax.studies.tolerance.tolerance][]."""
-        ds, tried, added = refine(asked, asked.units, run_sweep(asked.sweep, progress=progress), QUANTITIES)
+        sampled = run_sweep(asked.sweep, progress=progress)
+        ds, units, tried = refine(
+            asked.units,
+            sampled,
+            lambda units: run_sweep(replace(asked.sweep, points=asked.points(units)), progress=False),
+        )
+        if ds is not sampled:
+            sweep = asked.sweep_over(units)
+            counts = certified(sweep, {str(name): x.values for name, x in ds.data_vars.items()})
+            ds = ds.assign_attrs(attributes(sweep, json.loads(ds.attrs["solver"]), counts, ds.attrs["wall_time_s"]))
         ds = ds.rename(point="sample")
-        places = np.concatenate([asked.places, np.full(added, REFINED)])
+        places = np.concatenate([asked.places, np.full(len(units) - len(asked.units), REFINED)])
         ds["place"] = ("sample", places.astype(np.int8), SAMPLE_VARIABLES["place"].attributes())
         regime = ds["regime"].transpose("sample", ...)
         drawn, rest = regime.values[: len(asked.places)], regime.dims[1:]
@@ -233,21 +366,29 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
                 index = choose(np.where(np.isnan(x), worst, x), axis=0)
                 extreme = np.where(unknown, np.nan, np.take_along_axis(x, index[None], axis=0)[0])
                 sample = np.where(unknown, -1, index).astype(np.int32)
-                for (variable, about), values in zip(_extreme(name, word).items(), (extreme, sample), strict=True):
+                for (variable, known), values in zip(_extreme(name, word).items(), (extreme, sample), strict=True):
                     unit = {"units": ds[name].attrs["units"]} if variable == f"{name}_{word}" else {}
-                    ds[variable] = (rest, values, about.attributes() | unit)
-        attributes = dataset_attributes("tolerance", str(ds.attrs["title"]), f"tolerance {asked.sweep.scene}")
-        attributes |= {f"tolerance_{name}": width for name, width in asked.half_widths.items()}
+                    ds[variable] = (rest, values, known.attributes() | unit)
+        about = dataset_attributes("tolerance", str(ds.attrs["title"]), f"tolerance {asked.sweep.scene}")
+        about |= {f"tolerance_{name}": width for name, width in asked.half_widths.items()}
         obtained = (
             f"{len(drawn)} samples of the box, and {tried} points of a search from the extreme ones by sensitivities"
         )
         bounds = "they are not bounds of the box" + ", in which motions are irregular" * bool(unbounded.any())
-        return ds.assign_attrs({**attributes, "extremes": f"extremes of {obtained}; {bounds}"})
+        return ds.assign_attrs({**about, "extremes": f"extremes of {obtained}; {bounds}"})
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the nominal behaviour, the regimes and the extremes, for each start."""
         lanes = ds if "start" in ds.dims else ds.expand_dims("start")
-        facts, lines = {}, _irregular_lines(lanes)
+        facts, lines = {}, list[str]()
+        shares = lanes["irregular_share"].values if "irregular_share" in lanes else np.zeros(1)
+        if (shares > 0).any():
+            starts = [f" from {start}" for start in lanes["start"].values] if "start" in lanes.coords else [""]
+            where = (f"{100 * x:.2g} % of the samples{start}" for x, start in zip(shares, starts, strict=True))
+            lines.append(
+                f"irregular motions in the box ({', '.join(where)}): extremes depend on the time of observation, and "
+                "other points of the box may be far beyond them"
+            )
         for k in range(lanes.sizes["start"]):
             lane = lanes.isel(start=k)
             start = str(lane["start"].values) if "start" in lane.coords else ""
@@ -255,24 +396,6 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
             lines += [f"from {start}:"] * bool(start) + [f"  {line}" if start else line for line in text]
         lines += [str(ds.attrs["extremes"])] * ("extremes" in ds.attrs)
         return [SummaryPart("tolerance", lines, {"tolerance": facts})]
-
-
-def _sweep(
-    tables: Mapping[str, Any],
-    nominal: Mapping[str, float],
-    half_widths: Mapping[str, float],
-    units: Float[np.ndarray, "samples dimensions"],
-) -> Sweep:
-    """Return the sweep over points of the box, which are in half-widths from the nominal point."""
-    columns = {name: column.tolist() for name, column in _columns(nominal, half_widths, units).items()}
-    return read_sweep({**tables, "points": columns})
-
-
-def _columns(
-    nominal: Mapping[str, float], half_widths: Mapping[str, float], units: Float[np.ndarray, "samples dimensions"]
-) -> dict[str, np.ndarray]:
-    """Return the parameters of points, by name."""
-    return {name: centre + half_widths[name] * units[:, k] for k, (name, centre) in enumerate(nominal.items())}
 
 
 def sample_box(dimensions: int) -> tuple[Float[np.ndarray, "samples dimensions"], np.ndarray]:
@@ -283,19 +406,6 @@ def sample_box(dimensions: int) -> tuple[Float[np.ndarray, "samples dimensions"]
     interior = 2 * qmc.Sobol(dimensions, seed=0).random(INTERIOR_SAMPLES) - 1
     groups = [np.zeros((1, dimensions)), corners, np.concatenate(edges) if edges else corners[:0], interior]
     return np.concatenate(groups), np.repeat(np.arange(len(groups)), [len(group) for group in groups])
-
-
-def _irregular_lines(lanes: xr.Dataset) -> list[str]:
-    """Return a line if motions are irregular, so that the extremes say little about the box."""
-    shares = lanes["irregular_share"].values if "irregular_share" in lanes else np.zeros(1)
-    if not (shares > 0).any():
-        return []
-    starts = [f" from {start}" for start in lanes["start"].values] if "start" in lanes.coords else [""]
-    where = ", ".join(f"{100 * x:.2g} % of the samples{start}" for x, start in zip(shares, starts, strict=True))
-    return [
-        f"irregular motions in the box ({where}): extremes depend on the time of observation, and other points of the "
-        "box may be far beyond them"
-    ]
 
 
 def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object], list[str]]:

@@ -1,27 +1,36 @@
-"""Borders of the stable single impact in a plane of two parameters: `borders`."""
+"""The analysis `borders`: curves around the stable single impact in a plane of two parameters."""
 
+from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
 from os import PathLike
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from vibrojax.errors import InputError, counted, shown
+from vibrojax.errors import InputError, counted, printable, shown
+from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS
 from vibrojax.io.variables import described
 from vibrojax.maps.dataset import parameter_attributes, shared_attributes
-from vibrojax.maps.rerun import orbits as with_orbits
 from vibrojax.maps.rerun import sweep_with_orbits
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
 from vibrojax.periodic.orbits import orbits_of
 from vibrojax.physics.parameters import REPLACED, substitutes
+from vibrojax.pictures.axes import axis, margins, share_text, value_text
+from vibrojax.pictures.overlays import ANY, axes_of, beyond, border_layers
+from vibrojax.pictures.plots import Plot, Sheet, Text
 from vibrojax.scenes import HasImpacts
-from vibrojax.studies.border_chains import Vertex, around_region
-from vibrojax.studies.border_continued import Border, ContinuedBorders, crossings_of
-from vibrojax.studies.border_propagation import GridOrbit, OrbitGrid, OrbitLoss
+from vibrojax.studies.analysis import PictureRule, Source, SummaryPart
+from vibrojax.studies.border_curves import Border, ContinuedBorders, crossings_of
+from vibrojax.studies.border_grid import GridOrbit, OrbitGrid, OrbitLoss, Vertex, around_region
+from vibrojax.studies.sweep_analysis import SweepAnalysis
 
 WHERE = {
     "seed_": " from which the curve was continued; not defined for a border located between points of the grid",
@@ -29,8 +38,8 @@ WHERE = {
 }
 """Ends of the meanings of parameters, by prefix of their names."""
 
-ANY_START = "any"
-"""Name of the region of all orbits, whatever initial condition leads to them; used in place of an initial condition."""
+_PANEL = (3.3, 3.0)  # inches
+_MOST_SHOWN = 4  # largest numbers of rows and of columns
 
 
 def borders(
@@ -84,11 +93,7 @@ def borders(
     >>> cur.attrs["begun_from"].partition(";")[0].partition(" from ")[2]
     'points located on a grid of 2 x 2'
     """
-    sweep = sweep_with_orbits(source)
-    names = plane_axes(sweep, axes)
-    line = line_of(sweep, names, at)
-    dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
-    return Regions(sweep, dataset, names).borders(line, progress)
+    return Borders(axes, at).run(source, progress)
 
 
 def line_of(sweep: Sweep, names: tuple[str, str], at: object) -> tuple[str, float] | None:
@@ -138,8 +143,7 @@ class Regions:
         dataset = dataset.transpose(*order, ...)
         self._starts = [str(start) for start in dataset["start"].values] if sweep.crosses_starts else [""]
         self._sizes = tuple(dataset.sizes[name] for name in self._others)
-        planes = int(np.prod(self._sizes))
-        shape = (planes, dataset.sizes[names[0]], dataset.sizes[names[1]], len(self._starts))
+        shape = (int(np.prod(self._sizes)), *(dataset.sizes[name] for name in names), len(self._starts))
         scene = sweep.system.driving_part()
         values, _ = sweep.lane_values(0, sweep.lanes)
         lanes = {}
@@ -151,8 +155,7 @@ class Regions:
         axes = sweep.axes[names[0]], sweep.axes[names[1]]
         self._grid = OrbitGrid(scene, names, axes, points, max((orbits.most_steps for orbits in known), default=0.0))
         self._regime = dataset["regime"].values.reshape(shape)
-        self._single = self._regime == SINGLE_IMPACT
-        settled = self._single & (dataset["stable"].values.reshape(shape) == 1)
+        settled = (self._regime == SINGLE_IMPACT) & (dataset["stable"].values.reshape(shape) == 1)
         self._continued = ContinuedBorders(self._grid)
         self._own: dict[tuple[int, int, int, int], GridOrbit] = {}
         for single in (orbits for orbits in known if orbits.states.shape[1] == 1):
@@ -167,35 +170,31 @@ class Regions:
         """Return the dataset of the borders; `at`: parameter and value of the crossings."""
         chains: list[tuple[list[Vertex], int, str]] = []
         areas: list[tuple[float, int, str]] = []
-        x, y = self._grid.values
-        reached = np.zeros(self._grid.shape, bool)
+        reached = np.zeros(self._regime.shape[:-1], bool)
         for cell in self._grid.orbits:
             reached[cell] = True
-        for plane in range(len(reached)):
-            for number, start in enumerate([*self._starts, ANY_START]):
-                inside = reached[plane] if start == ANY_START else self._single[plane, :, :, number]
-                ends = partial(self._vertex, plane, None if start == ANY_START else number)
-                around, area = around_region(inside, x, y, ends)
-                chains += [(chain, plane, start) for chain in around]
-                areas.append((area, plane, start))
+        for plane, number in product(range(len(reached)), [*range(len(self._starts)), None]):
+            start = ANY if number is None else self._starts[number]
+            inside = reached[plane] if number is None else self._regime[plane, :, :, number] == SINGLE_IMPACT
+            around, area = around_region(inside, *self._grid.values, partial(self._vertex, plane, number))
+            chains += [(chain, plane, start) for chain in around]
+            areas.append((area, plane, start))
         self._continued.follow([(plane, chain) for chain, plane, _ in chains], progress)
         curves = [(piece, plane, start) for chain, plane, start in chains for piece in self._continued.cut(chain)]
-        return self._described(curves, areas, at)
+        return self._dataset(curves, areas, at)
 
     def _vertex(self, plane: int, start: int | None, inside: tuple[int, int], outside: tuple[int, int]) -> Vertex:
         """Return the border of a region between two neighbouring grid points.
 
         `start`: number of the initial condition whose region it is, or None for the region of all orbits.
         """
-        cell = (plane, *inside)
-        axis = 0 if inside[0] != outside[0] else 1
-        step = (axis, outside[axis] - inside[axis])
-        axes = self._grid.values
+        axis, axes = (0 if inside[0] != outside[0] else 1), self._grid.values
         begin, end = (float(axes[axis][place[axis]]) for place in (inside, outside))
-        orbits = self._grid.orbits.get(cell, [])
-        if start is not None:
-            orbits = [self._own[(*cell, start)]] if (*cell, start) in self._own else []
-        leads = [orbit.leads.get(step) for orbit in orbits]
+        if start is None:
+            orbits = self._grid.orbits.get((plane, *inside), [])
+        else:
+            orbits = [own] if (own := self._own.get((plane, *inside, start))) else []
+        leads = [orbit.leads.get((axis, outside[axis] - inside[axis])) for orbit in orbits]
         losses = [lead for lead in leads if isinstance(lead, OrbitLoss)]
         value, furthest = (begin + end) / 2, None
         if losses and len(losses) == len(leads):
@@ -204,31 +203,31 @@ class Regions:
         elif not leads:
             kind = "end"
         else:
-            settled = start is None or self._regime[(plane, *outside, start)] != UNDECIDED
-            kind = "basin" if settled else "not-settled"
+            undecided = start is not None and self._regime[(plane, *outside, start)] == UNDECIDED
+            kind = "not-settled" if undecided else "basin"
         place = [float(axes[0][inside[0]]), float(axes[1][inside[1]])]
         place[axis] = value
         return Vertex(place[0], place[1], kind, furthest)
 
-    def _described(
+    def _dataset(
         self, curves: list[tuple[Border, int, str]], areas: list[tuple[float, int, str]], at: tuple[str, float] | None
     ) -> xr.Dataset:
         """Return the dataset of curves and areas, each given with its plane and initial condition."""
-        sweep = self._sweep
-        vertices = np.concatenate([piece.points for piece, _, _ in curves]) if curves else np.zeros((0, 2))
-        lines = [piece.line for piece, _, _ in curves]
+        sweep, pieces = self._sweep, [piece for piece, _, _ in curves]
+        lines = [piece.line for piece in pieces]
         variables: dict[str, Any] = {
-            "curve": ("vertex", np.repeat(np.arange(len(curves)), [len(piece.points) for piece, _, _ in curves])),
-            "kind": ("curve", [BORDER_KINDS.index(piece.kind) for piece, _, _ in curves]),
+            "curve": ("vertex", np.repeat(np.arange(len(curves)), [len(piece.points) for piece in pieces])),
+            "kind": ("curve", [BORDER_KINDS.index(piece.kind) for piece in pieces]),
             "region_area": ("region", [area for area, _, _ in areas]),
             "continued": ("curve", [line is not None for line in lines]),
-            "curve_note": ("curve", [piece.note for piece, _, _ in curves]),
+            "curve_note": ("curve", [piece.note for piece in pieces]),
         }
-        seeds = np.array([(np.nan, np.nan) if line is None else line.seed for line in lines]).reshape(-1, 2)
+        seeds = np.array([(np.nan, np.nan) if line is None else line.seed[:2] for line in lines]).reshape(-1, 2)
+        vertices = np.concatenate([np.zeros((0, 2)), *(piece.points for piece in pieces)])
         located = {"": ("vertex", vertices), "seed_": ("curve", seeds)}
         if at is not None:
             which = self._names.index(at[0])
-            crossed = [(k, x) for k, (piece, _, _) in enumerate(curves) for x in crossings_of(piece, which, at[1])]
+            crossed = [(k, x) for k, piece in enumerate(pieces) for x in crossings_of(piece, which, at[1])]
             variables["crossing_curve"] = ("crossing", [k for k, _ in crossed])
             located["crossing_"] = ("crossing", np.array([x for _, x in crossed]).reshape(-1, 2))
         for prefix, (dimension, points) in located.items():
@@ -256,3 +255,113 @@ class Regions:
             "begun_from": begun,
         }
         return xr.Dataset(described(variables, OF_BORDERS), coordinates, attributes)
+
+
+def border_curves(ds: xr.Dataset) -> Sheet:
+    """Draw the borders of stable single impacts over two parameters.
+
+    The figure has a row for each plane and a column for each initial condition.
+    """
+    x, y = axes_of(ds)
+    others = beyond(ds)
+    planes = [tuple(float(ds[f"region_{name}"][k]) for name in others) for k in range(ds.sizes["region"])]
+    starts = ds["region_start"].values.tolist() if "region_start" in ds.coords else [ANY] * len(planes)
+    areas = dict(reversed(list(zip(zip(planes, starts, strict=True), ds["region_area"].values.tolist(), strict=True))))
+    rows, columns = list(dict.fromkeys(planes)), list(dict.fromkeys(starts))
+    shown_rows, shown_columns = rows[:_MOST_SHOWN], [*columns[:-1][: _MOST_SHOWN - 1], columns[-1]]
+    plots = []
+    for k, (plane, start) in enumerate(product(shown_rows, shown_columns)):
+        values = dict(zip(others, plane, strict=True))
+        layers = border_layers(ds, values, start, x, y)
+        words = [value_text(ds[name], value) for name, value in values.items()]
+        words.append("any start" if start == ANY else f"start {start}")
+        title = f"{', '.join(words)}: {share_text(areas[plane, start])} of the plane"
+        if not layers:
+            text = "no border" + (": a single impact is stable everywhere" if areas[plane, start] > 0.5 else "")
+            layers = [Text(0.5, 0.5, fill(text, 24), relative=True)]
+        across, up = axis(ds[x], group="x", intervals=6), axis(ds[y], group="y")
+        plots.append(Plot(layers, across, up, title, divmod(k, len(shown_columns)), values))
+    hidden = len(rows) - len(shown_rows), len(columns) - len(shown_columns)
+    about = "Share of the plane: where a single impact is stable; any start: however its orbit is reached"
+    missing = f"Not shown: {counted(hidden[0], 'plane')}, {counted(hidden[1], 'start')}" if any(hidden) else ""
+    widths, heights = (1.0,) * len(shown_columns), (1.0,) * len(shown_rows)
+    size = _PANEL[0] * len(widths) + 1.6, _PANEL[1] * len(heights) + 0.6
+    return Sheet(plots, size, widths, heights, **margins(ds, about, missing))
+
+
+@dataclass(frozen=True)
+class Borders(SweepAnalysis):
+    """Compute the borders of the stable single impact in a sweep's plane, as curves with the kind of each border."""
+
+    axes: tuple[str, str] | None = field(
+        default=None,
+        metadata={
+            "metavar": "X,Y",
+            "help": "the two axes of the plane (gamma and beta, else the two with most values)",
+        },
+    )
+    at: Any = field(
+        default=None,
+        metadata={
+            "metavar": "NAME=VALUE",
+            "help": "locate where continued borders pass this value of one of the two parameters",
+        },
+    )
+
+    kind = "borders"
+    counted = "curve"
+    view = "curves"
+    variables = OF_BORDERS
+    pictures = (PictureRule("borders", lambda held: True, border_curves),)
+
+    def sweep(self, source: Source) -> Sweep:
+        """Return the checked sweep; raise `InputError` if it has no suitable plane."""
+        sweep = sweep_with_orbits(source)
+        self._line(sweep)
+        return sweep
+
+    def _line(self, sweep: Sweep) -> tuple[str, float] | None:
+        at: Any = self.at
+        if isinstance(at, str):
+            name, _, text = at.partition("=")
+            at = {name.strip(): text}
+            with suppress(ValueError):  # `line_of` reports the text
+                at[name.strip()] = float(text)
+        return line_of(sweep, plane_axes(sweep, self.axes), at)
+
+    def identity(self, sweep: Sweep) -> dict[str, object]:
+        """Return the axes of the plane, on which the result depends."""
+        return {self.kind: [*plane_axes(sweep, self.axes), *(self._line(sweep) or ())]}
+
+    def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
+        """Return the borders; `lanes`: dataset of the sweep with orbits."""
+        return Regions(sweep, lanes, plane_axes(sweep, self.axes)).borders(self._line(sweep), progress)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return the area fraction and the kinds of the borders of each region (plane and initial condition)."""
+        meanings, sizes = flags(ds["kind"]), np.bincount(ds["curve"].values, minlength=ds.sizes["curve"])
+        kinds = [meanings[flag] for flag in ds["kind"].values.tolist()]
+        lines, facts = [], []
+        for k in range(ds.sizes["region"]):
+            here = {name: float(ds[f"region_{name}"][k]) for name in beyond(ds)}
+            start = str(ds["region_start"].values[k]) if "region_start" in ds.coords else ""
+            mask = np.ones(ds.sizes["curve"], bool)
+            for name, value in (here | ({"start": start} if start else {})).items():
+                mask &= ds[name].values == value
+            counter: Counter[str] = Counter()
+            for curve in np.flatnonzero(mask):
+                counter[kinds[curve]] += int(sizes[curve])
+            vertices, area = dict(counter.most_common()), float(ds["region_area"][k])
+            words = [f"{name} = {value:g}" for name, value in here.items()]
+            words.append("any start" if start in ("", ANY) else f"start {start}")
+            ends = ", ".join(f"{kind} ({size})" for kind, size in vertices.items()) or "nothing"
+            lines.append(f"{', '.join(words)}: {100 * area:.1f} % of the plane; ends by {ends}")
+            facts.append({**here, "start": start or ANY, "area": area, "vertices": vertices})
+        crossings: list[dict[str, object]] = []
+        for k in range(ds.sizes.get("crossing", 0)):
+            kind, place = kinds[int(ds["crossing_curve"][k])], {x: float(ds[f"crossing_{x}"][k]) for x in axes_of(ds)}
+            crossings.append({"kind": kind, **place})
+            lines.append(f"crossing of a {kind} at {', '.join(f'{name} = {x:.9g}' for name, x in place.items())}")
+        about = {"begun_from": printable(ds.attrs["begun_from"], 300)} if "begun_from" in ds.attrs else {}
+        lines += about.values()
+        return [SummaryPart("borders", lines, {"borders": facts, "crossings": crossings, **about})]

@@ -1,32 +1,38 @@
-"""Derivatives at the periodic orbits of a sweep's lanes, or of one point of a scene: the function `sensitivity`."""
+"""The analysis `sensitivity`: derivatives at the periodic orbits of a sweep, or of one point of a scene."""
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Int
+from matplotlib import colormaps
+from matplotlib.colors import Normalize
 
-from vibrojax.errors import Place, shown, suggestion
+from vibrojax.errors import Place, counted, shown, suggestion
+from vibrojax.io.attributes import flags
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.lanes.inputs import Features
 from vibrojax.lanes.labels import measured_besides
 from vibrojax.maps.dataset import coordinates, shared_attributes
 from vibrojax.maps.read import Point, read_point
 from vibrojax.maps.rerun import orbits, sweep_with_orbits
+from vibrojax.maps.starts import list_of
 from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.derivatives import DERIVATIVE_REASONS, MODULUS, NO_ORBIT, STABILITY, orbit_variables
 from vibrojax.periodic.lane_stages import run_lanes
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.physics.meanings import suggest_parameter
+from vibrojax.pictures.plots import Axis, Cells, Layer, Plot, Sheet, Text
 from vibrojax.progress import Progress
 from vibrojax.scenes import SCENES, Scene
 from vibrojax.settings.names import enter_offered
-from vibrojax.settings.run_settings import read_settings
+from vibrojax.settings.run_settings import RunSettings, read_settings
 from vibrojax.settings.toml import bundled_names
 from vibrojax.settings.values import check_distinct
-from vibrojax.studies.sensitivity_branch import sweep_at
+from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.sweep_analysis import SweepAnalysis
 from vibrojax.systems.system import DEFINED
 
 KIND = "sensitivity"
@@ -34,27 +40,10 @@ KIND = "sensitivity"
 LANES_PER_CALL = 256
 """Lanes between two reports of progress."""
 
-ORBIT_VARIABLES = {
-    STABILITY: Variable("1", "natural logarithm of the largest modulus of the orbit's multipliers"),
-}
-"""Variables of orbits that sweeps do not have."""
-
 _MULTIPLIERS = "multiplier_abs"
 
 _VALID = Variable("1", "whether the derivatives of the lane hold", np.int8, ("not-valid", "valid"))
 _REASON = Variable("1", "why the derivatives of the lane do not hold", np.int8, DERIVATIVE_REASONS)
-
-
-def described(scene: Scene[Any], name: str) -> Variable:
-    """Return unit and meaning of a feature of a scene's orbits."""
-    known = VARIABLES | ORBIT_VARIABLES | measured_besides(scene)
-    return known[_variable(name)]
-
-
-def _variable(feature: str) -> str:
-    """Return the variable of a dataset that holds a feature of orbits."""
-    return _MULTIPLIERS if feature.startswith(MODULUS) else feature
-
 
 OWN_ORBIT = 1e-3
 """Largest distance from the orbit in the dataset, in half swings, of the orbit whose derivatives are computed."""
@@ -67,8 +56,8 @@ def at_orbits(
 
     If `variables` are given, the dataset has no others, and a lane without one of them is not valid.
     """
-    scene = sweep.system
-    by = read_names(Place("sensitivity").at("by"), by, scene.parameters()) if by else [*scene.parameters()]
+    scene, table = sweep.system, sweep.system.parameters()
+    by = read_names(Place(KIND).at("by"), by, table) if by else [*table]
     of = [name for name in orbit_variables(scene) if not variables or _variable(name) in variables]
     values = sweep.lane_values(0, sweep.lanes)[0]
     lanes = lanes.transpose(*sweep.dims, ...) if isinstance(lanes, xr.Dataset) else lanes
@@ -84,11 +73,49 @@ def at_orbits(
                 orbit = Orbits.find(scene, orbit.parameters, orbit.states, within=OWN_ORBIT).refined()
                 features[lane], slopes[lane], reason[lane], _ = orbit.derivatives(of, by)
                 report.add(len(part))
-    points = np.stack([values[name] for name in by], axis=1)
     # The reason of a lane is the first in order.
     none = (reason == 0) | ((reason == DERIVATIVE_REASONS.index("undefined")) & (not variables))
     why = np.where(none, len(DERIVATIVE_REASONS), reason).min(axis=1) % len(DERIVATIVE_REASONS)
-    return _described(sweep, of, by, points, features, slopes, why)
+
+    dims, sizes = sweep.dims, sweep.shape
+    points = np.stack([values[name] for name in by], axis=-1).reshape(*sizes, len(by))
+    data: dict[str, Any] = {
+        "valid": (dims, (why == 0).astype(np.int8).reshape(sizes), _VALID.attributes()),
+        "reason": (dims, why.astype(np.int8).reshape(sizes), _REASON.attributes()),
+        "parameter_value": (
+            (*dims, "parameter"),
+            points,
+            {"units": "", "long_name": "value of the parameter, in its own unit"},
+        ),
+    }
+    further = {}  # sizes of dimensions that sweeps do not have
+    for name in dict.fromkeys(map(_variable, of)):
+        places = [place for place, feature in enumerate(of) if _variable(feature) == name]
+        if name == _MULTIPLIERS:
+            further["multiplier"] = len(places)
+        own = ("multiplier",) * (name == _MULTIPLIERS)
+        size, about = (*sizes, *(further[x] for x in own)), _meaning(scene, name)
+        data[name] = ((*dims, *own), features[:, places].reshape(size), about.attributes())
+        meaning = {"units": about.units, "long_name": f"derivative, per unit of the parameter, of: {about.long_name}"}
+        data[f"d_{name}"] = ((*dims, *own, "parameter"), slopes[:, places].reshape(*size, len(by)), meaning)
+    coords = {
+        **coordinates(sweep, further),
+        "parameter": ("parameter", list(by), {"long_name": "parameter of the derivative"}),
+        "parameter_unit": ("parameter", [table[name].unit for name in by], {"long_name": "unit of the parameter"}),
+    }
+    attributes = shared_attributes(sweep, KIND, f"Sensitivities of the orbits: {sweep.title or sweep.name}", KIND)
+    return xr.Dataset(data, coords, attributes | ({"sweep": sweep.text} if sweep.text else {}))
+
+
+def _variable(feature: str) -> str:
+    """Return the variable of a dataset that holds a feature of orbits."""
+    return _MULTIPLIERS if feature.startswith(MODULUS) else feature
+
+
+def _meaning(scene: Scene[Any], name: str) -> Variable:
+    """Return unit and meaning of a variable of a scene's orbits."""
+    modulus = Variable("1", "natural logarithm of the largest modulus of the orbit's multipliers")
+    return (VARIABLES | {STABILITY: modulus} | measured_besides(scene))[name]
 
 
 def sensitivity(
@@ -171,24 +198,39 @@ def _at_point(
     progress: bool,
 ) -> xr.Dataset:
     """Return the derivatives at the orbit on which the motion from `start` settles at one point."""
-    place = Place("sensitivity")
+    place = Place(KIND)
     point = read_orbit_point(place, scene, parameters, start)
     variables = [*dict.fromkeys(map(_variable, orbit_variables(point.system)))]
     of = read_names(place.at("of"), of, variables) if of else []
     by = read_names(place.at("by"), by, point.system.parameters()) if by else [*point.system.parameters()]
-    settings: dict[str, object] = {"orbits": True, **{name: x for name, x in times.items() if x is not None}}
-    run = read_settings(place, settings, point.system)
+    given = {name: x for name, x in times.items() if x is not None}
+    run = read_settings(place, {"orbits": True, **given}, point.system)
     sweep = sweep_at(point, {by[0]: np.array([point.parameters[by[0]]])}, run)
     with Progress(1, "lanes", progress) as bar:
         lanes = run_lanes(sweep.inputs(), sweep.plan, bar.add).variables
     ds = at_orbits(sweep, lanes, by, progress, of).squeeze(sweep.dims).drop_vars("point")
     for name in [name for name in variables if name in ds and name not in (_MULTIPLIERS, STABILITY)]:
         elasticity = ds[f"d_{name}"] * ds["parameter_value"] / ds[name].where(ds[name] != 0)
-        meaning = "relative change per relative change of the parameter, of"
-        ds[f"elasticity_{name}"] = elasticity.assign_attrs(
-            units="1", long_name=f"{meaning}: {described(point.system, name).long_name}"
-        )
+        meaning = f"relative change per relative change of the parameter, of: {_meaning(point.system, name).long_name}"
+        ds[f"elasticity_{name}"] = elasticity.assign_attrs(units="1", long_name=meaning)
     return ds
+
+
+def sweep_at(point: Point, columns: Mapping[str, np.ndarray], run: RunSettings) -> Sweep:
+    """Return the sweep of a point over `columns`, which hold values of some of its parameters."""
+    return Sweep(
+        name=point.scene,
+        text="",
+        title="",
+        scene=point.scene,
+        options=point.options,
+        system=point.system,
+        starts=None if point.start is None else list_of((point.start,), point.system.start_states),
+        parameters={name: x for name, x in point.parameters.items() if name not in columns},
+        given={"bit_radius": point.hole_radius},
+        points=dict(columns),
+        run=run,
+    )
 
 
 def read_orbit_point(place: Place, scene: object, parameters: Mapping[str, object], start: object) -> Point:
@@ -212,39 +254,62 @@ def read_names(place: Place, value: str | Sequence[str], known: Collection[str])
     return names
 
 
-def _described(
-    sweep: Sweep,
-    of: Sequence[str],
-    by: Sequence[str],
-    points: Float[np.ndarray, "lanes by"],
-    features: Float[np.ndarray, "lanes of"],
-    slopes: Float[np.ndarray, "lanes of by"],
-    why: Int[np.ndarray, " lanes"],
-) -> xr.Dataset:
-    """Return the dataset: the variables of the orbits, their derivatives, and the reason of each lane."""
-    scene, table = sweep.system, sweep.system.parameters()
-    data: dict[str, Any] = {
-        "valid": (sweep.dims, (why == 0).astype(np.int8).reshape(sweep.shape), _VALID.attributes()),
-        "reason": (sweep.dims, why.astype(np.int8).reshape(sweep.shape), _REASON.attributes()),
-    }
-    meaning = {"units": "", "long_name": "value of the parameter, in its own unit"}
-    data["parameter_value"] = ((*sweep.dims, "parameter"), points.reshape(*sweep.shape, len(by)), meaning)
-    groups: dict[str, list[int]] = {}
-    for place, name in enumerate(of):
-        groups.setdefault(_variable(name), []).append(place)
-    for name, places in groups.items():
-        about = described(scene, of[places[0]])
-        several = name == _MULTIPLIERS
-        dims = (*sweep.dims, "multiplier") if several else sweep.dims
-        size = (*sweep.shape, len(places)) if several else sweep.shape
-        data[name] = (dims, features[:, places].reshape(size), about.attributes())
-        meaning = {"units": about.units, "long_name": f"derivative, per unit of the parameter, of: {about.long_name}"}
-        data[f"d_{name}"] = ((*dims, "parameter"), slopes[:, places].reshape(*size, len(by)), meaning)
-    coords = {
-        **coordinates(sweep, {"multiplier": len(groups[_MULTIPLIERS])} if _MULTIPLIERS in groups else {}),
-        "parameter": ("parameter", list(by), {"long_name": "parameter of the derivative"}),
-        "parameter_unit": ("parameter", [table[name].unit for name in by], {"long_name": "unit of the parameter"}),
-    }
-    title = f"Sensitivities of the orbits: {sweep.title or sweep.name}"
-    attributes = shared_attributes(sweep, KIND, title, KIND)
-    return xr.Dataset(data, coords, attributes | ({"sweep": sweep.text} if sweep.text else {}))
+SMALLEST_DRAWN = 5e-3
+"""Elasticity below which a cell shows no number."""
+
+
+def elasticities(ds: xr.Dataset) -> Sheet:
+    """Draw the median elasticity of each variable with respect to each parameter, over the valid lanes.
+
+    The elasticity is the relative change of the variable per relative change of the parameter.
+    """
+    valid = ds["valid"].values.ravel() == 1
+    by = [str(name) for name in ds["parameter"].values]
+    names = [str(name).removeprefix("d_") for name in ds.data_vars if str(name).startswith("d_")]
+    names = [name for name in names if "multiplier" not in ds[name].dims and name != "log_multiplier"]
+    point = ds["parameter_value"].values.reshape(-1, len(by))
+    rows = {}
+    for name in names:
+        value, slope = ds[name].values.reshape(-1), ds[f"d_{name}"].values.reshape(-1, len(by))
+        with np.errstate(all="ignore"):
+            elasticity = (slope * point / value[:, None])[valid]
+        columns = (x[np.isfinite(x)] for x in elasticity.T)
+        row = [np.median(x) if len(x) else np.nan for x in columns]
+        if np.isfinite(row).any():
+            rows[name.replace("_", " ")] = row
+    table = np.array(list(rows.values())).reshape(len(rows), len(by))
+    across, up = np.arange(len(by) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5
+    norm = Normalize(-3.0, 3.0)
+    layers: list[Layer] = [Cells(across, up, np.clip(table, -1.5, 1.5), colormaps["RdBu_r"], norm, hatched=False)]
+    for (i, j), value in np.ndenumerate(table):
+        if abs(value) >= SMALLEST_DRAWN:
+            layers.append(Text(float(j), float(i), f"{value:.2f}".replace("-", "−"), colour="#000000", size=7.0))
+    ticks = [[(float(k), name) for k, name in enumerate(names)] for names in (by, list(rows))]
+    plot = Plot(layers, Axis(ticks=ticks[0]), Axis(ticks=ticks[1], reversed=True))
+    size = 1.8 + 0.62 * len(by), 1.2 + 0.27 * max(len(rows), 1)
+    return Sheet([plot], size, title=f"Median elasticity at {counted(int(valid.sum()), 'orbit')}")
+
+
+@dataclass(frozen=True)
+class Sensitivity(SweepAnalysis):
+    """Derivatives of the features of a sweep's orbits with respect to the parameters `by`, by default all."""
+
+    by: tuple[str, ...] = field(default=(), metadata={"help": "parameters, separated by commas (default: all)"})
+
+    kind = KIND
+    pictures = (PictureRule("elasticities of the orbits", lambda held: "parameter" in held.dimensions, elasticities),)
+    view = "plots"
+
+    def identity(self, sweep: Sweep) -> dict[str, object]:
+        return {KIND: ",".join(self.by) or "all"}
+
+    def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
+        return at_orbits(sweep, lanes, self.by, progress)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        reason, meanings = ds["reason"].values.ravel(), flags(ds["reason"])
+        counts = {meanings[flag]: int((reason == flag).sum()) for flag in np.unique(reason).tolist()}
+        valid = counts.pop("none", 0)
+        others = ", ".join(f"{count} {name}" for name, count in counts.items())
+        lines = [f"derivatives hold in {valid} of {counted(reason.size, 'lane')}" + (f" ({others})" if others else "")]
+        return [SummaryPart(KIND, lines, {KIND: {"valid": valid, **counts}})]

@@ -1,0 +1,430 @@
+"""The analysis `attractors`: coexisting attractors of a sweep, and the fraction of initial conditions of each."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from jaxtyping import Float, Int
+from matplotlib.colors import BoundaryNorm, ListedColormap
+
+from vibrojax.errors import InputError, counted
+from vibrojax.io.attributes import flags, parameters_of
+from vibrojax.io.kinds import OF_ATTRACTORS
+from vibrojax.io.variables import VARIABLES, described
+from vibrojax.lanes.labels import measured_besides, of_orbits
+from vibrojax.maps.dataset import shared_attributes
+from vibrojax.maps.rerun import sweep_with_orbits
+from vibrojax.maps.run import run_sweep
+from vibrojax.maps.starts import DEFAULT_STARTS, list_of
+from vibrojax.maps.sweep import Sweep
+from vibrojax.measures.labels import SINGLE_IMPACT, blow_frequency
+from vibrojax.periodic.orbits import SAME_ORBIT
+from vibrojax.pictures.axes import axis, edges, map_axis, margins, scale, share_text, values_along, with_unit
+from vibrojax.pictures.colours import Values, no_value_key, regime_keys, regime_names, share_value, value_of
+from vibrojax.pictures.contents import ATTRACTOR, HIDDEN, NAMED, REGIME, START, axes_of_map, swept, without_single
+from vibrojax.pictures.maps import cell_layers, map_plot
+from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Look, Plot, Sheet, Text, bars, dots, patch
+from vibrojax.pictures.sheet import MOST_PANELS, at, columns, facets, layout
+from vibrojax.pictures.starts import PREFIX, on_axes
+from vibrojax.studies import attractor_groups as grouping
+from vibrojax.studies.analysis import PictureRule, Source, SummaryPart
+from vibrojax.studies.attractor_groups import Motion
+from vibrojax.studies.sweep_analysis import SweepAnalysis
+
+MEASURED = ("period", "impacts", "impact_velocity", "impact_power", "stick_slip_index", "specific_energy")
+"""Variables whose medians over an attractor's lanes are stored."""
+
+SETTINGS = {
+    "method": "lanes of a point are one motion if their orbits are within same_within over the scales of labels; "
+    "irregular ones if chains of lanes join them, each within irregular_within and standard_errors of the next in "
+    "period, impact velocity and amplitudes, or, where exponents are known, within exponent_within standard errors. "
+    "Irregular lanes are observed for more windows of the sweep's observe, from the first to the second of the numbers "
+    "in windows, until the relative standard errors of these statistics are below least_precision; lanes that reach an "
+    "orbit or do not converge are unassigned, and lanes that differ are observed for at least windows_at_a_split. A "
+    "motion that nowhere has fewest lanes does not count beside another of more, nor, without exponents, one of fewer "
+    "within irregular_factor of it. Motions of neighbouring points are one attractor if the orbit of one, continued as "
+    "a stable one and never farther than aside over the scales from its prediction, becomes that of the other; "
+    "irregular ones if they are nearest, and within irregular_factor. Numbers from 0 by falling share over the grid",
+    "same_within": SAME_ORBIT,
+    "irregular_within": grouping.IRREGULAR_WITHIN,
+    "standard_errors": grouping.RESOLUTION_STDERRS,
+    "windows": [grouping.FEWEST_WINDOWS, grouping.MOST_WINDOWS],
+    "windows_at_a_split": grouping.SPLIT_MIN_WINDOWS,
+    "least_precision": grouping.CONVERGED_STDERR,
+    "exponent_within": grouping.EXPONENT_STDERRS,
+    "irregular_factor": grouping.SIMILAR_FACTOR,
+    "fewest": grouping.IRREGULAR_MIN_LANES,
+    "aside": grouping.PREDICTION_WITHIN,
+}
+
+LANES = "lane_attractor"
+COLOURS = ("#0072B2", "#E69F00", "#6A1B5D", "#009E73", "#D55E00", "#56B4E9", "#222222", "#B5468B")
+"""Colours of the attractors from number 0; all further attractors have the colour `BEYOND`."""
+
+BEYOND = "#A8A8A8"
+_SHOWN = 12  # greatest number of attractors that are listed one by one
+_VELOCITY = "impact_velocity"
+_STRONG, _COUNT, _FROM = "strong_share", "attractors", "regime_from_"
+_MOST_FACETS, _MOST_COLUMNS, _PANEL = 6, 3, (4.2, 2.0)  # _PANEL: width and height [inch]
+
+
+def attractors(
+    source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True
+) -> xr.Dataset:
+    """Find the attractors that a sweep's initial conditions lead to, and the fraction of each, over the grid.
+
+        att = vj.attractors(ds)
+
+    Lanes of a grid point have the same motion if their orbits are equal, or, for irregular lanes, their statistics.
+    Irregular lanes are observed for 8 to 128 times as long as in the sweep, until their statistics have converged to
+    the resolution that distinguishes motions (see the dataset's attribute `attractors`).
+
+    Motions of neighbouring points are the same attractor if the orbit of one, continued to the other's parameters,
+    becomes the orbit of the other. An attractor keeps its number through grazes, changes of the regime label and period
+    doublings. An irregular motion has a number of its own. Numbers do not depend on the order of values on an axis; 0
+    is the attractor with the greatest fraction over the grid.
+
+    **Arguments:**
+
+    - `source`: dataset of a sweep over `start`, or a sweep as `run_sweep` accepts it. A sweep is run again if its
+      dataset lacks orbits. With `lyapunov = true`, irregular lanes that had not settled are left out.
+    - `progress`: whether to report progress on stderr.
+
+    **Returns:** a dataset.
+
+    - Over the grid and `attractor`: `share`, the fraction of initial conditions (basin stability), and its binomial
+      standard error `share_stderr`, an upper bound for Sobol samples. `regime` is the most frequent regime of the
+      attractor's lanes, `cycles` the period of its orbit in returns (0 without an orbit). `period`, `impacts` and
+      `impact_velocity` are medians over the lanes, from the longer observation if they are irregular. So are
+      `impact_power`, `stick_slip_index` and `specific_energy`, but from the sweep's observation; `blow_frequency`
+      follows from `impacts` and `period`. `orbit_x1` and so on are one point of the orbit on the section.
+    - Over the grid, `unassigned`: number of initial conditions without an attractor. Their lanes failed, were
+      undecided, had not settled, did not converge, or their orbit was not found.
+    - Over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
+    - Over the grid and `named_start`, if the initial conditions are a sample or a plane: `named_attractor` and
+      `named_regime`, to which the scene's named initial conditions `drive` and `stuck` lead. They do not count in
+      `share`.
+
+    **Raises:** `InputError` unless `source` is a sweep over a grid and `start`, of a scene with a section.
+
+    **Example:**
+
+    >>> starts = {"scene": "vibro-impact", "parameters": {"beta": 0.4, "delta": 0.0}, "grid": {"gamma": [0.6]}}
+    >>> att = vj.attractors(starts | {"starts": ["drive", "stuck", "touching"]}, progress=False)
+    >>> att.share.round(2).values.tolist()
+    [[0.67, 0.33]]
+    >>> att.impact_velocity.round(1).values.tolist()  # m/s: both are single impacts
+    [[0.7, 3.0]]
+    """
+    return Attractors().run(source, progress)
+
+
+def _columns(
+    sweep: Sweep, lanes: xr.Dataset, motions: Sequence[Motion], number: Int[np.ndarray, " motions"]
+) -> dict[str, Float[np.ndarray, "points attractors"]]:
+    """Return the properties of each attractor at each point by name, 0 or NaN where the attractor is absent.
+
+    They are regime, cycles, medians of `MEASURED` over the lanes, and one point of the orbit on the section.
+    """
+    table = pd.DataFrame({name: lanes[name].values.ravel().astype(float) for name in MEASURED if name in lanes})
+    of_lane = np.full(len(table), -1)
+    for index, motion in enumerate(motions):
+        of_lane[motion.lanes] = index
+    repeats = np.array([motion.cycles for motion in motions] + [0])[of_lane]
+    if "impacts" in table:  # a lane may show a longer period than its orbit has
+        of_orbit = table["impacts"] * repeats / lanes["cycles"].values.ravel()
+        table["impacts"] = table["impacts"].where(repeats == 0, of_orbit)
+    medians = table.where(np.isfinite(table)).groupby(of_lane).median().reindex(range(len(motions)))
+    states = list(of_orbits(sweep.system))
+    rows = np.full((len(motions), len(states)), np.nan)
+    for index, motion in enumerate(motions):
+        if motion.orbit is not None:
+            rows[index] = motion.orbit.states[0, 0]
+    values = {"regime": [motion.regime for motion in motions], "cycles": [motion.cycles for motion in motions]}
+    values |= {name: medians[name] for name in table} | dict(zip(states, rows.T, strict=True))
+    shape = lanes["regime"].size // lanes.sizes[START], int(number.max(initial=-1)) + 1
+    columns = {name: np.full(shape, 0.0 if name in ("regime", "cycles") else np.nan) for name in values}
+    for name, column in values.items():
+        columns[name][np.array([motion.cell for motion in motions], int), number] = column
+    if "blow_frequency" in lanes:
+        columns["blow_frequency"] = blow_frequency(columns["impacts"], columns["cycles"], columns["period"])
+    return columns
+
+
+def attractor_shares(ds: xr.Dataset) -> Sheet:
+    """Draw basin fractions of attractors, with standard errors, and impact velocities over the longest axis.
+
+    Each value of further axes gets a panel. For a single point, the plane of initial conditions is drawn in the colours
+    of the attractors. If the initial conditions form no plane, the basin fractions are drawn as bars.
+    """
+    ds = ds.isel({name: 0 for name in ds["share"].dims if name != ATTRACTOR and ds.sizes[name] == 1})
+    along, note = swept(ds), ""
+    about, lanes = f"{ds.sizes[START]} starts" + " at each point" * bool(along), ds[LANES].size
+    if along:
+        sheet = _shares_along(ds, max(along, key=lambda name: ds.sizes[name]))
+        about += "; upright lines: one standard error"
+        about += f"; legend: most frequent regime, and share of all {lanes} lanes"
+    else:
+        plot, note = _shares_at_point(ds)
+        sheet = Sheet([plot], (6.6, 4.4))
+    unassigned = int(ds["unassigned"].sum())
+    lost = counted(unassigned, f"lane of {lanes} ends", f"lanes of {lanes} end") + " in none that could be told"
+
+    # Legend: number, most frequent regime, and basin fraction over the grid.
+    count, points = ds.sizes[ATTRACTOR], ds["unassigned"].size
+    share, regime = (ds[name].transpose(..., ATTRACTOR).values.reshape(points, count) for name in ("share", REGIME))
+    names = regime_names(ds[REGIME])
+    keys: list[Layer] = []
+    for k in range(min(count, len(COLOURS))):
+        most = int(np.argmax(np.bincount(regime[:, k], weights=share[:, k])))
+        text = f"{k}: {names[most]}, {share_text(float(share[:, k].mean()))} of starts"
+        keys.append(patch(_colour(k), text, edge=""))
+    if count > len(COLOURS):
+        keys.append(patch(BEYOND, f"{count - len(COLOURS)} others", edge=""))
+    if unassigned and points == 1:
+        keys.append(no_value_key("could not be told"))
+    return replace(sheet, keys=[keys], **margins(ds, about, note, lost if unassigned else ""))
+
+
+def _shares_along(ds: xr.Dataset, x: str) -> Sheet:
+    """Draw basin fractions, and impact velocities where a fraction is above zero, over the axis `x`."""
+    ds = ds.sortby(x)
+    panels = facets(ds, (x, ATTRACTOR), _MOST_FACETS)
+    names = ["share", *([_VELOCITY] if _VELOCITY in ds and np.isfinite(ds[_VELOCITY]).any() else [])]
+    wide = columns(panels, _MOST_COLUMNS)
+    rows = -(-len(panels) // wide)
+    plots = []
+    for k, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+        facet, along = facet.transpose(..., x, ATTRACTOR), values_along(facet[x])
+        share, error = 100.0 * facet["share"].values, 100.0 * facet["share_stderr"].values
+        tops = np.cumsum(np.nan_to_num(share), axis=1)  # one on top of another
+        stacked, velocities = list[Layer](), list[Layer]()
+        for number in range(share.shape[1]):
+            occurs, top = share[:, number] > 0, tops[:, number]
+            low, high = np.clip([top - error[:, number], top + error[:, number]], 0.0, 100.0)
+            stacked.append(Area(along, top - np.nan_to_num(share[:, number]), top, _colour(number), 0.9))
+            stacked.append(Line(*bars(along[occurs], low[occurs], high[occurs]), "#333333", 0.7))
+            if len(names) > 1:
+                velocity = np.where(occurs, facet[_VELOCITY].values[:, number] * scale(ds[_VELOCITY])[0], np.nan)
+                look: Look = {"marker": "o", "size": 2.6, "order": 2.5 - 0.001 * number, "clip": False}
+                velocities.insert(0, Line(along, velocity, _colour(number), 1.3, **look))
+        for i, (name, layers) in enumerate(zip(names, (stacked, velocities), strict=False)):
+            up = Axis("share of starts [%]", limits=(0.0, 100.0), group=name)
+            if name == _VELOCITY:
+                up = Axis(with_unit("impact velocity", scale(ds[name])[1]), name, group=f"{name}{k // wide}")
+            place, across = (k // wide * len(names) + i, k % wide), map_axis(facet[x], group="across")
+            plots.append(Plot(layers, across, up, "" if i else title, place, at(facet)))
+    size = _PANEL[0] * wide + 1.8, _PANEL[1] * rows * len(names) + 0.8
+    plots.sort(key=lambda plot: plot.place)
+    return Sheet(plots, size, (1.0,) * wide, (1.0,) * (rows * len(names)))
+
+
+def _shares_at_point(ds: xr.Dataset) -> tuple[Plot, str]:
+    """Draw the basins of one point, or basin fractions as bars; return the plot, and the note on its markers."""
+    spread = on_axes(ds[[LANES]].assign({REGIME: ds[LANES]}).drop_vars(HIDDEN, errors="ignore"))
+    states = [str(name) for name in spread[LANES].dims if name != START]
+    if len(states) != 2:
+        share, error = 100.0 * ds["share"].values, 100.0 * ds["share_stderr"].values
+        places = np.arange(share.size, dtype=float)
+        columns = Bars(places - 0.4, 0.0 * places, 0.0 * places + 0.8, share, [_colour(k) for k in range(share.size)])
+        errors = Line(*bars(places, share - error, share + error), "#4D4D4D")
+        ticks = [(k, str(int(k))) for k in places[:: max(1, -(-share.size // _SHOWN))].tolist()]
+        up = Axis("share of starts [%]", limits=(0.0, None))
+        return Plot([columns, errors], Axis("attractor", ticks=ticks), up, grid=""), ""
+    x, y = states
+    cells = np.asarray(spread[LANES].transpose(y, x).values)
+    shown = np.where(cells < 0, np.nan, np.minimum(cells, len(COLOURS)))
+    colours = ListedColormap([*COLOURS, BEYOND])
+    ends = edges(values_along(spread[x])), edges(values_along(spread[y]))
+    across, up = (axis(spread[name], limits=(float(e[0]), float(e[-1]))) for name, e in zip(states, ends, strict=True))
+    layers: list[Layer] = [Cells(*ends, shown, colours, BoundaryNorm(np.arange(-0.5, colours.N), colours.N))]
+
+    # The orbits are marked where they cross the section, projected onto the plane.
+    crossings = []
+    known = {str(name).removeprefix("orbit_"): x.values for name, x in ds.items() if str(name).startswith("orbit_")}
+    for name in states:
+        place = known.get(name.removeprefix(PREFIX))
+        if place is None:  # the velocity that defines the section, which is zero there
+            found = np.isfinite(next(iter(known.values()), np.full(ds.sizes[ATTRACTOR], np.nan)))
+            place = np.where(found, 0.0, np.nan)
+        crossings.append(place * scale(spread[name])[0])
+    inside = np.all([(end[0] <= p) & (p <= end[-1]) for p, end in zip(crossings, ends, strict=True)], axis=0)
+    orbits = np.isfinite(crossings).all(axis=0)
+    for k in np.flatnonzero(inside):
+        across_at, up_at = float(crossings[0][k]), float(crossings[1][k])
+        layers.append(dots([across_at], [up_at], size=11.0, face="white", edge="black", order=3.0, clip=False))
+        layers.append(Text(across_at, up_at, str(k), colour="black", size=7.5))
+    notes = ["Circles: where the orbits pass the section"] * bool(inside.any())
+    for mask, one, many in (
+        (orbits & ~inside, "passes the section outside the picture", "pass the section outside the picture"),
+        (~orbits & orbits.any(), "has no orbit", "have no orbit"),
+    ):
+        if numbers := [str(k) for k in np.flatnonzero(mask)]:
+            several = len(numbers) > 1
+            notes.append(f"Attractor{'s' * several} {', '.join(numbers)} {many if several else one}")
+    return Plot(layers, across, up), ". ".join(notes)
+
+
+def _colour(number: int) -> str:
+    return COLOURS[number] if number < len(COLOURS) else BEYOND
+
+
+def share_map(ds: xr.Dataset) -> Sheet:
+    """Draw the fraction of initial conditions that end in the strong single impact, over two axes.
+
+    Next to it are the regimes reached from the scene's named initial conditions, or else the number of attractors. An
+    impact is strong if the mean impact velocity exceeds the drive's speed `v`; without a drive, all single impacts
+    count. Each value of further axes gets a row.
+    """
+    ds = without_single(ds)
+    x, y = axes_of_map(ds)
+    ds = ds.sortby([x, y])
+    names = [str(name) for name in ds[NAMED].values] if NAMED in ds.dims else []
+    speed = None
+    if _VELOCITY in ds:
+        speed = ds["v"] if "v" in ds.coords else parameters_of(ds).get("v")
+    single = ds[REGIME] == SINGLE_IMPACT
+    strong = single if speed is None else single & (ds[_VELOCITY] > speed)
+    share = (100.0 * ds["share"]).where(strong, 0.0).sum(ATTRACTOR).assign_attrs(units="%")
+    coords = {name: data for name, data in ds.coords.items() if set(data.dims) <= set(share.dims)}
+    shown = xr.Dataset({_STRONG: share}, coords, ds.attrs)
+    for name in names:
+        shown[_FROM + name] = ds["named_regime"].sel({NAMED: name}, drop=True)
+    if not names:
+        shown[_COUNT] = (ds["share"] > 0).sum(ATTRACTOR).astype(float)
+    shown[REGIME] = shown[_FROM + names[0]] if names else xr.zeros_like(share, np.int8)
+    values: Values = (share_value(shown[_STRONG], "strong single impact"),)
+    values += (None,) * len(names) if names else (value_of(shown[_COUNT]),)
+    panels = facets(shown, (x, y), MOST_PANELS // len(values))
+    drawn = layout(panels, values)
+    plots, counts = [], dict.fromkeys(map(id, panels.data), -1)  # a facet's panels have the order of the values
+    for panel in drawn.panels:
+        counts[id(panel.facet)] += 1
+        facet, title = panel.facet, panel.title
+        if panel.value is None:
+            name = names[counts[id(facet)] - 1]
+            title = ", ".join(filter(None, (title, f"from {name}")))
+            facet = facet.assign({REGIME: facet[_FROM + name]})
+        plots.append(map_plot(panel._replace(title=title), shown[x], shown[y], cell_layers(facet, panel.value, x, y)))
+    keys = regime_keys([facet[_FROM + name] for facet in panels.data for name in names]) if names else []
+    about = "Strong: the striker hits faster than the drive moves"
+    about = "Of single impacts, strong or weak" if speed is None else about
+    notes = margins(ds, panels.note, f"{ds.sizes[START]} starts at each point", about)
+    return Sheet(plots, keys=[keys], **drawn.sheet, **notes)
+
+
+@dataclass(frozen=True)
+class Attractors(SweepAnalysis):
+    """Attractors that a sweep's initial conditions lead to, and the fraction of initial conditions of each."""
+
+    kind = "attractors"
+    counted = "attractor"
+    variables = OF_ATTRACTORS
+    pictures = (
+        PictureRule("attractors", lambda held: held.wide, share_map),
+        PictureRule("attractors", lambda held: True, attractor_shares),
+    )
+
+    def sweep(self, source: Source) -> Sweep:
+        """Return the validated sweep; raise `InputError` if the analysis does not apply to it."""
+        if isinstance(source, xr.Dataset) and LANES in source:
+            raise InputError("attractors: the dataset holds attractors already; give the sweep, or its dataset")
+        sweep = sweep_with_orbits(source)
+        if sweep.run.carry is not None:
+            raise InputError("attractors: lanes of this sweep are carried, so they have no starts; leave carry out")
+        if sweep.points is not None or sweep.point_starts is not None or sweep.point_vectors is not None:
+            raise InputError("attractors: points of a list have no neighbours to number along; give a [grid] instead")
+        if not sweep.crosses_starts or sweep.system.driving_part().section is None:
+            raise InputError(f'attractors: scene "{sweep.scene}" takes no starts; give a sweep of a scene with a drill')
+        return sweep
+
+    def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
+        """Return the attractors of a sweep, from the dataset `lanes` with orbits."""
+        *dims, _ = sweep.dims
+        *shape, starts = sweep.shape
+        lanes = lanes.transpose(*sweep.dims, ...)
+        runs = [(sweep, lanes)]
+        named = [name for name in DEFAULT_STARTS if name in sweep.system.starts]
+        if sweep.starts is not None and not sweep.starts.listed and named:
+            own = replace(sweep, starts=list_of(named, sweep.starts.states), run=replace(sweep.run, orbits=True))
+            runs.append((own, run_sweep(own, progress=progress).transpose(*sweep.dims, ...)))
+        scene, observed = sweep.system.driving_part(), grouping.observe_irregular(runs, progress)
+        values, _ = sweep.lane_values(0, sweep.lanes)
+        points = {name: values[name][::starts] for name in scene.parameters()}
+        each = observed.sizes[START]  # with the scene's named initial conditions, which do not count
+        motions = grouping.classify_motions(
+            scene, observed, {name: np.repeat(x, each) for name, x in points.items()}, each
+        )
+        count = [int((motion.lanes % each < starts).sum()) for motion in motions]
+        links = grouping.find_links(scene, points, tuple(shape), motions)
+        ranks = [np.argsort(np.argsort(axis)) for axis in sweep.axes.values()]
+        order = []  # of numbers: increasing axis values, then decreasing number of lanes
+        for index, motion in enumerate(motions):
+            place = np.unravel_index(motion.cell, shape) if ranks else ()
+            at_axes = (float(rank[k]) for rank, k in zip(ranks, place, strict=True))
+            order.append((*at_axes, -float(count[index]), float(index)))
+        number = grouping.number_attractors([motion.cell for motion in motions], count, links, order)
+        ambiguous = grouping.is_ambiguous(motions, number)
+        motions = [motion for motion, left_out in zip(motions, ambiguous, strict=True) if not left_out]
+        number = np.unique(number[~ambiguous], return_inverse=True)[1]
+        of_lane = np.full(observed["regime"].size, -1)
+        for motion, own_number in zip(motions, number.tolist(), strict=True):
+            of_lane[motion.lanes] = own_number
+        of_lane = of_lane.reshape(*shape, each)
+        of_start = of_lane[..., :starts]
+
+        columns = _columns(sweep, observed, motions, number)
+        share, assigned = np.zeros_like(columns["regime"]), np.flatnonzero(of_start >= 0)
+        np.add.at(share, (assigned // starts, of_start.ravel()[assigned]), 1 / starts)
+        columns = {"share": share, "share_stderr": np.sqrt(share * (1 - share).clip(0) / starts), **columns}
+        about = VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system) | OF_ATTRACTORS
+        data: dict[str, Any] = {name: ((*dims, ATTRACTOR), x.reshape(*shape, -1)) for name, x in columns.items()}
+        data |= {"unassigned": (dims, (of_start < 0).sum(axis=-1)), LANES: (sweep.dims, of_start)}
+        of_names: dict[str, Any] = {}
+        if len(runs) > 1:
+            about_names = {"units": "1", "long_name": "start of the scene, by name"}
+            of_names = {
+                NAMED: (NAMED, runs[1][1][START].values, about_names),
+                "named_attractor": ((*dims, NAMED), of_lane[..., starts:]),
+                "named_regime": ((*dims, NAMED), runs[1][1]["regime"].values),
+            }
+        coordinates: dict[Any, Any] = {name: x for name, x in lanes.coords.items() if set(x.dims) <= set(sweep.dims)}
+        numbers = np.arange(share.shape[1])
+        coordinates[ATTRACTOR] = (ATTRACTOR, numbers, {"units": "1", "long_name": "number of the attractor"})
+        title = (sweep.title or sweep.name).removesuffix(f": {sweep.name}")  # not two colons
+        attributes = {
+            **shared_attributes(sweep, self.kind, f"Attractors: {title}", self.kind),
+            "sweep": sweep.text,
+            "attractors": json.dumps(SETTINGS),
+            "lanes": sweep.lanes,
+        }
+        dataset = xr.Dataset(described(data, about), coordinates, attributes)
+        return dataset.assign(described(of_names, OF_ATTRACTORS))
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Summarise how many attractors coexist at how many points, and fraction, points and regimes of each."""
+        grid = [name for name in ds["share"].dims if name != ATTRACTOR]
+        unassigned, lanes = int(ds["unassigned"].sum()), ds[LANES].size
+        share = ds["share"].values.reshape(ds["unassigned"].size, ds.sizes[ATTRACTOR])
+        numbers, counts = np.unique((share > 0).sum(axis=1), return_counts=True)
+        points = ", ".join(f"{number} at {count}" for number, count in zip(numbers, counts, strict=True))
+        lines = [
+            f"at a point: {points} (attractors at points)",
+            f"{unassigned} of {counted(lanes, 'lane')} unassigned ({100 * unassigned / max(lanes, 1):.1f} %)",
+        ]
+        regime, meanings = ds["regime"].values.reshape(share.shape), flags(ds["regime"])
+        for number in range(min(share.shape[1], _SHOWN)):
+            mask = share[:, number] > 0
+            kinds, sizes = np.unique(regime[mask, number], return_counts=True)
+            names = ", ".join(meanings[int(kinds[k])] for k in np.argsort(-sizes, kind="stable"))
+            percent = 100 * share[:, number].mean()
+            lines.append(f"{number:>4}{percent:>7.1f} % of starts{int(mask.sum()):>7} points  {names}")
+        if share.shape[1] > _SHOWN:
+            lines.append(f"and {share.shape[1] - _SHOWN} more of smaller shares")
+        facts = {"shares": ds["share"].mean(grid).values, "unassigned": unassigned}
+        return [SummaryPart("shares", lines, {"attractors": facts})]

@@ -1,0 +1,379 @@
+"""The analysis `trajectory`: one motion over time, its pictures and its summary."""
+
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from vibrojax.compile.xla import precision
+from vibrojax.errors import Place, counted, shown
+from vibrojax.io.attributes import attribute_of, flags, parameters_of, run_of
+from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.variables import Variable
+from vibrojax.lanes.record import (
+    KINDS,
+    SampledMotion,
+    along_time,
+    check_size,
+    events,
+    forces,
+    sample,
+    states_shown,
+    window,
+)
+from vibrojax.maps.read import Point, read_point
+from vibrojax.measures.labels import FEWEST_RETURNS
+from vibrojax.physics.parameters import differing
+from vibrojax.pictures.axes import pretty_unit, scale
+from vibrojax.pictures.time_history import pulses, response, states_over_time, trajectory
+from vibrojax.progress import LOG, Progress
+from vibrojax.scenes import HasFriction, HasRock, Scene
+from vibrojax.settings.code_identity import code_identity
+from vibrojax.settings.fields import setting
+from vibrojax.settings.run_settings import check_error
+from vibrojax.stepping import STEPPERS, AccuracyRequest, Smoothed, Stepper, stepper_named
+from vibrojax.stepping.located import LEAST_TOLERANCE
+from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.frequencies import frequency_part
+from vibrojax.studies.subjects import MachineAnalysis, answered
+from vibrojax.studies.trajectory_recording import adaptive, constants_at, default_sampling, recorded
+
+if TYPE_CHECKING:
+    from diffrax import AbstractSolver
+
+TRAJECTORY_MAX_SAMPLES = 2_000_000
+"""Maximum number of samples: some 200 MB of states and forces, more than any plot can show."""
+
+SECTION = "to the section (the bit overtakes the drive)"
+
+REPORTED_DRIFT = 1e-3
+"""Relative distance from the settled motion above which the summary reports it: half a digit of printed values."""
+
+DURATION_MARGIN = 1.15
+"""Ratio of the recommended duration to the shortest sufficient duration."""
+
+
+def simulate(
+    scene: str | Scene[Any],
+    *,
+    start: str | Sequence[float] | None = None,
+    duration: float | None = None,
+    method: str | Stepper | None = None,
+    solver: "str | AbstractSolver | None" = None,
+    step: float | None = None,
+    smoothing: float | None = None,
+    error: float = 1e-4,
+    sampling: float | None = None,
+    progress: bool = True,
+    **parameters: Any,
+) -> xr.Dataset:
+    """Simulate one point of a scene.
+
+    **Arguments:**
+
+    - `scene`: "rotary", "vibro-impact", "penetration", "drilling" or "coupled-drilling", or a scene object.
+    - `parameters`: parameters of the scene in SI units, `friction` (name of a friction law), `pulse_shape`, `rock`.
+    - `start`: initial condition, "drive" (default), "stuck", "touching", or a vector [x1, x1', x2, x2'] [m, m/s].
+    - `duration`: simulated time [s]; by default 20 s, or 50 cycles of a `vj.System`.
+    - `method`: "located" (default), "smoothed", or "diffrax".
+    - `solver`: for "diffrax", a diffrax solver or its name, by default "Tsit5". Specifying `solver` selects "diffrax".
+    - `error`: accepted relative error, from which step sizes and tolerances follow, unless the next two are specified.
+    - `step`: maximum step size, or the step size of the smoothed method [s].
+    - `smoothing`: width of the friction switch [m/s].
+    - `sampling`: interval of the samples [s]; by default a twentieth of the contact's duration, 1 ms without contact.
+    - `progress`: whether to show progress on stderr.
+
+    **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], stuck; with rock also x3, x4,
+    v3, rock_force and applied_force [N]. Along `event`, the dataset has the times and kinds of events. Scalar variables
+    describe the last part of the motion, with the same names and definitions as in a sweep: regime, period and so on,
+    with rock the rate of penetration. The attribute `run` contains the settling and observation times. The observation
+    takes a sixth of the duration, or half of a short duration. A diffrax solver gives neither events nor these scalars.
+
+    **Raises:** `InputError` if a name or value is wrong, or, before the simulation, if steps or samples are too many.
+
+    **Example:**
+
+    >>> motion = vj.simulate("vibro-impact", beta=0.4, gamma=0.75, delta=0.005, start="stuck", progress=False)
+    >>> f"{float(motion.period):.4f} s, {float(motion.impact_velocity):.3f} m/s"
+    '0.2296 s, 2.238 m/s'
+    >>> sorted(motion[["x1", "v1", "x2", "v2", "impact_force"]].data_vars)
+    ['impact_force', 'v1', 'v2', 'x1', 'x2']
+    """
+    values = {
+        "start": start,
+        "duration": duration,
+        "method": method,
+        "solver": solver,
+        "step": step,
+        "smoothing": smoothing,
+        "error": error,
+        "sampling": sampling,
+    }
+    return answered(Trajectories, scene, values, parameters, progress)
+
+
+def _named(place: Place, value: Any) -> Any:
+    """Return a name, or the object that is given in place of one."""
+    if value == "" or isinstance(value, int | float):
+        raise place.error(f"{shown(value)} is not a name; write one")
+    return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trajectories(MachineAnalysis[Point]):
+    """Simulate one point: write its trajectory as a dataset, and a picture."""
+
+    kind, command = "trajectory", "simulate"
+    view = "motion"
+    run_settings = ()
+    file, lists, numbered = "SCENE.nc, SCENE-2.nc, ...", False, True
+    pictures = (
+        PictureRule("motion", lambda held: held.bit_on_rock and held.swept_sine, response),
+        PictureRule("motion", lambda held: held.bit_on_rock, pulses),
+        PictureRule("motion", lambda held: held.drill, trajectory),
+        PictureRule("motion", lambda held: held.run, states_over_time),
+    )
+
+    duration: float | None = setting(None, "simulated time, s", unit="s", above=0.0)
+    sampling: float | None = setting(None, "interval of the samples, s", unit="s", above=0.0)
+    error: float | None = setting(None, "accepted relative error: 0.0001", above=0.0)
+    method: str | Stepper | None = setting(None, "located, smoothed or diffrax", read=_named)
+    solver: str | Any | None = setting(None, "a solver of diffrax", read=_named)
+    step: float | None = setting(None, "greatest step, s", unit="s", above=0.0)
+    smoothing: float | None = setting(None, "width of the friction switch, m/s", unit="m s-1", above=0.0)
+
+    def machines(
+        self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
+    ) -> Point:
+        return read_point(place, scene, parameters, start)
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the settings that were given."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+    def identity(self, asked: Point) -> dict[str, object]:
+        return {**asked.identity(), **self.arguments(), **code_identity(asked.system, asked.options)}
+
+    def file_name(self, asked: Point) -> str:
+        return f"{asked.scene}.nc"
+
+    def compute(self, asked: Point, progress: bool = True) -> xr.Dataset:
+        """Return the trajectory; raise `InputError` if settings contradict one another or take too many steps."""
+        place, system = Place("simulate"), asked.system
+        method = self.method or ("diffrax" if self.solver is not None else "located")
+        if not isinstance(method, Stepper) and method not in (*STEPPERS, "diffrax"):
+            choices = ", ".join((*STEPPERS, "diffrax"))
+            raise place.at("method").error(f'"{method}" is unknown; choose from {choices}')
+        if self.solver is not None and method != "diffrax":
+            raise place.at("solver").error(f'has no use with method "{method}"; leave one of them out')
+        stepper = None if method == "diffrax" else stepper_named(method)
+        if self.smoothing is not None and stepper is not None and not stepper.smooths:
+            raise place.at("smoothing").error(
+                f'has no use with method "{stepper.name}"; leave it out, or set method = "smoothed"'
+            )
+        duration = sum(system.usual_times) * (5 / 12) if self.duration is None else self.duration
+        error = 1e-4 if self.error is None else self.error
+        wanted = AccuracyRequest(error, self.step, self.smoothing)
+        if stepper is not None or self.smoothing is None:
+            least_error = (stepper or Smoothed()).least_error(wanted)
+        else:
+            least_error = LEAST_TOLERANCE[wanted.precision]  # as measured with diffrax's Tsit5 at a width of 1 cm/s
+        check_error(place.at("error"), stepper.name if stepper else "diffrax", wanted, least_error)
+        if duration < np.finfo(float).tiny:  # the clock rounds it to zero
+            raise place.at("duration").error(f"{duration:g} s is too short; give a longer one")
+        if stepper is None and isinstance(system, HasRock):
+            raise place.at("method").error('"diffrax" supports no rock that yields; choose from located, smoothed')
+        with precision("float64"):
+            constants = constants_at(place, asked, stepper)
+            times = self._times(place, system, constants, duration)
+            accuracy = (stepper or Smoothed()).accuracy(wanted, system)
+            most_steps = check_size(place, system, constants, duration, accuracy, stepper, len(times))
+            solver: dict[str, object] = {"method": stepper.name if stepper else "diffrax"}
+            event_list = steps = step_of = None
+            found: dict[str, Any] = {}
+            if stepper is None:
+                state = system.start(constants, asked.start, (1,))
+                tolerance = 1e-3 * error
+                motion, count, kind = adaptive(
+                    system, constants, state, times, accuracy, self.solver or "Tsit5", tolerance
+                )
+                solver |= {"steps": count, **accuracy.described(), "solver": kind}
+            else:
+                bar = Progress(duration, "s simulated", progress and sys.stderr.isatty(), pace=False)
+                steps, found = recorded(asked, stepper, constants, accuracy, duration, bar.reach, most_steps, progress)
+                states, modes, step_of = sample(steps, times)
+                motion = SampledMotion(times, states, modes)
+                event_list = events(system, constants, steps)
+                solver |= {"steps": len(steps.dt), **accuracy.described()}
+            variables: dict[str, Any] = states_shown(system, motion, steps, step_of)
+            smooth = stepper is None or stepper.smooths
+            variables |= forces(system, constants, motion, accuracy.smoothing if smooth else None)
+        LOG.info("chosen: %s, %d samples", json.dumps(solver), len(times))
+        if isinstance(system, HasFriction):
+            stuck = (motion.modes[system.mode_place("slip")] == 0).astype(np.int8)
+            variables["stuck"] = along_time(stuck, "1", "whether the bit sticks to the rock", ("slides", "sticks"))
+        if event_list is not None:
+            about = Variable("s", "time of the event"), Variable("1", "what happened", flags=KINDS)
+            for name, x, of_events in zip(("event_time", "event_kind"), event_list, about, strict=True):
+                variables[name] = xr.Variable("event", x, of_events.attributes())
+        title, written = f"{asked.scene}: trajectory", {} if asked.start is None else {"start": asked.start}
+        attributes = {
+            **dataset_attributes("trajectory", title, f"simulate {asked.scene}", scene=asked.scene),
+            "parameters": json.dumps(asked.parameters),
+            "differing": json.dumps(differing(system.parameters(), asked.parameters)),
+            **asked.options,
+            **{name: x if isinstance(x, str) else json.dumps(list(x)) for name, x in written.items()},
+            "solver": json.dumps(solver),
+        }
+        if found:
+            begin, observe = window(system, duration)
+            attributes["run"] = json.dumps({"settle": begin, "observe": observe})
+        along = {"time": ("time", motion.times, {"units": "s", "long_name": "time"})}
+        return xr.Dataset(variables, along, attributes).assign(found)
+
+    def _times(self, place: Place, scene: Scene[Any], constants: Any, duration: float) -> Float[np.ndarray, " samples"]:
+        """Return the times of the samples [s], evenly spaced from 0 to `duration`."""
+        sampling, most = self.sampling, TRAJECTORY_MAX_SAMPLES
+        if sampling is None:
+            sampling = float(np.ravel(default_sampling(scene, constants))[0])
+            sampling = min(max(sampling, duration / most), duration)
+        intervals = duration / sampling
+        if not 0.5 < intervals <= most:
+            raise place.at("sampling").error(
+                f"{sampling:g} s gives {intervals:.7g} samples in {duration:g} s; between 1 and {most} are needed, "
+                f"so {duration / most:.3g} to {duration:g} s"
+            )
+        count = round(intervals)
+        return np.arange(count + 1) * (duration / count)
+
+    def facts(self, ds: xr.Dataset, asked: Point) -> Mapping[str, object]:
+        return {
+            "scene": asked.scene,
+            **asked.options,
+            "start": asked.start,
+            "parameters": asked.parameters,
+            **({"bit_radius": asked.hole_radius} if isinstance(asked.system, HasRock) else {}),
+            "duration": float(ds["time"][-1]),
+            "run": attribute_of(ds, "run"),
+            "found": features(ds),
+            **frequency_part(ds).facts,
+            "solver": attribute_of(ds, "solver"),
+        }
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        return [SummaryPart("found", feature_lines(ds), {"found": features(ds)}), frequency_part(ds)]
+
+
+def features(ds: xr.Dataset) -> dict[str, object]:
+    """Return the scalar variables of a trajectory by name; flags are replaced by their meanings."""
+    single = {str(name): data for name, data in ds.data_vars.items() if data.ndim == 0}
+    return {name: flags(data)[int(data)] if flags(data) else data.item() for name, data in single.items()}
+
+
+def feature_lines(ds: xr.Dataset) -> list[str]:
+    """Describe regime, period, impacts and rate of penetration; return no lines if nothing was measured."""
+    run = run_of(ds)
+    if not {"settle", "observe"} <= set(run) or "time" not in ds.dims:
+        return []
+    values = {str(name): float(data) for name, data in ds.data_vars.items() if data.ndim == 0}
+    lines = [_regime_line(ds, values)] if "regime" in values else []
+    if "rate_of_penetration" in values:
+        lines += _penetration_lines(ds, values)
+    if not lines:
+        return []
+    if power := _power_line(ds, values):
+        lines.append(power)
+    last = f"measured from {run['settle']:.4g} s to the end at {run['settle'] + run['observe']:.4g} s"
+    if "returns" in values:
+        last += f": {counted(int(values['returns']), 'return')} {SECTION if 'x1' in ds else 'to the section'}"
+    drift = values.get("drift_estimate", math.nan)
+    if drift > REPORTED_DRIFT:
+        far = f"by some {100 * drift:.2g} %" if math.isfinite(drift) else "and its returns do not tell how far"
+        last += f"; still on its way to where it settles, {far}: a longer duration brings it there"
+    return [*lines, last]
+
+
+def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
+    regime = flags(ds["regime"])[int(ds["regime"])]
+    returns, period = int(values["returns"]), values.get("period", math.nan)
+    if regime == "equilibrium":
+        speed = parameters_of(ds).get("v") if "x1" in ds else None
+        moves = "nothing moves" if speed is None else f"the bit moves steadily with the drive, at {speed:.4g} m/s"
+        return f"equilibrium: {'the bit rests' if speed == 0 else moves}"
+    if regime == "undecided" and returns < FEWEST_RETURNS:
+        advice = "give a longer duration"
+        if returns > 1:
+            observed, last = run_of(ds)["observe"], float(ds["time"][-1])
+            advice = f"give duration={DURATION_MARGIN * (FEWEST_RETURNS + 1) * period / observed * last:.2g}"
+        count = (
+            f"{returns} returns to the section are" if returns > 1 else ("one return is", "no return is")[not returns]
+        )
+        return f"undecided: {count} too few to judge by, {FEWEST_RETURNS} are needed; {advice}"
+    if regime == "undecided":
+        return "undecided: the swing steadily grows or decays; a longer duration shows what it ends in"
+    if regime == "failed":
+        return "failed: the motion does not stay finite"
+    cycles = int(values["cycles"])
+    if "impacts" not in values:
+        repeats = {0: "does not repeat", 1: "repeats"}.get(cycles, f"repeats after {cycles} returns")
+        return f"{regime}: {repeats}, with {period:.5g} s from return to return"
+    blows = values["impacts"]
+    energy = f" and {values['impact_energy']:.4g} J" if "impact_energy" in values else ""
+    unit = pretty_unit(str(ds["impact_velocity"].attrs.get("units", "m s-1"))) if blows else ""
+    strength = f", at {values['impact_velocity']:.4g} {unit}{energy}" if blows else ""
+    mean = ", on average" if blows > 1 or not cycles else ""
+    if not cycles:
+        often = f"a blow every {period / blows:.4g} s" if blows else "no blow"
+        return f"{regime}: it does not repeat; {often}{mean + strength if blows else ''}"
+    each = f"each period of {period:.5g} s" if cycles == 1 else f"each repeat, of {cycles} periods of {period:.5g} s"
+    count = {0: "no blow", 1: "one blow"}.get(int(blows), f"{blows:.0f} blows")
+    return f"{regime}: {count} in {each}{mean if blows else ''}{strength}"
+
+
+def _power_line(ds: xr.Dataset, values: dict[str, float]) -> str:
+    """Return impact power, specific energy and stick-slip index as text; quantities that are undefined are left out."""
+    parts = []
+    for name in ("impact_power", "specific_energy", "stick_slip_index"):
+        if math.isfinite(values.get(name, math.nan)) and (name != "impact_power" or values[name] > 0):
+            factor, unit = scale(ds[name])
+            radius = ds[name].attrs.get("bit_radius")
+            hole = "" if radius is None else f" (hole of radius {radius:g} m)"
+            parts.append(f"{name.replace('_', ' ')} {factor * values[name]:.4g} {pretty_unit(unit)}".rstrip() + hole)
+    return ", ".join(parts).replace("stick slip", "stick-slip")
+
+
+def _penetration_lines(ds: xr.Dataset, values: dict[str, float]) -> list[str]:
+    rate, relief, slip = (values.get(name, math.nan) for name in ("rate_of_penetration", "relief", "slip_per_impact"))
+    threshold = parameters_of(ds)["threshold"]
+    event = "pulse" if "regime" not in values else "blow"
+    force = f"mean force {values['mean_force'] / 1e3:.4g} kN over the {threshold / 1e3:.4g} kN at which the rock yields"
+    lines = [f"relief P/D {relief:.4g}: {force}"] if math.isfinite(relief) else []
+    if not math.isfinite(rate):
+        return [f"no whole {event} was observed, so there is no rate of penetration; give a longer duration", *lines]
+    if rate == 0:
+        return [f"no penetration: {_rock_below_threshold(ds, threshold)}", *lines]
+    growth = f", {1e3 * slip:.4g} mm for each {event} (slip)" if math.isfinite(slip) else ""
+    return [f"rate of penetration {rate:.4g} m/s ({3600 * rate:.4g} m/h){growth}", *lines]
+
+
+def _rock_below_threshold(ds: xr.Dataset, threshold: float) -> str:
+    """Describe how far the force of the rock stays below the threshold D while it is observed, and what would raise it.
+
+    The inertia of the bit takes a part of the contact force, which can therefore exceed D.
+    """
+    run = run_of(ds)
+    is_observed = (ds["time"] >= run["settle"]) & (ds["time"] <= run["settle"] + run["observe"])
+    force = float(ds["rock_force"].where(is_observed).max()) if "rock_force" in ds else math.nan
+    if not math.isfinite(force):
+        return "the rock does not yield"
+    change = "a greater v" if "impact_velocity" in ds else "a greater force"
+    return (
+        f"the rock force reaches {force / 1e3:.4g} kN, {force / threshold:.2g} of the threshold D = "
+        f"{threshold / 1e3:.4g} kN at which the rock yields; a softer rock or {change} raises it"
+    )
