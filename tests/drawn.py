@@ -401,6 +401,10 @@ def marks_of(plot):
 
 def labels(sheet):
     """Return the texts of the legends of a sheet."""
-    parts = [part for part in (sheet, sheet.above, sheet.beside) if part is not None]
     own = [layer.label for plot in plots_of(sheet) if plot.keys for layer in labelled_layers(plot)]
-    return own + [layer.label for part in parts for group in legend_of(part) for layer in group]
+    return own + [layer.label for group in legend_of(sheet) for layer in group]
+
+
+def scales(sheet):
+    """Return the quantities that have a colour bar."""
+    return list({id(plot.scale): plot.scale for plot in plots_of(sheet) if plot.scale is not None}.values())

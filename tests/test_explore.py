@@ -22,13 +22,14 @@ import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.explorer import Cell, cell_of, cells_of, document_of, encode, module_text, page_text, write_page
 from vibrojax.explorer.encoding import EVENTS, MANTISSA_BITS, STATE_LEVELS, STUCK, StateColumn, pack
-from vibrojax.explorer.plots_view import figure_document
-from vibrojax.explorer.reading import first_cell
+from vibrojax.explorer.map_view import first_cell
+from vibrojax.explorer.plots_view import SHAPES, figure_document
 from vibrojax.explorer.write import blocks_of
 from vibrojax.io.identity import GENERATOR
 from vibrojax.maps.read import read_sweep
+from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.colours import value_of
-from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Scale, Sheet, Text, level
+from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Sheet, Text, level
 
 COLUMNS = (StateColumn("x1", "m", "position"), StateColumn("v1", "m s-1", "velocity"))
 PLANE = {
@@ -243,6 +244,10 @@ def test_family_document_has_branches_and_orbits() -> None:
         assert closure < 1e-6 * np.ptp(cell.states["x2"])
 
 
+def test_every_kind_of_special_point_has_a_shape() -> None:
+    assert {str(mark["marker"]) for mark in MARKS.values()} <= set(SHAPES)
+
+
 # The page.
 
 
@@ -358,10 +363,10 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     ticks = Axis(ticks=[(0.5, "left"), (1.5, "right")])
     value = value_of(xr.DataArray([-0.5, 3.0], name="share", attrs={"units": "%"}))
     plots = [
-        Plot(layers, across, depth, "start: b", at={"start": "b"}),
+        Plot(layers, across, depth, "start: b", at={"start": "b"}, scale=value),
         Plot([strip], ticks, place=(1, 0), name="regimes"),
     ]
-    sheet = Sheet(plots, (6.0, 4.0), heights=(1.0, 0.3), scales=[Scale((0, 1), value)])
+    sheet = Sheet(plots, (6.0, 4.0), heights=(1.0, 0.3))
     axes: list[dict[str, Any]] = [{"name": name, "columns": []} for name in ("force", "start")]
     document = figure_document([sheet], ds, axes)
     first, second = document["plots"]

@@ -18,8 +18,8 @@ from small_map import small_map
 
 import vibrojax as vj
 from vibrojax.explorer import document_of, page_text
-from vibrojax.explorer.content_policy import content_policy
 from vibrojax.explorer.document import run_document
+from vibrojax.explorer.write import content_policy
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.scenes.vibro_impact import VibroImpact
 

@@ -11,9 +11,8 @@ from urllib.parse import quote
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.explorer import _loopback as server
-from vibrojax.explorer._loopback import RefusedRequest
-from vibrojax.explorer.live import Live, RequestQueue
+from vibrojax.explorer import live as server
+from vibrojax.explorer.live import Live, RefusedRequest, RequestQueue
 
 HTML = "<!doctype html><title>page</title><script type=module>export const a = 1;</script>"
 

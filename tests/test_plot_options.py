@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
-from drawn import LONG, basin, flagged, lanes, law, line, plane, points, returns, rock, run, sample, square
+from drawn import LONG, basin, flagged, lanes, law, line, plane, points, returns, rock, run, sample, scales, square
 from matplotlib.colors import to_hex
 from read_off import axis_labels, legend, meshes, note, titles
 
@@ -125,7 +125,7 @@ def test_variables_of_every_kind_of_sweep_fit_on_page(kind, count):
     names = ["stick_fraction", "regime", "impact_velocity", "period"][:count]
     sheet = requested(with_shares(KINDS[kind]()), names)
     assert sheet.size[0] <= PAGE[0] and sheet.size[1] <= PAGE[1]
-    words = [plot.y.label for plot in sheet.plots] + [scale.value.label for scale in sheet.scales]
+    words = [plot.y.label for plot in sheet.plots] + [scale.label for scale in scales(sheet)]
     assert "share of stick" in words
 
 

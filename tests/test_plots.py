@@ -37,6 +37,7 @@ from drawn import (
     rock_points,
     run,
     sample,
+    scales,
     several_families,
     sheet_of,
     square,
@@ -54,15 +55,15 @@ from vibrojax.pictures.axes import certified_text, label, point_text, scale, sha
 from vibrojax.pictures.branches import branches, places, smooth, stability, stable_intervals
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.colours import REGIME_COLOURS
-from vibrojax.pictures.contents import Contents
+from vibrojax.pictures.contents import Contents, returns_in
 from vibrojax.pictures.draw import draw
 from vibrojax.pictures.lines import rates
 from vibrojax.pictures.maps import contours
+from vibrojax.pictures.motion import pulses, response, trajectory
 from vibrojax.pictures.plots import Area, Axis, Bars, Line, Plot, Points, Sheet, Text, as_sheet, resolved
-from vibrojax.pictures.returns import bifurcation, returns_in
+from vibrojax.pictures.returns import bifurcation
 from vibrojax.pictures.sheet import PAGE
 from vibrojax.pictures.style import NO_VALUE, nested_line
-from vibrojax.pictures.time_history import pulses, response, trajectory
 from vibrojax.studies.analysis import analysis_named, analysis_of
 from vibrojax.studies.choose import picture, save_picture
 from vibrojax.studies.family_analysis import family_lines
@@ -242,8 +243,8 @@ def test_maps_show_lanes_named_in_their_titles():
     assert sheet.plots[0].at == {"delta": -0.005, "start": "drive"}
     words = {plot.x.label for plot in sheet.plots} | {plot.y.label for plot in sheet.plots}
     assert {"mass ratio m2/m1, β", "frequency ratio w2/w1, γ"} <= words
-    assert {scale.value.label for scale in sheet.scales} == {"impact velocity [m/s]", "period [s]"}
-    assert len({(scale.value.norm.vmin, scale.value.norm.vmax) for scale in sheet.scales}) == 2
+    assert {scale.label for scale in scales(sheet)} == {"impact velocity [m/s]", "period [s]"}
+    assert len({(scale.norm.vmin, scale.norm.vmax) for scale in scales(sheet)}) == 2
 
 
 @pytest.mark.parametrize("flag", range(8))
@@ -361,12 +362,12 @@ def test_rates_are_white_without_penetration_and_have_contours_of_relief():
         "equal relief P/D" in labels(sheet) and len(force.layers) == 1 and slip.layers[0].colour_map.name == "viridis"
     )
     decades = rock({"force": np.geomspace(170e3, 3e6, 9), "frequency": np.geomspace(1.0, 400.0, 9)})
-    assert isinstance(sheet_of(decades).scales[0].value.norm, LogNorm)
+    assert isinstance(scales(sheet_of(decades))[0].norm, LogNorm)
 
 
 def test_border_of_single_impacts_lies_between_regimes():
     sheet = sheet_of(drill({"beta": np.linspace(0.2, 0.9, 9), "gamma": np.linspace(0.5, 0.9, 9)}, ("drive",)))
-    rate = next(plot for plot, scale in zip(sheet.plots[1:], sheet.scales, strict=True) if scale.value.of_rate)
+    rate = next(plot for plot in sheet.plots if plot.scale is not None and plot.scale.of_rate)
     border = next(
         layer for layer in rate.layers if isinstance(layer, Line) and layer.label == "border of single impact"
     )
@@ -487,7 +488,7 @@ def test_diagram_of_each_start_is_over_those_of_others():
     *diagrams, strip = bifurcation(ds).plots
     for start, plot in zip(("drive", "stuck"), diagrams, strict=True):
         grey, own = plot.layers
-        assert plot.title == f"start: {start}" and len(grey.x) == len(own.x) == 14 * 6
+        assert plot.title == f"start: {start}" and np.isfinite(grey.y).sum() == np.isfinite(own.y).sum() == 14 * 6
         assert np.array_equal(own.y[:6], ds["return_impact_velocity"].sel(start=start)[0])
         assert own.order > grey.order and grey.sizes > 1.4 * own.sizes and not own.clip
     assert strip.layers[0].values.shape == (2, 15)
@@ -705,7 +706,7 @@ def test_families_are_laid_over_returns_within_the_axis():
         (lambda: one_family().assign_attrs(along="orbit_x1"), "along orbit_x1, and the returns over gamma"),
         (lambda: one_family().assign_attrs(friction="coulomb"), "of friction coulomb, the returns of stribeck"),
         (lambda: one_family().assign_attrs(parameters='{"delta": 0.005}'), "delta = 0.005, the returns of −0.005"),
-        (lambda: several_families((0.3, 0.5)), "none of the families has the beta of the returns"),
+        (lambda: several_families((0.3, 0.5)), "the families are of beta = 0.3, 0.5, the returns of 0.4"),
     ],
 )
 def test_families_of_different_machine_are_refused(over, message):

@@ -15,7 +15,7 @@ from source.reproduction import EXPRESSIONS, FINDINGS, GROUPS, READINGS, ROWS, E
 from source.rules import AGREES, DIFFERS, FIELD, IN_TREND, VERDICTS, number, printed, trend, within_range
 from wrong_signs import WRONG
 
-from vibrojax.explorer.content_policy import content_policy
+from vibrojax.explorer.write import content_policy
 from vibrojax.scenes import SCENES
 
 SOURCE = Path(__file__).parent / "source"

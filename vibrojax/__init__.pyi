@@ -2,7 +2,7 @@
 
 from vibrojax.errors import InputError as InputError
 from vibrojax.explorer import write_page as write_page
-from vibrojax.explorer.notebook import explore as explore
+from vibrojax.explorer.write import explore as explore
 from vibrojax.io.dataset import open_dataset as open_dataset
 from vibrojax.io.dataset import write_dataset as write_dataset
 from vibrojax.io.riglog import read_log as read_log

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from source.reproduction import FINDINGS, READINGS, Finding, Reproduction
 from source.rules import DIFFERS, NOT_COMPARED, VERDICTS
 from vibrojax.errors import InputError
-from vibrojax.explorer.content_policy import content_policy
+from vibrojax.explorer.write import content_policy
 from vibrojax.io.atomic import atomic_write
 from vibrojax.io.dataset import write_dataset
 from vibrojax.io.files import source

@@ -14,10 +14,9 @@ from matplotlib.colors import LogNorm, to_hex
 
 from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.explorer.encoding import pack
-from vibrojax.explorer.reading import BORDER_MEANINGS, REGIME_MEANINGS, reading_text
-from vibrojax.io.attributes import LONGEST_TEXT, differing_of, flags, parameters_of, run_of, text_of, title_of
+from vibrojax.io.attributes import LONGEST_TEXT, differing_of, flags, parameters_of, run_of, table_of, text_of, title_of
 from vibrojax.maps.sweep import Sweep
-from vibrojax.pictures.axes import is_geometric, point_text, pretty_unit, scale, symbol
+from vibrojax.pictures.axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
 from vibrojax.pictures.contents import POINT, RETURN, START
 from vibrojax.pictures.style import OTHER_COLOURS
@@ -38,6 +37,48 @@ JAVASCRIPT_NAMES = {"__defineGetter__", "__defineSetter__", "__lookupGetter__", 
 JAVASCRIPT_NAMES |= {"constructor", "hasOwnProperty", "isPrototypeOf", "propertyIsEnumerable", "toLocaleString"}
 JAVASCRIPT_NAMES |= {"toString", "valueOf"}
 """Names that every JavaScript object has."""
+
+
+REGIME_MEANINGS = {
+    "undecided": "The motion still grows or decays, or returns too seldom, when the observation ends.",
+    "equilibrium": "The bit comes to rest relative to the drive.",
+    "impact-free": "The motion repeats after one return, without an impact.",
+    "single-impact": "The motion repeats after one return, with one impact: the working cycle of the drill.",
+    "multi-impact": "The motion repeats after one return, with two or more impacts.",
+    "subharmonic": "The motion repeats only after several returns.",
+    "irregular": "The motion does not repeat while it is observed: it is chaotic, quasi-periodic or still settling.",
+    "failed": "The state is not finite, or the simulation did not reach the end.",
+}
+"""One sentence on each regime, which the page shows where its name is pointed at or has the focus."""
+
+BORDER_MEANINGS = {
+    "fold": "A stable and an unstable orbit meet and vanish.",
+    "period-doubling": "The orbit loses its stability to one that repeats after twice as many returns.",
+    "torus": "The orbit loses its stability to a motion with a second frequency.",
+    "grazing": "An impact, or another event, appears or vanishes.",
+    "stick": "A stick or a backward slip appears or vanishes.",
+    "section": "The bit just catches up with the drive: beyond it, returns are counted differently.",
+    "hopf": "The amplitude of the orbit shrinks to zero at an equilibrium.",
+    "branch-point": "Another family of orbits crosses.",
+    "end": "A bound is reached, or the family ends.",
+    "basin": "The orbit goes on and is stable, but this start no longer leads to it.",
+    "not-settled": "Beyond it, motions from this start had not settled when they were observed.",
+}
+"""One sentence on what happens at each kind of border, curve and special point."""
+
+
+def reading_text(ds: xr.Dataset) -> str:
+    """Return how many motions of a sweep repeat, and how many of these are not known to the error tolerance."""
+    counts, lanes = table_of(ds, "certified"), int(ds["regime"].size) if "regime" in ds else 0
+    if not counts.get("estimated") or not {"within", "error"} <= set(counts):
+        return certified_text(ds)
+    estimated, beyond = round(counts["estimated"]), round(counts["estimated"] - counts["within"])
+    total = f"{lanes:,}" if lanes >= estimated else "the"
+    known = f"all but {beyond:,} of these" if beyond else "all of these"
+    tolerance = np.format_float_scientific(counts["error"], trim="-", exp_digits=1)
+    failed = certified_text(ds).partition(". ")[2]
+    text = f"{estimated:,} of {total} motions repeat; {known} are exact to {tolerance}"
+    return ". ".join(part for part in (text, failed) if part)
 
 
 def check_names(ds: xr.Dataset) -> None:

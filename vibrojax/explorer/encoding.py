@@ -103,15 +103,13 @@ def encode(cells: Sequence[Cell]) -> bytes:
         times = np.round(cell.time / (cell.duration or 1.0) * TIME_LEVELS).astype(np.uint16)
         states = [_quantised(cell.states.get(column.name, empty)) for column in columns]
         returns = [_quantised(cell.section.get(name, empty)) for name in section]
-        words += [_differences(levels) for levels in (times, *(levels for levels, _ in states))]
+        # Two cumulative sums modulo 2^16 restore the levels.
+        words += [np.diff(x, 2, prepend=np.zeros(2, np.uint16)) for x in (times, *(levels for levels, _ in states))]
         words += [levels for levels, _ in returns]
         multipliers = cell.multipliers
         headers.append(
-            {
-                "lane": cell.lane,
-                "kind": cell.kind,
-                "note": cell.note,
-                "returns": cell.returns,
+            {name: getattr(cell, name) for name in ("lane", "kind", "note", "returns")}
+            | {
                 "duration": _rounded(cell.duration),
                 "samples": len(cell.time),
                 "scales": [scale for _, scale in states] if len(cell.time) else [],
@@ -164,12 +162,6 @@ def _quantised(values: np.ndarray) -> tuple[np.ndarray, list[float]]:
     step = (greatest - least) / STATE_LEVELS
     levels = np.round((values - least) / step) if step > 0 else np.zeros(values.shape)
     return levels.astype(np.uint16), [_rounded(least), _rounded(greatest)]
-
-
-def _differences(levels: np.ndarray) -> np.ndarray:
-    """Return second differences modulo 2^16; two cumulative sums restore the levels."""
-    zero = np.zeros(1, np.uint16)
-    return np.diff(np.diff(levels, prepend=zero), prepend=zero)
 
 
 def _rounded(value: float) -> float:

@@ -12,19 +12,10 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import InputError, shown
-from vibrojax.explorer.document import (
-    SYMBOL_MAX_CHARACTERS,
-    Document,
-    axis_document,
-    document_with,
-    json_value,
-    one_line,
-    run_document,
-    variable_document,
-)
+from vibrojax.explorer import document
+from vibrojax.explorer.document import SYMBOL_MAX_CHARACTERS, Document
 from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.plots_view import items_of
-from vibrojax.explorer.reading import first_cell
 from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SECONDS, Excerpt, record_cells
 from vibrojax.io.attributes import flags, parameters_of
 from vibrojax.io.kinds import kind_of
@@ -37,31 +28,11 @@ from vibrojax.measures.repeats import state_name
 from vibrojax.periodic.lane_stages import stop_rule
 from vibrojax.periodic.measuring import DRIVEN_RETURNS
 from vibrojax.periodic.orbit_stages import OrbitStage
+from vibrojax.pictures import contents, overlays
 from vibrojax.pictures.axes import scale, with_unit
-from vibrojax.pictures.contents import (
-    FORM,
-    IMPACTS_OF_RETURNS,
-    REGIME,
-    RETURN,
-    START,
-    axes_of_map,
-    long_axes,
-    named_groups,
-    returns_in,
-    swept,
-)
+from vibrojax.pictures.contents import FORM, REGIME, RETURN, START
 from vibrojax.pictures.maps import REGION
-from vibrojax.pictures.overlays import (
-    LINES,
-    OF_RETURNS,
-    ON_MAPS,
-    axes_of,
-    beyond,
-    check_borders,
-    check_families,
-    curves_on_map,
-    over_layers,
-)
+from vibrojax.pictures.overlays import LINES, ON_MAPS
 from vibrojax.pictures.plots import Plot
 from vibrojax.pictures.returns import returns_label
 from vibrojax.pictures.starts import described, on_axes
@@ -93,12 +64,12 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
     if START in ds.dims and START in ds.coords:
         ds = described(on_axes(ds))
     if FORM in ds.dims:
-        ds = named_groups(ds)
+        ds = contents.named_groups(ds)
     if "sign" in ds.dims:  # of pushes
         ds = ds.assign_coords(
             sign=("sign", np.where(ds["sign"].values > 0, "positive", "negative"), {"long_name": "side of the push"})
         )
-    variables = [variable_document(ds[name]) for name in _shown_variables(ds)]
+    variables = [document.variable_document(ds[name]) for name in _shown_variables(ds)]
     for variable in variables:
         if "inner" in variable:
             variable["label"] = with_unit(returns_label(ds[variable["name"]]), variable["units"])
@@ -107,16 +78,18 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
     lane_axes = [str(dim) for dim in ds[LANE].dims] if LANE in ds else []
     dims = dict.fromkeys(dim for variable in variables for dim in variable["axes"] if dim != RETURN)
     axes = sorted(dims, key=lambda name: lane_axes.index(name) if name in lane_axes else len(lane_axes))
-    return document_with(
+    return document.document_with(
         ds,
         "grid",
         variables,
-        axes=[axis_document(ds, name) for name in axes],
+        axes=[document.axis_document(ds, name) for name in axes],
         lanes=pack(ds[LANE].values) | {"axes": lane_axes} if LANE in ds else None,
-        fixed={str(name): json_value(data.values.item()) for name, data in ds.coords.items() if data.ndim == 0},
+        fixed={
+            str(name): document.json_value(data.values.item()) for name, data in ds.coords.items() if data.ndim == 0
+        },
         region={name: list(ends) for name, ends in REGION.items()},
         # A fit lacks an axis of its sweep, so none of its map cells is a parameter point.
-        run=None if FORM in ds.dims or not ds.attrs.get("scene") else run_document(ds, sweep),
+        run=None if FORM in ds.dims or not ds.attrs.get("scene") else document.run_document(ds, sweep),
         view=(along := _first_axes(ds)),
         first=first_cell(ds, variables, along),
     )
@@ -126,7 +99,9 @@ def _shown_variables(ds: xr.Dataset) -> list[str]:
     """Return the names of the displayed variables, the most informative first."""
     names = [str(name) for name, data in ds.data_vars.items() if data.dtype.kind in "fiu" and data.ndim > 0]
     # Individual section crossings are drawn over one axis only, and results of the check run are not drawn.
-    diagram = returns_in(ds) if REGIME in ds and swept(ds) and len(long_axes(ds)) < 2 else None
+    diagram = (
+        contents.returns_in(ds) if REGIME in ds and contents.swept(ds) and len(contents.long_axes(ds)) < 2 else None
+    )
     names = [n for n in names if n == diagram or (n != LANE and not n.startswith(("return_", "check_")))]
     names = [name for name in names if name == diagram or RETURN not in ds[name].dims]
     leading = [name for name in LEADING_VARIABLES if name in names]
@@ -139,13 +114,48 @@ def _shown_variables(ds: xr.Dataset) -> list[str]:
 
 def _first_axes(ds: xr.Dataset) -> list[str]:
     """Return the axes of the first map, the same as in the picture; empty without a map over two axes."""
-    long = long_axes(ds)
+    long = contents.long_axes(ds)
     if len(long) > 1 and "regime" not in ds:
         return list(long[:2])
     try:
-        return list(axes_of_map(ds))
+        return list(contents.axes_of_map(ds))
     except InputError:
         return [str(name) for name in ds.dims if str(name).startswith("start_")][:2]
+
+
+def first_cell(ds: xr.Dataset, variables: list[Document], along: list[str]) -> dict[str, int]:
+    """Return the cell shown first: the single impact nearest to the middle, stable if that is known.
+
+    `along`: the axes of the first view, or empty for the longest one. Other axes begin at 0 if that has such a cell.
+    The result is empty without regimes or without single impacts. Of attractors it is the most frequent one.
+    Of fits it is the form with the lowest AIC.
+    """
+    if FORM in ds.dims and "aic" in ds:
+        aic = ds["aic"].median([dim for dim in ds["aic"].dims if dim != FORM])
+        return {FORM: int(aic.argmin(FORM))} if aic.notnull().any() else {}
+    if "sign" in ds.dims:
+        counts = [x.notnull().sum([d for d in x.dims if d != "sign"]) for x in ds.values() if "sign" in x.dims]
+        return {"sign": int(np.argmax(np.sum([x.values for x in counts], axis=0)))}
+    if {"share", "lane_attractor"} <= set(ds.variables):
+        middle = {str(name): size // 2 for name, size in ds["share"].sizes.items() if name != "attractor"}
+        return middle | {"attractor": int(ds["share"].isel(middle).argmax("attractor"))}
+    regime = next((one for one in variables if one["name"] == "regime" and one["flags"]), None)
+    flag = next((key for key, name in (regime or {"flags": {}})["flags"].items() if name == "single-impact"), None)
+    if regime is None or flag is None:
+        return {}
+    names = regime["axes"]
+    single = ds["regime"].transpose(*names).values == int(flag)
+    if "stable" in ds and set(ds["stable"].dims) == set(names):
+        stable = single & (ds["stable"].transpose(*names).values == 1)
+        single = stable if stable.any() else single
+    if not single.any():
+        return {}
+    along = along or [max(names, key=lambda name: ds.sizes[name])] if names else []
+    cells = np.argwhere(single)
+    sizes = np.array([ds.sizes[name] for name in names])
+    inside = np.array([name in along for name in names])
+    away = np.where(inside, np.abs(cells / np.maximum(sizes - 1, 1) - 0.5), 10.0 * (cells > 0))
+    return {name: int(k) for name, k in zip(names, cells[np.argmin((away**2).sum(axis=1))], strict=True)}
 
 
 def overlay_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
@@ -155,15 +165,15 @@ def overlay_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
     """
     if kind_of(over) in ON_MAPS:
         return {"curves": curves_document(ds, over)}
-    shown_returns = returns_in(ds)
-    if kind_of(over) != "family" or shown_returns is None or not swept(ds):
+    shown_returns = contents.returns_in(ds)
+    if kind_of(over) != "family" or shown_returns is None or not contents.swept(ds):
         raise InputError(
             "over: holds no borders or curves; give the dataset of vibrojax borders or curves, or families over returns"
         )
-    along = max(swept(ds), key=lambda name: ds.sizes[name])
-    check_families(ds, [over], along)
-    name = OF_RETURNS if shown_returns == IMPACTS_OF_RETURNS else shown_returns.replace("return_", "orbit_", 1)
-    lines = Plot(over_layers([over], ds, along, name, scale(ds[shown_returns])[0]))
+    along = max(contents.swept(ds), key=lambda name: ds.sizes[name])
+    overlays.check_families(ds, [over], along)
+    name = overlays.variable_over(shown_returns)
+    lines = Plot(overlays.over_layers([over], ds, along, name, scale(ds[shown_returns])[0]))
     return {"overlay": {"variable": shown_returns, "along": along, "items": items_of(lines)}}
 
 
@@ -172,21 +182,21 @@ def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
 
     **Raises:** `InputError` if they do not belong to this map, or are malformed.
     """
-    axes, of_curves = axes_of(over), kind_of(over) == "curves"
-    check_borders(ds, over, *axes)
+    axes, of_curves = overlays.axes_of(over), kind_of(over) == "curves"
+    overlays.check_borders(ds, over, *axes)
     point, number = ("point", over["point_curve"].values) if of_curves else ("vertex", over["curve"].values)
     _check_points(over, axes, point)
-    shown_curves = curves_on_map(over, ds, *axes) if of_curves else np.ones(over.sizes["curve"], bool)
+    shown_curves = overlays.curves_on_map(over, ds, *axes) if of_curves else np.ones(over.sizes["curve"], bool)
     if of_curves and not shown_curves.any():
         raise InputError("over: no curve has the parameters of the map; continue curves with the same values")
     kinds, fixed = flags(over["kind"]), parameters_of(over) if of_curves else {}
     curves: dict[int, Document] = {}
     for curve in np.flatnonzero(shown_curves).tolist():
-        plane: Document = {name: json_value(over[name].values[curve].item()) for name in beyond(over)}
+        plane: Document = {name: document.json_value(over[name].values[curve].item()) for name in overlays.beyond(over)}
         if START in over.coords:
             plane[START] = str(over[START].values[curve])
         plane |= {name: value for name, value in fixed.items() if name in ds.dims and name not in axes}
-        points = {n: [json_value(x) for x in over[n].values[number == curve].tolist()] for n in axes}
+        points = {n: [document.json_value(x) for x in over[n].values[number == curve].tolist()] for n in axes}
         curves[curve] = {"kind": kinds[int(over["kind"][curve])], "at": plane, "points": points}
     corners: list[Document] = []
     if of_curves:
@@ -194,8 +204,8 @@ def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
         for k, curve in enumerate(over["codim2_curve"].values.tolist()):
             if curve not in curves:
                 continue
-            place = {name: json_value(over[f"codim2_{name}"].values[k].item()) for name in axes}
-            name = one_line(over["codim2_kind"].values[k], SYMBOL_MAX_CHARACTERS)
+            place = {name: document.json_value(over[f"codim2_{name}"].values[k].item()) for name in axes}
+            name = document.one_line(over["codim2_kind"].values[k], SYMBOL_MAX_CHARACTERS)
             corners.append({"kind": name, "at": curves[curve]["at"], "point": place})
     colours = {kind: str(line["colour"]) for kind, line in LINES.items()}
     of = "curves" if of_curves else "borders"

@@ -1,6 +1,7 @@
 """Motions on demand: what a user selects in the explorer page is simulated and measured as by `vj.simulate`."""
 
 import json
+import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -11,23 +12,19 @@ import xarray as xr
 
 from vibrojax.compile.xla import precision
 from vibrojax.errors import InputError, Place, shown
-from vibrojax.explorer.box import box_of
-from vibrojax.explorer.document import one_line, options_of, run_seconds, start_of
-from vibrojax.explorer.encoding import Cell, encode
-from vibrojax.explorer.recording import (
-    SECTION_RETURNS,
-    SHOWN_RETURNS,
-    SHOWN_SECONDS,
-    Excerpt,
-    cell_of_record,
-    event_times,
-    repeated_pulses,
-)
+from vibrojax.explorer import recording
+from vibrojax.explorer.document import Document, one_line, options_of, run_seconds, start_of
+from vibrojax.explorer.encoding import Cell, encode, pack
+from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SECONDS, Excerpt
 from vibrojax.explorer.views import sweep_of
 from vibrojax.io.attributes import differing_of, text_of
 from vibrojax.lanes.record import BATCH, Record, check_size, window
+from vibrojax.maps.executor import compute
 from vibrojax.maps.read import Point, read_point
+from vibrojax.maps.rerun import rerun_problem
+from vibrojax.maps.run import joined
 from vibrojax.maps.sweep import Sweep
+from vibrojax.periodic.lane_stages import lane_run
 from vibrojax.physics.parameters import ROTATION, Parameter
 from vibrojax.pictures.axes import pretty_unit, scale, with_unit
 from vibrojax.scenes import Scene
@@ -37,6 +34,7 @@ from vibrojax.stepping import AccuracyRequest, Located
 from vibrojax.studies.trajectory_recording import Recorded, constants_at, recorded
 
 PLACE = Place("explore")
+BOX = PLACE.at("box")
 
 ANSWER_ACCURACY = 1e-4
 """Error tolerance of a motion; the page shows no more digits."""
@@ -46,6 +44,9 @@ MOTION_MAX_SECONDS = 60.0
 
 MOTION_MAX_STEPS = 400_000
 """Maximum number of steps of a motion; more would take seconds and gigabytes. A typical motion has a few thousand."""
+
+BOX_MAX_SIDE = 50
+"""Maximum number of values along an axis of a box; more cells would take minutes."""
 
 LOG_SLIDER_RATIO = 30.0
 """Smallest ratio of the greatest to the least value of a logarithmic slider."""
@@ -84,7 +85,7 @@ class LiveMotions:
     def answer(self, request: Mapping[str, Any], check: Callable[..., None]) -> bytes:
         """Return the requested motion, encoded for the explorer page.
 
-        `request` is `lane`, the number of a lane; `lane` and `box`, see [vibrojax.explorer.box][], with an answer in
+        `request` is `lane`, the number of a lane; `lane` and `box`, see `box_of`, with an answer in
         JSON; or `parameters`, numbers by name that replace the point's own, and `start`, the name or the vector of
         an initial condition. `check` is called often; an exception that it raises ends the simulation.
 
@@ -212,6 +213,58 @@ class LiveMotions:
         }
 
 
+def box_of(sweep: Sweep, lane: int, box: object, check: Callable[..., None]) -> Document:
+    """Return the variables of a sweep over a box of two of its axes, as JSON.
+
+    **Arguments:** `lane`: number of a lane with the box's other parameters and initial condition; `box`: [low, high] in
+    SI units by axis; `check`: called often; an exception that it raises ends the computation.
+
+    **Returns:** `axes`: values by name; `variables`: packed arrays over these axes by name.
+
+    **Raises:** `InputError` if the box does not belong to the sweep, or takes too many steps.
+    """
+    ends = _ends(sweep, box)
+    axes = {
+        name: np.linspace(ends[name][0], ends[name][1], min(len(x), BOX_MAX_SIDE))
+        for name, x in sweep.axes.items()
+        if name in ends
+    }
+    values, _ = sweep.lane_values(lane, lane + 1)
+    fixed = {name: float(x[0]) for name, x in values.items() if name not in axes}
+    starts = sweep.starts
+    if starts is not None and len(starts):
+        index = [int(sweep.lane_values(lane, lane + 1)[1][0])]
+        starts = replace(starts, number=starts.number[index], vectors=starts.vectors[index])
+    run = replace(sweep.run, orbits=False, keep_returns=0)
+    part = replace(sweep, axes=axes, parameters=sweep.parameters | fixed, starts=starts, run=run)
+    if problem := rerun_problem(part):
+        raise BOX.error(f"it has {problem}")
+    began, lanes = time.monotonic(), lane_run(part.inputs(0, 1), part.plan)
+    whole = joined(part, lanes, dict(compute(part, lanes, range(part.chunks), check)), began)
+    ds = whole.isel({name: 0 for name in whole.dims if name not in axes}, drop=True)
+    arrays = {str(name): x.transpose(*axes) for name, x in ds.data_vars.items() if set(x.dims) == set(axes)}
+    return {
+        "axes": {name: x.tolist() for name, x in axes.items()},
+        "variables": {name: pack(x.values) for name, x in arrays.items() if x.dtype.kind in "fiu"},
+    }
+
+
+def _ends(sweep: Sweep, box: object) -> Mapping[str, Any]:
+    if sweep.run.carry is not None or sweep.points is not None:
+        raise BOX.error("only grids of independent lanes have boxes")
+    if not isinstance(box, dict) or len(box) != 2 or not set(box) <= set(sweep.axes):
+        raise BOX.error(f"{shown(box)} is not a table of two of the axes {', '.join(sweep.axes)}")
+    for name, ends in box.items():
+        place, known = BOX.at(name), sweep.axes[name]
+        if known.dtype.kind != "f" or not isinstance(ends, list) or len(ends) != 2:
+            raise place.error("give [low, high] of an axis of numbers")
+        numbers = all(isinstance(x, (int, float)) and np.isfinite(x) for x in ends)
+        step = np.ptp(known) / max(len(known) - 1, 1)
+        if not numbers or not known.min() - step <= ends[0] < ends[1] <= known.max() + step:
+            raise place.error(f"{shown(ends)} is not an interval within that of the map")
+    return box
+
+
 def motions_for(ds: xr.Dataset, own: Sweep | None = None) -> LiveMotions:
     """Return the motions on demand for a dataset: for its sweep if there is one, else for its parameter point.
 
@@ -243,14 +296,14 @@ def _cell_of_motion(scene: Scene[Any], constants: Any, motion: Recorded, duratio
     late = motion.steps.start >= window(scene, duration)[0]
     record = Record(*(np.asarray(x)[late] for x in motion.steps))
     with precision("float64"):
-        moments = event_times(scene, constants, record)
+        moments = recording.event_times(scene, constants, record)
     if "cycles" in motion.found:
         cycles = int(motion.found["cycles"][1])
     else:
         after = np.asarray(record.after)[:, [scene.place(name) for name in scene.driving_part().return_states]]
         passed = after[np.searchsorted(record.start + record.dt, moments["section"])]
-        cycles = repeated_pulses(passed, np.ptp(after, axis=0) / 2)
-    cell = cell_of_record(scene, record, moments, _excerpt(moments["section"], cycles, duration))
+        cycles = recording.repeated_pulses(passed, np.ptp(after, axis=0) / 2)
+    cell = recording.cell_of_record(scene, record, moments, _excerpt(moments["section"], cycles, duration))
     numbers = {name: value.item() for name, (_, value, _) in motion.found.items()}
     return replace(cell, numbers={n: x if isinstance(x, int) or np.isfinite(x) else None for n, x in numbers.items()})
 

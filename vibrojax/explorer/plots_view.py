@@ -56,7 +56,7 @@ LOW_INCHES, WIDE_SHARE = 1.4, 0.62
 
 IMAGE_DPI = 160
 
-_SHAPES = {
+SHAPES = {
     **{"o": "circle", ".": "circle", "s": "square", "D": "diamond", "*": "diamond", "P": "square", "X": "cross"},
     **{"^": "triangle", "v": "triangle", "<": "triangle", ">": "triangle", "x": "cross", "+": "cross", "|": "bar"},
 }
@@ -74,10 +74,9 @@ def figure_document(
     plots: list[Document] = []
     keys: dict[str, Document] = {}
     for sheet in (as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
-        for part in (sheet.above, sheet, sheet.beside):
-            if part is not None:
-                plots += _plots(part, sheet, ds, axes, drawn)
-                keys = {key["text"]: key for key in _keys(part, drawn)} | keys
+        for part in (sheet.above, sheet):
+            plots += _plots(part, sheet, ds, axes, drawn) if part is not None else ()
+        keys = {key["text"]: key for key in _keys(sheet, drawn)} | keys
     images = [_image(picture) for picture in pictures if isinstance(picture, Figure)]
     return {"plots": plots, "keys": list(keys.values()), "images": images}
 
@@ -92,7 +91,6 @@ def _plots(
     }
     directions = {name: way for name, way in columns.items() if name in ds.variables and ds[name].dtype.kind in "fiu"}
     titles: dict[int, str] = {}
-    width = part.size[0] - (part.beside.size[0] if part.beside else 0.0)
     height = part.size[1] - (part.above.size[1] if part.above else 0.0)
     for plot in resolved(part.plots):
         x, y = directions.get(plot.x.name), directions.get(plot.y.name)
@@ -106,7 +104,7 @@ def _plots(
             for name in (axis["name"] for axis in axes if axis["name"] in plot.at and axis["name"] in ds.coords)
             if (indices := np.flatnonzero(ds[name].values == plot.at[name])).size
         }
-        share = width / whole.size[0] * sum(part.widths[column : column + wide]) / sum(part.widths)
+        share = sum(part.widths[column : column + wide]) / sum(part.widths)
         yield {
             "title": _plain(title),
             "x": _axis(plot.x, x),
@@ -150,42 +148,37 @@ def items_of(plot: Plot) -> list[Document]:
 
 
 def _xy(plot: Plot, x: Places, y: Places) -> Document:
-    """Return places; an infinite coordinate becomes the end of the axis."""
+    """Return places, at most `ITEM_MAX_POINTS`; an infinite coordinate becomes the end of the axis."""
     item = {}
     pairs = np.broadcast_arrays(np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float)))
     for name, values, axis in zip("xy", pairs, (plot.x, plot.y), strict=True):
         low, high = (end or 0.0 for end in axis.limits)
-        inside = np.where(values == np.inf, high, np.where(values == -np.inf, low, values))
+        inside = np.where(values == np.inf, high, np.where(values == -np.inf, low, values))[:: _step(values)]
         item[name] = [json_value(float(f"{value:.6g}")) for value in inside.ravel()]
     return item
 
 
+def _step(values: np.ndarray) -> int:
+    return max(1, -(-len(values) // ITEM_MAX_POINTS))
+
+
 def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
     """Yield the descriptions of a layer."""
-    if isinstance(layer, Line):
-        x, y = np.broadcast_arrays(np.atleast_1d(layer.x), np.atleast_1d(layer.y))
-        step = max(1, -(-len(x) // ITEM_MAX_POINTS))
-        points = _xy(plot, x[::step], y[::step])
-        if layer.dash and len(x):
-            look = {"colour": to_hex(layer.colour), "width": layer.width, "dash": _dash(layer.dash, layer.width)}
-            yield {"kind": "line", **points, **look}
-        if layer.marker and len(x):
-            hollow = layer.face in ("none", "white")
-            colours = [to_hex(layer.colour if hollow else layer.face or layer.colour)]
-            shape = _SHAPES.get(layer.marker, "circle")
-            yield {"kind": "points", **points, "colours": colours, "sizes": [layer.size / 2]} | {
-                "shape": shape,
-                "hollow": hollow,
-            }
-    elif isinstance(layer, Points):
-        x, y = np.atleast_1d(layer.x), np.atleast_1d(layer.y)
-        if len(x):
-            step = max(1, -(-len(x) // ITEM_MAX_POINTS))
-            several = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)[::step]
+    if isinstance(layer, Line | Points) and np.size(layer.x):
+        points = _xy(plot, layer.x, layer.y)
+        step = _step(np.broadcast_arrays(np.atleast_1d(layer.x), layer.y)[0])
+        hollow = isinstance(layer, Line) and layer.face in ("none", "white")
+        if isinstance(layer, Line):
+            if layer.dash:
+                look = {"colour": to_hex(layer.colour), "width": layer.width, "dash": _dash(layer.dash, layer.width)}
+                yield {"kind": "line", **points, **look}
+            colour = layer.colour if hollow else layer.face or layer.colour
+            layer = Points(layer.x, layer.y, colour, layer.size, layer.marker)
+        if layer.marker:
+            colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)[::step]
             sizes = [json_value(float(f"{size / 2:.3g}")) for size in np.atleast_1d(layer.sizes)[::step]]
-            look = {"colours": [to_hex(colour) for colour in several], "sizes": sizes, "hollow": False}
-            shape = _SHAPES.get(layer.marker, "circle")
-            yield {"kind": "points", **_xy(plot, x[::step], y[::step]), **look, "shape": shape}
+            look = {"colours": [to_hex(colour) for colour in colours], "sizes": sizes, "hollow": hollow}
+            yield {"kind": "points", **points, **look, "shape": SHAPES.get(layer.marker, "circle")}
     elif isinstance(layer, Bars):
         sides = np.broadcast_arrays(layer.x, layer.y, layer.width, layer.height)
         colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)
@@ -193,19 +186,31 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
             corners = _xy(plot, [x, x + width, x + width, x], [y, y, y + height, y + height])
             yield {"kind": "area", **corners, "colour": to_hex(colours[k % len(colours)]), "alpha": 1.0}
     elif isinstance(layer, Area):
-        yield from _area(layer, plot)
+        x, low, high = (np.atleast_1d(np.asarray(values, float)) for values in (layer.x, layer.low, layer.high))
+        if layer.step:
+            x, low, high = np.repeat(x, 2)[1:], np.repeat(low, 2)[:-1], np.repeat(high, 2)[:-1]
+        known = ~(np.isnan(x) | np.isnan(low) | np.isnan(high))
+        for part in np.split(np.arange(len(x)), np.flatnonzero(~known)):  # a polygon for each part without gaps
+            part = part[known[part]]
+            if len(part):
+                place = _xy(plot, np.append(x[part], x[part][::-1]), np.append(low[part], high[part][::-1]))
+                yield {"kind": "area", **place, "colour": to_hex(layer.colour), "alpha": layer.alpha}
     elif isinstance(layer, Cells):
-        colours = layer.colour_map(layer.norm(np.ma.masked_invalid(layer.values))).reshape(-1, 4)
-        palette, indices = np.unique((colours * 255).round().astype(int), axis=0, return_inverse=True)
-        indices = np.where(np.isnan(layer.values).ravel() | (colours[:, 3] == 0), -1, indices.ravel())
+        rgba = layer.colour_map(layer.norm(np.ma.masked_invalid(layer.values))).reshape(-1, 4)
+        palette, indices = np.unique((rgba * 255).round().astype(int), axis=0, return_inverse=True)
+        indices = np.where(np.isnan(layer.values).ravel() | (rgba[:, 3] == 0), -1, indices.ravel())
         ends = {"x": np.asarray(layer.x, float).tolist(), "y": np.asarray(layer.y, float).tolist()}
         names = [to_hex(colour / 255) for colour in palette]
         yield {"kind": "cells", **ends, "colours": names, "data": pack(indices.astype(np.int32))}
-    else:
-        across, up = _inside(plot, layer) if layer.relative else (layer.x, layer.y)
+    elif isinstance(layer, Text):
+        places = [layer.x, layer.y]
+        for k, axis in enumerate((plot.x, plot.y) if layer.relative else ()):
+            share = 1 - places[k] if axis.reversed else places[k]
+            begin, end = (limit or 0.0 for limit in axis.limits)
+            places[k] = begin * (end / begin) ** share if axis.log else begin + share * (end - begin)
         yield {
             "kind": "text",
-            **_xy(plot, [across], [up]),
+            **_xy(plot, places[:1], places[1:]),
             "text": _plain(layer.text),
             "colour": to_hex(layer.colour),
             "align": layer.align,
@@ -213,51 +218,28 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
         }
 
 
-def _inside(plot: Plot, text: Text) -> tuple[float, float]:
-    """Return the place of a text that is given as fractions of the panel."""
-    places = []
-    for share, axis in ((text.x, plot.x), (text.y, plot.y)):
-        share = 1 - share if axis.reversed else share
-        low, high = (end or 0.0 for end in axis.limits)
-        places.append(low * (high / low) ** share if axis.log else low + share * (high - low))
-    return places[0], places[1]
-
-
-def _area(layer: Area, plot: Plot) -> Iterator[Document]:
-    """Yield a polygon for each part of an area without gaps."""
-    x, low, high = (np.atleast_1d(np.asarray(values, float)) for values in (layer.x, layer.low, layer.high))
-    if layer.step:
-        x, low, high = np.repeat(x, 2)[1:], np.repeat(low, 2)[:-1], np.repeat(high, 2)[:-1]
-    known = ~(np.isnan(x) | np.isnan(low) | np.isnan(high))
-    for part in np.split(np.arange(len(x)), np.flatnonzero(~known)):
-        part = part[known[part]]
-        if len(part):
-            place = _xy(plot, np.append(x[part], x[part][::-1]), np.append(low[part], high[part][::-1]))
-            yield {"kind": "area", **place, "colour": to_hex(layer.colour), "alpha": layer.alpha}
-
-
 def _dash(dash: Dash, width: float) -> list[float]:
     lengths = _DASHES.get(dash, ()) if isinstance(dash, str) else dash[1]
     return [round(1.3 * width * float(x), 3) for x in lengths]
 
 
-def _keys(part: Sheet, drawn: Sequence[str]) -> Iterator[Document]:
+def _keys(sheet: Sheet, drawn: Sequence[str]) -> Iterator[Document]:
     """Yield the entries of the legends, and those of colour bars that the page does not draw itself."""
-    for scale in part.scales:
-        value = scale.value
+    every = [plot for part in (sheet.above, sheet) if part is not None for plot in part.plots]
+    for value in {id(plot.scale): plot.scale for plot in every if plot.scale is not None}.values():
         if value.name not in drawn and not value.names:
             low, high = (f"{x:.3g}".replace("-", "−") for x in (value.norm.vmin, value.norm.vmax))
             colours = [to_hex(value.colour_map(level)) for level in np.linspace(0.0, 1.0, 9)]
             text = _plain(value.label)
             text = f"{text}: {low} to {high}" if text else f"{low} to {high}"
             yield {"text": text, "shape": "scale", "colour": colours[4], "colours": colours, "dash": []}
-    own = [layer for plot in part.plots if plot.keys for layer in labelled_layers(plot)]
-    for layer in (*own, *(layer for group in legend_of(part) for layer in group)):
+    own = [layer for plot in every if plot.keys for layer in labelled_layers(plot)]
+    for layer in (*own, *(layer for group in legend_of(sheet) for layer in group)):
         if isinstance(layer, Cells | Text):
             continue
         key: dict[str, Any] = {"text": _plain(layer.label), "dash": []}
         if isinstance(layer, Line):
-            shape = "line" if layer.dash else _SHAPES.get(layer.marker, "circle")
+            shape = "line" if layer.dash else SHAPES.get(layer.marker, "circle")
             dash = _dash(layer.dash, layer.width) if layer.dash else []
             yield key | {"shape": shape, "colour": to_hex(layer.colour), "dash": dash}
         else:

@@ -13,6 +13,8 @@ import xarray as xr
 
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.explorer.document import (
+    BORDER_MEANINGS,
+    REGIME_MEANINGS,
     Document,
     check_names,
     coordinate_document,
@@ -24,10 +26,8 @@ from vibrojax.explorer.document import (
 )
 from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.map_view import REPEAT_MARGIN, lane_cells, map_document, overlay_document
-from vibrojax.explorer.plots_view import figure_document
-from vibrojax.explorer.reading import BORDER_MEANINGS, REGIME_MEANINGS
-from vibrojax.explorer.recording import Excerpt, record_cells
-from vibrojax.explorer.trajectory_view import cell_of, motion_document
+from vibrojax.explorer.plots_view import SHAPES, figure_document
+from vibrojax.explorer.recording import Excerpt, cell_of, motion_document, record_cells
 from vibrojax.io.attributes import parameters_of, text_of
 from vibrojax.io.dataset import check_dataset
 from vibrojax.io.kinds import kind_of
@@ -40,7 +40,7 @@ from vibrojax.periodic.measuring import DRIVEN_RETURNS
 from vibrojax.pictures.branches import (
     MARKS,
     along_name,
-    curves_of,
+    branches,
     family_coordinates,
     kind_names,
     places,
@@ -209,9 +209,6 @@ def _rerun_problem(sweep: Sweep) -> str:
     return f"its sweep has {problem}" if problem else ""
 
 
-MARK_SHAPES = {"s": "square", "o": "circle", "*": "diamond", "v": "triangle", "|": "bar", "D": "diamond", "x": "cross"}
-"""Shapes of special points in the explorer page, by the markers that pictures use."""
-
 LEADING_ORBIT_VARIABLES = ("impact_velocity", "bit_amplitude", "multiplier_abs", "stable", "period")
 
 
@@ -234,7 +231,9 @@ def family_document(ds: xr.Dataset) -> Document:
     run = run_document(ds) | {"start": None, "duration": 2.0}
     if point.system.driving_part() is not point.system:
         run["states"] = []
-    branches = _branches(ds)
+    family = _branches(ds)
+    # The middle of the longest stable stretch, or of the longest one if none is stable.
+    longest = max(family["runs"], key=lambda run: (run["stable"] == 1, len(run["points"])), default={"points": [0]})
     return document_with(
         ds,
         "family",
@@ -242,16 +241,10 @@ def family_document(ds: xr.Dataset) -> Document:
         axes=[axis | {"columns": columns}],
         lanes=pack(np.arange(count, dtype=np.int32)) | {"axes": ["point"]},
         run=run,
-        family=branches,
+        family=family,
         view=[f"point:{along}"],
-        first={"point": _first_point(branches)},
+        first={"point": int(longest["points"][len(longest["points"]) // 2])},
     )
-
-
-def _first_point(branches: Document) -> int:
-    """Return the point in the middle of the longest stable stretch, or of the longest one if none is stable."""
-    longest = max(branches["runs"], key=lambda run: (run["stable"] == 1, len(run["points"])), default={"points": [0]})
-    return int(longest["points"][len(longest["points"]) // 2])
 
 
 def _branches(ds: xr.Dataset) -> Document:
@@ -259,13 +252,12 @@ def _branches(ds: xr.Dataset) -> Document:
     stretches: list[Document] = []
     special: list[Document] = []
     kinds, notes = kind_names(ds), ds["special_note"].values.tolist()
-    for curve in curves_of(ds):
-        branch = curve.branch
+    for branch in branches(ds):
         for first, last, stable in runs(stability(ds, branch)):
             points = branch.points[first : last + 1].tolist()
-            stretches.append({"colour": curve.colour, "stable": stable, "points": points})
+            stretches.append({"colour": branch.colour, "stable": stable, "points": points})
         for index, place in zip(branch.special.tolist(), places(ds, branch).tolist(), strict=True):
-            shape = MARK_SHAPES[str(MARKS[kinds[index]]["marker"])]
+            shape = SHAPES[str(MARKS[kinds[index]]["marker"])]
             special.append({"kind": kinds[index], "point": place, "shape": shape, "note": one_line(notes[index])})
     return {"runs": stretches, "special": special, "kinds": {name: mark["colour"] for name, mark in MARKS.items()}}
 

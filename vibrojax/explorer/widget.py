@@ -1,4 +1,4 @@
-"""The class behind [vibrojax.explorer.notebook.explore][], in its own module because it imports anywidget."""
+"""The class behind [vibrojax.explorer.write.explore][], in its own module because it imports anywidget."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -31,19 +31,19 @@ _PREFIXED = {
     "W": (("kW", 1e-3, 1e4, np.inf),),
 }
 
-# The parameters that every note lists: symbol, conversion factor and printed unit.
+# The parameters that every note lists: symbol and unit.
 _NAMED = {
-    "beta": ("β", 1.0, ""),
-    "gamma": ("γ", 1.0, ""),
-    "v": ("v", 1.0, " m/s"),
-    "delta": ("Δ", 1e3, " mm"),
-    "force": ("A", 1e-3, " kN"),
-    "bias": ("B", 1e-3, " kN"),
-    "frequency": ("f", 1.0, " Hz"),
-    "pulse_width": ("w", 1e3, " ms"),
-    "threshold": ("D", 1e-3, " kN"),
-    "k3": ("k₃", 1e-6, " MN/m"),
-    "zeta": ("ζ", 1.0, ""),
+    "beta": ("β", "1"),
+    "gamma": ("γ", "1"),
+    "v": ("v", "m s-1"),
+    "delta": ("Δ", "m"),
+    "force": ("A", "N"),
+    "bias": ("B", "N"),
+    "frequency": ("f", "s-1"),
+    "pulse_width": ("w", "s"),
+    "threshold": ("D", "N"),
+    "k3": ("k₃", "N m-1"),
+    "zeta": ("ζ", "1"),
 }
 
 _USUAL_FRICTION = "stribeck"  # notes omit this friction law
@@ -158,15 +158,14 @@ def point_text(ds: xr.Dataset) -> str:
     own = {x["name"] for x in differing if x["name"] in _NAMED and x["symbol"] != _NAMED[x["name"]][0]}
     if "frequency" not in {x["name"] for x in differing} and text_of(ds, "scene") not in ("", "penetration"):
         own.add("frequency")  # its unit is unknown
-    for name, (sign, factor, unit) in _NAMED.items():
-        if name in parameters and name not in known | own:
-            parts.append(f"{sign} = {number(factor * parameters[name])}{unit}")
-    for parameter in differing:
-        if parameter["name"] not in _NAMED.keys() - own and parameter["name"] not in known:
-            about = {name: printable(parameter[name], 40) for name in ("units", "symbol")}
-            parts.append(
-                value_text(xr.DataArray(parameter["value"], name=parameter["name"], attrs=about), parameter["value"])
-            )
+    records = [(name, *_NAMED[name], parameters[name]) for name in _NAMED if name in parameters and name not in own]
+    for x in differing:
+        if x["name"] not in _NAMED.keys() - own:
+            records.append((x["name"], printable(x["symbol"], 40), printable(x["units"], 40), x["value"]))
+    for name, sign, unit, value in records:
+        if name not in known:
+            data = xr.DataArray(value, name=name, attrs={"symbol": sign, "units": unit})
+            parts.append(value_text(data, value))
     if ds.attrs.get("friction", _USUAL_FRICTION) != _USUAL_FRICTION:
         parts.append(f"friction: {text_of(ds, 'friction')}")
     if "start" in ds.attrs and "start" not in ds.coords:
@@ -176,21 +175,16 @@ def point_text(ds: xr.Dataset) -> str:
 
 def certified_text(ds: xr.Dataset) -> str:
     """Return how many periodic lanes meet the error tolerance or still settle, and why lanes failed; "" if unknown."""
+    counts, parts = table_of(ds, "certified"), []
+    if counts.get("estimated") and {"within", "still_settling", "error"} <= set(counts):
+        within, estimated, still = (round(counts[name]) for name in ("within", "estimated", "still_settling"))
+        lanes = f"of {estimated} lanes that repeat" if estimated > 1 else "of 1 lane that repeats"
+        text = counted(within, f"{lanes} is", f"{lanes} are") + f" known to {counts['error']:g}"
+        text += f", {counted(still, 'is', 'are')} still settling" if still else ""
+        sensitive = round(counts.get("sensitive", 0))
+        parts.append(text + (f", {counted(sensitive, 'is', 'are')} sensitive to rounding" if sensitive else ""))
     reasons = [name for name in flag_counts(ds, "reason") if name != "none"] if "status" in ds else []
-    failed = f"Lanes failed: {', '.join(reasons)}" if reasons else ""
-    return ". ".join(filter(None, (_known_text(ds), failed)))
-
-
-def _known_text(ds: xr.Dataset) -> str:
-    counts = table_of(ds, "certified")
-    if not counts.get("estimated") or not {"within", "still_settling", "error"} <= set(counts):
-        return ""
-    within, estimated, still = (round(counts[name]) for name in ("within", "estimated", "still_settling"))
-    lanes = f"of {estimated} lanes that repeat" if estimated > 1 else "of 1 lane that repeats"
-    text = counted(within, f"{lanes} is", f"{lanes} are") + f" known to {counts['error']:g}"
-    text += f", {counted(still, 'is', 'are')} still settling" if still else ""
-    sensitive = round(counts.get("sensitive", 0))
-    return text + (f", {counted(sensitive, 'is', 'are')} sensitive to rounding" if sensitive else "")
+    return ". ".join([*parts, *([f"Lanes failed: {', '.join(reasons)}"] if reasons else [])])
 
 
 def values_along(data: xr.DataArray) -> Float[np.ndarray, " values"]:

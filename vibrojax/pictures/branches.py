@@ -1,6 +1,6 @@
 """Branches of orbit families: points, stability, special points, and lines that are solid where orbits are stable."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from vibrojax.errors import InputError, shown
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.pictures.axes import scale, value_text, values_along
 from vibrojax.pictures.contents import MOST_LINES, is_numeric
-from vibrojax.pictures.plots import Dash, Layer, Line, Look, dots, key
+from vibrojax.pictures.plots import INK, Dash, Layer, Line, Look, dots, key
 from vibrojax.pictures.style import BIT, line_colours, other_colour
 
 STABLE, UNSTABLE, UNKNOWN = 1, 0, -1
@@ -24,12 +24,17 @@ _KIND_PRIORITY = ("fold", "period-doubling", "torus", "branch-point", "hopf", "s
 
 
 class Branch(NamedTuple):
-    """One branch of a family: indices of its points, in order along the branch, and of its special points."""
+    """One branch of a family: indices of its points, in order along the branch, and of its special points.
+
+    Several families have a colour each; the branches of a single one have the colours of their periods in returns.
+    """
 
     family: int
     number: int
     points: Int[np.ndarray, " points"]
     special: Int[np.ndarray, " special"]
+    cycles: int
+    colour: str
 
 
 class Interval(NamedTuple):
@@ -96,9 +101,13 @@ def branches(ds: xr.Dataset) -> Iterator[Branch]:
     """Yield the branches of all families, in stored order."""
     of_points, of_special = numbers_of(ds, "point"), numbers_of(ds, "special")
     number, special = ds["branch"].values.astype(int), ds["special_branch"].values.astype(int)
+    colours = _family_colours(ds)
     for family, branch in dict.fromkeys(zip(of_points.tolist(), number.tolist(), strict=True)):
         points = np.flatnonzero((of_points == family) & (number == branch))
-        yield Branch(family, branch, points, np.flatnonzero((of_special == family) & (special == branch)))
+        at_special = np.flatnonzero((of_special == family) & (special == branch))
+        cycles = int(ds["cycles"].values[points[0]]) if "cycles" in ds else 1
+        colour = colours.get(family) or _COLOUR_OF_CYCLES.get(cycles, other_colour(cycles))
+        yield Branch(family, branch, points, at_special, cycles, colour)
 
 
 def places(ds: xr.Dataset, branch: Branch) -> Int[np.ndarray, " special"]:
@@ -180,26 +189,6 @@ _POINTS_PER_STEP = 8  # vertices of a smooth line between successive orbits
 Column = np.ndarray
 
 
-class Curve(NamedTuple):
-    """A branch and its colour."""
-
-    branch: Branch
-    colour: str
-
-
-def curves_of(ds: xr.Dataset) -> list[Curve]:
-    """Return all branches with colours: one per family, or, for a single family, one per period in returns."""
-    colours = _family_colours(ds)
-    if colours:
-        return [Curve(branch, colours[branch.family]) for branch in branches(ds)]
-    cycles = ((branch, _cycles(ds, branch)) for branch in branches(ds))
-    return [Curve(branch, _COLOUR_OF_CYCLES.get(number, other_colour(number))) for branch, number in cycles]
-
-
-def _cycles(ds: xr.Dataset, branch: Branch) -> int:
-    return int(ds["cycles"].values[branch.points[0]])
-
-
 def _family_colours(ds: xr.Dataset) -> dict[int, str]:
     """Return colours by family number, graded along the distinguishing coordinate; empty for a single family."""
     if FAMILY not in ds.dims:
@@ -222,8 +211,7 @@ def _shown_names(ds: xr.Dataset, branch: Branch, name: str) -> tuple[str, ...]:
     of a period), provided that the dataset contains both. Otherwise, it is `name` itself.
     """
     ends = f"{name}_min", f"{name}_max"
-    cycles = _cycles(ds, branch)
-    several = cycles > 1 and "impacts" in ds and ds["impacts"].values[branch.points[0]] == cycles
+    several = branch.cycles > 1 and "impacts" in ds and ds["impacts"].values[branch.points[0]] == branch.cycles
     return ends if several and all(end in ds for end in ends) else (name,)
 
 
@@ -234,7 +222,7 @@ def heights_of(ds: xr.Dataset, name: str, factor: float) -> np.ndarray:
 
 def family_layers(
     ds: xr.Dataset,
-    curves: Sequence[Curve],
+    shown: Iterable[Branch],
     name: str,
     thin: bool = False,
     factor: float | None = None,
@@ -243,14 +231,15 @@ def family_layers(
     """Return the variable `name` along branches as lines, with their special points.
 
     `thin`: use finer lines and markers; `factor`: conversion factor of the variable, by default that of its label;
-    `within`: limits of the parameter, for lines with a white edge over the dots of a sweep.
+    `within`: limits of the parameter, for black lines with a white edge over the dots of a sweep.
     """
     factor = scale(ds[name])[0] if factor is None else factor
     along, kinds = values_along(ds[along_name(ds)]), kind_names(ds)
     low, high = within or (-np.inf, np.inf)
     layers: list[Layer] = []
-    for branch, colour in curves:
+    for branch in shown:
         special, segments = places(ds, branch), stability(ds, branch)
+        colour = INK if within else branch.colour
         for drawn in _shown_names(ds, branch, name):
             heights = heights_of(ds, drawn, factor)
             for first, last, stable in runs(segments):
@@ -301,22 +290,20 @@ def _mark(kind: str, size: float) -> Look:
 # Legend and notes.
 
 
-def colour_keys(ds: xr.Dataset, curves: Sequence[Curve]) -> list[Line]:
+def colour_keys(ds: xr.Dataset) -> list[Line]:
     """Return the legend entries for colours: families, or periods in returns."""
-    entries: dict[str, str] = {}
     if FAMILY in ds.dims:
         by, colours = ds[(*distinguishing_coords(ds), FAMILY)[0]], list(_family_colours(ds).values())
         chosen = sorted({int(index) for index in np.linspace(0, by.size - 1, MOST_LINES).round()})
-        entries = {value_text(by, by.values[index]): colours[index] for index in chosen}
-    else:
-        for cycles, colour in sorted((_cycles(ds, branch), colour) for branch, colour in curves):
-            entries[f"repeats after {'one return' if cycles == 1 else f'{cycles} returns'}"] = colour
-    return [key(name, colour=colour) for name, colour in entries.items()]
+        return [key(value_text(by, by.values[index]), colour=colours[index]) for index in chosen]
+    periods = dict(sorted((branch.cycles, branch.colour) for branch in branches(ds)))
+    texts = {cycles: "one return" if cycles == 1 else f"{cycles} returns" for cycles in periods}
+    return [key(f"repeats after {texts[cycles]}", colour=colour) for cycles, colour in periods.items()]
 
 
-def stability_keys(ds: xr.Dataset, curves: Sequence[Curve], noun: str = "") -> list[Line]:
+def stability_keys(ds: xr.Dataset, noun: str = "") -> list[Line]:
     """Return the legend entries for the line styles that occur; `noun` is appended to each label."""
-    occurring = {stable for curve in curves for *_, stable in runs(stability(ds, curve.branch))}
+    occurring = {stable for branch in branches(ds) for *_, stable in runs(stability(ds, branch))}
     return [key(f"{_MEANINGS[stable]}{noun}", dash=line) for stable, line in _LINES.items() if stable in occurring]
 
 

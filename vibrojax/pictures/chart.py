@@ -124,7 +124,7 @@ def _panel(ds: xr.Dataset, over: tuple[str, str], region: np.ndarray, names: lis
     x, y = (values_along(ds[name]) for name in over)
     colours = ListedColormap([*_REGIONS][::-1])
     layers: list[Layer] = [Cells(edges(x), edges(y), region.astype(float), colours, Normalize(0.0, 2.0))]
-    taken: list[tuple[float, float]] = []
+    taken: list[np.ndarray] = []
     for name, dash in zip(names, _DASHES, strict=False):
         z = np.where(region == 2, scale(ds[name])[0] * _worst(ds, name), np.nan)
         known = z[np.isfinite(z)]

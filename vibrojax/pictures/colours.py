@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -14,7 +14,7 @@ from vibrojax.errors import InputError
 from vibrojax.io.attributes import flags
 from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures.axes import scale, share_text, with_unit
-from vibrojax.pictures.contents import RATE, REGIME, RELIEF, quantities_beside
+from vibrojax.pictures.contents import RATE, REGIME, RELIEF, quantities_beside, require
 from vibrojax.pictures.plots import Axis, Layer, dots, patch
 from vibrojax.pictures.style import NO_VALUE, NOTHING, colour_map, other_colour
 
@@ -93,7 +93,10 @@ class Value:
     """Meanings of the values by flag; empty if the variable has no flags."""
 
     has_values: bool = True
-    """False if there is nothing to colour: the scale is then a placeholder without ticks."""
+    """False if there is nothing to colour: the colour bar is then a placeholder without ticks."""
+
+    counted: bool = False
+    """True if the legend lists the flags with their shares of the lanes, in place of a colour bar."""
 
     @property
     def of_rate(self) -> bool:
@@ -105,23 +108,11 @@ class Value:
         return ds[self.name] * self.factor
 
 
-Values = tuple[Value | None, ...]
-"""Quantities to draw; None stands for the regimes."""
-
-
-class Coloured(NamedTuple):
-    """Values of the cells of a map, with the colour map and norm of these values."""
-
-    cells: Cells
-    colour_map: Colormap
-    norm: Normalize
-
-
-def coloured(ds: xr.Dataset, value: Value | None, *dims: str) -> Coloured:
-    """Return the map of `value`, or of the regimes if `value` is None, with dimensions in the order `dims`."""
-    if value is None:
-        return Coloured(regime_cells(ds[REGIME].transpose(*dims)), REGIME_MAP, REGIME_NORM)
-    return Coloured(value.of(ds).transpose(*dims).values, value.colour_map, value.norm)
+def regimes_in(ds: xr.Dataset) -> xr.Dataset:
+    """Return the dataset with axes of length 1 as scalars; raise `InputError` if it has no regimes with a colour."""
+    ds = require(ds, REGIME, 'no regimes to draw: the dataset holds no variable "regime"')
+    regime_cells(ds[REGIME])
+    return ds
 
 
 def regime_cells(data: xr.DataArray) -> Cells:
@@ -179,9 +170,20 @@ def form_colour(name: str) -> str:
     return FORM_COLOURS.get(name, _OTHER_FORM)
 
 
+def regime_value(data: xr.DataArray, label: str = "") -> Value:
+    """Return the colour coding of the regimes; `label` is part of the titles of their maps."""
+    names = regime_names(data)
+    return Value(str(data.name), label, 1.0, REGIME_NORM, "neither", REGIME_MAP, names, counted=True)
+
+
 def values_beside(ds: xr.Dataset) -> tuple[Value, ...]:
     """Return the quantities that get a panel next to the regimes."""
     return tuple(value_of(ds[name]) for name in quantities_beside(ds))
+
+
+def regimes_and_beside(ds: xr.Dataset) -> tuple[Value, ...]:
+    """Return the regimes and the quantities next to them."""
+    return regime_value(ds[REGIME]), *values_beside(ds)
 
 
 def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
@@ -241,10 +243,11 @@ def share_value(data: xr.DataArray, name: str) -> Value:
     return Value(str(data.name), f"{name} [% of starts]", 1.0, Normalize(0.0, 100.0), "neither", colour_map())
 
 
-def cell_keys(data: Sequence[xr.Dataset], values: Values) -> list[Layer]:
+def cell_keys(data: Sequence[xr.Dataset], values: Sequence[Value]) -> list[Layer]:
     """Return the legend entries for regimes, for lanes without penetration, and for lanes without a value."""
-    keys = regime_keys([part[REGIME] for part in data]) if None in values else []
-    shown = [(part[value.name].values, value.of_rate) for part in data for value in values if value is not None]
+    counted = [part[value.name] for part in data for value in values if value.counted]
+    shown = [(part[value.name].values, value.of_rate) for part in data for value in values if not value.counted]
+    keys = regime_keys(counted) if counted else []
     if any((cells == 0).any() for cells, of_rate in shown if of_rate):
         keys.append(patch(NOTHING, "no penetration"))
     if any(np.isnan(cells).any() for cells, _ in shown):

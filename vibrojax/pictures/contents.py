@@ -78,27 +78,23 @@ def quantities_beside(ds: xr.Dataset) -> tuple[str, ...]:
     return tuple(name for name in BESIDE_REGIMES if name in ds and np.isfinite(ds[name].values).any())[:2]
 
 
-def regimes_in(ds: xr.Dataset) -> xr.Dataset:
-    """Return the dataset with axes of length 1 as scalars; raise `InputError` if it holds no regimes."""
-    return _require(ds, REGIME, 'no regimes to draw: the dataset holds no variable "regime"')
-
-
 def rates_in(ds: xr.Dataset) -> xr.Dataset:
     """Return the dataset with axes of length 1 as scalars; raise `InputError` if it holds no rates of penetration."""
-    return _require(ds, RATE, f"no rates to draw: the dataset holds no variable {RATE}")
+    return require(ds, RATE, f"no rates to draw: the dataset holds no variable {RATE}")
 
 
 def law_in(fit: xr.Dataset) -> xr.Dataset:
     """Return the fit with axes of length 1 as scalars; raise `InputError` if it holds no C along `form`."""
     has_forms = COEFFICIENT in fit and FORM in fit[COEFFICIENT].dims
-    return _require(
+    return require(
         named_groups(fit),
         COEFFICIENT if has_forms else "",
         "no law to draw: the dataset holds no variable C along form",
     )
 
 
-def _require(ds: xr.Dataset, name: str, reason: str) -> xr.Dataset:
+def require(ds: xr.Dataset, name: str, reason: str) -> xr.Dataset:
+    """Return the dataset with axes of length 1 as scalars; raise `InputError` if it lacks the variable."""
     if name not in ds or ds[name].size == 0:
         raise InputError(reason)
     return without_single(ds)

@@ -1,17 +1,17 @@
 """Drawing of pictures by matplotlib: panels, legends, colour bars, title and note."""
 
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.axis import XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import to_rgba
+from matplotlib.colors import LogNorm, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
-from matplotlib.gridspec import GridSpec, GridSpecBase, SubplotSpec
+from matplotlib.gridspec import GridSpec, SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
@@ -26,7 +26,6 @@ from vibrojax.pictures.plots import (
     Picture,
     Plot,
     Points,
-    Scale,
     Sheet,
     Text,
     as_sheet,
@@ -37,16 +36,14 @@ from vibrojax.pictures.plots import (
 from vibrojax.pictures.style import NO_VALUE, new_figure, plain, settings
 
 _TICK_SIZE, _TITLE_SIZE, _NOTE_SIZE = 8.0, 11.0, 8.0
-_BAR_INTERVALS = 6  # greatest number between the ticks of a level colour bar: more labels would touch each other
+_BAR_INTERVALS = 6  # greatest number between the ticks of a colour bar: more labels would touch each other
+_BAR_ASPECT = 24.0  # length over width of a colour bar below one panel
 _FEW_DECADES = 1e3  # ratio of the ends of a logarithmic axis below which 1, 2 and 5 have labels, as plain numbers
-_LEGEND_ROWS, _LEGEND_ROW = 4, 0.17  # rows of a legend below the panels for which there is room; height [inch] of one
 _DASHED_LENGTH = 2.8  # length of a dashed line in the legend, in units of the font size: two dashes or more
 _NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
-# Small text is wider by some per cent at other resolutions, and with the hinting of a notebook.
-_NOTE_SHARE = 0.955
 _TITLE_LINES, _NOTE_LINES = 3, 6  # at most
 _LINE_HEIGHT = 1.6  # line spacing in units of the font size
-_BESIDE_LEGEND = 0.15  # inches left free
+_TEXT_SHARE = 0.92  # share of the width for texts, whose letters are wider at other resolutions
 _BELOW_EDGE = 0.95  # height of markers at the upper edge, as a fraction of the panel
 _ABOVE = {"above": ("lower center", 0.5), "above left": ("lower left", 0.0), "above right": ("lower right", 1.0)}
 
@@ -58,7 +55,13 @@ def draw(picture: Picture | Figure) -> Figure:
     sheet = as_sheet(picture)
     with settings():
         figure = new_figure(*sheet.size)
-        _draw_sheet(figure, GridSpec(1, 1, figure)[0], sheet)
+        whole: Any = GridSpec(1, 1, figure)[0]
+        if sheet.above is not None:
+            heights = sheet.above.size[1], sheet.size[1] - sheet.above.size[1]
+            above, whole = whole.subgridspec(2, 1, height_ratios=heights)
+            _draw_plots(figure, above, sheet.above)
+        _draw_plots(figure, whole, sheet)
+        _draw_legend(figure, sheet)
         _write_margins(figure, sheet)
     # Ticks are created when the figure is rendered, under the user's settings.
     for axes in figure.axes:
@@ -66,32 +69,20 @@ def draw(picture: Picture | Figure) -> Figure:
     return figure
 
 
-def _draw_sheet(figure: Figure, whole: SubplotSpec, sheet: Sheet, legend: bool = True) -> None:
-    (width, height), above, beside = sheet.size, sheet.above, sheet.beside
-    if above is not None:
-        grid = whole.subgridspec(2, 1, height_ratios=[above.size[1], height - above.size[1]])
-        _draw_sheet(figure, grid[0], above, legend=bool(above.keys))
-        whole = grid[1]
-    if beside is not None:
-        grid = whole.subgridspec(1, 2, width_ratios=[width - beside.size[0], beside.size[0]])
-        _draw_sheet(figure, grid[1], beside)
-        whole = grid[0]
-    ratios = {"height_ratios": sheet.heights, "width_ratios": sheet.widths}
-    grid = whole.subgridspec(len(sheet.heights), len(sheet.widths), **ratios)
-    plots = resolved(sheet.plots)
-    panels = [figure.add_subplot(_spec(grid, plot.place)) for plot in plots]
-    for axes, plot in zip(panels, plots, strict=True):
-        _draw_plot(axes, plot, plots)
+def _draw_plots(figure: Figure, whole: SubplotSpec, sheet: Sheet) -> None:
+    """Draw the plots of a sheet, and one colour bar below the plots of each quantity."""
+    size = len(sheet.heights), len(sheet.widths)
+    grid = whole.subgridspec(*size, height_ratios=sheet.heights, width_ratios=sheet.widths)
+    plots, panels = resolved(sheet.plots), []
+    for plot in plots:
+        row, column, deep, wide = (*plot.place, 1, 1)[:4]
+        panels.append(figure.add_subplot(grid[row : row + deep, column : column + wide]))
+        _draw_plot(panels[-1], plot, plots)
     figure.align_ylabels(panels)
-    for scale in sheet.scales:
-        _draw_scale(figure, figure.add_subplot(_spec(grid, scale.place)), scale)
-    if legend:
-        _draw_legend(figure, grid, sheet)
-
-
-def _spec(grid: GridSpecBase, place: tuple[int, ...]) -> SubplotSpec:
-    row, column, deep, wide = (*place, 1, 1)[:4] if len(place) == 2 else place
-    return grid[row : row + deep, column : column + wide]
+    for value in {id(plot.scale): plot.scale for plot in plots if plot.scale is not None}.values():
+        below = [axes for axes, plot in zip(panels, plots, strict=True) if plot.scale is value]
+        wide = len({plot.place[1] for plot in plots if plot.scale is value})
+        _draw_scale(figure, below, value, _BAR_ASPECT * wide)
 
 
 def _draw_plot(axes: Axes, plot: Plot, plots: list[Plot]) -> None:
@@ -236,43 +227,31 @@ def _handle(layer: Layer) -> Artist:
     return Line2D([], [], linestyle="none", label=text)
 
 
-def _draw_legend(figure: Figure, grid: GridSpecBase, sheet: Sheet) -> None:
-    """Draw one legend at its place, or at the right of all axes, with a gap between groups of entries."""
+def _draw_legend(figure: Figure, sheet: Sheet) -> None:
+    """Draw one legend at the right of all plots, with a gap between groups of entries."""
     handles: list[Artist] = []
     for group in legend_of(sheet):
-        gap: list[Artist] = [Line2D([], [], linestyle="none", label=" ")] if handles else []
-        handles += gap + [_handle(layer) for layer in group]
-    if not handles:
-        return
-    dashed = any(isinstance(handle, Line2D) and handle.is_dashed() for handle in handles)
-    look: dict[str, Any] = {"handlelength": _DASHED_LENGTH} if dashed and not sheet.legend else {}
-    if not sheet.legend:
+        handles += [Line2D([], [], linestyle="none", label=" ")] * bool(handles) + [_handle(layer) for layer in group]
+    if handles:
+        dashed = any(isinstance(handle, Line2D) and handle.is_dashed() for handle in handles)
+        look: dict[str, Any] = {"handlelength": _DASHED_LENGTH} if dashed else {}
         figure.legend(handles=handles, loc="outside right upper", **look)
-        return
-    axes = figure.add_subplot(_spec(grid, sheet.legend))
-    axes.axis("off")
-    rows = -(-len(handles) // sheet.legend_columns)
-    low = axes.get_position().height * figure.get_figheight() < _LEGEND_ROWS * _LEGEND_ROW
-    if low and rows > _LEGEND_ROWS:
-        figure.set_figheight(figure.get_figheight() + _LEGEND_ROW * (rows - _LEGEND_ROWS))
-    look |= {"loc": "upper left" if low or sheet.legend_columns > 1 else "center left"}
-    axes.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, ncols=sheet.legend_columns, **look)
 
 
-def _draw_scale(figure: Figure, axes: Axes, scale: Scale) -> None:
-    value = scale.value
+def _draw_scale(figure: Figure, above: list[Axes], value: Any, aspect: float) -> None:
+    look: dict[str, Any] = {"extend": value.extend, "label": plain(value.label), "aspect": aspect}
+    look["extendfrac"] = 1.0 / aspect
     mappable = ScalarMappable(value.norm, value.colour_map)
-    orientation = "vertical" if scale.upright else "horizontal"
-    bar = figure.colorbar(mappable, axes, extend=value.extend, label=plain(value.label), orientation=orientation)
-    if isinstance(bar.long_axis, XAxis) and bar.long_axis.get_scale() == "linear" and not value.names:
-        bar.set_ticks(MaxNLocator(_BAR_INTERVALS, steps=[1, 2, 5, 10]))
-    if not value.has_values:
-        bar.set_ticks([])
+    bar = figure.colorbar(mappable, ax=above, location="bottom", **look)
     if value.names:
-        two_lines = not scale.upright and len(value.names) > _NAMES_ON_ONE_LINE
+        two_lines = len(value.names) > _NAMES_ON_ONE_LINE
         names = [name.replace("-", "-\n", 1) if two_lines else name for name in value.names.values()]
-        bar.long_axis.set_ticks(list(value.names), [plain(name) for name in names])
-        bar.long_axis.set_minor_locator(NullLocator())
+        bar.set_ticks(list(value.names), labels=[plain(name) for name in names])
+        bar.minorticks_off()
+    elif not value.has_values:
+        bar.set_ticks([])
+    elif isinstance(value.norm, Normalize) and not isinstance(value.norm, LogNorm):
+        bar.set_ticks(MaxNLocator(_BAR_INTERVALS, steps=[1, 2, 5, 10]))
 
 
 def _write_margins(figure: Figure, sheet: Sheet) -> None:
@@ -281,41 +260,21 @@ def _write_margins(figure: Figure, sheet: Sheet) -> None:
     Each line after the first line of title or note makes the figure higher.
     """
     renderer = FigureCanvasAgg(figure).get_renderer()
-    width = 0.98 * figure.get_figwidth()
-    legends = [legend.get_window_extent(renderer).width / figure.dpi + _BESIDE_LEGEND for legend in figure.legends]
+    boxes = [legend.get_window_extent(renderer) for legend in figure.legends]
 
-    def wrap(text: str, font: FontProperties, width: float, most: int) -> list[str]:
-        """Wrap the text to at most `most` lines of `width` [inch]; an ellipsis marks omitted text."""
-
-        def fits(text: str) -> bool:
-            return bool(float(renderer.get_text_width_height_descent(text, font, False)[0]) / figure.dpi <= width)
-
-        def cut(text: str) -> str:
-            if fits(text):
-                return text
-            while text and not fits(f"{text}…"):
-                text = text[:-1].rstrip(" …")
-            return f"{text}…"
-
-        lines: list[str] = []
-        for word in text.split():
-            longer = f"{lines[-1]} {word}" if lines else word
-            if lines and fits(longer):
-                lines[-1] = longer
-            else:
-                lines.append(cut(word))
-            if len(lines) > most:
-                return [*lines[: most - 1], cut(f"{lines[most - 1]} …")]
-        return lines
+    def wrapped(text: str, font: FontProperties, beside: float, most: int) -> str:
+        """Wrap a text by the mean width of its letters; an ellipsis marks omitted text."""
+        length = float(renderer.get_text_width_height_descent(text, font, False)[0]) if text else 1.0
+        letters = len(text) * _TEXT_SHARE * (figure.bbox.width - beside) / length
+        return plain(fill(text, max(int(letters), 8), max_lines=most, placeholder="…"))
 
     bold = FontProperties(size=_TITLE_SIZE, weight="bold")
-    above = wrap(sheet.title, bold, width - max(legends, default=0.0), _TITLE_LINES)
-    below = wrap(sheet.note, FontProperties(size=_NOTE_SIZE), _NOTE_SHARE * width, _NOTE_LINES)
-    if above:
-        figure.suptitle(plain("\n".join(above)), x=0.01, ha="left", fontproperties=bold)
-    if below:
-        figure.supxlabel(plain("\n".join(below)), x=0.01, ha="left", fontsize=_NOTE_SIZE, color="0.3")
-    tall = max((legend.get_window_extent(renderer).height for legend in figure.legends), default=0.0) / figure.dpi
-    figure.set_figheight(max(figure.get_figheight(), tall + 0.3 * bool(below)))
-    more = _TITLE_SIZE * max(len(above) - 1, 0) + _NOTE_SIZE * max(len(below) - 1, 0)
-    figure.set_figheight(figure.get_figheight() + _LINE_HEIGHT * more / 72.0)
+    title = wrapped(sheet.title, bold, max((box.width for box in boxes), default=0.0), _TITLE_LINES)
+    note = wrapped(sheet.note, FontProperties(size=_NOTE_SIZE), 0.0, _NOTE_LINES)
+    if title:
+        figure.suptitle(title, x=0.01, ha="left", fontproperties=bold)
+    if note:
+        figure.supxlabel(note, x=0.01, ha="left", fontsize=_NOTE_SIZE, color="0.3")
+    tall = max((box.height for box in boxes), default=0.0) / figure.dpi + 0.3 * bool(note)
+    more = _TITLE_SIZE * title.count("\n") + _NOTE_SIZE * note.count("\n")
+    figure.set_figheight(max(figure.get_figheight(), tall) + _LINE_HEIGHT * more / 72.0)

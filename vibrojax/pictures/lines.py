@@ -1,20 +1,20 @@
-"""Pictures along one axis: curves above the regimes of each initial condition, and rates of penetration.
+"""Curves along an axis of a sweep: above the regimes of each initial condition, or in one row of panels per facet.
 
 For many initial conditions, the strip of regimes shows the fraction of each, and dots coloured by regime replace the
 curves.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 
-from vibrojax.errors import counted
-from vibrojax.pictures.axes import certified_text, edges, map_axis, margins, scale, short, values_along, with_unit
+from vibrojax.errors import InputError, counted
+from vibrojax.pictures import axes, contents
 from vibrojax.pictures.colours import (
     REGIME_COLOURS,
     REGIME_MAP,
@@ -22,69 +22,98 @@ from vibrojax.pictures.colours import (
     SENSITIVE_KEY,
     SINGLE,
     Value,
+    form_colour,
     regime_cells,
     regime_keys,
+    regimes_in,
     value_axis,
+    value_of,
     values_beside,
 )
 from vibrojax.pictures.contents import (
+    FORM,
+    MOST_LINES,
     POINT,
     RATE,
     REGIME,
     RELIEF,
     SENSITIVE,
     START,
-    axes_to_draw,
     is_numeric,
     lane_dims,
     many_starts,
-    rates_in,
-    regimes_in,
+    named_axes,
+    swept,
+    varied,
 )
-from vibrojax.pictures.curves import (
-    MOST_ROWS,
-    Across,
-    Series,
-    axis_of_lines,
-    line_keys,
-    longest_axis,
-    rows_of,
-    split_lines,
+from vibrojax.pictures.plots import (
+    INK,
+    Area,
+    Axis,
+    Cells,
+    Dash,
+    Layer,
+    Line,
+    Look,
+    Plot,
+    Points,
+    Sheet,
+    dots,
+    key,
+    level,
 )
-from vibrojax.pictures.plots import INK, Area, Axis, Cells, Layer, Line, Look, Plot, Points, Sheet, dots, key, level
-from vibrojax.pictures.sheet import MOST_PANELS, PAGE, at, columns, facets
-from vibrojax.pictures.style import nested_line, start_colour
+from vibrojax.pictures.sheet import LEGEND_WIDTH, MOST_PANELS, PAGE, Facets, at, columns, facets
+from vibrojax.pictures.style import BIT, ROCK_COLOURS, line_colours, nested_line, other_colour, start_colour
 
+MOST_ROWS = 4
+_PANEL_WIDTH = 3.3  # inches
+_FREQUENCY = "frequency"  # preferred among axes of equal length
 _MOST_COLUMNS = 3
 _TITLE_ROOM = 0.6  # height [inches] of the title and the labels of a stack
 _SHARES_HEIGHT = 1.1  # inches
 _DISTINCT_HEIGHTS = 1000  # number of heights on a panel that the eye can distinguish
 _MARGINS = 2.6  # page height [inches] for title, notes and the figure's margins
-SLIP, PEAK = "slip_per_impact", "peak_impact_force"
-_NAMES = {RATE: "rate of penetration", SLIP: "slip per blow", PEAK: "peak impact force"}
+_SLIP, _PEAK = "slip_per_impact", "peak_impact_force"
+_NAMES = {RATE: "rate of penetration", _SLIP: "slip per blow", _PEAK: "peak impact force"}
 _MANY_LANES = 40  # number of lanes per line from which on markers are small
 _CONSTANT = 1e-6  # largest relative range of values that count as constant
 
 Lanes = Float[np.ndarray, " lanes"]
 
 
-def regime_lines(
-    ds: xr.Dataset, x: str | None = None, note: str = "", values: tuple[Value, ...] | None = None
-) -> Sheet:
+class Series(NamedTuple):
+    """One line: its legend text `name`, its colour, and its lanes along one dimension."""
+
+    name: str
+    colour: str
+    lanes: xr.Dataset
+
+
+def starts_of(ds: xr.Dataset) -> list[Series]:
+    """Return the lanes of each initial condition, with an empty name if there is no dimension `start`."""
+    if START not in lane_dims(ds):
+        return [Series("", start_colour("", 0), ds)]
+    names = [axes.short(str(name)) for name in ds[START].values]
+    return [Series(name, start_colour(name, i), ds.isel({START: i})) for i, name in enumerate(names)]
+
+
+# Above the regimes.
+
+
+def regime_lines(ds: xr.Dataset, x: str | None = None, note: str = "", values: Sequence[Value] | None = None) -> Sheet:
     """Draw `values` along `x` above the regimes of each initial condition.
 
     Defaults: impact velocity and period, along the longest axis.
     """
     ds = regimes_in(ds)
     values = values_beside(ds) if values is None else values
-    x = x or max(axes_to_draw(ds), key=lambda name: ds.sizes[name])
-    height = 1.9 if len(values) > 1 else 2.4
+    x = x or max(contents.axes_to_draw(ds), key=lambda name: ds.sizes[name])
     keys: list[Layer] = []
-    if not many_starts(ds):
-        starts = starts_of(ds)
-        for k, start in enumerate(starts if starts[0].name else ()):
-            look = nested_line(k, len(starts))
+    if not many_starts(ds) and START in lane_dims(ds):
+        for k, start in enumerate(starts_of(ds)):
+            look = nested_line(k, ds.sizes[START])
             keys.append(key(f"start: {start.name}", marker="o", colour=start.colour, **look))
+    height = 1.9 if len(values) > 1 else 2.4
     return stacks(ds, x, len(values), (height, height), partial(value_plots, values=values, x=x), keys, note)
 
 
@@ -103,14 +132,12 @@ def stacks(
     """
     ds = ds.sortby(x)
     strip = _SHARES_HEIGHT if many_starts(ds) else 0.10 + 0.17 * ds.sizes.get(START, 1)
-    for most in range(MOST_PANELS, 0, -1):  # as many facets as fit on a page
-        panels = facets(ds, (x, START), most)
-        height = heights[len(panels) > 1]
-        wide = columns(panels, _MOST_COLUMNS)
-        deep = -(-len(panels) // wide)
-        stack_height = curves * height + strip + _TITLE_ROOM
-        if deep * stack_height <= PAGE[1] - _MARGINS:
-            break
+    height = heights[any(ds.sizes[name] > 1 for name in lane_dims(ds) if name not in (x, START))]
+    stack_height = curves * height + strip + _TITLE_ROOM
+    most = _MOST_COLUMNS * int((PAGE[1] - _MARGINS) / stack_height)  # as many facets as fit on a page
+    panels = facets(ds, (x, START), min(most, MOST_PANELS))
+    wide = columns(panels, _MOST_COLUMNS)
+    deep = -(-len(panels) // wide)
     plots: list[Plot] = []
     for k, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
         row, column = divmod(k, wide)
@@ -118,7 +145,9 @@ def stacks(
             above = ", ".join(filter(None, (title if i == 0 or plot.title else "", plot.title)))
             up = plot.y if plot.y.group else replace(plot.y, group=f"y{i}")
             place = row * (curves + 1) + i, column
-            plots.append(replace(plot, x=map_axis(facet[x], group="x"), y=up, title=above, place=place, at=at(facet)))
+            plots.append(
+                replace(plot, x=axes.map_axis(facet[x], group="x"), y=up, title=above, place=place, at=at(facet))
+            )
     colours = "starts together, in the colours of the regimes that they end in"
     together = f"{ds.sizes[START]} {colours}" if many_starts(ds) else ""
     return Sheet(
@@ -127,24 +156,8 @@ def stacks(
         (1.0,) * wide,
         (*[height] * curves, strip) * deep,
         [keys, regime_keys([facet[REGIME] for facet in panels.data])],
-        **margins(ds, certified_text(ds), panels.note, together, note),
+        **axes.margins(ds, axes.certified_text(ds), panels.note, together, note),
     )
-
-
-class Start(NamedTuple):
-    """The lanes of one initial condition, its short name (empty without a dimension `start`) and its colour."""
-
-    name: str
-    colour: str
-    lanes: xr.Dataset
-
-
-def starts_of(ds: xr.Dataset) -> list[Start]:
-    """Return the lanes of each initial condition."""
-    if START not in lane_dims(ds):
-        return [Start("", start_colour("", 0), ds)]
-    names = [short(str(name)) for name in ds[START].values]
-    return [Start(name, start_colour(name, i), ds.isel({START: i})) for i, name in enumerate(names)]
 
 
 def lane_dots(along: Lanes, values: Lanes, regimes: Lanes, size: float) -> Points:
@@ -168,17 +181,15 @@ def dot_size(values: int) -> float:
 
 def _strip(facet: xr.Dataset, x: str) -> Plot:
     """Draw the regimes along `x`: a row of coloured cells per initial condition, or the regime fractions of many."""
-    many = many_starts(facet)
     by_start = facet if START in lane_dims(facet) else facet.expand_dims(START)
-    rows = regime_cells(by_start[REGIME].transpose(START, x))
-    if many:  # each column is sorted, single impacts first, so that the height of a colour is its fraction
+    rows, along = regime_cells(by_start[REGIME].transpose(START, x)), axes.values_along(facet[x])
+    if many_starts(facet):  # each column is sorted, single impacts first, so that the height of a colour is its share
         ordered = np.sort(np.where(rows == SINGLE, -1.0, rows), axis=0)
         rows = np.where(ordered == -1.0, float(SINGLE), ordered)
-    ends = np.linspace(0.0, 100.0, len(rows) + 1) if many else np.arange(len(rows) + 1) - 0.5
-    along = values_along(facet[x])
-    layers: list[Layer] = [Cells(edges(along), ends, rows, REGIME_MAP, REGIME_NORM)]
-    if many:
-        return Plot(layers, y=Axis("starts\n[%]", limits=(0.0, 100.0)), name="regimes")
+        shares = Cells(axes.edges(along), np.linspace(0.0, 100.0, len(rows) + 1), rows, REGIME_MAP, REGIME_NORM)
+        return Plot([shares], y=Axis("starts\n[%]", limits=(0.0, 100.0)), name="regimes")
+    ends = np.arange(len(rows) + 1) - 0.5
+    layers: list[Layer] = [Cells(axes.edges(along), ends, rows, REGIME_MAP, REGIME_NORM)]
     layers += [level(between, colour="#FFFFFF") for between in ends[1:-1]]
     if SENSITIVE in facet:
         row, column = np.nonzero(by_start[SENSITIVE].transpose(START, x).values == 1)
@@ -187,29 +198,176 @@ def _strip(facet: xr.Dataset, x: str) -> Plot:
     return Plot(layers, y=Axis(ticks=ticks, limits=(-0.5, len(rows) - 0.5), reversed=True), name="regimes")
 
 
-def value_plots(facet: xr.Dataset, values: tuple[Value, ...], x: str) -> list[Plot]:
+def value_plots(facet: xr.Dataset, values: Sequence[Value], x: str) -> list[Plot]:
     """Draw each of the `values` along `x` on its own panel, with a line per initial condition."""
     plots = []
     for value in values:
-        layers: list[Layer] = []
+        up = value_axis(value, value.label.replace(" [", "\n["), zero="zero everywhere")
         if many_starts(facet):
             heights, regimes = (data.transpose(x, START) for data in (value.of(facet), facet[REGIME]))
-            along = np.repeat(values_along(facet[x]), heights.sizes[START])
+            along = np.repeat(axes.values_along(facet[x]), heights.sizes[START])
             colours = regime_cells(regimes).ravel()
-            layers.append(lane_dots(along, heights.values.ravel(), colours, dot_size(facet.sizes[x])))
+            layers: list[Layer] = [lane_dots(along, heights.values.ravel(), colours, dot_size(facet.sizes[x]))]
         else:
-            for position, (_, colour, lanes) in enumerate(starts_of(facet)):
-                along = values_along(lanes[x])
-                ends = [f"{value.name}_{end}" for end in ("min", "max")]
-                if all(end in lanes for end in ends):  # range over the impacts of each lane
-                    low, high = (lanes[end].values * value.factor for end in ends)
-                    layers.append(Area(along, low, high, colour, 0.15))
-                # A motion that several initial conditions reach shows the colours of all of them.
-                look = nested_line(position, facet.sizes.get(START, 1))
-                layers.append(Line(along, value.of(lanes).values, colour, marker="o", clip=False, **look))
-        up = value_axis(value, value.label.replace(" [", "\n["), zero="zero everywhere")
+            layers = value_lines(starts_of(facet), value, lambda lanes: axes.values_along(lanes[x]))
         plots.append(Plot(layers, y=up))
     return plots
+
+
+def value_lines(
+    lines: Sequence[Series], value: Value, place: Callable[[xr.Dataset], Lanes], dash: Dash | None = None
+) -> list[Layer]:
+    """Return lines of `value` over the places of their lanes, with the range over the impacts of each lane.
+
+    Without a `dash`, a motion that several lines reach shows the colours of all of them.
+    """
+    layers: list[Layer] = []
+    for k, (_, colour, lanes) in enumerate(lines):
+        along, ends = place(lanes), [f"{value.name}_{end}" for end in ("min", "max")]
+        if dash is None and all(end in lanes for end in ends):
+            low, high = (lanes[end].values * value.factor for end in ends)
+            layers.append(Area(along, low, high, colour, 0.15))
+        look = nested_line(k, len(lines)) if dash is None else {"size": 3.0, "dash": dash}
+        layers.append(Line(along, np.ravel(value.of(lanes).values), colour, marker="o", clip=False, **look))
+    return layers
+
+
+# In rows of panels.
+
+
+@dataclass(frozen=True)
+class Across:
+    """Horizontal axis of curves: the coordinate `name` times `factor`. `name` is empty if nothing varies.
+
+    String values are placed at 0, 1, ...
+    """
+
+    name: str
+    label: str
+    values: Shaped[np.ndarray, " values"]
+    factor: float
+    is_number: bool
+
+    def of(self, lanes: xr.Dataset) -> Float[np.ndarray, " lanes"]:
+        """Return the positions of lanes along the axis."""
+        if not self.name:
+            return np.zeros(1)
+        values = np.atleast_1d(lanes[self.name].values)
+        if self.is_number:
+            return np.asarray(values * self.factor, float)
+        return np.array([float(self.values.tolist().index(value)) for value in values.tolist()])
+
+    def axis(self, ds: xr.Dataset, **about: Any) -> Axis:
+        """Return the axis of a plot of lanes of the dataset."""
+        about = {"label": self.label, "name": self.name, "group": "across"} | about
+        if self.is_number:
+            return axes.map_axis(ds[self.name], **about) if axes.is_geometric(self.values) else Axis(**about)
+        ticks = [(float(k), str(value)) for k, value in enumerate(self.values)] if self.name else []
+        limits = (-0.5, len(ticks) - 0.5) if ticks else (None, None)
+        return Axis(**{"ticks": ticks, "limits": limits, **about})
+
+    def dash(self, ds: xr.Dataset) -> Dash:
+        """Return the line style along the axis, none for string values and for points of a list."""
+        return "-" if self.is_number and POINT not in lane_dims(ds) else ""
+
+
+def longest_axis(ds: xr.Dataset) -> Across:
+    """Return the longest numeric axis, preferably `frequency`; without numeric axes, the longest string-valued axis.
+
+    **Raises:** `InputError` if there are several points and no parameter that distinguishes them.
+    """
+    numbers = varied(ds) if POINT in lane_dims(ds) else {name: ds.sizes[name] for name in swept(ds)}
+    sizes = numbers or {name: ds.sizes[name] for name in named_axes(ds)}
+    if not sizes:
+        if ds.sizes.get(POINT, 1) > 1:
+            raise InputError(f"nothing to draw over: no parameter varies along the {ds.sizes[POINT]} points")
+        return Across("", "", np.zeros(1), 1.0, False)
+    name = max(sizes, key=lambda name: (sizes[name], name == _FREQUENCY))
+    if not numbers:
+        return Across(name, name, ds[name].values, 1.0, False)
+    factor = axes.scale(ds[name])[0]
+    return Across(name, axes.label(ds[name]), np.unique(ds[name].values) * factor, factor, True)
+
+
+def axis_of_lines(ds: xr.Dataset, along: str) -> str:
+    """Return the axis with one line per value: the longest except `along`, `start` only if there is no other."""
+    if POINT in lane_dims(ds):
+        sizes = {name: count for name, count in varied(ds, names=True).items() if count <= MOST_LINES}
+    else:
+        sizes = {name: ds.sizes[name] for name in (*swept(ds), *named_axes(ds))}
+    rest = [name for name in sizes if name != along]
+    return max(rest, key=lambda name: (name != START, sizes[name], not is_numeric(ds[name])), default="")
+
+
+def split_lines(ds: xr.Dataset, by: str) -> list[Series]:
+    """Return the lines of a facet, one per value of the axis `by`; numeric values are sorted."""
+    if not by:
+        return [Series("", BIT, ds)]
+    values = list(dict.fromkeys(ds[by].values.tolist()))
+    values = sorted(values) if is_numeric(ds[by]) else values
+    graded, lines = line_colours(len(values)), []
+    for position, value in enumerate(values):
+        lanes = ds.isel({ds[by].dims[0]: np.flatnonzero(ds[by].values == value)})
+        if is_numeric(ds[by]):
+            colour = graded[position]
+        elif by == FORM:
+            colour = form_colour(value)
+        else:
+            colour = start_colour(value, position) if by == START else ROCK_COLOURS.get(value, other_colour(position))
+        name = axes.value_text(ds[by], value).removeprefix("rock: ").removeprefix("form: ")
+        lines.append(Series(name, colour, lanes.isel({by: 0}) if by in lanes.dims else lanes))
+    return lines
+
+
+def line_keys(ds: xr.Dataset, by: str, **look: Any) -> list[Line]:
+    """Return the legend entries for lines; of too many lines, an even selection from the first to the last."""
+    lines = split_lines(ds, by) if by else []
+    chosen = sorted({int(index) for index in np.linspace(0, len(lines) - 1, MOST_LINES).round()}) if lines else []
+    return [key(lines[i].name, **{"marker": "o", "size": 4.0, "colour": lines[i].colour, **look}) for i in chosen]
+
+
+def rows_of(panels: Facets, quantities: int) -> dict[str, Any]:
+    """Return the size and the ratios of a sheet with one row per facet, and room for a legend at the right."""
+    count = len(panels)
+    size = _PANEL_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8
+    return {"size": size, "widths": (1.0,) * quantities, "heights": (1.0,) * count}
+
+
+def row_per_facet(
+    ds: xr.Dataset,
+    x: Across,
+    by: str,
+    draws: Sequence[Callable[[list[Series]], Plot]],
+    keys: Sequence[Sequence[Layer]],
+    *notes: str,
+) -> Sheet:
+    """Draw curves over `x`, with a line per value of `by`: a row for each facet, and a column for each of `draws`.
+
+    The functions `draws` return the plot of the lines of a facet.
+    """
+    panels, plots = facets(ds, (POINT, x.name, by), MOST_ROWS), []
+    for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+        for column, draw in enumerate(draws):
+            plot, above = draw(split_lines(facet, by)), "" if column else title
+            plots.append(replace(plot, title=above, place=(row, column), at=at(facet)))
+    return Sheet(plots, keys=keys, **rows_of(panels, len(draws)), **axes.margins(ds, panels.note, *notes))
+
+
+def curves(ds: xr.Dataset, names: Sequence[str], note: str = "") -> Sheet:
+    """Draw variables over the longest axis, one row per facet.
+
+    There is one line per value of another axis or, for a fitted penetration law, one line per formula of the law.
+    """
+    x = longest_axis(ds)
+    by = FORM if FORM in ds[names[0]].dims else axis_of_lines(ds, x.name)
+    ds = ds.sortby(x.name) if x.is_number else ds
+    dash, across = x.dash(ds), x.axis(ds)
+
+    def draw(lines: list[Series], value: Value) -> Plot:
+        return Plot(value_lines(lines, value, x.of, dash), across, value_axis(value, group=value.name))
+
+    draws = [partial(draw, value=value_of(ds[name])) for name in names]
+    return row_per_facet(ds, x, by, draws, [line_keys(ds, by, dash=dash)], note)
 
 
 # Rates of penetration.
@@ -222,45 +380,41 @@ def rates(ds: xr.Dataset) -> Sheet:
     values shown if not all fit. Hollow markers are lanes without penetration; crosses are motions other than a single
     impact. A list of points is drawn over the parameter with the most values.
     """
-    ds = rates_in(ds)
+    ds = contents.rates_in(ds)
     x = longest_axis(ds)
     by = axis_of_lines(ds, x.name)
     ds = ds.sortby(x.name) if x.is_number else ds
-    panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
     dash = x.dash(ds)
     named = bool(by) and not is_numeric(ds[by]) and bool(dash)  # starts or rocks, whose lines may coincide
-    plots = []
-    for column, (name, along) in enumerate(_choose_curves(ds, x)):
-        factor, unit = scale(ds[name])
+
+    def draw(lines: list[Series], name: str, along: str) -> Plot:
+        factor, unit = axes.scale(ds[name])
         # Zero is included, to show whether lines pass through it.
-        shown = np.concatenate([np.ravel(facet[name].values) for facet in panels.data]) * factor
-        greatest = np.max(shown[np.isfinite(shown)], initial=0.0)
-        top = 1.05 * float(greatest) or 1.0
-        up = Axis(with_unit(_NAMES[name], unit), name, (-0.03 * top, top), group=name, zero="no penetration")
+        top = 1.05 * factor * float(ds[name].max(skipna=True).fillna(0.0)) or 1.0
+        up = Axis(axes.with_unit(_NAMES[name], unit), name, (-0.03 * top, top), group=name, zero="no penetration")
         across = x.axis(ds)
         if along == RELIEF:
             right = 1.05 * float(np.nanmax(ds[RELIEF].values))
             across = Axis("relief P/D", RELIEF, (-0.03 * right, right), group=RELIEF)
-        for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
-            lines, layers = split_lines(facet, by), []
-            for k, line in enumerate(lines):
-                places = np.atleast_1d(line.lanes[RELIEF].values) if along == RELIEF else x.of(line.lanes)
-                look = nested_line(k, len(lines)) if named else {"dash": dash}
-                layers += _rate_layers(line, places, factor * np.atleast_1d(line.lanes[name].values), look)
-            plots.append(Plot(layers, across, up, "" if column else title, (row, column), at(facet)))
-    lines = split_lines(ds, by)
-    keys = line_keys(lines, dash=dash)
+        layers: list[Layer] = []
+        for k, line in enumerate(lines):
+            places = np.atleast_1d(line.lanes[RELIEF].values) if along == RELIEF else x.of(line.lanes)
+            look = nested_line(k, len(lines)) if named else {"dash": dash}
+            layers += _rate_layers(line, places, factor * np.atleast_1d(line.lanes[name].values), look)
+        return Plot(layers, across, up)
+
+    keys = line_keys(ds, by, dash=dash)
     keys = [replace(each, **nested_line(k, len(keys))) if named else each for k, each in enumerate(keys)]
     texts = {"single": "single impact", "other": "other motion", "none": "no penetration"}
     shown_motions = [name for name, mask in _motions(ds).items() if mask.any() and (name == "none" or REGIME in ds)]
     marks = [dots(label=texts[motion], **{"size": 4.5} | _mark(motion, INK)) for motion in shown_motions]
     count = int(np.isnan(ds[RATE].values).sum())
     missing = f"{count} of {counted(ds[RATE].size, 'lane')} without a rate" if count else ""
-    about = margins(ds, panels.note, missing)
-    return Sheet(plots, keys=[keys, marks], **rows_of(panels, 1 + max(plot.place[1] for plot in plots)), **about)
+    draws = [partial(draw, name=name, along=along) for name, along in _rate_curves(ds, x)]
+    return row_per_facet(ds, x, by, draws, [keys, marks], missing)
 
 
-def _choose_curves(ds: xr.Dataset, x: Across) -> list[tuple[str, str]]:
+def _rate_curves(ds: xr.Dataset, x: Across) -> list[tuple[str, str]]:
     """Return pairs of a variable and what it is drawn over: the axis `x`, or the relief.
 
     They are the rate over the axis and over the relief, if that varies, and the force or slip per blow.
@@ -274,7 +428,7 @@ def _choose_curves(ds: xr.Dataset, x: Across) -> list[tuple[str, str]]:
         swing = ds[name].max(dimension) - ds[name].min(dimension)
         return bool((swing > _CONSTANT * np.abs(ds[name]).max()).any())
 
-    each_blow = sorted((name for name in (PEAK, SLIP) if name in ds), key=lambda name: not varies(name))[:1]
+    each_blow = sorted((name for name in (_PEAK, _SLIP) if name in ds), key=lambda name: not varies(name))[:1]
     over_relief = [(RATE, RELIEF)] if RELIEF in ds and varies(RELIEF) else []
     return [(RATE, x.name), *over_relief, *((name, x.name) for name in each_blow)]
 

@@ -1,28 +1,56 @@
-"""Time series of a run in SI units (bit and striker, bit and hole), and the amplitude spectrum of a run."""
+"""Pictures of trajectories: time histories, phase portraits, spectrum, growth of the hole, response to a swept sine.
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+Oscillations that are too dense for a line are drawn as bands.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Num
+from jaxtyping import Float
 
 from vibrojax.errors import InputError
 from vibrojax.io.attributes import flags, parameters_of
-from vibrojax.pictures.contents import TIME
+from vibrojax.pictures.axes import axis, margins, number, scale
+from vibrojax.pictures.colours import value_axis, value_of
+from vibrojax.pictures.contents import TIME, Contents
+from vibrojax.pictures.plots import FAINT, INK, Area, Axis, Layer, Line, Look, Plot, Sheet, Text, dots, level, upright
+from vibrojax.pictures.style import BIT, DASHED, IMPACT, ROCK, SAVED_DPI, STICK, STRIKER
 
+_WIDTH = 10.0  # of the figures [inch]
+_PANEL_SHARE = 0.775  # of the width of the figure
+_COLUMNS = 6  # of the grid that the panels of a row share
+_CYCLE_PIXELS = 5.0  # least width of a cycle that a line resolves
+_COLUMN_PIXELS = 8  # a band takes minimum and maximum over this width: more than an unresolved cycle
 _FEWEST_SAMPLES = 16
+_WINDOW = 1.5  # duration of the end of the run that is shown [s]
+_OVERVIEW_FROM = 1.5  # ratio of the run's length to the window from which there is an overview
+_MOST_PEAKS, _LEAST_PEAK = 3, 0.1  # number of peaks, and least height relative to the highest
+_LOBE_BINS = 4  # width of the Hann window's main lobe in frequency bins
+_SPECTRUM_SPAN = 5.0  # in units of the bit's dominant frequency
+_SPECTRUM_AT_REST = 25.0  # span [Hz] if nothing moves
+_LEAST_AMPLITUDE = 1e-6  # [mm]: less is rounding error
 _IMPACT_WINDOW = 0.1  # time [s] within which the bit must come to rest after an impact, if the impact is enlarged
 _REST_SPEED = 0.01  # fraction of the greatest speed up to which the bit counts as resting
-_LEAD = 0.15  # fraction of an impact's duration that is shown before the impact
-_MOST_PEAKS, _LEAST_PEAK = 3, 0.1  # number of peaks, and least height relative to the highest
-_LOBE_BINS = 4.0  # width of the Hann window's main lobe in frequency bins
+_IMPACT_LEAD = 0.15  # fraction of an impact's duration that is shown before the impact
+_ENLARGED_BLOWS = 2
+_BLOW_LEAD = 0.08  # fraction of the time between blows that is shown before the first enlarged blow
+_FEWEST_CYCLES = 4
+_LEAST_SLIP = 1e-12  # [m] in one cycle: less is rounding error
+_MANY_CYCLES = 120  # number of cycles from which curves have no markers
+_MOST_STATES = 6  # of a system; more would not be legible on one page
+_DOTS: Look = {"size": 4.0, "colour": IMPACT, "order": 4.0, "clip": False}
+_FORCES = {  # colour, line width, legend text
+    "applied_force": (FAINT, 1.0, "given I"),
+    "rock_force": (INK, 1.0, "rock N"),
+    "impact_force": (IMPACT, 1.0, "impact force J"),
+    "friction_force": (INK, 0.8, "friction force F"),
+}
 
 Samples = Float[np.ndarray, " samples"]
 Times = Float[np.ndarray, " times"]
-Frequencies = Float[np.ndarray, " frequencies"]
-Peak = tuple[float, float]
-"""The frequency [Hz] and the amplitude of a peak."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +69,6 @@ class Run:
 
     def __getitem__(self, name: str) -> Samples:
         return self.series[name]
-
-    def has(self, *names: str) -> bool:
-        """Return whether the run has any of the variables."""
-        return any(name in self.series for name in names)
 
     def since(self, start: float) -> slice:
         """Return the slice of samples from the time `start` [s] on."""
@@ -78,79 +102,397 @@ def read_run(ds: xr.Dataset, *states: str) -> Run:
         series["u"] = series["v1"] + parameters.get("v", 0.0)
     if "x3" in series and "v3" not in series:
         series["v3"] = np.gradient(series["x3"], time)
-    return Run(time, series, _impact_times(ds, time, series.get("impact_force")), parameters)
-
-
-def _impact_times(ds: xr.Dataset, time: Samples, force: Samples | None) -> Times:
-    """Return the times [s] at which impacts begin: from recorded events, else where the force rises from zero."""
+    impacts = np.empty(0)  # from recorded events, else where the force rises from zero
     if "event_time" in ds and "event_kind" in ds:
-        impacts = [flag for flag, meaning in flags(ds["event_kind"]).items() if meaning == "impact"]
-        return np.asarray(ds["event_time"].values, float)[np.isin(ds["event_kind"].values, impacts)]
-    if force is None:
-        return np.empty(0)
-    return time[1 + np.flatnonzero((force[1:] > 0) & (force[:-1] <= 0))]
+        kinds = [flag for flag, meaning in flags(ds["event_kind"]).items() if meaning == "impact"]
+        impacts = np.asarray(ds["event_time"].values, float)[np.isin(ds["event_kind"].values, kinds)]
+    elif (force := series.get("impact_force")) is not None:
+        impacts = time[1:][(force[1:] > 0) & (force[:-1] <= 0)]
+    return Run(time, series, impacts, parameters)
 
 
-def blow_times(hole: Run) -> Times:
-    """Return the times [s] at which the applied, or else the rock's, force rises through the middle of its range."""
-    force = hole.series.get("applied_force", hole.series.get("rock_force"))
-    if force is None or not np.ptp(force) > 0:
-        return np.empty(0)
-    above = force > (force.max() + force.min()) / 2
-    return hole.time[1:][above[1:] & ~above[:-1]]
+# Layers and panels.
 
 
-def last_impact(hole: Run, impacts: Times) -> tuple[float, float] | None:
-    """Return the time interval [s] around the last impact after which the bit comes to rest, or None."""
-    end = float(hole.time[-1])
-    for begins in impacts[::-1].tolist():
-        after = hole.between(begins, min(begins + _IMPACT_WINDOW, end))
-        speed = np.abs(hole["v3"][after])
-        moving = np.flatnonzero(speed > _REST_SPEED * speed.max(initial=0.0))
-        if moving.size and moving[-1] < speed.size - 1:
-            rest = float(hole.time[after][moving[-1]])
-            return begins - _LEAD * (rest - begins), rest + 2 * _LEAD * (rest - begins)
-    return None
+def trace(time: Samples, values: Samples, share: float = 1.0, **look: Any) -> Line | Area:
+    """Return values over time as a line, or as a band from minimum to maximum if a line would cover the panel.
+
+    `share`: width of the panel, as a fraction of the figure's panels.
+    """
+    pixels = max(int(share * _PANEL_SHARE * _WIDTH * SAVED_DPI), 1)
+    height = float(np.ptp(values)) if values.size else 0.0
+    # Number of cycles: the total variation over twice the height. Are the cycles too narrow for a line?
+    if not (height > 0 and float(np.abs(np.diff(values)).sum()) / (2.0 * height) > pixels / _CYCLE_PIXELS):
+        return Line(time, values, **look)
+    count = max(pixels // _COLUMN_PIXELS, 1)
+    column = np.minimum(np.floor((time - time[0]) / np.ptp(time) * count), count - 1)
+    first = np.flatnonzero(np.diff(column, prepend=-1))
+    low, high = (reduce.reduceat(values, first) for reduce in (np.minimum, np.maximum))
+    ends, low, high = np.append(time[first], time[-1]), np.append(low, low[-1]), np.append(high, high[-1])
+    colour, label, order = look["colour"], look.get("label", ""), look.get("order", 2.0)
+    return Area(ends, low, high, colour, 0.3, edge=colour, step=True, label=label, order=order)
 
 
-# The spectrum.
+def _band_text(plots: Sequence[Plot]) -> str:
+    """Return the note on bands, or "" if no plot has a band."""
+    if not any(isinstance(layer, Area) and layer.step for plot in plots for layer in plot.layers):
+        return ""
+    return "Bands: from the least to the greatest value, where the oscillations are too many to be told apart"
 
 
-def amplitude_spectrum(time: Samples, signal: Samples) -> tuple[Frequencies, Frequencies]:
+def _time(start: float, end: float, group: str = "time", **about: Any) -> Axis:
+    return Axis("time [s]", TIME, (start, end), group=group, **about)
+
+
+def _span(start: float, end: float, alpha: float, label: str = "") -> Area:
+    return Area([start, end], [-np.inf] * 2, [np.inf] * 2, FAINT, alpha, label=label)
+
+
+def _unlabelled(plot: Plot) -> list[Layer]:
+    return [replace(layer, label="") if isinstance(layer, Line | Area) else layer for layer in plot.layers]
+
+
+def _unit(unit: str, *values: Samples) -> tuple[float, str]:
+    """Return the conversion factor and the unit to print `values` in, which have an SI unit."""
+    greatest = max((float(np.abs(part).max(initial=0.0)) for part in values), default=0.0)
+    factor, printed = scale(xr.DataArray([greatest], attrs={"units": unit}))
+    return factor, printed.replace(" s-1", "/s")
+
+
+def _contact(motion: Run) -> float | None:
+    """Return the place [mm] of the contact between striker and bit, or None for a scene without impacts."""
+    return (
+        1e3 * motion.parameters["delta"] if "impact_force" in motion.series and "delta" in motion.parameters else None
+    )
+
+
+def _both(motion: Run, start: float, of_bit: Samples, of_striker: Samples, named: bool = False) -> list[Layer]:
+    """Draw a quantity of striker and bit over time; mark sticking and impacts on lines, but not on bands."""
+    late, times = motion.since(start), motion.impacts[motion.impacts >= start]
+    names = ("bit", "striker", "bit sticks", "impact begins") if named else ("",) * 4
+    bit = trace(motion.time[late], of_bit[late], colour=BIT, width=1.1, label=names[0], order=2.1)
+    striker = trace(motion.time[late], of_striker[late], colour=STRIKER, width=1.1, label=names[1])
+    layers: list[Layer] = [bit, striker]
+    if isinstance(bit, Line) and motion["stuck"][late].any():
+        stuck = np.where(motion["stuck"] == 1, of_bit, np.nan)[late]
+        layers.append(Line(motion.time[late], stuck, STICK, 2.6, label=names[2], order=2.2))
+    if isinstance(striker, Line) and times.size:
+        layers.append(dots(times, np.interp(times, motion.time, of_striker), label=names[3], **_DOTS))
+    gap = _contact(motion)
+    if named and gap is not None:
+        layers.append(level(gap, colour=FAINT, width=0.8, dash=DASHED, label=f"gap Δ = {number(gap)} mm", order=1.5))
+    return layers
+
+
+def _portrait(motion: Run, x: str, speed: Samples, start: float, speed_label: str) -> Plot:
+    """Draw the phase portrait of bit (`x` is x1) or striker (x2), with impacts as dots.
+
+    The transient is faint, the motion after time `start` [s] strong. Sticking is a thick line on the bit's portrait,
+    the contact a vertical line on the striker's.
+    """
+    name, symbol, colour = ("bit", "x₁", BIT) if x == "x1" else ("striker", "x₂", STRIKER)
+    late, displacement, gap = motion.since(start), 1e3 * motion[x], _contact(motion)
+    before = slice(None, late.start + 1)
+    layers: list[Layer] = [level(0.0, colour=FAINT, width=0.6, order=1.5)]
+    if x == "x2" and gap is not None:
+        layers.append(upright(gap, colour=FAINT, width=0.8, dash=DASHED, order=1.5))
+    layers.append(Line(displacement[before], speed[before], FAINT, 0.4, alpha=0.6))
+    layers.append(Line(displacement[late], speed[late], colour, 1.1))
+    if x == "x1":
+        stuck = np.where(motion["stuck"] == 1, speed, np.nan)
+        layers.append(Line(displacement[late], stuck[late], STICK, 2.8, order=3.0))
+    times = motion.impacts[motion.impacts >= start]
+    layers.append(dots(*(np.interp(times, motion.time, values) for values in (displacement, speed)), **_DOTS))
+    return Plot(layers, Axis(f"{symbol} [mm]"), Axis(speed_label), name, title_colour=colour, grid="")
+
+
+def _spectrum(motion: Run) -> Plot:
+    """Draw the amplitude spectra of both displacements, and label the peaks with their frequencies."""
+    named: list[tuple[float, float]] = []
+    layers: list[Layer] = []
+    end, width, top = 0.0, 0.0, _LEAST_AMPLITUDE
+    for name, x, colour in (("bit x₁", "x1", BIT), ("striker x₂", "x2", STRIKER)):
+        frequencies, amplitudes = amplitude_spectrum(motion.time, 1e3 * motion[x])
+        highest = peaks(frequencies, amplitudes) if amplitudes.max() > _LEAST_AMPLITUDE else []
+        end = end or (_SPECTRUM_SPAN * highest[0][0] if highest else 0.0)
+        width, top = _LOBE_BINS * float(frequencies[1]), max(top, float(amplitudes.max()))
+        layers.append(Line(frequencies, amplitudes, colour, 1.0, label=name))
+        # Where both lines have a peak, the higher line hides the lower line, but not the marker at its top.
+        layers.append(dots(*np.reshape(highest, (-1, 2)).T, colour=colour, size=3.2, order=4.0))
+        named += highest
+    end = end or _SPECTRUM_AT_REST
+    texts: list[Text] = []
+    look: dict[str, Any] = {"colour": INK, "size": 8.0, "halo": 1.0, "offset": (4.0, 2.0), "order": 5.0}
+    for frequency, amplitude in sorted(named, key=lambda peak: -peak[1]):
+        if frequency < end and all(abs(frequency - text.x) > width for text in texts):
+            texts.append(Text(frequency, amplitude, f"{number(round(frequency, 2))} Hz", "left", "bottom", **look))
+    up = Axis("amplitude [mm]", limits=(0.0, 1.12 * top))  # room for the text at the highest peak
+    title = "spectrum, second half of the run"
+    return Plot([*layers, *texts], Axis("frequency [Hz]", limits=(0.0, end)), up, title, keys="upper right")
+
+
+def amplitude_spectrum(time: Samples, signal: Samples) -> tuple[np.ndarray, np.ndarray]:
     """Return frequencies [Hz] and amplitudes of the second half of a signal, under a Hann window.
 
     A sine of amplitude A gives a peak of height A. The signal is interpolated to equidistant times.
     """
     late = np.linspace((time[0] + time[-1]) / 2, time[-1], max(time.size // 2, 8))
-    values = np.interp(late, time, signal)
-    window = np.hanning(late.size)
-    values = values - np.average(values, weights=window)
-    amplitudes = 2.0 * np.abs(np.fft.rfft(values * window)) / window.sum()
+    values, window = np.interp(late, time, signal), np.hanning(late.size)
+    amplitudes = 2.0 * np.abs(np.fft.rfft((values - np.average(values, weights=window)) * window)) / window.sum()
     return np.fft.rfftfreq(late.size, late[1] - late[0]), amplitudes
 
 
-def peaks(frequencies: Frequencies, amplitudes: Frequencies) -> list[Peak]:
-    """Return up to three highest local maxima above a tenth of the global maximum, highest first.
+def peaks(frequencies: np.ndarray, amplitudes: np.ndarray) -> list[tuple[float, float]]:
+    """Return frequency and amplitude of up to three local maxima above a tenth of the global maximum, highest first.
 
     Each frequency is the vertex of the parabola through the logarithms of the three amplitudes at the peak.
     """
     from scipy.signal import find_peaks  # slow to import, and no other picture needs it
 
-    maxima, _ = find_peaks(amplitudes, height=_LEAST_PEAK * amplitudes.max())
-    highest: list[Peak] = []
-    for index in maxima[separate_peaks(maxima, amplitudes[maxima], _LOBE_BINS)[:_MOST_PEAKS]].tolist():
+    maxima, _ = find_peaks(amplitudes, height=_LEAST_PEAK * amplitudes.max(), distance=_LOBE_BINS + 1)
+    highest = []
+    for index in maxima[np.argsort(-amplitudes[maxima])][:_MOST_PEAKS].tolist():
         below, here, above = np.log(np.maximum(amplitudes[index - 1 : index + 2], 1e-300))
         bend = below - 2.0 * here + above  # 0 on a plateau
         shift = 0.5 * (below - above) / bend if bend < 0 else 0.0
-        frequency = float(frequencies[index] + shift * (frequencies[1] - frequencies[0]))
-        highest.append((frequency, float(amplitudes[index])))
+        highest.append((float(frequencies[index] + shift * frequencies[1]), float(amplitudes[index])))
     return highest
 
 
-def separate_peaks(places: Num[np.ndarray, " n"], heights: Float[np.ndarray, " n"], width: float) -> list[int]:
-    """Return the indices of the peaks, highest first, without peaks within `width` of a higher peak."""
-    chosen: list[int] = []
-    for index in np.argsort(-heights, kind="stable").tolist():
-        if all(abs(places[index] - places[other]) > width for other in chosen):
-            chosen.append(index)
-    return chosen
+def _hole_plot(hole: Run, start: float, end: float, group: str) -> Plot:
+    """Draw the bit's displacement x3 and the hole's depth x4 from `start` to `end` [s], on half of the width."""
+    late = hole.between(start, end)
+    factor, unit = _unit("m", hole["x3"][late], hole["x4"][late])
+    # The wider line of the hole is drawn first, so that both are visible where the bit presses on the hole's bottom.
+    layers = [
+        trace(hole.time[late], factor * hole["x4"][late], 0.5, colour=ROCK, width=2.4, label="hole x₄"),
+        trace(hole.time[late], factor * hole["x3"][late], 0.5, colour=BIT, width=0.9, label="bit x₃"),
+    ]
+    return Plot(layers, _time(start, end, group), Axis(f"depth\n[{unit}]"))
+
+
+def _force_plot(
+    run: Run, late: slice, names: Sequence[str], across: Axis, threshold: float | None = None, share: float = 1.0
+) -> Plot:
+    """Draw the forces `names` that the run has over the samples `late`, and the rock's threshold [N]."""
+    forces = {name: run[name] for name in names if name in run.series}
+    factor, unit = _unit("N", *forces.values())
+    layers: list[Layer] = []
+    if threshold is not None:
+        text = f"threshold D = {number(factor * threshold)} {unit}"
+        layers.append(level(factor * threshold, colour=ROCK, width=1.0, dash=DASHED, label=text))
+    for name, force in forces.items():
+        colour, width, label = _FORCES[name]
+        layers.append(trace(run.time[late], factor * force[late], share, colour=colour, width=width, label=label))
+    return Plot(layers, across, Axis(f"force\n[{unit}]"))
+
+
+def _growth_text(hole: Run) -> str:
+    """Return the note on the hole's growth over the run."""
+    depth, duration = 1e3 * float(hole["x4"][-1] - hole["x4"][0]), float(np.ptp(hole.time))
+    if not depth > 0:
+        return "No penetration"
+    return f"The hole grows by {number(float(f'{depth:.3g}'))} mm in {number(duration)} s"
+
+
+# Bit, striker and rock.
+
+
+def trajectory(ds: xr.Dataset) -> Sheet:
+    """Draw the time history, phase portraits and spectrum of one run.
+
+    Displacements, velocities and forces are drawn over the last 1.5 s, below an overview of the whole run.
+    Sticking and impacts are marked. The transient is faint in the phase portraits of bit and striker. The amplitude
+    spectrum is computed from the run's second half. In scenes with rock, bit and hole are drawn over the same time, and
+    enlarged at the last impact.
+
+    **Raises:** `InputError` if the dataset holds no trajectory.
+    """
+    motion = read_run(ds, "x1", "v1", "x2", "v2")
+    hole = read_run(ds, "x3", "x4") if Contents(ds).hole else None
+    end, driven = float(motion.time[-1]), "v" in motion.parameters
+    start = max(end - _WINDOW, float(motion.time[0]))
+    rows: list[tuple[float, list[Plot]]] = []  # with their heights
+    if float(np.ptp(motion.time)) > _OVERVIEW_FROM * _WINDOW:
+        both = [trace(motion.time, 1e3 * motion[x], colour=c, width=0.4) for x, c in (("x1", BIT), ("x2", STRIKER))]
+        across = _time(motion.time[0], end, "")
+        rows.append((0.65, [Plot([*both, _span(start, end, 0.3)], across, Axis("whole run\n[mm]"), grid="")]))
+    displacements = _both(motion, start, 1e3 * motion["x1"], 1e3 * motion["x2"], named=True)
+    up = Axis("displacement\n[mm]")
+    rows.append((1.25, [Plot(displacements, _time(start, end), up, keys="above", key_columns=5)]))
+    speeds = [level(0.0, colour=FAINT, width=0.7), *_both(motion, start, motion["u"], motion["v2"])]
+    rows.append((1.25, [Plot(speeds, _time(start, end), Axis(f"{'u' if driven else 'x₁′'} and x₂′\n[m/s]"))]))
+    forces = [name for name in ("impact_force", "friction_force") if name in motion.series]
+    if forces:
+        plot = _force_plot(motion, motion.since(start), forces, _time(start, end))
+        rows.append((0.9, [replace(plot, keys="above right", key_columns=2)]))
+    if hole:
+        depths = replace(_hole_plot(hole, start, end, "hole"), keys="above left", key_columns=2)
+        near, row = _last_impact(hole, motion.impacts[(motion.impacts >= start) & (motion.impacts < end)]), [depths]
+        if near:
+            enlarged = _hole_plot(hole, *near, "impact")
+            across, layers = replace(enlarged.x, intervals=4), _unlabelled(enlarged)
+            row = [replace(depths, layers=[_span(*near, 0.4), *depths.layers])]
+            row.append(replace(enlarged, layers=layers, x=across, remark="enlarged: the shaded impact"))
+        rows.append((1.3, row))
+    speed = "sliding speed u = x₁′ + v [m/s]" if driven else "velocity x₁′ [m/s]"
+    of_bit = _portrait(motion, "x1", motion["u"], start, speed)
+    rows.append((2.7, [of_bit, _portrait(motion, "x2", motion["v2"], start, "velocity x₂′ [m/s]"), _spectrum(motion)]))
+    heights, plots = [height for height, _ in rows], []
+    for k, (_, row) in enumerate(rows):
+        wide = _COLUMNS // len(row)
+        plots += [replace(plot, place=(k, i * wide, 1, wide)) for i, plot in enumerate(row)]
+    about = margins(ds, _growth_text(hole) if hole else "", _band_text(plots))
+    return Sheet(plots, (_WIDTH, sum(heights) + 0.33 * len(heights) + 1.2), (1.0,) * _COLUMNS, heights, **about)
+
+
+def _last_impact(hole: Run, impacts: Times) -> tuple[float, float] | None:
+    """Return the time interval [s] around the last impact after which the bit comes to rest, or None."""
+    for begins in impacts[::-1].tolist():
+        after = hole.between(begins, min(begins + _IMPACT_WINDOW, float(hole.time[-1])))
+        speed = np.abs(hole["v3"][after])
+        moving = np.flatnonzero(speed > _REST_SPEED * speed.max(initial=0.0))
+        if moving.size and moving[-1] < speed.size - 1:
+            rest = float(hole.time[after][moving[-1]])
+            return begins - _IMPACT_LEAD * (rest - begins), rest + 2 * _IMPACT_LEAD * (rest - begins)
+    return None
+
+
+# The bit on rock under an applied force.
+
+
+def pulses(ds: xr.Dataset) -> Sheet:
+    """Draw bit and hole above the forces on the bit: the whole run at the left, its last two blows at the right.
+
+    **Raises:** `InputError` if the dataset holds no trajectory of bit and hole.
+    """
+    hole = read_run(ds, "x3", "x4")
+    end, late = float(hole.time[-1]), _last_blows(hole)
+    names = [name for name in ("applied_force", "rock_force") if name in hole.series]
+    plots = []
+    for column, start in enumerate((float(hole.time[0]), late)):
+        shown = [_hole_plot(hole, start, end, f"time{column}")]
+        if names:
+            threshold, across = hole.parameters.get("threshold"), _time(start, end, f"time{column}")
+            shown.append(_force_plot(hole, hole.between(start, end), names, across, threshold, 0.5))
+        for row, plot in enumerate(shown):
+            if column:
+                remark = "" if row else "enlarged: the shaded end of the run"
+                plot = replace(plot, layers=_unlabelled(plot), remark=remark)
+            else:
+                plot = replace(plot, layers=[_span(late, end, 0.25), *plot.layers], keys="above left", key_columns=3)
+            plots.append(replace(plot, place=(row, column)))
+    plots.sort(key=lambda plot: plot.place)
+    about = margins(ds, _growth_text(hole), _band_text(plots))
+    return Sheet(plots, (_WIDTH, 5.4 if names else 3.4), (1.25, 1.0), (1.3, 1.0)[: len(shown)], **about)
+
+
+def _last_blows(hole: Run) -> float:
+    """Return a time [s] shortly before the last two blows, or, with too few blows, before the last fifth of the run.
+
+    A blow begins where the applied, or else the rock's, force rises through the middle of its range.
+    """
+    force = hole.series.get("applied_force", hole.series.get("rock_force", np.zeros(hole.time.size)))
+    above = force > (force.max() + force.min()) / 2
+    begun = hole.time[1:][above[1:] & ~above[:-1]]
+    if begun.size <= _ENLARGED_BLOWS + 1:
+        return float(hole.time[-1] - 0.2 * np.ptp(hole.time))
+    between = float(np.median(np.diff(begun)))
+    begun = begun[begun < hole.time[-1] - 0.5 * between]  # a blow cut short by the end of the run does not count
+    return float(begun[-_ENLARGED_BLOWS] - _BLOW_LEAD * between)
+
+
+def response(ds: xr.Dataset) -> Sheet:
+    """Draw the amplitudes of the bit and the hole's depth against the frequency of a swept sine.
+
+    There is one point per complete cycle of the force. Frequencies at which the rock slips are shaded (source, Figs 6.4
+    to 6.7).
+
+    **Raises:** `InputError` if the dataset holds no trajectory under a swept sine, or too few cycles.
+    """
+    hole = read_run(ds, "x3", "x4")
+    if not Contents(ds).swept_sine:
+        raise InputError("no response to draw: the force is not a swept sine (pulse_shape, sweep_rate)")
+    start, rate = hole.parameters.get("sweep_start", 0.0), hole.parameters["sweep_rate"]
+    phase = np.abs(start * hole.time + rate * hole.time**2 / 2)
+    turn = np.concatenate([[0], 1 + np.flatnonzero(np.diff(np.floor(phase)) != 0)])
+    if turn.size <= _FEWEST_CYCLES:
+        raise InputError(f"no response to draw: {max(turn.size - 1, 0)} whole cycles; simulate longer")
+
+    def half_swing(values: Samples) -> Float[np.ndarray, " cycles"]:
+        whole = values[: turn[-1]]
+        return (np.maximum.reduceat(whole, turn[:-1]) - np.minimum.reduceat(whole, turn[:-1])) / 2
+
+    frequency = np.abs(start + rate * (hole.time[turn[:-1]] + hole.time[turn[1:]]) / 2)
+    depth = hole["x4"][turn]
+    # Frequency ranges in which the rock slips in every cycle; they end halfway between cycles.
+    slips = np.diff(depth) > _LEAST_SLIP
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], slips, [False]]).astype(int)))
+    ends = np.concatenate([frequency[:1], (frequency[1:] + frequency[:-1]) / 2, frequency[-1:]])
+    quantities = (
+        (half_swing(hole["x3"] - hole["x4"]), "m", BIT, 1.1, "amplitude of\nx₃ − x₄"),
+        (half_swing(hole["v3"]), "m s-1", INK, 1.1, "amplitude of\nx₃′"),
+        (depth[1:], "m", ROCK, 2.0, "depth of the hole\nx₄"),
+    )
+    marker = "o" if frequency.size < _MANY_CYCLES else ""
+    across = Axis("frequency of the force [Hz]", limits=(frequency.min(), frequency.max()), group="frequency")
+    plots = []
+    for row, (values, quantity, colour, width, label) in enumerate(quantities):
+        factor, unit = _unit(quantity, values)
+        name = "" if row else "the rock slips"
+        spans = [_span(ends[begin], ends[stop], 0.25, name) for begin, stop in changes.reshape(-1, 2)]
+        line = Line(frequency, factor * values, colour, width, marker=marker, size=2.0, clip=False)
+        up, keys = Axis(f"{label} [{unit}]", limits=(0.0, None)), "" if row else "above right"
+        plots.append(Plot([*spans, line], across, up, place=(row, 0), keys=keys))
+    return Sheet(plots, (7.6, 6.2), heights=(1.0,) * 3, **margins(ds, _growth_text(hole)))
+
+
+# Systems, and chosen variables.
+
+
+def states_over_time(ds: xr.Dataset) -> Sheet:
+    """Draw the states over the last ten periods of a motion, and a phase portrait of its first two states.
+
+    The transient is faint in the portrait. Dots are impacts.
+
+    **Raises:** `InputError` if the dataset holds no state.
+    """
+    along = [str(name) for name, data in ds.data_vars.items() if data.dims == (TIME,) and data.dtype.kind == "f"]
+    names = [name for name in along if not name.endswith("_force")][:_MOST_STATES]
+    if not names:
+        raise InputError("no trajectory to draw: the dataset has no state along time")
+    motion, end = read_run(ds, *names), float(ds[TIME].values[-1])
+    period = float(ds["period"]) if "period" in ds and ds["period"].ndim == 0 else np.nan
+    length, part = (10 * period, "the last ten periods") if np.isfinite(period) else (end / 10, "the last tenth")
+    start, part = (end - length, part) if length < end else (0.0, "the whole motion")
+    late, impacts = motion.since(start), motion.impacts[motion.impacts >= start]
+    plots = []
+    for row, name in enumerate(names):
+        layers: list[Layer] = [trace(motion.time[late], motion[name][late], 2 / 3, colour=BIT, width=0.9)]
+        # Only the first state is continuous in an impact; elsewhere a dot would lie within the jump.
+        if not row:
+            layers.append(dots(impacts, np.interp(impacts, motion.time, motion[name]), **_DOTS | {"size": 3.0}))
+        plots.append(Plot(layers, _time(start, end), axis(ds[name]), place=(row, 0, 1, 2), grid=""))
+    portrait = len(names) > 1
+    if portrait:
+        x, y = (motion[name] for name in names[:2])
+        lines = [Line(x, y, FAINT, 0.5), Line(x[late], y[late], BIT, 1.0)]
+        across, up = (axis(ds[name]) for name in names[:2])
+        plots.append(Plot(lines, across, up, place=(0, 2, len(names), 1), grid=""))
+    about = f"Drawn: {part}" + (", grey: the whole motion" if portrait and start > 0 else "")
+    size = _WIDTH, max(1.5 * len(names) + 1.0, 3.6)
+    notes = margins(ds, about, "Dots: impacts" if impacts.size else "", _band_text(plots))
+    return Sheet(plots, size, (1.0,) * (2 + portrait), (1.0,) * len(names), **notes)
+
+
+def histories(ds: xr.Dataset, names: Sequence[str]) -> Sheet:
+    """Draw chosen variables of a run over the whole time."""
+    time = ds[TIME].values.astype(float)
+    across = axis(ds[TIME], limits=(time[0], time[-1]), group="time")
+    plots = []
+    for row, value in enumerate(value_of(ds[name]) for name in names):
+        line = trace(time, value.of(ds).values.astype(float), colour=BIT, width=1.0)
+        up = value_axis(value, value.label.replace(" [", "\n["))
+        plots.append(Plot([line], across, up, place=(row, 0)))
+    size = _WIDTH, 1.5 * len(names) + 0.9
+    return Sheet(plots, size, heights=(1.0,) * len(names), **margins(ds, _band_text(plots)))

@@ -13,13 +13,11 @@ from vibrojax.pictures.axes import edges, number, scale, short, values_along
 from vibrojax.pictures.branches import (
     FAMILY,
     MARKS,
-    Curve,
     along_name,
     branches,
-    distinguishing_coords,
     family_layers,
+    family_numbers,
     kind_names,
-    numbers_of,
     ranges_text,
     special_keys,
     stability_keys,
@@ -28,14 +26,29 @@ from vibrojax.pictures.contents import IMPACTS_OF_RETURNS, START, is_numeric
 from vibrojax.pictures.plots import FAINT, INK, Layer, Line, Look, dots
 from vibrojax.pictures.style import DASHED
 
-OF_RETURNS = "impact_velocity"
-"""Variable of a family that is drawn over a sweep's section crossings."""
-
 SAME_DIGITS = 1e-4
 """Relative difference up to which two values count as equal: about as many digits as a picture prints."""
 
 ON_MAPS = ("borders", "curves")
 """Kinds of datasets that are drawn over a map of regimes."""
+
+ANY = "any"
+
+# Distinguishable in greyscale and for colour-blind readers. Special points of families have the same or similar
+# colours.
+LINES: dict[str, Look] = {
+    "fold": {"colour": "#222222", "dash": "-"},
+    "period-doubling": {"colour": "#D55E00", "dash": "-"},
+    "torus": {"colour": "#B5468B", "dash": (0.0, (7.0, 1.5))},
+    "grazing": {"colour": "#009E73", "dash": (0.0, (5.0, 1.2, 1.2, 1.2))},
+    "stick": {"colour": "#E69F00", "dash": "-"},
+    "section": {"colour": "#0072B2", "dash": (0.0, (1.2, 1.2))},
+    "hopf": {"colour": "#882255", "dash": (0.0, (9.0, 1.5, 1.2, 1.5))},
+    "end": {"colour": INK, "dash": ":"},
+    "basin": {"colour": "#6E6E6E", "dash": DASHED},
+    "not-settled": {"colour": FAINT, "dash": (0.0, (1.2, 1.6))},
+}
+_CODIM2 = "osD^v<>phP*X"  # one marker per name of points of codimension two, in the order of their first occurrence
 
 Overlays = xr.Dataset | Sequence[xr.Dataset] | None
 
@@ -56,7 +69,7 @@ def refuse_overlays(layers: Sequence[xr.Dataset], reason: str) -> NoReturn:
     raise InputError(f"over: {places}, and {reason}")
 
 
-def check_machine(ds: xr.Dataset, over: xr.Dataset, layer: str, below: str, advice: str) -> None:
+def _check_machine(ds: xr.Dataset, over: xr.Dataset, layer: str, below: str, advice: str) -> None:
     """Raise `InputError` unless the overlay `over` has the scene and the friction law of `ds`."""
     for name in ("scene", "friction"):
         if ds.attrs.get(name) != over.attrs.get(name):
@@ -66,56 +79,64 @@ def check_machine(ds: xr.Dataset, over: xr.Dataset, layer: str, below: str, advi
             )
 
 
+def _parameter_values(ds: xr.Dataset) -> dict[str, np.ndarray]:
+    """Return the values of all parameters of a dataset, fixed and varied, by name."""
+    along = {str(name): np.atleast_1d(data.values) for name, data in ds.coords.items() if is_numeric(data)}
+    return {name: np.array([value]) for name, value in parameters_of(ds).items()} | along
+
+
+def _occurring(over: xr.Dataset, lanes: xr.Dataset, size: int, axes: Sequence[str]) -> np.ndarray:
+    """Return a mask of the `size` curves or families of `over` whose parameters, except `axes`, some `lanes` have."""
+    mask, known = np.ones(size, bool), _parameter_values(lanes)
+    for name, values in _parameter_values(over).items():
+        if name in known and name not in axes and len(values) in (1, size):
+            mask &= np.isclose(values[:, None], known[name], rtol=SAME_DIGITS, atol=0.0).any(axis=1)
+    return mask
+
+
+# Families over section crossings.
+
+
 def check_families(ds: xr.Dataset, layers: Sequence[xr.Dataset], x: str) -> None:
     """Raise `InputError` unless all `layers` are families along the axis `x` with the scene and parameters of `ds`."""
-    values = _parameter_values(ds)
     for over in layers:
         if not isinstance(over, xr.Dataset) or kind_of(over) != "family":
             raise InputError("over: no families of orbits; give what vj.follow or vibrojax follow has made")
         along = along_name(over)
         if along != x:
             raise InputError(f"over: the families are along {along}, and the returns over {x}; follow along {x}")
-        check_machine(ds, over, "families", "returns", "follow those of")
-        for name, value in parameters_of(over).items():
-            if name != x and name in values and not _is_near(values[name], value).any():
-                raise InputError(
-                    f"over: the families are of {name} = {number(value)}, the returns of "
-                    f"{', '.join(map(number, values[name][:5]))}; follow families of the same value"
-                )
-        for name in _numeric_coords(over):
-            if name in values and not any(_is_near(values[name], value).any() for value in over[name].values):
-                raise InputError(f"over: none of the families has the {name} of the returns; follow one of that value")
+        _check_machine(ds, over, "families", "returns", "follow those of")
+        known = _parameter_values(ds)
+        for name, values in _parameter_values(over).items():
+            if name in known and name != x and not np.isclose(values[:, None], known[name], rtol=SAME_DIGITS).any():
+                given, wanted = (", ".join(map(number, part[:5])) for part in (values, known[name]))
+                advice = "follow families of the same value"
+                raise InputError(f"over: the families are of {name} = {given}, the returns of {wanted}; {advice}")
+
+
+def variable_over(returns: str) -> str:
+    """Return the variable of families that lies over the section crossings of the variable `returns`."""
+    return "impact_velocity" if returns == IMPACTS_OF_RETURNS else returns.replace("return_", "orbit_", 1)
 
 
 def over_layers(layers: Sequence[xr.Dataset], facet: xr.Dataset, x: str, name: str, factor: float) -> list[Layer]:
     """Return the lines of `name` of those families that have the parameters of `facet`, within its range of `x`."""
-    values = _parameter_values(facet)
     ends = edges(np.sort(values_along(facet[x])))
-    shown: list[Layer] = []
+    within, shown = (float(ends[0]), float(ends[-1])), []
     for over in layers:
-        if name not in over:
-            continue
-        fixed, coords = parameters_of(over), _numeric_coords(over)
-        numbers = over[FAMILY].values if FAMILY in over.dims else np.unique(numbers_of(over, "point"))
-        fitting = []
-        for position, family in enumerate(numbers.tolist()):
-            parameters = fixed | {coord: float(over[coord].values[position]) for coord in coords}
-            known = {key: value for key, value in parameters.items() if key != x and key in values}
-            if all(_is_near(values[key], value).any() for key, value in known.items()):
-                fitting.append(family)
-        curves = [Curve(branch, INK) for branch in branches(over) if branch.family in fitting]
-        within = float(ends[0]), float(ends[-1])
-        shown += family_layers(over, curves, name, thin=True, factor=factor, within=within)
+        if name in over:
+            numbers = family_numbers(over)
+            fitting = numbers[_occurring(over, facet, len(numbers), (x, FAMILY))]
+            lines = [branch for branch in branches(over) if branch.family in fitting]
+            shown += family_layers(over, lines, name, thin=True, factor=factor, within=within)
     return shown
 
 
 def over_keys(layers: Sequence[xr.Dataset]) -> list[Layer]:
     """Return the legend entries for families, without duplicates."""
-    keys: dict[str, Layer] = {}
+    keys: dict[str, Line] = {}
     for over in layers:
-        curves = [Curve(branch, INK) for branch in branches(over)]
-        entries = [*stability_keys(over, curves, " orbit"), *special_keys(over, count=False)]
-        keys |= {each.label: each for each in entries}
+        keys |= {each.label: each for each in (*stability_keys(over, " orbit"), *special_keys(over, count=False))}
     return [*(keys[name] for name in keys if name not in MARKS), *(keys[name] for name in MARKS if name in keys)]
 
 
@@ -134,50 +155,11 @@ def over_text(ds: xr.Dataset, layers: Sequence[xr.Dataset], shown: str) -> str:
         return "Lines: orbits that were followed" + ", each at one of its returns" * longer
     several = "return_impacts" in ds and bool((ds["return_impacts"].values > 1).any())
     mean = "A dot is the mean of the blows since the return before" if several else ""
-    ranges = {ranges_text(over, (OF_RETURNS,)) for over in layers}
+    ranges = {ranges_text(over, (variable_over(shown),)) for over in layers}
     return ". ".join(filter(None, ("Lines: orbits that were followed", *sorted(ranges), mean)))
 
 
-def _numeric_coords(over: xr.Dataset) -> list[str]:
-    """Return the names of the numeric coordinates that distinguish several families."""
-    return [name for name in distinguishing_coords(over) if is_numeric(over[name])]
-
-
-def _parameter_values(ds: xr.Dataset) -> dict[str, np.ndarray]:
-    """Return the values of all parameters of a sweep, fixed and varied, by name."""
-    along = {str(name): np.atleast_1d(data.values) for name, data in ds.coords.items() if is_numeric(data)}
-    return {name: np.array([value]) for name, value in parameters_of(ds).items()} | along
-
-
-def _is_near(values: np.ndarray, value: float) -> np.ndarray:
-    return np.abs(values - value) <= SAME_DIGITS * np.abs(value)
-
-
-ANY = "any"
-
-# Distinguishable in greyscale and for colour-blind readers. Special points of families have the same or similar
-# colours.
-LINES: dict[str, Look] = {
-    "fold": {"colour": "#222222", "dash": "-"},
-    "period-doubling": {"colour": "#D55E00", "dash": "-"},
-    "torus": {"colour": "#B5468B", "dash": (0.0, (7.0, 1.5))},
-    "grazing": {"colour": "#009E73", "dash": (0.0, (5.0, 1.2, 1.2, 1.2))},
-    "stick": {"colour": "#E69F00", "dash": "-"},
-    "section": {"colour": "#0072B2", "dash": (0.0, (1.2, 1.2))},
-    "hopf": {"colour": "#882255", "dash": (0.0, (9.0, 1.5, 1.2, 1.5))},
-    "end": {"colour": INK, "dash": ":"},
-    "basin": {"colour": "#6E6E6E", "dash": DASHED},
-    "not-settled": {"colour": FAINT, "dash": (0.0, (1.2, 1.6))},
-}
-
-
-def over_map_text(over: xr.Dataset, drawn: bool) -> str:
-    """Return the note on the borders or curves over a map; `drawn`: whether any lies in the map."""
-    if kind_of(over) == "curves":
-        return "Lines: special points of orbits, stable or not" if drawn else "No curve is of the map's parameters"
-    if drawn:
-        return "Lines: where stable single impacts end, whichever start leads to them"
-    return "No border of stable single impacts lies in these maps"
+# Borders and curves over maps.
 
 
 def axes_of(ds: xr.Dataset) -> tuple[str, str]:
@@ -190,6 +172,27 @@ def beyond(ds: xr.Dataset) -> list[str]:
     """Return the further parameters: constant within a plane of the two axes, different between planes."""
     names = (str(name) for name, data in ds.coords.items() if data.dims == ("curve",))
     return [name for name in names if name not in (START, "curve")]
+
+
+def check_borders(ds: xr.Dataset, over: xr.Dataset, x: str, y: str) -> None:
+    """Raise `InputError` unless the borders or curves `over` have the map's axes, and scene and friction of `ds`."""
+    name = "curves" if kind_of(over) == "curves" else "borders"
+    if set(axes_of(over)) != {x, y}:
+        raise InputError(f"over: the {name} are over {' and '.join(axes_of(over))}, the map over {x} and {y}")
+    _check_machine(ds, over, name, "map", "find those of")
+
+
+def over_panel(over: xr.Dataset, facet: xr.Dataset, x: str, y: str) -> list[Layer]:
+    """Return the borders that hold for any initial condition, or the curves, over a map panel."""
+    mask = curves_on_map(over, facet, x, y)
+    if kind_of(over) != "curves" and START in over.coords:
+        mask &= over[START].values == ANY
+    return curve_layers(over, mask, x, y)
+
+
+def curves_on_map(over: xr.Dataset, lanes: xr.Dataset, x: str, y: str) -> np.ndarray:
+    """Return a mask of the curves `over` with the parameters of some `lanes`, except for the axes x and y."""
+    return _occurring(over, lanes, over.sizes["curve"], (x, y, "curve"))
 
 
 def border_layers(ds: xr.Dataset, plane: dict[str, float], start: str, x: str, y: str) -> list[Layer]:
@@ -212,36 +215,6 @@ def curve_layers(ds: xr.Dataset, mask: np.ndarray, x: str, y: str) -> list[Layer
     return layers
 
 
-def check_borders(ds: xr.Dataset, over: xr.Dataset, x: str, y: str) -> None:
-    """Raise `InputError` unless the borders or curves `over` have the map's axes, and scene and friction of `ds`."""
-    name = "curves" if kind_of(over) == "curves" else "borders"
-    if set(axes_of(over)) != {x, y}:
-        raise InputError(f"over: the {name} are over {' and '.join(axes_of(over))}, the map over {x} and {y}")
-    check_machine(ds, over, name, "map", "find those of")
-
-
-def over_panel(over: xr.Dataset, facet: xr.Dataset, x: str, y: str) -> list[Layer]:
-    """Return the borders that hold for any initial condition, or the curves, over a map panel."""
-    plane = {name: float(facet[name]) for name in beyond(over) if name in facet.coords and facet[name].ndim == 0}
-    if kind_of(over) != "curves":
-        return border_layers(over, plane, ANY, x, y)
-    return curve_layers(over, curves_on_map(over, facet, x, y), x, y)
-
-
-def curves_on_map(over: xr.Dataset, lanes: xr.Dataset, x: str, y: str) -> np.ndarray:
-    """Return a mask of the curves `over` with the parameters of some `lanes`, except for the axes x and y."""
-    mask = np.ones(over.sizes["curve"], bool)
-    for name, values in _parameter_values(lanes).items():
-        if name in beyond(over):
-            mask &= np.array([_is_near(values, value).any() for value in over[name].values])
-        elif name in parameters_of(over) and name not in (x, y):
-            mask &= bool(_is_near(values, parameters_of(over)[name]).any())
-    return mask
-
-
-_CODIM2 = "osD^v<>phP*X"  # one marker per name of points of codimension two, in the order of their first occurrence
-
-
 def codim2_layers(layers: Sequence[xr.Dataset], x: str, y: str) -> list[Layer]:
     """Return marks of the points of codimension two of curves, labelled by their kinds."""
     if not layers:
@@ -254,3 +227,12 @@ def codim2_layers(layers: Sequence[xr.Dataset], x: str, y: str) -> list[Layer]:
         look: Look = {"marker": _CODIM2[k % len(_CODIM2)], "size": 5.0, "face": "white", "order": 4.0}
         marks.append(dots(*places, label=short(kind), **look))
     return marks
+
+
+def over_map_text(over: xr.Dataset, drawn: bool) -> str:
+    """Return the note on the borders or curves over a map; `drawn`: whether any lies in the map."""
+    if kind_of(over) == "curves":
+        return "Lines: special points of orbits, stable or not" if drawn else "No curve is of the map's parameters"
+    if drawn:
+        return "Lines: where stable single impacts end, whichever start leads to them"
+    return "No border of stable single impacts lies in these maps"

@@ -197,6 +197,7 @@ class Plot:
     - `at`: values of the axes of a map that the plot shows.
     - `name`: words for a plot without a title; `remark`: small text at the right above the plot.
     - `keys`: place of the legend of its labels; "" if they belong to the legend of the sheet.
+    - `scale`: quantity whose colour bar is below the plot; plots of the same quantity share one bar.
     """
 
     layers: Sequence[Layer]
@@ -212,25 +213,16 @@ class Plot:
     keys: str = ""
     key_columns: int = 1
     title_colour: str = ""
-
-
-@dataclass(frozen=True)
-class Scale:
-    """A colour bar at a place of the sheet."""
-
-    place: tuple[int, ...]
-    value: Any
-    upright: bool = False
+    scale: Any = None
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """A picture: its plots with ratios of their `widths` and `heights`, legend, colour bars, title and note.
+    """A picture: its plots with ratios of their `widths` and `heights`, legend, title and note.
 
     - `size`: width and height [inch], without the further lines of title and note.
-    - `keys`: groups of legend entries, after those of the layers with labels.
-    - `legend`: place of the legend, at the right of all plots if empty.
-    - `above`, `beside`: a further sheet above the plots, or at their right, within the size of this one.
+    - `keys`: groups of legend entries, before those of the layers with labels.
+    - `above`: a further sheet above the plots, within the size of this one.
     """
 
     plots: Sequence[Plot]
@@ -238,13 +230,9 @@ class Sheet:
     widths: Sequence[float] = (1.0,)
     heights: Sequence[float] = (1.0,)
     keys: Sequence[Sequence[Layer]] = ()
-    legend: tuple[int, ...] = ()
-    legend_columns: int = 1
-    scales: Sequence[Scale] = ()
     title: str = ""
     note: str = ""
     above: "Sheet | None" = None
-    beside: "Sheet | None" = None
 
 
 Picture = Sheet | Sequence[Plot]
@@ -262,22 +250,14 @@ def as_sheet(plots: Picture) -> Sheet:
 
 def plots_of(sheet: Sheet) -> list[Plot]:
     """Return all plots of a sheet, those above first."""
-    parts = [part for part in (sheet.above, sheet, sheet.beside) if part is not None]
-    return [plot for part in parts for plot in resolved(part.plots)]
+    return [plot for part in (sheet.above, sheet) if part is not None for plot in resolved(part.plots)]
 
 
 def legend_of(sheet: Sheet) -> list[list[Layer]]:
-    """Return the groups of legend entries: layers with labels, each text once, and the keys of the sheet.
-
-    A legend at its own place has a single group, which the keys begin. The labels of a sheet above without keys belong
-    to this legend, too.
-    """
-    above = sheet.above.plots if sheet.above is not None and not sheet.above.keys else ()
-    plots = [plot for plot in (*above, *sheet.plots) if not plot.keys]
+    """Return the groups of legend entries: the keys of the sheet, and layers with labels, each text once."""
+    plots = [plot for part in (sheet.above, sheet) if part is not None for plot in part.plots if not plot.keys]
     labelled: list[Layer] = [*{x.label: x for plot in plots for x in labelled_layers(plot)}.values()]
-    groups = [labelled, *map(list, sheet.keys)]
-    groups = [[layer for group in (*groups[1:], labelled) for layer in group]] if sheet.legend else groups
-    return [group for group in groups if group]
+    return [group for group in (*map(list, sheet.keys), labelled) if group]
 
 
 def labelled_layers(plot: Plot) -> list[Labelled]:

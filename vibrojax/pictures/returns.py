@@ -12,43 +12,21 @@ from jaxtyping import Float, Int
 from vibrojax.errors import InputError, shown
 from vibrojax.io.attributes import run_of
 from vibrojax.measures.labels import COMPARED, FAILED, SAME_WITHIN, UNDECIDED
+from vibrojax.pictures import contents, overlays
 from vibrojax.pictures.axes import number, pretty_unit, scale, values_along, with_unit
-from vibrojax.pictures.colours import Value, regime_cells, values_beside
-from vibrojax.pictures.contents import (
-    DIRECTION,
-    IMPACTS_OF_RETURNS,
-    REGIME,
-    RETURN,
-    START,
-    many_starts,
-    regimes_in,
-    returns_in,
-    swept,
-    without_single,
-)
+from vibrojax.pictures.colours import Value, regime_cells, regimes_in, values_beside
+from vibrojax.pictures.contents import DIRECTION, IMPACTS_OF_RETURNS, REGIME, RETURN, START
 from vibrojax.pictures.lines import Lanes, dot_size, lane_dots, stacks, starts_of, value_plots
-from vibrojax.pictures.overlays import (
-    OF_RETURNS,
-    Overlays,
-    as_layers,
-    check_families,
-    over_keys,
-    over_layers,
-    over_text,
-    special_points,
-)
-from vibrojax.pictures.plots import Axis, Layer, Plot, Points, Sheet, dots, key, upright
+from vibrojax.pictures.overlays import Overlays
+from vibrojax.pictures.plots import Axis, Layer, Look, Plot, Points, Sheet, dots, key, upright
 from vibrojax.pictures.style import nested_line
 
 Places = Int[np.ndarray, " _"]
 
 _MARKERS = {"up": ">", "down": "<"}
-# Height of a diagram [inches] for one facet and for several, by the number of diagrams.
-_HEIGHTS = {1: (3.6, 2.6), 2: (2.4, 2.0), 3: (1.9, 1.6)}
-_LOWEST = 1.5, 1.3
 _OTHERS = "#CFCFCF"
 _HALO = 1.75  # diameter of the dots of other starts over that of a start's own: a rim shows where they coincide
-_LETTERS_PER_INCH = 13
+_LETTERS = 26  # that fit along the label of a diagram
 
 
 def bifurcation(ds: xr.Dataset, over: Overlays = None, variable: str | None = None) -> Sheet:
@@ -66,20 +44,22 @@ def bifurcation(ds: xr.Dataset, over: Overlays = None, variable: str | None = No
 
     **Raises:** `InputError` if no crossings are stored, nothing is swept, or `over` does not match the dataset.
     """
-    if returns_in(ds) is None or REGIME not in ds:
+    if contents.returns_in(ds) is None or REGIME not in ds:
         raise InputError("no returns to draw: the dataset holds none; run the sweep with keep_returns above 0")
-    ds = without_single(ds)
-    if not swept(ds):
+    ds = contents.without_single(ds)
+    if not contents.swept(ds):
         raise InputError("no bifurcation diagram: none of the grid's axes has more than one value")
-    x = max(swept(ds), key=lambda name: ds.sizes[name])
-    diagrams = 1 if many_starts(ds) else len(starts_of(ds))
-    layers = as_layers(over)
-    check_families(ds, layers, x)
+    x = max(contents.swept(ds), key=lambda name: ds.sizes[name])
+    diagrams = 1 if contents.many_starts(ds) else len(starts_of(ds))
+    layers = overlays.as_layers(over)
+    overlays.check_families(ds, layers, x)
     grey = [dots(label="all other starts", size=6.5, colour=_OTHERS)] if diagrams > 1 else []
-    shown = variable or str(returns_in(ds))
-    heights = _HEIGHTS.get(diagrams, _LOWEST)
-    draw = partial(_return_plots, shown=shown, x=x, layers=layers, height=heights[1])
-    return stacks(ds, x, diagrams, heights, draw, [*grey, *over_keys(layers)], over_text(ds, layers, shown))
+    shown = variable or str(contents.returns_in(ds))
+    heights = 1.0 + 2.6 / diagrams, 1.0 + 1.6 / diagrams  # [inch], for one facet and for several
+    draw = partial(_return_plots, shown=shown, x=x, layers=layers)
+    return stacks(
+        ds, x, diagrams, heights, draw, [*grey, *overlays.over_keys(layers)], overlays.over_text(ds, layers, shown)
+    )
 
 
 def _dots(lanes: xr.DataArray, factor: float, x: str, *dims: str) -> tuple[Lanes, Lanes]:
@@ -96,34 +76,26 @@ def returns_label(returns: xr.DataArray) -> str:
     return str(returns.attrs.get("long_name", returns.name)).removesuffix(" at the return") + " at each return"
 
 
-def _of_families(returns: str) -> str:
-    """Return the variable of families that lies over the section crossings of the variable `returns`."""
-    return OF_RETURNS if returns == IMPACTS_OF_RETURNS else returns.replace("return_", "orbit_", 1)
-
-
-def _return_plots(facet: xr.Dataset, shown: str, x: str, layers: Sequence[xr.Dataset], height: float) -> list[Plot]:
+def _return_plots(facet: xr.Dataset, shown: str, x: str, layers: Sequence[xr.Dataset]) -> list[Plot]:
     """Draw the section crossings of each initial condition over those of all others, then the families."""
     factor, unit = scale(facet[shown])
-    words = fill(with_unit(returns_label(facet[shown]), unit).replace(" [", "\u00a0["), int(_LETTERS_PER_INCH * height))
+    words = fill(with_unit(returns_label(facet[shown]), unit).replace(" [", "\u00a0["), _LETTERS)
     up = Axis(words.replace("\u00a0", " "), shown, group="returns", zero="zero everywhere")
-    families = over_layers(layers, facet, x, _of_families(shown), factor)
+    families = overlays.over_layers(layers, facet, x, overlays.variable_over(shown), factor)
     size = dot_size(facet.sizes[x])
-    if many_starts(facet):
+    if contents.many_starts(facet):
         regimes = np.repeat(regime_cells(facet[REGIME].transpose(x, START)).ravel(), facet.sizes[RETURN])
         crossings = lane_dots(*_dots(facet[shown], factor, x, START), regimes, size / np.sqrt(2))
         return [Plot([crossings, *families], y=up)]
-    clouds = []
-    for name, colour, lanes in starts_of(facet):
-        along, values = _dots(lanes[shown], factor, x)
-        known = np.isfinite(values)
-        clouds.append((name, colour, along[known], values[known]))
-    plots = []
-    for name, colour, along, values in clouds:
-        others = [cloud for cloud in clouds if cloud[0] != name]
-        grey: list[Layer] = [Points(*other[2:], _OTHERS, _HALO * size, clip=False) for other in others]
-        own = Points(along, values, colour, size, order=3.0, clip=False)
-        title = f"start: {name}" if name else ""
-        plots.append(Plot([*grey, own, *families], y=up, title=title))
+    clouds, plots = [(start, *_dots(start.lanes[shown], factor, x)) for start in starts_of(facet)], []
+    for start, along, values in clouds:
+        grey: list[Layer] = [
+            Points(x_other, y_other, _OTHERS, _HALO * size, clip=False)
+            for other, x_other, y_other in clouds
+            if other is not start
+        ]
+        own = Points(along, values, start.colour, size, order=3.0, clip=False)
+        plots.append(Plot([*grey, own, *families], y=up, title=f"start: {start.name}" if start.name else ""))
     return plots
 
 
@@ -143,26 +115,28 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = Non
     if along not in ds.dims:
         raise InputError(f"attribute run: carry: {shown(along)} is not an axis of the carried lanes")
     ds = regimes_in(ds.rename({DIRECTION: START}))
-    at_returns = variable or returns_in(ds)
+    at_returns = variable or contents.returns_in(ds)
     values = () if at_returns is not None else values_beside(ds)
-    layers = as_layers(over)
-    check_families(ds, layers, along)
+    layers = overlays.as_layers(over)
+    overlays.check_families(ds, layers, along)
+    others = [name for name in ds[REGIME].dims if name not in (START, along)]
+    lines = [ds.isel(dict(zip(others, at, strict=True))) for at in np.ndindex(*(ds.sizes[name] for name in others))]
     keys: list[Layer] = []
+    marks: list[Layer] = []
     for k, way in enumerate(starts_of(ds)):
         look = nested_line(k, 2) if values else {"dash": "", "size": 3.5 if k else 6.0}
         keys.append(key(way.name, colour=way.colour, marker="o", **look))
-    others = [name for name in ds[REGIME].dims if name not in (START, along)]
-    lines = [ds.isel(dict(zip(others, at, strict=True))) for at in np.ndindex(*(ds.sizes[name] for name in others))]
-    for k, way in enumerate(starts_of(ds)):
         if any(jumps(line, along)[k].size for line in lines):
-            mark = {"marker": _MARKERS.get(way.name, "o"), "size": 6.0, "dash": "--", "width": 1.0}
-            keys.append(key(f"jump on the way {way.name}", colour=way.colour, **mark))
+            mark: Look = {"marker": _MARKERS.get(way.name, "o"), "size": 6.0, "dash": "--", "width": 1.0}
+            marks.append(key(f"jump on the way {way.name}", colour=way.colour, **mark))
     about = "Each lane starts from where its neighbour ended; where the two ways differ, two motions coexist"
-    of_families = over_text(ds, layers, at_returns or IMPACTS_OF_RETURNS)
+    of_families = overlays.over_text(ds, layers, at_returns or IMPACTS_OF_RETURNS)
     note = ". ".join(filter(None, (about, of_families, _jumps_text(ds, along, layers))))
     height = 3.4 if len(values) < 2 else 1.9
     draw = partial(_way_plots, values=values, shown=str(at_returns), x=along, layers=layers)
-    return stacks(ds, along, max(len(values), 1), (height, height), draw, [*keys, *over_keys(layers)], note)
+    return stacks(
+        ds, along, max(len(values), 1), (height, height), draw, [*keys, *marks, *overlays.over_keys(layers)], note
+    )
 
 
 def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:
@@ -201,7 +175,7 @@ def _jumps_text(ds: xr.Dataset, along: str, layers: Sequence[xr.Dataset]) -> str
     """
     if not layers or set(ds[REGIME].dims) != {along, START}:
         return ""
-    special = [point for over in layers for point in special_points(over)]
+    special = [point for over in layers for point in overlays.special_points(over)]
     values, (factor, unit) = np.asarray(ds[along].values), scale(ds[along])
     texts = []
     for way, places in zip(starts_of(ds), jumps(ds, along), strict=True):
@@ -221,7 +195,7 @@ def _relative_difference(a: Float[np.ndarray, " lanes"], b: Float[np.ndarray, " 
 
 
 def _way_plots(
-    facet: xr.Dataset, values: tuple[Value, ...], shown: str, x: str, layers: Sequence[xr.Dataset]
+    facet: xr.Dataset, values: Sequence[Value], shown: str, x: str, layers: Sequence[xr.Dataset]
 ) -> list[Plot]:
     """Draw `values`, or `shown` at the section crossings of both directions in one panel, with families and jumps."""
     ways = starts_of(facet)
@@ -230,12 +204,11 @@ def _way_plots(
         factors = {value.name: value.factor for value in values}
     else:
         factor, unit = scale(facet[shown])
-        factors = {_of_families(shown): factor}
-        # Larger dots stay visible below smaller ones.
-        sizes = [dot_size(facet.sizes[x]) * (0.7 if position else 1.2) for position in range(len(ways))]
+        factors = {overlays.variable_over(shown): factor}
+        size = dot_size(facet.sizes[x])  # larger dots stay visible below smaller ones
         crossings = [
-            Points(*_dots(way.lanes[shown], factor, x), way.colour, size, clip=False)
-            for way, size in zip(ways, sizes, strict=True)
+            Points(*_dots(way.lanes[shown], factor, x), way.colour, size * (0.7 if k else 1.2), clip=False)
+            for k, way in enumerate(ways)
         ]
         plots = [Plot(crossings, y=Axis(with_unit(returns_label(facet[shown]), unit), shown, zero="zero everywhere"))]
     along = values_along(facet[x])
@@ -247,6 +220,6 @@ def _way_plots(
             mark = {"marker": _MARKERS.get(way.name, "o"), "size": 7.0, "colour": way.colour, "edge": "white"}
             arrows.append(dots([place], [np.inf], **mark))  # below the upper edge
     return [
-        replace(plot, layers=[*plot.layers, *over_layers(layers, facet, x, variable, factor), *arrows])
+        replace(plot, layers=[*plot.layers, *overlays.over_layers(layers, facet, x, variable, factor), *arrows])
         for plot, (variable, factor) in zip(plots, factors.items(), strict=True)
     ]

@@ -78,7 +78,6 @@ def _select_families(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
 
 def _find(data: xr.DataArray, value: Value) -> Int[np.ndarray, " indices"]:
     """Return the indices of a value; raise `InputError` that lists the existing values if it does not occur."""
-    values = data.values
     if is_numeric(data) and isinstance(value, str) and re.search("[<>=]", value):
         return _compared(data, value)
     if is_numeric(data):
@@ -86,26 +85,26 @@ def _find(data: xr.DataArray, value: Value) -> Int[np.ndarray, " indices"]:
             number = float(value)
         except (TypeError, ValueError):
             number = np.nan
-        finite = np.unique(values[np.isfinite(values)])
-        nearest = finite[np.argmin(np.abs(finite - number))] if finite.size and np.isfinite(number) else np.nan
-        if abs(nearest - number) <= _DIGITS * abs(nearest) + np.finfo(float).tiny:
-            return np.flatnonzero(values == nearest)
+        finite = np.unique(data.values[np.isfinite(data.values)])
+        near = finite[np.abs(finite - number) <= _DIGITS * np.abs(finite) + np.finfo(float).tiny]
+        if near.size:
+            return np.flatnonzero(data.values == near[np.argmin(np.abs(near - number))])
         texts = [f"{item:.6g}" for item in finite]
-        choices = f"there are {', '.join(texts)}"
+        choices = ", ".join(texts)
         if finite.size > _LISTED_VALUES:
-            choices = f"there are {finite.size} from {texts[0]} to {texts[-1]}"
-            if isinstance(value, (int, float)) and finite[0] < value < finite[-1]:
-                above = int(np.searchsorted(finite, value))
+            choices = f"{finite.size} from {texts[0]} to {texts[-1]}"
+            above = int(np.searchsorted(finite, number))
+            if 0 < above < finite.size:
                 choices += f", beside it {texts[above - 1]} and {texts[above]}"
     else:
-        names = [str(name) for name in values]
-        indices = np.flatnonzero([value in (name, short(name)) or short(str(value)) == short(name) for name in names])
+        names = [str(name) for name in data.values]
+        indices = np.flatnonzero([value == name or short(str(value)) == short(name) for name in names])
         if indices.size:
             return indices
-        names = list(dict.fromkeys(names))
+        names = list(dict.fromkeys(map(short, names)))
         more = f" and {len(names) - _LISTED_NAMES} more" if len(names) > _LISTED_NAMES else ""
-        choices = f"there are {', '.join(map(short, names[:_LISTED_NAMES]))}{more}"
-    raise InputError(f"where: no lane has {data.name} = {value}; {choices}")
+        choices = ", ".join(names[:_LISTED_NAMES]) + more
+    raise InputError(f"where: no lane has {data.name} = {value}; there are {choices}")
 
 
 def _compared(data: xr.DataArray, text: str) -> Int[np.ndarray, " indices"]:
@@ -136,18 +135,14 @@ def thin_out(ds: xr.Dataset) -> xr.Dataset:
 def thinned_text(ds: xr.Dataset) -> str:
     """Describe which values of a dataset are drawn; return "" if all are drawn."""
     ordinals = {2: "second", 3: "third"}
-    steps = _thinning_steps(ds)
-    parts = [f"every {ordinals.get(step, f'{step}th')} value of {name}" for name, step in steps.items()]
+    steps = _thinning_steps(ds).items()
+    parts = [f"every {ordinals.get(step, f'{step}th')} value of {name}" for name, step in steps]
     return f"drawn is {' and '.join(parts)}" if parts else ""
 
 
 def _thinning_steps(ds: xr.Dataset) -> dict[str, int]:
     """Return n by dimension, for those dimensions of which only every n-th value is drawn."""
-    sizes = {name: ds.sizes[name] for name in lane_dims(ds)}
-    steps = dict.fromkeys(sizes, 1)
-    remaining = dict(sizes)
-    while prod(remaining.values()) > MOST_LANES:
-        longest = max(sizes, key=remaining.__getitem__)
-        steps[longest] += 1
-        remaining[longest] = -(-sizes[longest] // steps[longest])
+    steps = dict.fromkeys(lane_dims(ds), 1)
+    while prod(-(-ds.sizes[name] // step) for name, step in steps.items()) > MOST_LANES:
+        steps[max(steps, key=lambda name: ds.sizes[name] / steps[name])] += 1
     return {name: step for name, step in steps.items() if step > 1}

@@ -40,25 +40,21 @@ def on_axes(ds: xr.Dataset) -> xr.Dataset:
     that compare initial conditions, are dropped. The dataset is returned unchanged if they form neither grid nor line.
     """
     vectors = ds.isel({START: _is_vector(ds)})
-    states = varied_states(vectors)
-    steps = {name: _steps(vectors[name]) for name in states}
-    axes: tuple[str, ...] = ()
-    if states:
-        combinations = int(np.prod([np.unique(values).size for values in steps.values()]))
-        if combinations == vectors.sizes[START] == np.unique(np.stack(list(steps.values())), axis=1).shape[1]:
-            axes = states
-        elif _is_line(vectors, states):
-            axes = states[:1]
-    if not axes:
+    states = list(varied_states(vectors))
+    if not states:
         return ds
-    unique = {name: np.unique(steps[name], return_index=True, return_inverse=True) for name in axes}
-    shape = tuple(len(first) for _, first, _ in unique.values())
-    order = np.argsort(np.ravel_multi_index([inverse.ravel() for *_, inverse in unique.values()], shape))
-    in_order = vectors.isel({START: order}).drop_vars([START, HIDDEN, *start_states(ds)], errors="ignore")
-    reshaped = {name: _reshape(data, axes, shape) for name, data in in_order.data_vars.items()}
-    coords = {name: (name, vectors[name].values[unique[name][1]], _about(ds[name])) for name in axes}
+    steps = np.stack([_steps(vectors[name]) for name in states])
+    is_grid = np.prod([len(np.unique(row)) for row in steps]) == vectors.sizes[START] == len(np.unique(steps.T, axis=0))
+    if not is_grid and not _is_line(vectors, states):
+        return ds
+    axes = states if is_grid else states[:1]
+    unique = [np.unique(row, return_index=True, return_inverse=True)[1:] for row in steps]
+    near = {name: vectors[name].values[first][inverse] for name, (first, inverse) in zip(states, unique, strict=True)}
     fixed = {name: ((), vectors[name].values[0], _about(ds[name])) for name in start_states(ds) if name not in states}
-    return xr.Dataset(reshaped, {**in_order.coords, **coords, **fixed}, ds.attrs)
+    bare = vectors.drop_vars([START, HIDDEN, *start_states(ds)], errors="ignore")
+    spread = bare.assign_coords({name: (START, near[name]) for name in axes}).sortby(axes)
+    spread = spread.swap_dims({START: axes[0]}) if len(axes) == 1 else spread.set_index(start=axes).unstack(START)
+    return spread.assign_coords({name: spread[name].assign_attrs(_about(ds[name])) for name in axes} | fixed)
 
 
 def described(ds: xr.Dataset) -> xr.Dataset:
@@ -112,7 +108,7 @@ def _is_vector(ds: xr.Dataset) -> Bool[np.ndarray, " starts"]:
     return np.all(finite, axis=0) if finite else np.zeros(ds.sizes[START], bool)
 
 
-def _is_line(ds: xr.Dataset, states: tuple[str, ...]) -> bool:
+def _is_line(ds: xr.Dataset, states: Sequence[str]) -> bool:
     """Return whether the initial conditions are distinct points on a straight line in the `states`."""
     if np.unique(_steps(ds[states[0]])).size < ds.sizes[START]:
         return False
@@ -129,15 +125,6 @@ def _steps(data: xr.DataArray) -> Steps:
     """Quantise the finite initial values of a state to integers, so that nearly equal values become equal."""
     values = data.values[np.isfinite(data.values)]
     return np.round(_relative(values) / _SAME_STATE).astype(np.int64) if values.size else np.zeros(0, np.int64)
-
-
-def _reshape(data: xr.DataArray, axes: tuple[str, ...], shape: tuple[int, ...]) -> xr.Variable:
-    """Return the data with the dimension `start` replaced by `axes` of the specified `shape`."""
-    if START not in data.dims:
-        return data.variable
-    k = data.dims.index(START)
-    values = data.values.reshape(*data.shape[:k], *shape, *data.shape[k + 1 :])
-    return xr.Variable((*data.dims[:k], *axes, *data.dims[k + 1 :]), values, data.attrs)
 
 
 def _about(data: xr.DataArray) -> dict[str, str]:

@@ -342,8 +342,8 @@ def work_precision(ds: xr.Dataset) -> Picture:
     """
     ds = ds.assign({name: 1e6 * ds[name] for name in ds.data_vars if str(name).startswith("time_per_lane_second")})
     scenes = list(dict.fromkeys(ds["scene"].values.tolist()))
-    wide = min(_MOST_COLUMNS, len(scenes) + 1)
-    deep = -(-(len(scenes) + 1) // wide)
+    wide = min(_MOST_COLUMNS, max(len(scenes), 1))
+    deep = -(-len(scenes) // wide)
     known = ds.isel({SETTING: ds["error_worst"].values > 0})
     times, errors = (0.1, 1.0), (0.1, 1.0)
     if known.sizes[SETTING]:
@@ -365,9 +365,8 @@ def work_precision(ds: xr.Dataset) -> Picture:
     ]
     machine = {"processor": "machine unknown", "cores": "?", "jax": "?"} | table_of(ds, "machine")
     computer = printable("{processor}, {cores} cores, jax {jax}".format(**machine), 180)
-    title, place = title_of(ds, "Speed against error"), divmod(len(scenes), wide)
-    size = 3.1 * wide, 3.0 * deep + 0.35
-    return Sheet(plots, size, (1.0,) * wide, (1.0,) * deep, [keys], place, title=title, note=computer)
+    title, size = title_of(ds, "Speed against error"), (3.1 * wide + 2.2, 3.0 * deep + 0.35)
+    return Sheet(plots, size, (1.0,) * wide, (1.0,) * deep, [keys], title, computer)
 
 
 def _layers(ds: xr.Dataset) -> list[Layer]:

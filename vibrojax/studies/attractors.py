@@ -25,11 +25,11 @@ from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import SINGLE_IMPACT, blow_frequency
 from vibrojax.periodic.orbits import SAME_ORBIT
 from vibrojax.pictures.axes import axis, edges, map_axis, margins, scale, share_text, values_along, with_unit
-from vibrojax.pictures.colours import Values, no_value_key, regime_keys, regime_names, share_value, value_of
+from vibrojax.pictures.colours import cell_keys, no_value_key, regime_names, regime_value, share_value, value_of
 from vibrojax.pictures.contents import ATTRACTOR, HIDDEN, NAMED, REGIME, START, axes_of_map, swept, without_single
-from vibrojax.pictures.maps import cell_layers, map_plot
+from vibrojax.pictures.maps import cell_layers, maps_of
 from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Look, Plot, Sheet, Text, bars, dots, patch
-from vibrojax.pictures.sheet import MOST_PANELS, at, columns, facets, layout
+from vibrojax.pictures.sheet import MOST_PANELS, at, columns, facets
 from vibrojax.pictures.starts import PREFIX, on_axes
 from vibrojax.studies import attractor_groups as grouping
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart
@@ -292,30 +292,20 @@ def share_map(ds: xr.Dataset) -> Sheet:
     strong = single if speed is None else single & (ds[_VELOCITY] > speed)
     share = (100.0 * ds["share"]).where(strong, 0.0).sum(ATTRACTOR).assign_attrs(units="%")
     coords = {name: data for name, data in ds.coords.items() if set(data.dims) <= set(share.dims)}
-    shown = xr.Dataset({_STRONG: share}, coords, ds.attrs)
+    shown = xr.Dataset({_STRONG: share, REGIME: xr.zeros_like(share, np.int8)}, coords, ds.attrs)
     for name in names:
         shown[_FROM + name] = ds["named_regime"].sel({NAMED: name}, drop=True)
     if not names:
         shown[_COUNT] = (ds["share"] > 0).sum(ATTRACTOR).astype(float)
-    shown[REGIME] = shown[_FROM + names[0]] if names else xr.zeros_like(share, np.int8)
-    values: Values = (share_value(shown[_STRONG], "strong single impact"),)
-    values += (None,) * len(names) if names else (value_of(shown[_COUNT]),)
+    values = [share_value(shown[_STRONG], "strong single impact")]
+    values += [regime_value(shown[_FROM + name], f"from {name}") for name in names] or [value_of(shown[_COUNT])]
     panels = facets(shown, (x, y), MOST_PANELS // len(values))
-    drawn = layout(panels, values)
-    plots, counts = [], dict.fromkeys(map(id, panels.data), -1)  # a facet's panels have the order of the values
-    for panel in drawn.panels:
-        counts[id(panel.facet)] += 1
-        facet, title = panel.facet, panel.title
-        if panel.value is None:
-            name = names[counts[id(facet)] - 1]
-            title = ", ".join(filter(None, (title, f"from {name}")))
-            facet = facet.assign({REGIME: facet[_FROM + name]})
-        plots.append(map_plot(panel._replace(title=title), shown[x], shown[y], cell_layers(facet, panel.value, x, y)))
-    keys = regime_keys([facet[_FROM + name] for facet in panels.data for name in names]) if names else []
+    sheet = maps_of(panels, values, shown[x], shown[y], lambda facet, value: cell_layers(facet, value, x, y))
+    keys = cell_keys(panels.data, [value for value in values if value.counted])
     about = "Strong: the striker hits faster than the drive moves"
     about = "Of single impacts, strong or weak" if speed is None else about
     notes = margins(ds, panels.note, f"{ds.sizes[START]} starts at each point", about)
-    return Sheet(plots, keys=[keys], **drawn.sheet, **notes)
+    return replace(sheet, keys=[keys], **notes)
 
 
 @dataclass(frozen=True)

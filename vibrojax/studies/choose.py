@@ -12,42 +12,19 @@ from vibrojax.io.atomic import atomic_write
 from vibrojax.io.files import source
 from vibrojax.io.identity import PICTURE_KEYS
 from vibrojax.io.kinds import kind_of
-from vibrojax.pictures.axes import axis, margins
-from vibrojax.pictures.colours import Values, value_axis, value_of
-from vibrojax.pictures.contents import (
-    FORM,
-    MULTIPLIER,
-    POINT,
-    REGIME,
-    RETURN,
-    TIME,
-    Contents,
-    axes_of_map,
-    lane_dims,
-    named_groups,
-    varied,
-    without_single,
-)
-from vibrojax.pictures.curves import (
-    MOST_ROWS,
-    axis_of_lines,
-    line_keys,
-    longest_axis,
-    path_of,
-    rows_of,
-    split_lines,
-)
+from vibrojax.pictures import contents
+from vibrojax.pictures.colours import regime_value, value_of
+from vibrojax.pictures.contents import FORM, MULTIPLIER, POINT, REGIME, RETURN, TIME, Contents
 from vibrojax.pictures.draw import draw
-from vibrojax.pictures.lines import regime_lines
+from vibrojax.pictures.lines import curves, regime_lines
 from vibrojax.pictures.maps import many_starts, map_sheet
+from vibrojax.pictures.motion import histories
 from vibrojax.pictures.overlays import Overlays, as_layers, refuse_overlays
-from vibrojax.pictures.plots import Picture, Plot, Sheet
+from vibrojax.pictures.plots import Picture, Sheet
 from vibrojax.pictures.returns import bifurcation, hysteresis
 from vibrojax.pictures.selection import Value, select, thin_out, thinned_text
-from vibrojax.pictures.sheet import at, facets
 from vibrojax.pictures.starts import medians, medians_text, varied_states
-from vibrojax.pictures.style import BIT, COLOURS, drawable, settings
-from vibrojax.pictures.time_history import WIDTH, band_text, trace
+from vibrojax.pictures.style import COLOURS, drawable, settings
 from vibrojax.settings.values import check_distinct
 from vibrojax.studies.analysis import analysis_of
 from vibrojax.studies.diagrams import DIAGRAMS
@@ -194,37 +171,36 @@ def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Sheet:
     _check(ds, names)
     check_distinct(Place("picture", "variable"), names, "variable")
     if TIME in ds.dims:
-        return _draw_histories(ds, names)
+        return histories(ds, names)
     if kind_of(ds) == "family":
         return families(ds, names)
-    ds = named_groups(ds)
-    ds = without_single(
-        ds.assign({name: ds[name].isel({MULTIPLIER: 0}) for name in names if MULTIPLIER in ds[name].dims})
-    )
+    ds = contents.named_groups(ds)
+    largest = {name: ds[name].isel({MULTIPLIER: 0}) for name in names if MULTIPLIER in ds[name].dims}
+    ds = contents.without_single(ds.assign(largest))
     held, note = Contents(ds), ""
-    values = tuple(None if name == REGIME else value_of(ds[name]) for name in names)
     if FORM in ds[names[0]].dims:
-        return _draw_curves(ds, values)
+        return curves(ds, names)
+    values = [regime_value(ds[name]) if name == REGIME else value_of(ds[name]) for name in names]
     if held.many_starts and held.regimes:
         if held.points_over_two or (not held.points and (held.axes or varied_states(ds))):
             return many_starts(ds, values)
         note = medians_text(ds)
         ds = medians(ds, [name for name in names if name != REGIME])
     if held.points_over_two:
-        x, y = varied(ds)
+        x, y = contents.varied(ds)
         return map_sheet(ds, x, y, values, note)
     if not held.points and (held.worth_a_map or (held.regimes and len(held.axes) > 1)):
-        return map_sheet(ds, *axes_of_map(ds), values, note)
+        return map_sheet(ds, *contents.axes_of_map(ds), values, note)
     if not held.points and held.regimes and held.axes:
-        return regime_lines(ds, note=note, values=tuple(value for value in values if value is not None))
-    return _draw_curves(ds, values, note)
+        return regime_lines(ds, note=note, values=[value for value in values if not value.counted])
+    return curves(ds, names, note)
 
 
 def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
     if not isinstance(names, Sequence):
         raise InputError(f"variable: {shown(names)} is not the name of a variable; give one, or a list")
     run, orbits = TIME in ds.dims, kind_of(ds) == "family"
-    lanes = {TIME} if run else {POINT} if orbits else set(lane_dims(ds))
+    lanes = {TIME} if run else {POINT} if orbits else set(contents.lane_dims(ds))
     drawable = [
         str(name)
         for name, data in ds.data_vars.items()
@@ -244,43 +220,3 @@ def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
     most = _MOST_HISTORIES if run else _MOST_VARIABLES
     if not 1 <= len(names) <= most:
         raise InputError(f"variable: {len(names)} names; give one to {most} for a picture")
-
-
-def _draw_curves(ds: xr.Dataset, values: Values, note: str = "") -> Sheet:
-    """Draw variables over the longest axis, one row per facet.
-
-    There is one line per value of another axis or, for a fitted penetration law, one line per formula of the law.
-    """
-    quantities = [value if value is not None else value_of(ds[REGIME]) for value in values]
-    x = longest_axis(ds)
-    by = FORM if FORM in ds[quantities[0].name].dims else axis_of_lines(ds, x.name)
-    ds = ds.sortby(x.name) if x.is_number else ds
-    panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
-    dash, across = x.dash(ds), x.axis(ds)
-    plots = [
-        Plot(
-            [path_of(line, x, value.of(line.lanes), dash=dash) for line in split_lines(facet, by)],
-            across,
-            value_axis(value, group=value.name),
-            "" if i else title,
-            (row, i),
-            at(facet),
-        )
-        for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True))
-        for i, value in enumerate(quantities)
-    ]
-    keys = line_keys(split_lines(ds, by), dash=dash)
-    return Sheet(plots, keys=[keys], **rows_of(panels, len(quantities)), **margins(ds, panels.note, note))
-
-
-def _draw_histories(ds: xr.Dataset, names: Sequence[str]) -> Sheet:
-    time = ds[TIME].values.astype(float)
-    across = axis(ds[TIME], limits=(time[0], time[-1]), group="time")
-    plots = []
-    for row, name in enumerate(names):
-        value = value_of(ds[name])
-        up = value_axis(value, value.label.replace(" [", "\n["))
-        line = trace(time, value.of(ds).values.astype(float), colour=BIT, width=1.0)
-        plots.append(Plot([line], across, up, place=(row, 0)))
-    size = WIDTH, 1.5 * len(names) + 0.9
-    return Sheet(plots, size, heights=(1.0,) * len(names), **margins(ds, band_text(plots)))

@@ -10,7 +10,7 @@ import xarray as xr
 from vibrojax.errors import counted
 from vibrojax.pictures.axes import axis, label, margins, pretty_unit, scale, values_along
 from vibrojax.pictures.colours import value_of
-from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Points, Scale, Sheet, colours_of, dots
+from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Points, Sheet, colours_of, dots
 from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.design import DESIGN_VARIABLES, find_design, read_design
@@ -27,25 +27,19 @@ def design_picture(ds: xr.Dataset) -> Sheet:
     plots += [_front_plot(ds)] if "front" in ds.dims else []
     columns = min(len(plots), 3)
     rows = -(-len(plots) // columns)
-    widths, scales = [1.0, 0.06] * columns, []
-    if len(names) == 2:
-        value = replace(value_of(ds["map_objective"]), label=_objective_label(ds))
-        scales = [Scale((0, 1), value, upright=True)]
-    else:
-        widths = [1.0, 0.001] * columns
-    plots = [replace(plot, place=(k // columns, 2 * (k % columns))) for k, plot in enumerate(plots)]
+    plots = [replace(plot, place=divmod(k, columns)) for k, plot in enumerate(plots)]
     best = ds.isel(candidate=0)
     point = ", ".join(f"{name} = {quantity_text(float(best[name]), ds[name])}" for name in names)
     what = f"Best: {quantity_text(float(best['objective']), ds['objective'])} at {point}"
     about = margins(ds, point=f"{what}. Requirements: {ds.attrs.get('requirements', '')}")
-    return Sheet(plots, (1.9 + 3.6 * columns, 0.9 + 3.1 * rows), widths, (1.0,) * rows, scales=scales, **about)
+    return Sheet(plots, (1.9 + 3.6 * columns, 0.9 + 3.1 * rows), (1.0,) * columns, (1.0,) * rows, **about)
 
 
 def _plane(ds: xr.Dataset, names: list[str]) -> Plot:
     across, up = names[1], names[0]
     x, y = values_along(ds[f"map_{across}"]), values_along(ds[f"map_{up}"])
     fit = ds["map_feasible"].values == 1
-    value = value_of(ds["map_objective"])
+    value = replace(value_of(ds["map_objective"]), label=_objective_label(ds))
     colours = colours_of(value.of(ds).values[fit], value.colour_map, value.norm)
     layers: list[Layer] = [Points(x[fit], y[fit], colours, 4.7, "s"), *_infeasible(x[~fit], y[~fit])]
     layers += _marks(values_along(ds[across]), values_along(ds[up]))
@@ -55,7 +49,7 @@ def _plane(ds: xr.Dataset, names: list[str]) -> Plot:
         corners = [-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]
         right, top = (c + w * np.array(k) for c, w, k in zip(centre, widths, corners, strict=True))
         layers.append(Line(right, top, IMPACT, 0.9))
-    return Plot(layers, axis(_named(ds, across)), axis(_named(ds, up)), grid="")
+    return Plot(layers, axis(_named(ds, across)), axis(_named(ds, up)), grid="", scale=value)
 
 
 def _plot_along(ds: xr.Dataset, name: str) -> Plot:

@@ -7,24 +7,15 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.errors import InputError
-from vibrojax.pictures.axes import margins, scale, with_unit
+from vibrojax.pictures.axes import scale, with_unit
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.contents import FORM, POINT, RATE, RELIEF, lane_dims, rates_in, without_single
-from vibrojax.pictures.curves import MOST_ROWS, Across, axis_of_lines, longest_axis, rows_of, split_lines
+from vibrojax.pictures.lines import Across, Series, axis_of_lines, line_keys, longest_axis, row_per_facet
 from vibrojax.pictures.plots import FAINT, Area, Axis, Layer, Line, Look, Picture, Plot, Sheet, Text, dots, key
-from vibrojax.pictures.sheet import at, facets
 from vibrojax.studies.frequencies import frequencies
 
-_MODES = {
-    "lower_frequency": "-",
-    "upper_frequency": "-",
-    "bit_frequency": ":",
-    "striker_frequency": ":",
-}
-_MODE_NAMES = {
-    "-": "natural frequencies\nof both masses",
-    ":": "bit alone,\nstriker alone",
-}
+_MODES = {"lower_frequency": "-", "upper_frequency": "-", "bit_frequency": ":", "striker_frequency": ":"}
+_MODE_NAMES = {"-": "natural frequencies\nof both masses", ":": "bit alone,\nstriker alone"}
 _MOTIONS = {"return_frequency": "o", "blows_per_second": "x"}
 _MOTION_NAMES = {"return_frequency": "returns of the bit", "blows_per_second": "blows"}
 _ORDERS = 6  # most multiples of the rotation that are drawn
@@ -56,18 +47,17 @@ def campbell(ds: xr.Dataset) -> Sheet:
     ds = ds.assign({name: data for name, data in drawn.items() if name not in ds.coords}).sortby(x.name)
     turns = "rpm" in ds and x.name in ds["rpm"].dims
     by = axis_of_lines(ds, x.name)
-    panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
     # The frame ends at zero and a little beyond the data; the rays do not change it.
     values = [ds[name].values for name in (*_MODES, *_MOTIONS) if name in ds]
     top = 1.05 * max(float(np.nanmax(part)) for part in values)
     places = ds["rpm"].values if turns else np.zeros(1)
-    low, high = float(places.min()), float(places.max())
-    low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
+    room = 0.05 * float(np.ptp(places))
+    low, high = float(places.min()) - room, float(places.max()) + room
     across = Axis("rotation [1/min]", "rpm", (low, high), group="across") if turns else x.axis(ds)
-    plots = []
-    for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+
+    def draw(lines: list[Series]) -> Plot:
         layers: list[Layer] = []
-        for line in split_lines(facet, by):
+        for line in lines:
             along = line.lanes["rpm"].values if turns else x.of(line.lanes)
             for name, dash in _MODES.items():
                 layers.append(Line(along, np.broadcast_to(line.lanes[name].values, along.shape), FAINT, 1.5, dash))
@@ -79,13 +69,13 @@ def campbell(ds: xr.Dataset) -> Sheet:
             end = 0.98 * min(high, 60 * top / order)
             if end > low:
                 layers.append(Text(end, order * end / 60, f"{order}n", "right", "top", size=8.0))
-        up = Axis("frequency [Hz]", limits=(0.0, top), group="frequency")
-        plots.append(Plot(layers, across, up, title, (row, 0), at(facet)))
+        return Plot(layers, across, Axis("frequency [Hz]", limits=(0.0, top), group="frequency"))
+
     keys: list[Layer] = [key(name, colour=FAINT, dash=dash) for dash, name in _MODE_NAMES.items()]
     keys += [dots(label=_MOTION_NAMES[name], **_marks(marker)) for name, marker in _MOTIONS.items() if name in ds]
-    lines = [dots(label=line.name, colour=line.colour, **_marks("o")) for line in split_lines(ds, by) if by]
-    about = margins(ds, panels.note, "Rays: multiples of the rotation n" if turns else "")
-    return Sheet(plots, keys=[keys, lines], **rows_of(panels, 1), **about)
+    lines = line_keys(ds, by, dash="", **_marks("o"))
+    note = "Rays: multiples of the rotation n" if turns else ""
+    return row_per_facet(ds, x, by, [draw], [keys, lines], note)
 
 
 def rate_over_force(ds: xr.Dataset) -> Sheet:
@@ -107,27 +97,26 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
     fit = fit_rop(ds, along=x.name, progress=False).sel({FORM: "onset"})
     law = next(form.rate for form in FORMS if form.name == "onset")
     by = axis_of_lines(ds, x.name)
-    panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
     (factor, unit), (of_force, force_unit) = scale(ds[RATE]), scale(ds[_FORCE])
     lowest = -0.03 * factor * max(float(ds[RATE].max()), np.finfo(float).tiny)
     across = Axis(with_unit("mean force P", force_unit), _FORCE, (0.0, None), group="force")
     up = Axis(with_unit("rate of penetration", unit), RATE, (lowest, None), group="rate")
     onsets: list[Layer] = []
-    plots = []
-    for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+
+    def draw(lines: list[Series]) -> Plot:
         layers: list[Layer] = []
-        for line in split_lines(facet, by):
+        for line in lines:
             force, rate = (np.atleast_1d(line.lanes[name].values) for name in (_FORCE, RATE))
             group = fit.sel({name: line.lanes[name].item() for name in fit["C"].dims})
             with np.errstate(all="ignore"):
                 threshold = np.nanmedian(force / np.atleast_1d(line.lanes[RELIEF].values))
             onset, (below, above) = float(group["eta0"]) * threshold, _onset(force, rate)
             text = f"onset at {of_force * below:.4g} to {of_force * above:.4g} {force_unit}"
-            if not np.isfinite(below):
-                text = f"onset below {of_force * above:.4g} {force_unit}"
             if not np.isfinite(above):
                 text = "no onset"
-            if np.isfinite(below) and np.isfinite(above):
+            elif not np.isfinite(below):
+                text = f"onset below {of_force * above:.4g} {force_unit}"
+            else:
                 ends = [of_force * below, of_force * above]
                 layers.append(Area(ends, [-np.inf] * 2, [np.inf] * 2, line.colour, 0.15))
             for mask, face in ((rate > 0, line.colour), (rate == 0, "white")):
@@ -136,12 +125,12 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
                 along = np.geomspace(onset, float(np.nanmax(force)), _CURVE_POINTS)
                 values = law(along / threshold, float(group["C"]), float(group["eta0"]), np.nan)
                 layers.append(Line(of_force * along, factor * values, line.colour))
-            label = "\n".join(part for part in (line.name, text) if part)
-            onsets.append(key(label, colour=line.colour, marker="o"))
-        plots.append(Plot(layers, across, up, title, (row, 0), at(facet)))
+            onsets.append(key("\n".join(filter(None, (line.name, text))), colour=line.colour, marker="o"))
+        return Plot(layers, across, up)
+
     hollow = [dots(label="no penetration", face="white")] if bool((ds[RATE] == 0).any()) else []
-    about = margins(ds, panels.note, "Shaded: the onset. Lines: the fitted law C ln(P/P0)")
-    return Sheet(plots, keys=[onsets, hollow], **rows_of(panels, 1), **about)
+    note = "Shaded: the onset. Lines: the fitted law C ln(P/P0)"
+    return row_per_facet(ds, x, by, [draw], [onsets, hollow], note)
 
 
 DIAGRAMS: dict[str, Callable[[xr.Dataset], Picture]] = {

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,11 +16,10 @@ from vibrojax.pictures.axes import axis, label, margins, scale, values_along, wi
 from vibrojax.pictures.branches import (
     FAMILY,
     LARGEST,
-    Curve,
+    Branch,
     along_name,
     branches,
     colour_keys,
-    curves_of,
     family_layers,
     heights_of,
     kind_names,
@@ -31,7 +30,7 @@ from vibrojax.pictures.branches import (
     stable_intervals,
 )
 from vibrojax.pictures.colours import Value
-from vibrojax.pictures.plots import Axis, Layer, Line, Plot, Points, Scale, Sheet, colours_of, level, upright
+from vibrojax.pictures.plots import Axis, Layer, Line, Plot, Points, Sheet, colours_of, level, upright
 from vibrojax.pictures.starts import SYMBOLS
 from vibrojax.pictures.style import colour_map
 from vibrojax.settings.fields import given, setting
@@ -158,11 +157,11 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
         states = [str(name) for name in ds.data_vars if str(name).startswith("orbit_")]
         names = (*known[:1], *states[:1])
     names = (*names, LARGEST)
-    curves, many = curves_of(ds), FAMILY in ds.dims
+    every, many = list(branches(ds)), FAMILY in ds.dims
     along = ds[along_name(ds)]
     plots = []
     for row, name in enumerate(names):
-        layers, up = family_layers(ds, curves, name, thin=many), Axis(_label(ds, name), name)
+        layers, up = family_layers(ds, every, name, thin=many), Axis(_label(ds, name), name)
         if row == len(names) - 1:  # the last panel has the stability limit
             layers = [level(1.0, width=0.8, order=1.0), *layers]
             largest = heights_of(ds, LARGEST, 1.0)
@@ -171,16 +170,14 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
             up = Axis(_label(ds, name), name, ends, log=True)
         plots.append(Plot(layers, axis(along, group="along"), up, place=(row, 0)))
     height = _PANEL_HEIGHT * len(names) + 0.8
-    plane, values, outside = _plane(ds, curves)
-    keys = [*colour_keys(ds, curves), *stability_keys(ds, curves), *special_keys(ds)]
-    bars = [] if many else [Scale((1, 0), values)]
-    heights = 2.55, 0.09, 0.85 * len(names) - 0.45
-    beside = Sheet([plane], (4.0, height), heights=heights, keys=[keys], legend=(2, 0), legend_columns=2, scales=bars)
+    plane, outside = _plane(ds, every)
+    plots.append(replace(plane, place=(0, 1, len(names), 1)))
+    keys = colour_keys(ds), [*stability_keys(ds), *special_keys(ds)]
     largest, (low, high) = heights_of(ds, LARGEST, 1.0), _MODULUS_RANGE
     cut = bool(((largest < low) | (largest > high)).any())
     note = f"The largest modulus is drawn from {low:g} to {high:g}" if cut else ""
     about = margins(ds, ranges_text(ds, names), note, outside)
-    return Sheet(plots, (11.0, height), heights=(1.0,) * len(names), beside=beside, **about)
+    return Sheet(plots, (12.5, height), (1.6, 1.0), (1.0,) * len(names), keys, **about)
 
 
 def _label(ds: xr.Dataset, name: str) -> str:
@@ -191,7 +188,7 @@ def _label(ds: xr.Dataset, name: str) -> str:
     return with_unit(words, scale(ds[name])[1]).replace(" [", "\n[")
 
 
-def _plane(ds: xr.Dataset, curves: Sequence[Curve]) -> tuple[Plot, Value, str]:
+def _plane(ds: xr.Dataset, every: Sequence[Branch]) -> tuple[Plot, str]:
     """Draw the multipliers of the first branches in the complex plane; return a note on those outside the axes, too."""
     parameter, many = ds[along_name(ds)], FAMILY in ds.dims
     along = values_along(parameter)
@@ -202,33 +199,30 @@ def _plane(ds: xr.Dataset, curves: Sequence[Curve]) -> tuple[Plot, Value, str]:
         upright(0.0, colour=grey, width=0.6, order=0.0),
         Line(np.cos(turn), np.sin(turn), width=0.9),
     ]
-    first = min((curve.branch.number for curve in curves), default=0)
-    shown = [curve for curve in curves if curve.branch.number == first]
-    points = np.concatenate([np.zeros(0, int), *(curve.branch.points for curve in shown)])
+    first = min((branch.number for branch in every), default=0)
+    shown = [branch for branch in every if branch.number == first]
+    points = np.concatenate([np.zeros(0, int), *(branch.points for branch in shown)])
     modulus, argument = ds[LARGEST].values[points], ds["multiplier_arg"].values[points]
     half = float(np.clip(1.1 * modulus[np.isfinite(modulus)].max(initial=0.0), *_HALF_PLANE))
     values = (modulus * np.exp(1j * argument)).reshape(len(points), -1)
     norm = Normalize(along[points].min(), along[points].max()) if len(points) else Normalize(0.0, 1.0)
     colours = colours_of(along[points], colour_map(), norm)
     if many:
-        colours = [curve.colour for curve in shown for _ in curve.branch.points.tolist()]
+        colours = [branch.colour for branch in shown for _ in branch.points.tolist()]
     for column in values.T if len(points) else ():
         for mirrored in (column, column.conj()):
             layers.append(Points(mirrored.real, mirrored.imag, colours, 2.2 if many else 3.5, order=3.0))
-    ends = (-half, half)
-    plot = Plot(
-        layers,
-        Axis("real part", limits=ends),
-        Axis("imaginary part", limits=ends),
+    ends, name = (-half, half), str(parameter.name)
+    value = Value(name, label(parameter, 60), scale(parameter)[0], norm, "neither", colour_map())
+    axes, title = (
+        (Axis("real part", limits=ends), Axis("imaginary part", limits=ends)),
         f"multipliers of branch {first}",
-        grid="",
-        square=True,
     )
+    plot = Plot(layers, *axes, title, grid="", square=True, scale=None if many else value)
     largest = values[:, 0] if len(points) else np.zeros(0)
     outside = int((np.maximum(np.abs(largest.real), np.abs(largest.imag)) > half).sum())
     note = f"The plane leaves out {outside} of {len(points)} orbits' largest multiplier" if outside else ""
-    name = str(parameter.name)
-    return plot, Value(name, label(parameter, 60), scale(parameter)[0], norm, "neither", colour_map()), note
+    return plot, note
 
 
 _SYNTAX = "along=NAME at=VALUE from=A to=B"

@@ -11,7 +11,7 @@ from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log, log_lines
 from vibrojax.pictures.axes import margins, pretty_unit, scale, with_unit
 from vibrojax.pictures.colours import ROBUST, Value, form_colour, value_of
 from vibrojax.pictures.contents import FORM, POINT, Contents, law_in, long_axes
-from vibrojax.pictures.curves import MOST_ROWS, Across, longest_axis, rows_of
+from vibrojax.pictures.lines import MOST_ROWS, Across, longest_axis, rows_of
 from vibrojax.pictures.maps import map_sheet
 from vibrojax.pictures.plots import (
     FAINT,
