@@ -48,6 +48,13 @@ def test_own_friction_law(usual):
     np.testing.assert_array_equal(motion.x2, known.x2)
 
 
+def test_law_does_not_replace_a_parameter_of_its_scene():
+    table = vj.parameters.table(vj.parameters.positive("gamma", 9.0, "1", "own", "g"))
+    law = FrictionLaw("mine", "own", table, lambda speed, p: 0.3 + 0.0 * speed)
+    with pytest.raises(vj.InputError, match='the parameter gamma, which scene "vibro-impact" has, too; rename'):
+        vj.run_sweep({"scene": "vibro-impact", "parameters": {"friction": law}}, progress=False)
+
+
 def test_scene_with_own_law(usual):
     own = sweep(VibroImpact(friction=my_law()))
     assert own.attrs["scene"] == "vibro-impact" and own.attrs["friction"] == "mine"

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 
+from vibrojax.errors import InputError, shown
 from vibrojax.physics.arrays import Array
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.modes import striker
@@ -148,6 +149,9 @@ class Rotary(HasFriction[Any]):
         return mode, state
 
     def parameters(self) -> Mapping[str, Parameter]:
+        for name in self.own_parameters.keys() & self.friction.parameters.keys():
+            law = f"law {shown(self.friction.name)} has the parameter {name}"
+            raise InputError(f"friction: {law}, which scene {shown(self.name)} has, too; rename that of the law")
         return {**self.own_parameters, **self.friction.parameters}
 
     def constants(self, p: Mapping[str, Any]) -> Any:
