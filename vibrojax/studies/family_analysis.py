@@ -177,7 +177,7 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
     cut = bool(((largest < low) | (largest > high)).any())
     note = f"The largest modulus is drawn from {low:g} to {high:g}" if cut else ""
     about = margins(ds, ranges_text(ds, names), note, outside)
-    return Sheet(plots, (12.5, height), (1.6, 1.0), (1.0,) * len(names), keys, **about)
+    return Sheet(plots, (12.5, height), (1.75, 1.0), (1.0,) * len(names), keys, **about)
 
 
 def _label(ds: xr.Dataset, name: str) -> str:
