@@ -64,5 +64,5 @@ def test_map_marks_hidden_motions(swept):
         beta, gamma = np.nonzero(swept.hidden_motion.sel(start=start).values)
         expected = sorted(zip(swept.gamma.values[gamma], swept.beta.values[beta], strict=True))
         assert sorted(map(tuple, marks.get_xydata().tolist())) == expected
-    labels = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
+    labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert "same label, other motion\nfrom another start" in labels

@@ -316,8 +316,9 @@ def split_starts(ds: xr.Dataset) -> Facets:
         return Facets((f"{ds.sizes[START]} starts together",), (ds,))
     if START not in ds.coords or ds[START].ndim == 0:
         return Facets(("",), (ds,))
-    names = dict.fromkeys(ds[START].values.astype(str).tolist())
-    data = tuple(ds.isel({ds[START].dims[0]: np.flatnonzero(ds[START].values == name)}) for name in names)
+    values = ds[START].values.astype(str)
+    names = dict.fromkeys(values.tolist())
+    data = tuple(ds.isel({ds[START].dims[0]: np.flatnonzero(values == name)}) for name in names)
     data = tuple(facet.squeeze(START) if START in ds.dims else facet for facet in data)
     return Facets(tuple(f"start: {axes.short(name)}" for name in names), data, (len(names),))
 
