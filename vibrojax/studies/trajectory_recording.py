@@ -16,13 +16,7 @@ from vibrojax.lanes.certificate import drift
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.labels import measured_besides, regime_variables, regimes, unresolved, with_radius
 from vibrojax.lanes.programs import LaneArguments
-from vibrojax.lanes.record import (
-    RECORD_MAX_STEPS,
-    Record,
-    SampledMotion,
-    record,
-    window,
-)
+from vibrojax.lanes.record import RECORD_MAX_STEPS, Record, SampledMotion, record, window
 from vibrojax.maps.read import Point
 from vibrojax.measures.labels import derived
 from vibrojax.measures.recorder import Features
