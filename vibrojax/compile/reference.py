@@ -23,7 +23,7 @@ def evaluate(closed: Any, *arguments: Any) -> list[Any]:
         values = [np.asarray(x.val, x.aval.dtype) if hasattr(x, "val") else known[x] for x in equation.invars]
         if name in CALLS:
             results = evaluate(equation.params[CALLS[name]], *values)
-        elif name == "scan":
+        elif name == "scan" and "num_consts" in equation.params:  # other versions of jax describe loops otherwise
             results = _scan(equation, values)
         elif rule is not None and _is_exact(equation):
             with np.errstate(all="ignore"):
