@@ -24,7 +24,8 @@ from jaxtyping import Float
 
 from vibrojax.compile.xla import workers
 from vibrojax.periodic.event_map import conditions_of, event_mapped
-from vibrojax.periodic.hopf import Field, moving_states, section_product
+from vibrojax.periodic.flow_map import moving_names
+from vibrojax.periodic.hopf import Field, section_product
 from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix, solve
 from vibrojax.periodic.problem import FAMILY_ACCURACY, Index, PerLane, Points, Problem, Unknowns
 from vibrojax.periodic.return_map import in_calls
@@ -157,7 +158,7 @@ class CurveProblem(Problem):
         number, rows, modes = int(curve[0]), self.rows, max(len(self.scene.modes), 1)
         if number not in self._fields:
             states = dict(zip(self.scene.return_states, self.states(curve, u)[0, 0], strict=True))
-            begin = np.array([states.get(name, 0.0) for name in moving_states(self.scene)])
+            begin = np.array([states.get(name, 0.0) for name in moving_names(self.scene)])
             parameters = {name: x[number] for name, x in self.parameters.items()}
             self._fields[number] = Field(self.scene, parameters, begin, float(self.scales[number].max()))
         values = self.values(curve, u)[0]
@@ -191,7 +192,7 @@ class CurveProblem(Problem):
         if known is None or pair is None:
             return np.full(rows + 1, np.nan), np.inf, np.full((rows, rows), np.nan)
         product = section_product(self.scene, known, *pair, scale)
-        names = moving_states(self.scene)
+        names = moving_names(self.scene)
         states = known.states[[names.index(name) for name in self.scene.return_states]] / scale
         return np.append(states, -pair[0].real / pair[0].imag), 2 * np.pi / pair[0].imag, product
 

@@ -19,6 +19,7 @@ from scipy.optimize import newton
 
 from vibrojax.compile.xla import precision
 from vibrojax.periodic.brackets import LOCATED_WITHIN
+from vibrojax.periodic.flow_map import moving_names
 from vibrojax.periodic.problem import Points, Problem
 from vibrojax.scenes import Scene
 
@@ -134,7 +135,7 @@ def surrounds_equilibrium(problem: Problem, point: Points) -> bool:
 
 def _field_near(problem: Problem, point: Points) -> tuple["Field", list[int]]:
     """Return the field in the mode of an orbit, and the places of the return map's states among its states."""
-    scene, names = problem.scene, moving_states(problem.scene)
+    scene, names = problem.scene, moving_names(problem.scene)
     section = dict(zip(scene.return_states, problem.states(point.family, point.u)[0, 0], strict=True))
     begin = np.array([section.get(name, 0.0) for name in names])
     parameters = {name: x[point.family[0]] for name, x in problem.parameters.items()}
@@ -147,17 +148,12 @@ def section_product(
 ) -> Float[np.ndarray, "states states"]:
     """Return the derivative of the return map to the section in the limit of zero amplitude, in scaled states."""
     assert scene.section is not None
-    names = moving_states(scene)
+    names = moving_names(scene)
     rows, normal = [names.index(name) for name in scene.return_states], known.normal
     away = (vector / (normal @ vector) * 1j).real  # on the section: its velocity is zero
     flow, whole = known.jacobian @ away, expm(known.jacobian * (2 * np.pi / eigenvalue.imag))
     product = whole - np.outer(flow / (normal @ flow), normal @ whole)
     return np.asarray(product[np.ix_(rows, rows)] * scale / scale[:, None])
-
-
-def moving_states(scene: Scene[Any]) -> list[str]:
-    """Return the names of the states that do not drift and do not follow from others."""
-    return [name for name in scene.state_names if name not in (*scene.drifting, *scene.redundant)]
 
 
 class Field:
@@ -169,7 +165,7 @@ class Field:
     def __init__(
         self, scene: Scene[Any], parameters: Mapping[str, Any], begin: Float[np.ndarray, " states"], scale: float
     ) -> None:
-        self._begin, self._scale, names = begin, scale, moving_states(scene)
+        self._begin, self._scale, names = begin, scale, moving_names(scene)
         assert scene.section is not None
         velocity = scene.section.velocity
         beside = () if velocity in names else (velocity,)

@@ -28,7 +28,6 @@ SAME_CROSSING = 1e-4
 """Largest difference of the scaled parameter, the logarithm of the period, the amplitude and the multipliers between
 two descriptions of one branch point."""
 
-
 SAME_VALUE, CENTRE_POINTS = 1e-9, 60
 """Scaled change of the parameter that is none, and number of points without one at which a family ends: around a centre
 there are orbits of every amplitude."""
@@ -71,19 +70,21 @@ class TimedLocator(Locator):
     def __init__(self, problem: TimedProblem) -> None:
         super().__init__(problem)
         self._timed = problem
+        self._crossed = np.zeros(0, int)
 
     def __call__(self, branches: Branches) -> Brackets:
-        located = super().__call__(branches)
         brackets = branches.brackets(np.arange(len(branches.lane) - 1))
         with np.errstate(all="ignore"):
             crossing = np.flatnonzero(crosses(brackets) & ~brackets.changes_events)
-            found = [self._branch_point(brackets.of([k])) for k in crossing]
-        return Brackets.join([located, *(one for one in found if one is not None)])
+            found = [point for k in crossing if (point := self._branch_point(brackets.of([k]))) is not None]
+        self._crossed = np.array([int(point.place[0]) for point in found], int)
+        return Brackets.join([super().__call__(branches), *found])
 
     def accepted(self, brackets: Brackets, shrunk: Brackets, test: TestFunction, lanes: Index) -> Brackets:
         """Return the special points among shrunk brackets; where two branches cross, there is no fold."""
         along = np.maximum(*(np.abs(x.tangent[lanes, -1]) for x in (brackets.near, brackets.far)))
-        hidden = (shrunk.kind[lanes] == FOLD) & (crosses(brackets)[lanes] | (along < NO_CHANGE))
+        crossed = np.isin(brackets.place[lanes], self._crossed)
+        hidden = (shrunk.kind[lanes] == FOLD) & (crossed | (along < NO_CHANGE))
         return super().accepted(brackets, shrunk, test, lanes[~hidden])
 
     def _branch_point(self, bracket: Brackets) -> Brackets | None:
