@@ -464,7 +464,7 @@ def _open(browser: Any, ds: xr.Dataset, path: Path, fragment: str = "", scheme: 
 
 
 def test_fit_is_named_by_its_groups_and_has_no_motions(browser: Any, tmp_path: Path) -> None:
-    rows = [f"{p:.6g},9e3,{4e-3 * np.log(p / 9e3)},{rock}" for p in np.linspace(12e3, 4e4, 6) for rock in ("a", "b")]
+    rows = [f"{p:.6g},9e4,{4e-3 * np.log(p / 9e4)},{rock}" for p in np.linspace(12e4, 4e5, 6) for rock in ("a", "b")]
     (tmp_path / "rig.csv").write_text("\n".join(["mean_force,threshold,rate_of_penetration,rock", *rows]))
     fit = vj.fit_rop(tmp_path / "rig.csv", by=["rock"], progress=False)
     with _open(browser, fit, tmp_path / "fit.html") as opened:

@@ -246,12 +246,17 @@ def _end(request: BaseException) -> NoReturn:
 
 def _warn(message: Warning | str, *_: object, **__: object) -> None:
     """Show a warning on one line of stderr, formatted like the command's errors."""
-    print("vibrojax: warning:", printable(message, MAX_STDERR_LINE), file=sys.stderr)
+    _write(f"vibrojax: warning: {printable(message, MAX_STDERR_LINE)}")
+
+
+def _write(line: str) -> None:
+    """Write a line on stderr at once: `print` writes the line's end apart, and another thread's text may get between."""
+    sys.stderr.write(f"{line}\n")
 
 
 def _say(line: str, status: int) -> int:
     """Print on stderr, on one line, why the command ended with `status`; return `status`."""
     end_lines()
     sys.stdout.flush()
-    print("vibrojax:", printable(line, MAX_STDERR_LINE), file=sys.stderr)
+    _write(f"vibrojax: {printable(line, MAX_STDERR_LINE)}")
     return status

@@ -194,9 +194,10 @@ def _serve(options: Options, live: Any) -> None:
     with live, on_leaving(lambda: live.close(1.0)), on_leaving(private.cleanup), private:
         words = [str(options.file), *options.values, *(["--over", str(options.over)] if options.over else [])]
         options.advise("the page is closed; to open it again", "explore", *words, "--live")
-        print(live.url, flush=True)
         if not options.quiet:
             print("Ctrl-C ends it", file=sys.stderr, flush=True)
+        # Who reads the address may end the command at once; then nothing else is being written.
+        print(live.url, flush=True)
         # Without a display, some browsers open in the terminal.
         has_display = (
             sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
