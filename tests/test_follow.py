@@ -162,7 +162,7 @@ def test_branch_that_doubles_at_both_ends_is_listed_once():
 @pytest.mark.parametrize("error", [0.0, 3e-16, -3e-16])
 def test_doubled_branch_stops_at_its_origin_whatever_the_rounding(family, error):
     """On the original branch, both halves of a doubled orbit are equal up to rounding errors."""
-    settings = {"along": "gamma", "at": 0.75, "span": (0.3, 1.6), "start": "stuck", "cycles": 2}
+    settings = {"along": "gamma", "at": 0.75, "span": (0.3, 1.6), "begin": {"start": "stuck"}, "cycles": 2}
     spec = family_spec("vibro-impact", **settings, settle=None, observe=None, parameters={"beta": 0.4})
     problem, number, [u] = problem_of(spec, vj.run_sweep(spec.sweep, progress=False))
     half = u[:-1]

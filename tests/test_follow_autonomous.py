@@ -33,9 +33,7 @@ def test_circles_cross_at_a_branch_point():
         progress=False,
     )  # fmt: skip
     assert kinds(family) == {"branch-point", "end"}
-    found = points(family, "branch-point")
-    assert [branch for branch, _ in found] == [0, 1]
-    assert [value for _, value in found] == pytest.approx([2.0, 2.0], abs=1e-9)
+    assert points(family, "branch-point") == [(0, pytest.approx(2.0, abs=1e-9))]
     for branch in (0, 1):
         own = family.branch.values == branch
         radius = np.abs(family.orbit_x.values[own])
@@ -62,8 +60,7 @@ def test_pair_of_mirrored_orbits_meets_the_symmetric_one():
         cycles=1, progress=False,
     )  # fmt: skip
     assert kinds(family) == {"branch-point", "period-doubling", "end"}
-    pair, symmetric = (value for _, value in points(family, "branch-point"))
-    assert pair == pytest.approx(symmetric, rel=1e-8)
+    [(_, pair)] = points(family, "branch-point")
     assert pair == pytest.approx(312.97353, abs=1e-5)
     doublings = [value for branch, value in points(family, "period-doubling") if branch == 0]
     assert doublings == pytest.approx([229.4067086] * 2, abs=1e-7)  # AUTO: 229.40671; once for each of the pair
@@ -91,3 +88,128 @@ def test_predators_and_prey_begin_to_oscillate():
     )
     assert kinds(family) == {"hopf", "end"}
     assert points(family, "hopf") == [(0, pytest.approx(0.67159384748, abs=1e-11))]
+
+
+SUBCRITICAL = vj.System(
+    "subcritical",
+    states={"x": "1", "y": "1", "z": "1"},
+    parameters={"m": -0.1, "w": 1.5},
+    field=lambda t, y, p: {
+        "x": (p["m"] + y["x"] ** 2 + y["y"] ** 2 - (y["x"] ** 2 + y["y"] ** 2) ** 2) * y["x"] - p["w"] * y["y"],
+        "y": (p["m"] + y["x"] ** 2 + y["y"] ** 2 - (y["x"] ** 2 + y["y"] ** 2) ** 2) * y["y"] + p["w"] * y["x"],
+        "z": (p["m"] - 0.5) * y["z"] - y["z"] ** 3,
+    },
+    section="y",
+)
+"""Circles with m = r⁴ - r² around a Hopf point at m = 0, with a fold at -1/4; a pitchfork of equilibria at m = 1/2."""
+
+
+@pytest.fixture(scope="module")
+def standing():
+    """Equilibria of `SUBCRITICAL`, from the one at rest."""
+    return vj.follow(SUBCRITICAL, along="m", at=-0.1, span=(-0.4, 0.9), start=[0.0] * 3, cycles=0, progress=False)
+
+
+def test_equilibria_have_hopf_and_branch_points(standing):
+    assert kinds(standing) == {"hopf", "branch-point", "end"}
+    assert points(standing, "hopf")[0] == (0, pytest.approx(0.0, abs=1e-10))
+    assert points(standing, "branch-point") == [(0, pytest.approx(0.5, abs=1e-9))]
+    assert (standing.cycles.values == 0).all() and np.isnan(standing.period.values).all()
+    m, branch = standing.m.values, standing.branch.values
+    z = np.abs(standing.orbit_z.values)
+    assert z == pytest.approx(np.where(branch == 1, np.sqrt(np.maximum(m - 0.5, 0.0)), 0.0), abs=1e-8)
+    third = np.where(branch == 1, -2 * (m - 0.5), m - 0.5)
+    expected = -np.sort(-np.stack([m, m, third], axis=1), axis=1)
+    assert standing.eigenvalue_re.values == pytest.approx(expected, abs=1e-7)
+    assert np.abs(standing.eigenvalue_im.values).max(axis=1) == pytest.approx(1.5, abs=1e-12)
+    assert np.array_equal(standing.stable.values == 1, (expected < 0).all(axis=1))
+
+
+def test_equilibria_turn_back_at_a_fold():
+    fold = vj.System(
+        "fold", states={"x": "1"}, parameters={"m": 1.0}, field=lambda t, y, p: {"x": p["m"] - y["x"] ** 2}, section="x"
+    )
+    family = vj.follow(fold, along="m", at=1.0, span=(-1.0, 2.0), start=[0.8], cycles=0, progress=False)
+    assert kinds(family) == {"fold", "end"} and points(family, "fold") == [(0, pytest.approx(0.0, abs=1e-9))]
+    assert family.orbit_x.values ** 2 == pytest.approx(family.m.values, abs=1e-9)
+    assert family.eigenvalue_re.values[:, 0] == pytest.approx(-2 * family.orbit_x.values, abs=1e-8)
+
+
+def test_unstable_orbits_begin_at_a_hopf_point(standing, tmp_path):
+    """The command takes the family's file; the orbits are circles, stable beyond the fold."""
+    vj.write_dataset(standing, tmp_path / "standing.nc")
+    family = vj.follow(SUBCRITICAL, from_hopf=tmp_path / "standing.nc", cycles=1, progress=False)
+    own = family.branch.values == 0
+    square = family.orbit_x.values[own] ** 2
+    assert family.m.values[own] == pytest.approx(square**2 - square, abs=1e-8)
+    assert points(family, "fold")[0] == (0, pytest.approx(-0.25, abs=1e-9))
+    assert points(family, "hopf")[0] == (0, pytest.approx(0.0, abs=1e-9))
+    away = own & (np.abs(family.m.values + 0.25) > 1e-6) & (family.m.values < 0.4)
+    largest = np.exp((2 * family.orbit_x.values**2 - 4 * family.orbit_x.values**4) * 2 * np.pi / 1.5)
+    across = np.exp((family.m.values - 0.5) * 2 * np.pi / 1.5)
+    assert family.multiplier_abs.values[away, 0] == pytest.approx(np.maximum(largest, across)[away], rel=1e-6)
+
+
+def test_family_begins_at_a_given_orbit():
+    """The circle with the smaller radius at m = -0.1 is unstable: no motion settles on it."""
+    square = 0.5 - np.sqrt(0.25 - 0.1)
+    begin = {"states": [0.0, np.sqrt(square) + 0.005, 0.0], "period": 4.15}
+    settings = {"along": "m", "at": -0.1, "span": (-0.4, 0.2), "cycles": 1, "progress": False}
+    family = vj.follow(SUBCRITICAL, orbit=begin, **settings)
+    here = np.flatnonzero(family.m.values == -0.1)
+    assert np.abs(family.orbit_x.values[here]).min() == pytest.approx(np.sqrt(square), abs=1e-9)
+    assert {"hopf", "fold", "end"} == kinds(family)
+    with pytest.raises(vj.InputError, match="no periodic orbit near these states"):
+        vj.follow(SUBCRITICAL, orbit={"states": [0.0, 3.0, 1.0], "period": 1.0}, **settings)
+
+
+def test_given_orbit_of_a_scene_with_events():
+    """An unstable orbit of a family begins the same family."""
+    point = {"along": "gamma", "span": (0.6, 1.3), "beta": 0.4, "delta": 0.005, "cycles": 1, "progress": False}
+    family = vj.follow("vibro-impact", at=0.75, start="stuck", **point)
+    unstable = np.flatnonzero(family.stable.values == 0)
+    orbit = family.isel(point=int(unstable[np.abs(family.gamma.values[unstable] - 0.95).argmin()]))
+    states = [float(orbit.orbit_x1), 0.0, float(orbit.orbit_x2), float(orbit.orbit_v2)]
+    begun = vj.follow(
+        "vibro-impact", at=float(orbit.gamma), orbit={"states": states, "period": float(orbit.period)}, **point
+    )
+    assert np.abs(begun.gamma.values - float(orbit.gamma)).min() < 1e-12
+    assert kinds(begun) == kinds(family)
+    for kind in ("stick", "fold"):
+        expected = sorted(value for _, value in points(family, kind))
+        assert sorted(value for _, value in points(begun, kind)) == pytest.approx(expected, abs=1e-8)
+
+
+def test_forced_branches_cross():
+    """1/x² of x' = (a + cos t) x - x³ is linear: orbits ±x meet that at rest at a = 0, where they turn back."""
+    forced = vj.System(
+        "forced",
+        states={"x": "1"},
+        parameters={"a": 0.3},
+        field=lambda t, y, p: {"x": (p["a"] + E.cos(t)) * y["x"] - y["x"] ** 3},
+        period=lambda p: 2 * np.pi,
+    )
+    family = vj.follow(forced, along="a", at=0.3, span=(-0.2, 0.5), start=[1.0], settle=200.0, progress=False)
+    assert kinds(family) == {"branch-point", "end"}
+    assert points(family, "branch-point") == [(0, pytest.approx(0.0, abs=1e-9))]
+    a, rest = family.a.values, family.branch.values == 1
+    assert family.orbit_x.values[rest] == pytest.approx(0.0, abs=1e-7) and a[rest].min() == -0.2
+    assert family.multiplier_abs.values[:, 0] == pytest.approx(np.exp(2 * np.pi * a * np.where(rest, 1, -2)), rel=1e-6)
+    assert family.orbit_x.values[~rest].min() < -0.5 < 0.5 < family.orbit_x.values[~rest].max()
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"orbit": {"states": [1.0]}}, r"orbit: .* is not \{\"states\""),
+        ({"orbit": {"states": [1.0], "period": 2.0}}, "orbit.states: .* is not 3 numbers: x, y, z"),
+        ({"orbit": {"states": [1.0, 0.0, 0.0], "period": -2.0}}, "orbit.period: -2 is not above 0 s"),
+        ({"orbit": {}, "start": [0.0] * 3}, "orbit: and start both say where the family begins"),
+        ({"from_hopf": 3}, "from_hopf: is not a family of equilibria"),
+        ({"at": None}, "at is missing"),
+    ],
+)
+def test_wrong_beginnings_are_refused(more, words):
+    settings = {"along": "m", "at": -0.1, "span": (-0.4, 0.2), "progress": False} | more
+    with pytest.raises(vj.InputError, match=words):
+        vj.follow(SUBCRITICAL, **settings)

@@ -250,7 +250,7 @@ def _warn(message: Warning | str, *_: object, **__: object) -> None:
 
 
 def _write(line: str) -> None:
-    """Write a line on stderr at once: `print` writes the line's end apart, and another thread's text may get between."""
+    """Write a line on stderr at once: `print` writes its end separately, and another thread may write between."""
     sys.stderr.write(f"{line}\n")
 
 

@@ -66,7 +66,7 @@ def with_map(
     """
     if not isinstance(ds, xr.Dataset):
         raise InputError(f"{shown(ds)} is not a dataset; open it first: vj.open_dataset(PATH)")
-    view = analysis_of(ds).view
+    view = analysis_of(ds).view_of(ds)
     if view == "families":
         check_dataset(ds)
         ds = with_selected_families(ds)
@@ -89,17 +89,17 @@ def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | Non
     """
     check_dataset(ds)
     check_names(ds)
-    analysis = analysis_of(ds)
-    if analysis.view in ("families", "motion", "plots") and over is not None:
+    view = analysis_of(ds).view_of(ds)
+    if view in ("families", "motion", "plots") and over is not None:
         raise InputError("over: borders and curves need the map of a sweep, which the dataset does not hold")
     parts = summary_parts(ds)
-    if analysis.view == "motion":
+    if view == "motion":
         return motion_document(ds) | {"summary": parts}
-    if analysis.view == "families":
+    if view == "families":
         document = family_document(ds)
         return document | {"summary": parts, "figure": picture_document(ds, document)}
-    sweep, problem = (None, "") if analysis.view == "plots" else sweep_of(ds, own)
-    document = {} if analysis.view == "plots" else map_document(ds, sweep)
+    sweep, problem = (None, "") if view == "plots" else sweep_of(ds, own)
+    document = {} if view == "plots" else map_document(ds, sweep)
     if not document:
         return plots_document(ds) | {"summary": parts}
     if over is not None:
@@ -160,7 +160,7 @@ def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) ->
 
     `own`: sweep of the dataset, if it contains objects without a name.
     """
-    view = analysis_of(ds).view
+    view = analysis_of(ds).view_of(ds)
     if view == "families":
         yield from family_cells(ds)
     elif view == "motion":

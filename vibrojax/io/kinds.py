@@ -141,7 +141,6 @@ _DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
     "special_kind": {
         **dict.fromkeys(("branch", "stable", "cycles", "period"), ("point",)),
         **dict.fromkeys(("special_kind", "special_value", "special_branch", "special_note"), ("special",)),
-        "multiplier_abs": ("point", "multiplier"),
     },
     "point_curve": {
         **dict.fromkeys(("point_curve", "period", "cycles"), ("point",)),
@@ -152,6 +151,8 @@ _DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
     "region_area": {"curve": ("vertex",), "kind": ("curve",), "region_area": ("region",)},
     "event_time": {"event_time": ("event",), "event_kind": ("event",)},
 }
+_OF_EQUILIBRIA = dict.fromkeys(("eigenvalue_re", "eigenvalue_im"), ("point", "eigenvalue"))
+
 """Dimensions of the variables of families, of curves, of borders and of a motion's events. The key is the variable
 whose presence implies the others."""
 
@@ -168,7 +169,11 @@ def check_structure(ds: xr.Dataset) -> None:
     for name, data in ds.variables.items():
         _check_variable(Place(f"variable {name}"), str(name), data)
     for of in (name for name in _DIMENSIONS if name in ds):
-        for name, expected in _DIMENSIONS[of].items():
+        dimensions = dict(_DIMENSIONS[of])
+        if of == "special_kind":
+            standing = "eigenvalue_re" in ds
+            dimensions |= _OF_EQUILIBRIA if standing else {"multiplier_abs": ("point", "multiplier")}
+        for name, expected in dimensions.items():
             if name not in ds:
                 raise InputError(f"variable {name}: is missing; it goes with {of}")
             if ds[name].dims != expected:

@@ -168,6 +168,8 @@ VARIABLES: dict[str, Variable] = {
     "deepest_gap": Variable("m", "deepest gap between bit and rock (negative: how far the bit jumps off)"),
     "multiplier_abs": Variable("1", "modulus of the orbit's multipliers, falling", along="multiplier"),
     "multiplier_arg": Variable("rad", "argument of the orbit's multipliers, 0 to pi", along="multiplier"),
+    "eigenvalue_re": Variable("s-1", "real part of the equilibrium's eigenvalues, falling", along="eigenvalue"),
+    "eigenvalue_im": Variable("s-1", "imaginary part of the equilibrium's eigenvalues", along="eigenvalue"),
     "stable": Variable("1", "whether all multipliers are inside the unit circle", np.int8, STABILITIES, -1),
     "orbit_residual": Variable("1", "greatest return - state of the orbit, over the scales of labels"),
     "grazing_margin": Variable("1", "how far the order of events along the orbit is from changing"),

@@ -59,13 +59,9 @@ FACING = 0.01
 
 RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, TOO_UNSTABLE, VANISHED = range(8)
 """Status of a lane: running; at a bound of the parameter; no further point found; stopped by the caller; back at the
-branch's first point; too many points; a multiplier beyond `MAX_MULTIPLIER`; no amplitude left."""
+branch's first point; too many points; a multiplier beyond the limit; no amplitude left."""
 
 BRANCH_MAX_POINTS = 2000
-
-MAX_MULTIPLIER = 1e3
-"""Multiplier modulus up to which branches are continued. Beyond it special points are too close together to be
-resolved."""
 
 NEAR_GRAZE = 1e-3
 """Grazing margin below which branches are continued whatever their multipliers."""
@@ -197,9 +193,11 @@ class _ActiveBranches:
         subset = np.flatnonzero(done)
         if len(subset):
             # A last Newton step keeps predictors free of residuals, without another evaluation. It is omitted after
-            # very short steps, because the margin belongs to the evaluated point.
+            # very short steps, because the margin belongs to the evaluated point. Next to a Hopf point, the parameter of
+            # orbits without a section needs it, too.
             better, polished = now.of(subset), self._step[lanes[subset]] > POLISHED_STEP
-            better.u[polished, :-1] += np.nan_to_num(change[subset, :-1])[polished]
+            whole = slice(None, -1 if self._problem.at_section else None)
+            better.u[polished, whole] += np.nan_to_num(change[subset, whole])[polished]
             accepted[subset] = self._accept(lanes[subset], better)
         subset = np.flatnonzero(on)
         if len(subset):
@@ -306,7 +304,7 @@ class _ActiveBranches:
         self.status[kept[self._count[kept] >= BRANCH_MAX_POINTS]] = TOO_LONG
         # Near a graze, multipliers grow without limit, but no special points accumulate.
         near_change = (self._length[kept] - self._changed_at[kept] < CORNER) | (now.margin < NEAR_GRAZE)
-        self.status[kept[(spectral_radius(now.product) > MAX_MULTIPLIER) & ~near_change]] = TOO_UNSTABLE
+        self.status[kept[(spectral_radius(now.product) > problem.most_growth) & ~near_change]] = TOO_UNSTABLE
         self.status[kept[self._stop(kept, now)]] = STOPPED
         self.status[kept[~np.isnan(self._bound[kept])]] = ENDED
         self.status[kept[self._shrinks(now)]] = VANISHED

@@ -5,14 +5,17 @@ Every branch is continued in both directions, past its special points. Period-do
 
 from collections.abc import Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.arclength import CLOSED, ENDED, STALLED, STOPPED, VANISHED, Stop
 from vibrojax.periodic.brackets import Brackets
+from vibrojax.periodic.branch_points import FamilyLocator, second_tangent
 from vibrojax.periodic.hopf import hopf_point
-from vibrojax.periodic.location import GRAZED_MARGIN, Locator, classify_event_changes
+from vibrojax.periodic.location import GRAZED_MARGIN, classify_event_changes
+from vibrojax.periodic.newton import multipliers
 from vibrojax.periodic.problem import Flags, Index, Points, Problem, towards
 from vibrojax.periodic.segments import (
     ENDINGS,
@@ -40,6 +43,9 @@ section."""
 MAX_BRANCHES = 32
 """Largest number of branches of a family."""
 
+SAME_CROSSING = 1e-4
+"""Largest difference of the scaled parameter, the logarithm of the period, the amplitude and the multipliers between
+two descriptions of one branch point."""
 
 FREE_PHASE_REACH = 0.05
 """Scaled distance in the parameter and the period within which a branch without a section joins another one."""
@@ -52,9 +58,10 @@ class FamilyContinuation(Tracing):
     """
 
     def __init__(self, problem: Problem, cycles: int) -> None:
-        super().__init__(problem, Locator(problem))
+        super().__init__(problem, FamilyLocator(problem))
         self._cycles = cycles
         self._branches: dict[int, int] = {}
+        self._crossings: dict[int, list[np.ndarray]] = {}
 
     def __call__(self, family: Index, u: Sequence[np.ndarray]) -> list[Segment]:
         """Return all segments of the families to which orbits belong; `u`: unknowns of one orbit per `family`."""
@@ -115,7 +122,8 @@ class FamilyContinuation(Tracing):
                 is_last = value == self._problem.last[segment.family, 0]
                 note = f"the {'last' if is_last else 'first'} value is reached"
             segment.mark("end", note)
-        return (self._pass_stalls(stalled) if stalled else []) + self._doubled_branches(segments)
+        following = self._pass_stalls(stalled) if stalled else []
+        return following + self._doubled_branches(segments) + self._crossing_branches(segments)
 
     def _end_at_doublings(self, segments: list[Segment]) -> None:
         """Move the ends of doubled branches that join another branch to the period doublings at which they join it.
@@ -148,7 +156,9 @@ class FamilyContinuation(Tracing):
         return hopf is not None
 
     def _add_marks(self, segment: Segment, special: Brackets) -> None:
-        """Add special points to a segment."""
+        """Add special points to a segment, without the branch point at which it begins: the parameter may turn."""
+        here = np.abs(special.near.u[:, -1] - segment.begin.u[0, -1]) < SAME_POINT
+        special = special.of(~((segment.crossing is not None) & here & (special.place == 0)))
         for k, place in enumerate(special.place.tolist()):
             kind, orbit, note, beyond = SPECIAL_KINDS[special.kind[k]], special.near.of([k]), "", special.far.of([k])
             if kind == "grazing" and orbit.impacts[0] == beyond.impacts[0]:
@@ -218,6 +228,38 @@ class FamilyContinuation(Tracing):
                 doubled.append(Segment(segment.family, branch, 1, begin, **more))
         return doubled
 
+    def _crossing_branches(self, segments: list[Segment]) -> list[Segment]:
+        """Return the first segments, in both directions, of the branches that cross at branch points."""
+        crossing = []
+        for segment in segments:
+            for mark in segment.marks:
+                if mark.kind != "branch-point" or self._branches[segment.family] >= MAX_BRANCHES:
+                    continue
+                known, here = self._crossings.setdefault(segment.family, []), invariants(mark.orbit)
+                tangent = None if _is_among(here, known) else second_tangent(self._problem, mark.orbit)
+                if tangent is None:
+                    continue
+                known.append(here)
+                branch = self._branches[segment.family]
+                self._branches[segment.family] += 1
+                for sign in (1, -1):
+                    begin = mark.orbit._replace(tangent=sign * tangent)
+                    more: dict[str, Any] = {"parent": segment, "crossing": here}
+                    if self._problem.closes:
+                        more["home"] = begin
+                    crossing.append(Segment(segment.family, branch, sign, begin, **more))
+        return crossing
+
+
+def invariants(orbit: Points) -> np.ndarray:
+    """Return numbers that tell one orbit of a family from others, whatever its phase."""
+    values = np.sort_complex(multipliers(orbit.product)[0])
+    return np.concatenate([orbit.u[0, -1:], np.log(orbit.period), orbit.swing, values.real, values.imag])
+
+
+def _is_among(mine: np.ndarray, others: list[np.ndarray]) -> bool:
+    return any(np.abs(mine - other).max() < SAME_CROSSING for other in others)
+
 
 def drop_duplicates(segments: list[Segment], rows: int) -> list[Segment]:
     """Remove branches that were continued twice, and renumber the others.
@@ -225,14 +267,25 @@ def drop_duplicates(segments: list[Segment], rows: int) -> list[Segment]:
     A closed branch was continued in both directions. A branch that connects two period doublings was continued from
     both of them.
     """
-    closed = {s.family for s in segments if s.branch == 0 and any(m.note == ENDINGS[CLOSED] for m in s.marks)}
+    closed = {(s.family, s.branch) for s in segments if any(m.note == ENDINGS[CLOSED] for m in s.marks)}
     again = _from_other_ends(segments, rows)
+
+    def is_crossed(segment: Segment) -> bool:
+        """Return whether an earlier branch, which is not the one that it left, leads through its first point."""
+        assert segment.parent is not None and segment.crossing is not None
+        left = segment.parent.branch
+        earlier = [s for s in segments if s.family == segment.family and s.branch < segment.branch and s.branch != left]
+        marks = [
+            invariants(m.orbit) for s in earlier for m in s.marks if m.kind == "branch-point" and not is_dropped(s)
+        ]
+        return _is_among(segment.crossing, marks)
 
     def is_dropped(segment: Segment | None) -> bool:
         while segment is not None:
-            if segment.branch == 0 and segment.direction < 0 and segment.family in closed:
+            branch = segment.family, segment.branch
+            if branch in again or (segment.direction < 0 and branch in closed):
                 return True
-            if (segment.family, segment.branch) in again:
+            if segment.crossing is not None and is_crossed(segment):
                 return True
             segment = segment.parent
         return False

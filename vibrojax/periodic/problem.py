@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix, solve
+from vibrojax.periodic.newton import chain, images_by_lane, multipliers, shooting_matrix, solve
 from vibrojax.periodic.return_map import Segments
 from vibrojax.scenes import Scene
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy
@@ -28,6 +28,17 @@ STEEP_EQUATION = 1e4
 """Slope of an equation in scaled unknowns above which rounding errors may exceed `CORRECTOR_RESIDUAL`."""
 
 CORRECTOR_MAX_ITERATIONS = 8
+
+CRITICAL = 0.3
+"""Distance of a multiplier from 1 below which another branch may be so near that a step can lead to it."""
+
+BACK_ITERATIONS, BACK_RESIDUAL, OTHER_ORBIT = 6, 1e-6, 1e-2
+"""Newton steps back to the point before; residual up to which they have found an orbit; and distance of that orbit from
+the point before, relative to the step, from which on it is another one."""
+
+MAX_MULTIPLIER = 1e7
+"""Multiplier modulus up to which branches are continued. Beyond it, rounding errors grow to visible differences within
+a few periods."""
 
 UNITS_PER_SPAN = 8
 """Number of units of a scaled parameter between its bounds, which weights parameter steps against state steps."""
@@ -117,9 +128,15 @@ class Problem:
     - `unit`, `first`, `last` (families, varied parameters): units and bounds of the varied parameters.
     - `most_steps`: step limit between two section crossings, above which a motion counts as not returning.
     - `at_section`: whether an orbit is described by its states at the section.
+    - `closes`: whether equal orbits have equal unknowns, so that a branch can be seen to be back where it began.
+    - `most_growth`: modulus of a multiplier beyond which a branch ends; `impossible`: kinds of special points that the
+      motions cannot have.
     """
 
     at_section: ClassVar[bool] = True
+    closes: ClassVar[bool] = True
+    most_growth: ClassVar[float] = MAX_MULTIPLIER
+    impossible: tuple[str, ...] = ()
     scene: Scene[Any]
     along: tuple[str, ...]
     parameters: Mapping[str, PerLane]
@@ -175,12 +192,38 @@ class Problem:
         scale = self.scales[family][:, None]
         return jacobian / scale[..., None] * np.column_stack([self.scales[family], self.unit[family]])[:, None, None]
 
+    def halves(self, points: Points) -> Unknowns:
+        """Return the difference of the two halves of orbits; of an odd number of returns, the unknowns."""
+        half, odd = divmod(self.cycles(points.u), 2)
+        half *= self.rows
+        return points.u if odd else points.u[:, :half] - points.u[:, half : 2 * half]
+
+    def shift(self, points: Points) -> Unknowns:
+        """Return the direction along which orbits are the same but for their phase: none at a section."""
+        return np.zeros_like(points.u)
+
     def left_branch(self, last: Points, now: Points) -> Flags:
         """Return a mask of points from which a step back does not lead to the point before: they are on another branch.
 
-        Only asked of points where a step may have led from one branch to another that crosses it.
+        Where a multiplier is near 1, another branch may be so near that a step leads to it.
         """
-        return np.zeros(len(now.u), bool)
+        near = np.minimum(*(np.abs(multipliers(x.product) - 1).min(axis=1, initial=np.inf) for x in (last, now)))
+        lanes = np.flatnonzero((near < CRITICAL) & (now.signature == last.signature).all(axis=1))
+        left = np.zeros(len(now.u), bool)
+        if not len(lanes):
+            return left
+        back, target, row = now.of(lanes), last.u[lanes], now.tangent[lanes]
+        level = np.einsum("ij,ij->i", row, target)
+        u = back.u + (level - np.einsum("ij,ij->i", row, back.u))[:, None] * row
+        for _ in range(BACK_ITERATIONS):
+            at = self.evaluate(back.family, u)
+            short = np.einsum("ij,ij->i", row, u) - level
+            u = u + np.nan_to_num(solve_bordered(at.matrix, row, -np.column_stack([at.off, short])))
+        off, shift = u - target, self.shift(at)
+        off = np.linalg.norm(off - np.einsum("ij,ij->i", off, shift)[:, None] * shift, axis=1)
+        step = np.linalg.norm(now.u[lanes] - target, axis=1)
+        left[lanes] = (at.residual < BACK_RESIDUAL) & (off > OTHER_ORBIT * step)
+        return left
 
     def evaluate(self, family: Index, u: Unknowns) -> Points:
         """Evaluate the equations at the unknowns `u` of lanes; `family`: index of each lane's family."""

@@ -14,7 +14,6 @@ import numpy as np
 from vibrojax.periodic.arclength import (
     CLOSED,
     LONGEST_STEP,
-    MAX_MULTIPLIER,
     STALLED,
     STOPPED,
     TOO_LONG,
@@ -25,7 +24,7 @@ from vibrojax.periodic.arclength import (
 )
 from vibrojax.periodic.brackets import Brackets
 from vibrojax.periodic.location import Locator
-from vibrojax.periodic.problem import Points, Problem
+from vibrojax.periodic.problem import MAX_MULTIPLIER, Points, Problem
 
 REJOIN_DISTANCE = 1e-3
 """Smallest value of `Segment.reach`: scaled distance within which a branch counts as joined to another branch."""
@@ -76,6 +75,7 @@ class Segment:
     - `departure`: tangent at the period doubling, for doubled branches only.
     - `origin`: unknowns at the period doubling at which a branch ends that an impact at the section has interrupted.
     - `reach`: largest scaled distance between the segment's end and the branch that it joins.
+    - `crossing`: numbers that identify the branch point at which the segment begins; None elsewhere.
     - `status`, `points`, `special`: results, that is the final status of the continuation, the accepted points, and
       the special points between them. `marks`: the special points with their kinds.
     """
@@ -91,6 +91,7 @@ class Segment:
     departure: np.ndarray | None = None
     origin: np.ndarray | None = None
     reach: float = REJOIN_DISTANCE
+    crossing: np.ndarray | None = None
     status: int = field(init=False)
     points: Points = field(init=False)
     special: Brackets = field(init=False)

@@ -7,7 +7,6 @@ orthogonal to that shift, so that the phase condition moves along with the orbit
 Bifurcation and Chaos* 1, 1991, 745). No section is needed, so that families do not end where orbits leave one.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -15,8 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.periodic.flow_map import Flow, Flowed, moving_names
-from vibrojax.periodic.newton import chain, images_by_lane, multipliers, shooting_matrix
+from vibrojax.periodic.flow_map import Flow, Flowed
+from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
 from vibrojax.periodic.problem import (
     FAMILY_ACCURACY,
     Flags,
@@ -25,24 +24,11 @@ from vibrojax.periodic.problem import (
     Points,
     Problem,
     Unknowns,
-    solve_bordered,
 )
 from vibrojax.scenes import Scene
 
-GROWTH = 30.0
-"""Largest growth of a small distance over a part of the first orbit; along the family it may become greater."""
-
-LEAST_PARTS, MOST_PARTS = 4, 64
-
-CRITICAL = 0.3
-"""Distance of a multiplier from 1 below which another branch may be so near that a step can lead to it."""
-
 NO_SWING = 1e-3
 """Amplitude, relative to that of the point before, below which a step has led to an equilibrium."""
-
-BACK_ITERATIONS, BACK_RESIDUAL, OTHER_ORBIT = 6, 1e-6, 1e-2
-"""Newton steps back to the point before; residual up to which they have found an orbit; and distance of that orbit from
-the point before, relative to the step, from which on it is another one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +40,7 @@ class TimedProblem(Problem):
     """
 
     at_section: ClassVar[bool] = False
+    closes: ClassVar[bool] = False
     period_unit: PerLane
     parts: int
 
@@ -88,30 +75,11 @@ class TimedProblem(Problem):
     def period(self, family: Index, u: Unknowns) -> PerLane:
         return np.asarray(u[:, -1 - len(self.along)] * self.period_unit[family])
 
-    def halves(self, points: Points) -> np.ndarray:
-        """Return the difference of the two halves of orbits, which changes its sign where they become equal."""
-        half = self.cycles(points.u) // 2 * self.rows
-        return np.asarray(points.u[:, :half] - points.u[:, half : 2 * half])
-
     def left_branch(self, last: Points, now: Points) -> Flags:
-        near = np.minimum(*(np.abs(multipliers(x.product) - 1).min(axis=1, initial=np.inf) for x in (last, now)))
-        lanes = np.flatnonzero(near < CRITICAL)
-        left = now.swing < NO_SWING * last.swing
-        if not len(lanes):
-            return np.asarray(left)
-        back, target, row = now.of(lanes), last.u[lanes], now.tangent[lanes]
-        level = np.einsum("ij,ij->i", row, target)
-        u = back.u + (level - np.einsum("ij,ij->i", row, back.u))[:, None] * row
-        for _ in range(BACK_ITERATIONS):
-            at = self.evaluate(back.family, u)
-            short = np.einsum("ij,ij->i", row, u) - level
-            u = u + np.nan_to_num(solve_bordered(at.matrix, row, -np.column_stack([at.off, short])))
-        off = u - target
-        off = np.linalg.norm(off - np.einsum("ij,ij->i", off, at.matrix[:, -1])[:, None] * at.matrix[:, -1], axis=1)
-        left[lanes] |= (at.residual < BACK_RESIDUAL) & (
-            off > OTHER_ORBIT * np.linalg.norm(now.u[lanes] - target, axis=1)
-        )
-        return np.asarray(left)
+        return super().left_branch(last, now) | (now.swing < NO_SWING * last.swing)
+
+    def shift(self, points: Points) -> Unknowns:
+        return points.matrix[:, -1]
 
     def doubled(self, points: Points) -> tuple[Unknowns, Unknowns]:
         """Return the unknowns of orbits gone round twice, and the tangents of the branches of twice the period."""
@@ -163,7 +131,7 @@ class TimedProblem(Problem):
             off=np.concatenate([off.reshape(lanes, -1), np.zeros((lanes, 1))], axis=1),
             matrix=np.concatenate([matrix, phase], axis=1),
             times=np.where(reached[:, None], times, np.inf),
-            product=transverse(by_states, images.rate[:, 0] / scale),
+            product=transverse(by_states, images.rate / scale[:, None]),
             impacts=np.zeros(lanes),
             mode_changes=np.asarray(images.mode_changes.sum(axis=1)),
             margin=np.full(lanes, np.inf),
@@ -172,75 +140,24 @@ class TimedProblem(Problem):
 
 
 def transverse(
-    jacobian: Float[np.ndarray, "lanes parts states states"], rate: Float[np.ndarray, "lanes states"]
+    jacobian: Float[np.ndarray, "lanes parts states states"], rate: Float[np.ndarray, "lanes parts states"]
 ) -> Float[np.ndarray, "lanes others others"]:
-    """Return the derivative of the map over one period, without the direction of the flow, whose multiplier is 1."""
-    product = chain(jacobian)
-    first = np.where(np.linalg.norm(rate, axis=1, keepdims=True) > 0, rate, np.eye(rate.shape[1])[0])
-    basis = np.linalg.qr(
-        np.concatenate([first[..., None], np.broadcast_to(np.eye(rate.shape[1]), product.shape)], axis=2)
-    )[0]
-    whole = np.swapaxes(basis, 1, 2) @ product @ basis
-    return np.asarray(whole[:, 1:, 1:])
+    """Return the derivative of the map over one period, without the direction of the flow, whose multiplier is 1.
+
+    Each part is projected onto the directions across the flow (`rate`, at its beginning). Removing the direction once,
+    from the product, would leave errors that have grown over the whole period.
+    """
+    states = rate.shape[-1]
+    along = np.where(np.linalg.norm(rate, axis=2, keepdims=True) > 0, rate, np.eye(states)[0])
+    every = np.broadcast_to(np.eye(states), (*rate.shape, states))
+    basis = np.linalg.qr(np.concatenate([along[..., None], every], axis=3))[0]
+    # One orientation everywhere: in the plane, the multiplier is then positive as it must be.
+    sign = np.sign(np.einsum("ijk,ijk->ij", basis[..., 0], along) * np.linalg.det(basis))
+    basis[..., -1] *= sign[..., None]
+    across = basis[..., 1:]
+    return chain(np.swapaxes(np.roll(across, -1, axis=1), 2, 3) @ jacobian @ across)
 
 
 def has_free_phase(scene: Scene[Any]) -> bool:
     """Return whether the motions of a scene can be followed without a section: autonomous, and without events."""
     return bool(scene.autonomous) and not scene.guard_names and not scene.redundant and scene.section is not None
-
-
-def free_problem(
-    problem: Problem, families: Index, unknowns: Sequence[np.ndarray]
-) -> tuple[TimedProblem, list[np.ndarray]]:
-    """Return the equations without a section, and the unknowns of the same orbits.
-
-    **Arguments:** `problem`, `unknowns`: equations with the states at the section, and the orbits of `families`.
-    """
-    scene, [along], names = problem.scene, problem.along, moving_names(problem.scene)
-    count = len(problem.scales)
-    begin, period = np.zeros((count, len(names))), np.ones(count)
-    parameters = {name: x.copy() for name, x in problem.parameters.items()}
-    for number, u in zip(families.tolist(), unknowns, strict=True):
-        point = problem.evaluate(np.array([number]), u[None])
-        section = dict(zip(scene.return_states, problem.states(point.family, point.u)[0, 0], strict=True))
-        begin[number] = [section.get(name, 0.0) for name in names]
-        period[number] = point.period[0]
-        parameters[along][number] = problem.values(point.family, point.u)[0, 0]
-    known = {name: x[families] for name, x in parameters.items()}
-    parts, size = _mesh(problem, known, begin[families], period[families])
-    scales = np.ones((count, len(names)))
-    scales[families] = size
-    timed = TimedProblem(
-        scene=scene, along=problem.along, parameters=parameters, scales=scales, unit=problem.unit, first=problem.first,
-        last=problem.last, most_steps=problem.most_steps, period_unit=period, parts=parts,
-    )  # fmt: skip
-    states = [begin[families].T]
-    for _ in range(parts - 1):
-        states.append(np.asarray(timed.flow(known, states[-1], period[families] / parts).state))
-    values = parameters[along][families, None]
-    u = timed.unknowns_of(families, np.stack([x.T for x in states], axis=1), period[families], values)
-    return timed, list(u)
-
-
-def _mesh(
-    problem: Problem, parameters: Mapping[str, PerLane], begin: Float[np.ndarray, "orbits states"], period: PerLane
-) -> tuple[int, Float[np.ndarray, "orbits states"]]:
-    """Return the number of parts in which no distance grows by more than `GROWTH`, and the scales of the states."""
-    flow, rows = Flow(problem.scene, problem.along, FAMILY_ACCURACY, problem.most_steps), begin.shape[1]
-    parts = LEAST_PARTS
-    while True:
-        state, growth = begin.T, 1.0
-        least, greatest = state.copy(), state.copy()
-        for _ in range(parts):
-            end = flow(parameters, state, period / parts)
-            state = np.asarray(end.state)
-            least, greatest = np.fmin(least, end.least), np.fmax(greatest, end.greatest)
-            swing = (greatest - least) / 2
-            own = np.moveaxis(np.asarray(end.jacobian)[:, :rows], -1, 0)
-            relative = own * swing.T[:, None, :] / np.maximum(swing.T[:, :, None], 1e-300)
-            growth = max(growth, float(np.nan_to_num(np.linalg.norm(relative, ord=2, axis=(1, 2))).max()))
-        if growth <= GROWTH or parts >= MOST_PARTS:
-            break
-        parts *= 2
-    largest = swing.max(axis=0)
-    return parts, np.where(swing > 1e-6 * largest, swing, largest).T

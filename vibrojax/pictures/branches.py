@@ -19,6 +19,9 @@ STABLE, UNSTABLE, UNKNOWN = 1, 0, -1
 
 KIND, FAMILY = "special_kind", "family"
 
+BEGINNINGS = ("period-doubling", "branch-point")
+"""Kinds of special points at which other branches begin."""
+
 _KIND_PRIORITY = ("fold", "period-doubling", "torus", "branch-point", "hopf", "section", "grazing", "stick", "end")
 """Kinds of special points, ordered by how well they explain a change of stability, for points with several kinds."""
 
@@ -151,8 +154,11 @@ def stable_intervals(ds: xr.Dataset, branch: Branch) -> list[Interval]:
     kinds: dict[int, str] = {}
     for special, point in zip(branch.special.tolist(), places(ds, branch).tolist(), strict=True):
         kinds[point] = min(kinds.get(point, names[special]), names[special], key=_KIND_PRIORITY.index)
-    if branch.number:
-        kinds.setdefault(int(branch.points[0]), "period-doubling")  # a period-doubled branch begins at this point
+    # Special points of other branches, at which this one begins or which it crosses.
+    begins = [k for k, name in enumerate(names) if name in BEGINNINGS and branch.number]
+    for special in begins:
+        for point in branch.points[values == ds["special_value"].values[special]].tolist():
+            kinds.setdefault(point, names[special])
 
     def end(index: int) -> tuple[float, str]:
         return float(values[index]), kinds.get(int(branch.points[index]), "")
@@ -167,7 +173,7 @@ def stable_intervals(ds: xr.Dataset, branch: Branch) -> list[Interval]:
 
 # Lines.
 
-LARGEST = "multiplier_abs"
+LARGEST, LEADING = "multiplier_abs", "eigenvalue_re"
 _LINES: dict[int, Dash] = {STABLE: "-", UNSTABLE: (0.0, (3.5, 2.0)), UNKNOWN: ":"}
 _MEANINGS = {STABLE: "stable", UNSTABLE: "unstable", UNKNOWN: "stability not known"}
 
@@ -183,7 +189,7 @@ MARKS: dict[str, Look] = {
     "hopf": {"marker": "^", "colour": "#882255", "size": 6.0},
     "end": {"marker": "x", "colour": "#222222", "size": 4.5, "edge_width": 1.2},
 }
-_COLOUR_OF_CYCLES = {1: BIT, 2: "#D1570A", 4: "#2E8B57", 8: "#9B30C9"}
+_COLOUR_OF_CYCLES = {0: BIT, 1: BIT, 2: "#D1570A", 4: "#2E8B57", 8: "#9B30C9"}
 _POINTS_PER_STEP = 8  # vertices of a smooth line between successive orbits
 
 Column = np.ndarray
@@ -291,11 +297,13 @@ def _mark(kind: str, size: float) -> Look:
 
 
 def colour_keys(ds: xr.Dataset) -> list[Line]:
-    """Return the legend entries for colours: families, or periods in returns."""
+    """Return the legend entries for colours: families, or periods in returns; equilibria have none."""
     if FAMILY in ds.dims:
         by, colours = ds[(*distinguishing_coords(ds), FAMILY)[0]], list(_family_colours(ds).values())
         chosen = sorted({int(index) for index in np.linspace(0, by.size - 1, MOST_LINES).round()})
         return [key(value_text(by, by.values[index]), colour=colours[index]) for index in chosen]
+    if LEADING in ds:
+        return []
     periods = dict(sorted((branch.cycles, branch.colour) for branch in branches(ds)))
     texts = {cycles: "one return" if cycles == 1 else f"{cycles} returns" for cycles in periods}
     return [key(f"repeats after {texts[cycles]}", colour=colour) for cycles, colour in periods.items()]

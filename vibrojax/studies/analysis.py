@@ -117,6 +117,10 @@ class Analysis(Settings):
     "plots" stands for the analysis's own picture and summary, which most other views show, too.
     """
 
+    def view_of(self, ds: xr.Dataset) -> str:
+        """Return the view of a dataset in the explorer."""
+        return self.view
+
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
         """Analyse `source` and return the resulting dataset.
 

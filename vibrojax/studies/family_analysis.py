@@ -16,6 +16,7 @@ from vibrojax.pictures.axes import axis, label, margins, scale, values_along, wi
 from vibrojax.pictures.branches import (
     FAMILY,
     LARGEST,
+    LEADING,
     Branch,
     along_name,
     branches,
@@ -148,22 +149,26 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
     The panels show the impact velocity (without impacts, the bit's amplitude), the bit's position at the section, and
     the largest modulus of the multipliers. Next to the panels, the multipliers are drawn in the complex plane. Branches
     of a single family are coloured by their number of section crossings per period, and the multipliers of its first
-    branch by the parameter. If there are several families, each has its own colour.
+    branch by the parameter. If there are several families, each has its own colour. Of equilibria, two states and the
+    leading eigenvalues are drawn.
 
     `names`: variables with the dimension `point` that replace the variables of the first two panels.
     """
+    standing = LEADING in ds
     if not names:
         known = [name for name in _QUANTITIES if name in ds and bool(np.isfinite(ds[name].values).any())]
         states = [str(name) for name in ds.data_vars if str(name).startswith("orbit_")]
-        names = (*known[:1], *states[:1])
-    names = (*names, LARGEST)
+        names = tuple(states[:2]) if standing else (*known[:1], *states[:1])
+    last = LEADING if standing else LARGEST
+    names = (*names, last)
     every, many = list(branches(ds)), FAMILY in ds.dims
     along = ds[along_name(ds)]
     plots = []
     for row, name in enumerate(names):
         layers, up = family_layers(ds, every, name, thin=many), Axis(_label(ds, name), name)
         if row == len(names) - 1:  # the last panel has the stability limit
-            layers = [level(1.0, width=0.8, order=1.0), *layers]
+            layers = [level(0.0 if standing else 1.0, width=0.8, order=1.0), *layers]
+        if name == LARGEST:
             largest = heights_of(ds, LARGEST, 1.0)
             low, high = np.nanmin(largest, initial=0.5), np.nanmax(largest, initial=1.5)
             ends = max(float(low), _MODULUS_RANGE[0]) / 1.2, min(float(high), _MODULUS_RANGE[1]) * 1.2
@@ -173,9 +178,9 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
     plane, outside = _plane(ds, every)
     plots.append(replace(plane, place=(0, 1, len(names), 1)))
     keys = colour_keys(ds), [*stability_keys(ds), *special_keys(ds)]
-    largest, (low, high) = heights_of(ds, LARGEST, 1.0), _MODULUS_RANGE
-    cut = bool(((largest < low) | (largest > high)).any())
-    note = f"The largest modulus is drawn from {low:g} to {high:g}" if cut else ""
+    note, (low, high) = "", _MODULUS_RANGE
+    if not standing and bool(((heights_of(ds, LARGEST, 1.0) < low) | (heights_of(ds, LARGEST, 1.0) > high)).any()):
+        note = f"The largest modulus is drawn from {low:g} to {high:g}"
     about = margins(ds, ranges_text(ds, names), note, outside)
     return Sheet(plots, (12.5, height), (1.75, 1.0), (1.0,) * len(names), keys, **about)
 
@@ -183,28 +188,33 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
 def _label(ds: xr.Dataset, name: str) -> str:
     if name == LARGEST:
         return "largest modulus\nof the multipliers"
+    if name == LEADING:
+        return "largest real part of\nthe eigenvalues [1/s]"
     state = name.removeprefix("orbit_")
-    words = f"{SYMBOLS.get(state, state)} at the section" if state != name else name.replace("_", " ")
+    where = "" if LEADING in ds else " at the section"
+    words = f"{SYMBOLS.get(state, state)}{where}" if state != name else name.replace("_", " ")
     return with_unit(words, scale(ds[name])[1]).replace(" [", "\n[")
 
 
 def _plane(ds: xr.Dataset, every: Sequence[Branch]) -> tuple[Plot, str]:
-    """Draw the multipliers of the first branches in the complex plane; return a note on those outside the axes, too."""
-    parameter, many = ds[along_name(ds)], FAMILY in ds.dims
+    """Draw the multipliers of the first branches in the complex plane, or the eigenvalues; say how many are outside."""
+    parameter, many, standing = ds[along_name(ds)], FAMILY in ds.dims, LEADING in ds
     along = values_along(parameter)
-    turn = np.linspace(0.0, 2 * np.pi, 181)
     grey = "#D9D9D9"
-    layers: list[Layer] = [
-        level(0.0, colour=grey, width=0.6, order=0.0),
-        upright(0.0, colour=grey, width=0.6, order=0.0),
-        Line(np.cos(turn), np.sin(turn), width=0.9),
-    ]
+    layers: list[Layer] = [level(0.0, colour=grey, width=0.6, order=0.0)]
     first = min((branch.number for branch in every), default=0)
     shown = [branch for branch in every if branch.number == first]
     points = np.concatenate([np.zeros(0, int), *(branch.points for branch in shown)])
-    modulus, argument = ds[LARGEST].values[points], ds["multiplier_arg"].values[points]
-    half = float(np.clip(1.1 * modulus[np.isfinite(modulus)].max(initial=0.0), *_HALF_PLANE))
-    values = (modulus * np.exp(1j * argument)).reshape(len(points), -1)
+    if standing:
+        layers.append(upright(0.0, width=0.9))
+        values = (ds[LEADING].values + 1j * ds["eigenvalue_im"].values)[points].reshape(len(points), -1)
+        half = 1.1 * float(np.nanmax(np.abs([values.real, values.imag]), initial=1e-12))
+    else:
+        turn = np.linspace(0.0, 2 * np.pi, 181)
+        layers += [upright(0.0, colour=grey, width=0.6, order=0.0), Line(np.cos(turn), np.sin(turn), width=0.9)]
+        modulus, argument = ds[LARGEST].values[points], ds["multiplier_arg"].values[points]
+        half = float(np.clip(1.1 * modulus[np.isfinite(modulus)].max(initial=0.0), *_HALF_PLANE))
+        values = (modulus * np.exp(1j * argument)).reshape(len(points), -1)
     norm = Normalize(along[points].min(), along[points].max()) if len(points) else Normalize(0.0, 1.0)
     colours = colours_of(along[points], colour_map(), norm)
     if many:
@@ -212,12 +222,10 @@ def _plane(ds: xr.Dataset, every: Sequence[Branch]) -> tuple[Plot, str]:
     for column in values.T if len(points) else ():
         for mirrored in (column, column.conj()):
             layers.append(Points(mirrored.real, mirrored.imag, colours, 2.2 if many else 3.5, order=3.0))
-    ends, name = (-half, half), str(parameter.name)
+    ends, name, unit = (-half, half), str(parameter.name), " [1/s]" * standing
     value = Value(name, label(parameter, 60), scale(parameter)[0], norm, "neither", colour_map())
-    axes, title = (
-        (Axis("real part", limits=ends), Axis("imaginary part", limits=ends)),
-        f"multipliers of branch {first}",
-    )
+    axes = Axis(f"real part{unit}", limits=ends), Axis(f"imaginary part{unit}", limits=ends)
+    title = f"{'eigenvalues' if standing else 'multipliers'} of branch {first}"
     plot = Plot(layers, *axes, title, grid="", square=True, scale=None if many else value)
     largest = values[:, 0] if len(points) else np.zeros(0)
     outside = int((np.maximum(np.abs(largest.real), np.abs(largest.imag)) > half).sum())
@@ -239,25 +247,30 @@ class Families(MachineAnalysis[FamilySpec]):
 
     along: object = setting(None, f"{_SYNTAX}: the parameter, where the family begins, and its bounds", read=given)
     at: object = setting(None, "", read=given)
+    from_hopf: object = setting(None, "family of equilibria, at whose hopf points orbits begin", read=given)
     span: object = setting(None, "", read=given)
     cycles: object = setting(MOST_CYCLES, "the most returns of doubled branches", read=given)
 
+    def view_of(self, ds: xr.Dataset) -> str:
+        return "plots" if LEADING in ds else self.view
+
     @classmethod
     def words(cls) -> tuple[str, ...]:
-        return ("along", "at", "from", "to", "cycles", "start", *cls.run_settings)
+        return ("along", "at", "from", "to", "cycles", "from-hopf", "start", *cls.run_settings)
 
     @classmethod
     def of_words(cls, values: dict[str, Any]) -> dict[str, Any]:
+        values["from_hopf"] = values.pop("from-hopf", None)
         missing = [name for name in ("along", "at", "from", "to") if name not in values]
-        if missing:
+        if (missing and values["from_hopf"] is None) or len({"from", "to"} & set(missing)) == 1:
             raise Place("follow").error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_SYNTAX}")
-        return values | {"span": (values.pop("from"), values.pop("to"))}
+        return values | {"span": (values.pop("from"), values.pop("to")) if "from" in values else None}
 
     def machines(
         self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
     ) -> FamilySpec:
-        times = run.get("settle"), run.get("observe")
-        return family_spec(scene, self.along, self.at, self.span, start, *times, self.cycles, parameters)
+        times, begin = (run.get("settle"), run.get("observe")), {"start": start, "from_hopf": self.from_hopf}
+        return family_spec(scene, self.along, self.at, self.span, begin, *times, self.cycles, parameters)
 
     def identity(self, asked: FamilySpec) -> dict[str, object]:
         return asked.identity()

@@ -13,6 +13,8 @@ from vibrojax.io.variables import VARIABLES, described, orbit_name
 from vibrojax.lanes.labels import measured_besides, of_orbits
 from vibrojax.maps.dataset import parameter_attributes, shared_attributes
 from vibrojax.maps.sweep import Sweep
+from vibrojax.periodic.equilibria import EquilibriumProblem
+from vibrojax.periodic.flow_map import moving_names
 from vibrojax.periodic.margin import HOW
 from vibrojax.periodic.measuring import Measuring
 from vibrojax.periodic.newton import multipliers
@@ -50,23 +52,43 @@ def columns(problem: Problem, parts: Sequence[Points]) -> Table:
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
+def equilibrium_columns(problem: EquilibriumProblem, parts: Sequence[Points]) -> dict[str, np.ndarray]:
+    """Return the values of equilibria by variable name."""
+    points = Points.join(parts)
+    eigenvalues, states = problem.eigenvalues(points), problem.states(points.family, points.u)[:, 0]
+    return {
+        problem.along[0]: problem.values(points.family, points.u)[:, 0],
+        "period": np.full(len(states), np.nan),
+        "cycles": np.zeros(len(states), int),
+        **dict(zip(map(orbit_name, moving_names(problem.scene)), states.T, strict=True)),
+        "eigenvalue_re": eigenvalues.real,
+        "eigenvalue_im": eigenvalues.imag,
+        "stable": (eigenvalues.real < 0).all(axis=1).astype(int),
+    }
+
+
 def families_dataset(sweep: Sweep, problem: Problem, points: list[Mark], special: list[Mark]) -> xr.Dataset:
     """Return the dataset of families from their points and special points."""
     [along], system = problem.along, problem.scene
     schema = VARIABLES | OF_FAMILIES | measured_besides(sweep.system) | of_orbits(sweep.system)
-    values = columns(problem, [point.orbit for point in points])
     family = np.array([point.orbit.family[0] for point in points], int)
-    modulus = values["multiplier_abs"]
+    standing = isinstance(problem, EquilibriumProblem)
+    orbits = [point.orbit for point in points]
+    if isinstance(problem, EquilibriumProblem):
+        values = equilibrium_columns(problem, orbits)
+    else:
+        values = columns(problem, orbits)
+        modulus = values["multiplier_abs"]
+        values |= {
+            "stable": np.where(np.isfinite(modulus).all(axis=1), modulus[:, 0] < 1, -1),
+            "grazing_margin": np.array([point.orbit.margin[0] for point in points]),
+        }
+        measures = measured(sweep, problem, points, family, values)
+        values |= {name: x for name, x in measures.items() if name in schema}
+        if not isinstance(system, HasImpacts):
+            del values["impacts"]
     values |= {
         "branch": np.array([point.branch for point in points], int),
-        "stable": np.where(np.isfinite(modulus).all(axis=1), modulus[:, 0] < 1, -1),
-        "grazing_margin": np.array([point.orbit.margin[0] for point in points]),
-    }
-    measures = measured(sweep, problem, points, family, values)
-    values |= {name: x for name, x in measures.items() if name in schema}
-    if not isinstance(system, HasImpacts):
-        del values["impacts"]
-    values |= {
         "special_kind": np.array([SPECIAL_KINDS.index(point.kind) for point in special]),
         "special_value": np.array([problem.values(x.orbit.family, x.orbit.u)[0, 0] for x in special]),
         "special_branch": np.array([point.branch for point in special]),
@@ -83,22 +105,23 @@ def families_dataset(sweep: Sweep, problem: Problem, points: list[Mark], special
     about = parameter_attributes(sweep, along)
     table: dict[str, Any] = {along: ("point", values.pop(along), about)}
     for name, x in values.items():
-        table[name] = (("special" if name.startswith("special_") else "point", "multiplier")[: x.ndim], x)
+        every = "eigenvalue" if standing else "multiplier"
+        table[name] = (("special" if name.startswith("special_") else "point", every)[: x.ndim], x)
     variables = described(table, schema)
     variables["special_value"][-1].update(about | {"long_name": f"{about['long_name']} at the special point"})
-    orbits = {
-        "states": list(system.return_states),
+    about_orbits = {
+        "states": moving_names(system) if standing else list(system.return_states),
         "tolerance": FAMILY_ACCURACY.tolerance,
-        "accepted_residual": CORRECTOR_RESIDUAL,
-        "grazing_margin": HOW,
     }
-    title = f"Families of periodic orbits of {sweep.scene} over {along}"
+    about_orbits |= {"accepted_residual": CORRECTOR_RESIDUAL, "grazing_margin": HOW}
+    what = "equilibria" if standing else "periodic orbits"
+    title = f"Families of {what} of {sweep.scene} over {along}"
     attributes = {
         **shared_attributes(sweep, "family", title, "follow"),
         "along": along,
         "span": [float(problem.first[0, 0]), float(problem.last[0, 0])],
         "parameters": json.dumps({name: x for name, x in sweep.parameters.items() if name != along}),
-        "orbits": json.dumps(orbits),
+        "orbits": json.dumps(about_orbits),
     }
     if sweep.starts is not None:
         start = sweep.starts[0]

@@ -1,39 +1,63 @@
 """Continuation of families of periodic orbits along one parameter: `follow`."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from vibrojax.errors import Place, shown
+from vibrojax.io.variables import REGIMES
 from vibrojax.maps.machines import read_machines, several_and_single
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep, resolved
 from vibrojax.measures.ledger import MOST_CYCLES
+from vibrojax.periodic.equilibria import EquilibriumContinuation
 from vibrojax.periodic.families import FamilyContinuation, in_order
 from vibrojax.periodic.orbit_stages import why_no_orbit
 from vibrojax.periodic.orbits import orbits_of
-from vibrojax.periodic.problem import UNITS_PER_SPAN, Problem
+from vibrojax.periodic.problem import Problem
+from vibrojax.periodic.segments import Mark
 from vibrojax.periodic.timed_families import TimedContinuation
-from vibrojax.periodic.timed_problem import free_problem, has_free_phase
+from vibrojax.periodic.timed_problem import TimedProblem, has_free_phase
 from vibrojax.periodic.timed_sections import at_section
+from vibrojax.periodic.timed_starts import free_problem
 from vibrojax.physics.meanings import suggest_parameter
 from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.values import count, warn_if_far
+from vibrojax.studies.family_begin import (
+    GivenOrbit,
+    HopfPoint,
+    around_hopf,
+    equilibria,
+    family_arguments,
+    given_orbit,
+    read_hopf,
+    read_orbit,
+    section_problem,
+    traced_orbit,
+)
 from vibrojax.studies.family_dataset import families_dataset
+
+TRACED_PERIODS = 2.5
+"""Duration of the motion in which an orbit that is given is traced to the section, in its periods."""
+
+SAME_HOPF = 1e-6
+"""Difference of the parameter, relative to its span, up to which two Hopf points are the same."""
 
 
 def follow(
     scene: str | Scene[Any],
     *,
-    along: str,
-    at: float,
-    span: tuple[float, float],
+    along: str | None = None,
+    at: float | None = None,
+    span: tuple[float, float] | None = None,
     start: str | Sequence[float] | None = None,
+    orbit: Mapping[str, Any] | None = None,
+    from_hopf: xr.Dataset | str | None = None,
     settle: float | None = None,
     observe: float | None = None,
     cycles: int = MOST_CYCLES,
@@ -44,10 +68,11 @@ def follow(
 
         fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
 
-    The family begins with the orbit on which the motion at `along` = `at` settles. Pseudo-arclength continuation
-    follows the family in both directions. It passes folds, and corners where an impact or a stick phase begins or
-    vanishes. At period doublings it also follows the branches with twice the period. Changes in the order of events are
-    handled automatically.
+    The family begins with the orbit on which the motion at `along` = `at` settles, with an `orbit` that is given, or at
+    the hopf points of a family of equilibria. If the motion settles at an equilibrium, the family is one of equilibria.
+    Pseudo-arclength continuation follows the family in both directions. It passes folds, and corners where an impact or
+    a stick phase begins or vanishes. At period doublings it also follows the branches with twice the period.
+    Changes in the order of events are handled automatically.
 
     **Arguments:**
 
@@ -56,9 +81,15 @@ def follow(
     - `along`: name of the continuation parameter; `at`: its value at the first orbit; `span`: its lower and upper
       bound, which enclose `at`.
     - `start`: initial condition of the motion that settles on the first orbit, by default the scene's first.
+    - `orbit`: `{"states": [...], "period": ...}`, an orbit at `at`, stable or not: states on it, in the scene's order
+      (of a forced system at the beginning of a forcing period), and its period [s]. Newton's method corrects them.
+    - `from_hopf`: a family of equilibria, or its file. One branch begins at each of its hopf points, if no other branch
+      has led there. The parameters are those of the family, `along` and `span` as well, unless they are given; `at` is
+      not needed. Only for autonomous systems without events.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation, which must cover nine section crossings.
       The defaults are the scene's, as in a sweep.
-    - `cycles`: largest number of section crossings per period of doubled branches, 1 to 8; 1 excludes such branches.
+    - `cycles`: largest number of section crossings per period of doubled branches, 1 to 8; 1 excludes such branches. 0:
+      follow equilibria; Newton's method finds the first, stable or not, from the states of `start`.
     - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset.
@@ -82,6 +113,10 @@ def follow(
     is followed in both directions, as the next `branch`. Mirror images of orbits are orbits of their own. An orbit that
     does not cross the section has NaN for its state there.
 
+    A family of equilibria has `cycles` 0, NaN as `period`, the states of the equilibrium in place of those at the
+    section, and instead of multipliers the eigenvalues of the field's derivative, `eigenvalue_re` and `eigenvalue_im`
+    [1/s] along `eigenvalue`, by falling real part. Its special points are fold, branch-point, hopf and end.
+
     **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 
     **Example:**
@@ -94,7 +129,8 @@ def follow(
     >>> bool((fam.stable == 1).all())
     True
     """
-    return continue_families(family_spec(scene, along, at, span, start, settle, observe, cycles, parameters), progress)
+    begin = {"start": start, "orbit": orbit, "from_hopf": from_hopf}
+    return continue_families(family_spec(scene, along, at, span, begin, settle, observe, cycles, parameters), progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +139,8 @@ class FamilySpec:
 
     - `sweep`: sweep with one initial parameter point for each family.
     - `along`: name of the continuation parameter; `low`, `high`: its bounds.
-    - `cycles`: largest number of section crossings per period of doubled branches.
+    - `cycles`: largest number of section crossings per period of doubled branches; 0 for equilibria.
+    - `orbit`: first orbit, if it is given; `hopf`: points at which branches begin, if they are given.
     """
 
     sweep: Sweep
@@ -111,10 +148,16 @@ class FamilySpec:
     low: float
     high: float
     cycles: int
+    orbit: GivenOrbit | None = None
+    hopf: tuple[HopfPoint, ...] = ()
 
     def identity(self) -> dict[str, object]:
         """Return all settings on which the result depends, as flat JSON values."""
-        bounds = {"along": self.along, "from": self.low, "to": self.high, "cycles": self.cycles}
+        bounds: dict[str, object] = {"along": self.along, "from": self.low, "to": self.high, "cycles": self.cycles}
+        if self.orbit is not None:
+            bounds |= {"orbit": list(self.orbit.states), "orbit_period": self.orbit.period}
+        if self.hopf:
+            bounds["from_hopf"] = [x for point in self.hopf for x in (point.value, *point.states)]
         return self.sweep.identity() | bounds
 
 
@@ -123,17 +166,31 @@ def family_spec(
     along: object,
     at: object,
     span: object,
-    start: object,
+    begin: Mapping[str, object],
     settle: object,
     observe: object,
     cycles: object,
     parameters: Mapping[str, object],
 ) -> FamilySpec:
-    """Check the arguments of `follow` and return the specification.
+    """Check the arguments of `follow` and return the specification; `begin`: `start`, `orbit` and `from_hopf`.
 
     **Raises:** `InputError` with a one-line message at the first invalid argument.
     """
-    place = Place("follow")
+    place, start = Place("follow"), begin.get("start")
+    hopf: tuple[HopfPoint, ...] = ()
+    ways = [name for name in ("start", "orbit", "from_hopf") if begin.get(name) is not None]
+    if len(ways) > 1:
+        raise place.at(ways[1]).error(f"and {ways[0]} both say where the family begins; give one of them")
+    if ways == ["from_hopf"]:
+        family, points = read_hopf(place.at("from_hopf"), begin["from_hopf"])
+        hopf, own = tuple(points), family_arguments(place.at("from_hopf"), family, scene, parameters)
+        parameters, along = own | dict(parameters), family.attrs["along"] if along is None else along
+        if along != family.attrs["along"]:
+            raise place.at("along").error(f"{shown(along)} is not {family.attrs['along']}, along which the family is")
+        at, span = points[0].value, family.attrs["span"] if span is None else span
+    for name, value in (("along", along), ("at", at), ("span", span)):
+        if value is None:
+            raise place.error(f"{name} is missing")
     fixed = several_and_single(parameters)[1]
     names = read_names(place.at("scene"), scene, dict(fixed), place)
     if not isinstance(along, str) or along not in names.parameters:
@@ -155,13 +212,26 @@ def family_spec(
             fault = f"fixes {REPLACED[name]} only at one {along}, and {along} varies along the family"
             raise place.at(name).error(f"{fault}; give {REPLACED[name]}")
     low, high = read_span(place, names, along, span)
-    begin = names.quantity(place.at("at"), along, at)
-    if not low <= begin <= high:
-        raise place.at("at").error(f"{begin:g} is not between from = {low:g} and to = {high:g}")
-    warn_if_far(place.at("at"), names.writable[along], begin)
-    run = {"orbits": True, "settle": settle, "observe": observe}
-    machines = read_machines(place, scene, parameters, start, run, {along: begin})
-    return FamilySpec(machines.sweep, along, low, high, count(place.at("cycles"), cycles, 1, MOST_CYCLES))
+    first = names.quantity(place.at("at"), along, at)
+    if not low <= first <= high:
+        raise place.at("at").error(f"{first:g} is not between from = {low:g} and to = {high:g}")
+    warn_if_far(place.at("at"), names.writable[along], first)
+    most = count(place.at("cycles"), cycles, 0, MOST_CYCLES)
+    has_orbits = most > 0 and bool(names.system.driving_part().return_states)
+    run: dict[str, object] = {"orbits": has_orbits, "settle": settle, "observe": observe}
+    orbit = read_orbit(place.at("orbit"), names, begin["orbit"]) if ways == ["orbit"] else None
+    if orbit is not None:
+        start = list(orbit.states)
+        run |= {"settle": 0.0, "observe": TRACED_PERIODS * orbit.period, "keep_returns": MOST_CYCLES}
+    if ways in (["orbit"], ["from_hopf"]):
+        if most == 0:
+            raise place.at("cycles").error(f"0 stands for equilibria, which {ways[0]} does not begin; give start")
+        if several_and_single(parameters)[0]:
+            raise place.at(ways[0]).error("begins one family; give single values")
+        if hopf and not has_free_phase(names.system):
+            raise place.at("from_hopf").error(f"{names.system.name} has events or is forced; give start or orbit")
+    machines = read_machines(place, scene, parameters, start, run, {along: first})
+    return FamilySpec(machines.sweep, along, low, high, most, orbit, hopf)
 
 
 def read_span(place: Place, names: Names, name: str, span: object) -> tuple[float, float]:
@@ -176,14 +246,58 @@ def read_span(place: Place, names: Names, name: str, span: object) -> tuple[floa
 
 def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
     """Return the families of a specification, as `follow` does; raise `InputError` if there is no initial orbit."""
+    section = section_problem(spec.sweep, spec.along, spec.low, spec.high)
+    if spec.cycles == 0:
+        return _equilibria(spec, section, None)
+    if spec.hopf:
+        return _from_hopf(spec, section)
+    if spec.orbit is not None and has_free_phase(section.scene):
+        return _free(spec, section, np.zeros(1, int), *given_orbit(section, spec.orbit))
+    if not section.scene.return_states:
+        raise Place("follow").at("cycles").error("a motion of one state has no orbits; for its equilibria give cycles=0")
     dataset = run_sweep(spec.sweep, progress=progress)
+    if spec.orbit is None and _stands(section.scene, dataset):
+        return _equilibria(spec, section, spec.sweep.run.settle)
     problem, families, first = problem_of(spec, dataset)
     if has_free_phase(problem.scene):
-        timed, first = free_problem(problem, families, first)
-        marks = in_order(TimedContinuation(timed, cycles=spec.cycles)(families, first))
-        return families_dataset(spec.sweep, problem, *(at_section(timed, problem, part) for part in marks))
+        return _free(spec, problem, families, *free_problem(problem, families, first))
     segments = FamilyContinuation(problem, cycles=spec.cycles)(families, first)
     return families_dataset(spec.sweep, problem, *in_order(segments))
+
+
+def _stands(scene: Scene[Any], dataset: xr.Dataset) -> bool:
+    """Return whether all motions have settled at equilibria, from which families of equilibria are followed."""
+    return bool(scene.autonomous) and bool((dataset["regime"] == REGIMES.index("equilibrium")).all())
+
+
+def _equilibria(spec: FamilySpec, section: Problem, settle: float | None) -> xr.Dataset:
+    problem, families, first = equilibria(section, spec.sweep, settle)
+    return families_dataset(spec.sweep, problem, *in_order(EquilibriumContinuation(problem)(families, first)))
+
+
+def _free(
+    spec: FamilySpec, section: Problem, families: np.ndarray, timed: TimedProblem, first: list[np.ndarray]
+) -> xr.Dataset:
+    marks = in_order(TimedContinuation(timed, cycles=spec.cycles)(families, first))
+    return families_dataset(spec.sweep, section, *(at_section(timed, section, part) for part in marks))
+
+
+def _from_hopf(spec: FamilySpec, section: Problem) -> xr.Dataset:
+    """Return the families from all Hopf points to which no branch from an earlier one has led."""
+    points: list[Mark] = []
+    special: list[Mark] = []
+    branches = 0
+    for point in spec.hopf:
+        reached = [section.values(mark.orbit.family, mark.orbit.u)[0, 0] for mark in special if mark.kind == "hopf"]
+        if any(abs(value - point.value) < SAME_HOPF * (spec.high - spec.low) for value in reached):
+            continue
+        timed, first = around_hopf(section, point)
+        marks = in_order(TimedContinuation(timed, cycles=spec.cycles)(np.zeros(1, int), first))
+        for found, own in zip((points, special), marks, strict=True):
+            numbered = [mark._replace(branch=mark.branch + branches) for mark in own]
+            found += at_section(timed, section, numbered)
+        branches = 1 + max(mark.branch for mark in points)
+    return families_dataset(spec.sweep, section, points, special)
 
 
 def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
@@ -195,31 +309,21 @@ def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarr
     """
     sweep, along = spec.sweep, spec.along
     dataset = dataset.isel(start=0) if "start" in dataset.dims else dataset
-    system = sweep.system.driving_part()
-    values, _ = sweep.lane_values(0, sweep.lanes)
-    parameters = {name: values[name].astype(float) for name in system.parameters()}
-    known = orbits_of(system, dataset, parameters)
+    section = section_problem(sweep, along, spec.low, spec.high)
+    if spec.orbit is not None:
+        known = [traced_orbit(section, spec.orbit, dataset.isel(point=0))]
+    else:
+        known = orbits_of(section.scene, dataset, section.parameters)
     families = np.sort(np.concatenate([orbits.lane for orbits in known] or [np.zeros(0, int)]))
     if not len(families):
         lane = dataset.isel(point=0)
         why = why_no_orbit(lane)
         instead = "begin where it does" if why.startswith("does not repeat") else "begin elsewhere"
         raise Place("follow").at("at").error(f"the motion at {along} = {float(lane[along]):g} {why}; {instead}")
-    scale = np.ones((sweep.lanes, len(system.return_states)))
+    scales = section.scales.copy()
     for orbits in known:
-        scale[orbits.lane] = orbits.scales
-    bounds = ((spec.high - spec.low) / UNITS_PER_SPAN, spec.low, spec.high)
-    unit, first, last = (np.full((sweep.lanes, 1), x) for x in bounds)
-    problem = Problem(
-        scene=system,
-        along=(along,),
-        parameters=parameters,
-        scales=scale,
-        unit=unit,
-        first=first,
-        last=last,
-        most_steps=max(orbits.most_steps for orbits in known),
-    )
+        scales[orbits.lane] = orbits.scales
+    problem = replace(section, scales=scales, most_steps=max(orbits.most_steps for orbits in known))
     unknowns: dict[int, np.ndarray] = {}
     for orbits in known:
         own = problem.unknowns(orbits.lane, orbits.states, orbits.parameters[along][:, None])
