@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.cli import main
 
 E = vj.elementary
 
@@ -131,7 +132,7 @@ def test_equilibria_turn_back_at_a_fold():
     )
     family = vj.follow(fold, along="m", at=1.0, span=(-1.0, 2.0), start=[0.8], cycles=0, progress=False)
     assert kinds(family) == {"fold", "end"} and points(family, "fold") == [(0, pytest.approx(0.0, abs=1e-9))]
-    assert family.orbit_x.values ** 2 == pytest.approx(family.m.values, abs=1e-9)
+    assert family.orbit_x.values**2 == pytest.approx(family.m.values, abs=1e-9)
     assert family.eigenvalue_re.values[:, 0] == pytest.approx(-2 * family.orbit_x.values, abs=1e-8)
 
 
@@ -148,6 +149,18 @@ def test_unstable_orbits_begin_at_a_hopf_point(standing, tmp_path):
     largest = np.exp((2 * family.orbit_x.values**2 - 4 * family.orbit_x.values**4) * 2 * np.pi / 1.5)
     across = np.exp((family.m.values - 0.5) * 2 * np.pi / 1.5)
     assert family.multiplier_abs.values[away, 0] == pytest.approx(np.maximum(largest, across)[away], rel=1e-6)
+
+
+def test_command_begins_at_a_hopf_point(standing, tmp_path, monkeypatch):
+    """Of a scene's name, the command follows equilibria and then orbits; a second parameter needs orbits."""
+    with pytest.raises(vj.InputError, match="holds equilibria"):
+        vj.curves(standing, by="w", span=(1.0, 2.0), progress=False)
+    monkeypatch.chdir(tmp_path)
+    steady = ["follow", "rotary", "along=v", "at=3.0", "from=2.6", "to=3.2", "cycles=0", "start=drive", "-o", "still.nc"]
+    assert main(steady) == 0
+    still = vj.open_dataset("still.nc")
+    assert kinds(still) <= {"hopf", "end"} and still.orbit_x1.notnull().all()
+    assert main(["follow", "rotary", "from-hopf=still.nc", "-o", "orbits.nc"]) == 2
 
 
 def test_family_begins_at_a_given_orbit():

@@ -152,7 +152,7 @@ def _verdict(subject: Subject) -> bytes:
 
 def _verdict_name(key: str) -> str:
     """Return the cache key for the outcome of a comparison, given the hash of the compared kernels."""
-    return sha256("\n".join(("agreement 2", key, jax.__version__, jaxlib.__version__)).encode()).hexdigest()
+    return sha256("\n".join(("agreement 3", key, jax.__version__, jaxlib.__version__)).encode()).hexdigest()
 
 
 @cache

@@ -202,21 +202,28 @@ def recorder_of(scene: Scene[Any]) -> Any:
 
 
 def lanes_of(kind: ProgramKey, arguments: tuple[Any, ...]) -> LaneArguments:
-    """Return lanes on which to compare a call: those among its arguments.
+    """Return lanes on which to compare a call: those among its arguments, if they have states or the scene has events.
 
-    If there are none, the lanes have the parameters among the arguments, or else values near the defaults, and the
-    scene's initial conditions in turn.
+    Otherwise, the lanes have the parameters among the arguments, or else values near the defaults, and the
+    scene's initial conditions in turn; without events, states of different sizes.
     """
     given = next((x for x in arguments if isinstance(x, LaneArguments)), None)
-    if given is not None:
+    scene, dtype, lanes = kind.scene, jnp.result_type(float), np.arange(COMPARED_LANES)
+    rests = bool(scene.start_states) and not scene.guard_names
+    if given is not None and (given.states or given.carried or not rests):
         return given
-    dtype, lanes = jnp.result_type(float), np.arange(COMPARED_LANES)
-    parameters = kind.scene.parameters()
-    known = next((x for x in arguments if isinstance(x, Mapping) and set(parameters) <= set(x)), None)
+    parameters = scene.parameters()
+    among = (x for x in arguments if isinstance(x, Mapping) and set(parameters) <= set(x))
+    known: Mapping[str, Any] | None = given.parameters if given is not None else next(among, None)
     if known is None:
         # No two lanes are equal.
-        values = {name: x.default * (1 + 0.02 * lanes) for name, x in parameters.items()}
+        values: dict[str, Any] = {name: x.default * (1 + 0.02 * lanes) for name, x in parameters.items()}
     else:
         values = {name: np.resize(np.asarray(known[name]), COMPARED_LANES) for name in parameters}
-    starts = lanes % max(len(kind.starts), 1)
-    return LaneArguments({name: x.astype(dtype) for name, x in values.items()}, starts.astype(np.int32))
+    values = {name: x.astype(dtype) for name, x in values.items()}
+    if not rests:
+        return LaneArguments(values, (lanes % max(len(kind.starts), 1)).astype(np.int32))
+    # At its named initial condition, a system may be at rest, where rounding errors decide what it does.
+    numbers = 1 + np.arange(len(scene.start_states))
+    states = tuple((0.1 * k * (-1.0) ** (k * lanes)).astype(dtype) for k in numbers)
+    return LaneArguments(values, np.full(COMPARED_LANES, len(kind.starts), np.int32), states)

@@ -193,8 +193,8 @@ class _ActiveBranches:
         subset = np.flatnonzero(done)
         if len(subset):
             # A last Newton step keeps predictors free of residuals, without another evaluation. It is omitted after
-            # very short steps, because the margin belongs to the evaluated point. Next to a Hopf point, the parameter of
-            # orbits without a section needs it, too.
+            # very short steps, because the margin belongs to the evaluated point. Near Hopf points of problems without
+            # a section, the parameter needs it, too.
             better, polished = now.of(subset), self._step[lanes[subset]] > POLISHED_STEP
             whole = slice(None, -1 if self._problem.at_section else None)
             better.u[polished, whole] += np.nan_to_num(change[subset, whole])[polished]

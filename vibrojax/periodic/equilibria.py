@@ -8,7 +8,7 @@ those of equilibria.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import jax
@@ -40,6 +40,9 @@ LARGEST_STATES = 50.0
 
 FAR_NOTE = f"the states are over {LARGEST_STATES:g} times as large as at the beginning"
 
+FEWEST_LANES = 4
+"""Smallest number of points that are evaluated together."""
+
 TURNING = 1e-6
 """Imaginary part of an eigenvalue, relative to its modulus, above which a pair turns instead of being real."""
 
@@ -65,9 +68,18 @@ class EquilibriumField:
         self, x: Float[np.ndarray, "lanes unknowns"], parameters: Mapping[str, PerLane]
     ) -> tuple[Float[np.ndarray, "lanes states"], Float[np.ndarray, "lanes states unknowns"]]:
         """Return the rates and their derivatives; `x`: states and varied parameters."""
+        # Each number of lanes would be compiled: they are padded to a power of two.
+        padded = np.resize(np.arange(len(x)), max(FEWEST_LANES, 1 << (len(x) - 1).bit_length()))
         with precision("float64"):
-            rates, jacobian = self._both(x, {name: np.asarray(value) for name, value in parameters.items()})
-        return np.asarray(rates), np.asarray(jacobian)
+            both = self._both(x[padded], {name: np.asarray(value)[padded] for name, value in parameters.items()})
+        rates, jacobian = (np.asarray(part)[: len(x)] for part in both)
+        return rates, jacobian
+
+
+@lru_cache(maxsize=64)
+def field_of(scene: Scene[Any], along: tuple[str, ...]) -> EquilibriumField:
+    """Return the field of a scene; it is compiled once in a process."""
+    return EquilibriumField(scene, along)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,10 +89,6 @@ class EquilibriumProblem(Problem):
     at_section: ClassVar[bool] = False
     most_growth: ClassVar[float] = np.inf
     rate: PerLane
-
-    @cached_property
-    def field(self) -> EquilibriumField:
-        return EquilibriumField(self.scene, self.along)
 
     def eigenvalues(self, points: Points) -> Complex[np.ndarray, "lanes states"]:
         """Return the eigenvalues [1/s] of the field's derivative, in order of falling real part."""
@@ -92,7 +100,9 @@ class EquilibriumProblem(Problem):
 
     def evaluate(self, family: Index, u: Unknowns) -> Points:
         scale = np.column_stack([self.scales[family], self.unit[family]])
-        rates, jacobian = self.field(u * scale, {name: x[family] for name, x in self.parameters.items()})
+        rates, jacobian = field_of(self.scene, self.along)(
+            u * scale, {name: x[family] for name, x in self.parameters.items()}
+        )
         unit = self.rate[family, None] * self.scales[family]
         matrix = jacobian * scale[:, None] / unit[..., None]
         lanes, states = len(u), self.rows
@@ -169,7 +179,7 @@ def equilibrium_near(
     scene: Scene[Any], parameters: Mapping[str, float], guess: Float[np.ndarray, " states"]
 ) -> tuple[Float[np.ndarray, " states"], Float[np.ndarray, "states states"]] | None:
     """Return an equilibrium of the moving states near `guess` and the derivative of the field there, or None."""
-    field = EquilibriumField(scene, ())
+    field = field_of(scene, ())
     own = {name: np.array([x]) for name, x in parameters.items()}
 
     def both(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -60,6 +60,8 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
     place = Place("curves")
     if not isinstance(family, xr.Dataset) or kind_of(family) != "family":
         raise place.at("family").error("is not a family of orbits; give what vj.follow or vibrojax follow has made")
+    if "multiplier_abs" not in family:
+        raise place.at("family").error("holds equilibria; give a family of orbits, which follow(from_hopf=...) begins")
     along = along_name(family)
     fixed: dict[str, Any] = dict(parameters_of(family))
     names = _names(place, family)

@@ -13,7 +13,7 @@ from vibrojax.io.dataset import open_dataset
 from vibrojax.io.kinds import kind_of
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.periodic.equilibria import EquilibriumField, EquilibriumProblem, equilibrium_near
+from vibrojax.periodic.equilibria import EquilibriumProblem, equilibrium_near, field_of
 from vibrojax.periodic.flow_map import Flow, moving_names
 from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.problem import UNITS_PER_SPAN, Problem, towards
@@ -28,7 +28,7 @@ GIVEN_DISTANCE = 0.3
 
 
 class GivenOrbit(NamedTuple):
-    """An orbit near one that begins a family: `states` in the scene's order, and the `period` [s]."""
+    """An orbit near one that begins a family: `states` in the order of a start, and the `period` [s]."""
 
     states: tuple[float, ...]
     period: float
@@ -46,7 +46,7 @@ def read_orbit(place: Place, names: Names, orbit: object) -> GivenOrbit:
     """Check the argument `orbit` of `follow`."""
     if not isinstance(orbit, Mapping) or set(orbit) != {"states", "period"}:
         raise place.error(f'{shown(orbit)} is not {{"states": [...], "period": ...}}')
-    order, given = list(names.system.state_names), orbit["states"]
+    order, given = list(names.system.start_states), orbit["states"]
     if isinstance(given, Mapping):
         if set(given) != set(order):
             raise place.at("states").error(f"names {', '.join(map(str, given))}; the states are {', '.join(order)}")
@@ -159,7 +159,7 @@ def equilibria(
     values, states, jacobian = (np.array([x[k] for x in found]) for k in range(3))
     span = section.last[:, 0] - section.first[:, 0]
     own = {**section.parameters, along: values}
-    slope = EquilibriumField(scene, (along,))(np.column_stack([states, values]), own)[1][..., -1]
+    slope = field_of(scene, (along,))(np.column_stack([states, values]), own)[1][..., -1]
     size = np.maximum(np.abs(states), np.abs(np.linalg.solve(jacobian, slope[..., None])[..., 0]) * span[:, None] / 2)
     largest = size.max(axis=1, keepdims=True)
     scales = np.where(size > 1e-3 * largest, size, np.where(largest > 0, largest, 1.0))
@@ -194,7 +194,7 @@ def given_orbit(section: Problem, orbit: GivenOrbit) -> tuple[TimedProblem, list
     """
     place, [along], scene = Place("follow").at("orbit"), section.along, section.scene
     names = moving_names(scene)
-    begin = np.array([[x for name, x in zip(scene.state_names, orbit.states, strict=True) if name in names]])
+    begin = np.array([[x for name, x in zip(scene.start_states, orbit.states, strict=True) if name in names]])
     value, family = section.parameters[along][:1], np.zeros(1, int)
     timed, [u] = through(section, family, begin, np.array([orbit.period]), value)
     found, converged = timed.correct(family, u[None], towards(u[None], 1.0), u[None, -1])

@@ -74,12 +74,14 @@ def families_dataset(sweep: Sweep, problem: Problem, points: list[Mark], special
     family = np.array([point.orbit.family[0] for point in points], int)
     standing = isinstance(problem, EquilibriumProblem)
     orbits = [point.orbit for point in points]
+    branch = np.array([point.branch for point in points], int)
     if isinstance(problem, EquilibriumProblem):
         values = equilibrium_columns(problem, orbits)
     else:
         values = columns(problem, orbits)
         modulus = values["multiplier_abs"]
         values |= {
+            "branch": branch,
             "stable": np.where(np.isfinite(modulus).all(axis=1), modulus[:, 0] < 1, -1),
             "grazing_margin": np.array([point.orbit.margin[0] for point in points]),
         }
@@ -88,7 +90,7 @@ def families_dataset(sweep: Sweep, problem: Problem, points: list[Mark], special
         if not isinstance(system, HasImpacts):
             del values["impacts"]
     values |= {
-        "branch": np.array([point.branch for point in points], int),
+        "branch": branch,
         "special_kind": np.array([SPECIAL_KINDS.index(point.kind) for point in special]),
         "special_value": np.array([problem.values(x.orbit.family, x.orbit.u)[0, 0] for x in special]),
         "special_branch": np.array([point.branch for point in special]),
@@ -142,7 +144,8 @@ def measured(sweep: Sweep, problem: Problem, points: list[Mark], family: np.ndar
     measure, inputs = Measuring(lanes.system, lanes.run, lanes.start_names), lanes.inputs()
     measures: Table = {}
     for cycles in sorted(set(table["cycles"].tolist())):
-        subset = np.array([k for k, p in enumerate(points) if table["cycles"][k] == cycles and p.kind != "hopf"], int)
+        own = (k for k, point in enumerate(points) if table["cycles"][k] == cycles and point.kind != "hopf")
+        subset = np.array([k for k in own if np.isfinite(points[k].orbit.u).all()], int)
         if not len(subset):
             continue
         states = problem.states(family[subset], np.concatenate([points[k].orbit.u for k in subset]))

@@ -81,7 +81,7 @@ def follow(
     - `along`: name of the continuation parameter; `at`: its value at the first orbit; `span`: its lower and upper
       bound, which enclose `at`.
     - `start`: initial condition of the motion that settles on the first orbit, by default the scene's first.
-    - `orbit`: `{"states": [...], "period": ...}`, an orbit at `at`, stable or not: states on it, in the scene's order
+    - `orbit`: `{"states": [...], "period": ...}`, an orbit at `at`, stable or not: states on it, ordered as in `start`
       (of a forced system at the beginning of a forcing period), and its period [s]. Newton's method corrects them.
     - `from_hopf`: a family of equilibria, or its file. One branch begins at each of its hopf points, if no other branch
       has led there. The parameters are those of the family, `along` and `span` as well, unless they are given; `at` is
@@ -254,7 +254,9 @@ def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
     if spec.orbit is not None and has_free_phase(section.scene):
         return _free(spec, section, np.zeros(1, int), *given_orbit(section, spec.orbit))
     if not section.scene.return_states:
-        raise Place("follow").at("cycles").error("a motion of one state has no orbits; for its equilibria give cycles=0")
+        raise (
+            Place("follow").at("cycles").error("a motion of one state has no orbits; for its equilibria give cycles=0")
+        )
     dataset = run_sweep(spec.sweep, progress=progress)
     if spec.orbit is None and _stands(section.scene, dataset):
         return _equilibria(spec, section, spec.sweep.run.settle)
