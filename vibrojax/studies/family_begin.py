@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from vibrojax.compile.xla import precision
 from vibrojax.errors import Place, shown
 from vibrojax.io.attributes import parameters_of, text_of
 from vibrojax.io.dataset import open_dataset
@@ -124,8 +125,9 @@ def start_states(scene: Scene[Any], parameters: Mapping[str, float], start: Any)
     names = moving_names(scene)
     if start is None:
         return np.zeros(len(names))
-    constants = scene.constants({name: np.array([x]) for name, x in parameters.items()})
-    whole = dict(zip(scene.state_names, scene.start(constants, start, (1,)), strict=True))
+    with precision("float64"):
+        constants = scene.constants({name: np.array([x]) for name, x in parameters.items()})
+        whole = dict(zip(scene.state_names, scene.start(constants, start, (1,)), strict=True))
     return np.array([float(np.ravel(whole[name])[0]) for name in names])
 
 
