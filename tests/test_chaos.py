@@ -61,6 +61,80 @@ def test_lorenz():
     assert float(np.abs(deviation).max()) < 4 and 0.3 < float(deviation.std()) < 1.5
 
 
+def covered(rate, time, exponent):
+    """Return in what share of lanes the exponent is within 1.96 standard errors, and the mean standard error."""
+    found, error = exponents(rate, time)
+    return float((np.abs(found - exponent) < 1.96 * error).mean()), float(error.mean())
+
+
+def test_error_of_exponents_of_maps():
+    """Slopes of a skew tent map are independent, and log|slope| has a known mean; returns take different times."""
+    random, share = np.random.default_rng(0), 0.3
+    mean = -share * np.log(share) - (1 - share) * np.log(1 - share)
+    errors = []
+    for count in (2048, 20480):
+        low = random.random((count, 400)) < share
+        rate, time = -np.log(np.where(low, share, 1 - share)), np.where(low, 0.5, 1.5)
+        inside, error = covered(rate, time, mean / (1.5 - share))
+        assert 0.9 <= inside <= 0.98
+        errors.append(error)
+    assert errors[0] / errors[1] == pytest.approx(10**0.5, rel=0.05)
+
+
+FLOWS = {
+    "lorenz": (
+        {"x": "1", "y": "1", "w": "1"},
+        lambda t, y, p: {
+            "x": 10 * (y["y"] - y["x"]),
+            "y": 28 * y["x"] - y["y"] - y["x"] * (y["w"] + 27),
+            "w": y["x"] * y["y"] - 8 / 3 * (y["w"] + 27),
+        },
+        {"section": "w"},
+    ),
+    "roessler": (
+        {"x": "1", "y": "1", "z": "1"},
+        lambda t, y, p: {"x": -y["y"] - y["z"], "y": y["x"] + 0.2 * y["y"], "z": 0.2 + y["z"] * (y["x"] - 5.7)},
+        {"section": "x"},
+    ),
+    "duffing": (
+        {"x": "1", "v": "1"},
+        lambda t, y, p: {
+            "x": y["v"],
+            "v": -0.3 * y["v"] + y["x"] - y["x"] ** 3 + p["a"] * vj.elementary.cos(1.2 * t),
+        },
+        {"period": lambda p: 2 * np.pi / 1.2},
+    ),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", FLOWS)
+def test_error_of_exponents_of_flows(name):
+    """The mean over all lanes is known ten times better than the exponent of one."""
+    states, field, more = FLOWS[name]
+    scene = vj.System(f"exponent-{name}", states=states, parameters={"a": 0.5}, field=field, **more)
+    starts = {"sample": "random", "count": 100, "seed": 0, "box": {key: [0.1, 0.9] for key in states}}
+    run = {"settle": 100.0, "observe": 60.0, "keep_returns": 2}
+    lanes = vj.run_sweep({"scene": scene, "starts": starts, "run": run}, progress=False)
+    sweep = vj.read_sweep({"scene": scene, "grid": {"a": [0.5]}})
+    returns = sweep.system.return_states
+    state = np.stack([lanes[f"return_{name}"].values.reshape(100, -1)[:, -1] for name in returns])
+    growth = grow(sweep.system, {"a": np.full(100, 0.5)}, state, unit(state), np.ones_like(state), 2048)
+    inside, _ = covered(growth.rate, growth.time, growth.rate.sum() / growth.time.sum())
+    assert 0.9 <= inside <= 0.98
+
+
+def test_longer_observation_has_smaller_error():
+    errors = []
+    for observe in (50.0, 500.0):
+        run = {"settle": 20.0, "observe": observe, "lyapunov": True}
+        starts = [[x, 2.0, 3.0] for x in range(1, 9)]
+        lanes = vj.run_sweep({"scene": Lorenz(), "starts": starts, "run": run}, progress=False)
+        assert (np.abs(lanes.lyapunov - 0.9056) < 4 * lanes.lyapunov_stderr).all()
+        errors.append(float(lanes.lyapunov_stderr.mean()))
+    assert 2.5 < errors[0] / errors[1] < 4.5  # about the root of ten
+
+
 def test_linear_impact_oscillator():
     """Compare with a closed form for complex multipliers: ln|multiplier|/T = ln(e)/T - zeta.
 

@@ -156,7 +156,18 @@ def test_command_begins_at_a_hopf_point(standing, tmp_path, monkeypatch):
     with pytest.raises(vj.InputError, match="holds equilibria"):
         vj.curves(standing, by="w", span=(1.0, 2.0), progress=False)
     monkeypatch.chdir(tmp_path)
-    steady = ["follow", "rotary", "along=v", "at=3.0", "from=2.6", "to=3.2", "cycles=0", "start=drive", "-o", "still.nc"]
+    steady = [
+        "follow",
+        "rotary",
+        "along=v",
+        "at=3.0",
+        "from=2.6",
+        "to=3.2",
+        "cycles=0",
+        "start=drive",
+        "-o",
+        "still.nc",
+    ]
     assert main(steady) == 0
     still = vj.open_dataset("still.nc")
     assert kinds(still) <= {"hopf", "end"} and still.orbit_x1.notnull().all()

@@ -25,12 +25,18 @@ from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
 from vibrojax.threads import in_parallel
 
-LATE_SHARE = 0.75
-"""Fraction of the returns, at the end of the series, that an exponent uses. Before, the tangent aligns and transients
-end."""
+ALIGNING_SHARE = 1 / 16
+"""Fraction of the returns, at the beginning of the series, in which the tangent aligns."""
+
+CHAOTIC_STDERRS = 6.0
+"""Distance of an exponent from zero, in standard errors, above which a motion is averaged like a chaotic one."""
 
 EXPONENT_BLOCKS = 16
-"""Number of blocks of returns; the scatter of their exponents gives the standard error."""
+"""Number of batches of returns; the scatter of their means gives the standard error."""
+
+WIDER = 2.131 / 1.960
+"""Factor of the standard error of so few batches, so that 1.96 of it cover 95 %: quantiles of Student's t distribution
+with 15 degrees of freedom, and of the normal distribution."""
 
 LONGEST_REPEAT = 64
 """Longest period, in returns, that is recognised."""
@@ -56,20 +62,31 @@ PerState = Float[np.ndarray, "states lanes"]
 
 
 def exponents(rate: PerReturn, time: PerReturn) -> tuple[PerLane, PerLane]:
-    """Return each lane's exponential growth rate [1/s] over the later returns, and the standard error of the rate.
+    """Return each lane's exponential growth rate [1/s] over the returns, and the standard error of the rate.
 
-    The mean is weighted by a bump function, which is flat at both ends. For regular motion, the weighted mean converges
-    faster than any power of the length (Das, Saiki, Sander and Yorke, Nonlinearity 30 (2017) 4111). For chaotic motion,
-    any weights are equally good. The error follows from blocks that are weighted in the same way. Without weights,
-    growth that depends on where a block ends, and that the next block reverses, would count as scatter.
+    The growth of chaotic motions is averaged over all returns but the first, in which the tangent aligns. The error
+    follows from the means of batches (Asmussen and Glynn, *Stochastic Simulation*, 2007, section 4.3), each relative to
+    its duration.
+
+    Other motions are weighted by a bump function, which is flat at both ends: their mean converges faster than any
+    power of the length (Das, Saiki, Sander and Yorke, Nonlinearity 30 (2017) 4111). Without weights, growth that
+    depends on where a batch ends, and that the next one reverses, would count as scatter.
     """
-    late = int(LATE_SHARE * len(rate)) // EXPONENT_BLOCKS * EXPONENT_BLOCKS
-    growth, seconds = rate[-late:], time[-late:]
-    weight = _bump(late)
-    exponent = weight @ growth / (weight @ seconds)
-    each = _bump(late // EXPONENT_BLOCKS)
-    blocks = [np.einsum("r,brl->bl", each, x.reshape(EXPONENT_BLOCKS, -1, x.shape[1])) for x in (growth, seconds)]
-    return exponent, np.std(blocks[0] / blocks[1], axis=0, ddof=1) / EXPONENT_BLOCKS**0.5
+    size = int((1 - ALIGNING_SHARE) * len(rate)) // EXPONENT_BLOCKS
+    each = np.ones(size), _bump(size)
+    late = size * EXPONENT_BLOCKS
+    results = []
+    for weight, whole in zip(each, (np.ones(late), _bump(late)), strict=True):
+        exponent = whole @ rate[-late:] / (whole @ time[-late:])
+        growth, seconds = (
+            np.einsum("r,brl->bl", weight, x[-late:].reshape(EXPONENT_BLOCKS, size, -1)) for x in (rate, time)
+        )
+        off = (growth - exponent * seconds) / seconds.mean(axis=0)
+        error = np.sqrt((off**2).sum(axis=0) / (EXPONENT_BLOCKS - 1) / EXPONENT_BLOCKS)
+        results.append((exponent, WIDER * error))
+    chaotic = results[0][0] > CHAOTIC_STDERRS * results[0][1]
+    exponent, error = (np.where(chaotic, *pair) for pair in zip(*results, strict=True))
+    return exponent, error
 
 
 def _bump(count: int) -> Float[np.ndarray, " count"]:

@@ -37,7 +37,12 @@ may be a transient of any length. Over the default map, it ends in 4 to 6 of 100
 It ends in 5 lanes between 4,096 and 8,192 returns, and in 4 between 8,192 and 16,384."""
 
 EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS = 2048, 8192
-"""Least and greatest number of returns for an exponent. The number is doubled until a lane can be classified."""
+"""Least number of returns for an exponent, and the number at which every lane is classified. The number is doubled
+until a lane can be classified and `PER_OBSERVED` is reached."""
+
+PER_OBSERVED, MOST_OBSERVED = 56, 65536
+"""Returns for an exponent for each return in the observation, and their limit: ten times the observation divides the
+standard error by about three."""
 
 UNSETTLED_LANES_TOGETHER = 512
 """Greatest number of lanes that are continued together, which bounds the memory for their returns."""
@@ -82,6 +87,7 @@ EXPONENTS_DESCRIBED = {
     "tolerance": TANGENT_ACCURACY.tolerance,
     "returns_before": RETURNS_BEFORE,
     "returns": [EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS],
+    "returns_per_observed": PER_OBSERVED,
     "blocks": EXPONENT_BLOCKS,
     "transient": "chaotic motion in which a stable orbit of the return map was found counts as not-settled",
 }
@@ -129,7 +135,9 @@ class Natures:
             unsettled = without_orbit | np.isin(regime, (IRREGULAR, UNDECIDED))
             unsettled &= features["finite"] & features["finished"] & (features["returns"] > 0)
             own = inputs.driving_parameters
-            batches = -(-int(unsettled.sum()) // UNSETTLED_LANES_TOGETHER) or 1
+            needed = np.minimum(PER_OBSERVED * features["returns"], MOST_OBSERVED)
+            longest = max(float(needed[unsettled].max(initial=0)) / EXPONENT_MAX_RETURNS, 1.0)
+            batches = int(np.ceil(unsettled.sum() * longest / UNSETTLED_LANES_TOGETHER)) or 1
             for lanes in np.array_split(np.flatnonzero(unsettled), batches):
                 self._continue(lanes, own, features, result)
         return result
@@ -145,7 +153,7 @@ class Natures:
         state = self._settle({name: x[lanes] for name, x in parameters.items()}, state, scale)
         tangent = np.full(state.shape, len(state) ** -0.5)
         growth: Growth | None = None
-        returns = EXPONENT_MIN_RETURNS
+        needed, returns = np.minimum(PER_OBSERVED * features["returns"][lanes], MOST_OBSERVED), EXPONENT_MIN_RETURNS
         while len(lanes):
             values = {name: x[lanes] for name, x in parameters.items()}
             new = grow(self._scene, values, state, tangent, scale, returns)
@@ -156,6 +164,7 @@ class Natures:
             exponent, error = exponents(growth.rate, growth.time)
             repeat = exponents_of_repeats(*growth[:3], scale, exponent, error)
             clear, flags = classify_growth(growth, repeat, exponent, error, last=returns >= EXPONENT_MAX_RETURNS)
+            clear &= returns * 2**0.5 >= needed  # the nearest number that doubling leads to
             # Chaos appears in some states later than in others, so the largest K counts.
             tested = growth.states[-TESTED_RETURNS:][..., clear]
             k = np.max([zero_one(tested[:, index]) for index in range(len(state))], axis=0)
@@ -167,7 +176,8 @@ class Natures:
             flags[chaos[transient]] = nature("not-settled")
             result["lyapunov"][lanes], result["lyapunov_stderr"][lanes] = exponent, error
             result["nature"][lanes], result["zero_one"][lanes[clear]] = flags, k
-            lanes, state, scale = lanes[~clear], growth.states[-1][:, ~clear], scale[:, ~clear]
+            lanes, needed = lanes[~clear], needed[~clear]
+            state, scale = growth.states[-1][:, ~clear], scale[:, ~clear]
             growth = Growth(*(x[..., ~clear] for x in growth))
             tangent = growth.tangent
 
