@@ -43,6 +43,7 @@ from vibrojax.pictures.branches import (
     branches,
     family_coordinates,
     kind_names,
+    mark_of,
     places,
     runs,
     stability,
@@ -257,9 +258,13 @@ def _branches(ds: xr.Dataset) -> Document:
             points = branch.points[first : last + 1].tolist()
             stretches.append({"colour": branch.colour, "stable": stable, "points": points})
         for index, place in zip(branch.special.tolist(), places(ds, branch).tolist(), strict=True):
-            shape = SHAPES[str(MARKS[kinds[index]]["marker"])]
+            shape = SHAPES[str(mark_of(kinds[index])["marker"])]
             special.append({"kind": kinds[index], "point": place, "shape": shape, "note": one_line(notes[index])})
-    return {"runs": stretches, "special": special, "kinds": {name: mark["colour"] for name, mark in MARKS.items()}}
+    return {
+        "runs": stretches,
+        "special": special,
+        "kinds": {name: mark_of(name)["colour"] for name in (*MARKS, *kinds)},
+    }
 
 
 def family_cells(ds: xr.Dataset) -> Iterator[Cell]:

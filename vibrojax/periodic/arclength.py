@@ -57,6 +57,9 @@ CORNER_GROWTH, STEP_GROWTH = 5.0, 2.0
 FACING = 0.01
 """Distance at which the margin behind a change of events is compared, relative to the step across the change."""
 
+LOOP = 1.9
+"""Length of a closed loop, at least, relative to the distance of its far side."""
+
 RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, TOO_UNSTABLE, VANISHED = range(8)
 """Status of a lane: running; at a bound of the parameter; no further point found; stopped by the caller; back at the
 branch's first point; too many points; a multiplier beyond the limit; no amplitude left."""
@@ -134,7 +137,7 @@ class _ActiveBranches:
         self._step = np.minimum(step, longest)
         self.status = np.full(lanes, RUNNING)
         self._count = np.ones(lanes, int)
-        self._length, self._changed_at = np.zeros((2, lanes))
+        self._length, self._changed_at, self._farthest = np.zeros((3, lanes))
         self._iterate, self._predictor = begin.u.copy(), begin.u.copy()
         self._bound, self._level = np.full(lanes, np.nan), np.zeros(lanes)
         self._iterations = np.zeros(lanes, int)
@@ -298,9 +301,13 @@ class _ActiveBranches:
         self._step[kept] = np.where(np.isnan(to_corner), step, to_corner)
         self._shortened[kept] = ~np.isnan(to_corner)
         if self._home is not None:
-            closed = np.linalg.norm(now.u - self._home[kept, 0], axis=1) < self._longest
+            distance = np.linalg.norm(now.u - self._home[kept, 0], axis=1)
+            self._farthest[kept] = np.fmax(self._farthest[kept], distance)
+            closed = (distance < self._longest) & (self._length[kept] > 5 * self._longest)
+            # A small loop goes to its far side and back, and passes its first point within a step.
+            closed |= (distance < 1.1 * taken) & (self._length[kept] > LOOP * self._farthest[kept])
             closed &= np.einsum("ij,ij->i", now.tangent, self._home[kept, 1]) > 0.9
-            self.status[kept[closed & (self._length[kept] > 5 * self._longest)]] = CLOSED
+            self.status[kept[closed]] = CLOSED
         self.status[kept[self._count[kept] >= BRANCH_MAX_POINTS]] = TOO_LONG
         # Near a graze, multipliers grow without limit, but no special points accumulate.
         near_change = (self._length[kept] - self._changed_at[kept] < CORNER) | (now.margin < NEAR_GRAZE)

@@ -32,6 +32,7 @@ from vibrojax.periodic.special_points import (
     reindex_returns,
     turn_corner,
 )
+from vibrojax.scenes import Scene
 
 POINT_SPACING = 0.02
 """Scaled distance within which points that are not special are omitted."""
@@ -166,7 +167,8 @@ class FamilyContinuation(Tracing):
                 modes = zip(self._problem.scene.modes, changed, strict=True)
                 names = ", ".join(mode.name for mode, differs in modes if differs)
                 note = f"no impact: another order of events of {names}"
-            segment.marks.append(Mark(orbit, kind, note, place))
+            event = own_event(self._problem.scene, kind, orbit, beyond)
+            segment.marks.append(Mark(orbit, kind, note, place, event=event))
         u = segment.points.u
         segment.marks.sort(key=lambda mark: (mark.place, np.abs(mark.orbit.u[0] - u[mark.place]).max()))
 
@@ -206,7 +208,8 @@ class FamilyContinuation(Tracing):
             elif not turned[k]:
                 kinds, departure, note = ["section"], None, f"{beyond.times.shape[1]} returns from here"
             for kind in kinds:
-                segment.mark(kind, note)
+                near, far = (x.of([k]) for x in (corners.near, corners.far))
+                segment.mark(kind, note, own_event(self._problem.scene, kind, near, far))
             if beyond is not None:
                 following.append(segment.onward(beyond, departure))
         return following
@@ -249,6 +252,18 @@ class FamilyContinuation(Tracing):
                         more["home"] = begin
                     crossing.append(Segment(segment.family, branch, sign, begin, **more))
         return crossing
+
+
+def own_event(scene: Scene[Any], kind: str, near: Points, far: Points) -> str:
+    """Return the name of the event of a system that changes at a point of the kind grazing or stick; else "".
+
+    Impacts and sticks of friction have these kinds; other events are named, such as a switch at which nothing sticks.
+    """
+    if kind not in ("grazing", "stick") or (kind == "grazing" and near.impacts[0] != far.impacts[0]):
+        return ""
+    changed = (near.mode_changes[0] != far.mode_changes[0]).any(axis=1)
+    names = [mode.name for mode, differs in zip(scene.modes, changed, strict=True) if differs]
+    return next((name for name in names if name in scene.named_events), "")
 
 
 def invariants(orbit: Points) -> np.ndarray:

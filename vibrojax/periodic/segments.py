@@ -52,7 +52,8 @@ STEP_AFTER_CORNER = 1e-3
 class Mark(NamedTuple):
     """One orbit of a branch or curve; `kind` and `note` are empty unless it is a special point.
 
-    `place`: index of the segment's point at or before a special point; `branch`: number of the branch.
+    `place`: index of the segment's point at or before a special point; `branch`: number of the branch; `event`: name of
+    the system's event that begins or vanishes, if that is neither an impact nor a stick.
     """
 
     orbit: Points
@@ -60,6 +61,7 @@ class Mark(NamedTuple):
     note: str = ""
     place: int = 0
     branch: int = 0
+    event: str = ""
 
 
 @dataclass(eq=False)
@@ -103,12 +105,12 @@ class Segment:
         begin = self.family, self.branch, self.direction, beyond, STEP_AFTER_CORNER, self.number + 1
         return Segment(*begin, self.home, self, departure, self.origin)
 
-    def mark(self, kind: str, note: str) -> None:
+    def mark(self, kind: str, note: str, event: str = "") -> None:
         """Add a special point at the segment's end; an existing one of the same kind there gets the note instead."""
         end = self.points.of([-1])
         same = [m for m in self.marks if m.kind == kind and np.abs(m.orbit.u - end.u).max() < SAME_POINT]
         if not same:
-            self.marks.append(Mark(end, kind, note, len(self.points.u) - 1))
+            self.marks.append(Mark(end, kind, note, len(self.points.u) - 1, event=event))
             return
         kept = [m for m in self.marks if not any(m is other for other in same[1:])]
         self.marks = [m._replace(note=note) if m is same[0] else m for m in kept]

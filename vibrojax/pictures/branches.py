@@ -58,10 +58,10 @@ def along_name(ds: xr.Dataset) -> str:
 
 
 def kind_names(ds: xr.Dataset) -> list[str]:
-    """Return the kind of each special point, as a string."""
+    """Return the kind of each special point, as a string: one of `SPECIAL_KINDS`, or the name of a system's event."""
     meanings = str(ds[KIND].attrs.get("flag_meanings", "")).split()
-    if not set(meanings) <= set(SPECIAL_KINDS):
-        raise InputError(f"variable {KIND}: {shown(meanings)} are not kinds of special points")
+    if wrong := [name for name in meanings if name not in SPECIAL_KINDS and not name.isidentifier()]:
+        raise InputError(f"variable {KIND}: {shown(wrong)} are not kinds of special points")
     return [meanings[flag] for flag in ds[KIND].values.astype(int).tolist()]
 
 
@@ -148,12 +148,16 @@ def runs(segments: Int[np.ndarray, " segments"]) -> Iterator[tuple[int, int, int
             yield first, last, int(segments[first])
 
 
+def _priority(kind: str) -> int:
+    return _KIND_PRIORITY.index(kind if kind in _KIND_PRIORITY else "stick")
+
+
 def stable_intervals(ds: xr.Dataset, branch: Branch) -> list[Interval]:
     """Return the parameter intervals in which a branch is stable."""
     values, names = ds[along_name(ds)].values[branch.points], kind_names(ds)
     kinds: dict[int, str] = {}
     for special, point in zip(branch.special.tolist(), places(ds, branch).tolist(), strict=True):
-        kinds[point] = min(kinds.get(point, names[special]), names[special], key=_KIND_PRIORITY.index)
+        kinds[point] = min(kinds.get(point, names[special]), names[special], key=_priority)
     # Special points of other branches, at which this one begins or which it crosses.
     begins = [k for k, name in enumerate(names) if name in BEGINNINGS and branch.number]
     for special in begins:
@@ -189,6 +193,7 @@ MARKS: dict[str, Look] = {
     "hopf": {"marker": "^", "colour": "#882255", "size": 6.0},
     "end": {"marker": "x", "colour": "#222222", "size": 4.5, "edge_width": 1.2},
 }
+_OWN_EVENT: Look = {"marker": ">", "colour": "#E69F00", "size": 6.0}
 _COLOUR_OF_CYCLES = {0: BIT, 1: BIT, 2: "#D1570A", 4: "#2E8B57", 8: "#9B30C9"}
 _POINTS_PER_STEP = 8  # vertices of a smooth line between successive orbits
 
@@ -287,9 +292,15 @@ def smooth(x: Column, y: Column, corners: Column, logarithmic: bool = False) -> 
         yield part[0], part[1]
 
 
+def mark_of(kind: str) -> Look:
+    """Return the marker of a kind of special point, or of the event that bears its own name."""
+    return MARKS.get(kind, _OWN_EVENT)
+
+
 def _mark(kind: str, size: float) -> Look:
     """Return the marker of a kind of special point, scaled by `size`; filled markers get a white edge."""
-    mark = MARKS[kind] | {"size": size * MARKS[kind]["size"]}
+    look = mark_of(kind)
+    mark = look | {"size": size * look["size"]}
     return mark if mark["marker"] in ("|", "x") else mark | {"edge": "white", "edge_width": 0.5}
 
 
@@ -318,7 +329,8 @@ def stability_keys(ds: xr.Dataset, noun: str = "") -> list[Line]:
 def special_keys(ds: xr.Dataset, count: bool = True) -> list[Line]:
     """Return the legend entries for the kinds of special points that occur, with their counts if `count`."""
     names = kind_names(ds)
-    return [dots(label=kind + f"  {names.count(kind)}" * count, **_mark(kind, 1.0)) for kind in MARKS if kind in names]
+    kinds = [*(kind for kind in MARKS if kind in names), *dict.fromkeys(name for name in names if name not in MARKS)]
+    return [dots(label=kind + f"  {names.count(kind)}" * count, **_mark(kind, 1.0)) for kind in kinds]
 
 
 def ranges_text(ds: xr.Dataset, names: Sequence[str]) -> str:

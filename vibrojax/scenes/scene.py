@@ -264,6 +264,11 @@ class Scene(ABC, Generic[C]):
         switches = [guard.name for guard in self.guards() if guard.is_switch]
         return {name: names.index(name if name in names else "slip") for name in switches}
 
+    @property
+    def named_events(self) -> tuple[str, ...]:
+        """Names of the events that special points bear, because they are neither impacts nor sticks."""
+        return ()
+
     def marker_of(self, velocity: str) -> str:
         """Return the name of the marker for the zeros of a velocity."""
         return next(marker.name for marker in self.markers if marker.velocity == velocity)

@@ -14,7 +14,7 @@ from vibrojax.periodic.curve_equations import CurveProblem
 from vibrojax.periodic.curve_following import Curve, crossings
 from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, Points
 from vibrojax.physics.parameters import differing
-from vibrojax.pictures.branches import family_coordinates
+from vibrojax.pictures.branches import family_coordinates, kind_names
 from vibrojax.studies.curve_spec import CurvesSpec
 from vibrojax.studies.family_dataset import columns
 
@@ -27,12 +27,14 @@ SAME_ACROSS = 1e-9
 
 def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve]) -> xr.Dataset:
     """Return the dataset of curves."""
+    known, kinds = kind_names(spec.family), (*SPECIAL_KINDS, *problem.scene.named_events)
+    own = [known[curve.special] if curve.special >= 0 else str(problem.kinds[curve.number]) for curve in curves]
     names, marks = problem.along, [(k, mark) for k, curve in enumerate(curves) for mark in curve.marks]
     table, number = _points(problem, curves)
     variables: dict[str, Any] = {
         "point_curve": ("point", number),
         **{name: (("point", "multiplier")[: x.ndim], x) for name, x in table.items()},
-        "kind": ("curve", [SPECIAL_KINDS.index(problem.kinds[curve.number]) for curve in curves]),
+        "kind": ("curve", [kinds.index(name) for name in own]),
         "special": ("curve", [curve.special for curve in curves]),
         "curve_note": ("curve", ["; ".join(curve.notes) for curve in curves]),
         "codim2_kind": ("codim2", [mark.kind for _, mark in marks]),
@@ -54,7 +56,9 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve])
             about["long_name"] += f" {where}"
             variables[f"{dimension}_{name}"] = (dimension, values[:, k], about)
     schema = VARIABLES | OF_CURVES | measured_besides(problem.scene) | of_orbits(problem.scene)
-    ds = xr.Dataset(described(variables, schema), _coordinates(spec, problem, curves), _attributes(spec, problem))
+    table = described(variables, schema)
+    table["kind"][-1].update(flag_values=list(range(len(kinds))), flag_meanings=" ".join(kinds))
+    ds = xr.Dataset(table, _coordinates(spec, problem, curves), _attributes(spec, problem))
     if any(problem.kinds[curve.number] == "stick" for curve in curves):
         for name in ("multiplier_abs", "multiplier_arg"):
             ds[name].attrs["comment"] = ONE_SIDED

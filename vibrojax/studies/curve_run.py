@@ -16,11 +16,11 @@ from vibrojax.periodic.event_map import conditions_of
 from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.problem import FAMILY_ACCURACY, UNITS_PER_SPAN
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
-from vibrojax.pictures.branches import branches, kind_names, places
+from vibrojax.pictures.branches import branches, places
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.studies.curve_dataset import curves_dataset
-from vibrojax.studies.curve_spec import SAME_VALUE, CurvesSpec, read_curves
+from vibrojax.studies.curve_spec import SAME_VALUE, CurvesSpec, continued_kinds, read_curves
 
 
 def curves(
@@ -85,7 +85,7 @@ def continue_curves(spec: CurvesSpec, progress: bool = True) -> xr.Dataset:
 def problem_of(spec: CurvesSpec) -> tuple[CurveProblem, list[np.ndarray]]:
     """Return the equations of the curves, and the unknowns at the special points."""
     bounds = {spec.along: spec.first_span, spec.by: spec.span}
-    kinds = np.array(kind_names(spec.family))[spec.special]
+    kinds = np.array(continued_kinds(spec.family))[spec.special]
     return problem_through(spec.scene, bounds, spec.parameters, kinds, [_orbit_at(spec, k) for k in spec.special])
 
 

@@ -10,7 +10,7 @@ import xarray as xr
 
 from vibrojax.errors import Place, shown
 from vibrojax.io.attributes import parameters_of, text_of
-from vibrojax.io.kinds import kind_of
+from vibrojax.io.kinds import SPECIAL_KINDS, kind_of
 from vibrojax.maps.read import read_point
 from vibrojax.periodic.codim2 import CONTINUED
 from vibrojax.physics.meanings import suggest_parameter
@@ -60,7 +60,7 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
     place = Place("curves")
     if not isinstance(family, xr.Dataset) or kind_of(family) != "family":
         raise place.at("family").error("is not a family of orbits; give what vj.follow or vibrojax follow has made")
-    if "multiplier_abs" not in family:
+    if "eigenvalue_re" in family:
         raise place.at("family").error("holds equilibria; give a family of orbits, which follow(from_hopf=...) begins")
     along = along_name(family)
     fixed: dict[str, Any] = dict(parameters_of(family))
@@ -77,7 +77,7 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
     if by in (*ROTATION, "rpm") and by != "v":
         raise place.at("by").error(f"{by} is not continued; give v")
     low, high = read_span(place, names, by, span)
-    kinds = kind_names(family)
+    kinds = continued_kinds(family)
     chosen = _special(place, special, family, kinds)
     values = {name: np.full(len(chosen), value) for name, value in fixed.items() if name in names.parameters}
     for name in (name for name in several if name in names.parameters):
@@ -101,6 +101,11 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
     return CurvesSpec(
         family, names.system, dict(names.options), along, (first, last), by, (low, high), chosen, line, values
     )
+
+
+def continued_kinds(family: xr.Dataset) -> list[str]:
+    """Return the kind of each special point; events that bear their own name are continued like sticks."""
+    return [kind if kind in SPECIAL_KINDS else "stick" for kind in kind_names(family)]
 
 
 def _names(place: Place, family: xr.Dataset) -> Names:

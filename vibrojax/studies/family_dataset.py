@@ -89,9 +89,10 @@ def families_dataset(sweep: Sweep, problem: Problem, points: list[Mark], special
         values |= {name: x for name, x in measures.items() if name in schema}
         if not isinstance(system, HasImpacts):
             del values["impacts"]
+    kinds = (*SPECIAL_KINDS, *system.named_events)
     values |= {
         "branch": branch,
-        "special_kind": np.array([SPECIAL_KINDS.index(point.kind) for point in special]),
+        "special_kind": np.array([kinds.index(point.event or point.kind) for point in special]),
         "special_value": np.array([problem.values(x.orbit.family, x.orbit.u)[0, 0] for x in special]),
         "special_branch": np.array([point.branch for point in special]),
         "special_note": np.array([point.note for point in special], str),
@@ -110,6 +111,7 @@ def families_dataset(sweep: Sweep, problem: Problem, points: list[Mark], special
         every = "eigenvalue" if standing else "multiplier"
         table[name] = (("special" if name.startswith("special_") else "point", every)[: x.ndim], x)
     variables = described(table, schema)
+    variables["special_kind"][-1].update(flag_values=list(range(len(kinds))), flag_meanings=" ".join(kinds))
     variables["special_value"][-1].update(about | {"long_name": f"{about['long_name']} at the special point"})
     about_orbits = {
         "states": moving_names(system) if standing else list(system.return_states),

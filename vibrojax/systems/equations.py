@@ -157,6 +157,10 @@ class SystemEquations(Scene[SystemConstants]):
 
     # Guards and resets
 
+    @property
+    def named_events(self) -> tuple[str, ...]:
+        return tuple(event.name for event in self.events if isinstance(event, Switch) and not event.impact)
+
     def guards(self) -> tuple[Guard, ...]:
         zero = lambda c, mode: jnp.zeros_like(c.rates[0])  # noqa: E731
         names = [(event.name, not isinstance(event, Impact)) for event in self.events]

@@ -20,6 +20,10 @@ OfMotion = Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Any]
 """A function of time, states and parameters."""
 
 
+KINDS_OF_POINTS = ("fold", "torus", "grazing", "stick", "section", "hopf", "end")
+"""Kinds of special points of families, which events cannot have as names: points bear the names of some events."""
+
+
 @dataclass(frozen=True)
 class Impact:
     """A rigid stop that reverses a velocity when a gap closes.

@@ -12,7 +12,7 @@ from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.parameters import Parameter
 from vibrojax.physics.units import is_drawn_unit
-from vibrojax.systems.events import Event, Friction, Impact, Switch, required_arguments
+from vibrojax.systems.events import KINDS_OF_POINTS, Event, Friction, Impact, Switch, required_arguments
 from vibrojax.systems.numbers import Dual, Plain
 
 LANES = 3
@@ -107,6 +107,8 @@ class Probe:
         for event in self._events:
             if not isinstance(event, Impact | Switch | Friction):
                 raise self._refuse(f"events: {shown(event)} is not a vj.Impact, vj.Switch or vj.Friction")
+            if event.name in KINDS_OF_POINTS:
+                raise self._refuse(f"event {event.name}: that is a kind of special points; choose another name")
         for key, unit in states.items():
             if not _is_unit(unit):
                 raise self._refuse(f"states: {key} has the unit {shown(unit)}; {_UNIT_EXAMPLES}")
