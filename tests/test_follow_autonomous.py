@@ -151,27 +151,21 @@ def test_unstable_orbits_begin_at_a_hopf_point(standing, tmp_path):
     assert family.multiplier_abs.values[away, 0] == pytest.approx(np.maximum(largest, across)[away], rel=1e-6)
 
 
-def test_command_begins_at_a_hopf_point(standing, tmp_path, monkeypatch):
-    """Of a scene's name, the command follows equilibria and then orbits; a second parameter needs orbits."""
+def test_command_follows_onset_of_self_excited_vibration(standing, tmp_path, monkeypatch):
+    """Steady sliding of the bit loses its stability at a drive speed; from there, orbits grow until the bit sticks."""
     with pytest.raises(vj.InputError, match="holds equilibria"):
         vj.curves(standing, by="w", span=(1.0, 2.0), progress=False)
     monkeypatch.chdir(tmp_path)
-    steady = [
-        "follow",
-        "rotary",
-        "along=v",
-        "at=3.0",
-        "from=2.6",
-        "to=3.2",
-        "cycles=0",
-        "start=drive",
-        "-o",
-        "still.nc",
-    ]
-    assert main(steady) == 0
-    still = vj.open_dataset("still.nc")
-    assert kinds(still) <= {"hopf", "end"} and still.orbit_x1.notnull().all()
-    assert main(["follow", "rotary", "from-hopf=still.nc", "-o", "orbits.nc"]) == 2
+    span = ["along=v", "at=3.0", "from=1.0", "to=3.2"]
+    assert main(["follow", "rotary", *span, "cycles=0", "start=drive", "-o", "still.nc"]) == 0
+    assert main(["follow", "rotary", "from-hopf=still.nc", "cycles=1", "-o", "orbits.nc"]) == 0
+    still, orbits = vj.open_dataset("still.nc"), vj.open_dataset("orbits.nc")
+    [(_, onset)] = points(still, "hopf")
+    assert points(orbits, "hopf") == [(0, pytest.approx(onset, abs=1e-8))]
+    away = np.abs(still.v.values - onset) > 1e-6
+    assert (still.stable.values == (still.v.values > onset))[away].all()
+    sticks = max(value for _, value in points(orbits, "stick"))
+    assert sticks < onset and (orbits.stick_fraction.values[orbits.v.values > sticks + 1e-6] == 0).all()
 
 
 def test_family_begins_at_a_given_orbit():

@@ -120,7 +120,8 @@ class FamilyContinuation(Tracing):
             note = ENDINGS.get(status, "")
             if status == ENDED:
                 value = self._problem.values(segment.points.family[-1:], segment.points.u[-1:])[0, 0]
-                is_last = value == self._problem.last[segment.family, 0]
+                low, high = (bound[segment.family, 0] for bound in (self._problem.first, self._problem.last))
+                is_last = abs(value - high) < abs(value - low)
                 note = f"the {'last' if is_last else 'first'} value is reached"
             segment.mark("end", note)
         following = self._pass_stalls(stalled) if stalled else []

@@ -24,7 +24,7 @@ def at_section(timed: TimedProblem, problem: Problem, marks: list[Mark]) -> list
     for size in sizes:
         numbers = [k for k, mark in enumerate(marks) if mark.orbit.u.shape[1] == size]
         points = Points.join([marks[k].orbit._replace(times=marks[k].orbit.period[:, None]) for k in numbers])
-        for k, (states, times) in zip(numbers, _crossings(timed, points), strict=True):
+        for k, (states, times) in zip(numbers, crossings_of(timed, points), strict=True):
             orbit = marks[k].orbit
             family, values = orbit.family, timed.values(orbit.family, orbit.u)
             if marks[k].kind == "hopf" or not len(times):
@@ -37,7 +37,7 @@ def at_section(timed: TimedProblem, problem: Problem, marks: list[Mark]) -> list
     return found
 
 
-def _crossings(timed: TimedProblem, points: Points) -> list[tuple[np.ndarray, np.ndarray]]:
+def crossings_of(timed: TimedProblem, points: Points) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return for each orbit the states at its upward crossings of the section, and the times from each to the next."""
     scene, section = timed.scene, timed.scene.section
     assert section is not None

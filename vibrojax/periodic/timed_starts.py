@@ -1,12 +1,12 @@
 """Beginnings of families without a section: orbits by their crossings or by one state, and orbits at a Hopf point."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from vibrojax.periodic.flow_map import Flow, moving_names
-from vibrojax.periodic.problem import FAMILY_ACCURACY, Index, PerLane, Problem
+from vibrojax.periodic.problem import FAMILY_ACCURACY, Index, PerLane, Points, Problem
 from vibrojax.periodic.timed_problem import TimedProblem
 
 GROWTH = 30.0
@@ -17,6 +17,9 @@ LEAST_PARTS, HOPF_PARTS, MOST_PARTS = 4, 16, 64
 
 AMPLITUDES = (2e-2, 5e-3, 1e-3)
 """Scaled amplitudes that are tried for the first orbit near a Hopf point."""
+
+GROWN, MOST_GROWN = 1.5, 40
+"""Ratio of the amplitudes of successive orbits that grow from a Hopf point, and their largest number."""
 
 States = Float[np.ndarray, "orbits states"]
 
@@ -104,6 +107,26 @@ def from_equilibrium(
         if converged[0] and at.swing[0] > amplitude / 10:
             return timed, at.u[0]
     return None
+
+
+def larger(timed: TimedProblem, u: np.ndarray) -> Iterator[Points]:
+    """Yield orbits of the family that begins at a Hopf point, each larger than the one before; first that of `u`."""
+    family = np.zeros(1, int)
+    now = timed.evaluate(family, u[None])
+    for _ in range(MOST_GROWN):
+        yield now
+        states = timed.states(family, now.u)
+        centre = timed.unknowns_of(
+            family,
+            np.broadcast_to(states.mean(axis=1, keepdims=True), states.shape),
+            now.period,
+            timed.values(family, now.u),
+        )
+        guess = centre + GROWN * (now.u - centre)
+        row = (guess - centre) / np.linalg.norm(guess - centre)
+        now, converged = timed.correct(family, guess, row, np.einsum("ij,ij->i", row, guess))
+        if not converged[0]:
+            return
 
 
 def _mesh(problem: Problem, parameters: Mapping[str, PerLane], begin: States, period: PerLane) -> tuple[int, States]:

@@ -20,9 +20,16 @@ from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.problem import UNITS_PER_SPAN, Problem, towards
 from vibrojax.periodic.return_map import MOST_STEPS
 from vibrojax.periodic.timed_problem import TimedProblem
-from vibrojax.periodic.timed_starts import from_equilibrium, through
+from vibrojax.periodic.timed_sections import crossings_of
+from vibrojax.periodic.timed_starts import from_equilibrium, larger, through
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import Names
+
+RETURNING = 4
+"""Number of the orbit with which a family begins, among those that grow from a Hopf point and return to the section."""
+
+SAME_PERIOD = 1e-6
+"""Largest relative difference between the period of an orbit and that of its description at the section."""
 
 GIVEN_DISTANCE = 0.3
 """Largest scaled distance of the orbit that is found from the one that is given."""
@@ -187,6 +194,31 @@ def around_hopf(section: Problem, point: HopfPoint) -> tuple[TimedProblem, list[
         raise place.error(f"no small orbit is found around the equilibrium at {along} = {point.value:.9g}")
     timed, u = begun
     return timed, [u]
+
+
+def returning_orbit(section: Problem, timed: TimedProblem, u: np.ndarray) -> Orbits:
+    """Return an orbit near a Hopf point that returns to the section, which the smallest motions do not re-arm.
+
+    It is not the smallest one: the Hopf point is extrapolated from those between.
+
+    **Raises:** `InputError` if none is found.
+    """
+    [along] = section.along
+    found: list[Orbits] = []
+    for point in larger(timed, u):
+        [(states, times)] = crossings_of(timed, point)
+        if not len(times):
+            continue
+        parameters = {**section.parameters, along: timed.values(point.family, point.u)[:, 0]}
+        orbit = Orbits.find(section.scene, parameters, states[None])
+        if orbit.converged[0] and abs(orbit.times.sum() / point.period[0] - 1) < SAME_PERIOD:
+            found.append(orbit)
+        if len(found) == RETURNING:
+            break
+    if not found:
+        place = Place("follow").at("from_hopf")
+        raise place.error("no orbit near the hopf point returns to the section; give start or orbit")
+    return found[-1]
 
 
 def given_orbit(section: Problem, orbit: GivenOrbit) -> tuple[TimedProblem, list[np.ndarray]]:

@@ -16,7 +16,7 @@ from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.equilibria import EquilibriumContinuation
 from vibrojax.periodic.families import FamilyContinuation, in_order
 from vibrojax.periodic.orbit_stages import why_no_orbit
-from vibrojax.periodic.orbits import orbits_of
+from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.periodic.problem import Problem
 from vibrojax.periodic.segments import Mark
 from vibrojax.periodic.timed_families import TimedContinuation
@@ -37,6 +37,7 @@ from vibrojax.studies.family_begin import (
     given_orbit,
     read_hopf,
     read_orbit,
+    returning_orbit,
     section_problem,
     traced_orbit,
 )
@@ -85,7 +86,7 @@ def follow(
       (of a forced system at the beginning of a forcing period), and its period [s]. Newton's method corrects them.
     - `from_hopf`: a family of equilibria, or its file. One branch begins at each of its hopf points, if no other branch
       has led there. The parameters are those of the family, `along` and `span` as well, unless they are given; `at` is
-      not needed. Only for autonomous systems without events.
+      not needed.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation, which must cover nine section crossings.
       The defaults are the scene's, as in a sweep.
     - `cycles`: largest number of section crossings per period of doubled branches, 1 to 8; 1 excludes such branches. 0:
@@ -228,8 +229,6 @@ def family_spec(
             raise place.at("cycles").error(f"0 stands for equilibria, which {ways[0]} does not begin; give start")
         if several_and_single(parameters)[0]:
             raise place.at(ways[0]).error("begins one family; give single values")
-        if hopf and not has_free_phase(names.system):
-            raise place.at("from_hopf").error(f"{names.system.name} has events or is forced; give start or orbit")
     machines = read_machines(place, scene, parameters, start, run, {along: first})
     return FamilySpec(machines.sweep, along, low, high, most, orbit, hopf)
 
@@ -294,10 +293,18 @@ def _from_hopf(spec: FamilySpec, section: Problem) -> xr.Dataset:
         if any(abs(value - point.value) < SAME_HOPF * (spec.high - spec.low) for value in reached):
             continue
         timed, first = around_hopf(section, point)
-        marks = in_order(TimedContinuation(timed, cycles=spec.cycles)(np.zeros(1, int), first))
+        family = np.zeros(1, int)
+        if has_free_phase(section.scene):
+            marks = in_order(TimedContinuation(timed, cycles=spec.cycles)(family, first))
+            marks = at_section(timed, section, marks[0]), at_section(timed, section, marks[1])
+        else:
+            problem, _, [u] = _through(spec, section, [returning_orbit(section, timed, first[0])])
+            # The dataset has the scales of one problem.
+            section = problem if not points else replace(problem, scales=section.scales)
+            u = section.unknowns(family, problem.states(family, u[None]), problem.values(family, u[None]))[0]
+            marks = in_order(FamilyContinuation(section, cycles=spec.cycles)(family, [u]))
         for found, own in zip((points, special), marks, strict=True):
-            numbered = [mark._replace(branch=mark.branch + branches) for mark in own]
-            found += at_section(timed, section, numbered)
+            found += [mark._replace(branch=mark.branch + branches) for mark in own]
         branches = 1 + max(mark.branch for mark in points)
     return families_dataset(spec.sweep, section, points, special)
 
@@ -322,6 +329,13 @@ def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarr
         why = why_no_orbit(lane)
         instead = "begin where it does" if why.startswith("does not repeat") else "begin elsewhere"
         raise Place("follow").at("at").error(f"the motion at {along} = {float(lane[along]):g} {why}; {instead}")
+    return _through(spec, section, known)
+
+
+def _through(spec: FamilySpec, section: Problem, known: list[Orbits]) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
+    """Return the equations, the indices of the families of orbits, and the unknowns of these orbits."""
+    along = spec.along
+    families = np.sort(np.concatenate([orbits.lane for orbits in known]))
     scales = section.scales.copy()
     for orbits in known:
         scales[orbits.lane] = orbits.scales
