@@ -56,10 +56,10 @@ LONGEST = (
     "test_trust.py",
     "test_systems.py",
     "test_sweep_against_simulate.py",
-    "test_accelerator.py",
-    "test_examples.py",
+    "test_calibration.py",
+    "test_attractors.py",
     "test_hostile.py",
-    "test_curves.py",
+    "test_guide.py",
     "test_borders.py",
 )
 """Slowest files. They start first, so that no process is left alone with one of them at the end."""
@@ -67,6 +67,17 @@ LONGEST = (
 
 def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.path.name not in LONGEST)
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Say in one line how many tests a browser would add."""
+    reports = terminalreporter.stats.get("skipped", ())
+    skipped = [report for report in reports if re.search("playwright|Chromium|axe is|be started", str(report.longrepr))]
+    if skipped:
+        terminalreporter.write_line(
+            f"{len(skipped)} tests of pages in a browser are skipped; for these, install chromium (as by apt-get), and "
+            'pip install "vibrojax[browser]".'
+        )
 
 
 @pytest.fixture(autouse=True, scope="module")

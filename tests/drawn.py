@@ -304,16 +304,6 @@ def carried(keep=True):
     return ds.assign_attrs(run=json.dumps({"carry": "gamma"}))
 
 
-def with_orbits(grid):
-    ds = lanes(grid)
-    shape = ds["regime"].shape
-    moduli = np.linspace(0.1, 0.9, ds["regime"].size).reshape(shape)
-    dims = (*ds["regime"].dims, "multiplier")
-    ds["multiplier_abs"] = (dims, np.stack([moduli, 0.1 * moduli], axis=-1), {"units": "1", "long_name": "modulus"})
-    ds["stable"] = (ds["regime"].dims, np.where(moduli > 0.5, 1, -1).astype(np.int8), STABILITY)
-    return ds
-
-
 UNITS = {"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"}
 
 

@@ -50,9 +50,7 @@ def impact_oscillator(vj: Any) -> Any:
             "v": p["a"] * vj.elementary.cos(p["omega"] * t) - 2 * p["zeta"] * y["v"] - y["x"],
         },
         period=lambda p: 2 * np.pi / p["omega"],
-        events=[
-            vj.Impact("stop", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: p["r"]),
-        ],
+        events=[vj.Impact("stop", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: p["r"])],
     )
 
 

@@ -67,73 +67,37 @@ def each_variable(**attributes: object) -> Change:
     return change
 
 
-def with_nan(values: np.ndarray) -> np.ndarray:
-    """Return the values with the first replaced by NaN."""
-    return np.concatenate([[np.nan], values[1:]])
-
-
 REFUSED: dict[str, tuple[Change, str]] = {
     "run is not JSON": (attribute("run", "{not json"), "attribute run"),
-    "run is a list": (attribute("run", "[1]"), "attribute run"),
     "run is deeply nested": (attribute("run", "[" * 100_000), "attribute run"),
     "settle is a text": (run(settle="forty"), "attribute run: settle"),
-    "settle is negative": (run(settle=-1e9), "attribute run: settle"),
     "settle is infinite": (attribute("run", '{"settle": 1e999, "observe": 8.0}'), "attribute run: settle"),
-    "carry is a table": (run(carry={"__proto__": 1}), "attribute run: carry"),
-    "differing is not JSON": (attribute("differing", "{not json"), "attribute differing"),
-    "differing is a list of numbers": (attribute("differing", "[1]"), "attribute differing[0]"),
     "differing names code": (differing(name=CODE), "attribute differing[0]: name"),
-    "differing has code for a value": (differing(value='__import__("os")'), "attribute differing[0]: value"),
-    "differing has NaN": (differing(value=float("nan")), "attribute differing[0]: value"),
     "differing has a number of 400 digits": (differing(value=10**400), "attribute differing[0]: value"),
-    "differing has a list for a unit": (differing(units=[1]), "attribute differing[0]: units"),
-    "a parameter is a text": (attribute("parameters", '{"v": "fast"}'), "attribute parameters"),
-    "a parameter is a list": (attribute("parameters", '{"v": [1]}'), "attribute parameters"),
     "a parameter is true": (attribute("parameters", '{"v": true}'), "attribute parameters"),
-    "a parameter is infinite": (attribute("parameters", '{"v": Infinity}'), "attribute parameters"),
-    "a parameter has a newline": (attribute("parameters", '{"v\\nx": 1.0}'), "attribute parameters"),
     "certified is a list": (attribute("certified", "[1, 2]"), "attribute certified"),
-    "columns are no tables": (attribute("columns", '{"relief": 3}'), "attribute columns"),
-    "identity is a number": (attribute("identity", "3"), "attribute identity"),
-    "the title is numbers": (attribute("title", np.array([1.0, 2.0])), "attribute title"),
     "the scene is a number": (attribute("scene", 3), "attribute scene"),
-    "lanes are a text": (attribute("lanes", "many"), "attribute lanes"),
-    "NaN in a coordinate": (along_gamma(with_nan), "coordinate gamma"),
     "an infinite coordinate": (along_gamma(lambda x: x + np.inf), "coordinate gamma"),
-    "a huge coordinate": (along_gamma(lambda x: x * 1e200), "coordinate gamma"),
-    "the same coordinate twice": (along_gamma(lambda x: np.full_like(x, x[0])), "coordinate gamma"),
     "regimes are texts": (
         lambda ds: ds.assign(regime=(ds["regime"].dims, np.full(ds["regime"].shape, "text"))),
         "variable regime",
     ),
-    "regimes are along something else": (lambda ds: ds.assign(regime=("other", np.zeros(7, np.int8))), "dimensions"),
     "a regime that has no meaning": (
         lambda ds: ds.assign(regime=(ds["regime"].dims, np.full(ds["regime"].shape, 99, np.int8), ds["regime"].attrs)),
         "99 is none of its flags",
     ),
-    "fewer meanings than flags": (
-        lambda ds: ds.assign(regime=ds["regime"].assign_attrs(flag_meanings="one")),
-        "do not match",
-    ),
     "a name with a direction mark": (lambda ds: ds.rename(period="per\u202eiod"), "variable"),
-    "a name of 250 letters": (lambda ds: ds.rename(period="p" * 250), "variable"),
 }
 """Malformed datasets, each with a part of the error message."""
 
 SHOWN: dict[str, Change] = {
-    "a title of 5 MB": attribute("title", HUGE),
     "a history of 5 MB": attribute("history", HUGE),
-    "a friction law of 5 MB": attribute("friction", HUGE),
     "settle is 30 years": run(settle=1e9),
     "a title that steers": attribute("title", STEERING),
     "markup everywhere": lambda ds: each_variable(long_name=MARKUP, units=MARKUP, symbol=MARKUP)(
         ds.assign_attrs(title=MARKUP, scene=MARKUP, friction=MARKUP, start=MARKUP)
     ),
-    "texts that steer": each_variable(long_name=STEERING, units=STEERING, symbol=STEERING),
-    "long texts": each_variable(long_name="L" * 100_000, units="U" * 100_000, symbol="S" * 100_000),
     "a variable called __proto__": lambda ds: ds.rename(period="__proto__"),
-    "an axis called constructor": lambda ds: ds.rename(gamma="constructor"),
-    "an unknown parameter": differing(name="__proto__"),
     "no attributes": lambda ds: ds.drop_attrs(),
     "nothing but NaN": lambda ds: ds.assign({name: ds[name] * np.nan for name in ds.data_vars if ds[name].ndim}),
     "no lanes": lambda ds: ds.isel(gamma=slice(0, 1)).drop_vars("gamma"),

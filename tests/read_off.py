@@ -4,7 +4,6 @@ from itertools import combinations
 
 import matplotlib
 from matplotlib.collections import QuadMesh
-from matplotlib.patches import Rectangle
 
 
 def meshes(figure, name=None):
@@ -26,11 +25,6 @@ def legend(figure):
 
 def note(figure):
     return figure.get_supxlabel()
-
-
-def outlines(figure):
-    boxes = [patch for axes in figure.axes for patch in axes.patches if isinstance(patch, Rectangle)]
-    return [box.get_bbox().extents for box in boxes if not box.get_fill()]
 
 
 def axis_labels(figure):

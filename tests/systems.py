@@ -1,7 +1,10 @@
-"""Systems written as plain functions with public names only. Their closed forms are in `own_scenes` and here."""
+"""Systems written as plain functions with public names only, and their closed forms."""
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.optimize import brentq
 
 import vibrojax as vj
 
@@ -29,10 +32,7 @@ BALL = vj.System(
     period=lambda p: 2 * np.pi / p["w"],
     events=[
         vj.Impact(
-            "table",
-            gap=lambda t, y, p: y["x"] + p["a"] * cos(p["w"] * t),
-            velocity="v",
-            restitution=lambda p: p["r"],
+            "table", gap=lambda t, y, p: y["x"] + p["a"] * cos(p["w"] * t), velocity="v", restitution=lambda p: p["r"]
         )
     ],
 )
@@ -74,13 +74,7 @@ SHAKEN = vj.System(
     field=lambda t, y, p: {"x": y["v"], "v": cos(p["w"] * t) - 2 * p["zeta"] * y["v"] - y["x"]},
     period=lambda p: 2 * np.pi / p["w"],
     events=[
-        vj.Friction(
-            "sliding",
-            relative=lambda t, y, p: y["v"],
-            normal=lambda t, y, p: p["grip"],
-            law=1.0,
-            acts_on="v",
-        )
+        vj.Friction("sliding", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: p["grip"], law=1.0, acts_on="v")
     ],
 )
 """A mass on a spring, shaken against Coulomb friction: Den Hartog, Transactions of the ASME 53 (1931), 107; Shaw,
@@ -123,3 +117,135 @@ RELAY = vj.System(
     events=[vj.Switch("surface", lambda t, y, p: y["x"] + y["y"])],
 )
 """A relay with the sliding surface x + y = 0, on which x decays as exp(-t)."""
+
+EXPONENTIAL = vj.FrictionLaw(
+    name="exponential",
+    reference="",
+    parameters=table(positive("mu_d", 0.5, "1", "friction of fast sliding", "mu_d")),
+    mu=lambda u, p: p["mu_d"] * (1 + vj.elementary.exp(-u / 0.5)),
+)
+BELT_OSCILLATOR = vj.System(
+    "belt-oscillator",
+    states={"x": "m", "v": "m s-1"},
+    parameters={"belt": (1.5, "m s-1")},
+    field=lambda t, y, p: {"x": y["v"], "v": -y["x"] - 0.1 * y["v"]},
+    section="v",
+    events=[
+        vj.Friction("sliding", lambda t, y, p: y["v"] - p["belt"], lambda t, y, p: 1.0, law=EXPONENTIAL, acts_on="v")
+    ],
+)
+"""The friction oscillator of Stender and Hoffmann, bSTAB (Nonlinear Dynamics 2021)."""
+
+LORENZ = vj.System(
+    "lorenz",
+    states={"x": "1", "y": "1", "w": "1"},
+    parameters={"r": 28.0},
+    field=lambda t, y, p: {
+        "x": 10.0 * (y["y"] - y["x"]),
+        "y": y["x"] * (1.0 - y["w"]) - y["y"],
+        "w": y["x"] * y["y"] - 8 / 3 * (y["w"] + p["r"] - 1.0),
+    },
+    section="w",
+)
+"""The system of Lorenz, J. Atmospheric Sciences 20 (1963) 130. The section is where w = z - (r - 1) rises to 0."""
+
+
+# Closed forms for a rigid stop
+
+
+class Rigid(NamedTuple):
+    """An orbit of one impact, with the force's `phase` [rad] and the mass's `speed` [m/s] there.
+
+    `multipliers` are sorted by falling modulus. `section` is the state (x, v) at the section.
+    """
+
+    phase: float
+    speed: float
+    multipliers: np.ndarray
+    section: np.ndarray
+
+
+def _multipliers(trace: float, determinant: float) -> np.ndarray:
+    multipliers = np.roots([1.0, -trace, determinant])
+    return multipliers[np.argsort(-np.abs(multipliers), kind="stable")]
+
+
+def ball_orbit(ratio: float, R: float, w: float, gravity: float) -> Rigid:
+    """Return the orbit of a ball that meets the table once per period at its upper (stable) phase. `ratio` is a/g.
+
+    The ball flies for a period T, so that it leaves and meets the table at speed gT/2, where the table's velocity is
+    gT/2 (1 - R)/(1 + R). The determinant is R², the trace 1 + R² - (1 + R)² (a/g) sin: Guckenheimer and Holmes,
+    *Nonlinear Oscillations*, 1983, section 2.4, here without the approximation of high bounces.
+    """
+    above = np.arccos(np.pi * (1 - R) / (1 + R) / ratio)  # phase of the table's sine
+    T, height = 2 * np.pi / w, ratio * gravity / w**2
+    speed = gravity * T / (1 + R)
+    remaining = T - (above + np.pi / 2) / w  # from the impact to the next section
+    flown, rises = (
+        height * np.sin(above) + gravity * (T / 2) * remaining - gravity * remaining**2 / 2,
+        gravity * (T / 2 - remaining),
+    )
+    values = _multipliers(1 + R**2 - (1 + R) ** 2 * ratio * np.sin(above), R**2)
+    return Rigid(above + np.pi / 2, speed, values, np.array([-height - flown, -rises]))
+
+
+def ball_appears(R: float) -> float:
+    """Return a/g at which this orbit appears, in a fold."""
+    return np.pi * (1 - R) / (1 + R)
+
+
+def ball_doubles(R: float) -> float:
+    """Return a/g at which its period doubles."""
+    return float(np.hypot(ball_appears(R), 2 * (1 + R**2) / (1 + R) ** 2))
+
+
+def oscillator_grazes(w: float, stiffness: float, damping: float, stop: float) -> float:
+    """Return the amplitude `a` at which the steady motion without impact touches the stop, soft or rigid."""
+    return float(stop * np.hypot(stiffness - w**2, damping * w))
+
+
+def oscillator_orbits(
+    a: float, R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
+) -> list[Rigid]:
+    """Return the orbits of one impact in `n` periods, by impact speed, including those that cross the stop.
+
+    With E the flow of the homogeneous equation over the time between impacts, the state relative to the forced motion,
+    u = (stop - p, -q), obeys (E - 1) u = V (R E + 1) e2, and (p, q/w) lies on the circle of the forced motion: Shaw and
+    Holmes, Journal of Sound and Vibration 90 (1983), 129.
+    """
+    E, forced = _flow(2 * np.pi * n / w, stiffness, damping), a / complex(stiffness - w**2, damping * w)
+    u = np.linalg.solve(E - np.eye(2), (R * E + np.eye(2)) @ [0.0, 1.0])
+    square = [u[0] ** 2 + (u[1] / w) ** 2, -2 * stop * u[0], stop**2 - abs(forced) ** 2]
+    orbits = []
+    for V in sorted(root.real for root in np.roots(square) if root.imag == 0 and root.real > 0):
+        p, q = stop - V * u[0], -V * u[1]
+        phase = (np.angle(complex(p, -q / w)) - np.angle(forced)) % (2 * np.pi)
+        push = a * np.cos(phase) - stiffness * stop
+        before, after = push - damping * V, push + damping * R * V
+        saltation = np.array([[-R, 0.0], [(after + R * before) / V, -R]])
+        M = E @ saltation
+        since = _flow((2 * np.pi * n - phase) / w, stiffness, damping) @ (np.array([stop, -R * V]) - [p, q])
+        section = since + [forced.real, -w * forced.imag]
+        orbits.append(Rigid(phase, V, _multipliers(np.trace(M), np.linalg.det(M)), section))
+    return orbits
+
+
+def oscillator_doubles(
+    between: tuple[float, float], R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
+) -> float:
+    """Return the amplitude `a`, within `between`, at which the fastest orbit doubles: 1 + trace + determinant = 0."""
+
+    def product(a: float) -> float:
+        return float(np.prod(1 + oscillator_orbits(a, R, w, stiffness, damping, stop, n)[-1].multipliers).real)
+
+    return float(brentq(product, *between, xtol=1e-15))
+
+
+def _flow(t: float, stiffness: float, damping: float) -> np.ndarray:
+    """Return the flow of x'' = -stiffness x - damping x' over t, below critical damping."""
+    half = damping / 2
+    wd = np.sqrt(stiffness - half**2)
+    cos, sin_over = np.cos(wd * t), np.sin(wd * t) / wd
+    return np.exp(-half * t) * np.array(
+        [[cos + half * sin_over, sin_over], [-stiffness * sin_over, cos - half * sin_over]]
+    )

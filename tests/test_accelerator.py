@@ -53,9 +53,8 @@ for name in ("cycles", "period", "bit_amplitude", "drive_power"):
 """
 
 
-@pytest.mark.parametrize(
-    ("precision", "within"), [("float64", "1e-8"), pytest.param("float32", "2e-3", marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("precision", "within"), [("float64", "1e-8"), ("float32", "2e-3")])
 def test_features_match_those_of_kernels(precision, within):
     folder = Path(__file__).parent
     paths = (str(folder / "benchmarks"), str(Path(vibrojax.__file__).parents[1]))

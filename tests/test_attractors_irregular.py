@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 from test_attractors import BOX, groups, irregular
 
 import vibrojax as vj
-from vibrojax.maps.rerun import sweep_of_dataset
-from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
-from vibrojax.studies import attractor_groups as long_run
+from vibrojax.measures.labels import IRREGULAR
 from vibrojax.studies.attractor_groups import (
     BATCHES,
     CONVERGED_STDERR,
@@ -16,12 +13,9 @@ from vibrojax.studies.attractor_groups import (
     IRREGULAR_WITHIN,
     MOST_WINDOWS,
     RESOLUTION_STDERRS,
-    STATISTICS,
-    join_chains,
     on_orbits,
     statistics,
     stderr_name,
-    with_long_statistics,
 )
 
 SCENE = {"scene": "vibro-impact", "parameters": {"delta": 0.005, "v": 1.5}}
@@ -64,25 +58,6 @@ def test_two_irregular_motions_at_one_point_are_separated():
     assert len(share) == 2 and share[1] == 0.25
     velocity = np.sort(attractors.impact_velocity.values[0, 0, : len(share)])
     np.testing.assert_allclose(velocity, [0.235, 0.54], rtol=0.1)
-
-
-def test_first_window_is_observation_of_sweep(bursting, monkeypatch):
-    """The features agree exactly: the extended run repeats the lane of the dataset."""
-    windows = []
-    real = long_run._window
-    monkeypatch.setattr(long_run, "_window", lambda features, names: windows.append(features) or real(features, names))
-    with_long_statistics(sweep_of_dataset(bursting), bursting, np.array([26, 28]), progress=False)
-    for name in STATISTICS:
-        np.testing.assert_array_equal(windows[0][name], bursting[name].values.ravel()[[26, 28]])
-
-
-def test_lanes_that_do_not_converge_are_unassigned(bursting, monkeypatch):
-    monkeypatch.setattr(long_run, "MOST_WINDOWS", long_run.FEWEST_WINDOWS)
-    monkeypatch.setattr(long_run, "CONVERGED_STDERR", 1e-6)
-    attractors = vj.attractors(bursting, progress=False)
-    assert np.flatnonzero(attractors.lane_attractor.values.ravel() == -1).tolist() == [26, 28]
-    assert attractors.unassigned.sum() == 2 and irregular_shares(attractors) == []
-    assert (attractors.regime == SINGLE_IMPACT).any()
 
 
 # Synthetic windows
@@ -128,23 +103,6 @@ def test_standard_errors_widen_resolution():
     error = {stderr_name("impact_velocity"): [0.7 * step / RESOLUTION_STDERRS] * 2}
     assert groups(irregular(impact_velocity=velocity, **error)) == [0, 0]
     assert groups(irregular(impact_velocity=[1.0, np.exp(2.5 * step)], **error)) == [0, 1]
-
-
-def test_margins_apply_to_pairs():
-    x = np.array([[0.0], [1.5], [4.0], [6.5]])
-    assert join_chains(x).tolist() == [0, 1, 2, 3]
-    assert join_chains(x, np.array([[0.5], [0.5], [0.0], [3.0]])).tolist() == [0, 0, 1, 1]
-
-
-def test_unconverged_lanes_have_no_motion():
-    lanes = irregular(impact_velocity=[1.0, 1.1, 5.0])
-    assert groups(lanes.assign(converged=("start", [True, False, True]))) == [0, -1, 1]
-
-
-def test_dataset_without_irregular_lanes_is_unchanged(bursting):
-    same = with_long_statistics(sweep_of_dataset(bursting), bursting, np.zeros(0, int), progress=False)
-    assert same.converged.all()
-    xr.testing.assert_identical(same[list(STATISTICS)], bursting[list(STATISTICS)])
 
 
 def test_documented_constants():

@@ -9,17 +9,14 @@ from exact import measure, run
 
 sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
 
-from peers._peer import Peer, Points, Ran, Returns
+from peers._peer import Points, Returns
 from peers.diffrax_events import DiffraxEvents
 from peers.diffrax_events import Tolerance as EventTolerance
 from peers.diffrax_smoothed import DiffraxAdaptive, Width
-from peers.lanes import AXIS, BOX, Judged, box
 from peers.numba_loop import NumbaDormandPrince, NumbaTaylor, Series, Tolerance
-from peers.race import TARGETS, raced
 from peers.scipy_events import Solver
 from peers.scipy_events import lane as scipy_lane
 from peers.simd import Simd, Steps
-from peers.table import table
 
 SETTLE, OBSERVE = 1.2, 1.0  # s
 pytestmark = pytest.mark.long
@@ -75,51 +72,3 @@ def test_only_whole_returns_count():
     period, velocity = returns.read()
     assert period == pytest.approx(1.1 / 2)
     assert velocity == 3.0
-
-
-def test_box_contains_all_points():
-    points = box()
-    assert len({lane for lane in zip(*points.columns, strict=True)}) == len(points) == AXIS**4
-    for column, ends in zip(points.columns, BOX.values(), strict=True):
-        assert (column.min(), column.max()) == ends
-
-
-class _Scripted(Peer):
-    """A peer with given errors, whose run time is inversely proportional to the error."""
-
-    about = "-"
-    lanes = 2
-
-    def __init__(self, name, errors, absent=None):
-        self.name, self._errors, self._absent = name, errors, absent
-
-    def missing(self):
-        return self._absent
-
-    def ladders(self, quick):
-        return [list(self._errors)]
-
-    def run(self, points, setting, settle, observe, judged):
-        if setting == 0:
-            raise ArithmeticError("broke")
-        period = np.full(judged, 1 + setting)
-        return Ran(period, np.ones(judged), 1e-3 / setting)
-
-
-def test_race_selects_fastest_setting_within_error():
-    judged = Judged(POINTS, np.ones(2), np.ones(2), 0.0, 1.0)
-    ours = raced(_Scripted("ours", [1e-2, 9e-4, 9e-5, 9e-7, 1e-9]), judged, 1.0, 1.0)
-    assert [ours.best(target).setting for target in TARGETS] == [9e-4, 9e-5, 9e-7]
-    assert len(ours.runs) == 4  # settings after the finest target are skipped
-    assert len(ours.best(1e-3).times) == 3
-    slow = raced(_Scripted("slow", [5e-3, 5e-4]), judged, 1.0, 1.0)
-    absent = raced(_Scripted("absent", [], "it is not installed"), judged, 1.0, 1.0)
-    broken = raced(_Scripted("broken", [5e-3, 0]), judged, 1.0, 1.0)
-    machine = {"processor": "none", "cores": 2}
-    rows = table([ours, slow, absent, broken], judged, 1.0, 1.0, machine, 2).splitlines()
-    rows = [row for row in rows if row.startswith("| 1e")]
-    assert len(rows) == 4 * len(TARGETS)
-    assert "| 1.8 | 0.0005 |" in rows[1]
-    assert "not reached: best 5.0e-04" in rows[5]
-    assert "it is not installed" in rows[2]
-    assert "broke" in rows[3]

@@ -67,16 +67,6 @@ def test_standard_errors_cover_true_parameters(motion):
     assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 10)
 
 
-def test_posterior_has_covariance_of_estimate(motion):
-    fit = _calibrated(_runs(motion, 1e-3), draws=20_000)
-    log_samples = np.log(fit.posterior.values)
-    freedom = int(fit.freedom)
-    relative_stderr = fit.estimate_stderr.values / fit.estimate.values * np.sqrt(freedom / (freedom - 2))  # Student's t
-    assert log_samples.std(axis=0) == pytest.approx(relative_stderr, rel=0.03)
-    assert np.corrcoef(log_samples.T)[0, 1] == pytest.approx(float(fit.correlation[0, 1]), abs=0.03)
-    assert float(fit.nonlinearity) < 0.1
-
-
 def test_period_determines_only_ratio_of_stiffness_and_mass(motion):
     """With friction proportional to m1 g, x1 scales with m1 g/k1 and time with sqrt(m1/k1)."""
     data = {name: _runs(motion, 5e-3)[name] for name in ("v", "period")}
@@ -100,16 +90,6 @@ def test_estimate_at_a_bound_is_flagged(motion):
     assert "at its bound" in lines[0] and "the data suggest values beyond a bound" in "\n".join(lines)
 
 
-def test_posterior_widens_with_few_observations(motion):
-    """The residuals give the error with one degree of freedom, so the posterior is a Cauchy distribution."""
-    rows = {name: x[:2] for name, x in _runs(motion, 1e-3).items() if name in ("v", "period")}
-    fit = _calibrated(rows, unknown={"mu": [0.25, 0.6]}, draws=20_000)
-    logs = np.log(fit.posterior.values[:, 0] / float(fit.estimate[0]))
-    # the quartiles of a Cauchy distribution are one scale from its centre
-    quarter = float(fit.estimate_stderr[0] / fit.estimate[0])
-    assert fit.freedom == 1 and np.mean(np.abs(logs) < quarter) == pytest.approx(0.5, abs=0.02)
-
-
 class PowerLaw(Model):
     """Stand-in for the model: the period is mu v**v_cr, with orbits at speeds between 0.5 and `most`."""
 
@@ -131,14 +111,15 @@ class PowerLaw(Model):
 
 
 @pytest.fixture
-def power_law(monkeypatch):
-    monkeypatch.setattr(run, "Model", PowerLaw)
+def use_model(monkeypatch):
+    """Return a function that replaces the drill by a stand-in: hundreds of fits of the drill would take hours."""
     monkeypatch.setattr(run, "starts", lambda spec: [((spec.low + spec.high) / 2, 0)])
-    return PowerLaw
+    return lambda most: monkeypatch.setattr(run, "Model", type("Limited", (PowerLaw,), {"most": most}))
 
 
-def test_intervals_cover_true_parameters_under_proportional_noise(power_law):
+def test_intervals_cover_true_parameters_under_proportional_noise(use_model):
     """Of 200 intervals of 95 %, 190 cover the true value, with a standard deviation of 3.1."""
+    use_model(np.inf)
     speeds, rng, trials = np.geomspace(0.5, 3.0, 5), np.random.default_rng(3), 200
     truth = np.array([*TRUE_VALUES.values()])
     covered = np.zeros(2)
@@ -150,8 +131,8 @@ def test_intervals_cover_true_parameters_under_proportional_noise(power_law):
     assert "proportional" in fit.attrs["error_model"] and "3 degrees of freedom" in fit.attrs["error_model"]
 
 
-def test_rows_without_orbit_are_left_out_and_named_so(power_law, monkeypatch):
-    monkeypatch.setattr(power_law, "most", 2.5)
+def test_rows_without_orbit_are_left_out_and_named_so(use_model):
+    use_model(2.5)
     speeds = np.array([0.5, 1.0, 1.5, 2.0, 3.0])
     observed = 0.4 * speeds**3.0 * [1, 1, 1, 1, 5]
     fit = _calibrated({"v": speeds, "period": observed})
@@ -160,7 +141,7 @@ def test_rows_without_orbit_are_left_out_and_named_so(power_law, monkeypatch):
     assert "4 of 5 observations used; the others have no stable orbit" in "\n".join(
         analysis_of(fit).summary(fit)[0].lines
     )
-    monkeypatch.setattr(power_law, "most", 0.6)
+    use_model(0.6)
     with pytest.raises(InputError, match="1 of 5 observations has an orbit of one kind inside the bounds: 1 value for"):
         _calibrated({"v": speeds, "period": observed})
 
@@ -170,18 +151,6 @@ def test_search_finds_orbits_in_wide_bounds(motion):
     rows = {name: x[:5] for name, x in _runs(motion).items() if name in ("v", "period")}
     fit = _calibrated(rows, unknown={"mu": [0.05, 2.0], "v_cr": [0.2, 20.0]}, searches=2)
     assert fit.used.all() and fit.estimate.values == pytest.approx([*TRUE_VALUES.values()], rel=1e-6)
-
-
-def test_coefficient_of_law_is_calibrated_with_the_drill():
-    speeds = np.linspace(1.6, 2.0, 4)
-    sweep = {"scene": "drilling", "starts": ["stuck"], "points": {"v": speeds.tolist()}, "run": {"orbits": True}}
-    motion = vj.run_sweep(sweep, progress=False)
-    relief = motion.relief.values[:, 0]
-    data = {"v": speeds, "period": motion.period.values[:, 0], "rate_of_penetration (mm/s)": 2.0 * np.log(relief)}
-    settings = {"scene": "drilling", "start": "stuck", "data": data, "searches": 1}
-    fit = vj.calibrate(settings | {"unknown": {"C": [1e-4, 1e-1], "mu": [0.2, 0.6]}}, progress=False)
-    assert float(fit.estimate.sel(parameter="C")) == pytest.approx(2e-3, rel=1e-6)
-    assert float(fit.estimate.sel(parameter="mu")) == pytest.approx(0.4, rel=1e-6)
 
 
 def test_command_writes_dataset_and_picture(motion, tmp_path, capsys):
@@ -226,7 +195,7 @@ def history():
     return recorded(duration=1.0)
 
 
-@pytest.mark.parametrize("scene", ["rotary", "vibro-impact"])
+@pytest.mark.parametrize("scene", ["vibro-impact"])
 def test_derivatives_along_a_history_agree_with_central_differences(scene):
     """The second scene has several impacts; `start` depends on the unknown speed of the drive."""
     values = {"mu": 0.35, "v_cr": 2.5, "v": 1.5}
@@ -275,7 +244,8 @@ def test_friction_is_recovered_through_impacts_beside_rows(motion):
     assert np.isnan(velocity[: len(SPEEDS)]).all() and np.isnan(period[len(SPEEDS) :]).all()
 
 
-@pytest.mark.parametrize("start", ["stuck", None], ids=["known", "fitted"])
+@pytest.mark.long
+@pytest.mark.parametrize("start", ["stuck"])
 def test_standard_errors_of_a_noisy_velocity_cover_the_truth(history, start):
     """In standard errors, the squared distance from the truth is chi-squared with two degrees of freedom."""
     rng, noise, distances = np.random.default_rng(20260102), 0.005, []
@@ -289,11 +259,6 @@ def test_standard_errors_of_a_noisy_velocity_cover_the_truth(history, start):
         distances.append(deviation @ np.linalg.solve(fit.correlation.values * np.outer(stderr, stderr), deviation))
     # The mean is 2 and its standard error is sqrt(4/20). The test allows four standard errors.
     assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 20)
-
-
-def test_bit_that_never_slides_does_not_determine_friction():
-    fit = from_history({"data": recorded(v=0.0, duration=0.1), "start": "stuck"}, parameters={"v": 0.0}, searches=1)
-    assert [REASONS[flag] for flag in fit.reason.values] == ["confounded"] * 2
 
 
 @pytest.mark.filterwarnings("ignore:.*semicolons separate the columns, commas are decimal marks")
@@ -320,68 +285,21 @@ def test_histories_of_all_forms_are_read(history, tmp_path):
         np.testing.assert_allclose(spec.problem.history.velocity, v1, rtol=1e-8, atol=1e-9)
 
 
-def test_command_calibrates_from_a_history(history, tmp_path, capsys):
-    table = np.column_stack([1e3 * history.time.values, history.v1.values])
-    np.savetxt(tmp_path / "bit.csv", table, delimiter=",", header="t (ms),speed (m/s)", comments="", fmt="%.12g")
-    text = 'scene = "rotary"\nhistory = "bit.csv"\nsearches = 1\n[unknown]\nmu = [0.1, 0.8]\nv_cr = [1.0, 6.0]\n'
-    (tmp_path / "bit.toml").write_text(text)
-    words = ["calibrate", str(tmp_path / "bit.toml"), "-o", str(tmp_path / "fit.nc")]
-    assert main([*words, "--quiet"]) == 2
-    assert "bit.csv: time: missing; columns time [s] and v1 [m/s] are needed" in capsys.readouterr().err
-    assert main([*words, "--columns", "time=t (ms)", "v1=speed (m/s)"]) == 0
-    assert "mu = 0.35" in capsys.readouterr().out and (tmp_path / "fit.png").exists()
-    assert is_true(vj.open_dataset(tmp_path / "fit.nc"))
-
-
 ROWS = {"v": [1.0, 1.5], "period": [0.23, 0.23]}
 REFUSED = {
     "unknown": ({"unknown": {}}, "unknown: missing"),
-    "substitute": ({"unknown": {"rpm": [1.0, 2.0]}}, "unknown.rpm: is not a parameter of the scene itself"),
-    "no relief": ({"unknown": {"C": [1e-4, 1e-2]}}, 'unknown.C: scene "vibro-impact" has no relief'),
-    "no rows": ({"data": None}, "data: missing"),
-    "no observation": ({"data": {"v": [1.0]}}, "holds no observation"),
     "no such column": ({"data": {"v": [1.0], "perid": [0.2]}}, "column perid: is neither a parameter"),
-    "no value of rows": ({"data": {"v": [1.0], "log_multiplier": [0.2]}}, "column log_multiplier: is neither"),
     "unit": ({"data": {"v": [1.0], "period (kg)": [0.2]}}, "is in kg, not a unit of period [s]"),
-    "twice": ({"data": ROWS | {"period (ms)": [230.0, 230.0]}}, "column period (ms): is a second column of period"),
-    "no condition": ({"data": {"v": [np.nan], "period": [0.2]}}, "column v: has an empty cell"),
     "no number": ({"data": {"v": [1.0], "period": [np.nan]}}, "column period: has no number"),
     "infinite": ({"data": {"v": [1.0, 1.5], "period": [0.2, np.inf]}}, "column period: has an infinite value"),
-    "text": ({"data": {"v": [1.0], "period": ["a"]}}, "column period: does not hold numbers"),
-    "lengths": ({"data": {"v": [1.0], "period": [0.2, 0.3]}}, "data: its columns differ in length"),
-    "known": ({"data": {"mu": [0.4], "period": [0.2]}}, "column mu: is an unknown"),
     "error": ({"error": {"period": 0.0}}, "error.period: is not above 0"),
-    "no such error": ({"error": {"perod": 0.1}}, 'error: "perod" is unknown'),
-    "one error": ({"data": ROWS | {"drive_power": [1e3, 1e3]}, "error": {"period": 0.1}}, "error.drive_power: missing"),
-    "prior": ({"prior": {"mu": [0.4, 0.1]}}, "prior: has no weight"),
-    "no width": ({"prior": {"mu": [0.4, 0.0]}, "error": {"period": 1e-3}}, "prior.mu: 0 is not a standard deviation"),
-    "searches": ({"searches": 0}, "searches: 0 does not fit"),
     "noise": ({}, "2 values for 2 unknown parameters and the size of the noise; add rows"),
-    "few": (
-        {"data": {"v": [1.0], "period": [0.2]}, "error": {"period": 1e-3}},
-        "1 value for 2 unknown parameters; add",
-    ),
 }
 HISTORIES = {
-    "number": ({"data": 3}, "history: 3 is no table; give one, a dataset, or the path of a CSV file"),
     "no velocity": ({"data": {"time": [0.0, 1.0]}}, "v1: missing; columns time [s] and v1 [m/s] are needed"),
     "unsorted": ({"data": {"time": [0.0, 2.0, 1.0], "v1": [0.0] * 3}}, "time: does not rise from sample to sample"),
     "empty": ({"window": [3.0, 4.0]}, "window: holds 0 samples with a velocity; two or more"),
-    "window": ({"window": 0.5}, "window: 0.5 is not a pair of times"),
-    "start": ({"start": "stock"}, 'start: "stock" is unknown; did you mean "stuck"?'),
     "column": ({"columns": {"v1": "speed"}}, 'columns.v1: "speed" is not a column of the recording'),
-    "quantity": ({"columns": {"u1": "speed"}}, 'columns: "u1" is unknown'),
-    "key": ({"contacts": []}, "history.contacts: unknown key"),
-    "own value": ({"v": 1.5}, "history.v: unknown key"),
-}
-BESIDE = {
-    "scene": ({"scene": "penetration", "unknown": {"k3": [1e8, 3e8]}}, 'history: scene "penetration" has no bit'),
-    "start of rows": ({"start": "stuck"}, "start: belongs in [history]"),
-    "condition": ({"data": ROWS}, "history.v: missing; the rows have values of their own"),
-    "errors": (
-        {"data": {"gamma": [0.6, 0.7], "period": [0.2, 0.2]}, "history": {"gamma": 0.6}},
-        "error: missing; rows and a history have other errors",
-    ),
 }
 
 
@@ -400,16 +318,3 @@ def test_bad_rows_are_refused_in_one_line(change, line):
 @pytest.mark.parametrize(("change", "line"), HISTORIES.values(), ids=[*HISTORIES])
 def test_bad_histories_are_refused_in_one_line(history, change, line):
     assert line in refusal({"scene": "rotary", "unknown": WIDE, "history": {"data": history, **change}})
-
-
-@pytest.mark.parametrize(("change", "line"), BESIDE.values(), ids=[*BESIDE])
-def test_settings_that_do_not_suit_a_history_are_refused(history, change, line):
-    own = {"data": history, **change.get("history", {})}
-    assert line in refusal({"scene": "rotary", "unknown": WIDE, **change, "history": own})
-
-
-def test_standard_errors_of_columns_have_units(motion):
-    rows = {"v": SPEEDS, "period": motion.period.values[:, 0]}
-    for column in ({"period_error": np.full(6, 2e-3)}, {"period_error (ms)": np.full(6, 2.0)}):
-        problem = read_calibration({**FIXED, "data": rows | column, "unknown": UNKNOWN}).problem
-        np.testing.assert_allclose(problem.errors, 2e-3)

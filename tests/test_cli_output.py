@@ -1,15 +1,12 @@
 """Test the output options of commands: --json, --quiet and --verbose."""
 
 import json
-from pathlib import Path
 
 import pytest
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.studies import WORDS
 
-ROOT = Path(__file__).parents[1]
 SWEEP = """scene = "penetration"
 [grid]
 force = [10e3, 300e3]
@@ -81,65 +78,3 @@ def test_fit_prints_groups_as_json(here, capsys):
     assert strong["forms"]["onset"]["C"] > 0 and strong["forms"]["onset"]["used"] == 6
     assert facts["along"] == "frequency" and facts["dataset"] == "map-fit.nc" and facts["columns"] is None
     assert any("log law" in line for line in facts["verdict"])
-
-
-def test_json_keeps_one_line_refusals(here, capsys):
-    assert main(["info", "no.nc", "--json"]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == "" and captured.err == "vibrojax: no.nc: there is no such file\n"
-
-
-def test_quiet_prints_only_the_result(here, capsys):
-    for argv in (
-        ["simulate", "penetration", "duration=0.1", "--fresh"],
-        ["sweep", "map.toml", "--fresh"],
-        ["plot", "map.nc"],
-    ):
-        assert main([*argv, "--quiet"]) == 0
-        assert capsys.readouterr() == ("", "")
-    assert main(["info", "map.nc", "--quiet"]) == 0
-    assert "penetration" in capsys.readouterr().out
-    (here / "rig.csv").write_text("P/D,ROP (m/h)\n" + "\n".join(f"{0.1 * n},{n}" for n in range(1, 9)) + "\n")
-    columns = ["--columns", "relief=P/D", "rate_of_penetration=ROP"]
-    assert main(["fit", "rig.csv", *columns, "--quiet"]) == 0
-    text = capsys.readouterr().out
-    assert text.startswith("all lanes: 8 lanes") and "log law" in text and "rig-fit.nc" not in text
-
-
-def test_verbose_prints_choices_and_times(here, capsys):
-    for argv, parts in (
-        (["simulate", "penetration", "duration=0.1", "--fresh"], ("step", "measure", "write", "draw")),
-        (["sweep", "map.toml", "--fresh"], ("compile", "compile and step", "write", "draw")),
-        (["fit", "map.nc"], ("fit", "write", "draw")),
-        (["info", "map.nc"], ("read",)),
-        (["plot", "map.nc"], ("read", "draw")),
-        (["scenes"], ()),
-    ):
-        assert main([*argv, "--verbose"]) == 0
-        lines = capsys.readouterr().err.splitlines()
-        for part in (*parts, "all together"):
-            assert any(line.startswith(f"vibrojax: {part}: ") and line.endswith(" s") for line in lines), part
-        assert argv[0] not in ("simulate", "sweep", "fit") or any("vibrojax: chosen: " in line for line in lines)
-    assert main(["info", "map.nc"]) == 0
-    assert capsys.readouterr().err == ""  # not verbose on the next call
-
-
-def test_help_explains_quiet_and_verbose(capsys):
-    for command in ("sweep", "simulate", "plot", "info", "fit", "accuracy", "scenes"):
-        assert main([command, "--help"]) == 0
-        text = " ".join(capsys.readouterr().out.split())
-        assert "print only errors, warnings and the result" in text and "how long each part took" in text
-    assert main(["info", "map.nc", "--quiet", "--verbose"]) == 2
-
-
-def test_output_explains_its_words(here, capsys):
-    assert main(["--help"]) == 0
-    text = capsys.readouterr().out
-    assert all(f"  {word}: {meaning}\n" in text + "\n" for word, meaning in WORDS.items())
-    assert main(["sweep", "map.toml", "--fresh"]) == 0
-    assert "12 lanes (a point each)" in capsys.readouterr().out
-    assert main(["info", "map.nc"]) == 0
-    assert f"(a lane: {WORDS['lane']})" in capsys.readouterr().out
-    assert main(["fit", "map.nc"]) == 0
-    text = capsys.readouterr().out
-    assert f"eta: the relief P/D, {WORDS['relief P/D']}" in text and "literal: C ln(eta)" in text

@@ -5,18 +5,14 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
-from own_scenes import oscillator_doubles, oscillator_grazes, oscillator_orbits
 from scipy.optimize import brentq
-from systems import IMPACT_OSCILLATOR, SHAKEN, friction_stops
+from systems import IMPACT_OSCILLATOR, SHAKEN, friction_stops, oscillator_doubles, oscillator_grazes, oscillator_orbits
 from test_follow import eigenvalue
 
 import vibrojax as vj
 from vibrojax.io.kinds import SPECIAL_KINDS
-from vibrojax.periodic.codim2 import name_of
-from vibrojax.periodic.curve_branching import other_kind
 from vibrojax.periodic.problem import FAMILY_ACCURACY
 from vibrojax.periodic.return_map import Segments
-from vibrojax.periodic.singular import compound, compound_along, signed_singular
 from vibrojax.scenes import SCENES
 
 R, W, FOLDING = 0.7, 0.9, 1.25
@@ -77,6 +73,7 @@ def test_grazing_follows_closed_form():
     assert ds.curve_note.values.tolist() == ["the last value of a is reached; the first value of a is reached"]
 
 
+@pytest.mark.long
 def test_doubling_follows_closed_form_up_to_grazing():
     a = oscillator_doubles((0.4, 0.63), R, W, **FIXED)
     doubling_branch = family("period-doubling", a, W, oscillator_orbits(a, R, W, **FIXED)[-1].section)
@@ -191,54 +188,6 @@ def test_wrong_arguments_are_refused():
             vj.curves(
                 family("fold", *fold_point(FOLDING)), **{"by": "w", "span": W_SPAN, "progress": False} | arguments
             )
-
-
-def test_conditions_are_smooth_at_singular_matrices():
-    random = np.random.default_rng(0)
-    start, direction = random.normal(size=(2, 1, 3, 3))
-    step = 1e-6
-    # The eigenvalues of the compound are products of two eigenvalues.
-    eigenvalues = np.linalg.eigvals(start[0])
-    i, j = np.triu_indices(3, 1)
-    assert np.sort_complex(np.linalg.eigvals(compound(start)[0])) == pytest.approx(
-        np.sort_complex(eigenvalues[i] * eigenvalues[j])
-    )
-    slope = (compound(start + step * direction) - compound(start - step * direction)) / (2 * step)
-    assert compound_along(start, direction[:, None])[:, 0] == pytest.approx(slope, abs=1e-8)
-    left, _, right = np.linalg.svd(start)
-    singular = left @ (np.array([1.0, 0.5, 0.0])[:, None] * right)
-    ahead, behind = (signed_singular(singular + sign * step * direction)[0] for sign in (1, -1))
-    _, w, v = signed_singular(singular)
-    assert abs((ahead - behind)[0] / (2 * step)) == pytest.approx(abs(w[0] @ direction[0] @ v[0]), rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("kinds", "name"),
-    [
-        (("grazing", "fold"), "grazing-fold"),
-        (("stick", "grazing"), "stick-graze"),
-        (("torus", "fold"), "fold and torus"),
-    ],
-)
-def test_names_of_codimension_two_points(kinds, name):
-    assert name_of(*kinds) == name
-
-
-@pytest.mark.parametrize(
-    ("name", "kind", "other"),
-    [
-        ("grazing-doubling", "period-doubling", "grazing"),
-        ("fold-flip", "fold", "period-doubling"),
-        ("1:2 resonance", "period-doubling", "torus"),
-        ("1:1 resonance", "torus", "fold"),
-        ("1:3 resonance", "torus", None),
-        ("stick and section", "stick", None),
-        ("stick and stick", "stick", "stick"),
-        ("cusp", "fold", None),
-    ],
-)
-def test_kinds_of_curves_that_meet_at_codimension_two_points(name, kind, other):
-    assert other_kind(name, kind) == other
 
 
 def test_sticking_bit_slips_when_impact_force_ends():

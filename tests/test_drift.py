@@ -100,19 +100,6 @@ def test_drift_of_longer_repeats(cycles, returns):
         assert np.isinf(estimate)  # the returns are closer to a repeat after one return
 
 
-@pytest.mark.parametrize("cycles, alternating", [(2, 0.0), (3, 0.0), (4, 0.1), (6, 0.1), (8, 0.1)])
-def test_period_that_a_divisor_explains_has_infinite_drift(cycles, alternating):
-    """At the end of a transient, the last returns also repeat after a divisor of the period that the label gives."""
-    features, _ = lane(real_map(-0.6, 0.1), 5e-3, returns=40, cycles=cycles, alternating=alternating)
-    assert np.isinf(drift(features, "float64", 1e-6)[0])
-
-
-@pytest.mark.parametrize("alternating", [2e-3, 0.1])
-def test_resolved_period_keeps_its_drift(alternating):
-    features, true = lane(real_map(-0.6, 0.1), 1e-4, returns=40, cycles=2, alternating=alternating)
-    assert 0.99 * true < drift(features, "float64", 1e-6)[0] < 1e-5
-
-
 def test_certified_periods_remain_after_settling():
     """Near the border of stick, some transients of rotary lanes end during the observation."""
     sweep = {"scene": "rotary", "parameters": {"beta": 0.3, "gamma": 0.7}, "starts": ["drive"]}
@@ -121,20 +108,6 @@ def test_certified_periods_remain_after_settling():
     certified = early.error_estimate <= 1e-4
     assert certified.sum() > 50
     assert (early.cycles == late.cycles).where(certified, True).all()
-
-
-def test_settled_lane_has_no_drift():
-    """Rounding errors of returns do not count as drift."""
-    rng = np.random.default_rng(1)
-    features, _ = lane(real_map(0.5, 0.1), 0.0)
-    for name in ("return_x1", "return_x2", "return_v2", "return_interval", "return_impact_velocity"):
-        features[name] = features[name] * (1 + 1e-15 * rng.standard_normal(features[name].shape))
-    assert drift(features, "float64", 1e-7) < 1e-13
-
-
-def test_diverging_lane_has_infinite_drift():
-    assert np.isinf(drift(lane(spiral_map(1.02, 0.5), 1e-4)[0], "float64", 1e-7))
-    assert np.isinf(drift(lane(real_map(1.05, 0.3), 1e-5)[0], "float64", 1e-7))
 
 
 def test_drift_of_noisy_returns_is_unknown():
@@ -147,25 +120,6 @@ def test_drift_of_noisy_returns_is_unknown():
     assert np.isfinite(drift(features, "float64", 1e-2))
 
 
-def test_lanes_that_do_not_repeat_have_no_drift():
-    features, _ = lane(real_map(0.5, 0.1), 1e-3)
-    assert np.isnan(drift(features | {"cycles": np.array([0.0])}, "float64", 1e-7))
-
-
-def test_drift_without_impacts():
-    features, true = lane(spiral_map(0.9, 0.4), 1e-3, impacts=False)
-    np.testing.assert_allclose(drift(features, "float64", 1e-7), true, rtol=1e-3)
-
-
-def test_drift_of_single_lane_is_bitwise_that_in_batch():
-    """Chunks end anywhere, so the last lanes of a chunk may be fitted alone."""
-    maps = [spiral_map(0.95, 0.3), spiral_map(0.985, 0.9), real_map(0.99, 0.6), real_map(0.9, -0.8)]
-    lanes = [lane(x, away)[0] for x in maps for away in (1e-2, 1e-4, 1e-6)]
-    together = {name: np.concatenate([x[name] for x in lanes]) for name in lanes[0]}
-    alone = [drift(x, "float64", 1e-7)[0] for x in lanes]
-    np.testing.assert_array_equal(drift(together, "float64", 1e-7), alone)
-
-
 def test_slowly_growing_amplitude_has_drift():
     """Without impacts, the period does not depend on the amplitude and has no drift itself."""
     growth = 1 + 4e-5
@@ -175,33 +129,3 @@ def test_slowly_growing_amplitude_has_drift():
     for name in ("return_interval", "return_impact_velocity"):
         features[name] = np.full((1, 25), features[name][0, 0])
     assert drift(features, "float64", 1e-7)[0] == pytest.approx(swing[-1], rel=1e-3)
-
-
-def on_rock(compression, rate=0.0, load=0.5, cycles=1):
-    """Return features of a settled drill of which the bit has this compression at the section."""
-    compression = np.asarray(compression)[None]
-    rows = np.zeros_like(compression)
-    return {
-        "cycles": np.array([cycles]),
-        "period": np.array([0.2]),
-        "rate_of_penetration": np.array([rate]),
-        "load": np.array([load]),
-        "return_growth": rows + 0.2 * rate,
-        "return_time": rows,
-        "return_compression": compression,
-        "return_v3": rows,
-        "compression_scale": np.array([1e-3]),
-        "v3_scale": np.array([1.0]),
-    }
-
-
-def test_bit_that_still_moves_on_the_rock():
-    """The change of the compression counts against the growth per period; without growth, against the yield force."""
-    beats = 0.3e-3 + 1e-6 * np.sin(np.arange(25))
-    assert drift_module.rock_error(on_rock(beats, rate=5e-3)) == pytest.approx(8e-6 / 1e-3, rel=0.01)
-    assert drift_module.rock_error(on_rock(beats)) == 0
-    assert np.isinf(drift_module.rock_error(on_rock(beats, load=0.995)))
-    alternating = 1e-4 * (-1.0) ** np.arange(25)
-    assert drift_module.rock_error(on_rock(alternating, rate=5e-3, cycles=2)) == 0
-    assert drift_module.rock_error(on_rock(alternating, rate=5e-3)) == pytest.approx(0.8)
-    assert drift_module.rock_error(lane(spiral_map(0.5, 0.3), 1e-3)[0]) == 0

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.explorer.motions import motions_for
-from vibrojax.explorer.views import document_of, family_cells, sweep_of, with_map
+from vibrojax.explorer.views import sweep_of
 from vibrojax.maps.rerun import holds_orbits, sweep_of_dataset
 from vibrojax.pictures.selection import select
 from vibrojax.studies.attractors import Attractors
@@ -95,7 +94,7 @@ def edits(draw):
     )
 
 
-@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=30, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.sampled_from(list(STARTS)), st.lists(edits(), min_size=1, max_size=3))
 def test_lanes_are_those_of_the_coordinates(datasets, starts, changes):
     ds = datasets[starts]
@@ -133,14 +132,9 @@ def test_orbits_are_not_those_of_other_lanes(datasets):
     ("change", "line"),
     [
         (lambda ds: ds.isel(beta=0, drop=True), "has no coordinate beta"),
-        (lambda ds: ds.isel(start=0, drop=True), "has no coordinate start"),
-        (lambda ds: ds.drop_vars("gamma"), "has no coordinate gamma"),
-        (lambda ds: ds.mean("start"), "has no coordinate start"),
         (lambda ds: xr.concat([ds, ds], "copy"), 'lanes are along "copy"'),
-        (lambda ds: ds.stack(lane=("beta", "gamma")), "beta: varies along lane"),
         (lambda ds: ds.assign_coords(mu=("beta", [0.1, 0.2, 0.3])), "mu: varies along beta"),
         (lambda ds: ds.assign_coords(beta=[-0.1, 0.2, 0.3]), "grid.beta[0]: is -0.1"),
-        (lambda ds: ds.assign_coords(start=["stuck", "drive", "touch"]), 'starts[2]: "touch" is unknown'),
     ],
 )
 def test_lanes_without_coordinates_are_refused(datasets, change, line):
@@ -193,15 +187,6 @@ def test_rocks_and_carried_lanes():
             sweep_of_dataset(ds.isel(change))
 
 
-def test_page_shows_the_motions_of_the_coordinates(datasets):
-    ds = datasets["names"].isel(start=0, beta=[2, 0]).assign_coords(delta=0.001)
-    document = document_of(ds)
-    assert document["without"] == "" and document["lanes"]["axes"] == ["beta", "gamma"]
-    motions = motions_for(ds)
-    values = [motions.sweep.lane_values(k, k + 1)[0] for k in range(motions.sweep.lanes)]
-    assert [x["beta"].item() for x in values] == [0.4, 0.4, 0.3, 0.3] and values[0]["delta"].item() == 0.001
-
-
 @pytest.fixture(scope="module")
 def families():
     """Return families over gamma at three values of beta; of their special points, those at the ends count as folds."""
@@ -237,13 +222,3 @@ def test_curves_begin_at_the_selected_families(families):
             curves_of(ds, special)
     with pytest.raises(InputError, match="is not in the family"):
         problem_of(curves_of(families.isel(point=slice(2, 4)), [other]))
-
-
-def test_page_of_selected_families_records_their_orbits(families, monkeypatch):
-    recorded = []
-    monkeypatch.setattr("vibrojax.explorer.views.record_cells", lambda scene, p, excerpt: recorded.append(p) or [])
-    for ds, values in ((families.isel(family=[2, 0]), {0: 0.35, 2: 0.5}), (families.isel(family=1), {1: 0.4})):
-        shown, _ = with_map(ds)
-        list(family_cells(shown))
-        assert recorded[-1]["beta"].tolist() == [values[k] for k in shown.point_family.values]
-        assert set(shown.point_family.values) == set(values)

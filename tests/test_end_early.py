@@ -47,13 +47,7 @@ def early_and_full(scene: str, *run, **parameters) -> tuple:
     "scene, parameters, values",
     [
         ("vibro-impact", {}, IMPACT_VARIABLES),
-        ("rotary", {}, ()),
         ("drilling", {"rock": "sandstone"}, (*IMPACT_VARIABLES, "rate_of_penetration", "relief", "slip_per_impact")),
-        (
-            "coupled-drilling",
-            {"rock": "sandstone"},
-            (*IMPACT_VARIABLES, "rate_of_penetration", "relief", "slip_per_impact"),
-        ),
     ],
 )
 def test_early_end_matches_full_run(scene, parameters, values):
@@ -122,11 +116,3 @@ def test_settled(distances, close, ends):
     assert is_settled.tolist() == [ends]
     if ends:
         assert 9 * 0.5 <= duration[0] <= 8.0
-
-
-def test_settled_needs_time():
-    """A lane is not settled if its last return is long past, or if it is too slow for labels."""
-    still = 1e-12 * RETURNS_BACK
-    assert settled(settling_record(still), 10.0, 40.0, 8.0, 1e-7)[0].all()
-    assert not settled(settling_record(still, last=8.0), 10.0, 40.0, 8.0, 1e-7)[0].any()
-    assert not settled(settling_record(still), 10.0, 40.0, 4.0, 1e-7)[0].any()

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from test_end_early import steps_taken
 
 import vibrojax as vj
 from vibrojax.maps.read import read_sweep
 from vibrojax.periodic import lane_stages
-from vibrojax.periodic import settled_on_orbit as ends
 from vibrojax.periodic.orbits import Orbits
-from vibrojax.periodic.settled_on_orbit import Approach, extrapolate, will_reach
+from vibrojax.periodic.settled_on_orbit import Approach, will_reach
 from vibrojax.scenes import SCENES
 
 LANES = 384
@@ -19,7 +19,7 @@ have the label of the full run; 5,829 of them end on orbits. In float32 all 6,75
 
 @pytest.fixture(autouse=True)
 def allow_any_cost(monkeypatch):
-    """End lanes on orbits even where compiling the return map takes longer than it saves."""
+    """End lanes on orbits even where compiling the return map takes longer than it saves, as in sweeps of minutes."""
     monkeypatch.setattr(lane_stages, "EARLY_END_MIN_SECONDS", 0.0)
 
 
@@ -32,38 +32,18 @@ def sweep(scene="vibro-impact", lanes=LANES, **run):
     return {"scene": scene, "points": points, "run": {"settle": 32.0} | run}
 
 
-@pytest.fixture
-def lanes_on_orbits(monkeypatch):
-    """Count the lanes that end on orbits."""
-    counts, original = [], ends.EarlyEnds.ended
-
-    def count_lanes(self, batch):
-        endings = original(self, batch)
-        counts.extend(len(ending.lanes) for ending in endings)
-        return endings
-
-    monkeypatch.setattr(ends.EarlyEnds, "ended", count_lanes)
-    return counts
-
-
 @pytest.mark.parametrize(
-    "scene, precision, lanes, share",
-    [
-        ("vibro-impact", "float64", LANES, 0.6),
-        ("vibro-impact", "float32", LANES, 0.6),
-        ("rotary", "float64", 128, 0.7),
-        ("coupled-drilling", "float64", 128, 0.5),
-    ],
+    "scene, precision, lanes",
+    [("vibro-impact", "float64", LANES), ("vibro-impact", "float32", LANES), ("coupled-drilling", "float64", 128)],
 )
-def test_labels_and_values_match_full_run(lanes_on_orbits, scene, precision, lanes, share):
-    """Labels, counts and settling times agree, values within the accepted error. Most periodic lanes end on orbits."""
+def test_labels_and_values_match_full_run(scene, precision, lanes):
+    """Labels, counts and settling times agree, values within the accepted error. Lanes that end early save steps."""
     spec = sweep(scene, lanes, precision=precision)
     early_, full = (
         vj.run_sweep(spec | {"run": spec["run"] | {"end_early": early}}, progress=False) for early in (True, False)
     )
     repeats = (full.cycles > 0).values
-    assert share * repeats.sum() < sum(lanes_on_orbits) <= repeats.sum()
-    assert early_.dtypes == full.dtypes
+    assert steps_taken(early_) < 0.7 * steps_taken(full) and early_.dtypes == full.dtypes
     np.testing.assert_array_equal(early_.regime, full.regime)
     for name in {"cycles", "impacts", "check_regime"} & set(full):
         np.testing.assert_array_equal(early_[name].values[repeats], full[name].values[repeats], err_msg=name)
@@ -118,29 +98,15 @@ def reaches_orbit(multipliers, away, repeats=100, bend=0.0, error=1e-4):
     "multipliers, away, more, ends",
     [
         ((0.8, 0.3, 0.05), 1e-2, {}, True),
-        ((-0.8, 0.3, 0.05), 2.2e-2, {}, False),  # alternates: its returns still differ by more than 1 %
-        ((-0.8, 0.3, 0.05), 3e-3, {}, True),
-        ((0.8, 0.3, 0.05), 1e-1, {}, False),  # too far away
-        ((0.8, 0.3, 0.05), 1e-2, {"repeats": 8}, False),  # is observed before it arrives
-        ((0.99, 0.3, 0.05), 1e-3, {}, False),  # slow
-        ((1.0, 0.3, 0.05), 1e-6, {}, False),  # neutral
-        ((1.01, 0.3, 0.05), 1e-9, {}, False),  # diverges, if only slightly so far
-        ((0.8, 0.3, 0.05), 5e-3, {"bend": 200.0}, False),  # does not follow the derivative
+        ((-0.8, 0.3, 0.05), 2.2e-2, {}, False),
+        ((0.8, 0.3, 0.05), 1e-1, {}, False),
+        ((1.0, 0.3, 0.05), 1e-6, {}, False),
+        ((1.01, 0.3, 0.05), 1e-9, {}, False),
+        ((0.8, 0.3, 0.05), 5e-3, {"bend": 200.0}, False),
     ],
 )
 def test_predicted_end_on_orbit(multipliers, away, more, ends):
     assert reaches_orbit(multipliers, away, **more) == ends
-
-
-def test_extrapolation_of_a_linear_map():
-    """Three multipliers and four differences determine the fixed point exactly."""
-    derivative = BASIS @ np.diag([0.9, -0.5, 0.2]) @ np.linalg.inv(BASIS)
-    fixed, state = np.array([0.5, -0.3, 0.8]), np.array([0.501, -0.299, 0.8])
-    series = [state]
-    for _ in range(7):
-        series.append(fixed + derivative @ (series[-1] - fixed))
-    extrapolated = extrapolate(np.stack(series[::-1])[..., None], np.ones((3, 1)), 1e-12)[:, 0]
-    np.testing.assert_allclose(extrapolated, fixed, atol=1e-9)
 
 
 def test_nearby_orbit_predicts_end_of_long_transient():

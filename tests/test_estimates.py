@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from vibrojax.lanes.run import LaneRun
-from vibrojax.maps.cost import TRIED_LANES, estimate, estimated_steps, lane_steps, tried
+from vibrojax.maps.cost import estimated_steps, lane_steps, tried
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_to_file
-from vibrojax.settings.toml import bundled_names
 
 MAP = {"scene": "vibro-impact", "grid": {"beta": {"start": 0.2, "stop": 0.6, "num": 512}}, "starts": ["stuck"]}
 
@@ -29,23 +28,9 @@ def test_stiff_lanes_take_more_steps():
     assert stiffest == pytest.approx(1e6 + 48 * 1000, rel=0.1)
 
 
-@pytest.mark.parametrize("name", bundled_names())
-def test_every_bundled_sweep_has_an_estimate(name):
-    cost = estimate(read_sweep(name))
-    assert 0 < cost.seconds < 600 and 1e8 < cost.memory < 4e9
-
-
-@pytest.mark.parametrize("changes", [{}, {"run": {"carry": "beta"}}, {"run": {"carry": "gamma"}}])
-def test_cost_is_extrapolated_from_few_lanes(changes, tmp_path, monkeypatch):
-    run = {"settle": 2.0, "observe": 1.0} | changes.get("run", {})
+def test_cost_is_extrapolated_from_few_lanes(tmp_path):
     grid = {"beta": {"start": 0.2, "stop": 0.6, "num": 10}, "gamma": {"start": 0.6, "stop": 0.9, "num": 300}}
-    sweep, computed = read_sweep(MAP | {"grid": grid, "run": run}), []
-    chunk = LaneRun.chunk
-    monkeypatch.setattr(
-        LaneRun, "chunk", lambda self, inputs, *rest: computed.append(len(inputs)) or chunk(self, inputs, *rest)
-    )
+    sweep = read_sweep(MAP | {"grid": grid, "run": {"settle": 2.0, "observe": 1.0, "carry": "beta"}})
     cost = tried(sweep)
-    assert 1 <= max(computed) <= TRIED_LANES and sum(computed) <= TRIED_LANES + 1
-    monkeypatch.undo()
     run_to_file(sweep, tmp_path / "out.nc", progress=False)
     assert 0.3 < (tmp_path / "out.nc").stat().st_size / cost.file < 1.5

@@ -16,18 +16,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import colormaps
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.explorer import Cell, cell_of, cells_of, document_of, encode, module_text, page_text, write_page
-from vibrojax.explorer.encoding import EVENTS, MANTISSA_BITS, STATE_LEVELS, STUCK, StateColumn, pack
-from vibrojax.explorer.map_view import first_cell
-from vibrojax.explorer.plots_view import SHAPES, figure_document
+from vibrojax.explorer import Cell, cell_of, cells_of, document_of, encode, page_text, write_page
+from vibrojax.explorer.encoding import EVENTS, STATE_LEVELS, STUCK, StateColumn
+from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.write import blocks_of
-from vibrojax.io.identity import GENERATOR
 from vibrojax.maps.read import read_sweep
-from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.colours import value_of
 from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Sheet, Text, level
 
@@ -99,22 +95,6 @@ def test_cells_survive_encoding(seed: int, sizes: list[int]) -> None:
             np.testing.assert_allclose(decoded.multipliers, cell.multipliers, rtol=1e-6)
 
 
-def test_empty_block_and_cell_without_motion() -> None:
-    assert decode(encode([])) == []
-    [decoded] = decode(encode([Cell(7, "none", "refused: too stiff")]))
-    assert (decoded.lane, decoded.kind, decoded.note, len(decoded.time)) == (7, "none", "refused: too stiff", 0)
-
-
-def test_arrays_keep_five_digits_and_nonfinite_values() -> None:
-    values = np.array([[1.0, np.nan, -np.inf], [1.23456789e-8, 98765.4321, 0.0]])
-    decoded = unpack(pack(values))
-    finite = np.isfinite(values)
-    np.testing.assert_allclose(decoded[finite], values[finite], rtol=2.0 ** -(MANTISSA_BITS + 1))
-    np.testing.assert_array_equal(decoded[~finite], values[~finite].astype(np.float32))
-    for integers in (np.array([-1, 0, 7], np.int8), np.array([0, 70_000, -5])):
-        np.testing.assert_array_equal(unpack(pack(integers)), integers)
-
-
 # Motions.
 
 
@@ -177,15 +157,6 @@ def test_trajectory_ends_like_its_lane(cells: list[Cell]) -> None:
     assert cell.numbers is not None and cell.numbers["regime"] == 3
 
 
-def test_refused_lanes_state_the_reason() -> None:
-    grid = {"pulse_width": [4e-3, 3e-2], "frequency": [20.0, 50.0]}
-    ds = vj.run_sweep({"scene": "penetration", "grid": grid, "run": {"settle": 0.5, "observe": 0.5}}, progress=False)
-    cells = list(cells_of(ds, progress=False))
-    assert [cell.kind for cell in cells] == ["orbit", "orbit", "orbit", "none"]
-    assert cells[3].note.startswith("refused: pulse width not below 1/frequency")
-    assert cells[0].duration == pytest.approx(1 / 20.0)
-
-
 # Documents.
 
 
@@ -219,18 +190,6 @@ def test_colours_match_picture(plane: xr.Dataset) -> None:
         assert shown == to_hex(value.colour_map(value.norm(x * value.factor)))
 
 
-def test_plane_of_starts_places_its_lanes() -> None:
-    starts = {"plane": {"x2": {"start": -0.05, "stop": 0.05, "num": 3}, "v2": [-1.0, 1.0]}, "at": {"v1": -1.5}}
-    spec = {"scene": "vibro-impact", "starts": starts, "run": {"settle": 1.0, "observe": 1.0}}
-    ds = vj.run_sweep(spec, progress=False)
-    document = document_of(ds)
-    assert document["lanes"]["axes"] == ["start_x2", "start_v2"]
-    lanes, x2 = unpack(document["lanes"]), document["axes"][0]["values"]
-    for i, j in np.ndindex(lanes.shape):
-        assert x2[i] == pytest.approx(float(ds["start_x2"][lanes[i, j]]))
-        assert document["axes"][1]["values"][j] == pytest.approx(float(ds["start_v2"][lanes[i, j]]))
-
-
 def test_family_document_has_branches_and_orbits() -> None:
     fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.74, 0.76), start="stuck", beta=0.4, progress=False)
     document, cells = document_of(fam), list(cells_of(fam))
@@ -242,10 +201,6 @@ def test_family_document_has_branches_and_orbits() -> None:
         assert cell.duration == pytest.approx(float(fam["period"][k]), rel=1e-6)
         closure = abs(cell.states["x2"][-1] - cell.states["x2"][0])
         assert closure < 1e-6 * np.ptp(cell.states["x2"])
-
-
-def test_every_kind_of_special_point_has_a_shape() -> None:
-    assert {str(mark["marker"]) for mark in MARKS.values()} <= set(SHAPES)
 
 
 # The page.
@@ -277,12 +232,6 @@ def test_page_loads_nothing_and_text_cannot_end_its_script(plane: xr.Dataset, tm
     assert not re.findall(r"url\((?!data:|#)", text)
 
 
-def test_module_is_self_contained() -> None:
-    text = module_text(exported=True)
-    assert "import " not in re.sub(r"//.*|/\*.*?\*/", "", text, flags=re.DOTALL).replace("important", "")
-    assert text.endswith("\nexport { mount, decodeCells, embeddedSource };\n") and text.count("\nexport ") == 1
-
-
 # Refused datasets.
 
 
@@ -307,39 +256,6 @@ def test_undrawable_datasets_are_refused_in_one_line(
     assert f"{study}: its content does not fit together" in _error_line(capsys, study)
     assert f"{empty}: explore: nothing to draw" in _error_line(capsys, empty)
     assert not list(tmp_path.glob("*.html"))
-
-
-def test_page_with_borders_replaces_no_other_page(
-    plane: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name in ("map.nc", "a/borders.nc", "b/borders.nc"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        vj.write_dataset(plane.assign_attrs(title=name), tmp_path / name)
-    monkeypatch.setattr(
-        "vibrojax.explorer.write_page",
-        lambda ds, path, over, **_: path.write_text(GENERATOR + ds.title + ("" if over is None else over.title)),
-    )
-
-    def explore(*arguments: str) -> str:
-        assert main(["explore", "map.nc", *arguments]) == 0
-        return capsys.readouterr().out.rstrip()
-
-    for _ in range(2):
-        assert explore() == "map.html: 0.0 MB"
-        assert explore("--over", "a/borders.nc") == "map-over-borders.html: 0.0 MB"
-        assert explore("--over", "b/borders.nc") == "map-over-borders-2.html: 0.0 MB"
-    assert (tmp_path / "map-over-borders.html").read_text() == GENERATOR + "map.nca/borders.nc"
-    (tmp_path / "map.html").write_text(GENERATOR + "of an earlier dataset")
-    assert explore() == "map.html: 0.0 MB; replaces another page"
-
-
-def test_dataset_without_sweep_opens_without_motions(plane: xr.Dataset) -> None:
-    alone = plane.copy()
-    del alone.attrs["sweep"]
-    document = document_of(alone)
-    assert document["lanes"] is None and "no motions" in document["without"]
-    assert list(cells_of(alone)) == []
 
 
 # Plots of analyses.
@@ -397,40 +313,3 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     assert scale["text"] == "share [%]: −0.5 to 3" and len(scale["colours"]) == 9
     assert law == {"text": "law", "shape": "line", "colour": "#112233", "dash": line["dash"]}
     json.dumps(document, allow_nan=False)
-
-
-def test_figures_of_own_analyses_are_images() -> None:
-    figure = Figure()
-    figure.subplots().set_title("spread")
-    document = figure_document([figure], xr.Dataset(), [])
-    [image] = document["images"]
-    assert image["title"] == "spread" and not document["plots"] and not document["keys"]
-    content = base64.b64decode(image["data"].removeprefix("data:image/png;base64,"))
-    assert content.startswith(b"\x89PNG")
-
-
-def test_pages_open_at_most_relevant_cell() -> None:
-    """Pages open at the most frequent attractor, at the form with the lowest AIC, or at the sign that has values."""
-    share = xr.DataArray([[1.0, 0.0], [0.3, 0.7], [1.0, 0.0]], dims=("gamma", "attractor"))
-    attractors = xr.Dataset({"share": share, "lane_attractor": ("gamma", [0, 1, 0])})
-    assert first_cell(attractors, [], []) == {"gamma": 1, "attractor": 1}
-    fit = xr.Dataset({"aic": (("form", "k3"), [[3.0, 9.0], [1.0, np.nan]])}, {"form": ["literal", "power"]})
-    assert first_cell(fit, [], []) == {"form": 1}
-    assert first_cell(xr.Dataset({"push_x1": ("sign", [np.nan, 0.1])}), [], []) == {"sign": 1}
-
-
-def test_returns_form_a_diagram_and_first_cell_has_single_impacts() -> None:
-    grid = {"gamma": [0.35, 0.6, 0.7, 0.75, 0.8]}
-    ds = vj.run_sweep({**PLANE, "grid": grid, "run": {"keep_returns": 4}}, progress=False)
-    document = document_of(ds)
-    diagram = document["variables"][0]
-    assert diagram["inner"] == "return_index" and diagram["count"] == 4
-    assert diagram["label"] == "impact velocity at each return [m/s]"
-    np.testing.assert_allclose(
-        unpack(diagram["data"]), ds["return_impact_velocity"].transpose(*diagram["axes"]), rtol=1e-5
-    )
-    assert "return_index" not in [axis["name"] for axis in document["axes"]]
-    first, regimes = document["first"], ds["regime"]
-    single = np.flatnonzero(regimes.isel(start=first["start"]).values == 3)
-    assert first["gamma"] in single and abs(first["gamma"] - 2) == np.abs(single - 2).min()
-    assert re.match(r"\d+ of 10 motions repeat; all ", document["notes"][0])

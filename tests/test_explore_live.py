@@ -11,8 +11,7 @@ from urllib.parse import quote
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.explorer import live as server
-from vibrojax.explorer.live import Live, RefusedRequest, RequestQueue
+from vibrojax.explorer.live import Live, RefusedRequest
 
 HTML = "<!doctype html><title>page</title><script type=module>export const a = 1;</script>"
 
@@ -191,63 +190,6 @@ def test_malformed_requests_are_refused(live, content, status):
     assert status is None or answer.startswith(f"HTTP/1.1 {status}".encode())
 
 
-def test_silent_client_is_disconnected(live, monkeypatch):
-    monkeypatch.setattr(server._Handler, "timeout", 0.1)
-    begin = POST.format(port=live.port, token=live.token) + "Content-Length: 9\r\n\r\n{"
-    assert send_raw(live, begin.encode()).startswith(b"HTTP/1.1 408")
-    assert send_raw(live, b"GET / HT") == b""
-
-
-@pytest.mark.parametrize(
-    ("limit", "begin"),
-    [("HEADER_MAX_SECONDS", "GET /"), ("REQUEST_MAX_SECONDS", POST + "Content-Length: 9999\r\n\r\n")],
-)
-def test_byte_by_byte_client_is_disconnected(live, monkeypatch, limit, begin):
-    """One time limit applies until the token has arrived, another one after that."""
-    monkeypatch.setattr(server, limit, 0.3)
-    with socket.create_connection(("127.0.0.1", live.port), 10) as connection, pytest.raises(OSError):
-        connection.sendall(begin.format(token=live.token, port=live.port).encode())
-        for _ in range(200):
-            connection.sendall(b"x")
-            time.sleep(0.02)
-
-
-def test_new_connection_replaces_one_without_token(live, monkeypatch):
-    monkeypatch.setattr(server, "CONNECTIONS_MAX", 3)
-    silent = [socket.create_connection(("127.0.0.1", live.port)) for _ in range(4)]
-    silent[0].settimeout(2.0)
-    assert silent[0].recv(1) == b""  # disconnected long before its own time limit
-    assert request(live, "GET", path="")[0] == 200
-    for connection in silent:
-        connection.close()
-
-
-def test_page_is_answered_despite_many_slow_connections(live):
-    """Connections without a token that send a byte now and then do not block other clients."""
-    slow, end = [], threading.Event()
-
-    def trickle():
-        while not end.wait(0.1):
-            for connection in list(slow):
-                try:
-                    connection.send(b"x")
-                except OSError:  # the server has disconnected it
-                    slow.remove(connection)
-
-    trickling = threading.Thread(target=trickle)
-    trickling.start()
-    try:
-        for _ in range(60):
-            slow.append(socket.create_connection(("127.0.0.1", live.port), 10))
-        assert request(live, "GET", "")[0] == 200  # within the 10 s of the request's timeout
-        assert request(live, body=request_body())[0] == 200
-    finally:
-        end.set()
-        trickling.join()
-        for connection in slow:
-            connection.close()
-
-
 def test_wrong_values_give_one_line_and_faults_stay_hidden(live):
     line = "explore: beta: is -1; it must be above 0 second line"
     assert refusal(live, body=request_body(parameters="wrong")) == (400, line)
@@ -261,62 +203,6 @@ def wait_until(condition):
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
-
-
-def test_thousand_quick_clicks_are_answered_or_refused_in_order():
-    """Browsers send six at a time. Superseded requests are refused, the last one is answered, and the order is kept."""
-    answers = SlowAnswers(0.01)
-    with running_server(answers) as live:
-        next_number, lock, statuses = iter(range(1000)), threading.Lock(), {}
-
-        def click():
-            while True:
-                with lock:
-                    number = next(next_number, None)
-                if number is None:
-                    return
-                body = request_body(number=number, parameters=number)
-                statuses[number] = request(live, body=body)[0]
-
-        clickers = [threading.Thread(target=click) for _ in range(6)]
-        for clicker in clickers:
-            clicker.start()
-        for clicker in clickers:
-            clicker.join()
-        assert len(statuses) == 1000 and set(statuses.values()) == {200, 409}
-        assert statuses[999] == 200
-        assert answers.answered == sorted(answers.answered)
-        assert set(answers.answered) >= {number for number, status in statuses.items() if status == 200}
-        assert answers.superseded > 0 and len(live.queue._newest) <= 2 and not live.queue._waiting
-    assert request_fails(live)
-
-
-def request_fails(live):
-    try:
-        request(live, body=request_body())
-    except OSError:
-        return True
-    return False
-
-
-def test_clients_queue_and_excess_clients_are_refused():
-    answers = SlowAnswers(0.3)
-    with running_server(answers) as live:
-        replies = []
-
-        def ask(client):
-            replies.append(request(live, body=request_body(client=client, number=1, parameters=client)))
-
-        threads = [threading.Thread(target=ask, args=(str(k),)) for k in range(12)]
-        for thread in threads:
-            thread.start()
-            time.sleep(0.01)
-        for thread in threads:
-            thread.join()
-    statuses = [status for status, *_ in replies]
-    assert statuses.count(503) == 3 and statuses.count(200) == 9  # one is computed, eight wait
-    assert {headers["Retry-After"] for status, headers, _ in replies if status == 503} == {"1"}
-    assert answers.answered == [str(k) for k in range(9)]
 
 
 def test_closing_releases_all_clients():
@@ -343,33 +229,3 @@ def attempt(live, client):
         return request(live, body=request_body(client=client))[0]
     except (OSError, http.client.HTTPException):
         return "broken"
-
-
-def test_queue_keeps_its_order():
-    queue, done = RequestQueue(waiting=1), []
-    begun, go = threading.Event(), threading.Event()
-
-    def long(check):
-        begun.set()
-        go.wait(5)
-        done.append("long")
-
-    threads = [threading.Thread(target=lambda: queue.ask("a", 5, long))]
-    threads[0].start()
-    assert begun.wait(5)
-    with pytest.raises(RefusedRequest, match="earlier"):
-        queue.ask("a", 5, long)
-    threads.append(threading.Thread(target=lambda: queue.ask("b", 1, lambda check: done.append("b"))))
-    threads[1].start()
-    while not queue._waiting:
-        time.sleep(0.001)
-    with pytest.raises(RefusedRequest, match="too many"):
-        queue.ask("c", 1, long)
-    go.set()
-    for thread in threads:
-        thread.join()
-    assert queue.ask("c", 1, lambda check: "c") == "c"  # the number may come again: it was refused, not answered
-    assert done == ["long", "b"]
-    queue.close()
-    with pytest.raises(RefusedRequest, match="closed"):
-        queue.ask("a", 9, long)

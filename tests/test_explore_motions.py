@@ -11,8 +11,7 @@ import vibrojax as vj
 from vibrojax.compile.native import kernels
 from vibrojax.errors import InputError
 from vibrojax.explorer import encoding
-from vibrojax.explorer import motions as live_motions
-from vibrojax.explorer.motions import LiveMotions, motions_for, motions_of
+from vibrojax.explorer.motions import LiveMotions, motions_of
 
 SWEEP = {
     "scene": "vibro-impact",
@@ -99,45 +98,12 @@ def test_every_scene_answers(scene):
         ({"parameters": None}, "explore: parameters: "),
         ({"parameters": [1]}, "explore: parameters: "),
         ({"parameters": {"beta": -1}}, "explore: beta: is -1; it must be above 0"),
-        ({"parameters": {"beta": "x"}}, "explore: beta: "),
-        ({"parameters": {"beta": float("nan")}}, "explore: beta: "),
-        ({"parameters": {"beta": float("inf")}}, "explore: beta: "),
-        ({"parameters": {"beta": True}}, "explore: beta: "),
-        ({"parameters": {"bta": 0.4}}, 'did you mean "beta"?'),
-        ({"parameters": {"friction": "coulomb"}}, "explore: "),
-        ({"parameters": {}, "start": "nowhere"}, "explore: start: "),
-        ({"parameters": {}, "start": [1, 2]}, "explore: start: "),
-        ({"parameters": {}, "start": {"x": 1}}, "explore: start: "),
-        ({"parameters": {}, "duration": 1e9}, "explore: duration: there is no such thing to ask for"),
-        ({"lane": 12}, "explore: lane: 12 is not a lane; there are 12, from 0"),
-        ({"lane": -1}, "explore: lane: "),
-        ({"lane": True}, "explore: lane: "),
-        ({"lane": None}, "explore: lane: "),
     ],
 )
 def test_wrong_requests_are_refused_in_one_line(motions, question, line):
     with pytest.raises(InputError) as error:
         motions.answer(question, no_newer_request)
     assert line in str(error.value) and "\n" not in str(error.value)
-
-
-def test_motion_with_too_many_steps_is_abandoned(motions, monkeypatch):
-    monkeypatch.setattr(live_motions, "MOTION_MAX_STEPS", 512)
-    with pytest.raises(InputError, match=r"explore: over 512 steps led to .* s of 14 s; give a softer contact"):
-        motions.answer({"parameters": {"k0": 300e6}}, no_newer_request)
-
-
-def test_pulses_repeat():
-    """Under equal pulses, each pulse leaves the bit in the same state as the one before, only deeper."""
-    cell = decode_single(LiveMotions("penetration", {"frequency": 25.0}, None, 2.0).answer({}, no_newer_request))
-    assert (cell.kind, cell.returns, cell.duration) == ("orbit", 1, pytest.approx(0.04, rel=1e-6))
-    swept = LiveMotions("penetration", {"pulse_shape": "sweep", "bias": 60e3}, None, 2.0)
-    assert decode_single(swept.answer({}, no_newer_request)).kind == "motion"
-
-
-def test_unusual_values_are_noted(motions):
-    cell = decode_single(motions.answer({"parameters": {"delta": 1.0}}, no_newer_request))
-    assert "far outside what the source and rigs have" in cell.note
 
 
 def test_superseded_motion_is_interrupted(motions):
@@ -168,28 +134,6 @@ def test_values_compile_nothing():
             taken.append(time.thread_time() - began)
     assert len(kernels) == before
     assert np.median(taken) < 0.3
-
-
-def test_motions_for_other_datasets():
-    """The sliders of a trajectory's page start at the trajectory's own point."""
-    motion = vj.simulate("rotary", v=0.7, friction="coulomb", mu=0.3, duration=1.0, start="stuck", progress=False)
-    motions = motions_for(motion)
-    assert motions.point.parameters["v"] == 0.7 and motions.point.parameters["mu"] == 0.3
-    assert motions.point.options["friction"] == "coulomb" and motions.point.start == "stuck"
-    with pytest.raises(InputError, match="explore: "):
-        motions_for(motion.assign_attrs(scene="nothing"))
-    with pytest.raises(InputError, match="attribute run"):
-        motions_for(motion.assign_attrs(run="{"))
-
-
-def test_sliders_reach_all_values_of_the_sweep():
-    axes = {"delta": {"start": -0.2, "stop": 0.1, "num": 3}, "gamma": [0.01, 0.7]}
-    motions = motions_of(vj.read_sweep({"scene": "vibro-impact", "grid": axes}))
-    sliders = {entry["name"]: entry for entry in motions.offered()["parameters"]}
-    assert motions.offered()["state_labels"][:2] == ["x1 at the start [m]", "v1 at the start [m/s]"]
-    assert sliders["delta"]["low"] == -0.2 and sliders["delta"]["high"] == 0.1 and not sliders["delta"]["log"]
-    assert sliders["gamma"]["low"] == 0.01 and sliders["gamma"]["log"]
-    assert sliders["delta"]["units"] == "mm" and sliders["delta"]["factor"] == 1e3
 
 
 def test_box_is_the_sweep_of_its_cells(motions):

@@ -1,9 +1,7 @@
 """Browser tests of the page: it shows the values of the dataset, by pointer, keyboard and link, without any request."""
 
-import base64
 import json
 import re
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,6 @@ import numpy as np
 import pytest
 import xarray as xr
 from browser import chromium, new_page, wait_for
-from cell_blocks import decode
 
 import vibrojax as vj
 from vibrojax.explorer import document_of, page_text, write_page
@@ -33,26 +30,6 @@ FEW = {
     "scene": "vibro-impact",
     "starts": ["drive", "stuck"],
     "grid": {"beta": [0.3, 0.4, 0.5], "gamma": [0.6, 0.7, 0.8]},
-}
-
-
-SETTLED = {
-    "scene": "vibro-impact",
-    "starts": ["drive", "stuck"],
-    "grid": {"beta": [0.3, 0.5], "gamma": {"start": 0.4, "stop": 1.0, "num": 9}, "delta": [-0.005, 0.005]},
-}
-
-
-COEXISTING = {
-    "scene": "vibro-impact",
-    "parameters": {"beta": 0.4, "delta": 0.005},
-    "starts": {
-        "sample": "sobol",
-        "count": 8,
-        "seed": 1,
-        "box": {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]},
-    },
-    "grid": {"gamma": [0.35, 0.75]},
 }
 
 
@@ -221,18 +198,6 @@ def test_keyboard_reaches_everything(browser: Any, files: dict[str, Path]) -> No
         assert opened.heard == []
 
 
-def test_every_picture_has_description(browser: Any, files: dict[str, Path]) -> None:
-    with OpenPage(browser, files["few"]) as opened:
-        pictures = opened.page.locator("canvas[role='img']")
-        texts = [pictures.nth(k).get_attribute("aria-label") for k in range(pictures.count())]
-        assert len(texts) >= 9 and all(texts)
-        assert any("repeats after" in str(text) and "impact" in str(text) for text in texts)
-        labels = opened.evaluate(
-            "[...document.querySelectorAll('select, input')].every(e => e.labels.length || e.ariaLabel)"
-        )
-        assert labels
-
-
 def test_link_restores_selection(browser: Any, files: dict[str, Path]) -> None:
     with OpenPage(browser, files["few"]) as opened:
         opened.page.get_by_label("Variable").select_option("impact_velocity")
@@ -270,43 +235,6 @@ def test_page_is_readable_at_390_pixels(browser: Any, files: dict[str, Path]) ->
             "['.vx-left', '.vx-side', '.vx-table'].map(s => document.querySelector(s).getBoundingClientRect().top)"
         )
         assert order == sorted(order)
-
-
-def test_page_decodes_the_written_cells(browser: Any, files: dict[str, Path]) -> None:
-    """Compare the page's decoder with Python's."""
-    text = files["few"].read_text(encoding="utf-8")
-    match = re.search(r'id="vibrojax-cells">(.*?)</script>', text, re.DOTALL)
-    assert match
-    cells = decode(zlib.decompress(base64.b64decode(match[1].strip().split("\n")[0])))
-    read = """lane => vibrojax.source.cell(lane).then(one => ({...one, time: [...one.time], flags: [...one.flags],
-        states: Object.fromEntries(Object.entries(one.states).map(([name, x]) => [name, [...x]]))}))"""
-    with OpenPage(browser, files["few"]) as opened:
-        for cell in cells[::5]:
-            shown = opened.evaluate(read, cell.lane)
-            np.testing.assert_allclose(shown["time"], cell.time, rtol=1e-12)
-            np.testing.assert_array_equal(shown["flags"], cell.flags)
-            for name, values in cell.states.items():
-                np.testing.assert_allclose(shown["states"][name], values, rtol=1e-9, atol=1e-15)
-
-
-def test_strongest_single_impact_is_selected(browser: Any, tmp_path: Path) -> None:
-    """The map shows one regime, and goes to the cells with its greatest value, on this map and on all maps."""
-    settled = vj.run_sweep(SETTLED, progress=False)
-    single = settled["impact_velocity"].where(settled["regime"] == 3).transpose("beta", "gamma", "delta", "start")
-    assert single.notnull().any() and single.isnull().any()
-    (tmp_path / "settled.html").write_text(page_text(document_of(settled)), encoding="utf-8")
-    with OpenPage(browser, tmp_path / "settled.html", "#variable=impact_velocity&at.delta=0.005&at.start=1") as opened:
-        page = opened.page
-        page.locator("[data-control='only']").select_option("3")
-        page.get_by_role("button", name="greatest here").click()
-        assert (opened.cell["delta"], opened.cell["start"]) == (1, 1)
-        # Starts that lead to the same motion have the same value to the digits of a page.
-        assert float(single.isel(opened.cell)) == pytest.approx(float(single[:, :, 1, 1].max()), rel=1e-5)
-        assert "only=3" in opened.evaluate("location.hash")
-        if page.get_by_role("button", name="greatest of all maps").count():
-            page.get_by_role("button", name="greatest of all maps").click()
-        assert float(single.isel(opened.cell)) == pytest.approx(float(single.max()), rel=1e-5)
-        assert opened.heard == []
 
 
 def test_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[str, Path]) -> None:
@@ -404,139 +332,3 @@ def test_reduced_motion_steps_and_axe_finds_nothing_serious(browser: Any, files:
             ] == []
             if width == 390:  # the sheet shows the motion without scrolling
                 assert opened.page.locator(".vx-panels canvas[role=img]").first.bounding_box()["y"] < 900
-
-
-def _numbers(opened: OpenPage) -> dict[str, str]:
-    """Return the numbers of the selected cell, by name."""
-    rows = "[...document.querySelectorAll('.vx-numbers td')].map(td => [td.dataset.name, td.dataset.value])"
-    return dict(opened.evaluate(rows))
-
-
-def test_attractor_is_shown_with_a_start_that_ends_in_it(browser: Any, tmp_path: Path) -> None:
-    """Heading, share, regime and motion belong together, whether an attractor or a start is selected."""
-    ds = vj.attractors(COEXISTING, progress=False)
-    assert ds.sizes["attractor"] == 3
-    lanes = ds["lane_attractor"].transpose("gamma", "start").values
-    ds["lane_attractor"][{"start": (free := int(np.flatnonzero(lanes[1] == lanes[1, 0])[1]))}] = -1
-    page = write_page(ds, tmp_path / "attractors.html", progress=False)
-
-    def check(opened: OpenPage) -> None:
-        opened.settled()
-        cell, numbers = opened.cell, _numbers(opened)
-        heading, text = opened.page.locator("h2").inner_text(), opened.page.locator(".vx-motion").first.inner_text()
-        own = int(ds["lane_attractor"].isel(gamma=cell["gamma"], start=cell["start"]))
-        number = cell["attractor"]
-        ends = (ds["lane_attractor"].isel(gamma=cell["gamma"]) == number).any()
-        if own == -1 and opened.evaluate("vibrojax.apart") == "start":
-            assert "attractor" not in heading and "share" not in numbers and numbers["lane_attractor"] == "-1"
-            return
-        assert f"attractor = {number}" in heading
-        assert float(numbers["share"]) == float(ds["share"].isel(gamma=cell["gamma"], attractor=number))
-        if ends:
-            assert own == number == int(numbers["lane_attractor"]) and "no start" not in text
-            assert int(numbers["regime"]) == int(ds["regime"].isel(gamma=cell["gamma"], attractor=number))
-            match = re.search(r"x₁\(0\) = (\S+) mm", heading)
-            assert match and float(match[1].replace("−", "-")) == pytest.approx(
-                1e3 * float(ds["start_x1"][cell["start"]]), rel=1e-4
-            )
-        else:
-            assert text == f"no start here ends in attractor {number}" and float(numbers["share"]) == 0
-            assert not {"lane_attractor", "regime", "period"} & set(numbers) and "x₁(0)" not in heading
-            assert opened.page.locator(".vx-call").count() == 0
-
-    for y in ("attractor", ""):
-        with OpenPage(browser, page, f"#variable=share&x=gamma&y={y}") as opened:
-            check(opened)
-            for key in ("Home", "PageDown", "ArrowUp", "End", "ArrowUp"):
-                opened.page.locator(".vx-over").press(key)
-                check(opened)
-            selections = [("attractor", number) for number in range(0 if y else 3)]
-            for axis, index in [*selections, ("start", 0), ("start", 5), ("start", free)]:
-                opened.page.locator(f'[data-control="at-{axis}"]').select_option(str(index))
-                check(opened)
-                assert opened.cell[axis] == index
-            assert opened.evaluate("vibrojax.apart") == "start" and opened.heard == []
-
-
-def _open(browser: Any, ds: xr.Dataset, path: Path, fragment: str = "", scheme: str = "light") -> OpenPage:
-    path.write_text(page_text(document_of(ds)), encoding="utf-8")
-    return OpenPage(browser, path, fragment, scheme=scheme)
-
-
-def test_fit_is_named_by_its_groups_and_has_no_motions(browser: Any, tmp_path: Path) -> None:
-    rows = [f"{p:.6g},9e4,{4e-3 * np.log(p / 9e4)},{rock}" for p in np.linspace(12e4, 4e5, 6) for rock in ("a", "b")]
-    (tmp_path / "rig.csv").write_text("\n".join(["mean_force,threshold,rate_of_penetration,rock", *rows]))
-    fit = vj.fit_rop(tmp_path / "rig.csv", by=["rock"], progress=False)
-    with _open(browser, fit, tmp_path / "fit.html") as opened:
-        text = opened.page.locator(".vx-cellhead").inner_text()
-        assert "rock b" in text and "lane =" not in text and "a fit has no motions" in text
-        assert opened.page.locator(".vx-foot").inner_text().startswith("vibrojax")
-        names = opened.page.locator(".vx-numbers th").all_inner_texts()
-        assert any("(lane = 0)" in name for name in names)
-        assert "coefficient of the rate-of-penetration law C" in names
-        assert "recommended C (95 % interval)" in opened.page.locator(".vx-summary").inner_text()
-        titles = opened.page.locator(".vx-plots figcaption").all_inner_texts()
-        assert any("residuals, rock: b" in title for title in titles)
-        opened.page.get_by_label("Variable").select_option("data_relief")
-        opened.page.locator("h2", has_text="rock b, lane = ").wait_for()
-        assert opened.heard == []
-
-
-@pytest.mark.parametrize(("value", "text"), [(0.0, "0 everywhere"), (np.nan, "no value")])
-def test_zeros_and_missing_values_have_no_colour_scale(browser: Any, tmp_path: Path, value: float, text: str) -> None:
-    axes = {"a": [1.0, 2.0, 3.0], "b": [1.0, 2.0]}
-    rate = (("a", "b"), np.full((3, 2), value), {"units": "m s-1", "long_name": "rate"})
-    ds = xr.Dataset({"rate": rate}, axes, {"source": "vibrojax 0"})
-    with _open(browser, ds, tmp_path / "page.html") as opened:
-        assert f": {text} here" in opened.page.locator(".vx-legend").inner_text()
-        assert opened.page.locator(".vx-bar").count() == 0
-
-
-def test_legend_of_family_lists_what_occurs_in_visible_colours(browser: Any, tmp_path: Path) -> None:
-    family = vj.follow("rotary", along="v", at=1.0, span=(0.9, 1.1), progress=False)
-    kinds = {family["special_kind"].attrs["flag_meanings"].split()[k] for k in family["special_kind"].values}
-    runs = {"stable" if flag == 1 else "not stable" for flag in family["stable"].values}
-    with _open(browser, family, tmp_path / "family.html", scheme="dark") as opened:
-        items = opened.page.locator(".vx-legend li")
-        assert {text.lstrip("■●◆▲|×").strip() for text in items.all_inner_texts()} == runs | kinds
-        ground = "getComputedStyle(document.querySelector('.vx-map')).backgroundColor"
-        colours = opened.evaluate("[...document.querySelectorAll('.vx-glyph')].map(one => getComputedStyle(one).color)")
-        brightness = [sum(map(int, re.findall(r"\d+", colour)[:3])) for colour in (opened.evaluate(ground), *colours)]
-        assert len(colours) == len(kinds) and all(abs(value - brightness[0]) > 100 for value in brightness[1:])
-
-
-def test_page_works_in_firefox(files: dict[str, Path]) -> None:
-    pytest.importorskip("tornado", reason='tornado is missing, which distributed brings: pip install ".[test]"')
-    from firefox import binary, in_firefox
-
-    if binary() is None:
-        pytest.skip("no Firefox is installed: apt install firefox-esr, or firefox")
-
-    async def work(firefox: Any) -> None:
-        await firefox.open(files["few"].as_uri() + "#variable=impact_velocity&at.beta=0.3&at.gamma=0.6&at.start=1")
-        assert await firefox.evaluate("vibrojax.cell") == {"beta": 0, "gamma": 0, "start": 1}
-        assert await firefox.evaluate("vibrojax.shown.variable") == "impact_velocity"
-        await firefox.evaluate("document.querySelector('.vx-over').focus()")
-        await firefox.press("\ue014", "\ue013")  # right, up
-        assert await firefox.evaluate("vibrojax.cell") == {"beta": 1, "gamma": 1, "start": 1}
-        place = """(() => {
-            const box = document.querySelector('.vx-over').getBoundingClientRect(), { left, top, right, bottom } =
-                vibrojax.view.frame.box;
-            return [box.left + left + 0.9 * (right - left), box.top + top + 0.1 * (bottom - top)];
-        })()"""
-        await firefox.click(*await firefox.evaluate(place))
-        assert await firefox.evaluate("vibrojax.cell") == {"beta": 2, "gamma": 2, "start": 1}
-        shown = await firefox.evaluate(
-            "[...document.querySelectorAll('.vx-panels canvas[role=img]')].map(one => one.ariaLabel)"
-        )
-        assert len(shown) >= 6 and all(shown)
-        await firefox.open(files["few"].as_uri(), width=500)  # Firefox's windows are no narrower
-        assert await firefox.evaluate("document.scrollingElement.scrollWidth <= innerWidth")
-        # Besides the page's empty icon, Firefox reads its own pictures for open details as data.
-        assert {address for address in firefox.asked if not address.startswith("data:")} <= {
-            files["few"].as_uri(),
-            files["few"].as_uri() + "#variable=impact_velocity&at.beta=0.3&at.gamma=0.6&at.start=1",
-        }
-        assert firefox.heard == []
-
-    in_firefox(work)

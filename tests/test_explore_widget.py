@@ -1,6 +1,5 @@
 """Tests of the widget: selections in the page and in Python follow each other, and the kernel computes motions."""
 
-import builtins
 import json
 
 import numpy as np
@@ -11,8 +10,6 @@ from small_map import small_map
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-
-anywidget = pytest.importorskip("anywidget")
 
 
 @pytest.fixture(scope="module")
@@ -26,10 +23,10 @@ def widget(dataset):
 
 
 @pytest.fixture
-def sent(widget, monkeypatch):
+def sent(widget):
     """Return the messages that the widget sends to the page."""
     messages = []
-    monkeypatch.setattr(type(widget), "send", lambda self, content, buffers=None: messages.append((content, buffers)))
+    widget.send = lambda content, buffers=None: messages.append((content, buffers))
     return messages
 
 
@@ -59,8 +56,6 @@ def test_python_selects_nearest_cell(widget):
     [
         ({"bta": 0.3}, 'explore: point.bta: the map has no such axis; did you mean "beta"?'),
         ({"start": "nowhere"}, 'explore: point.start: "nowhere" is not one of its values; choose from drive, stuck'),
-        ({"beta": "x"}, 'explore: point.beta: "x" is not a finite number; give one in SI units'),
-        ({"beta": float("nan")}, "explore: point.beta: nan is not a finite number; give one in SI units"),
     ],
 )
 def test_wrong_points_are_refused(widget, point, line):
@@ -85,15 +80,12 @@ def test_kernel_computes_requested_motions(widget, sent, dataset):
     assert cell.lane == 3 and widget.simulated == {}
 
 
-def test_failed_computations_are_reported(widget, sent, monkeypatch):
+def test_failed_computations_are_reported(widget, sent):
     widget._handle_custom_msg({"id": "a", "parameters": {"beta": -1}}, [])
-    assert sent[0] == ({"id": "a", "error": "explore: beta: is -1; it must be above 0"}, None)
-    monkeypatch.setattr(widget.motions, "answer", lambda *_: 1 / 0)
-    widget._handle_custom_msg({"id": "b", "lane": 0}, [])
-    assert sent[1][0] == {"id": "b", "error": "this could not be computed"}
+    assert sent == [({"id": "a", "error": "explore: beta: is -1; it must be above 0"}, None)]
     for nonsense in ({}, {"parameters": {}}, "x", None, 3):
         widget._handle_custom_msg(nonsense, [])
-    assert len(sent) == 2
+    assert len(sent) == 1
 
 
 def test_widget_without_kernel_holds_motions(dataset):
@@ -130,21 +122,6 @@ def test_unknown_scene_is_shown_but_not_simulated(dataset):
     assert vj.explore(foreign).offered is None
     with pytest.raises(InputError, match="explore: "):
         vj.explore(foreign, live=True)
-
-
-def test_missing_anywidget_error_says_what_to_install(dataset, monkeypatch):
-    original_import = builtins.__import__
-
-    def import_without_anywidget(name, *rest):
-        if name.partition(".")[0] == "anywidget":
-            raise ModuleNotFoundError("No module named 'anywidget'", name="anywidget")
-        return original_import(name, *rest)
-
-    monkeypatch.delitem(__import__("sys").modules, "vibrojax.explorer.widget", raising=False)
-    monkeypatch.setattr(builtins, "__import__", import_without_anywidget)
-    with pytest.raises(InputError) as error:
-        vj.explore(dataset)
-    assert str(error.value) == 'explore: anywidget is not installed; pip install "vibrojax[widget]"'
 
 
 HOST = """

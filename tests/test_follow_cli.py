@@ -10,9 +10,7 @@ from exact.measures import sections
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.explorer.views import family_cells
 from vibrojax.io.dataset import open_dataset
-from vibrojax.studies import FAMILY_WORDS
 from vibrojax.studies.family_analysis import family_lines
 
 ARGUMENTS = ("along=gamma", "at=0.45", "from=0.36", "to=0.5", "beta=0.4", "settle=30", "cycles=2")
@@ -86,20 +84,6 @@ def test_output_lists_special_points_and_stability(here):
     assert lines[-1] == f"{here}/one.nc; picture {here}/one.png"
 
 
-def test_info_shows_the_same_lines(here, capsys):
-    dataset = open_dataset("one.nc")
-    assert main(["info", "one.nc"]) == 0
-    text = capsys.readouterr().out
-    assert all(line in text for line in family_lines(dataset)) and len(family_lines(dataset)) >= 4
-    assert main(["info", "one.nc", "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)["families"]
-    assert (facts["along"], facts["families"], facts["branches"]) == ("gamma", 1, 2)
-    assert facts["points"] == dataset.sizes["point"] and sum(facts["kinds"].values()) == dataset.sizes["special"]
-    (stable,) = (interval for interval in facts["stable"] if interval["branch"] == 0)
-    assert (stable["from"], stable["to_kind"]) == (pytest.approx(DOUBLING, abs=1e-7), "end")
-    assert facts["special"][0].keys() == {"kind", "value", "family", "branch", "note"}
-
-
 def test_json_output(here, capsys):
     assert main(["follow", "vibro-impact", *ARGUMENTS, "-o", "one.nc", "--json"]) == 0  # the same result again
     facts = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
@@ -117,14 +101,6 @@ def test_list_gives_as_many_families(here, capsys):
     text = "\n".join(family_lines(three))
     assert text.startswith("3 families, ") and "beta 0.4: 0.392500037 (period-doubling) to 0.5 (end)" in text
     assert main(["plot", "three.nc", "--where", "beta=0.4", "-o", "middle.png"]) == 0
-
-
-def test_families_without_an_orbit_are_named(here):
-    three = open_dataset("three.nc")
-    part = three.isel(
-        point=np.flatnonzero(three["point_family"] < 2), special=np.flatnonzero(three["special_family"] < 2)
-    )
-    assert family_lines(part)[-1] == "no orbit to begin with: beta 0.42"
 
 
 def test_default_name_and_other_settings(here, capsys):
@@ -214,39 +190,3 @@ def test_wrong_input_is_refused_in_one_line(here, capsys, scene, changes, messag
     line = refusal_line(capsys, "follow", scene, *arguments, "-o", "wrong.nc")
     assert line.startswith("follow: ") and message in line
     assert not (here / "wrong.nc").exists()
-
-
-def test_irregular_initial_motion_is_refused_with_its_regime(here, capsys):
-    arguments = ("along=gamma", "at=0.35", "from=0.3", "to=0.5", "beta=0.95", "settle=3", "-o", "none.nc", "--quiet")
-    line = refusal_line(capsys, "follow", "vibro-impact", *arguments)
-    assert line == "follow: at: the motion at gamma = 0.35 does not repeat (irregular after 3 s); begin where it does"
-
-
-def test_warning_of_unusual_value_has_its_name(here):
-    with pytest.warns(vj.UnusualValue, match="follow: delta: 5 m is far outside"):
-        vj.follow("vibro-impact", along="gamma", at=0.45, span=(0.44, 0.46), delta=5.0, settle=20.0, progress=False)
-
-
-def test_rocks_form_families(monkeypatch):
-    ds = vj.follow(
-        "drilling",
-        along="gamma",
-        at=0.75,
-        span=(0.74, 0.76),
-        rock=["sandstone", "granite"],
-        start="stuck",
-        settle=20.0,
-        progress=False,
-    )
-    assert ds["rock"].values.tolist() == ["sandstone", "granite"]
-    assert (np.bincount(ds["point_family"].values) > 1).all()
-    recorded = []
-    monkeypatch.setattr("vibrojax.explorer.views.record_cells", lambda scene, p, excerpt: recorded.append(p) or [])
-    list(family_cells(ds))
-    assert len(set(recorded[0]["threshold"])) == 2  # of the rocks
-
-
-def test_help_explains_terms(capsys):
-    assert main(["follow", "--help"]) == 0
-    text = capsys.readouterr().out
-    assert len(FAMILY_WORDS) > 12 and all(f"\n  {word}: " in text for word in FAMILY_WORDS)

@@ -1,104 +1,102 @@
-"""Tests of families of shaken masses at a stop, against closed forms of the rigid stop as the stop gets stiffer."""
+"""Families of masses at rigid stops, against closed forms: where orbits appear, double, graze and go on."""
 
 import numpy as np
 import pytest
-from own_scenes import (
-    RigidlyStopped,
-    Shaken,
+from scipy.optimize import brentq
+from systems import (
+    BALL,
+    IMPACT_OSCILLATOR,
     ball_appears,
     ball_doubles,
     ball_orbit,
     oscillator_doubles,
     oscillator_grazes,
     oscillator_orbits,
-    restitution,
 )
-from test_follow import specials
-from test_orbits_elsewhere import halves, limit
 
 import vibrojax as vj
 
-XI = 0.1
-R = restitution(XI)
-STIFF = [1e6, 4e6, 16e6]
 OSCILLATOR = {"w": 0.9, "stiffness": 1.0, "damping": 0.1, "stop": 1.0}
-BALL = {"gravity": 9.81, "stiffness": 0.0, "damping": 0.0, "w": 2 * np.pi, "stop": 0.0}
+R = 0.7
+GRAZE = oscillator_grazes(**OSCILLATOR)
 
 
-def families(start, at, span, settle, **values):
-    """Return a family over the amplitude of the force for each stiffness."""
-    start = np.asarray(start).tolist()
-    settings = {"xi": XI, "k0": STIFF, "progress": False, "settle": settle, "observe": 100.0}
-    return vj.follow(Shaken(), along="a", at=at, span=span, start=start, **values, **settings)
+def special_values(family, kind, branch=0):
+    """Return the parameter values of the special points of a kind on a branch."""
+    flag = family.special_kind.attrs["flag_meanings"].split().index(kind)
+    chosen = (family.special_kind.values == flag) & (family.special_branch.values == branch)
+    return family.special_value.values[chosen]
 
 
-def specials_by_stiffness(family, kind, branch=0):
-    """Return the special points of a kind for each stiffness."""
-    return [specials(family.isel(special=family.special_family.values == n), kind, branch) for n in range(len(STIFF))]
+def test_period_doubling_and_grazing_of_impact_oscillator():
+    doubles = oscillator_doubles((1.5 * GRAZE, 3 * GRAZE), R, **OSCILLATOR)
+    begin = oscillator_orbits(2.9 * GRAZE, R, **OSCILLATOR)[-1].section.tolist()
+    family = vj.follow(
+        IMPACT_OSCILLATOR, along="a", at=2.9 * GRAZE, span=(0.95 * doubles, 3 * GRAZE), start=begin, progress=False
+    )
+    assert special_values(family, "period-doubling") == pytest.approx([doubles], rel=1e-8)
+    free = vj.follow(
+        IMPACT_OSCILLATOR, along="a", at=0.9 * GRAZE, span=(0.8 * GRAZE, 1.2 * GRAZE), cycles=1, progress=False
+    )
+    assert special_values(free, "grazing") == pytest.approx([GRAZE], rel=1e-8)
 
 
 @pytest.mark.long
-def test_bouncing_ball_appears_and_doubles():
-    gravity, low, high = BALL["gravity"], ball_appears(R), ball_doubles(R)
-    middle = (low + high) / 2
-    begin = ball_orbit(middle, R, BALL["w"], gravity).section
-    span = (0.9 * low * gravity, 1.05 * high * gravity)
-    family = families(begin, middle * gravity, span, 60.0, **BALL)
-    for kind, exact in (("fold", low), ("period-doubling", high)):
-        values = [
-            points[np.abs(points / gravity - exact).argmin()] / gravity
-            for points in specials_by_stiffness(family, kind)
-        ]
-        assert halves(values, exact)
-        assert abs(limit(values) - exact) < 1e-5
-    # Beyond the fold the family returns as the orbit at the lower phase, which is unstable.
-    branch = family.isel(point=(family.point_family.values == 2) & (family.branch.values == 0))
-    assert {0, 1} <= set(branch.stable.values.tolist())
-    assert (branch.a.values > specials(family.isel(special=family.special_family.values == 2), "fold")[0] - 1e-9).all()
-    # The doubled branch begins there, with two impacts in two periods.
-    double = family.isel(point=(family.point_family.values == 2) & (family.branch.values == 1))
-    assert (double.cycles == 2).all() and double.impacts[0] == 2 and double.stable[1] == 1
+def test_fold_and_period_doubling_of_ball_on_shaken_table():
+    w, g = 2 * np.pi, 9.81
+    low, high = ball_appears(0.5), ball_doubles(0.5)
+    a = (low + high) / 2 * g / w**2
+    orbit = ball_orbit((low + high) / 2, 0.5, w, g)
+    start = [-a - float(orbit.section[0]), -float(orbit.section[1])]  # relative to the table, positive downwards
+    span = (0.9 * low * g / w**2, 1.05 * high * g / w**2)
+    family = vj.follow(BALL, along="a", at=a, span=span, start=start, cycles=1, progress=False)
+    assert special_values(family, "fold") * w**2 / g == pytest.approx([low], rel=1e-8)
+    assert special_values(family, "period-doubling") * w**2 / g == pytest.approx([high], rel=1e-8)
 
 
-def test_impact_oscillator_doubles():
-    graze = oscillator_grazes(**OSCILLATOR)
-    exact = oscillator_doubles((1.5 * graze, 3 * graze), R, **OSCILLATOR)
-    begin = oscillator_orbits(2.9 * graze, R, **OSCILLATOR)[-1].section
-    family = families(begin, 2.9 * graze, (0.95 * exact, 3 * graze), 150.0, gravity=0.0, **OSCILLATOR)
-    values = [points[np.abs(points - exact).argmin()] for points in specials_by_stiffness(family, "period-doubling")]
-    assert halves(values, exact)
-    assert abs(limit(values) - exact) < 1e-5
+def test_branch_continues_past_graze_where_impact_vanishes():
+    """Downwards, orbits with one impact per period end at the closed form.
+
+    The doubled branch loses its slow impact where the motion after the other impact, in closed form, touches the stop.
+    From there, orbits with one impact in two periods lead down to the graze of the motion without impacts.
+    """
+    family = vj.follow(IMPACT_OSCILLATOR, along="a", at=0.61, span=(0.2, 0.65), cycles=2, progress=False)
+    [graze] = special_values(family, "grazing")
+    assert abs(graze - GRAZE) < 1e-8
+    slow, last = special_values(family, "grazing", branch=1)
+    assert abs(slow - brentq(distance_at_other_maximum, 0.54, 0.58, xtol=1e-13)) < 1e-8
+    assert abs(last - GRAZE) < 1e-8
+    assert len(special_values(family, "fold", branch=1)) == 1  # the branch is not retraced
 
 
-@pytest.mark.parametrize("k0", [1.0, 1e4, 1e8])
-def test_impact_oscillator_grazes_where_forced_motion_touches(k0):
-    """The family without impact reaches the graze, which is the same for any stiffness, and continues with impacts."""
-    graze = oscillator_grazes(**OSCILLATOR)
-    settings = {"xi": XI, "k0": k0, "gravity": 0.0, "progress": False, "settle": 300.0, "observe": 100.0, "cycles": 1}
-    family = vj.follow(Shaken(), along="a", at=0.9 * graze, span=(0.8 * graze, 1.2 * graze), **OSCILLATOR, **settings)
-    grazes = specials(family, "grazing")
-    assert np.abs(grazes - graze).min() < 1e-8
-    below = family.a.values < graze - 1e-7
-    assert (family.impacts.values[below & (np.arange(len(below)) < below.argmin())] == 0).all()
-    assert family.impacts.values.max() >= 1
+def distance_at_other_maximum(a):
+    """Return the distance to the stop at the other maximum of the orbit with one impact in two periods."""
+    w, stop = OSCILLATOR["w"], OSCILLATOR["stop"]
+    orbit = oscillator_orbits(a, R, **OSCILLATOR, n=2)[-1]
+    forced = a / complex(OSCILLATOR["stiffness"] - w**2, OSCILLATOR["damping"] * w)
+    decay = complex(-OSCILLATOR["damping"] / 2, np.sqrt(OSCILLATOR["stiffness"] - (OSCILLATOR["damping"] / 2) ** 2))
+    u = stop - (forced * np.exp(1j * orbit.phase)).real
+    q = -R * orbit.speed - (1j * w * forced * np.exp(1j * orbit.phase)).real
+    free = complex(u, (decay.real * u - q) / decay.imag)  # Re(free) = u, Re(decay free) = q
+
+    def x(t, order=0):
+        return (
+            decay**order * free * np.exp(decay * t) + (1j * w) ** order * forced * np.exp(1j * (w * t + orbit.phase))
+        ).real
+
+    t = np.linspace(0.05, 0.95, 400) * 4 * np.pi / w
+    rising = x(t, 1) > 0
+    tops = [brentq(x, t[k], t[k + 1], (1,), xtol=1e-13) for k in np.flatnonzero(rising[:-1] & ~rising[1:])]
+    return stop - max(x(top) for top in tops)
 
 
-def test_graze_is_found_if_only_impact_free_orbits_are_near_it():
-    """The stop is so stiff that the multiplier grows from 30 to over 1e3 within a step before the graze."""
-    stiff = {"w": 9.0, "stiffness": 100.0, "damping": 1.0, "stop": 1.0}
-    settings = {"xi": XI, "k0": 4e8, "gravity": 0.0, "progress": False, "settle": 20.0, "observe": 30.0, "cycles": 1}
-    family = vj.follow(Shaken(), along="a", at=63.0, span=(10.5, 67.3), **stiff, **settings)
-    [graze] = specials(family, "grazing")
-    assert abs(graze - oscillator_grazes(**stiff)) < 1e-8
-
-
-def test_rigid_graze_without_mode_is_grazing():
-    """Only the margin shows that the family without impact touches the stop, where it ends."""
-    graze = oscillator_grazes(**OSCILLATOR)
-    settings = {"progress": False, "settle": 300.0, "observe": 100.0, "cycles": 1}
-    family = vj.follow(
-        RigidlyStopped(), along="a", at=0.9 * graze, span=(0.8 * graze, 1.2 * graze), **OSCILLATOR, **settings
-    )
-    assert specials(family, "grazing") == pytest.approx([graze], rel=1e-9)
-    assert specials(family, "end") == pytest.approx([0.8 * graze])
-    assert family.special_note.values.tolist() == ["the first value is reached", "the family ends here"]
+def test_family_continues_where_impact_passes_section():
+    """The impact occurs at the maximum of the force, t = 0, where the state at the section jumps."""
+    fixed = {"a": 1.0, "stop": 0.5, "stiffness": 1.0, "damping": 0.1}
+    family = vj.follow(IMPACT_OSCILLATOR, along="w", at=1.1, span=(0.9, 1.2), cycles=1, progress=False, a=1.0, stop=0.5)
+    passed = brentq(lambda w: np.sin(oscillator_orbits(R=R, w=w, **fixed)[-1].phase), 0.9, 1.1)
+    assert special_values(family, "section") == pytest.approx([passed], abs=1e-8)
+    main = family.branch.values == 0
+    assert {0.9, 1.2} <= set(family.w.values[main].tolist())
+    for w, x in zip(family.w.values[main][::4], family.orbit_x.values[main][::4], strict=True):
+        assert min(abs(x - orbit.section[0]) for orbit in oscillator_orbits(R=R, w=w, **fixed)) < 1e-8

@@ -7,8 +7,6 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.io.atomic import atomic_write
-from vibrojax.io.identity import check_ours, text_mark
 
 SWEEP = 'scene = "rotary"\n[grid]\ngamma = [0.6, 0.7]\n[run]\nsettle = 0.5\nobserve = 0.5\n'
 ADVICE = "give another name, or remove it"
@@ -87,15 +85,6 @@ def test_dataset_of_other_origin_is_replaced_if_it_says_so(folder, motion):
         vj.write_dataset(motion, "other.nc")
     Path("empty.nc").touch()
     vj.write_dataset(motion, "empty.nc")
-
-
-def test_table_says_who_wrote_it(tmp_path):
-    for _ in range(2):
-        with atomic_write(tmp_path / "table.md") as part:
-            part.write_text("# Table\n" + text_mark())
-    (tmp_path / "notes.md").write_text("# About vibrojax 0\n")
-    with pytest.raises(vj.InputError, match=ADVICE):
-        check_ours(tmp_path / "notes.md")
 
 
 def test_foreign_manifest_stays(folder, capsys):

@@ -8,7 +8,6 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax.lanes.record import window
-from vibrojax.studies import trajectory_recording as _recorded
 from vibrojax.studies.frequencies import frequency_part
 from vibrojax.studies.trajectory import feature_lines
 
@@ -63,49 +62,9 @@ def test_undecided_motion_names_a_sufficient_duration():
     assert longer["returns"] >= 9
 
 
-@pytest.mark.parametrize(("v", "text"), [(1.2, "moves steadily with the drive, at 1.2 m/s"), (0.0, "rests")])
-def test_text_of_equilibrium_says_whether_the_bit_slides(v, text):
-    motion = vj.simulate("rotary", v=v, friction="coulomb", duration=100.0, progress=False)
-    assert feature_lines(motion)[0] == f"equilibrium: the bit {text}"
-
-
-def test_text_names_regime_period_velocity_and_energy():
-    motion = vj.simulate("vibro-impact", duration=20.0, progress=False)
-    period, velocity, energy = (float(motion[name]) for name in ("period", "impact_velocity", "impact_energy"))
-    assert energy == pytest.approx(0.4 * 250 / 2 * velocity**2, rel=1e-6)
-    text = f"single-impact: one blow in each period of {period:.5g} s, at {velocity:.4g} m/s and {energy:.4g} J"
-    assert feature_lines(motion)[0] == text
-
-
-def test_text_of_rock_has_rate_relief_and_slip():
-    motion = vj.simulate("penetration", duration=1.0, force=300e3, progress=False)
-    rate, slip = float(motion["rate_of_penetration"]), float(motion["slip_per_impact"])
-    assert slip == pytest.approx(rate / 20, rel=1e-9)  # 20 pulses a second
-    lines = feature_lines(motion)
-    assert (
-        lines[0]
-        == f"rate of penetration {rate:.4g} m/s ({3600 * rate:.4g} m/h), {1e3 * slip:.4g} mm for each pulse (slip)"
-    )
-    # 300 kN for 4 ms, 20 times a second
-    assert lines[1] == "relief P/D 0.16: mean force 24 kN over the 150 kN at which the rock yields"
-    assert feature_lines(vj.simulate("penetration", duration=1.0, force=10e3, progress=False))[0].startswith(
-        "no penetr"
-    )
-    short = feature_lines(vj.simulate("penetration", duration=0.02, progress=False))[0]
-    assert short == "no whole pulse was observed, so there is no rate of penetration; give a longer duration"
-
-
 def test_diffrax_solver_gives_only_the_motion():
     motion = vj.simulate("rotary", duration=0.2, solver="Tsit5", error=1e-2, progress=False)
     assert "regime" not in motion and feature_lines(motion) == []
-
-
-def test_compilation_is_reported_once(capsys, monkeypatch):
-    monkeypatch.setattr(_recorded, "_compiled", set())
-    vj.simulate("penetration", duration=0.1)
-    assert "compiling the scene penetration" in capsys.readouterr().err
-    vj.simulate("penetration", duration=0.2)
-    assert capsys.readouterr().err == ""
 
 
 def test_frequencies_are_outputs():

@@ -47,19 +47,11 @@ def test_flags_keep_their_numbers():
         ({}, "single-impact"),
         ({"impacts": 0.0}, "impact-free"),
         ({"impacts": 2.0}, "multi-impact"),
-        ({"impacts": 7.0}, "multi-impact"),
         ({"cycles": 2.0, "impacts": 3.0}, "subharmonic"),
-        ({"cycles": 8.0, "impacts": 8.0}, "subharmonic"),
-        ({"cycles": 2.0, "impacts": 0.0}, "subharmonic"),
         ({"cycles": 0.0, "impacts": 0.9}, "irregular"),
-        ({"cycles": 0.0, "impacts": 0.0}, "irregular"),
         ({"returns": 8.0}, "undecided"),
-        ({"returns": 9.0}, "single-impact"),
-        ({"returns": 0.0, "cycles": 0.0, "impacts": np.nan}, "undecided"),
         ({"trend": 1.0}, "undecided"),
-        ({"trend": -1.0, "cycles": 0.0}, "undecided"),
         ({"bit_amplitude": 0.99 * SWING}, "equilibrium"),
-        ({"bit_amplitude": 1.01 * SWING}, "single-impact"),
         ({"finite": False}, "failed"),
         ({"finished": False}, "failed"),
     ],
@@ -71,23 +63,14 @@ def test_rules(changes, expected):
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"finite": False, "bit_amplitude": 0.0, "returns": 0.0}, "failed"),  # 7 before 1
-        ({"finite": False, "bit_amplitude": np.nan, "cycles": 0.0}, "failed"),
-        ({"bit_amplitude": 0.0, "returns": 0.0, "cycles": 0.0}, "equilibrium"),  # 1 before 0
-        ({"bit_amplitude": 0.0, "trend": -1.0}, "equilibrium"),
-        ({"returns": 5.0, "impacts": 0.0}, "undecided"),  # 0 before 2
-        ({"trend": 1.0, "cycles": 3.0, "impacts": 4.0}, "undecided"),  # 0 before 5
-        ({"trend": 1.0, "cycles": 0.0}, "undecided"),  # 0 before 6
+        ({"finite": False, "bit_amplitude": 0.0, "returns": 0.0}, "failed"),
+        ({"bit_amplitude": 0.0, "returns": 0.0, "cycles": 0.0}, "equilibrium"),
+        ({"returns": 5.0, "impacts": 0.0}, "undecided"),
+        ({"trend": 1.0, "cycles": 0.0}, "undecided"),
     ],
 )
 def test_order_of_rules(changes, expected):
     assert regime(**changes) == expected
-
-
-def test_without_contact():
-    """The rotary scene has no impacts at all."""
-    assert regime(impacts=None) == "impact-free"
-    assert regime(impacts=None, cycles=2.0) == "subharmonic"
 
 
 def test_least_friction():
@@ -96,10 +79,3 @@ def test_least_friction():
     features["bit_amplitude"] = 1e-3 * 0.01 * M1 * G / K1 * np.array([0.99, 1.01])
     flags = label(features, np.zeros(2), np.full(2, M1), np.full(2, G), np.full(2, K1))
     assert [REGIMES[flag] for flag in flags] == ["equilibrium", "single-impact"]
-
-
-def test_lanes_are_labelled_independently():
-    lanes = [{}, {"impacts": 0.0}, {"trend": 1.0}, {"finite": False}, {"cycles": 0.0}]
-    features = {name: np.array([(SINGLE | lane)[name] for lane in lanes]) for name in SINGLE}
-    flags = label(features, np.full(5, MU), np.full(5, M1), np.full(5, G), np.full(5, K1))
-    assert [REGIMES[flag] for flag in flags] == ["single-impact", "impact-free", "undecided", "failed", "irregular"]

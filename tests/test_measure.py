@@ -83,18 +83,6 @@ def test_phases_of_unequal_returns(observe):
     assert_close(lane.impact_phase, expected["impact_phase"], 1e-6)
 
 
-def test_phase_lag_without_settling_time():
-    """The first return is left out, because the period is not known before it."""
-    settled = run_lane(USUAL | CONTACT).phase_lag
-    assert_close(run_lane(USUAL | CONTACT, settle=0.0).phase_lag, settled, 0, 0.02)
-
-
-def test_phase_lag_of_known_cases(features):
-    """A striker tuned far below the bit's frequency moves against it (gamma 0.5), one tuned far above with it (8)."""
-    assert abs(features["free"].phase_lag) > 2.9
-    assert abs(features["in phase"].phase_lag) < 0.01
-
-
 @pytest.mark.parametrize("name", ["gap", "free"])
 def test_settling_time(features, name):
     """The last return counts whose state s differs from the next by over 0.01, scaled by the swings between the two."""

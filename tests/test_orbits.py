@@ -11,13 +11,10 @@ from random_orbits import in_upper_half
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 from vibrojax.periodic.orbit_stages import OrbitStage
-from vibrojax.periodic.orbits import orbits_of
-from vibrojax.studies.sweep import orbit_lines
 
 CASES = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["orbits"]
 ORBITS = {"orbits": True}
@@ -56,15 +53,6 @@ def test_reference_cases(cases, index):
     _, states = exact.returns("vibro-impact", parameters, section, (point.cycles.item() + 0.1) * expected["period"])
     np.testing.assert_allclose(states[-1], section, rtol=0, atol=1e-11)
     assert np.abs(states - expected["section"]).max(axis=1).min() < 1e-8
-
-
-def test_stored_variables_and_attributes(cases):
-    assert cases.multiplier_abs.dims == cases.multiplier_arg.dims == ("point", "multiplier")
-    assert cases.stable.dtype == np.int8 and cases.stable.attrs["flag_values"].tolist() == [-1, 0, 1]
-    assert (np.diff(cases.multiplier_abs.values) <= 0).all()
-    assert ((cases.multiplier_arg >= 0) & (cases.multiplier_arg <= np.pi)).all()
-    about = json.loads(cases.attrs["orbits"])
-    assert about["states"] == ["x1", "x2", "v2"] and 0 < about["grazing_limit"] < 1e-3
 
 
 def test_sticking_makes_a_multiplier_zero(cases):
@@ -164,30 +152,9 @@ def test_orbits_match_lanes(lanes):
     np.testing.assert_allclose(orbits["period"], lanes[1]["period"], rtol=1e-6)
 
 
-def test_other_orbit_is_refused(lanes):
-    more_impacts = find_orbits(lanes, impacts=lanes[1]["impacts"] + 1)
-    assert (more_impacts["orbit_reason"] == ANOTHER).all() and (more_impacts["stable"] == -1).all()
-    assert np.isnan(more_impacts["multiplier_abs"]).all()
-    assert "period" not in more_impacts  # nothing is replaced
-    wrong_cycles = find_orbits(lanes, cycles=np.ones(3))  # the third lane repeats after two returns
-    assert wrong_cycles["orbit_reason"][:2].tolist() == [FOUND, FOUND] and wrong_cycles["orbit_reason"][2] != FOUND
-    displaced = find_orbits(lanes, return_x2=lanes[1]["return_x2"] + 0.3)
-    assert not (displaced["orbit_reason"] == FOUND).any()
-
-
-def test_shorter_repeat_is_reported(lanes):
-    features = lanes[1]
-    twice = find_orbits(lanes, cycles=features["cycles"] * 2, impacts=features["impacts"] * 2)
-    once = find_orbits(lanes)
-    assert (twice["orbit_reason"] == FOUND).all()
-    assert twice["orbit_cycles"].tolist() == [1, 1, 2]
-    np.testing.assert_allclose(twice["multiplier_abs"], once["multiplier_abs"] ** 2, atol=1e-9)
-
-
 def test_irregular_and_failed_lanes_have_no_orbit():
     irregular = vj.run_sweep(
-        {"scene": "vibro-impact", "grid": {"beta": [0.95], "gamma": [0.35, 0.7]}, "run": ORBITS | SOON},
-        progress=False,
+        {"scene": "vibro-impact", "grid": {"beta": [0.95], "gamma": [0.35, 0.7]}, "run": ORBITS | SOON}, progress=False
     )
     assert (irregular.orbit_reason == NOT_REPEATING).all() and (irregular.stable == -1).all()
     stiff = SMALL | {"parameters": {"k0": 1e30}, "run": ORBITS | SOON, "unusual": True}
@@ -241,50 +208,6 @@ def test_command_gives_result_of_sweep(folder, given, capsys):
         np.testing.assert_array_equal(ds[name], expected[name], name)
 
 
-def test_info_reports_orbits(folder, capsys):
-    assert main(["sweep", str(folder / "with.nc")]) == 2
-    assert "with.nc: is a dataset, not a sweep; vibrojax info " in capsys.readouterr().err
-    assert main(["info", str(folder / "with.nc")]) == 0
-    assert "4 found of 4 lanes that repeat" in capsys.readouterr().out
-    assert main(["info", str(folder / "with.nc"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["orbits"] == {"reason": {"found": 4}, "stable": {"stable": 4}}
-    assert orbit_lines(open_dataset(folder / "without.nc")) == []
-
-
-def test_orbits_in_python(folder):
-    without = open_dataset(folder / "without.nc")
-    ds = vj.orbits(without, progress=False)
-    assert (ds.orbit_reason == FOUND).all()
-    assert vj.orbits(ds) is ds
-    with pytest.raises(InputError, match="not the dataset of a sweep"):
-        vj.orbits(vj.simulate("rotary", duration=1.0, progress=False), progress=False)
-    changed = without.assign_attrs(identity=json.dumps(json.loads(without.attrs["identity"]) | {"scene": "rotary"}))
-    with pytest.raises(InputError, match="has changed"):
-        vj.orbits(changed, progress=False)
-
-
-@pytest.mark.parametrize(
-    ("sweep", "says"),
-    [
-        (
-            {
-                "scene": "penetration",
-                "parameters": {"pulse_shape": "sweep", "sweep_start": 1.0, "sweep_rate": 1.0, "bias": 0.0},
-                "points": {"force": [5e3]},
-                "run": ORBITS,
-            },
-            "without a section or pulses",
-        ),
-        (SMALL | {"run": ORBITS | {"method": "smoothed"}}, "not located"),
-        (SMALL | {"run": {"orbits": 1}}, "neither true nor false"),
-    ],
-)
-def test_wrong_settings_are_refused_in_one_line(sweep, says):
-    with pytest.raises(InputError, match=says) as error:
-        vj.run_sweep(sweep, progress=False)
-    assert "\n" not in str(error.value)
-
-
 def test_other_features_do_not_change():
     """Orbits change only the features that they replace, and add their own variables."""
     sweep = chosen()
@@ -304,33 +227,3 @@ def test_other_features_do_not_change():
     for name in ("period", "impact_velocity", "bit_amplitude", "drive_power"):
         np.testing.assert_allclose(without[name], with_orbits[name], rtol=1e-4)
     assert not {"stable", "orbit_reason"} & set(without.data_vars)
-
-
-def test_orbits_are_carried_to_other_parameters():
-    """Predictions by slopes and by the last step lead to the orbit of a lane there, on which nothing else depends."""
-    tables = {"scene": "vibro-impact", "parameters": {"delta": 0.005}, "grid": {"beta": [0.36, 0.4, 0.44]}}
-    sweep = read_sweep(tables | {"starts": ["stuck"], "run": ORBITS})
-    values = sweep.lane_values(0, sweep.lanes)[0]
-    [found] = orbits_of(sweep.system, vj.run_sweep(sweep, progress=False), values)
-    here, there = found.of([0, 1]), found.of([1, 2])
-    for by in ((), ("beta",)):
-        carried, arrived = here.carry_to(there.parameters, within=0.2, least=1 / 64, by=by)
-        assert arrived.all() and carried.same_as(there).all() and not carried.same_as(here).any()
-        np.testing.assert_allclose(carried.states, there.refined().states, rtol=0, atol=1e-10)
-        np.testing.assert_array_equal(carried.lane, here.lane)
-    alone, _ = here.of([1]).carry_to(there.of([1]).parameters, within=0.2, least=1 / 64, by=("beta",))
-    np.testing.assert_array_equal(alone.states, carried.states[1:])
-
-
-def test_doubled_orbit_is_carried_back_to_half_its_period():
-    """The period of the orbit doubles between the two points, where it loses its stability."""
-    tables = {"scene": "vibro-impact", "parameters": {"delta": 0.005, "beta": 0.4}, "grid": {"gamma": [0.35, 0.3625]}}
-    sweep = read_sweep(tables | {"starts": ["drive"], "run": ORBITS})
-    values = sweep.lane_values(0, sweep.lanes)[0]
-    two, four = orbits_of(sweep.system, vj.run_sweep(sweep, progress=False), values)
-    assert (two.states.shape[1], four.states.shape[1]) == (2, 4)
-    how = {"within": 0.05, "first": 1 / 4, "least": 1 / 256, "accept": lambda orbits: orbits.stable}
-    back, arrived = four.carry_to(two.parameters, **how)
-    assert arrived.all() and back.minimal_cycles().tolist() == [2] and back.same_as(two).all()
-    last, arrived = two.carry_to(four.parameters, **how)
-    assert not arrived.any() and 0.35 < last.parameters["gamma"] < 0.3625 and last.stable.all()

@@ -48,19 +48,6 @@ def test_own_friction_law(usual):
     np.testing.assert_array_equal(motion.x2, known.x2)
 
 
-def test_law_does_not_replace_a_parameter_of_its_scene():
-    table = vj.parameters.table(vj.parameters.positive("gamma", 9.0, "1", "own", "g"))
-    law = FrictionLaw("mine", "own", table, lambda speed, p: 0.3 + 0.0 * speed)
-    with pytest.raises(vj.InputError, match='the parameter gamma, which scene "vibro-impact" has, too; rename'):
-        vj.run_sweep({"scene": "vibro-impact", "parameters": {"friction": law}}, progress=False)
-
-
-def test_scene_with_own_law(usual):
-    own = sweep(VibroImpact(friction=my_law()))
-    assert own.attrs["scene"] == "vibro-impact" and own.attrs["friction"] == "mine"
-    np.testing.assert_array_equal(own.impact_velocity, usual.impact_velocity)
-
-
 def test_own_stepper(usual):
     """A stepper of higher order gives the same motion, within the accepted errors of both."""
     finer = sweep(method=Located(order=12))
@@ -102,19 +89,6 @@ def test_own_measure(usual):
     swings = 4 * own.striker_amplitude / own.period
     np.testing.assert_allclose(own.striker_mean_speed.where(clean), swings.where(clean), rtol=1e-2)
     np.testing.assert_allclose(own.impact_velocity, usual.impact_velocity, rtol=1e-9)
-
-
-class Deflected(VibroImpact):
-    """A scene of five states, three of which a start vector gives."""
-
-    states = (*VibroImpact.states, vj.State("x5", "m", "a fifth"))
-    start_states = ("x1", "v1", "x5")
-
-
-def test_start_vector_has_the_states_of_the_scene():
-    with pytest.raises(vj.InputError, match=r"has 4 numbers; 3 are needed: \[x1, v1, x5\]"):
-        vj.read_sweep({"scene": Deflected(), "starts": [[0, 0, 0, 0]], "grid": {"gamma": [0.7]}})
-    assert vj.read_sweep({"scene": Deflected(), "starts": [[0, 1, 2]], "grid": {"gamma": [0.7]}}).starts[0] == (0, 1, 2)
 
 
 def test_objects_of_installed_package(tmp_path):
@@ -196,10 +170,6 @@ def own_law(mu):
     [
         (lambda u, p: p["vx"] * u, "friction law mine: mu asks for 'vx'; there is vs"),
         (lambda u, p: "0.3", "friction law mine: mu gave str; it must give a number"),
-        (lambda u, p: 0.3 if u < 1 else 0.2, "friction law mine: mu decides by a value"),
-        (lambda u, p: 1 / 0, "friction law mine: mu fails with ZeroDivisionError: division by zero"),
-        (lambda u, p: np.exp(-u), "friction law mine: mu uses a function that steps cannot expand"),
-        (lambda u, p: 0.1 * u - p["vs"], "the point cannot be run: negative friction at rest"),
     ],
 )
 def test_wrong_laws_end_in_one_line(mu, message):
@@ -212,61 +182,3 @@ def test_lanes_with_negative_friction_have_a_reason():
     ds = vj.run_sweep({"scene": "rotary", "parameters": {"friction": law}, "grid": {"vs": [1.0, 3.0]}}, progress=False)
     names = ds.reason.attrs["flag_meanings"].split()
     assert [names[int(k)] for k in ds.reason.values[:, 0]] == ["none", "negative-friction-at-rest"]
-
-
-class Plain(Gauge):
-    variables: ClassVar = {"a": ("1", "a number")}
-
-    def read(self, scene, c, carry, whole):
-        return {"a": whole.returns}
-
-
-class Undeclared(Plain):
-    def read(self, scene, c, carry, whole):
-        return {"a": whole.returns, "b": whole.returns}
-
-
-class Unknown(Plain):
-    def read(self, scene, c, carry, whole):
-        return {"a": whole.sums["vs"]}
-
-
-class Text(Plain):
-    def read(self, scene, c, carry, whole):
-        return {"a": "3"}
-
-
-class NoDict(Plain):
-    def read(self, scene, c, carry, whole):
-        return whole.returns
-
-
-class LostSum(Plain):
-    def increments(self, scene, c, moment):
-        return {"z": moment.step.dt}
-
-
-@pytest.mark.parametrize(
-    ("gauge", "message"),
-    [
-        (Undeclared, 'read gave "b", which is not declared'),
-        (Unknown, "read asks for 'vs'"),
-        (Text, "read, a, gave str; it must give a number"),
-        (NoDict, "read gave .*; it must give a dict of numbers by name"),
-        (LostSum, 'increments gave "z", which is not declared; add it to `summed`'),
-    ],
-)
-def test_wrong_gauges_end_in_one_line(gauge, message, capfd):
-    class Measured(vj.SCENES["rotary"]):
-        name = "measured"
-        measures = (*vj.SCENES["rotary"].measures, gauge())
-
-    with pytest.raises(vj.InputError, match=f"gauge {gauge.__name__}: {message}"):
-        vj.run_sweep({"scene": Measured(), "starts": ["drive"], "grid": {"v": [1.0]}}, progress=False)
-    assert "Traceback" not in capfd.readouterr().err
-
-
-@pytest.mark.parametrize("order", [1, -3, True])
-def test_orders_that_steps_cannot_have_are_refused(order):
-    with pytest.raises(vj.InputError, match=r"Located: the order is .*; give a whole number from 2 on"):
-        Located(order=order)

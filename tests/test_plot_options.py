@@ -1,19 +1,16 @@
 """Test pictures with chosen variables, values and colours, and the requests that are refused."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
-from drawn import LONG, basin, flagged, lanes, law, line, plane, points, returns, rock, run, sample, scales, square
-from matplotlib.colors import to_hex
-from read_off import axis_labels, legend, meshes, note, titles
+from drawn import LONG, basin, lanes, law, line, plane, points, returns, rock, sample, scales, square
+from read_off import axis_labels, meshes, note, titles
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.pictures.colours import REGIME_COLOURS
-from vibrojax.pictures.plots import Points
 from vibrojax.pictures.selection import select
 from vibrojax.pictures.sheet import PAGE
 from vibrojax.studies.choose import picture, requested
@@ -37,55 +34,12 @@ def test_variable_over_two_axes_is_drawn_as_single_map():
     assert {"share of stick", "mass ratio m2/m1, β"} <= axis_labels(figure)
 
 
-def test_several_variables_are_drawn_side_by_side_in_given_order():
-    figure = picture(with_shares(lanes(square(7), ("drive",))), variable=["stick_fraction", "regime"])
-    assert [len(meshes(figure, name)) for name in (None, "viridis", "cividis")] == [1, 1, 0]
-    (share,), (regime,) = meshes(figure, "viridis"), meshes(figure)
-    assert share.axes.get_position().x0 < regime.axes.get_position().x0
-
-
-def test_variable_over_one_axis_is_drawn_as_curves_above_regimes():
-    ds = with_shares(lanes({"gamma": np.linspace(0.3, 1.2, 11)}))
-    curves, strip = requested(ds, "stick_fraction").plots
-    assert np.array_equal(curves.layers[1].y, ds["stick_fraction"].sel(start="stuck"))
-    assert strip.layers[0].values.shape == (2, 11)
-
-
-def test_variable_of_point_list_is_scattered():
-    ds = with_shares(points())
-    shown = [layer for plot in requested(ds, "stick_fraction").plots for layer in plot.layers]
-    places = {(x, y) for layer in shown if isinstance(layer, Points) for x, y in zip(layer.x, layer.y, strict=True)}
-    assert places == set(zip(ds["beta"].values, ds["gamma"].values, strict=True))
-
-
 def test_variable_of_rock_sweep_and_of_fit_is_drawn_as_curves():
     swept = rock({"k3": [1e8, 3e8], "frequency": np.linspace(10, 40, 5)})
     assert np.allclose(requested(swept, "relief").plots[0].layers[1].y, swept["relief"].sel(k3=3e8))
     fit = law({"force": [2e5, 2.5e5, 3e5]})
     curves = requested(fit, "aic").plots[0].layers
     assert np.array_equal([curve.y for curve in curves], fit["aic"].transpose("form", "force"))
-
-
-def test_variables_of_run_are_drawn_as_histories():
-    ds = run(duration=2.0)
-    plots = requested(ds, ["v2", "stuck"]).plots
-    assert [plot.y.label for plot in plots] == ["v2\n[m/s]", "stuck"]
-    assert np.array_equal(plots[0].layers[0].y, ds["v2"])
-
-
-def test_flag_names_label_colour_bar():
-    ds = lanes(square(7), ("drive",))
-    ds["check_regime"] = flagged(
-        ds["regime"].dims, np.where(ds["beta"].values[:, None, None] > 0.6, 6, 3) + 0 * ds["regime"]
-    )
-    figure = picture(ds, variable="check_regime")
-    (mesh,) = meshes(figure, "check_regime")
-    cells = mesh.to_rgba(mesh.get_array())
-    regimes = np.array([[REGIME_COLOURS[flag] for flag in row] for row in mesh.get_array().astype(int).tolist()])
-    assert [to_hex(cell).upper() for row in cells for cell in row] == regimes.ravel().tolist()
-    bar = next(axes for axes in figure.axes if "check regime" in (axes.get_xlabel(), axes.get_ylabel()))
-    names = [text.get_text() for axis in (bar.xaxis, bar.yaxis) for text in axis.get_ticklabels()]
-    assert names == ["single-impact", "irregular"]
 
 
 def test_variable_of_many_starts_is_mapped_over_starts_or_as_median():
@@ -101,28 +55,19 @@ def test_variable_of_many_starts_is_mapped_over_starts_or_as_median():
 KINDS = {
     "map": lambda: lanes(square(8, delta=[-0.005, 0.005])),
     "line": lambda: lanes({"gamma": np.linspace(0.3, 1.2, 20)}),
-    "starts": lambda: lanes({"gamma": [0.7]}),
-    "one": lambda: lanes({"gamma": [0.7]}, ("drive",)),
     "points": points,
-    "points-of-many": lambda: points(also_v=True),
     "returns": lambda: returns({"gamma": np.linspace(0.3, 1.2, 20), "delta": [-0.005, 0.005]}).drop_dims(
         "return_index"
     ),
-    "facets": lambda: lanes(square(7, v=np.linspace(0.5, 2, 7), delta=np.linspace(-0.005, 0.005, 6))),
     "plane": lambda: basin(plane(), {"gamma": [0.5, 0.7]}),
-    "start-line": lambda: basin(line()),
     "sample": lambda: basin(sample()),
-    "nameless": lambda: basin(sample()).drop_vars([f"start_{name}" for name in ("x1", "v1", "x2", "v2")]),
-    "sample-line": lambda: basin(sample(20), {"gamma": LONG["gamma"]}),
     "sample-map": lambda: basin(sample(20), LONG),
-    "sample-points": lambda: basin(sample(20), {"point": np.arange(9.0)}).assign_coords(beta=("point", np.arange(9.0))),
 }
 
 
-@pytest.mark.parametrize("count", [1, 4])
 @pytest.mark.parametrize("kind", KINDS)
-def test_variables_of_every_kind_of_sweep_fit_on_page(kind, count):
-    names = ["stick_fraction", "regime", "impact_velocity", "period"][:count]
+def test_variables_of_every_kind_of_sweep_fit_on_page(kind):
+    names = ["stick_fraction", "regime", "impact_velocity", "period"]
     sheet = requested(with_shares(KINDS[kind]()), names)
     assert sheet.size[0] <= PAGE[0] and sheet.size[1] <= PAGE[1]
     words = [plot.y.label for plot in sheet.plots] + [scale.label for scale in scales(sheet)]
@@ -176,20 +121,12 @@ WRONG = [
         {"variable": "stick_fractoin"},
         'variable: "stick_fractoin" is not in the dataset; did you mean "stick_fraction"?',
     ),
-    ({"variable": "qqq"}, '"qqq" is not in the dataset; choose from regime, impact_velocity, period'),
     ({"variable": ["return_impact_velocity", "period"]}, "is not one number a lane; choose from regime"),
-    ({"variable": ["period"] * 5}, "variable: 5 names; give one to 4"),
-    ({"variable": []}, "variable: 0 names"),
     ({"where": {"k0": 1.0}}, 'where: "k0" is none of the dataset\'s axes; choose from gamma, start'),
-    ({"where": {"gama": 0.5}}, 'did you mean "gamma"?'),
     (
         {"where": {"gamma": 0.5}},
         "no lane has gamma = 0.5; there are 15 from 0.3 to 1.2, beside it 0.492857 and 0.557143",
     ),
-    ({"where": {"gamma": "much"}}, "no lane has gamma = much; there are 15 from 0.3 to 1.2"),
-    ({"where": {"gamma": np.nan}}, "no lane has gamma = nan"),
-    ({"where": {"start": "stopped"}}, "no lane has start = stopped; there are drive, stuck"),
-    ({"colours": "virdis"}, 'colours: "virdis" is not a colour map; did you mean "viridis"?'),
 ]
 
 
@@ -199,13 +136,6 @@ def test_error_names_invalid_value_and_available_ones(arguments, message):
     with pytest.raises(InputError) as refused:
         picture(ds, **arguments)
     assert message in str(refused.value) and "\n" not in str(refused.value)
-
-
-def test_run_has_no_axes_for_selection():
-    with pytest.raises(InputError, match='"delta" is none of the dataset\'s axes; there are none'):
-        picture(run(duration=2.0), where={"delta": 0.005})
-    with pytest.raises(InputError, match='"event_kind" is not one number a time'):
-        picture(run(duration=2.0), variable="event_kind")
 
 
 # The command.
@@ -218,35 +148,13 @@ def written(tmp_path):
     return tmp_path / "map.nc"
 
 
-def test_command_accepts_same_options(written, monkeypatch):
-    received = {}
-
-    def save_picture(ds, path, *how):
-        path.write_bytes(b"a picture")
-        received.update(path=path, how=how)
-        return ""
-
-    monkeypatch.setattr("vibrojax.studies.choose.save_picture", save_picture)
-    argv = ["plot", str(written), "--variable", "stick_fraction", "regime", "--variable", "period"]
-    assert main([*argv, "--where", "delta=0.005", "start=stuck", "--colours", "magma"]) == 0
-    name = "map-stick_fraction-regime-period-delta-0.005-start-stuck-magma.png"
-    assert received["path"] == written.with_name(name)
-    variables, values = ["stick_fraction", "regime", "period"], {"delta": 0.005, "start": "stuck"}
-    assert received["how"] == (variables, values, "magma", None, None)
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--where", "delta"], 'where: "delta" is no condition; write one, like'),
-        (["--where", "delta=1"], "no lane has delta = 1.0; there are -0.005, 0.005"),
-        (["--where", "delta > 1"], "where: no lane has delta > 1; there are -0.005 to 0.005"),
         (["--where", "delta (kg) > 1"], "where: delta (kg) > 1 does not suit delta [m]; write a number in its unit"),
         (["--where", "delta=0.005", "delta=-0.005"], '--where: delta: "-0.005" is a second value; give one'),
-        (["--over", "a.nc", "a.nc"], '--over[1]: "a.nc" is there already, at [0]; give each file once'),
         (["--variable", "period", "period"], 'variable[1]: "period" is there already, at [0]; give each variable once'),
-        (["--variable", "stick"], 'did you mean "stick_fraction"?'),
-        (["--colours", "rainbows"], "is not a colour map"),
     ],
 )
 def test_command_refuses_invalid_option_in_one_line(written, capsys, words, message):
@@ -262,46 +170,14 @@ def test_command_writes_picture(written):
     assert written.with_name("map-period-delta_mm-0.png").exists()
 
 
-def test_command_does_not_replace_other_pictures(tmp_path, monkeypatch, capsys):
+def test_command_does_not_replace_other_pictures(written, capsys):
     """A picture with options gets its own file name, with a number if another picture already has that name."""
-    monkeypatch.chdir(tmp_path)
-    for name, gap in (("map.nc", 0.005), ("a/borders.nc", 0.001), ("b/borders.nc", 0.002)):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        vj.write_dataset(lanes(square(5, delta=[-0.005, gap])).assign_attrs(source="vibrojax 0"), tmp_path / name)
-    content = {}
 
-    def save_picture(ds, path, *how):
-        path.write_bytes(b"\x89PNG Software\0vibrojax " + f"{content.get('as')} {how}".encode())
-        return ""
+    def name_of(*words):
+        assert main(["plot", str(written), *words]) == 0
+        return Path(capsys.readouterr().out.rstrip()).name
 
-    def command_output(*words):
-        assert main(["plot", "map.nc", *words]) == 0
-        return capsys.readouterr().out.rstrip()
-
-    monkeypatch.setattr("vibrojax.studies.choose.save_picture", save_picture)
-    many = ("--variable", "a", "b", "c", "d", "e", "--where", "start=[0, 0,1,0]")
-    for _ in range(2):  # the same picture is written again to the same file
-        assert command_output() == "map.png"
-        assert command_output("--variable", "period") == "map-period.png"
-        assert command_output("--over", "a/borders.nc") == "map-over-borders.png"
-        assert command_output("--over", "b/borders.nc") == "map-over-borders-2.png"
-        assert command_output("--over", "b/borders.nc", "--variable", "period") == "map-period-over-borders.png"
-        assert command_output("--diagram", "campbell") == "map-campbell.png"
-        assert command_output(*many) == "map-a-b-c-and-2-more-start-_0_0_1_0_.png"
-    (tmp_path / "map-magma.png").write_bytes(b"of something else")
-    kept = {path.name: path.read_bytes() for path in tmp_path.glob("map*.png")}
-    assert command_output("--colours", "magma") == "map-magma-2.png"
-    content["as"] = "of other values"
-    assert command_output("--variable", "period") == "map-period-2.png"
-    assert all((tmp_path / name).read_bytes() == bytes_ for name, bytes_ in kept.items())
-    assert command_output() == "map.png: replaces another picture"
-    assert command_output("-o", "map.png", "--variable", "period") == "map.png"
-    assert not list(tmp_path.glob(".*"))
-
-
-def test_variable_of_sweep_without_regime_and_rate_is_drawn():
-    swept = xr.Dataset(
-        {"status": ("gamma", np.zeros(3, np.int8)), "power": ("gamma", [1.0, 2.0, 3.0])}, {"gamma": [1.0, 2.0, 3.0]}
-    )
-    assert "power" in axis_labels(picture(swept, variable="power"))
-    assert not legend(picture(swept, variable="power"))
+    assert [name_of() for _ in range(2)] == ["map.png"] * 2  # the same picture is written again to the same file
+    written.with_name("map-magma.png").write_bytes(b"of something else")
+    assert name_of("--colours", "magma") == "map-magma-2.png"
+    assert written.with_name("map-magma.png").read_bytes() == b"of something else"

@@ -21,36 +21,12 @@ def test_parameters_agree_with_those_of_sweeps(scene):
     assert {**always.default, **own.default} == {"m1": 250.0, **sweep.parameters}
 
 
-def test_each_law_and_shape_lists_own_parameters():
-    laws = vj.list_parameters("rotary")
-    for law in vj.FRICTION_LAWS.values():
-        assert set(laws[laws["where"].str.contains(f'"{law.name}"')].index) == set(law.parameters)
-    assert "sweep_rate" in vj.list_parameters("penetration").index
-
-
 @pytest.mark.parametrize(("scene", "axis"), [("vibro-impact", "gamma"), ("penetration", "m1")])
 def test_variables_agree_with_those_of_dataset(scene, axis):
     run = {"settle": 0.5, "observe": 0.5, "orbits": True} | ({} if scene == "penetration" else {"keep_returns": 1})
     ds = vj.run_sweep({"scene": scene, "grid": {axis: [0.7]}, "run": run}, progress=False)
     listed = vj.list_variables(scene)
     assert list(listed.index[listed["where"] == ""]) == list(ds.data_vars)
-
-
-def test_variables_of_analyses_are_listed():
-    listed = vj.list_variables("vibro-impact")
-    family = vj.follow("vibro-impact", along="gamma", at=0.72, span=(0.71, 0.73), start="stuck", progress=False)
-    assert set(family.variables) - {"gamma"} <= set(listed.index)
-    assert listed["where"]["special_kind"] == "follow" and listed["where"]["region_area"] == "borders"
-    assert listed["where"]["share"] == "attractors"
-    assert set(vj.list_variables("rotary")["where"]) == {
-        "",
-        "follow",
-        "curves",
-        "attractors",
-        "tolerance",
-        "design",
-        "study",
-    }
 
 
 def test_settings_agree_with_run_settings():

@@ -15,7 +15,7 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.io import atomic, seal, untrusted
+from vibrojax.io import seal, untrusted
 
 DATA = Path(__file__).parent / "data"
 RATES = DATA / "versions" / "0.1.0" / "rates.nc"
@@ -67,11 +67,6 @@ def test_no_flip_opens_with_other_values(written, rates):
     check_flips(written, rates, 120)
 
 
-@pytest.mark.long
-def test_none_of_many_flips_opens_with_other_values(written, rates):
-    check_flips(written, rates, 1000)
-
-
 def test_damage_of_every_kind_breaks_the_seal(rates, tmp_path):
     path = tmp_path / "rates.nc"
     vj.write_dataset(rates, path)
@@ -109,9 +104,13 @@ def test_edited_datasets_open(written, rates):
 
 def test_dataset_without_secret_is_read_as_unknown(written, rates, monkeypatch):
     """Another user's dataset opens with the same values, after a check in a process of its own."""
-    monkeypatch.setattr(seal, "_secret", lambda: b"another")
-    assert not seal.is_own(written)
-    xr.testing.assert_identical(vj.open_dataset(written), rates)
+    monkeypatch.setenv("VIBROJAX_CACHE", str(written.parent / "another"))
+    seal._secret.cache_clear()
+    try:
+        assert not seal.is_own(written)
+        xr.testing.assert_identical(vj.open_dataset(written), rates)
+    finally:
+        seal._secret.cache_clear()
 
 
 @pytest.mark.parametrize("private", [True, False])
@@ -127,6 +126,7 @@ def test_secret_is_private(private, tmp_path, monkeypatch):
 
 
 def test_looping_file_leaves_no_lock(rates, tmp_path, monkeypatch):
+    """The patch only shortens the wait."""
     monkeypatch.setattr(untrusted, "PROCESSOR_SECONDS", 1.0)
     content = bytearray(RATES.read_bytes())
     content[LOOPING : LOOPING + 64] = bytes(64)
@@ -140,8 +140,7 @@ def test_looping_file_leaves_no_lock(rates, tmp_path, monkeypatch):
 
 
 @pytest.mark.long
-def test_blocks_of_zeros_leave_no_lock(rates, tmp_path, monkeypatch):
-    monkeypatch.setattr(untrusted, "PROCESSOR_SECONDS", 2.0)
+def test_blocks_of_zeros_leave_no_lock(rates, tmp_path):
     content, path = RATES.read_bytes(), tmp_path / "damaged.nc"
     for size in (16, 64, 512):
         for position in np.linspace(0, len(content) - size, 100).astype(int):
@@ -254,23 +253,4 @@ def test_store_survives_a_kill_while_it_is_replaced(rates, tmp_path):
         assert not store.exists()
         restored()
         xr.testing.assert_identical(vj.open_dataset(store), rates)
-    assert os.listdir(tmp_path) == ["rates.zarr"]
-
-
-def test_store_stays_if_its_replacement_cannot_be_renamed(rates, tmp_path, monkeypatch):
-    pytest.importorskip("zarr")
-    store = tmp_path / "rates.zarr"
-    vj.write_dataset(rates, store)
-    rename = Path.rename
-
-    def fail(self, target):
-        if self.suffix == ".tmp":
-            raise OSError(28, "No space left on device")
-        return rename(self, target)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "rename", fail)
-        with pytest.raises(OSError), atomic.atomic_folder(store):
-            pass
-    xr.testing.assert_identical(vj.open_dataset(store), rates)
     assert os.listdir(tmp_path) == ["rates.zarr"]

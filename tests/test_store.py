@@ -1,22 +1,18 @@
 """Test that finished chunks beside the output survive a crash, and that damaged or foreign ones are never accepted."""
 
-import errno
 import json
 import os
-import shutil
 import subprocess
 import sys
 import zipfile
 from io import BytesIO
-from threading import Timer
 
 import numpy as np
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.io import atomic
 from vibrojax.io.identity import canonical, digest
-from vibrojax.maps.store import FORMAT, DamagedChunk, Store, _locked
+from vibrojax.maps.store import FORMAT, DamagedChunk, Store
 
 MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
 OWNER = digest(json.loads(canonical(MANIFEST | {"store": FORMAT})))
@@ -66,7 +62,7 @@ def flip_bit(path, place):
     path.write_bytes(content)
 
 
-DAMAGES = [*((flip_bit, place) for place in (0, 31, 55, 80)), *((os.truncate, size) for size in (0, 10, 32, 200))]
+DAMAGES = [(flip_bit, 55), (os.truncate, 0), (os.truncate, 200)]
 
 
 @pytest.mark.parametrize(("damage", "place"), DAMAGES)
@@ -115,18 +111,12 @@ def archive(name: str, content: bytes, compression=zipfile.ZIP_STORED) -> bytes:
 @pytest.mark.parametrize(
     "content",
     [
-        b"",
         b"no archive",
-        archive("no json", b""),
         archive('["x", "<f8"]', bytes(8)),
-        archive('["x", "<f8", [2]]', bytes(8)),
         archive('["x", "<f8", []]', bytes(16)),
         archive('["x", "<f8", [99999999, 99999999]]', bytes(8)),
-        archive('["x", "<f8", [0.5]]', bytes(8)),
         archive('["x", "|O8", []]', bytes(8)),
-        archive('["x", "f8,f8", []]', bytes(16)),
         archive('["x", "<f8", [4]]', bytes(32), zipfile.ZIP_DEFLATED),
-        archive("[" * 10000, bytes(8)),
     ],
 )
 def test_files_from_anywhere_are_refused(store, content):
@@ -160,13 +150,7 @@ def test_changed_manifest_is_refused(store):
         assert opened.finished() == set()
 
 
-def test_manifest_without_chunks_may_change(store):
-    chunk_path(store, 0).unlink()
-    chunk_path(store, 2).unlink()
-    reopen(store, chunk=8).close()
-
-
-@pytest.mark.parametrize("damage", [b"", b"{", b"[]", b'{"sha256": "0", "manifest": {"scene": "other"}}'])
+@pytest.mark.parametrize("damage", [b"{"])
 def test_chunks_are_checked_individually_without_valid_manifest(store, damage):
     (store.folder / "manifest.json").write_bytes(damage)
     with reopen(store) as opened:
@@ -181,39 +165,6 @@ def test_partial_file_of_killed_process_is_removed(store):
     half.write_bytes(b"half")
     with reopen(store) as opened:
         assert not half.exists() and opened.finished() == {0, 2}
-
-
-def test_failed_write_leaves_no_finished_chunk(store, monkeypatch):
-    with reopen(store) as opened:
-        monkeypatch.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
-        with pytest.raises(OSError, match="No space"):
-            opened.write(1, arrays(1))
-        monkeypatch.undo()
-        assert opened.finished() == {0, 2}
-
-
-def test_folder_removed_during_write_is_recreated(store, monkeypatch):
-    opened, removals = reopen(store), iter([1, 2])
-    finish = atomic.commit
-
-    def commit(part, path):
-        if next(removals, None):
-            shutil.rmtree(opened.folder)
-        finish(part, path)
-
-    monkeypatch.setattr("vibrojax.maps.store.commit", commit)
-    opened.write(1, arrays(1))
-    assert opened.finished() == {1}
-
-
-def test_two_processes_cannot_use_same_folder(store):
-    with reopen(store):
-        code = "import sys; from pathlib import Path; from vibrojax.maps.store import Store; "
-        code += "Store(Path(sys.argv[1]), {}).open(resume=False)"
-        other = subprocess.run([sys.executable, "-c", code, str(store.folder)], capture_output=True, text=True)
-        assert other.returncode == 1 and "another process is at work there" in other.stderr
-    with reopen(store) as opened:  # resume=False of the other process removed nothing
-        assert opened.finished() == {0, 2}
 
 
 def test_lock_of_killed_process_is_free(store):
@@ -232,34 +183,6 @@ def test_lock_of_killed_process_is_free(store):
         assert opened.finished() == {1}
 
 
-def test_lock_is_retried_if_its_file_was_removed(store):
-    """A process that ends removes the file first and then releases the lock."""
-    path = store.folder / "lock"
-    first = _locked(path)
-    ending = Timer(0.05, lambda: (path.unlink(), first.release()))
-    ending.start()
-    second = _locked(path)
-    assert path.exists()
-    with pytest.raises(InputError, match="another process"):
-        _locked(store.folder / "lock")
-    second.release()
-    ending.join()
-
-
-def test_lock_that_cannot_be_created_is_refused(tmp_path):
-    (tmp_path / "lock").mkdir()
-    with pytest.raises(InputError, match="lock: cannot be written"):
-        _locked(tmp_path / "lock")
-
-
-def test_file_system_without_locks_is_accepted(tmp_path, monkeypatch):
-    def refuse(*_):
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr("fcntl.flock", refuse)
-    _locked(tmp_path / "lock").release()
-
-
 def test_folder_is_removed_at_end(store):
     with reopen(store) as opened:
         opened.remove()
@@ -274,9 +197,3 @@ def test_foreign_files_are_kept(store):
     with reopen(store, resume=False) as opened:
         opened.remove()
     assert [path.name for path in store.folder.iterdir()] == ["note.txt"]
-
-
-def test_file_in_place_of_folder_is_refused(tmp_path):
-    (tmp_path / "out.nc.chunks").write_text("")
-    with pytest.raises(InputError, match="cannot be made a folder"):
-        Store(tmp_path / "out.nc.chunks", MANIFEST).open(resume=True)

@@ -9,7 +9,6 @@ import pytest
 
 from vibrojax.errors import InputError, Place
 from vibrojax.maps.read import read_point, read_sweep
-from vibrojax.settings import toml as source
 from vibrojax.settings.run_settings import RunSettings
 from vibrojax.settings.toml import render
 
@@ -140,12 +139,6 @@ def test_rotation_on_axis_gives_drive_speed():
     assert set(values) == set(sweep.system.parameters())
 
 
-def test_rotation_in_points_gives_drive_speed(tmp_path):
-    write_text(tmp_path, "rpm,bit_radius\n120,0.1\n60,0.1\n", "p.csv")
-    sweep = read_sweep(write_text(tmp_path, 'scene = "rotary"\npoints = "p.csv"\n'))
-    assert sweep.lane_values(0, 4)[0]["v"] == pytest.approx([SPEED, SPEED, SPEED / 2, SPEED / 2])
-
-
 # bit_frequency replaces k1 = m1 (2 pi bit_frequency)², striker_frequency gamma = striker_frequency/bit_frequency
 
 
@@ -185,27 +178,6 @@ def test_points_can_be_data_frame():
         assert str(caught.value).startswith(line)
 
 
-def test_semicolons_and_decimal_commas_are_read_where_unambiguous(tmp_path):
-    path, base = tmp_path / "p.csv", {"scene": "vibro-impact", "points": str(tmp_path / "p.csv")}
-    for text, warning in (
-        ("beta;gamma;start\n0,3;1;drive\n0,4;0,66;stuck\n", ", commas are decimal marks"),
-        ("beta;gamma;start\n0.3;1;drive\n0.4;0.66;stuck\n", ""),
-    ):
-        path.write_text(text)
-        with pytest.warns(UserWarning, match=f"p.csv: semicolons separate the columns{warning}$"):
-            points = read_sweep(base).points
-        np.testing.assert_array_equal(points["beta"], [0.3, 0.4])
-        np.testing.assert_array_equal(points["gamma"], [1.0, 0.66])
-    for text, line in (
-        ("k0;k1\n1,234;2,500\n", '"1,234" is ambiguous: commas may separate thousands; write decimal points'),
-        ("beta;gamma\n0,3;0.66\n", '"0,3" is ambiguous: the file has decimal points too; write decimal points'),
-    ):
-        path.write_text(text)
-        with pytest.raises(InputError) as caught:
-            read_sweep(base)
-        assert line in str(caught.value)
-
-
 def test_points_file_is_relative_to_sweep_file(tmp_path):
     (tmp_path / "p.csv").write_bytes(b"\xef\xbb\xbfbeta, gamma\r\n0.3,0.7\r\n\r\n0.4,1e0\r\n")
     sweep = read_sweep(write_text(tmp_path, 'scene = "vibro-impact"\npoints = "p.csv"\n'))
@@ -221,24 +193,6 @@ def test_start_column_replaces_starts():
     values, starts = sweep.lane_values(1, 3)
     assert values["beta"].tolist() == [0.4, 0.5]
     assert [sweep.starts[index] for index in starts] == ["drive", "stuck"]
-
-
-def test_bundled_sweeps_have_names(tmp_path, monkeypatch):
-    installed, checkout = tmp_path / "installed", tmp_path / "checkout"
-    monkeypatch.setattr(source, "BUNDLED_FOLDERS", (installed, checkout))
-    monkeypatch.chdir(tmp_path)
-    for folder in (checkout, installed):
-        folder.mkdir()
-        write_text(folder, FULL.replace("a map", folder.name), "regime_map.toml")
-        sweep = read_sweep("regime-map")
-        assert (sweep.name, sweep.title) == ("regime-map", folder.name)
-    assert read_sweep("regime_map").name == "regime_map"
-
-
-def test_byte_order_mark_is_accepted(tmp_path):
-    path = tmp_path / "map.toml"
-    path.write_bytes(b"\xef\xbb\xbf" + FULL.encode())
-    assert read_sweep(path).text == FULL
 
 
 # one point

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.measures import since_start
 
 DAMPING, RATE, DECAY, PERIOD = 0.2, 0.7, 0.05, np.pi
 OSCILLATOR = {"x": "m", "v": "m s-1"}
@@ -92,18 +91,6 @@ def test_large_swing_on_stiff_contact_is_no_equilibrium():
     assert ds.period.item() == pytest.approx(2 * speed / g + contact, rel=1e-6)
 
 
-def test_scale_of_repeats_and_rest():
-    h, least, greatest = (np.array(x) for x in ([0.2, 1e-6, 1e-6, 0.0], [-1.0, 0.0, 1.0, 0.0], [1.0, 4.0, 1.0, 0.0]))
-    halves, ranges = [h] * 5, ((least, greatest),) * 5
-    scales = since_start.repeat_halves(BESIDE, None, halves, ranges, np)
-    np.testing.assert_allclose(scales[0], [0.2, 2e-3, 1e-6, 1.0])
-    swings = {swing.amplitude: half for swing, half in zip(BESIDE.section.swings, halves, strict=True)}
-    features = since_start.features(BESIDE, None, swings | {"trend": np.ones(4)}, ranges, np)
-    assert features["at_rest"].tolist() == [0.0, 1.0, 0.0, 1.0]
-    assert features["trend"].tolist() == [1.0, 0.0, 1.0, 0.0]
-    np.testing.assert_array_equal(features["z_scale"], scales[0])
-
-
 def pendulum(name, *events):
     return vj.System(
         name,
@@ -129,17 +116,6 @@ def pendulum(name, *events):
 )
 def test_impact_velocity_has_unit_of_rate_of_gap(unit, events):
     assert pendulum("unit", *events).impact_unit == unit
-
-
-def test_unit_of_soft_contact_in_variables_and_captions():
-    scene = pendulum("soft", vj.Switch("stop", lambda t, y, p: y["angle"] - 0.3, impact=True))
-    grid = {"w": {"start": 1.4, "stop": 1.6, "num": 3}}
-    ds = vj.run_sweep({"scene": scene, "grid": grid, "starts": [[0.0, 0.0]]}, progress=False)
-    assert ds.impact_velocity.units == "rad s-1" and ds.angle_amplitude.units == "rad"
-    labels = [axes.get_ylabel() for axes in vj.picture(ds).axes]
-    assert any("rad/s" in label for label in labels) and not any("[m/s]" in label for label in labels)
-    box = vj.tolerance(scene, start=[0.0, 0.0], w=(1.5, 0.01), progress=False)
-    assert box.impact_velocity_least.units == box.impact_velocity_most.units == "rad s-1"
 
 
 def regimes_of(ds):

@@ -1,7 +1,5 @@
 """Test machines over the box of their tolerances: samples, extremes, command and refusals."""
 
-import json
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -10,15 +8,7 @@ import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.measures.labels import REGIMES
 from vibrojax.studies.analysis import analysis_of
-from vibrojax.studies.tolerance import (
-    INTERIOR_SAMPLES,
-    PLACES,
-    QUANTITIES,
-    REFINED,
-    refine,
-    sample_box,
-    tolerance_variables,
-)
+from vibrojax.studies.tolerance import INTERIOR_SAMPLES, PLACES, QUANTITIES, REFINED, refine, sample_box
 
 RUN = {"settle": 10.0, "observe": 5.0}
 MACHINE = {"beta": 0.4, "gamma": (0.75, 0.01), "delta": (0.005, 0.001), "start": "stuck"}
@@ -103,48 +93,9 @@ def test_refined_samples_are_consistent_and_irregular_boxes_say_so_first():
     assert lines[0].startswith("irregular motions in the box") and lines[-1] == box.attrs["extremes"]
 
 
-def test_catalogue_lists_variables(box):
-    catalogue = vj.list_variables("vibro-impact")
-    added = catalogue[catalogue["where"] == "tolerance"]
-    lanes = set(catalogue.index[catalogue["where"] == ""])
-    assert set(box.data_vars) - lanes == set(added.index)
-    for name in added.index:
-        assert (box[name].units, box[name].long_name) == tuple(added.loc[name, ["units", "meaning"]])
-
-
 def test_scene_without_regimes_is_refused():
     with pytest.raises(vj.InputError, match=r'scene: "penetration" has no section, so its motions have no regimes'):
         vj.tolerance("penetration", force=(30e3, 1e3), progress=False)
-
-
-def test_quantity_without_values_has_no_extremes():
-    still = vj.tolerance("vibro-impact", delta=(0.4, 0.1), start="stuck", run=RUN, progress=False)
-    assert np.isnan(float(still.impact_velocity_least[0])) and int(still.impact_velocity_least_sample[0]) == -1
-
-
-def test_command_draws_and_summarises_and_dataset_can_be_reread(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    words = [
-        "tolerance",
-        "vibro-impact",
-        "gamma=0.75+-2%",
-        "delta=0.005±0.001",
-        "start=stuck",
-        "settle=10",
-        "observe=5",
-    ]
-    assert main([*words, "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    summary = facts["tolerance"]["stuck"]
-    assert summary["samples"] == 73 and summary["nominal"] == "single-impact"
-    assert 0.735 <= summary["impact_velocity"]["least_at"]["gamma"] <= 0.765
-    assert (tmp_path / facts["dataset"]).is_file() and (tmp_path / facts["picture"]).is_file()
-    assert main(["info", facts["dataset"]]) == 0
-    text = capsys.readouterr().out
-    assert "single-impact at 73 of 73 samples" in text and "least at gamma = " in text
-    assert main(["plot", facts["dataset"], "-o", "again.png"]) == 0
-    assert main([*words[:2], "gamma=0.75+-1%", *words[3:]]) == 2  # the file there holds another result
-    assert "tolerance_gamma" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -152,14 +103,8 @@ def test_command_draws_and_summarises_and_dataset_can_be_reread(tmp_path, monkey
     {
         "gamma=0.7": "no parameter has a tolerance",
         "gamma=0.7+-x": "is not a tolerance; write NAME=VALUE+-HALF_WIDTH",
-        "gamma=0.7+-0": "is not a nominal value and a half-width above zero",
-        "gamma=0.7+-nan": "is not a nominal value and a half-width above zero",
-        "gama=0.7+-0.1": 'did you mean "gamma"?',
         "beta=0.4+-0.5": "beta: is -0.1; it must be above 0",
-        "gamma=0.7+-0.01 gamma=0.7": "gamma: has a second value",
         "gamma=0.7+-0.01 gamma=0.7+-0.02": "gamma: has a second value",
-        "gamma=0.7+-0.01 start=nowhere": '"nowhere" is unknown; choose from drive, stuck, touching',
-        "gamma=0.7+-0.01 settle=-1": "settle: is -1",
         "beta=1+-.1 gamma=1+-.1 v=1+-.1 g=9+-.1 c2=9+-.1 mu=1+-.1 m1=99+-.1": "7 parameters have a tolerance",
     }.items(),
 )  # fmt: skip
@@ -168,9 +113,3 @@ def test_invalid_input_gives_one_line(words, line, tmp_path, monkeypatch, capsys
     assert main(["tolerance", "vibro-impact", *words.split()]) == 2
     message = capsys.readouterr().err
     assert message.count("\n") == 1 and line in message and not list(tmp_path.iterdir())
-
-
-def test_long_name_does_not_repeat_greatest():
-    names = [variable.long_name for variable in tolerance_variables(["peak_impact_force"]).values()]
-    assert "greatest contact force of the samples" in names
-    assert not any("greatest greatest" in name for name in names)

@@ -2,20 +2,13 @@
 
 import json
 import multiprocessing
-import os
-import shutil
-import subprocess
-import sys
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from pathlib import Path
 
-import numpy as np
 import pytest
-from commands import ROOT, TEXT
+from commands import TEXT
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.maps.executor import compute_chunk
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_to_file
 
@@ -76,45 +69,6 @@ def test_dask_cluster(file, expected):
     assert_same(vj.open_dataset(out), expected)
 
 
-@pytest.mark.parametrize("library", ["submitit", "loky"])
-@pytest.mark.long
-def test_executors_of_other_libraries(file, expected, tmp_path, library):
-    module = pytest.importorskip(library)
-    if library == "loky":
-        executor = module.ProcessPoolExecutor(2)
-    else:
-        file.write_text(TEXT.replace("chunk = 5", "chunk = 12"))  # one process per chunk
-        executor = module.LocalExecutor(folder=tmp_path / "jobs")
-    dataset = vj.run_sweep(file, progress=False, executor=executor)
-    assert_same(dataset.assign_attrs(sweep=expected.attrs["sweep"]), expected)
-    if library == "loky":
-        executor.shutdown()
-
-
-BY_MPI = """
-import sys
-from mpi4py.futures import MPIPoolExecutor
-import vibrojax as vj
-if __name__ == "__main__":
-    with MPIPoolExecutor(2) as executor:
-        vj.write_dataset(vj.run_sweep(sys.argv[1], progress=False, executor=executor), sys.argv[2])
-"""
-
-
-def test_mpi_executor(file, expected):
-    """Needs mpi4py and an MPI library, such as from `pip install mpi4py mpich`."""
-    pytest.importorskip("mpi4py")
-    mpiexec = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
-    if mpiexec is None:
-        pytest.skip("there is no mpiexec")
-    (file.parent / "by_mpi.py").write_text(BY_MPI)
-    command = [mpiexec, "-n", "3", sys.executable, "-m", "mpi4py.futures", "by_mpi.py", file.name, "out.nc"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=file.parent, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert_same(vj.open_dataset(file.with_name("out.nc")), expected)
-
-
 def test_zarr_output(file, expected):
     pytest.importorskip("zarr")
     out = file.with_name("out.zarr")
@@ -172,46 +126,13 @@ def test_failed_chunks_are_computed_locally(file, expected, capsys, fails, error
     assert sorted(executor.asked) == [0, 1, 2, 3, 4]
 
 
-def test_error_in_sweep_is_raised_once(file):
-    def compute(*_):
-        raise InputError("wrong")
-
-    with pytest.raises(InputError, match="wrong"):
-        vj.run_sweep(file, progress=False, executor=LocalExecutor(compute))
-
-
-def test_foreign_futures_are_polled(file, expected):
-    """Like those of submitit, they have done() and result(), but none of the other methods of Python's futures."""
-
-    class Job:
-        def __init__(self, work):
-            self.work, self.looks = work, 0
-
-        def done(self):
-            self.looks += 1
-            return self.looks > 1
-
-        def result(self):
-            return self.work()
-
-        def cancel(self):
-            pass
-
-    class Jobs:
-        def submit(self, fn, *arguments):
-            return Job(lambda: fn(*arguments))
-
-    assert_same(vj.run_sweep(file, progress=False, executor=Jobs()), expected)
-
-
 @pytest.mark.parametrize(
     "executor, problem",
     [
-        (lambda: 4, "executor: int has no submit; give a concurrent.futures.Executor"),
         (
             lambda: ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("fork")),
             "its processes are forked, and jax hangs in such; make it with mp_context",
-        ),
+        )
     ],
 )
 def test_unsuitable_executors_are_refused(file, executor, problem):
@@ -242,15 +163,3 @@ def test_workers_share_cores(file):
     with with_threads(3):
         assert threads() == 3
     assert threads() == usable_cores()
-
-
-def test_worker_compiles_once(file, monkeypatch):
-    from vibrojax.lanes.engine import Engine
-    from vibrojax.maps.executor import pickled
-
-    compiled = []
-    compile_ = Engine.compile
-    monkeypatch.setattr(Engine, "compile", lambda self, *words: (compiled.append(1), compile_(self, *words)))
-    task = pickled(read_sweep(file, ["title=once"]))
-    parts = [compute_chunk(task, index, 1) for index in (0, 1, 2)]
-    assert len(compiled) == 1 and all(np.isfinite(part["period"]).any() for part in parts)

@@ -28,6 +28,7 @@ def slurm(tmp_path):
     return partial(start, environment=path, cwd=tmp_path)
 
 
+@pytest.mark.long
 def test_jobs_compute_sweep(slurm, tmp_path):
     driver = slurm("sweep", "map.toml", "-o", "out.nc", "--workers", "slurm:2")
     out, messages = driver.communicate()

@@ -86,10 +86,7 @@ def as_on_accelerator(run: LaneRun) -> LaneRun:
 
 def rotary(scene, lanes: int = 3000):
     """Return a sweep of `rotary`, or of the same equations as a system."""
-    grid = {
-        "gamma": {"start": 0.4, "stop": 1.2, "num": 60},
-        "beta": {"start": 0.2, "stop": 0.8, "num": lanes // 60},
-    }
+    grid = {"gamma": {"start": 0.4, "stop": 1.2, "num": 60}, "beta": {"start": 0.2, "stop": 0.8, "num": lanes // 60}}
     starts, times = [[0.0, -1.5, 0.0, 0.0]], {"settle": SETTLE, "observe": OBSERVE, "error": 1e-4, "chunk": lanes}
     return read_sweep({"scene": scene, "grid": grid, "starts": starts, "run": times})
 

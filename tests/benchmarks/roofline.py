@@ -113,10 +113,7 @@ def kernels() -> None:
         steps = features["steps"] - before
         rows["observe"].append((seconds, steps.sum(), waiting(steps, order, native.vector_bytes() // 8)))
     by_function = {key[0]: kernel for key, kernel in native.kernels.items()}
-    for name, function, turn in (
-        ("settle", settle_lanes, STEPS_PER_PASS),
-        ("observe", observe_lanes, STEPS_PER_TURN),
-    ):
+    for name, function, turn in (("settle", settle_lanes, STEPS_PER_PASS), ("observe", observe_lanes, STEPS_PER_TURN)):
         kernel = by_function[function]
         counts, width = per_step(kernel, turn), kernel.width
         vectors = sum(counts[kind] for kind in KINDS)

@@ -5,7 +5,6 @@ Each ends in one line and a status, and keeps what was computed.
 
 import os
 import resource
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +16,6 @@ import pytest
 import xarray as xr
 
 from vibrojax.io.dataset import open_dataset, write_dataset
-from vibrojax.maps.store import Store
 
 ROOT = Path(__file__).parents[2]
 CHUNKS = 12
@@ -168,15 +166,6 @@ if os.geteuid() == 0:  # root obeys the modes of files too, once it has dropped 
 """
 
 
-def test_unwritable_folder(folder):
-    folder.chmod(0o555)
-    try:
-        status, errors = run(folder, "sweep", "map.toml", before=BOUND_BY_MODES)
-    finally:
-        folder.chmod(0o755)
-    assert status == 2 and '-o: "map.nc": folder "." cannot be written (Permission denied)' in one_line(errors)
-
-
 def test_chunks_closed_deleted_truncated_and_flipped(folder, whole):
     """The folder is closed while the sweep runs, and its chunks stay.
 
@@ -215,119 +204,22 @@ def test_two_processes_on_one_output(folder, whole):
 
 
 @pytest.mark.parametrize(
-    ("sent", "seconds", "expected"),
-    [(signal.SIGINT, 1.5, (130, "interrupted; ")), (signal.SIGINT, 3.0, (130, "interrupted; "))]
-    + [(signal.SIGTERM, 3.0, (143, "terminated; "))],
+    ("sent", "status", "word"), [(signal.SIGINT, 130, "interrupted; "), (signal.SIGTERM, 143, "terminated; ")]
 )
-def test_ctrl_c_is_answered_at_once(folder, sent, seconds, expected):
-    """Ctrl-C is answered also while jax is imported and while lanes compile, with how to continue. So is SIGTERM.
+def test_ctrl_c_is_answered_at_once(folder, whole, sent, status, word):
+    """Ctrl-C and SIGTERM are answered with how to continue, which works.
 
-    The limit is a second or, if other work slows the machine, twice the time of importing jax there. It allows three
-    tries, because other work comes and goes (4 s were seen once).
+    The limit is a second or, if other work slows the machine, twice the time of importing jax there.
     """
-    for _ in range(3):
-        process = start_command(folder, "sweep", "map.toml", "--quiet", "--fresh")
-        time.sleep(seconds)
-        began = time.monotonic()
-        process.send_signal(sent)
-        status, errors = wait_for_end(process)
-        took = time.monotonic() - began
-        if status == 0:  # on a fast machine the sweep had ended
-            return
-        assert status == expected[0] and expected[1] in one_line(errors)
-        began = time.monotonic()
-        subprocess.run([sys.executable, "-c", "import jax"], check=True)
-        if took < max(1.0, 2 * (time.monotonic() - began)):
-            return
-    raise AssertionError(f"{took:.3g} s")
-
-
-def test_sigterm_ends_like_ctrl_c(folder, whole):
-    """Shutdowns and batch systems send it. One line says how to continue, which works; the status is 128 + 15."""
-    process = start_command(folder, "sweep", "map.toml", "--quiet")
-    wait_for(lambda: len(chunks(folder)) >= 2, process)
-    process.send_signal(signal.SIGTERM)
-    status, errors = wait_for_end(process)
-    kept = chunks(folder)
-    line = "vibrojax: terminated; finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
-    if not (folder / "map.nc").exists():  # otherwise a fast machine had reached its picture, or its end
-        assert (status, errors) == (143, line) and len(kept) >= 2
+    process = start_command(folder, "sweep", "map.toml", "--quiet", "--fresh")
+    wait_for(lambda: chunks(folder), process)
+    began = time.monotonic()
+    process.send_signal(sent)
+    ended, errors = wait_for_end(process)
+    took = time.monotonic() - began
+    assert ended == status and word in one_line(errors) and "to go on: vibrojax sweep map.toml" in errors
+    began = time.monotonic()
+    subprocess.run([sys.executable, "-c", "import jax"], check=True)
+    assert took < max(1.0, 2 * (time.monotonic() - began))
     assert run(folder, "sweep", "map.toml", "--quiet") == (0, "")
     assert_same(folder / "map.nc", whole)
-
-
-CLOCK = """
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <stdlib.h>
-#include <time.h>
-int clock_gettime(clockid_t which, struct timespec *now) {
-    static int (*real)(clockid_t, struct timespec *);
-    static long calls;
-    if (!real) real = dlsym(RTLD_NEXT, "clock_gettime");
-    int status = real(which, now);
-    if (which == CLOCK_REALTIME) now->tv_sec = ++calls % 2 ? 4102444800 : -86400;
-    return status;
-}
-"""
-
-
-@pytest.mark.skipif(not shutil.which("cc"), reason="the clock is bent by a small library, which a C compiler makes")
-def test_ctrl_c_and_jumping_clock(folder, whole):
-    """Readings of the clock alternate between before 1970 and 2100; files have the wrong dates too.
-
-    Other lines on stderr are allowed, because the jumps make XLA report a very slow compilation.
-    """
-    (folder / "clock.c").write_text(CLOCK)
-    subprocess.run(["cc", "-shared", "-fPIC", "-o", "clock.so", "clock.c", "-ldl"], cwd=folder, check=True)
-    environment = {"LD_PRELOAD": str(folder / "clock.so")}
-    process = start_command(folder, "sweep", "map.toml", "--quiet", **environment)
-    wait_for(lambda: len(chunks(folder)) >= 2, process)
-    process.send_signal(signal.SIGINT)
-    status, errors = wait_for_end(process)
-    kept = chunks(folder)
-    finished = (folder / "map.nc").exists()  # a fast machine had reached its picture
-    lines = ["vibrojax: interrupted; map.nc is whole; for its picture: vibrojax plot map.nc\n"] * finished
-    lines.append("vibrojax: interrupted; finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n")
-    assert status == 130 and errors.endswith(tuple(lines))
-    for index, name in enumerate(kept):
-        os.utime(folder / "map.nc.chunks" / name, (0, 0) if index % 2 else (4102444800, 4102444800))
-    status, errors = run(folder, "sweep", "map.toml", "--quiet", **environment)
-    assert status == 0 and (finished or len(kept) >= 2) and "vibrojax" not in errors and "Traceback" not in errors
-    assert_same(folder / "map.nc", whole)
-    with xr.open_dataset(folder / "map.nc") as dataset:
-        assert dataset.history[:4] in ("2100", "1969") and 0 < dataset.wall_time_s < 1000
-
-
-def test_chunks_deleted_during_run(folder, whole):
-    """Even if the whole folder is deleted, it is made again, and the dataset is whole."""
-    process = start_command(folder, "sweep", "map.toml", "--quiet")
-    wait_for(lambda: len(chunks(folder)) >= 3, process)
-    shutil.rmtree(folder / "map.nc.chunks", ignore_errors=True)
-    status, errors = wait_for_end(process)
-    assert status == 0, errors
-    assert_same(folder / "map.nc", whole)
-
-
-def test_too_small_disk_is_detected_in_advance(tmp_path):
-    sweep = 'scene = "rotary"\n[grid]\nbeta = { start = 0.1, stop = 1, num = 1000000 }\n'
-    for axis in ("gamma", "v"):
-        sweep += f"{axis} = {{ start = 0.1, stop = 1, num = 1000 }}\n"
-    (tmp_path / "map.toml").write_text(sweep)
-    status, errors = run(tmp_path, "sweep", "map.toml")
-    assert status == 2
-    line = one_line(errors)
-    assert "map.toml: grid: 2000000000000 lanes need about " in line and " TB of disk, " in line and " days of" in line
-    assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]
-
-
-def test_removed_folder_of_chunks_is_made_again(tmp_path):
-    """Its owner removes it between this process's check and its lock."""
-    shards = Store(tmp_path / "out.nc.chunks", {})
-    shards.open(resume=True)
-    shards.write(0, {"x": np.zeros(3)})
-    other = Store(tmp_path / "out.nc.chunks", {})
-    shards.remove()
-    other.open(resume=True)
-    assert other.finished() == set()
-    other.close()

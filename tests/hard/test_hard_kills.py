@@ -1,9 +1,11 @@
 """Tests that a killed sweep loses no finished chunk; `python tests/hard/kills.py` kills it two hundred times."""
 
+import pytest
 from kills import Kills
 
 
-def test_three_kills(tmp_path):
+@pytest.mark.parametrize("backend", ["alone", pytest.param("pool", marks=pytest.mark.long)])
+def test_kills(tmp_path, backend):
     kills = Kills(tmp_path)
-    assert kills.run_once(most=3) >= 1
+    assert kills.run_once(2, backend) >= 1
     assert kills.counts["chunks lost"] == kills.counts["chunks computed twice"] == 0

@@ -1,7 +1,7 @@
 """Tests of kernels against numpy and XLA, for any number of lanes, each lane by itself.
 
-Random functions (test_random_functions.py) compare every primitive with XLA, for all types and at their limits.
-The tests here have exact references, or reach further: more rows, all pairs of limits, refusals.
+Faults that kernels once had are among the cases: loops without turns, booleans and unsigned integers compared as
+signed, scans from the end, missing rows, shifts by the width, floats beyond the integers, integer exponents.
 """
 
 import jax
@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
-from random_functions import put
 
 from vibrojax.compile import translation
 from vibrojax.compile.assembly import Untranslatable
@@ -20,8 +19,13 @@ X, Y = RANDOM.normal(size=(2, 21))
 ROWS = RANDOM.normal(size=(7, 21))
 WHICH = RANDOM.integers(-2, 9, 21)
 FLOATS = ["float64", "float32"]
-INTEGERS = ["int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"]
+INTEGERS = ["int8", "int64", "uint16", "uint32", "uint64"]
 BEYOND = [np.nan, np.inf, -np.inf, 1e30, -1e30, 300.0, -300.0, -0.5, 2.0**31, 2.0**63, -(2.0**63), 2.0**64, 255.7]
+
+
+def put(rows, numbers, new, mode):
+    """Return rows in which each lane has replaced one."""
+    return jax.vmap(lambda rows, number, new: rows.at[number].set(new, mode=mode), -1, -1)(rows, numbers, new)
 
 
 def run_kernel(function, *arguments, **options):
@@ -57,7 +61,7 @@ FUNCTIONS = {
 @pytest.mark.parametrize("dtype", FLOATS)
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions(name, dtype):
-    """Functions agree to twenty roundings; random functions allow XLA's larger errors at the ends of ranges."""
+    """Functions agree to twenty roundings."""
     assert_matches_xla(FUNCTIONS[name], X.astype(dtype), Y.astype(dtype), roundings=20)
 
 
@@ -279,7 +283,7 @@ def test_values_shared_by_all_lanes():
     np.testing.assert_array_equal(run_kernel(lambda x, a: jnp.zeros_like(x) + a, X, np.asarray(0.7)), 0.7)
 
 
-@pytest.mark.parametrize("lanes", [1, 7, 16, 33, 1009])
+@pytest.mark.parametrize("lanes", [1, 33])
 @pytest.mark.parametrize("registers", [1, 2])
 def test_any_number_of_lanes(lanes, registers, width):
     """The bits do not depend on the number of lanes, nor on the other lanes."""
@@ -293,6 +297,23 @@ def test_any_number_of_lanes(lanes, registers, width):
     np.testing.assert_array_equal(
         run_kernel(function, x, registers=registers), [single_lane(x[lane : lane + 1])[0] for lane in range(lanes)]
     )
+
+
+def test_loops_without_turns_and_from_the_end():
+    """The rows of a scan from the end are the last first; a loop without turns returns what it is given."""
+
+    assert_matches_xla(lambda x: lax.fori_loop(0, 0, lambda _, y: y + 1.0, x), X)
+    assert_matches_xla(lambda x: lax.while_loop(lambda y: jnp.any(y > 1e9), lambda y: y + 1.0, x), X)
+    for rows in (ROWS, ROWS[:0]):
+        assert_matches_xla(lambda rows, x: lax.scan(lambda a, b: (a * 0.5 + b, a), x, rows, reverse=True), rows, X)
+
+
+def test_booleans_are_ordered():
+    def function(x, y):
+        a, b = x > 0, y > 0
+        return a < b, a <= b, a > b, a >= b, lax.max(a, b), lax.min(a, b), jnp.sort(jnp.stack([a, b]), axis=0)
+
+    assert_matches_xla(function, X, Y)
 
 
 def test_polynomial_and_its_derivative():
@@ -321,31 +342,14 @@ def test_tangents_of_integers():
 
 REFUSED = {
     "argmax": lambda x: jnp.argmax(jnp.stack([x, -x]), 0),
-    "cumsum": lambda x: jnp.cumsum(jnp.stack([x, -x]), 0),
-    "logistic": lambda x: jax.nn.sigmoid(x),
-    "rows of booleans": lambda x: jnp.take_along_axis(jnp.stack([x > 0, x < 0]), (x > 0).astype(int)[None], 0),
     "no rows": lambda x: lax.reduce_max(jnp.zeros((0, *x.shape)), (0,)),
-    "three branches": lambda x: lax.switch(jnp.int32(jnp.any(x > 0)), [lambda: x, lambda: -x, lambda: 2 * x]),
     "a choice of three": lambda x: lax.select_n((x > 0).astype(jnp.int32), x, -x, 2 * x),
-    "two keys": lambda x: lax.sort((jnp.stack([x, -x]),) * 2, dimension=0, num_keys=2),
     "half precision": lambda x: x.astype(jnp.float16),
-    "a short float": lambda x: x.astype(jnp.bfloat16) + 1,
-    "complex numbers": lambda x: jnp.abs(lax.complex(x, x)),
-    "random numbers": lambda x: x + jax.random.normal(jax.random.key(0)),
-    "Fourier transforms": lambda x: jnp.fft.fft(x).real,
     "a mean over lanes": lambda x: x - x.mean(),
     "some lanes": lambda x: x[::2],
-    "the numbers of lanes": lambda x: jnp.arange(len(x), dtype=x.dtype) * x,
-    "lanes backwards": lambda x: x[::-1],
-    "a result along a captured array": lambda x: lax.scan(lambda a, b: (a, a * b), x, jnp.arange(3.0))[1] + 1.0,
     "lanes in another order": lambda x: jnp.stack([x, x]).T.reshape(2, -1),
-    "lanes beside lanes": lambda x: jnp.concatenate([x, x]),
-    "lanes apart": lambda x: sum(jnp.split(x, [3])[0]),
     "lanes by number": lambda x: x[jnp.array([0, 0, 1])],
-    "a lane": lambda x: lax.dynamic_slice(x, (3,), (1,)) + x,
-    "shared by lanes": lambda x: jnp.zeros(8).at[(x > 0).astype(int)].set(x)[0] + x,
     "along the lanes": lambda x: lax.scan(lambda total, y: (total + y, total), 0.0, x)[1],
-    "sorted lanes": lambda x: jnp.sort(x),
     "an unsigned row number": lambda x: jnp.take(jnp.arange(3.0), (x > 0).astype(jnp.uint64)),
 }
 
@@ -373,19 +377,3 @@ def test_unknown_parameters():
     with pytest.raises(Untranslatable, match="gather with mode = ONE_HOT"):
         translation.check_parameters("gather", {"dimension_numbers": None, "mode": "ONE_HOT", "fill_value": None})
     assert set(translation.PARAMETERS) <= translation.primitives()
-
-
-def test_refusal_texts_are_written_only_for_refusals(monkeypatch):
-    """The text of a loop's body costs more than the translation of the body."""
-    monkeypatch.setattr(type(jax.make_jaxpr(jnp.sin)(1.0)), "__str__", lambda _: pytest.fail("a body was printed"))
-    monkeypatch.setattr(type(jax.make_jaxpr(jnp.sin)(1.0)), "__repr__", lambda _: pytest.fail("a body was printed"))
-    halved = run_kernel(lambda x: lax.while_loop(lambda x: jnp.any(x > 1), lambda x: x / 2, x), np.array([1.0, 3.0]))
-    assert halved.tolist() == [0.25, 0.75]
-
-
-def test_unused_equations_are_left_out():
-    def unused_sort(x):
-        lax.sort((x, x, x), dimension=0, num_keys=2)  # kernels have no sort by two keys
-        return 2 * x[0]
-
-    assert np.array_equal(run_kernel(unused_sort, ROWS), 2 * ROWS[0])

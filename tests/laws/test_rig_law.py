@@ -2,7 +2,6 @@
 
 import json
 
-import exports
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,20 +11,10 @@ from trials import CASES, FORMATIONS, FOUNDER, rig_logs, rows, trials
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.pictures.colours import form_colour
-from vibrojax.pictures.plots import Area, Line
-from vibrojax.studies.rop_blocks import (
-    LEAST_ROWS,
-    STANDINGS,
-    Standing,
-    block_covariance,
-    find_founder,
-    prediction_errors,
-    wrong_rows,
-)
+from vibrojax.studies.rop_blocks import STANDINGS, Standing, block_covariance, find_founder, prediction_errors
 from vibrojax.studies.rop_forms import FORMS, evaluate, model_of
 from vibrojax.studies.rop_law import fit_rop
-from vibrojax.studies.rop_results import recommended, verdict
+from vibrojax.studies.rop_results import verdict
 
 C, ETA0, D = (rig_logs.PLANTED[name] for name in ("C", "eta0", "threshold"))
 
@@ -120,21 +109,6 @@ def test_founder_is_told_by_formation():
     assert panels[0].x.limits[0] > 40 and panels[0].x.limits[1] < 250 and panels[0].x.label == "mean force [kN]"
 
 
-@pytest.mark.parametrize("write", exports.ALL)
-def test_exports_give_the_planted_values(tmp_path, write):
-    path, planted = write(tmp_path)
-    fit = fit_quietly(path, **planted["reading"])
-    onset = fit.sel(form="onset")
-    assert fit.attrs["verdict"] == planted["form"]
-    for values, errors, truth in (
-        (onset.C, onset.C_stderr, planted["C"]),
-        (onset.onset_force, onset.onset_force_stderr, planted["onset"]),
-        (fit.founder_weight, fit.founder_weight_stderr, planted["founder"]),
-    ):
-        np.testing.assert_array_less(abs(values - truth), 2 * errors) if np.isfinite(truth).all() else None
-    assert (np.isfinite(fit.founder_weight) == np.isfinite(planted["founder"])).all()
-
-
 @pytest.mark.parametrize("exponent", [None, 0.5])
 def test_concave_law_has_no_founder(exponent):
     """A logarithm and a root bend as well, but no form with a founder describes them better."""
@@ -161,46 +135,12 @@ def test_one_wrong_weight_does_not_decide(spike):
     assert '"lines": "11"' in dropped  # of the file: the tenth row below the names
 
 
-def test_steps_of_weight_are_no_errors():
-    """A drill-off test of five rows, and weights that hardly vary elsewhere, are kept."""
-    weight = np.full(100, 100e3) + 500 * np.random.default_rng(4).standard_normal(100)
-    weight[40:45] = [60e3, 80e3, 120e3, 140e3, 160e3]
-    masks = wrong_rows(weight / 1e5, weight, np.log(weight / 30e3), "soft-l1")
-    assert not np.any([*masks.values()])
-
-
-def test_misfit_of_the_forms_is_no_outlier():
-    weight = np.random.default_rng(4).uniform(40e3, 200e3, 300)
-    rate = 2 + np.sin(weight / 1e4)
-    assert not np.any([*wrong_rows(weight / 1e5, weight, rate, "soft-l1").values()])
-
-
 # files
 
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     return rig_logs.write_all(tmp_path_factory.mktemp("logs"))
-
-
-def test_all_dialects_give_the_same_fit(logs):
-    columns = {"rock": "granite"}
-    fits = {name: fit_quietly(path, columns=columns) for name, path in logs.items()}
-    first = fits.pop("pason")
-    assert len(fits) >= 5 and first.used.values[0] == 400
-    for fit in fits.values():
-        for name in ("C", "C_stderr", "eta0", "eta0_stderr", "exponent", "r_squared", "aic", "cv_error"):
-            np.testing.assert_allclose(fit[name], first[name], rtol=1e-7, atol=1e-14, err_msg=name)
-        assert (fit.standing == first.standing).all()
-
-
-def test_recommended_constant_is_in_unit_of_log(logs):
-    fit = fit_quietly(logs["pason"], columns={"rock": "granite"})
-    [choice] = recommended(fit)
-    assert choice["form"] == "onset" and choice["low"] < C < choice["high"] and choice["unit"] == "ft_per_hr"
-    assert choice["in_unit"]["C"] == pytest.approx(choice["C"] * 3600 / 0.3048)
-    error = float(fit.C_stderr.sel(form="onset"))
-    assert choice["high"] - choice["low"] == pytest.approx(2 * 1.966 * error, rel=1e-3)
 
 
 def test_unknown_threshold_keeps_determined_quantities(logs):
@@ -223,26 +163,6 @@ def test_unknown_threshold_keeps_determined_quantities(logs):
         path = logs["rigcloud"].with_name("relief.csv")
         path.write_text("relief,rate_of_penetration\n1,1e-3\n")
         fit_quietly(path, columns={"threshold": "unknown"})
-
-
-def test_few_rows_are_compared_only_by_aic(tmp_path):
-    few = rig_logs.write(tmp_path / "few.csv", "witsml", rig_logs.drilling(LEAST_ROWS - 1))
-    fit = fit_quietly(few, columns={"rock": "granite"})
-    assert fit.cv_error.isnull().all()
-    assert any(line.startswith("by AIC") for line in verdict(fit))
-
-
-def test_picture_shows_only_forms_that_are_not_rejected(tmp_path):
-    rows = rig_logs.drilling(noise=0.01, law="line")
-    fit = fit_quietly(rig_logs.write(tmp_path / "line.csv", "usrop", rows), columns={"rock": "granite"})
-    sheet = sheet_of(fit)
-    (data,), (evidence,) = sheet.above.plots, sheet.plots
-    assert data.x.label == "mean force [kN]" and data.title.startswith("C = ") and data.title.endswith(" m/h")
-    bands = [layer.colour for layer in data.layers if isinstance(layer, Area)]
-    assert bands == [form_colour("line")]
-    chosen = [layer for layer in evidence.layers if isinstance(layer, Line) and layer.size > 5 and len(layer.x)]
-    assert [layer.y.tolist() for layer in chosen] == [[0.0]]
-    assert "not percussive data" in sheet.note
 
 
 # the command

@@ -5,10 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.physics.elementary import exp
-from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.physics.parameters import not_negative, positive, table
-from vibrojax.scenes.rotary import Rotary
+from vibrojax.physics.friction import FRICTION_LAWS
 
 SPEEDS = np.array([1e-6, 1e-3, 0.02, 0.3, 1.5, 3.0, 4.2])
 
@@ -16,10 +13,7 @@ SPEEDS = np.array([1e-6, 1e-3, 0.02, 0.3, 1.5, 3.0, 4.2])
 PARAMETERS = {
     "coulomb": ({"mu": 0.4}, {"mu": 0.23}),
     "popp-exponential": ({"popp_c1": -0.02, "popp_c2": -0.25}, {"popp_c1": -0.3, "popp_c2": -0.7}),
-    "popp-arctan": (
-        {"a1": 0.14, "a2": 1.14, "b1": 2.0, "b2": 100.0},
-        {"a1": 0.2, "a2": 0.6, "b1": 0.9, "b2": 7.0},
-    ),
+    "popp-arctan": ({"a1": 0.14, "a2": 1.14, "b1": 2.0, "b2": 100.0}, {"a1": 0.2, "a2": 0.6, "b1": 0.9, "b2": 7.0}),
     "hyperbolic": ({"mu0": 0.4, "delta_f": 1.0}, {"mu0": 0.31, "delta_f": 2.3}),
     "hyperbolic-quadratic": (
         {"mu0": 0.4, "mu1": 0.1, "lambda": 99.4, "alpha": 0.7},
@@ -146,52 +140,3 @@ def test_slope_along_each_parameter(name, p):
             h = 1e-5 * abs(value)
             central = (MU[name](u, p | {key: value + h}) - MU[name](u, p | {key: value - h})) / (2 * h)
             np.testing.assert_allclose(slopes[key], central, rtol=1e-6, atol=1e-9, err_msg=key)
-
-
-@pytest.mark.parametrize(("name", "p"), CASES)
-def test_jit_and_vmap_over_speed_and_parameters(name, p):
-    law = FRICTION_LAWS[name]
-    factors = np.array([1.0, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3])
-    lanes = {key: jnp.asarray(value * factors) for key, value in p.items()}
-    expected = [MU[name](u, {key: value * f for key, value in p.items()}) for u, f in zip(SPEEDS, factors, strict=True)]
-    for batched in (jax.vmap(law.on_weight), law.on_weight):
-        values = jax.jit(batched)(jnp.asarray(SPEEDS), lanes)
-        assert values.shape == SPEEDS.shape
-        np.testing.assert_allclose(values, expected, rtol=1e-14)
-
-
-@pytest.mark.parametrize(("name", "p"), CASES)
-def test_single_precision_stays_single(name, p):
-    p32 = {key: jnp.float32(value) for key, value in p.items()}
-    values = [FRICTION_LAWS[name].on_weight(jnp.float32(u), p32) for u in SPEEDS]
-    assert {value.dtype for value in values} == {jnp.dtype("float32")}
-    # The exponential magnifies a relative error by p/u, up to 40 before the term falls below rounding.
-    np.testing.assert_allclose(values, MU[name](SPEEDS, p), rtol=5e-6)
-
-
-@pytest.mark.parametrize("popp_c1", [0.0, 0.02])
-def test_exponential_law_is_finite_at_rest_for_accepted_parameters(popp_c1):
-    """exp(c1/|u|) has the limit 1 for c1 = 0 and no limit for c1 > 0."""
-    law = FRICTION_LAWS["popp-exponential"]
-    refused = law.parameters["popp_c1"].problem(popp_c1) is not None
-    assert refused or np.isfinite(law.on_weight(0.0, {"popp_c1": jnp.asarray(popp_c1), "popp_c2": -0.25}))
-
-
-def test_new_law_needs_only_its_object():
-    """With mu = mu_s exp(-|u|/u_s), the force on a bit with unstretched springs is -sgn(u) mu m1 g."""
-    law = FrictionLaw(
-        name="exponential",
-        reference="this test",
-        parameters=table(not_negative("mu_s", 0.5, "1", "at rest", "μ"), positive("u_s", 2.0, "m s-1", "scale", "u")),
-        mu=lambda speed, p: p["mu_s"] * exp(-1.0 * speed / p["u_s"]),
-    )
-    scene = Rotary(friction=law)
-    defaults = {name: jnp.asarray(parameter.default) for name, parameter in scene.parameters().items()}
-    assert {"mu_s", "u_s", "m1"} <= set(defaults)
-    assert "v_cr" not in defaults
-    p = scene.constants(defaults)
-    zero = jnp.asarray(0.0)
-    for slip, v1 in ((1.0, 0.3), (-1.0, -2.1)):
-        acceleration = scene.field(p, (jnp.asarray(slip),), (zero, jnp.asarray(v1), zero, zero))[1]
-        np.testing.assert_allclose(acceleration, -slip * 0.5 * np.exp(-abs(v1 + 1.5) / 2.0) * 9.81, rtol=1e-13)
-    np.testing.assert_allclose(p.drill.slip.stick_limit, 0.5 * 250 * 9.81, rtol=1e-14)

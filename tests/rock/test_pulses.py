@@ -55,19 +55,3 @@ def test_rocks_in_points(tmp_path):
     (tmp_path / "rocks.csv").write_text("rock,force\ngranit,3e5\n")
     with pytest.raises(InputError, match=r"rocks.csv: line 2, column rock: .*granit.* unknown; .*granite"):
         vj.read_sweep(tmp_path / "rocks.toml")
-
-
-@pytest.mark.parametrize(
-    ("source", "place"),
-    [
-        ({"parameters": {"rock": "granite"}, "grid": {"k3": [3e8]}}, "parameters.rock"),
-        ({"parameters": {"threshold": 1e5}, "grid": {"rock": ["granite"]}}, "grid.rock"),
-        ({"parameters": {"k3": 3e8}, "points": {"rock": ["granite"]}}, "points.rock"),
-        ({"points": {"rock": ["granite"], "threshold": [1e5]}}, "points.rock"),
-    ],
-)
-def test_rock_with_its_numbers_is_refused(source, place):
-    with pytest.raises(
-        InputError, match=rf"{place}: (k3|threshold) is given as well; give the rock, or threshold and k3"
-    ):
-        vj.read_sweep({"scene": "penetration"} | source)

@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pytest
 import xarray as xr
 
@@ -46,42 +45,6 @@ def drilling(rate, peak, **more):
     return xr.Dataset(
         variables, axes | more, {"source": "vibrojax 0", "kind": "sweep", "title": "t", "parameters": "{}"}
     )
-
-
-@pytest.mark.parametrize(
-    ("rate", "peak", "lines"),
-    [
-        (
-            [[0.0, 0.0], [0.0, 0.0]],
-            [[30.95e3, 40.9e3], [np.nan, 20e3]],  # 61.9 kN and 204.5 kN, Table 4.5
-            [
-                "none: the hole does not grow in any of 4 lanes",
-                "lanes without impacts: 1",
-                BELOW_D,
-                "the largest contact force there is 30.95 kN, 0.5 of D; the inertia of the bit takes a part of it",
-                "a softer rock (lower threshold) or harder impacts (greater v; another beta, gamma or delta) can give "
-                "a rate",
-            ],
-        ),
-        (
-            [[1e-3, 1e-3], [2e-3, 3e-3]],
-            [[9e4] * 2] * 2,
-            ["0.001 to 0.003 m/s (3.6 to 10.8 m/h) in 4 of 4 lanes", "largest at v=2 rock=granite"],
-        ),
-        (
-            [[np.nan, np.nan], [0.0, np.nan]],
-            [[np.nan] * 2] * 2,
-            ["none: the hole does not grow in any of 4 lanes", "lanes without impacts: 4"],
-        ),
-    ],
-)
-def test_reason_compares_peak_contact_force_with_threshold(rate, peak, lines):
-    assert rate_part(drilling(rate, peak))[0] == lines
-
-
-def test_sweep_without_rock_has_no_rates():
-    ds = xr.Dataset({"period": ("v", [1.0])}, {"v": [1.0]}, {"source": "vibrojax 0", "kind": "sweep"})
-    assert rate_part(ds) == ([], None)
 
 
 def test_motion_without_rate_compares_rock_force_with_threshold():

@@ -95,14 +95,6 @@ def test_friction_opposes_sliding_and_grows_under_impact(law):
         assert np.all(sign * (loaded - free) > 0)
 
 
-def test_stick_holds_bit_on_rock():
-    """R1: friction balances the pull, so u stays at 0, and the drive leaves the bit behind."""
-    for scene, mode in ((Rotary(), arrays(0)), (VibroImpact(), arrays(0, 1))):
-        field = scene.field(constants(scene), mode, arrays(*states(0)))
-        np.testing.assert_array_equal(field[0], -DRILL["v"])
-        np.testing.assert_array_equal(field[1], 0.0)
-
-
 def stick_limit(impact=0.0):
     """Return f_st + mu J (5.11, R2)."""
     return 0.4 * (DRILL["m1"] * DRILL["g"] + impact)
@@ -140,23 +132,6 @@ def test_surfaces(slip, touching):
         np.testing.assert_allclose(alone, friction[None], rtol=1e-11, atol=1e-10)
 
 
-def test_surface_values_are_zero_on_surface():
-    scene = VibroImpact()
-    p = constants(scene)
-    delta, v = p.contact.delta, p.drill.slip.v
-    at_rest = jnp.asarray(0.01), -v, delta, jnp.asarray(0.7)  # u = 0
-    for slip in (1.0, -1.0):  # apart and rising through delta: x2 = delta, J = c0 x2' > 0
-        np.testing.assert_array_equal(scene.guard_values(p, (jnp.asarray(slip), jnp.asarray(0.0)), at_rest), 0)
-    # Release at J = 0: x2 - delta = -c0/k0 x2'.
-    leaving = jnp.asarray(0.01), -v, delta + 0.7 * p.contact.c0 / p.contact.k0, jnp.asarray(-0.7)
-    for touching in (1.0, 0.0):
-        surface = scene.guard_values(p, (jnp.asarray(1.0), jnp.asarray(touching)), leaving)[1]
-        assert abs(surface) < 2 * np.spacing(abs(CONTACT["delta"]))
-    # Released above delta and falling: apart until J > 0 again.
-    let_go = (*leaving[:3], jnp.asarray(-0.9))
-    assert scene.guard_values(p, (jnp.asarray(1.0), jnp.asarray(0.0)), let_go)[1] > 0
-
-
 def mode_at(scene, *state, **values):
     p = constants(scene, **values)
     return tuple(float(flag) for flag in scene.mode_at(p, tuple(jnp.asarray(float(value)) for value in state)))
@@ -166,26 +141,6 @@ def mode_at(scene, *state, **values):
 def test_rotary_mode_at_rest(force, slip):
     """5.11: at u = 0 the bit sticks up to f_st = mu m1 g. Beyond it, the bit moves in the direction of the pull."""
     assert mode_at(Rotary(), x1_for_pull(force * stick_limit(), 0.02), -DRILL["v"], 0.02, 0.3) == (slip,)
-
-
-def test_rotary_sticks_exactly_at_limit():
-    """5.11 includes equality. f_st = 512 N, k1 |x1| = 512 N and k2 |x1| = 64 N are exact in binary."""
-    values = {"k1": 2.0**18, "beta": 0.5, "gamma": 0.5, "m1": 256.0, "g": 8.0, "mu": 0.25}
-    x1 = -(2.0**-9)
-    assert mode_at(Rotary(), x1, -DRILL["v"], x1, 0.0, **values) == (0,)
-    assert mode_at(Rotary(), x1, -DRILL["v"], 0.0, 0.0, **values) == (1,)
-
-
-@pytest.mark.parametrize(("v1", "slip"), [(0.0, 1), (-1.3, 1), (-1.5, -1), (-3.0, -1)])
-def test_mode_while_sliding_is_sign_of_u(v1, slip):
-    assert mode_at(Rotary(), -0.05, v1, 0.01, 0.0) == (slip,)
-    assert mode_at(VibroImpact(), -0.05, v1, 0.01, 0.0) == (slip, 1)
-
-
-def test_law_without_stick_limit_never_holds_pull():
-    """2.15: mu(0+) = 0."""
-    scene = Rotary(friction=FRICTION_LAWS["popp-arctan"])
-    assert mode_at(scene, 1e-7, -DRILL["v"], 0.0, 0.0) == (-1,)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -257,13 +212,6 @@ def test_landing_at_zero_sliding_speed(slip, share, after):
         assert state == (x1, -DRILL["v"], 0.02, 0.3)
 
 
-def test_stick_ends_in_direction_of_pull():
-    for sign in (1, -1):
-        x1 = x1_for_pull(sign * stick_limit() * (1 - 1e-14), 0.02)
-        mode, state = land(Rotary(), (0.0,), (x1, -DRILL["v"], 0.02, 0.3), True, False, False)
-        assert (*mode, state[1]) == (sign, -DRILL["v"])
-
-
 def test_landing_under_impact_uses_raised_limit():
     x2 = CONTACT["delta"] + 1e-4
     for share, slip in ((0.9, 0), (1.1, 1)):
@@ -282,13 +230,3 @@ def test_landings_on_contact():
     np.testing.assert_allclose(state, (0.01, 0.2, delta + 0.7 * relaxation, -0.7), rtol=1e-15)
     caught = 0.01, 0.2, delta + 0.5 * relaxation, -0.5
     assert land(VibroImpact(), (1.0, 0.0), caught, *contact) == ((1, 1), caught)
-
-
-def test_landing_on_turns_and_without_events():
-    state = 0.01, 1e-15, -0.02, -1e-15
-    for scene, rest in ((Rotary(), ()), (VibroImpact(), (0.0,))):
-        still = (False,) * (1 + len(rest))
-        mode = (1.0, *rest)
-        assert land(scene, mode, state, *still, True, False) == (mode, (0.01, 0.0, -0.02, -1e-15))
-        assert land(scene, mode, state, *still, False, True) == (mode, (0.01, 1e-15, -0.02, 0.0))
-        assert land(scene, mode, state, *still, False, False) == (mode, state)

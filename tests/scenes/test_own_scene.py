@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from vibrojax.compile.native import Kernel
-from vibrojax.errors import InputError
 from vibrojax.measures import Gauge, recorder_for
 from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.physics.parameters import positive, table
@@ -130,19 +129,3 @@ def test_own_quantities(stiff_string):
 def test_smoothed_stepper():
     features = run(DrillWithString(), Smoothed(), 0.03, m0=500.0, k4=4e6, delta=0.005)
     assert bool(features["finite"][0]) and bool(features["finished"][0])
-
-
-def test_gauge_states_required_scene():
-    class NoContact(DrillWithString):
-        measures = ("drilling",)
-
-    with pytest.raises(InputError, match="with-string is no HasRock; Hole measures only those"):
-        recorder_for(NoContact())
-
-
-def test_unknown_gauge_is_refused():
-    class Misnamed(DrillWithString):
-        measures = ("swing",)
-
-    with pytest.raises(InputError, match='with-string measures "swing"; choose from swings, shares'):
-        recorder_for(Misnamed())

@@ -14,15 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from source.closed_forms import LOSS_FACTORS
-from source.motions import (
-    DRIVE_SPEED,
-    envelope,
-    events,
-    last_cycle,
-    power_spectrum,
-    swept_frequency,
-    within,
-)
+from source.motions import DRIVE_SPEED, envelope, events, last_cycle, power_spectrum, swept_frequency, within
 from vibrojax.physics.contact import restitution
 from vibrojax.pictures.style import BIT, FAINT, IMPACT, INK, ROCK, STICK, STRIKER, new_figure
 

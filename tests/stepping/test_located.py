@@ -8,8 +8,6 @@ from by_kernels import by_kernels
 from flat import Flat
 
 from vibrojax.lanes.record import record
-from vibrojax.physics.friction import FRICTION_LAWS
-from vibrojax.scenes.rotary import Rotary
 from vibrojax.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping import Accuracy, Goal, Located, lane_at
 
@@ -90,18 +88,6 @@ def test_order_through_stick_slip_and_impacts(order, strides):
     assert errors[-1] < 1e-2
 
 
-@pytest.mark.parametrize("law", ["popp-exponential", "popp-arctan", "hyperbolic-quadratic"])
-@pytest.mark.long
-def test_order_with_laws_that_are_not_polynomials(law):
-    """Cover the series' quotient, exponential and arc tangent in 0.1 s of sliding without events from u = v."""
-    scene, strides = Rotary(FRICTION_LAWS[law]), np.array([0.5, 0.25, 0.125])
-    p = constants(scene, (3,))
-    exact, _ = final_states(scene, Located(8), p, "drive", 0.1, tolerance=1e30, stride=np.full(3, 0.05))
-    states, _ = final_states(scene, Located(4), p, "drive", 0.1, tolerance=1e30, stride=strides)
-    errors = np.max(np.abs(states / exact - 1), axis=0)
-    assert fitted_order(errors, strides) > 3.7, errors
-
-
 def test_tolerance_controls_error():
     """The tolerance bounds the last terms of each step. Dividing it by 100 divides the error by at least 50."""
     tolerances = np.array([1e-4, 1e-6, 1e-8, 1e-14])
@@ -109,14 +95,6 @@ def test_tolerance_controls_error():
     errors = np.max(np.abs(states / states[:, -1:] - 1), axis=0)[:-1]
     assert errors[-1] < 1e-7
     assert errors[0] / errors[-1] > 50**2
-
-
-def test_motion_has_all_modes_and_impacts(motion):
-    p, steps = motion
-    slip, touching = steps.mode.T
-    assert {-1.0, 0.0, 1.0} == set(slip)
-    assert impact_begins(p, steps).sum() >= 5
-    assert np.any((slip == 0) & (touching == 1))
 
 
 def test_steps_land_exactly_on_surfaces(motion):
@@ -133,14 +111,6 @@ def test_steps_land_exactly_on_surfaces(motion):
     )
     assert np.all(v1[bit_turns & ~friction] == 0)
     assert np.all(v2[striker_turns] == 0)
-
-
-def test_steps_are_contiguous(motion):
-    """Each step starts where and when the last ended, so events are in order and none is missing."""
-    _, steps = motion
-    np.testing.assert_array_equal(steps.polynomials[1:, :, 0], steps.after[:-1])
-    np.testing.assert_allclose(steps.start[1:], (steps.start + steps.dt)[:-1], rtol=0, atol=1e-15)
-    assert steps.start[-1] + steps.dt[-1] == pytest.approx(2.0, abs=1e-15)
 
 
 def test_no_surface_is_crossed_within_step(motion):
@@ -162,38 +132,6 @@ def test_no_surface_is_crossed_within_step(motion):
     # After release the striker is above delta while it moves away: contact needs x2 >= delta and a positive force.
     could_touch = np.minimum(x2 - p["delta"], x2 - p["delta"] + p["relaxation"] * v2)
     assert np.all((1 - touching) * could_touch < 1e-14)
-
-
-def test_energy_balance(motion):
-    """The work of the drive, F v, equals F u + c2 x2'² + J x2' plus the change of energy, integrated over time.
-
-    The integrals use Gauss's rule on the steps' polynomials, with F from eqs. 5.9 and 5.12 in slip and the springs'
-    pull in stick.
-    """
-    p, steps = motion
-    p = {name: float(np.ravel(value)[0]) for name, value in p.items()}
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    tau = (steps.dt / steps.h)[:, None] * (nodes + 1) / 2
-    weights = steps.dt[:, None] * weights / 2
-    x1, v1, x2, v2 = sum(
-        c[:, :, None] * tau[:, None] ** k for k, c in enumerate(np.moveaxis(steps.polynomials, 2, 0))
-    ).transpose(1, 0, 2)
-    slip, touching = (m[:, None] for m in steps.mode.T)
-    u, weight = v1 + p["v"], p["m1"] * p["g"]
-    force = touching * (p["k0"] * (x2 - p["delta"]) + p["c0"] * v2)
-    ratio = np.abs(u) / p["v_cr"]
-    sliding = slip * (p["mu"] * weight * (1 - ratio + ratio**3 / 3) + p["mu"] * force)
-    friction = np.where(slip == 0, p["k2"] * (x2 - x1) - p["k1"] * x1, sliding)
-    supplied = np.sum(weights * friction * p["v"])
-    dissipated = np.sum(weights * (friction * u + p["c2"] * v2**2 + force * v2))
-
-    def energy(x1, v1, x2, v2):
-        kinetic = p["m1"] * v1**2 + p["m2"] * v2**2
-        return (kinetic + p["k1"] * x1**2 + p["k2"] * (x1 - x2) ** 2) / 2
-
-    change = energy(*steps.after[-1]) - energy(*steps.polynomials[0, :, 0])
-    assert abs(supplied) > 100
-    assert supplied == pytest.approx(dissipated + change, rel=1e-8)
 
 
 @pytest.fixture(scope="module")
@@ -230,19 +168,6 @@ def test_chatter_comes_to_rest(c0):
         assert len(steps.dt) < 1500
 
 
-def test_resting_striker_needs_few_steps():
-    """The preload presses the striker on the bit: k2 x2 = k0 (delta - x2).
-
-    With one step per contact rate, 48 s would take 34,000 steps.
-    """
-    p = constants(DRILL)
-    k0, k2, delta = (float(Flat(p)[name][0]) for name in ("k0", "k2", "delta"))
-    _, steps = run_lane((0.0, 0.0, k0 * delta / (k0 + k2), 0.0), 48.0, v=0.0)
-    assert len(steps.dt) < 10
-    _, steps = run_lane("drive", 48.0, v=0.0, delta=0.005)
-    assert len(steps.dt) == 1
-
-
 @pytest.mark.parametrize(
     ("start", "values"),
     [
@@ -270,48 +195,6 @@ def test_simultaneous_switches(start, shift):
     assert impact_begins(p, steps).sum() == impact_begins(nearby_p, nearby).sum() == 1
     assert len(steps.dt) < len(nearby.dt) + 20
     np.testing.assert_allclose(steps.after[-1], nearby.after[-1], rtol=0, atol=1e-5)
-
-
-@pytest.mark.parametrize("part", [0.999, 0.9, 0.5, 0.0])
-def test_turns_within_a_step(part):
-    """x2' dips below zero and returns well within a step, and steps land on both turns.
-
-    While x1 overtakes x2, x2' = e - w² a t + w² x1' t²/2, whose minimum is e - w² a²/(2 x1').
-    """
-    p = constants(DRILL)
-    behind, speed = 0.002, 1.0
-    dip = float(p.drill.k2[0] * p.drill.inverse_m2[0]) * behind**2 / (2 * speed)
-    _, steps = run_lane((-behind, speed, 0.0, part * dip), 0.006, delta=1.0)
-    turns = np.flatnonzero(hits(steps)["striker_turn"])
-    assert len(turns) == (2 if part > 0 else 1)
-    np.testing.assert_allclose(steps.after[turns, 3], 0, atol=1e-15)
-    assert len(steps.dt) < 10
-
-
-V, DELTA = 1.5, -0.005
-
-
-@pytest.mark.parametrize(
-    ("start", "slip", "touching"),
-    [
-        ((0.001, -V, -0.02, 0.0), 0, 0),  # at rest on the rock, within the limit
-        ((0.01, -V, -0.02, 0.0), -1, 0),  # beyond the limit: the springs pull it back
-        ((-0.01, -V, -0.02, 0.0), 1, 0),
-        ((0.0, 0.0, DELTA, 1.0), 1, 1),  # at the gap, moving in
-        ((0.0, 0.0, DELTA, -1.0), 1, 0),  # at the gap, moving out
-        ((0.0, 0.0, DELTA, 0.0), 1, 1),  # at rest at the gap, pulled in
-        ((-0.01, 0.0, DELTA, 0.0), 1, 0),  # at rest at the gap, pulled out
-        ((0.0, -V, DELTA, 1.0), 0, 1),  # on both surfaces
-        ((DELTA, -V, DELTA, 0.0), 0, 0),  # at rest on both surfaces
-    ],
-)
-def test_start_on_surface(start, slip, touching):
-    _, steps = run_lane(start, 0.05)
-    assert tuple(steps.mode[0]) == (slip, touching)
-    assert len(steps.dt) < 300
-    nudged = tuple(y + 1e-10 * sign for y, sign in zip(start, (1, 1, -1, 1), strict=True))
-    _, nearby = run_lane(nudged, 0.05)
-    np.testing.assert_allclose(steps.after[-1], nearby.after[-1], rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

@@ -68,18 +68,3 @@ def test_convergence_in_width_while_bit_slides(scene):
     widths = np.array([1e-2, 3e-3, 1e-3])
     distances = distance_to_sharp_motion(scene, "drive", widths)
     assert np.all(log_slopes(distances, widths) > 1.9), distances
-
-
-@pytest.mark.parametrize("scene", [ROTARY, DRILL], ids=["rotary", "vibro-impact"])
-@pytest.mark.long
-def test_convergence_in_width_while_bit_sticks_and_breaks_away(scene):
-    """The distance falls about as the width; at a breakaway, as its power 4/5.
-
-    A creeping bit moves by O(w). During breakaway, the springs' pull beyond the stick limit grows like t and u like t²,
-    and friction is short of its limit by w²/(2 u²). So the layer is u of the order of w^(4/5) wide.
-    """
-    widths = np.array([3e-3, 1e-3, 3e-4])
-    distances = distance_to_sharp_motion(scene, "stuck", widths)
-    assert np.all(log_slopes(distances, widths) > 0.65), distances
-    assert np.all(log_slopes(distances, widths) < 1.1), distances
-    assert distances[-1] < 0.01

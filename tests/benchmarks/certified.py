@@ -1,6 +1,6 @@
 """Compare certified lanes of random machines with the same lanes after a settling time 50 times as long.
 
-    python tests/hard/certified.py [LANES] [SEED]
+    python tests/benchmarks/certified.py [LANES] [SEED]
 
 A lane is certified if `error_estimate` is within the accepted error and `sensitive` is 0. The script prints the share
 of certified lanes that keep their label, cycles and impacts and lie within their estimate, and every lane that does

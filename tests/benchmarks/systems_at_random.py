@@ -1,9 +1,9 @@
 """Compare random hybrid systems with an independent integration (tests/exact/hybrid.py); store each result by seed.
 
-python tests/hard/random_systems.py                              2,000 systems: 200 structures with 10 draws each
-python tests/hard/random_systems.py --count 100 -o results.jsonl
-python tests/hard/random_systems.py --seed 17 --draw 3           one system, with its description
-python tests/hard/random_systems.py --kinds stop friction        structures with these events only
+python tests/benchmarks/systems_at_random.py                    2,000 systems: 200 structures with 10 draws each
+python tests/benchmarks/systems_at_random.py --count 100 -o results.jsonl
+python tests/benchmarks/systems_at_random.py --seed 17 --draw 3      one system, with its description
+python tests/benchmarks/systems_at_random.py --kinds stop friction  structures with these events only
 
 A result is a JSON line with seed, draw, kind and remark. A run that was interrupted continues: seeds whose results are
 in the file are not computed again. The exit status is 1 if any result is WRONG.

@@ -1,6 +1,6 @@
 """Compile sweeps with other choices, one at a time, and print how much their results change.
 
-    python tests/compiled_otherwise.py [SCENE ...] [--choice CHOICE ...]
+    python tests/benchmarks/compiled_otherwise.py [SCENE ...] [--choice CHOICE ...]
 
 With jax before 0.11.2, "XLA, no options" takes minutes to compile. Along 1.2 s of an impacting motion, rounding errors
 grow by several powers of ten. A larger difference is a fault of a compiler or of the package. Kernels of another width,
@@ -8,10 +8,12 @@ or with other passes, give the same bits, but not those without fused multiply-a
 penetration under both pulse shapes.
 """
 
+import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -19,6 +21,7 @@ import jax
 import numpy as np
 
 jax.config.update("jax_enable_x64", True)
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from test_sweep_against_simulate import DRILLS, columns, run_points  # noqa: E402
 

@@ -1,6 +1,6 @@
 """Compare lanes of periodic motion after 10^5 cycles with the same lanes after a thousand cycles.
 
-python tests/hard/long.py        about 2 minutes
+python tests/benchmarks/long.py        about 2 minutes
 """
 
 import sys
@@ -13,11 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 
-POINTS = {
-    "beta": np.linspace(0.25, 0.6, 32).tolist(),
-    "gamma": [0.75] * 32,
-    "delta": [-0.005, 0.005] * 16,
-}
+POINTS = {"beta": np.linspace(0.25, 0.6, 32).tolist(), "gamma": [0.75] * 32, "delta": [-0.005, 0.005] * 16}
 ERROR = 1e-5
 SETTLE = {"short": 400.0, "twice": 800.0, "long": 4e4}  # s
 
