@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
+from pathlib import Path
 
 import pandas as pd
 from docutils import nodes
@@ -74,9 +75,16 @@ def laws() -> pd.DataFrame:
     """Return the friction laws with their own parameters, their equation, and the default."""
     rows = [(name, ", ".join(law.parameters), law.reference) for name, law in vj.FRICTION_LAWS.items()]
     first = next(scene for scene in (kind() for kind in vj.SCENES.values()) if isinstance(scene, HasFriction))
-    table = pd.DataFrame(rows, columns=["name", "its parameters", "equation of the source"])
+    table = pd.DataFrame(rows, columns=["name", "its parameters", "equation of the thesis"])
     table["default"] = ["yes" if name == first.friction.name else "" for name in table.name]
     return table
+
+
+def thesis() -> pd.DataFrame:
+    """Return the table of `tests/source`, which compares the package with Batako's thesis."""
+    lines = (Path(__file__).parents[2] / "tests" / "source" / "table.md").read_text().splitlines()
+    rows = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines if line.startswith("| ")]
+    return pd.DataFrame(rows[1:], columns=rows[0])
 
 
 TABLES: dict[str, Callable[[], pd.DataFrame]] = {
@@ -88,6 +96,8 @@ TABLES: dict[str, Callable[[], pd.DataFrame]] = {
     "laws": laws,
     "rocks": lambda: pd.DataFrame([{"rock": name} | asdict(rock) for name, rock in ROCKS.items()]),
     "sweeps": sweeps,
+    "verdicts": lambda: thesis().verdict.value_counts().rename("results").reset_index(),
+    "differences": lambda: thesis().query("verdict == 'differs'").drop(columns="verdict"),
 }
 
 

@@ -1,6 +1,6 @@
 """Glossary of the package's terms, and links to it from the first use of each term on a page.
 
-The directive `{code-glossary}` writes the definitions of `vibrojax.studies.glossary`.
+The directive `{code-glossary}` writes the definitions of `vibrojax.studies.WORDS` and those of the site.
 """
 
 import re
@@ -12,8 +12,15 @@ from sphinx.util.docutils import SphinxDirective
 
 from vibrojax.studies import WORDS
 
-PAGE = "glossary"
-LINKED = ("lane", "regime", "relief P/D", "orbit", "multiplier", "family")
+PAGE = "files_and_symbols"
+SITE_WORDS = {
+    "Batako's thesis": "Batako, *A self-exciting system for percussive-rotary drilling*, PhD thesis, "
+    "Loughborough University: the source of the drill's equations, called *the source* in files and docstrings",
+    "ω₂/ω₁": "natural frequency of the striker over that of the bit, each on its own spring: γ, `gamma` in code",
+}
+"""Terms that only the site needs."""
+
+LINKED = ("lane", "regime", "relief P/D", "orbit", "multiplier", "family", "Batako's thesis")
 """Terms that are linked wherever they occur. Others, such as *section*, have everyday meanings too."""
 
 _PLURALS = {"family": "families", "relief P/D": "relief"}
@@ -32,7 +39,7 @@ class CodeGlossary(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         self.env.note_reread()
-        terms = sorted(WORDS.items(), key=lambda item: item[0].lower())
+        terms = sorted((WORDS | SITE_WORDS).items(), key=lambda item: item[0].lower())
         lines = [line for term, meaning in terms for line in (term, f"  {meaning}.", "")]
         return self.parse_text_to_nodes("\n".join(["```{glossary}", *lines, "```"]))
 

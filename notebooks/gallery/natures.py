@@ -4,7 +4,7 @@ import vibrojax as vj
 
 sweep = {
     "scene": "vibro-impact",
-    "title": "What the irregular motions are",
+    "title": "Nature of irregular motions",
     "starts": ["drive"],
     "parameters": {"delta": 0.005},
     "grid": {"beta": {"start": 0.25, "stop": 0.6, "num": 19}, "gamma": {"start": 0.6, "stop": 0.8, "num": 19}},

@@ -4,7 +4,7 @@ import vibrojax as vj
 
 sweep = {
     "scene": "penetration",
-    "title": "three rocks along the force",
+    "title": "Three rocks along the force",
     "grid": {
         "rock": ["sandstone", "limestone", "granite"],
         "force": {"start": 100e3, "stop": 600e3, "num": 26},

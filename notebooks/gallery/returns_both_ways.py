@@ -1,10 +1,10 @@
-"""The blow at each return: up and down the frequency ratio, each lane from where the last one ended."""
+"""Impact velocity at each return: up and down the frequency ratio, each lane from where the last one ended."""
 
 import vibrojax as vj
 
 sweep = {
     "scene": "vibro-impact",
-    "title": "The blow at each return, up and down",
+    "title": "Impact velocity at each return, up and down",
     "starts": ["stuck"],
     "parameters": {"beta": 0.4, "delta": 0.005},
     "grid": {"gamma": {"start": 0.5, "stop": 1.1, "num": 61}},

@@ -4,7 +4,7 @@ import vibrojax as vj
 
 sweep = {
     "scene": "vibro-impact",
-    "title": "The blow at each return, from two starts",
+    "title": "Impact velocity at each return, from two starts",
     "starts": ["drive", "stuck"],
     "parameters": {"beta": 0.4, "delta": 0.005},
     "grid": {"gamma": {"start": 0.3, "stop": 1.2, "num": 181}},

@@ -4,7 +4,7 @@ import vibrojax as vj
 
 sweep = {
     "scene": "vibro-impact",
-    "title": "Stability, and the distance from a graze",
+    "title": "Stability and distance from grazing",
     "starts": ["stuck"],
     "grid": {"beta": {"start": 0.2, "stop": 0.7, "num": 31}, "gamma": {"start": 0.4, "stop": 1.0, "num": 31}},
     "run": {"orbits": True},
