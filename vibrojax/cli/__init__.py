@@ -51,7 +51,7 @@ _COMMANDS: dict[str, Command] = {
     "orbits": orbits,
     "follow": study_command(
         "family",
-        "Follow a family of periodic orbits, stable and unstable, along one parameter, with its special points",
+        "Follow a family of periodic orbits or equilibria, stable and unstable, along one parameter",
     ),
     "curves": curves,
     "borders": study_command(

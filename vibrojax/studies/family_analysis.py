@@ -238,7 +238,7 @@ _SYNTAX = "along=NAME at=VALUE from=A to=B"
 
 @dataclass(frozen=True, kw_only=True)
 class Families(MachineAnalysis[FamilySpec]):
-    """Follow a family of periodic orbits, stable and unstable, along one parameter, with its special points."""
+    """Follow a family of periodic orbits or equilibria, stable and unstable, along one parameter."""
 
     kind, command = "family", "follow"
     file, view = "SCENE-NAME.nc", "families"
@@ -247,20 +247,20 @@ class Families(MachineAnalysis[FamilySpec]):
 
     along: object = setting(None, f"{_SYNTAX}: the parameter, where the family begins, and its bounds", read=given)
     at: object = setting(None, "", read=given)
-    from_hopf: object = setting(None, "family of equilibria, at whose hopf points orbits begin", read=given)
+    from_hopf: object = setting(None, "from-hopf=FILE.nc: a family of equilibria, at whose hopf points orbits begin", read=given)
     span: object = setting(None, "", read=given)
-    cycles: object = setting(MOST_CYCLES, "the most returns of doubled branches", read=given)
+    cycles: object = setting(MOST_CYCLES, "the most returns of doubled branches; 0: follow equilibria", read=given)
 
     def view_of(self, ds: xr.Dataset) -> str:
         return "plots" if LEADING in ds else self.view
 
     @classmethod
     def words(cls) -> tuple[str, ...]:
-        return ("along", "at", "from", "to", "cycles", "from-hopf", "start", *cls.run_settings)
+        return ("along", "at", "from", "to", "cycles", "from-hopf", "from_hopf", "start", *cls.run_settings)
 
     @classmethod
     def of_words(cls, values: dict[str, Any]) -> dict[str, Any]:
-        values["from_hopf"] = values.pop("from-hopf", None)
+        values["from_hopf"] = values.pop("from-hopf", values.get("from_hopf"))
         missing = [name for name in ("along", "at", "from", "to") if name not in values]
         if (missing and values["from_hopf"] is None) or len({"from", "to"} & set(missing)) == 1:
             raise Place("follow").error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_SYNTAX}")
