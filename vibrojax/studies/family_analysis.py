@@ -247,7 +247,7 @@ class Families(MachineAnalysis[FamilySpec]):
 
     along: object = setting(None, f"{_SYNTAX}: the parameter, where the family begins, and its bounds", read=given)
     at: object = setting(None, "", read=given)
-    from_hopf: object = setting(None, "from-hopf=FILE.nc: a family of equilibria, at whose hopf points orbits begin", read=given)
+    from_hopf: object = setting(None, "from-hopf=FILE.nc: equilibria, at whose hopf points orbits begin", read=given)
     span: object = setting(None, "", read=given)
     cycles: object = setting(MOST_CYCLES, "the most returns of doubled branches; 0: follow equilibria", read=given)
 
