@@ -19,11 +19,12 @@ from matplotlib.colors import Normalize
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.explorer import Cell, cell_of, cells_of, document_of, encode, page_text, write_page
+from vibrojax.explorer import Cell, cell_of, cells_of, document_of, encode, module_text, page_text, write_page
 from vibrojax.explorer.encoding import EVENTS, STATE_LEVELS, STUCK, StateColumn
 from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.write import blocks_of
 from vibrojax.maps.read import read_sweep
+from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.colours import value_of
 from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Sheet, Text, level
 
@@ -203,6 +204,14 @@ def test_family_document_has_branches_and_orbits() -> None:
         assert closure < 1e-6 * np.ptp(cell.states["x2"])
 
 
+def test_every_kind_of_special_point_has_a_shape() -> None:
+    """The page's one table of marks, for plots and legends, has the markers of the pictures; circles need none."""
+    table = re.search(r"const AREAS = .*?\n};\nconst STROKES = .*?;\n", module_text(), re.DOTALL)
+    assert table
+    names = set(re.findall(r"""["']?([A-Za-z*|^<>+])["']?: (?=\[|AROUND)""", table[0]))
+    assert {str(mark["marker"]) for mark in MARKS.values()} <= {*names, "o"}
+
+
 # The page.
 
 
@@ -290,8 +299,8 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
         next(item for item in first["items"] if item["kind"] == kind and test(item))
         for kind, test in (
             ("line", lambda item: item["colour"] == "#112233"),
-            ("points", lambda item: item["shape"] == "square"),
-            ("points", lambda item: item["shape"] == "circle"),
+            ("points", lambda item: item["shape"] == "s"),
+            ("points", lambda item: item["shape"] == "o"),
             ("area", lambda item: item["alpha"] == 0.5),
             ("line", lambda item: item["colour"] == "#123456"),
             ("area", lambda item: item["colour"] == "#00aa00"),
@@ -301,15 +310,16 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     assert line["x"] == marks["x"] == x.tolist() and line["y"] == (2 * x).tolist() and line["dash"]
     assert points["colours"] == ["#ff0000", "#00ff00", "#0000ff"] and points["sizes"] == [2.0]
     assert set(area["y"]) == {*x, *(3 * x)} and upright["x"] == [1.0, 100.0] and upright["y"] == [7.0, 7.0]
-    assert bar["x"] == [1.0, 3.0, 3.0, 1.0] and bar["y"] == [0.0, 0.0, 5.0, 5.0]
+    assert bar["x"] == [1.0, 3.0, 3.0, 1.0] and bar["y"] == [0.0, 0.0, 5.0, 5.0] and bar["at"] == [2.0, 5.0]
     assert text["x"] == [pytest.approx(10.0)] and text["y"] == [150.0]
     expected = {"label": "force [kN]", "limits": [1.0, 100.0], "log": True, "reversed": False, "ticks": None}
     assert first["x"] == expected | {"direction": "force"}
     assert first["y"]["reversed"] and first["y"]["direction"] is None and first["at"] == {"start": 1} and first["wide"]
     assert second["title"] == "regimes" and second["low"] and second["x"]["ticks"] == [[0.5, "left"], [1.5, "right"]]
     shown, missing = unpack(second["items"][0]["data"]).tolist()
-    assert shown >= 0 and missing == -1
+    assert shown >= 0 and missing == -1 and second["items"][0]["values"] == [0.0, None]
     scale, law = document["keys"]
     assert scale["text"] == "share [%]: −0.5 to 3" and len(scale["colours"]) == 9
-    assert law == {"text": "law", "shape": "line", "colour": "#112233", "dash": line["dash"]}
+    look = {"shape": "line", "colour": "#112233", "dash": line["dash"], "marker": "s", "hollow": False}
+    assert law == {"text": "law"} | look and line["label"] == "law"
     json.dumps(document, allow_nan=False)

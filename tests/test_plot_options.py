@@ -31,7 +31,7 @@ def test_variable_over_two_axes_is_drawn_as_single_map():
     assert not meshes(figure) and len(meshes(figure, "viridis")) == 4
     expected = ds["stick_fraction"].sel(delta=-0.005, start="stuck").transpose("beta", "gamma")
     assert np.array_equal(meshes(figure, "viridis")[1].get_array(), expected)
-    assert {"share of stick", "mass ratio m2/m1, β"} <= axis_labels(figure)
+    assert {"share of stick", "mass ratio m₂/m₁, β"} <= axis_labels(figure)
 
 
 def test_variable_of_rock_sweep_and_of_fit_is_drawn_as_curves():

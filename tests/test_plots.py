@@ -120,6 +120,7 @@ ESTIMATED = {name: ("parameter", [0.4, 0.7]) for name in ("estimate", "estimate_
 ESTIMATED |= {"estimate_stderr": ("parameter", [0.01, 0.01]), "posterior": (("draw", "parameter"), DRAWS)}
 ESTIMATED |= {"direction": (("combination", "parameter"), np.eye(2)), "direction_error": ("combination", [0.01, 2.0])}
 ESTIMATED |= {"parameter_unit": ("parameter", ["1", "1"]), "residual": (("observation", "of"), [[0.1], [-0.2]])}
+ESTIMATED |= {name: (("observation", "of"), [[0.2], [0.3]]) for name in ("observed", "predicted")}
 MEANS = {"flag_values": [0, 1], "flag_meanings": "identified at-bound"}
 ESTIMATED |= {"reason": ("parameter", [0, 1], MEANS)}
 ESTIMATES = xr.Dataset(ESTIMATED, {"parameter": ["beta", "gamma"], "of": ["period"]}, {"kind": "calibration"})
@@ -134,6 +135,7 @@ CANDIDATES = {"objective": ("candidate", [2.0, 1.0]), "map_feasible": ("map", [1
 CANDIDATES |= {name: ("candidate", [0.4, 0.5]) for name in ("beta", "gamma")}
 CANDIDATES |= {f"map_{name}": ("map", [0.3, 0.4, 0.5]) for name in ("beta", "gamma")}
 CANDIDATES |= {"map_objective": ("map", [1.0, np.nan, 2.0], {"units": "J", "long_name": "energy on the map"})}
+CANDIDATES |= {"objective_worst": CANDIDATES["objective"]}
 BEST = xr.Dataset(CANDIDATES, {"parameter": ["beta", "gamma"]}, {"kind": "design", "tolerance_beta": 0.01})
 OSCILLATION = xr.Dataset(
     {"x": ("time", np.sin(np.arange(32.0))), "v": ("time", np.cos(np.arange(32.0)))}, {"time": np.arange(32.0)}
@@ -210,6 +212,35 @@ def test_rules_depend_on_contents():
         picture(xr.Dataset({"threshold": 1.0}))
 
 
+@pytest.mark.parametrize("name", EXPECTED)
+@pytest.mark.parametrize("width", ["85mm", "170mm"])
+def test_pictures_fit_a_column_and_a_page_of_a_journal(name, width):
+    """No text leaves the picture or lies over another one, also where panels move below each other."""
+    figure = picture(EXPECTED[name](), width=width)
+    assert figure.get_figwidth() == pytest.approx(float(width[:-2]) / 25.4)
+    check_texts(figure)
+
+
+def test_width_that_is_no_length_is_refused():
+    for width in ("wide", "3 m", "-85mm", 0, 1e9):
+        with pytest.raises(InputError, match=r"width: .* give one like 85mm or 170mm"):
+            picture(EXPECTED["regime_grid"](), width=width)
+
+
+def test_starts_of_many_maps_are_below_each_other():
+    """Five gaps and two starts make two complete rows of each variable."""
+    sheet = sheet_of(lanes(square(3, delta=np.linspace(-0.005, 0.005, 5))))
+    places = {plot.place: plot.title for plot in sheet.plots if "drive" in plot.title or "stuck" in plot.title}
+    assert len(sheet.widths) == 5
+    assert all(("drive" in title) == (row % 2 == 0) for (row, _), title in places.items())
+
+
+def test_region_of_the_source_is_closed_at_the_edge_of_a_map():
+    sheet = sheet_of(lanes({"beta": np.linspace(0.3, 0.5, 7), "gamma": np.linspace(0.5, 1.0, 7)}))
+    region = next(x for plot in sheet.plots for x in plot.layers if getattr(x, "label", "") == "source's best region")
+    assert (min(region.x), max(region.x), min(region.y), max(region.y)) == pytest.approx((0.6, 0.8, 0.3, 0.5))
+
+
 # Maps.
 
 
@@ -224,7 +255,7 @@ def test_maps_show_lanes_named_in_their_titles():
     assert [len(cells(sheet, name)) for name in (None, "viridis", "cividis")] == [4, 4, 4]
     assert sheet.plots[0].at == {"delta": -0.005, "start": "drive"}
     words = {plot.x.label for plot in sheet.plots} | {plot.y.label for plot in sheet.plots}
-    assert {"mass ratio m2/m1, β", "frequency ratio w2/w1, γ"} <= words
+    assert {"mass ratio m₂/m₁, β", "frequency ratio ω₂/ω₁, γ"} <= words
     assert {scale.label for scale in scales(sheet)} == {"impact velocity [m/s]", "period [s]"}
     assert len({(scale.norm.vmin, scale.norm.vmax) for scale in scales(sheet)}) == 2
 
@@ -402,7 +433,7 @@ def test_studies_show_their_numbers():
     assert [layer.text for layer in sides.layers if isinstance(layer, Text)] == ["returns", "0.001"]
     plane_plot = sheet_of(BEST).plots[0]
     square_marks = next(layer for layer in plane_plot.layers if isinstance(layer, Points))
-    assert square_marks.x.tolist() == [0.3, 0.5] and {"best candidate", "others", "map: not feasible"} <= set(
+    assert square_marks.x.tolist() == [0.3, 0.5] and {"best candidate", "other candidates", "map: not feasible"} <= set(
         labels(sheet_of(BEST))
     )
     texts_shown = [layer.text for layer in sheet_of(SLOPES).plots[0].layers[1:]]

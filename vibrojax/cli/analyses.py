@@ -118,7 +118,8 @@ def _run_file(analysis_class: "type[FileAnalysis[Any]]", options: Options) -> No
 
     analysis = analysis_class()
     columns = read_columns(options.columns or []) if analysis.columns else None
-    asked, default = analysis.asked(options.file, columns), f"{Path(options.file).stem}-{analysis.kind}.nc"
+    asked, stem = analysis.asked(options.file, columns), Path(options.file).stem
+    default = f"{stem}.nc" if stem.endswith(analysis.kind) else f"{stem}-{analysis.kind}.nc"
     if analysis.chunks:
         out = options.out or default
         options.advise("finished chunks are kept; to go on", str(options.command), options.file, "-o", out)

@@ -50,6 +50,7 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
         "chart (the robust single impact over two parameters, with lines of energy, force and rate)",
     ),
     argument("--colours", "MAP", "matplotlib's colour map for quantities"),
+    argument("--width", "WIDTH", "width of the picture, such as 85mm or 170mm for a column or a page of a journal"),
 )
 def plot(options: Options) -> None:
     """Draw the picture that suits what a dataset holds, or specified variables, at specified values of its axes."""
@@ -72,11 +73,11 @@ def plot(options: Options) -> None:
         places = [re.sub("=|[ =<>!()]*[<>!][=<>!() ]*", "-", word) for word in options.where or ()]
         stems = [Path(name).stem for name in options.over or ()]
         parts = [*shortened(options.variable or ()), *filter(None, [options.diagram]), *shortened(places)]
-        parts += [*filter(None, [options.colours]), *(["over", *shortened(stems)] if stems else [])]
+        parts += [*filter(None, [options.colours, options.width]), *(["over", *shortened(stems)] if stems else [])]
         picture = view_path(options, path, PICTURES, parts)
         from vibrojax.studies.choose import save_picture
 
-        asked = options.variable, where, options.colours, over, options.diagram
+        asked = options.variable, where, options.colours, over, options.diagram, options.width
         drawn: list[str] = []
         with timed("draw"):
             picture, replaced = write_view(

@@ -11,7 +11,7 @@ that the page shows for one map cell. An HTML file reads them from itself (`embe
 **The JSON document:**
 
     {"format": 1, "kind": "grid" | "family" | "motion" | "plots",
-     "title", "scene", "source", "notes": [text, ...],
+     "title", "scene", "source", "notes": [text, ...], "common": values that are the same everywhere,
      "axes": [{"name", "label", "symbol", "units" and "factor" (shown = value * factor), "numeric", "log",
                "values": [...], "columns": [the same, along a list of points or initial conditions]}],
      "variables": [{"name", "label", "long_name", "units", "factor", "axes": [names], "flags": {flag: meaning} | null,

@@ -16,7 +16,7 @@ from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.explorer.encoding import pack
 from vibrojax.io.attributes import LONGEST_TEXT, differing_of, flags, parameters_of, run_of, table_of, text_of, title_of
 from vibrojax.maps.sweep import Sweep
-from vibrojax.pictures.axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
+from vibrojax.pictures.axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol, typeset
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
 from vibrojax.pictures.contents import POINT, RETURN, START
 from vibrojax.pictures.style import OTHER_COLOURS
@@ -90,8 +90,7 @@ def check_names(ds: xr.Dataset) -> None:
 
 def one_line(text: object, longest: int = 200) -> str:
     """Return a string of a dataset on one line, shortened, without matplotlib's escapes, with subscripts of ratios."""
-    written = str(text).replace(r"\$", "$").replace("w2/w1", "ω₂/ω₁").replace("m2/m1", "m₂/m₁")
-    return printable(written, longest)
+    return printable(typeset(str(text).replace(r"\$", "$")), longest)
 
 
 def json_value(value: object) -> object:
@@ -120,6 +119,7 @@ def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts:
         "scene": text_of(ds, "scene"),
         "machine": {name: x for name, x in parameters_of(ds).items() if name in ("v", "delta", "bit_radius")},
         "source": text_of(ds, "source"),
+        "common": one_line(point_text(ds), LONGEST_TEXT),
         "notes": [one_line(note, LONGEST_TEXT) for note in notes if note],
         "variables": variables,
         "meanings": REGIME_MEANINGS | BORDER_MEANINGS,

@@ -35,7 +35,7 @@ from vibrojax.pictures.maps import REGION
 from vibrojax.pictures.overlays import LINES, ON_MAPS
 from vibrojax.pictures.plots import Plot
 from vibrojax.pictures.returns import returns_label
-from vibrojax.pictures.starts import described, on_axes
+from vibrojax.pictures.starts import described, on_axes, varied_states
 from vibrojax.progress import Progress, quiet
 
 LANE = "lane_number"
@@ -65,6 +65,9 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         ds = described(on_axes(ds))
     if FORM in ds.dims:
         ds = contents.named_groups(ds)
+    if contents.ATTRACTOR in ds.dims:  # numbers are names
+        names = [str(number) for number in range(ds.sizes[contents.ATTRACTOR])]
+        ds = ds.assign_coords({contents.ATTRACTOR: (contents.ATTRACTOR, names, {"long_name": "attractor"})})
     if "sign" in ds.dims:  # of pushes
         ds = ds.assign_coords(
             sign=("sign", np.where(ds["sign"].values > 0, "positive", "negative"), {"long_name": "side of the push"})
@@ -76,7 +79,7 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
     if not variables:
         return {}
     lane_axes = [str(dim) for dim in ds[LANE].dims] if LANE in ds else []
-    dims = dict.fromkeys(dim for variable in variables for dim in variable["axes"] if dim != RETURN)
+    dims = dict.fromkeys([*(dim for each in variables for dim in each["axes"] if dim != RETURN), *lane_axes])
     axes = sorted(dims, key=lambda name: lane_axes.index(name) if name in lane_axes else len(lane_axes))
     return document.document_with(
         ds,
@@ -105,15 +108,26 @@ def _shown_variables(ds: xr.Dataset) -> list[str]:
     names = [n for n in names if n == diagram or (n != LANE and not n.startswith(("return_", "check_")))]
     names = [name for name in names if name == diagram or RETURN not in ds[name].dims]
     leading = [name for name in LEADING_VARIABLES if name in names]
-    if "share" in leading and START in ds.dims:  # fractions are more informative than single regimes
+    if (
+        "share" in leading and START in ds.dims and len(_basin_states(ds)) < 2
+    ):  # fractions are more informative than single regimes
         leading.remove("share")
         leading.insert(0, "share")
-    first = [name for name in names if name == diagram or name.startswith("push_")]
+    first = [name for name in names if name == diagram or name.startswith(("push_", "objective"))]
     return list(dict.fromkeys([*first, *leading, *names]))
 
 
 def _first_axes(ds: xr.Dataset) -> list[str]:
-    """Return the axes of the first map, the same as in the picture; empty without a map over two axes."""
+    """Return the axes of the first map, the same as in the picture; empty without a map over two axes.
+
+    An empty name stands for a curve. Attractors have the basins over two states of the initial conditions.
+    """
+    if FORM in ds.dims and len(groups := [name for name in contents.lane_dims(ds) if ds.sizes[name] > 1]) == 1:
+        return [*groups, ""]
+    if len(states := _basin_states(ds)) > 1:
+        return [f"{START}:{name}" for name in states[:2]]
+    if contents.POINT in contents.lane_dims(ds) and len(names := sorted(contents.varied(ds), reverse=True)) == 2:
+        return [f"{contents.POINT}:{name}" for name in names]
     long = contents.long_axes(ds)
     if len(long) > 1 and "regime" not in ds:
         return list(long[:2])
@@ -121,6 +135,10 @@ def _first_axes(ds: xr.Dataset) -> list[str]:
         return list(contents.axes_of_map(ds))
     except InputError:
         return [str(name) for name in ds.dims if str(name).startswith("start_")][:2]
+
+
+def _basin_states(ds: xr.Dataset) -> tuple[str, ...]:
+    return varied_states(ds)[::-1][:2][::-1] if "lane_attractor" in ds and START in ds.dims else ()
 
 
 def first_cell(ds: xr.Dataset, variables: list[Document], along: list[str]) -> dict[str, int]:

@@ -4,13 +4,15 @@ A description holds the plots, the entries of their legends, and figures as imag
 
     {"plots": [{"title", "x", "y": {"label", "limits", "log", "reversed", "ticks": [[value, text]] | null,
                                     "direction": id of the page's direction along the axis, or null},
-                "at": {axis: index}: the map cells that the plot shows, "wide", "low", "square", "items": [...]}],
-     "keys": [{"text", "colour", "shape": "line", "patch", "scale" or a mark, "dash": [...]}],
+                "at": {axis: index}: the map cells that the plot shows, "wide", "low", "square", "track", "bare": a
+                track beside another of the same axis, "items": [...]}],
+     "keys": [{"text", "colour", "shape": "line", "patch", "scale" or a mark, "dash": [...], "marker", "hollow"}],
      "images": [{"title", "data": a PNG file as a data URL}]}
 
-Items are in data coordinates, each with a "kind": "line" (x, y, colour, width, dash), "points" (x, y, colours, sizes,
-shape, hollow), "area" (x, y, colour, alpha), "cells" (x, y: edges; colours; data: packed indices of
-colours) and "text".
+Items are in data coordinates, each with a "kind": "line" (x, y, label, colour, width, dash), "points" (x, y, label,
+colours, sizes, shape, hollow), "area" (x, y, label, colour or "hatched", alpha, at: the end of a bar), "cells" (x, y:
+edges; colours; data: packed indices of colours; values; names of values; hatched) and "text". A shape is a marker of
+matplotlib.
 """
 
 import base64
@@ -25,6 +27,7 @@ from matplotlib.figure import Figure
 
 from vibrojax.explorer.document import Document, json_value, one_line
 from vibrojax.explorer.encoding import pack
+from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures.plots import (
     Area,
     Axis,
@@ -44,45 +47,56 @@ from vibrojax.pictures.plots import (
     legend_of,
     resolved,
 )
-from vibrojax.pictures.style import settings
+from vibrojax.pictures.style import INK, settings
 
 ITEM_MAX_POINTS = 20_000
 """Number of points of an item above which only every n-th is described; a screen has fewer pixels."""
 
 LABEL_MAX_CHARACTERS = 120
 
-LOW_INCHES, WIDE_SHARE = 1.4, 0.62
-"""Height below which a plot is a strip, and share of the sheet's width from which it has a row of its own."""
+LOW_INCHES, WIDE_SHARE, TRACK_SHARE = 1.4, 0.62, 0.15
+"""Height below which a plot is a strip, share of the sheet's width from which it has a row of its own, and share up to
+which plots stand side by side."""
 
 IMAGE_DPI = 160
 
-SHAPES = {
-    **{"o": "circle", ".": "circle", "s": "square", "D": "diamond", "*": "diamond", "P": "square", "X": "cross"},
-    **{"^": "triangle", "v": "triangle", "<": "triangle", ">": "triangle", "x": "cross", "+": "cross", "|": "bar"},
-}
 _DASHES = {"--": (3.7, 1.6), ":": (1.0, 1.65), "-.": (6.4, 1.6, 1.0, 1.6)}
 
 
 def figure_document(
-    pictures: Sequence[Picture | Figure], ds: xr.Dataset, axes: Sequence[Document], drawn: Sequence[str] = ()
+    pictures: Sequence[Picture | Figure],
+    ds: xr.Dataset,
+    axes: Sequence[Document],
+    drawn: Sequence[str] = (),
+    maps: bool = False,
 ) -> Document:
     """Return the description of plots and figures.
 
     **Arguments:** `axes`: the axes of the page's document, to which plots over the same variables are linked; `drawn`:
-    names of the variables that the page draws over these axes itself. It also draws maps over two of them.
+    names of the variables that the page draws over these axes itself. It also draws maps over two of them, unless
+    `maps` is True.
     """
     plots: list[Document] = []
     keys: dict[str, Document] = {}
     for sheet in (as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
         for part in (sheet.above, sheet):
-            plots += _plots(part, sheet, ds, axes, drawn) if part is not None else ()
+            plots += _plots(part, sheet, ds, axes, drawn, maps) if part is not None else ()
         keys = {key["text"]: key for key in _keys(sheet, drawn)} | keys
     images = [_image(picture) for picture in pictures if isinstance(picture, Figure)]
-    return {"plots": plots, "keys": list(keys.values()), "images": images}
+    items = [item for plot in plots for item in plot["items"]]
+    colours = {colour for item in items for colour in (*item.get("colours", ()), item.get("colour", ""))}
+    shapes = {item["shape"] for item in items if item["kind"] == "points"}
+    # What the page draws itself has no entry here. A sign in ink stands for marks of any colour.
+    shown = [
+        key
+        for key in keys.values()
+        if key["shape"] == "scale" or key["colour"] in colours or (key["colour"] == INK and key["shape"] in shapes)
+    ]
+    return {"plots": plots, "keys": shown, "images": images}
 
 
 def _plots(
-    part: Sheet, whole: Sheet, ds: xr.Dataset, axes: Sequence[Document], drawn: Sequence[str]
+    part: Sheet, whole: Sheet, ds: xr.Dataset, axes: Sequence[Document], drawn: Sequence[str], maps: bool
 ) -> Iterator[Document]:
     columns = {
         column["name"]: f"{axis['name']}:{column['name']}" if axis["columns"] else axis["name"]
@@ -91,12 +105,13 @@ def _plots(
     }
     directions = {name: way for name, way in columns.items() if name in ds.variables and ds[name].dtype.kind in "fiu"}
     titles: dict[int, str] = {}
+    beside: str | None = None
     height = part.size[1] - (part.above.size[1] if part.above else 0.0)
     for plot in resolved(part.plots):
         x, y = directions.get(plot.x.name), directions.get(plot.y.name)
         row, column, deep, wide = (*plot.place, 1, 1)[:4]
         titles.setdefault(row, plot.title)
-        if not plot.layers or (x and (y or plot.y.name in drawn)):
+        if not plot.layers or (x and ((y and not maps) or plot.y.name in drawn)):
             continue
         title = plot.title or plot.name or titles[row] or ("" if plot.x.label or plot.y.label else whole.title)
         at = {
@@ -105,14 +120,18 @@ def _plots(
             if (indices := np.flatnonzero(ds[name].values == plot.at[name])).size
         }
         share = sum(part.widths[column : column + wide]) / sum(part.widths)
+        track, title = len(part.widths) > 3 and share < TRACK_SHARE, _plain(title)
+        bare, beside = track and beside == plot.y.label, plot.y.label if track else None
         yield {
-            "title": _plain(title),
+            "title": title,
             "x": _axis(plot.x, x),
             "y": _axis(plot.y, y),
             "at": at,
             "wide": bool(share >= WIDE_SHARE),
             "low": bool(height * sum(part.heights[row : row + deep]) / sum(part.heights) < LOW_INCHES),
             "square": plot.square,
+            "track": track,
+            "bare": bare,
             "items": items_of(plot),
         }
 
@@ -164,6 +183,7 @@ def _step(values: np.ndarray) -> int:
 
 def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
     """Yield the descriptions of a layer."""
+    about = {"label": "" if isinstance(layer, Cells) else _plain(layer.label)}
     if isinstance(layer, Line | Points) and np.size(layer.x):
         points = _xy(plot, layer.x, layer.y)
         step = _step(np.broadcast_arrays(np.atleast_1d(layer.x), layer.y)[0])
@@ -171,20 +191,23 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
         if isinstance(layer, Line):
             if layer.dash:
                 look = {"colour": to_hex(layer.colour), "width": layer.width, "dash": _dash(layer.dash, layer.width)}
-                yield {"kind": "line", **points, **look}
+                yield {"kind": "line", **about, **points, **look}
             colour = layer.colour if hollow else layer.face or layer.colour
             layer = Points(layer.x, layer.y, colour, layer.size, layer.marker)
         if layer.marker:
             colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)[::step]
             sizes = [json_value(float(f"{size / 2:.3g}")) for size in np.atleast_1d(layer.sizes)[::step]]
             look = {"colours": [to_hex(colour) for colour in colours], "sizes": sizes, "hollow": hollow}
-            yield {"kind": "points", **points, **look, "shape": SHAPES.get(layer.marker, "circle")}
+            yield {"kind": "points", **about, **points, **look, "shape": layer.marker}
     elif isinstance(layer, Bars):
         sides = np.broadcast_arrays(layer.x, layer.y, layer.width, layer.height)
         colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)
+        level = plot.y.ticks is not None and plot.x.ticks is None
         for k, (x, y, width, height) in enumerate(np.stack(sides, axis=-1).reshape(-1, 4)):
             corners = _xy(plot, [x, x + width, x + width, x], [y, y, y + height, y + height])
-            yield {"kind": "area", **corners, "colour": to_hex(colours[k % len(colours)]), "alpha": 1.0}
+            tip = _xy(plot, [x + width / (2 - level)], [y + height / (1 + level)])
+            look = {"colour": "hatched" if layer.hatch else to_hex(colours[k % len(colours)]), "alpha": 1.0}
+            yield {"kind": "area", **about, **corners, **look, "at": [tip["x"][0], tip["y"][0]]}
     elif isinstance(layer, Area):
         x, low, high = (np.atleast_1d(np.asarray(values, float)) for values in (layer.x, layer.low, layer.high))
         if layer.step:
@@ -194,14 +217,18 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
             part = part[known[part]]
             if len(part):
                 place = _xy(plot, np.append(x[part], x[part][::-1]), np.append(low[part], high[part][::-1]))
-                yield {"kind": "area", **place, "colour": to_hex(layer.colour), "alpha": layer.alpha}
+                colour = "hatched" if layer.hatch else to_hex(layer.colour)
+                yield {"kind": "area", **about, **place, "colour": colour, "alpha": layer.alpha}
     elif isinstance(layer, Cells):
         rgba = layer.colour_map(layer.norm(np.ma.masked_invalid(layer.values))).reshape(-1, 4)
         palette, indices = np.unique((rgba * 255).round().astype(int), axis=0, return_inverse=True)
         indices = np.where(np.isnan(layer.values).ravel() | (rgba[:, 3] == 0), -1, indices.ravel())
         ends = {"x": np.asarray(layer.x, float).tolist(), "y": np.asarray(layer.y, float).tolist()}
         names = [to_hex(colour / 255) for colour in palette]
-        yield {"kind": "cells", **ends, "colours": names, "data": pack(indices.astype(np.int32))}
+        texts = {str(flag): name for flag, name in enumerate(REGIMES)} if layer.colour_map.name == "regimes" else {}
+        values = [json_value(float(f"{value:.5g}")) for value in layer.values.ravel().tolist()]
+        packed = {"colours": names, "data": pack(indices.astype(np.int32)), "hatched": layer.hatched}
+        yield {"kind": "cells", **ends, **packed, "values": values, "names": texts}
     elif isinstance(layer, Text):
         places = [layer.x, layer.y]
         for k, axis in enumerate((plot.x, plot.y) if layer.relative else ()):
@@ -239,10 +266,13 @@ def _keys(sheet: Sheet, drawn: Sequence[str]) -> Iterator[Document]:
             continue
         key: dict[str, Any] = {"text": _plain(layer.label), "dash": []}
         if isinstance(layer, Line):
-            shape = "line" if layer.dash else SHAPES.get(layer.marker, "circle")
             dash = _dash(layer.dash, layer.width) if layer.dash else []
-            yield key | {"shape": shape, "colour": to_hex(layer.colour), "dash": dash}
+            marker = {"marker": layer.marker} if layer.dash and layer.marker else {}
+            look = {"shape": "line" if layer.dash else layer.marker or "o", "dash": dash}
+            yield key | look | marker | {"colour": to_hex(layer.colour), "hollow": layer.face in ("none", "white")}
         else:
             own_colours = layer.colour if isinstance(layer, Area) else layer.colours
             colour = own_colours if isinstance(own_colours, str) else own_colours[0]
-            yield key | {"shape": "circle" if isinstance(layer, Points) else "patch", "colour": to_hex(colour)}
+            hatched = not isinstance(layer, Points) and bool(layer.hatch)
+            shape = layer.marker if isinstance(layer, Points) else "patch"
+            yield key | {"shape": shape, "colour": "hatched" if hatched else to_hex(colour), "hollow": False}

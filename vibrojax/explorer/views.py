@@ -4,6 +4,7 @@ The analysis of the dataset's kind defines its `view`: a map, families, a single
 are shown as branches with their special points, and the orbits of all points.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -26,7 +27,7 @@ from vibrojax.explorer.document import (
 )
 from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.map_view import REPEAT_MARGIN, lane_cells, map_document, overlay_document
-from vibrojax.explorer.plots_view import SHAPES, figure_document
+from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.recording import Excerpt, cell_of, motion_document, record_cells
 from vibrojax.io.attributes import parameters_of, text_of
 from vibrojax.io.dataset import check_dataset
@@ -37,6 +38,7 @@ from vibrojax.maps.rerun import at_coordinates, has_lanes_of, rerun_problem, swe
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep, with_substitutes
 from vibrojax.periodic.measuring import DRIVEN_RETURNS
+from vibrojax.pictures.axes import symbols_of
 from vibrojax.pictures.branches import (
     MARKS,
     along_name,
@@ -99,6 +101,10 @@ def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | Non
     if view == "families":
         document = family_document(ds)
         return document | {"summary": parts, "figure": picture_document(ds, document)}
+    if (lanes := analysis_of(ds).page_lanes(ds)) is not None:
+        own_map = map_document(*lanes)
+        plots = figure_document(analysis_of(ds).page_figures(ds), ds, own_map["axes"], maps=True)
+        return own_map | {"without": _rerun_problem(lanes[1]), "summary": parts, "figure": plots}
     sweep, problem = (None, "") if view == "plots" else sweep_of(ds, own)
     document = {} if view == "plots" else map_document(ds, sweep)
     if not document:
@@ -153,7 +159,12 @@ def summary_parts(ds: xr.Dataset) -> list[Document]:
     except Exception as error:
         LOG.info("explore: no summary: %s", error)
         return []
-    return [{"name": part.name, "lines": [one_line(line) for line in part.lines][:200]} for part in parts if part.lines]
+    greek = {name: sign for name, sign in symbols_of(ds).items() if len(sign) == 1 and not sign.isascii()}
+    names = re.compile(rf"\b({'|'.join(greek) or '(?!)'})\b")
+    lines = {
+        part.name: [names.sub(lambda name: greek[name[0]], one_line(line)) for line in part.lines] for part in parts
+    }
+    return [{"name": name, "lines": text[:200]} for name, text in lines.items() if text]
 
 
 def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) -> Iterator[Cell]:
@@ -166,6 +177,8 @@ def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) ->
         yield from family_cells(ds)
     elif view == "motion":
         yield cell_of(ds, 0)
+    elif (lanes := analysis_of(ds).page_lanes(ds)) is not None:
+        yield from lane_cells(lanes[1], progress)
     else:
         sweep, _ = sweep_of(ds, own)
         if sweep is not None and not _motions_problem(ds, sweep):
@@ -258,13 +271,10 @@ def _branches(ds: xr.Dataset) -> Document:
             points = branch.points[first : last + 1].tolist()
             stretches.append({"colour": branch.colour, "stable": stable, "points": points})
         for index, place in zip(branch.special.tolist(), places(ds, branch).tolist(), strict=True):
-            shape = SHAPES[str(mark_of(kinds[index])["marker"])]
-            special.append({"kind": kinds[index], "point": place, "shape": shape, "note": one_line(notes[index])})
-    return {
-        "runs": stretches,
-        "special": special,
-        "kinds": {name: mark_of(name)["colour"] for name in (*MARKS, *kinds)},
-    }
+            look = {"shape": str(mark_of(kinds[index])["marker"]), "note": one_line(notes[index])}
+            special.append({"kind": kinds[index], "point": place} | look)
+    colours = {name: mark_of(name)["colour"] for name in (*MARKS, *kinds)}
+    return {"runs": stretches, "special": special, "kinds": colours}
 
 
 def family_cells(ds: xr.Dataset) -> Iterator[Cell]:

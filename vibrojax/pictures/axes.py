@@ -12,6 +12,7 @@ from jaxtyping import Float
 from vibrojax.errors import counted, printable
 from vibrojax.io.attributes import differing_of, flag_counts, parameters_of, table_of, text_of
 from vibrojax.pictures.plots import Axis
+from vibrojax.scenes import SCENES
 
 _HERTZ = {"s-1": "Hz", "s-2": "Hz s-1"}  # printed units of frequencies
 _FREQUENCIES = {"frequency": "f", "sweep_start": "f₀", "sweep_rate": "r"}  # the package's own: name and symbol
@@ -91,7 +92,7 @@ def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
 
     The label is wrapped at `letters` characters, 32 at most.
     """
-    words = re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip()
+    words = typeset(re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip())
     parts = (words, str(data.attrs.get("symbol", "")).strip())
     text = ", ".join(dict.fromkeys(filter(None, parts))) or str(data.name).replace("_", " ")
     unbroken = with_unit(text, scale(data)[1]).replace(" [", "\u00a0[")
@@ -103,14 +104,25 @@ def with_unit(text: str, unit: str) -> str:
     return f"{text} [{pretty_unit(unit)}]" if pretty_unit(unit) else text
 
 
+def typeset(text: str) -> str:
+    """Return a text with the ratios of the parameters' meanings as they are printed: ω₂/ω₁ for w2/w1."""
+    return text.replace("w2/w1", "ω₂/ω₁").replace("m2/m1", "m₂/m₁")
+
+
+def symbols_of(ds: xr.Dataset) -> dict[str, str]:
+    """Return the symbols of the parameters of a dataset's scene by name; empty for a scene of the user's own."""
+    scene = SCENES.get(text_of(ds, "scene"))
+    return {} if scene is None else {name: about.symbol for name, about in scene().parameters().items()}
+
+
 def symbol(data: xr.DataArray) -> str:
     """Return the symbol of a variable, or its name if it has no symbol."""
     return str(data.attrs.get("symbol", "")).strip() or str(data.name)
 
 
-def number(value: float) -> str:
-    """Format a number with at most five significant digits and a typographic minus sign."""
-    text = f"{float(value):.5g}"
+def number(value: float, digits: int = 5) -> str:
+    """Format a number with at most `digits` significant digits and a typographic minus sign."""
+    text = f"{float(value):.{digits}g}"
     return ("0" if text == "-0" else text).replace("-", "−")
 
 
@@ -118,8 +130,13 @@ def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> 
     """Format a value of the coordinate `data`: `Δ = −5 mm` for a number, `start: drive` for a string."""
     if not np.issubdtype(np.asarray(value).dtype, np.number):
         return f"{data.name!s}: {short(str(value))}"
+    return f"{symbol(data)} = {quantity_text(float(value), data)}"
+
+
+def quantity_text(value: float, data: xr.DataArray, digits: int = 5) -> str:
+    """Format a value of a variable in the unit in which it is printed."""
     factor, unit = scale(data)
-    return f"{symbol(data)} = {number(float(value) * factor)} {pretty_unit(unit)}".rstrip()
+    return f"{number(value * factor, digits)} {pretty_unit(unit)}".rstrip()
 
 
 def index_text(ds: xr.Dataset, dimension: str, index: int) -> str:

@@ -17,6 +17,7 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from vibrojax.pictures.fitting import LEGEND_LINE, SMALL, WIDTH, in_width
 from vibrojax.pictures.plots import (
     Area,
     Bars,
@@ -50,18 +51,33 @@ _ABOVE = {"above": ("lower center", 0.5), "above left": ("lower left", 0.0), "ab
 
 def draw(picture: Picture | Figure) -> Figure:
     """Draw plots; a figure is returned as it is."""
+    width = WIDTH.get()
     if isinstance(picture, Figure):
+        if width:
+            picture.set_size_inches(width, picture.get_figheight() * width / picture.get_figwidth())
         return picture
     sheet = as_sheet(picture)
-    with settings():
+    with settings(SMALL if width and width < sheet.size[0] else {}):
+        sheet = in_width(sheet, width) if width else sheet
+        handles = _handles(sheet)
+        columns, lines = _legend_below(width, handles) if width and not sheet.beside else (0, 0)
         figure = new_figure(*sheet.size)
         whole: Any = GridSpec(1, 1, figure)[0]
+        if lines:
+            room = LEGEND_LINE * lines + 0.1
+            grid: Any = GridSpec(2, 1, figure, height_ratios=(sheet.size[1], room))
+            whole, below = grid[0], grid[1]
+            figure.set_figheight(sheet.size[1] + room)
+            axes = figure.add_subplot(below)
+            axes.set_axis_off()
+            axes.legend(handles=handles, loc="upper left", ncols=columns, borderaxespad=0.0, columnspacing=1.2)
         if sheet.above is not None:
             heights = sheet.above.size[1], sheet.size[1] - sheet.above.size[1]
             above, whole = whole.subgridspec(2, 1, height_ratios=heights)
             _draw_plots(figure, above, sheet.above)
         _draw_plots(figure, whole, sheet)
-        _draw_legend(figure, sheet)
+        if not lines:
+            _draw_legend(figure, handles)
         _write_margins(figure, sheet)
     # Ticks are created when the figure is rendered, under the user's settings.
     for axes in figure.axes:
@@ -227,11 +243,25 @@ def _handle(layer: Layer) -> Artist:
     return Line2D([], [], linestyle="none", label=text)
 
 
-def _draw_legend(figure: Figure, sheet: Sheet) -> None:
-    """Draw one legend at the right of all plots, with a gap between groups of entries."""
+def _legend_below(width: float, handles: list[Artist]) -> tuple[int, int]:
+    """Return the columns and lines of a legend below the plots, without the gaps between groups."""
+    texts = [str(handle.get_label()) for handle in handles if str(handle.get_label()).strip()]
+    handles[:] = [handle for handle in handles if str(handle.get_label()).strip()]
+    longest = max((len(line) for text in texts for line in text.split("\n")), default=0)
+    columns = max(1, min(len(texts), int((width - 0.6) / (0.055 * longest + 0.45)))) if texts else 0
+    return columns, -(-sum(text.count("\n") + 1 for text in texts) // columns) if texts else 0
+
+
+def _handles(sheet: Sheet) -> list[Artist]:
+    """Return the entries of the legend of a sheet, with a gap between groups."""
     handles: list[Artist] = []
     for group in legend_of(sheet):
         handles += [Line2D([], [], linestyle="none", label=" ")] * bool(handles) + [_handle(layer) for layer in group]
+    return handles
+
+
+def _draw_legend(figure: Figure, handles: list[Artist]) -> None:
+    """Draw one legend at the right of all plots."""
     if handles:
         dashed = any(isinstance(handle, Line2D) and handle.is_dashed() for handle in handles)
         look: dict[str, Any] = {"handlelength": _DASHED_LENGTH} if dashed else {}

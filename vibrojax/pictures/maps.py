@@ -49,7 +49,7 @@ from vibrojax.pictures.plots import (
     colours_of,
     dots,
 )
-from vibrojax.pictures.sheet import LEGEND_WIDTH, MOST_PANELS, Facets, at, columns, facets
+from vibrojax.pictures.sheet import LEGEND_WIDTH, MOST_PANELS, Facets, at, columns, facets, turned
 from vibrojax.pictures.style import NO_VALUE, NOTHING
 
 Values = Sequence[Value]
@@ -88,6 +88,7 @@ def maps_of(
     """
     count, wide = len(panels), len(values)
     blocks = count > _MOST_BESIDE
+    panels = turned(panels, _MOST_COLUMNS) if blocks else panels
     across = columns(panels, _MOST_COLUMNS) if blocks else 2 if count == 1 and wide >= _SQUARE_FROM else wide
     width, height = (3.4 if across > 1 else 4.4, 2.7) if not blocks else (2.75 if across <= 4 else 2.2, 2.1)
     deep = -(-count // across) * wide if blocks else -(-count * wide // across)
@@ -117,6 +118,8 @@ def _map_plot(x: xr.DataArray, y: xr.DataArray, layers: list[Layer], letters: in
         (west, east), (south, north) = REGION[str(x.name)], REGION[str(y.name)]
         (first, last), (bottom, top) = ((float(end) for end in _ends(data)) for data in (x, y))
         if west < last and east > first and south < top and north > bottom:
+            # A region that goes on beyond the map is closed at its edge.
+            (west, east), (south, north) = (max(west, first), min(east, last)), (max(south, bottom), min(north, top))
             corners = [west, east, east, west, west], [south, south, north, north, south]
             layers = [*layers, Line(*corners, width=1.3, halo=0.85, label="source's best region")]
     return Plot(layers, across, up, grid="both" if points else "")

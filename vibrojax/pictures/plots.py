@@ -223,6 +223,7 @@ class Sheet:
     - `size`: width and height [inch], without the further lines of title and note.
     - `keys`: groups of legend entries, before those of the layers with labels.
     - `above`: a further sheet above the plots, within the size of this one.
+    - `beside`: whether the legend is at the right of the plots, not below.
     """
 
     plots: Sequence[Plot]
@@ -233,6 +234,7 @@ class Sheet:
     title: str = ""
     note: str = ""
     above: "Sheet | None" = None
+    beside: bool = True
 
 
 Picture = Sheet | Sequence[Plot]

@@ -1,7 +1,7 @@
 """Facets of pictures: the lanes at each combination of values of the axes that are neither abscissa nor ordinate."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -72,6 +72,16 @@ def _listed(ds: xr.Dataset, name: str, pick: list[int]) -> str:
     values, (factor, unit) = ds[name].values[pick], scale(ds[name]) if is_numeric(ds[name]) else (1.0, "")
     texts = [number(float(x) * factor) if is_numeric(ds[name]) else short(str(x)) for x in values]
     return f"{symbol(ds[name])} = {', '.join(texts)} {pretty_unit(unit)}".rstrip()
+
+
+def turned(panels: Facets, most: int) -> Facets:
+    """Return the facets with the few values of their last axis below each other, if the others then fit in a row."""
+    count, last = len(panels), panels.runs[0]
+    if not 1 < last < count or count <= most or count // last > most:
+        return panels
+    order = [k * last + i for i in range(last) for k in range(count // last)]
+    titles, data = tuple(panels.titles[k] for k in order), tuple(panels.data[k] for k in order)
+    return replace(panels, titles=titles, data=data, runs=(count // last, count))
 
 
 def columns(panels: Facets, most: int) -> int:

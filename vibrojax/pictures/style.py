@@ -2,11 +2,12 @@
 
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from io import BytesIO
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import xarray as xr
@@ -59,9 +60,9 @@ class OwnFigure(Figure):
 
 
 @contextmanager
-def settings() -> Iterator[None]:
-    """Apply the common settings of all pictures to matplotlib, in place of the user's settings."""
-    with style.context(["default", _STYLE]), warnings.catch_warnings():
+def settings(more: Mapping[str, float] = MappingProxyType({})) -> Iterator[None]:
+    """Apply the common settings of all pictures, and `more`, to matplotlib, in place of the user's settings."""
+    with style.context(["default", _STYLE, dict(more)]), warnings.catch_warnings():
         # A character that the font lacks is drawn as a box, so no warning is needed.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield

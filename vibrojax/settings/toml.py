@@ -13,7 +13,6 @@ from os import PathLike
 from pathlib import Path, PurePath
 from typing import Any
 
-import jax
 import numpy as np
 
 from vibrojax.errors import InputError, Place, shown, suggestion
@@ -36,6 +35,8 @@ _TABLES = ("parameters", "grid", "run")
 _TOP_KEYS = ("scene", "title", "starts", "unusual")
 _OBJECTS = (Scene, FrictionLaw, Stepper)
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+_DECIMAL_COMMA = re.compile(r"^\s*([\w.]+)\s*=\s*(-?\d+),(\d+)\s*$", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,10 @@ def read_source(source: str | PathLike[str] | Mapping[str, object], noun: str = 
     try:
         tables = tomllib.loads(text)
     except ValueError as error:  # not TOMLDecodeError: numbers with thousands of digits raise a ValueError
-        raise Place(str(path)).error(f"not TOML: {error}") from None
+        comma = _DECIMAL_COMMA.search(text)
+        right = f"; {comma[0].strip()}: write a decimal point, {comma[1]} = {comma[2]}.{comma[3]}" if comma else ""
+        list_of = f", or a list, {comma[1]} = [{comma[2]}, {comma[3]}]" if comma else ""
+        raise Place(str(path)).error(f"not TOML: {error}{right}{list_of}") from None
     except RecursionError:
         raise InputError(f"{path}: not TOML: tables or lists nested too deep") from None
     return Source(path.stem if path == Path(source) else str(source), str(path), path.parent, text, tables)
@@ -153,15 +157,13 @@ def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
 
 
 def plain(place: Place, value: object) -> object:
-    """Return `value` as TOML types. Arrays and numbers of NumPy or JAX, tuples, paths and DataFrames are converted.
+    """Return `value` as TOML types. Arrays, series and numbers, tuples, paths and DataFrames are converted.
 
     Scenes, friction laws and steppers are returned unchanged, because a sweep accepts them in place of their names.
     """
     if isinstance(value, Mapping):
         return plain_table(place, value)
     check_untraced(place.error, value)
-    if isinstance(value, (np.ndarray, np.generic, jax.Array)):
-        return plain(place, value.tolist())
     if hasattr(value, "columns") and hasattr(value, "to_dict"):
         frame: Any = value  # of pandas or polars; the index is not a column
         names = list(frame.columns)
@@ -169,6 +171,8 @@ def plain(place: Place, value: object) -> object:
             if names.count(name) > 1:
                 raise place.at(str(name)).error("is there already; give each column once")
         return plain_table(place, {name: np.asarray(frame[name]).tolist() for name in names})
+    if hasattr(value, "__array__"):  # of NumPy, JAX, pandas or xarray
+        return plain(place, np.asarray(value).tolist())
     if isinstance(value, (list, tuple, range)):
         if all(type(item) is float for item in value):
             return list(value)  # a fast path, because columns of points are long

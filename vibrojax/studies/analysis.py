@@ -20,6 +20,7 @@ from vibrojax.settings.fields import Settings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from vibrojax.maps.sweep import Sweep
     from vibrojax.pictures.contents import Contents
     from vibrojax.pictures.plots import Picture
 
@@ -170,6 +171,10 @@ class Analysis(Settings):
         of the dataset selects its lanes.
         """
         return [self.plots(ds)]
+
+    def page_lanes(self, ds: xr.Dataset) -> "tuple[xr.Dataset, Sweep] | None":
+        """Return the lanes that the explorer page shows beside the plots, and their sweep; by default none."""
+        return None
 
     def page_text(self, ds: xr.Dataset) -> Sequence[SummaryPart]:
         """Return the texts that the explorer page shows of a dataset; by default its summary."""

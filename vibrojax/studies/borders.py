@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.colors import ListedColormap, Normalize
 
 from vibrojax.errors import InputError, counted, printable, shown
 from vibrojax.io.attributes import flags
@@ -23,9 +24,9 @@ from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
 from vibrojax.periodic.orbits import orbits_of
 from vibrojax.physics.parameters import REPLACED, substitutes
-from vibrojax.pictures.axes import axis, margins, share_text, value_text
+from vibrojax.pictures.axes import axis, edges, margins, share_text, value_text, values_along
 from vibrojax.pictures.overlays import ANY, axes_of, beyond, border_layers
-from vibrojax.pictures.plots import Plot, Sheet, Text
+from vibrojax.pictures.plots import Cells, Plot, Sheet, Text, patch
 from vibrojax.scenes import HasImpacts
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart
 from vibrojax.studies.border_curves import Border, ContinuedBorders, crossings_of
@@ -39,6 +40,7 @@ WHERE = {
 """Ends of the meanings of parameters, by prefix of their names."""
 
 _PANEL = (3.3, 3.0)  # inches
+_STABLE = "#FFF0C2"  # ground on the side of a border where a single impact is stable
 _MOST_SHOWN = 4  # largest numbers of rows and of columns
 
 
@@ -77,7 +79,8 @@ def borders(
       ends, or why there is none. The attribute `begun_from` names the grid.
     - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.
     - Along `region`: `region_area`, the fraction of the plane with a stable single impact, with the coordinates
-      `region_start` and so on.
+      `region_start` and so on; along `region` and `cell`, the points of the grid at `cell_NAME` of both parameters:
+      `region_stable`, 1 where a single impact is stable.
 
     **Raises:** `InputError` if the source is not a sweep over a grid of two parameters, or if the scene has no impacts.
 
@@ -170,6 +173,7 @@ class Regions:
         """Return the dataset of the borders; `at`: parameter and value of the crossings."""
         chains: list[tuple[list[Vertex], int, str]] = []
         areas: list[tuple[float, int, str]] = []
+        stable: list[np.ndarray] = []
         reached = np.zeros(self._regime.shape[:-1], bool)
         for cell in self._grid.orbits:
             reached[cell] = True
@@ -179,9 +183,10 @@ class Regions:
             around, area = around_region(inside, *self._grid.values, partial(self._vertex, plane, number))
             chains += [(chain, plane, start) for chain in around]
             areas.append((area, plane, start))
+            stable.append(inside.ravel())
         self._continued.follow([(plane, chain) for chain, plane, _ in chains], progress)
         curves = [(piece, plane, start) for chain, plane, start in chains for piece in self._continued.cut(chain)]
-        return self._dataset(curves, areas, at)
+        return self._dataset(curves, areas, np.array(stable), at)
 
     def _vertex(self, plane: int, start: int | None, inside: tuple[int, int], outside: tuple[int, int]) -> Vertex:
         """Return the border of a region between two neighbouring grid points.
@@ -210,9 +215,16 @@ class Regions:
         return Vertex(place[0], place[1], kind, furthest)
 
     def _dataset(
-        self, curves: list[tuple[Border, int, str]], areas: list[tuple[float, int, str]], at: tuple[str, float] | None
+        self,
+        curves: list[tuple[Border, int, str]],
+        areas: list[tuple[float, int, str]],
+        stable: np.ndarray,
+        at: tuple[str, float] | None,
     ) -> xr.Dataset:
-        """Return the dataset of curves and areas, each given with its plane and initial condition."""
+        """Return the dataset of curves and areas, each given with its plane and initial condition.
+
+        `stable`: which points of the grid are in each region.
+        """
         sweep, pieces = self._sweep, [piece for piece, _, _ in curves]
         lines = [piece.line for piece in pieces]
         variables: dict[str, Any] = {
@@ -222,6 +234,10 @@ class Regions:
             "continued": ("curve", [line is not None for line in lines]),
             "curve_note": ("curve", [piece.note for piece in pieces]),
         }
+        about = {"units": "1", "long_name": "whether a single impact is stable at a point of the grid"}
+        variables["region_stable"] = (("region", "cell"), stable.astype(np.int8), about)
+        for name, values in zip(self._names, np.meshgrid(*self._grid.values, indexing="ij"), strict=True):
+            variables[f"cell_{name}"] = ("cell", values.ravel(), parameter_attributes(sweep, name))
         seeds = np.array([(np.nan, np.nan) if line is None else line.seed[:2] for line in lines]).reshape(-1, 2)
         vertices = np.concatenate([np.zeros((0, 2)), *(piece.points for piece in pieces)])
         located = {"": ("vertex", vertices), "seed_": ("curve", seeds)}
@@ -267,6 +283,7 @@ def border_curves(ds: xr.Dataset) -> Sheet:
     planes = [tuple(float(ds[f"region_{name}"][k]) for name in others) for k in range(ds.sizes["region"])]
     starts = ds["region_start"].values.tolist() if "region_start" in ds.coords else [ANY] * len(planes)
     areas = dict(reversed(list(zip(zip(planes, starts, strict=True), ds["region_area"].values.tolist(), strict=True))))
+    regions = {region: k for k, region in reversed([*enumerate(zip(planes, starts, strict=True))])}
     rows, columns = list(dict.fromkeys(planes)), list(dict.fromkeys(starts))
     shown_rows, shown_columns = rows[:_MOST_SHOWN], [*columns[:-1][: _MOST_SHOWN - 1], columns[-1]]
     plots = []
@@ -279,14 +296,30 @@ def border_curves(ds: xr.Dataset) -> Sheet:
         if not layers:
             text = "no border" + (": a single impact is stable everywhere" if areas[plane, start] > 0.5 else "")
             layers = [Text(0.5, 0.5, fill(text, 24), relative=True)]
-        across, up = axis(ds[x], group="x", intervals=6), axis(ds[y], group="y")
+        about: dict[str, Any] = {}
+        if "region_stable" in ds:
+            cells, ends = _stable_cells(ds, regions[plane, start], x, y)
+            layers, about = [cells, *layers], ends
+        across, up = (axis(ds[n], group=n, intervals=6, **about.get(n, {})) for n in (x, y))
         plots.append(Plot(layers, across, up, title, divmod(k, len(shown_columns)), values))
     hidden = len(rows) - len(shown_rows), len(columns) - len(shown_columns)
-    about = "Share of the plane: where a single impact is stable; any start: however its orbit is reached"
+    text = "Share of the plane: where a single impact is stable; any start: however its orbit is reached"
     missing = f"Not shown: {counted(hidden[0], 'plane')}, {counted(hidden[1], 'start')}" if any(hidden) else ""
     widths, heights = (1.0,) * len(shown_columns), (1.0,) * len(shown_rows)
     size = _PANEL[0] * len(widths) + 1.6, _PANEL[1] * len(heights) + 0.6
-    return Sheet(plots, size, widths, heights, **margins(ds, about, missing))
+    keys = [[patch(_STABLE, "a single impact\nis stable")]] if "region_stable" in ds else []
+    return Sheet(plots, size, widths, heights, keys, **margins(ds, text, missing))
+
+
+def _stable_cells(ds: xr.Dataset, region: int, x: str, y: str) -> tuple[Cells, dict[str, Any]]:
+    """Return the points of the grid at which a single impact is stable, as cells, and the limits of the axes."""
+    sides = {name: np.unique(values_along(ds[f"cell_{name}"])) for name in (x, y)}
+    values = np.full((sides[y].size, sides[x].size), np.nan)
+    row, column = (np.searchsorted(sides[n], values_along(ds[f"cell_{n}"])) for n in (y, x))
+    values[row, column] = np.where(ds["region_stable"].values[region] == 1, 1.0, np.nan)
+    ends = {name: edges(side) for name, side in sides.items()}
+    about = {name: {"limits": (float(side[0]), float(side[-1]))} for name, side in ends.items()}
+    return Cells(ends[x], ends[y], values, ListedColormap([_STABLE]), Normalize(0.0, 2.0), hatched=False), about
 
 
 @dataclass(frozen=True)

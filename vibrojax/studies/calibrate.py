@@ -279,12 +279,14 @@ def _dataset(asked: Calibration, model: Model, fit: Fit) -> xr.Dataset:
             coordinates["state_unit"] = ("state", [system.states[system.place(name)].unit for name in history.states])
             meaning = {"long_name": "state at the first sample of the history, in its own unit"}
             variables["first_state"] = ("state", theta[count:], meaning)
-    title = str(asked.file.title or f"Calibration of {', '.join(names)}")
+    about = problem.point.system.parameters()
+    symbols = ", ".join(about[name].symbol if name in about else name for name in names)
+    title = str(asked.file.title or f"Calibration of {symbols}")
     attributes = dataset_attributes("calibration", title, "calibrate", scene=problem.point.scene)
     kind = "given" if given else "relative" if history is None else "history"
-    about = {"specification": asked.origin.text, "searches": asked.file.searches}
+    more = {"specification": asked.origin.text, "searches": asked.file.searches}
     return xr.Dataset(
-        variables, coordinates, attributes | about | {"error_model": ERROR_MODELS[kind].format(freedom=freedom)}
+        variables, coordinates, attributes | more | {"error_model": ERROR_MODELS[kind].format(freedom=freedom)}
     )
 
 

@@ -10,8 +10,8 @@ import xarray as xr
 from vibrojax.errors import counted
 from vibrojax.io.attributes import flags, text_of
 from vibrojax.io.variables import Variable
-from vibrojax.pictures.axes import margins, pretty_unit, scale, with_unit
-from vibrojax.pictures.plots import FAINT, Axis, Bars, Layer, Plot, Sheet, dots, level, upright
+from vibrojax.pictures.axes import margins, pretty_unit, scale, symbols_of, with_unit
+from vibrojax.pictures.plots import FAINT, Axis, Bars, Layer, Line, Plot, Sheet, dots, level, upright
 from vibrojax.pictures.style import BIT, IMPACT, other_colour
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.calibrate import SCHEMA, VAGUE, find_calibration
@@ -31,22 +31,42 @@ _MARKS = ("o", "s", "^", "D", "v", "P", "X", "<")
 
 
 def calibration_picture(ds: xr.Dataset) -> Sheet:
-    """Draw the residuals of all observations, the posterior of the first two parameters, and the combinations."""
+    """Draw what was measured over the model, the residuals, the posterior of the first two parameters, combinations.
+
+    What was measured and the model are relative to the mean of each variable.
+    """
     layers: list[Layer] = [level(0.0, width=0.6)]
+    compared: list[Layer] = [Line([-1e3, 1e3], [-1e3, 1e3], FAINT, 0.8, label="measured = model", order=1.0)]
     for k, name in enumerate(str(x) for x in ds["of"].values):
-        values = ds["residual"].values[:, k]
+        observed, model, values = (ds[key].values[:, k] for key in ("observed", "predicted", "residual"))
         look = {"marker": _MARKS[k % len(_MARKS)], "colour": other_colour(k), "label": name.replace("_", " ")}
-        layers.append(dots(np.arange(len(values)), values, **look))
-    residuals = Plot(layers, Axis("observation"), Axis("residual [standard errors]"), keys="best")
-    plots = [residuals, _posterior_plot(ds), _combination_plot(ds)]
+        layers.append(dots(np.arange(1, len(values) + 1), values, **look))
+        mean = float(np.nanmean(np.abs(observed))) or 1.0
+        compared.append(dots(100 * (model / mean - 1), 100 * (observed / mean - 1), **look))
+    found = np.concatenate([layer.y for layer in compared[1:] if isinstance(layer, Line)])
+    room = 0.08 * float(np.ptp(found[np.isfinite(found)])) or 1.0
+    ends = float(np.nanmin(found)) - room, float(np.nanmax(found)) + room
+    across, up = (Axis(f"{word} [% from the mean]", limits=ends, intervals=5) for word in ("model", "measured"))
+    count = ds.sizes["observation"]
+    steps = [(float(k), str(k)) for k in range(1, count + 1, max(1, -(-count // 8)))]
+    plots = [
+        Plot(compared, across, up, "measured and model"),
+        Plot(layers, Axis("observation", ticks=steps), Axis("residual [standard errors]"), "residuals"),
+        _posterior_plot(ds),
+        *([_combination_plot(ds)] if ds.sizes["parameter"] > 1 else []),
+    ]
     plots = [replace(plot, place=(0, k)) for k, plot in enumerate(plots)]
-    return Sheet(plots, (11.0, 3.7), (1.3, 1.0, 1.0), **margins(ds, point="; ".join(_estimates(ds))))
+    size, widths = (2.0 + 2.9 * len(plots), 3.6), (1.0,) * len(plots)
+    return Sheet(plots, size, widths, **margins(ds, point="; ".join(_estimates(ds))))
 
 
 def _posterior_plot(ds: xr.Dataset) -> Plot:
     names = [str(name) for name in ds["parameter"].values]
     scales = [scale(_value(ds, k)) for k in range(len(names))]
-    axes = [Axis(with_unit(name, unit), intervals=5) for name, (_, unit) in zip(names, scales, strict=True)]
+    signs = symbols_of(ds)
+    axes = [
+        Axis(with_unit(signs.get(name, name), unit), intervals=5) for name, (_, unit) in zip(names, scales, strict=True)
+    ]
     factors = np.array([factor for factor, _ in scales])
     draws, estimate = ds["posterior"].values * factors, ds["estimate"].values * factors
     if len(names) == 1:
@@ -70,7 +90,7 @@ def _combination_plot(ds: xr.Dataset) -> Plot:
     across = Axis("relative standard error [%]", limits=(float(begin[0]), None), log=log, intervals=5)
     up = Axis(ticks=[(row, _combination(ds, int(row))) for row in rows.tolist()], reversed=True)
     bars = Bars(begin, rows - 0.25, errors - begin, np.full(len(errors), 0.5), colours)
-    return Plot([bars], across, up, "combinations that the data determine", grid="")
+    return Plot([bars], across, up, "combinations", grid="")
 
 
 def _value(ds: xr.Dataset, k: int) -> xr.DataArray:
@@ -80,8 +100,8 @@ def _value(ds: xr.Dataset, k: int) -> xr.DataArray:
 
 def _estimates(ds: xr.Dataset) -> list[str]:
     """Return each parameter with its estimate, its 95 % interval and its unit, or as a value at a bound."""
-    lines, reasons = [], flags(ds["reason"])
-    for k, name in enumerate(str(x) for x in ds["parameter"].values):
+    lines, reasons, signs = [], flags(ds["reason"]), symbols_of(ds)
+    for k, name in enumerate(signs.get(str(x), str(x)) for x in ds["parameter"].values):
         factor, unit = scale(_value(ds, k))
         columns = ("estimate", "estimate_stderr", "estimate_low", "estimate_high")
         value, error, low, high = (f"{factor * float(ds[x][k]):.{2 if 'std' in x else 5}g}" for x in columns)
@@ -93,9 +113,11 @@ def _estimates(ds: xr.Dataset) -> list[str]:
 
 def _combination(ds: xr.Dataset, k: int) -> str:
     """Return a combination as a product of powers, or as a sum if a parameter may be negative."""
-    powers = bool((ds["low"].values > 0).all())
+    powers, signs = bool((ds["low"].values > 0).all()), symbols_of(ds)
     parts = []
-    for name, x in zip((str(name) for name in ds["parameter"].values), ds["direction"].values[k], strict=True):
+    for name, x in zip(
+        (signs.get(str(name), str(name)) for name in ds["parameter"].values), ds["direction"].values[k], strict=True
+    ):
         if abs(x) >= MIN_EXPONENT:
             parts.append(name if powers and abs(x - 1) < 0.05 else f"{name}^{x:.1f}" if powers else f"{x:+.1f} {name}")
     return " ".join(parts)

@@ -16,6 +16,7 @@ from vibrojax.pictures import contents
 from vibrojax.pictures.colours import regime_value, value_of
 from vibrojax.pictures.contents import FORM, MULTIPLIER, POINT, REGIME, RETURN, TIME, Contents
 from vibrojax.pictures.draw import draw
+from vibrojax.pictures.fitting import WIDTH, read_width
 from vibrojax.pictures.lines import curves, regime_lines
 from vibrojax.pictures.maps import many_starts, map_sheet
 from vibrojax.pictures.motion import histories
@@ -41,6 +42,7 @@ def picture(
     colours: str | None = None,
     over: Overlays = None,
     diagram: str | None = None,
+    width: str | float | int | None = None,
 ) -> Figure:
     """Draw the picture that fits a dataset.
 
@@ -63,6 +65,8 @@ def picture(
       frequencies and the multiples of the rotation over the speed. "rate-over-force" draws the rate of penetration over
       the mean force, with the onset of penetration. "chart" draws the robust single impact over two parameters, with
       lines of energy, peak force, rate of penetration and blows per minute.
+    - `width`: width of the picture, such as "85mm" or "170mm" for a column or a page of a journal, or a number of
+      millimetres. Panels move below each other, and type becomes smaller, where they need to.
 
     **Returns:** a figure that pyplot does not manage.
 
@@ -87,7 +91,7 @@ def picture(
     if diagram is not None and (variable is not None or over is not None):
         raise InputError(f"diagram: {diagram} draws its own variables; leave variable and over out")
     layers = as_layers(over)
-    token = COLOURS.set(colours)
+    token, width_token = COLOURS.set(colours), WIDTH.set(read_width(width))
     try:
         ds = select(ds, where) if where else ds
         ds = ds if layers else thin_out(ds)
@@ -96,6 +100,7 @@ def picture(
         return draw(requested(drawable(ds), () if variable is None else variable, layers, diagram))
     finally:
         COLOURS.reset(token)
+        WIDTH.reset(width_token)
 
 
 def save_picture(
@@ -106,12 +111,13 @@ def save_picture(
     colours: str | None = None,
     over: Overlays = None,
     diagram: str | None = None,
+    width: str | float | int | None = None,
 ) -> str:
     """Save the picture that fits a dataset to a file, atomically: the file is complete or does not exist.
 
     **Arguments:**
 
-    - `ds`, `variable`, `where`, `colours`, `over`, `diagram`: as for [vibrojax.studies.choose.picture][].
+    - `ds`, `variable`, `where`, `colours`, `over`, `diagram`, `width`: as for [vibrojax.studies.choose.picture][].
     - `path`: file name that ends in .png, .pdf or .svg.
 
     **Returns:** a description of the values that are drawn, or "" if all are drawn.
@@ -128,7 +134,7 @@ def save_picture(
     suffix = path.suffix.lower()
     if suffix not in _METADATA:
         raise InputError(f"{path}: pictures end in .png, .pdf or .svg, not in {suffix or 'nothing'}")
-    figure = picture(ds, variable, where, colours, over, diagram)
+    figure = picture(ds, variable, where, colours, over, diagram, width)
     try:
         with settings(), atomic_write(path, "part") as part:
             metadata = {**_METADATA[suffix], PICTURE_KEYS[suffix]: source()}

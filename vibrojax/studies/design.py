@@ -16,6 +16,7 @@ from vibrojax.maps.bounds import MAX_TOLERANCES, VariedFile, read_bounds, read_f
 from vibrojax.maps.read import read_parameters
 from vibrojax.measures.labels import REGIMES, UNBOUNDED
 from vibrojax.physics.parameters import Parameter
+from vibrojax.pictures.axes import quantity_text
 from vibrojax.progress import Progress
 from vibrojax.settings.fields import Settings, given, setting
 from vibrojax.settings.names import Names
@@ -453,8 +454,14 @@ def _dataset(
 def requirements(spec: DesignSpec) -> str:
     """Return the subject of a design in one line of text."""
     words = [f"regime {spec.regime}"] if spec.regime else []
-    words += [f"{c.variable} {c.end} {c.limit:g} {spec.variables[c.variable].units}" for c in spec.constraints]
+    for c in spec.constraints:
+        limit = xr.DataArray(c.limit, attrs={"units": spec.variables[c.variable].units})
+        words.append(f"{c.variable.replace('_', ' ')} at {c.end} {quantity_text(c.limit, limit)}")
     if spec.share is not None:
         words.append(f"share of starts {spec.share[0]:g} to {spec.share[1]:g}")
-    words += [f"{name} +- {width:g}" for name, width in spec.tolerances.items()]
-    return ", ".join(words) or "none"
+    parameters = spec.template.system.parameters()
+    for name, width in spec.tolerances.items():
+        about = parameters.get(name)
+        half = quantity_text(width, xr.DataArray(width, attrs={"units": about.unit if about else "1"}))
+        words.append(f"{about.symbol if about else name} ± {half}")
+    return "; ".join(words) or "none"

@@ -1,6 +1,7 @@
 """The analysis `design`: summary and picture of the best drill, and of a front."""
 
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -8,8 +9,12 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import counted
-from vibrojax.pictures.axes import axis, label, margins, pretty_unit, scale, values_along
+from vibrojax.maps.dataset import coordinates, shared_attributes
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.sweep import Sweep
+from vibrojax.pictures.axes import axis, label, margins, quantity_text, scale, symbols_of, value_text, values_along
 from vibrojax.pictures.colours import value_of
+from vibrojax.pictures.contents import POINT
 from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Points, Sheet, colours_of, dots
 from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.studies.analysis import PictureRule, SummaryPart
@@ -29,8 +34,7 @@ def design_picture(ds: xr.Dataset) -> Sheet:
     rows = -(-len(plots) // columns)
     plots = [replace(plot, place=divmod(k, columns)) for k, plot in enumerate(plots)]
     best = ds.isel(candidate=0)
-    point = ", ".join(f"{name} = {quantity_text(float(best[name]), ds[name])}" for name in names)
-    what = f"Best: {quantity_text(float(best['objective']), ds['objective'])} at {point}"
+    what = f"Best: {_best_text(ds)} at {_place_text(best, names)}"
     about = margins(ds, point=f"{what}. Requirements: {ds.attrs.get('requirements', '')}")
     return Sheet(plots, (1.9 + 3.6 * columns, 0.9 + 3.1 * rows), (1.0,) * columns, (1.0,) * rows, **about)
 
@@ -80,13 +84,25 @@ def _infeasible(x: np.ndarray, y: np.ndarray) -> list[Layer]:
 
 
 def _marks(x: np.ndarray, y: np.ndarray) -> list[Layer]:
-    others: list[Layer] = [dots(x[1:], y[1:], face="none", label="others")] if x.size > 1 else []
+    others: list[Layer] = [dots(x[1:], y[1:], face="none", label="other candidates")] if x.size > 1 else []
     star = {"marker": "*", "size": 11.0, "colour": IMPACT, "edge": "white", "edge_width": 0.6, "order": 3.0}
     return [*others, dots(x[:1], y[:1], label="best candidate", **star)]
 
 
+def _place_text(candidate: xr.Dataset, names: Sequence[str]) -> str:
+    return ", ".join(value_text(_named(candidate, name), candidate[name].item()) for name in names)
+
+
 def _named(ds: xr.Dataset, name: str) -> xr.DataArray:
-    return ds[name].assign_attrs(symbol=name)
+    return ds[name].assign_attrs(symbol=symbols_of(ds).get(name, name))
+
+
+def _best_text(ds: xr.Dataset) -> str:
+    """Return the objective of the best candidate, and the worst within the tolerances."""
+    value = quantity_text(float(ds["objective"][0]), ds["objective"])
+    if not any(str(key).startswith("tolerance_") for key in ds.attrs):
+        return value
+    return f"{value} (worst within the tolerances {quantity_text(float(ds['objective_worst'][0]), ds['objective'])})"
 
 
 def _objective_label(ds: xr.Dataset) -> str:
@@ -94,12 +110,6 @@ def _objective_label(ds: xr.Dataset) -> str:
         long_name=str(ds["map_objective"].attrs["long_name"]).partition(" on the")[0]
     )
     return label(about)
-
-
-def quantity_text(value: float, data: xr.DataArray) -> str:
-    """Format a value in the unit in which the variable is printed."""
-    factor, unit = scale(data)
-    return f"{value * factor:.4g} {pretty_unit(unit)}".rstrip()
 
 
 class Designs(FileAnalysis[DesignSpec]):
@@ -130,22 +140,32 @@ class Designs(FileAnalysis[DesignSpec]):
     def compute(self, asked: DesignSpec, progress: bool = True) -> xr.Dataset:
         return find_design(asked, progress)
 
+    def page_lanes(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
+        """Return the candidates as points of a sweep, with their variables."""
+        tables = tomllib.loads(str(ds.attrs.get("design", "")))
+        if "scene" not in tables:
+            return None
+        points = {str(name): ds[str(name)].values.tolist() for name in ds["parameter"].values}
+        own: dict[str, Any] = {
+            name: tables[name] for name in ("scene", "parameters", "starts", "run") if name in tables
+        }
+        sweep = read_sweep({**own, "points": points, "unusual": True})
+        names = [name for name in ds.data_vars if ds[name].dims == ("candidate",)]
+        lanes = ds[names].rename(candidate=POINT).assign_coords(coordinates(sweep, {}))
+        return lanes.assign_attrs(shared_attributes(sweep, self.kind, str(ds.attrs.get("title", "")), self.kind)), sweep
+
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the best candidate, its worst values within the tolerances, the other candidates, and the front."""
         best = ds.isel(candidate=0)
         names = [str(name) for name in ds["parameter"].values]
-        where = ", ".join(f"{name} = {float(best[name]):.6g}" for name in names)
-        objective = quantity_text(float(best["objective"]), ds["objective"])
         what = str(ds.attrs.get("maximise", "objective")).replace("_", " ")
         share = float(best["irregular_share"]) if "irregular_share" in best else 0.0
         lines = [
             f"irregular motions within the tolerances ({100 * share:.2g} % of the lanes): worst values depend on the "
             "time of observation"
         ] * (share > 0)
-        lines += [f"{what} {objective} at {where}", f"  requirements: {ds.attrs.get('requirements', '')}"]
-        if any(str(key).startswith("tolerance_") for key in ds.attrs):
-            worst = quantity_text(float(best["objective_worst"]), ds["objective"])
-            lines.append(f"  worst of the samples of the tolerances: {worst}")
+        lines.append(f"{what} {_best_text(ds)} at {_place_text(best, names)}")
+        lines.append(f"  requirements: {ds.attrs.get('requirements', '')}")
         for name in _subject(ds):
             worst = quantity_text(float(best[f"{name}_worst"]), ds[name])
             lines.append(f"  {name.replace('_', ' ')} {quantity_text(float(best[name]), ds[name])}, worst {worst}")

@@ -22,8 +22,9 @@ from vibrojax.maps.dataset import described_variables, parameter_attributes
 from vibrojax.maps.run import lanes_beside, run_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import EQUILIBRIUM, REGIMES, SINGLE_IMPACT
-from vibrojax.pictures.axes import margins, pretty_unit, scale
-from vibrojax.pictures.plots import FAINT, INK, Axis, Bars, Cells, Layer, Line, Plot, Sheet, Text, bars, upright
+from vibrojax.pictures.axes import margins, pretty_unit, scale, symbols_of
+from vibrojax.pictures.colours import Value
+from vibrojax.pictures.plots import FAINT, INK, Axis, Bars, Cells, Layer, Line, Plot, Sheet, Text, bars
 from vibrojax.pictures.style import BIT
 from vibrojax.settings.fields import given, setting
 from vibrojax.settings.toml import read_source
@@ -46,49 +47,61 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     """
     of = [str(name) for name in ds["of"].values][:_MAX_ROWS]
     size = 9.0, len(of) * max(1.9, 0.8 + 0.26 * ds.sizes["parameter"]) + 0.8
-    greatest = float(np.nanmax(ds["second_order"].values, initial=MIN_SHARE))
+    greatest = 100 * min(float(np.nanmax(ds["second_order"].values, initial=MIN_SHARE)), 1.0)
+    blues = colormaps["Blues"]
+    value = Value(
+        "second_order", "interaction of a pair [% of the variation]", 100.0, Normalize(0.0, greatest), "neither", blues
+    )
     plots = []
     for k, name in enumerate(of):
         row = ds.sel(of=name)
         plots.append(_share_plot(row, k, "share of the variance" if name == of[-1] else ""))
-        plots.append(_pair_plot(row, k, greatest))
+        plots.append(_pair_plot(row, k, value))
     rest = ds.sizes["of"] - len(of)
     further = counted(rest, "further variable is", "further variables are") + " not drawn" if rest else ""
     level = f"{100 * float(ds.attrs.get('confidence', 0.95)):.0f} %"
-    about = f"Lines: intervals of {level} confidence; pairs within theirs of 0 have no number"
-    return Sheet(plots, size, (1.5, 1.0), (1.0,) * len(of), **margins(ds, about, further))
+    about = f"Lines: intervals of {level} confidence; pairs within theirs of 0 are in brackets"
+    shares = np.concatenate([ds[name].values.ravel() for name in ("first_order", "total_order")])
+    beyond = "Shares beyond 0 and 1, from too few samples, end there" * bool(((shares < 0) | (shares > 1)).any())
+    return Sheet(plots, size, (1.5, 1.0), (1.0,) * len(of), **margins(ds, about, beyond, further))
 
 
 def _share_plot(row: xr.Dataset, k: int, label: str) -> Plot:
-    names = [str(name) for name in row["parameter"].values]
+    names = _symbols(row)
     places = np.arange(len(names), dtype=float)
-    layers: list[Layer] = [upright(0.0, width=0.6)]
+    layers: list[Layer] = []
     looks = (-_BAR / 2, "first_order", BIT, "alone"), (_BAR / 2, "total_order", FAINT, "with all its\ninteractions")
     for shift, key, colour, text in looks:
-        values, errors = row[key].values, np.nan_to_num(row[f"{key}_conf"].values)
+        values, errors = np.clip(row[key].values, 0.0, 1.0), np.nan_to_num(row[f"{key}_conf"].values)
         bottom = places + shift - _BAR / 2
         layers.append(Bars(np.zeros(len(names)), bottom, values, np.full(len(names), _BAR), colour, label=text))
-        layers.append(Line(*bars(places + shift, values - errors, values + errors)[::-1], width=0.8))
+        ends = np.clip([row[key].values - errors, row[key].values + errors], 0.0, 1.0)
+        layers.append(Line(*bars(places + shift, *ends)[::-1], width=0.8))
     if int(row["sobol_reason"]) != REASONS.index("known"):
         layers.append(Text(0.5, 0.5, _why(row), relative=True))
     up = Axis(ticks=[*zip(places.tolist(), names, strict=True)], reversed=True)
-    return Plot(layers, Axis(label), up, _title(row), (k, 0), grid="x")
+    return Plot(layers, Axis(label, limits=(0.0, 1.0)), up, _title(row), (k, 0), grid="x")
 
 
-def _pair_plot(row: xr.Dataset, k: int, greatest: float) -> Plot:
-    """Draw the lower triangle of second-order indices; pairs within their confidence interval of 0 have no number."""
-    names = [str(name) for name in row["parameter"].values]
-    values, errors = (row[key].values for key in ("second_order", "second_order_conf"))
+def _symbols(row: xr.Dataset) -> list[str]:
+    signs = symbols_of(row)
+    return [signs.get(str(name), str(name)) for name in row["parameter"].values]
+
+
+def _pair_plot(row: xr.Dataset, k: int, value: Value) -> Plot:
+    """Draw the lower triangle of second-order indices; those within their confidence interval of 0 are in brackets."""
+    names = _symbols(row)
+    values, errors = (100 * row[key].values for key in ("second_order", "second_order_conf"))
     lower = np.where(np.tri(len(names), k=-1, dtype=bool), np.maximum(values, 0.0), np.nan)
     ends = np.arange(len(names) + 1) - 0.5
-    layers: list[Layer] = [Cells(ends, ends, lower, colormaps["Blues"], Normalize(0.0, greatest), hatched=False)]
-    for i, j in zip(*np.nonzero(values > errors), strict=True):
-        if j < i:
-            colour = "#FFFFFF" if lower[i, j] > 0.6 * greatest else INK
-            layers.append(Text(float(j), float(i), f"{100 * values[i, j]:.0f}", colour=colour, size=7.5))
+    layers: list[Layer] = [Cells(ends, ends, lower, value.colour_map, value.norm, hatched=False)]
+    for i, j in zip(*np.nonzero(np.isfinite(lower)), strict=True):
+        colour = "#FFFFFF" if value.norm(lower[i, j]) > 0.6 else INK
+        text = f"{lower[i, j]:.0f}" if values[i, j] > errors[i, j] else f"({lower[i, j]:.0f})"
+        layers.append(Text(float(j), float(i), text, colour=colour, size=7.5))
     ticks = [(float(place), name) for place, name in enumerate(names)]
-    across, up = Axis(ticks=ticks, rotated=True), Axis(ticks=ticks, reversed=True)
-    return Plot(layers, across, up, "interactions of pairs [%]", (k, 1))
+    across, up = Axis(ticks=ticks, group="other"), Axis(ticks=ticks, reversed=True)
+    return Plot(layers, across, up, "interactions of pairs", (k, 1), scale=value)
 
 
 def _title(row: xr.Dataset) -> str:
@@ -219,7 +232,7 @@ def read_study(source: str | PathLike[str] | Mapping[str, object]) -> Study:
     check_distinct(place.at("of"), file.of, "variable")
     sampling = Sampling(bounds, file.samples, file.seed)
     columns = {name: x.tolist() for name, x in zip(sampling.names, sampling.points().T, strict=True)}
-    sweep = file.sweep(origin.file, columns, title=file.title or f"Study of {', '.join(file.of)}")
+    sweep = file.sweep(origin.file, columns, title=file.title or f"Study of {', '.join(file.of)}".replace("_", " "))
     return Study(file.of, sampling, sweep, origin.text)
 
 
@@ -418,7 +431,7 @@ def _parameter_sentence(row: xr.Dataset, k: int) -> str:
         float(row[key][k]) for key in ("first_order", "total_order", "total_order_conf", "effect")
     )
     text = f"{name} ({long_name}) causes {100 * min(total, 1.0):.0f} ± {_percent(error)} of the variation"
-    text += f", {_percent(min(max(first, 0.0), 1.0))} on its own"
+    text += f", {_percent(min(max(first, 0.0), total, 1.0))} on its own"
     if not np.isfinite(effect):
         return text
     change = f"{'raises' if effect > 0 else 'lowers'} it by {factor * abs(effect):.3g} {pretty_unit(unit)}".rstrip()

@@ -142,18 +142,20 @@ def law_map(fit: xr.Dataset) -> Sheet:
 
 
 def residuals(fit: xr.Dataset) -> Sheet:
-    """Draw the residuals of every form over the force or relief, with a panel for each group that has its data."""
-    groups, plots = _groups_to_show(law_in(fit)), []
-    for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
+    """Draw the residuals of the forms that the data do not reject over the force or relief, of all groups together."""
+    groups = _groups_to_show(law_in(fit))
+    layers: list[Layer] = [level(0.0, colour=FAINT, width=0.8)]
+    unit, text = "", ""
+    for group in groups.data:
         (factor, unit), (across, text) = _rate_scale(group, _RATE), _force_scale(group)
         relief, rate = (group[name].values[_use_masks(group).get("fitted", slice(0))] for name in (_RELIEF, _RATE))
-        layers: list[Layer] = [level(0.0, colour=FAINT, width=0.8)]
-        for name in filter(_RATES.get, _form_names(group)):
-            left = factor * (rate - _RATES[name](relief, *_coefficients(group, name)))
-            layers.append(dots(across * relief, left, label=name, **_form_mark(name) | {"size": 3.5}))
-        up = Axis(with_unit("measured less the form", unit), group="residuals")
-        plots.append(Plot(layers, Axis(text), up, f"residuals, {title}".rstrip(", "), (0, k), at(group)))
-    return Sheet(plots, (8.0, 2.6), (1.0,) * max(len(plots), 1))
+        for name in group[FORM].values[_kept(group).values].tolist():
+            if name in _RATES:
+                left = factor * (rate - _RATES[name](relief, *_coefficients(group, name)))
+                layers.append(dots(across * relief, left, **_form_mark(name) | {"size": 3.5}))
+    title = "residuals of all groups" if len(groups) > 1 else "residuals"
+    plots = [Plot(layers, Axis(text), Axis(with_unit("measured less the form", unit)), title)]
+    return Sheet(plots if len(groups) else [], (8.0, 2.6))
 
 
 class Fits(Analysis):

@@ -24,6 +24,7 @@ from vibrojax.periodic.derivatives import DERIVATIVE_REASONS, MODULUS, NO_ORBIT,
 from vibrojax.periodic.lane_stages import run_lanes
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.physics.meanings import suggest_parameter
+from vibrojax.pictures.axes import symbols_of
 from vibrojax.pictures.plots import Axis, Cells, Layer, Plot, Sheet, Text
 from vibrojax.progress import Progress
 from vibrojax.scenes import SCENES, Scene
@@ -284,7 +285,8 @@ def elasticities(ds: xr.Dataset) -> Sheet:
     for (i, j), value in np.ndenumerate(table):
         if abs(value) >= SMALLEST_DRAWN:
             layers.append(Text(float(j), float(i), f"{value:.2f}".replace("-", "−"), colour="#000000", size=7.0))
-    ticks = [[(float(k), name) for k, name in enumerate(names)] for names in (by, list(rows))]
+    signs = symbols_of(ds)
+    ticks = [[(float(k), signs.get(x, x)) for k, x in enumerate(texts)] for texts in (by, list(rows))]
     plot = Plot(layers, Axis(ticks=ticks[0]), Axis(ticks=ticks[1], reversed=True))
     size = 1.8 + 0.62 * len(by), 1.2 + 0.27 * max(len(rows), 1)
     return Sheet([plot], size, title=f"Median elasticity at {counted(int(valid.sum()), 'orbit')}")

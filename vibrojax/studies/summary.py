@@ -23,14 +23,21 @@ _EMPTY = ("regimes", "orbits", "natures", "families", "attractors", "failures", 
 """JSON keys that every summary has; they hold an empty object if they do not apply."""
 
 
+_COMPARED = {
+    "drilling": "the hole does not act back on striker and bit; with that, in coupled-drilling, rates are others",
+    "coupled-drilling": "the hole acts back on striker and bit; drilling neglects that, and its rates are others",
+}
+"""What one of the two drills in rock neglects and the other has."""
+
+
 def summarise(ds: xr.Dataset) -> list[SummaryPart]:
     """Return the parts of a dataset's summary; parts that do not apply have no lines."""
-    of_lanes = lane_parts(ds)
+    of_lanes, scene = lane_parts(ds), text_of(ds, "scene")
     run = run_of(ds)
     times = {"settle", "observe"} <= set(run)
     return [
         SummaryPart("title", [title_of(ds)] if title_of(ds) else []),
-        SummaryPart("scene", [text_of(ds, "scene")] if text_of(ds, "scene") else []),
+        SummaryPart("scene", [scene, *filter(None, [_COMPARED.get(scene)])] if scene else []),
         SummaryPart("grid", [_dimension(ds, str(name))[0] for name in ds.sizes]),
         SummaryPart("lanes", [f"{attribute_of(ds, 'lanes')} (a lane: {WORDS['lane']})"] if "lanes" in ds.attrs else []),
         SummaryPart("friction", [text_of(ds, "friction")] if "friction" in ds.attrs else []),

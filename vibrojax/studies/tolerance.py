@@ -26,6 +26,7 @@ from vibrojax.physics.arrays import check_untraced
 from vibrojax.pictures.axes import axis, margins, pretty_unit, scale, values_along
 from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_keys
 from vibrojax.pictures.plots import Layer, Look, Plot, Points, Sheet, dots, key, level
+from vibrojax.pictures.style import IMPACT
 from vibrojax.scenes import Scene
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.subjects import MachineAnalysis
@@ -128,6 +129,7 @@ def _proposals(
 _TOLERANCE = "tolerance_"
 _MARKERS = "os^Dv"
 _NOMINAL: Look = {"colour": "#999999", "width": 0.7, "dash": "--"}
+_NOMINAL_POINT = dots(marker="*", size=11.0, colour=IMPACT, edge="white", edge_width=0.6, order=4.0)
 _DRAWN = ("impact_velocity", "impact_energy", "rate_of_penetration")
 
 
@@ -155,14 +157,15 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
                 # Later starts are smaller: of samples that several starts bring to one motion, all markers show.
                 size = max(6.0 / 3.0 ** (k / 2), 2.0)
                 layers.append(level(y[0], order=0.0, **_NOMINAL))
+                layers.append(replace(_NOMINAL_POINT, x=values_along(ds[name])[:1], y=y[:1]))
                 layers.append(Points(values_along(ds[name]), y, colours, size, **look))
             across = axis(ds[name], group=name, margin=0.08, intervals=4)
             up = axis(lanes[quantity], group=quantity, margin=0.08)
             plots.append(Plot(layers, across, up, place=(row, column)))
     keys = regime_keys([lanes["regime"]])
-    for marker, start in zip(_MARKERS, starts, strict=False):
-        keys += [dots(label=f"start: {start}", colour="#4D4D4D", marker=marker)] if start else []
-    keys.append(key("nominal", **_NOMINAL))
+    for marker, start in zip(_MARKERS, starts if len(starts) > 1 else [], strict=False):
+        keys.append(dots(label=f"start: {start}", colour="#4D4D4D", marker=marker))
+    keys += [replace(_NOMINAL_POINT, label="nominal point"), key("nominal value", **_NOMINAL)]
     missing = int(lanes[rows[0]].isnull().sum()) if rows[0] != "period" else 0
     note = counted(missing, "lane without impact is", "lanes without impact are") + " not drawn" if missing else ""
     size = 1.8 + 2.6 * len(names), 0.9 + 2.2 * len(rows)

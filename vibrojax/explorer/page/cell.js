@@ -1,6 +1,6 @@
 // The chosen cell: its orbit in phase planes, its time history, spectrum, returns and multipliers.
 import { EVENTS, STUCK } from "./decode.js";
-import { framed, inkOf, limitsOf, line, mark, numberText } from "./plots.js";
+import { framed, inkOf, limitsOf, line, mark, numberText, read } from "./plots.js";
 
 const COLOURED = { x1: "bit", v1: "bit", x2: "striker", v2: "striker", x3: "rock", v3: "rock", x4: "faint" };
 const NAMES = { x1: "x₁", v1: "x₁′", x2: "x₂", v2: "x₂′", x3: "x₃", v3: "x₃′", x4: "x₄", compression: "x₃ − x₄" };
@@ -51,7 +51,7 @@ export const colourName = (name, k) => COLOURED[name] ?? ["bit", "striker", "roc
 const colourOf = (ink, name, k) => ink[colourName(name, k)];
 
 /** Which events belong to a state's plane: impacts to both masses, stick and slip to what slides. */
-const SHAPES = { stick: ["square", "stick"], slip: ["triangle", "slip"], impact: ["diamond", "impact"] };
+const SHAPES = { stick: ["s", "stick"], slip: ["^", "slip"], impact: ["D", "impact"] };
 
 function markEvents(c, cell, xs, ys, sx, sy, ink, kinds) {
   for (let i = 0; i < xs.length; i++) {
@@ -85,6 +85,7 @@ export function drawPlane(canvas, cell, [position, velocity], k, others = []) {
       for (const { motion, colour } of others)
         if (position.name in motion.states) line(c, scaled(motion.states[position.name], fx), scaled(motion.states[velocity.name], fy), sx, sy, colour, 1.6);
       line(c, xs, ys, sx, sy, colourOf(ink, position.name, k), cell.kind === "orbit" ? 2 : 1.2);
+      read("", xs, ys, { joined: true });
       if (bit) line(c, stuckParts(cell, xs), ys, sx, sy, ink.stick, 4);
       markEvents(c, cell, xs, ys, sx, sy, ink, bit ? ["impact", "stick", "slip"] : ["impact"]);
     });
@@ -98,12 +99,13 @@ export function drawHistory(canvas, cell, columns, isLast) {
   const every = columns.map((one) => cell.states[one.name]), [fy, uy] = shownIn(columns[0].units, every.flatMap((x) => [Math.min(...x), Math.max(...x)]));
   const xs = scaled(times, ft), rows = every.map((x) => { const one = scaled(x, fy); return twice === 2 ? [...one, ...one.map((v) => v + growth(one))] : one; });
   framed(canvas, ink,
-    { limits: [0, (xs.at(-1) ?? 1) || 1], label: isLast ? withUnit("time", ut) : "" },
+    { limits: [0, (xs.at(-1) ?? 1) || 1], label: isLast || canvas.source ? withUnit("time", ut) : "", said: withUnit("time", ut) },
     { limits: limitsOf(rows, 0.09), label: withUnit(columns.map((one) => symbolOf(one.name)).join(", "), uy) },
     (c, sx, sy) => {
       const first = twice === 2 ? { ...cell, flags: [...cell.flags, ...cell.flags] } : cell;
       columns.forEach((one, k) => {
         line(c, xs, rows[k], sx, sy, colourOf(ink, one.name, k), 1.7);
+        read(symbolOf(one.name), xs, rows[k], { joined: true });
         if (one.name === "x1" || one.name === "v1") {
           line(c, stuckParts(first, xs), rows[k], sx, sy, ink.stick, 3.5);
           markEvents(c, first, xs, rows[k], sx, sy, ink, ["stick", "slip"]);
@@ -118,7 +120,11 @@ export function drawPhase(canvas, all, { name, units }) {
   const ink = inkOf(canvas), [f, unit] = shownIn(units, all.flatMap(({ motion }) => limitsOf([motion.states[name]], 0)));
   const rows = all.map(({ motion }) => scaled(motion.states[name], f)), span = Math.max(1, ...all.map(({ motion }) => motion.returns || 1));
   framed(canvas, ink, { limits: [0, span], label: "returns" }, { limits: limitsOf(rows, 0.09), label: withUnit(symbolOf(name), unit) }, (c, sx, sy) => {
-    all.forEach(({ motion, colour }, k) => line(c, scaled(motion.time, (motion.returns || 1) / motion.duration), rows[k], sx, sy, colour ?? colourOf(ink, name, 0), colour ? 1.5 : 2.2));
+    all.forEach(({ motion, colour, title = "" }, k) => {
+      const xs = scaled(motion.time, (motion.returns || 1) / motion.duration);
+      line(c, xs, rows[k], sx, sy, colour ?? colourOf(ink, name, 0), colour ? 1.5 : 2.2);
+      read(title, xs, rows[k], { joined: true });
+    });
   }, { left: 62 });
 }
 
@@ -127,10 +133,14 @@ export function drawCourse(canvas, course, columns, isLast) {
   const ink = inkOf(canvas), [fy, uy] = shownIn(columns[0].units, columns.flatMap((one) => limitsOf([course[one.name]], 0)));
   const forces = columns.length > 1 && columns.every(({ name }) => name.endsWith("_force"));
   framed(canvas, ink,
-    { limits: [course.time[0], course.time.at(-1)], label: isLast ? "time [s]" : "" },
+    { limits: [course.time[0], course.time.at(-1)], label: isLast || canvas.source ? "time [s]" : "", said: "time [s]" },
     { limits: limitsOf(columns.map((one) => scaled(course[one.name], fy)), 0.06), label: withUnit(forces ? "force" : columns.map((one) => symbolOf(one.name)).join(", "), uy) },
     (c, sx, sy, box) => {
-      columns.forEach((one, k) => line(c, course.time, scaled(course[one.name], fy), sx, sy, colourOf(ink, one.name, k), 0.9));
+      columns.forEach((one, k) => {
+        const ys = scaled(course[one.name], fy);
+        line(c, course.time, ys, sx, sy, colourOf(ink, one.name, k), 0.9);
+        read(forces ? one.long_name : symbolOf(one.name), course.time, ys, { joined: true });
+      });
       if (course.observed) line(c, [course.observed, course.observed], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [4, 3]);
     }, { left: 62 });
 }
@@ -181,6 +191,7 @@ export function drawSpectrum(canvas, cell, columns) {
     (c, sx, sy, box) => {
       all.forEach((values, k) => {
         const colour = colourOf(ink, columns[k].name, k), aside = (k - (all.length - 1) / 2) * 3;
+        read(symbolOf(columns[k].name), values.map((_, h) => at(h)), values.map((v) => Math.max(v, low)));
         if (cell.kind !== "orbit") { line(c, values.map((_, h) => at(h)), values.map((v) => Math.max(v, low)), sx, sy, colour, 1.4); return; }
         c.strokeStyle = c.fillStyle = colour;
         c.lineWidth = 2;
@@ -189,7 +200,7 @@ export function drawSpectrum(canvas, cell, columns) {
           c.beginPath();
           c.moveTo(sx(at(h)) + aside, box.bottom); c.lineTo(sx(at(h)) + aside, sy(value));
           c.stroke();
-          mark(c, "circle", sx(at(h)) + aside, sy(value), 2.2, colour);
+          mark(c, "o", sx(at(h)) + aside, sy(value), 2.2, colour);
         });
       });
     });
@@ -205,7 +216,8 @@ export function drawReturns(canvas, cell, name, units) {
   const text = symbolOf(name);
   framed(canvas, ink, { limits, label: withUnit(`${text} at a return`, unit) }, { limits, label: withUnit(`${text} at the next`, unit) }, (c, sx, sy) => {
     line(c, limits, limits, sx, sy, ink.faint, 1, [4, 3]);
-    from.forEach((value, k) => mark(c, "circle", sx(value), sy(to[k]), cell.kind === "orbit" ? 4.2 : 2.6, ink.accent, ink.plate));
+    read("", from, to);
+    from.forEach((value, k) => mark(c, "o", sx(value), sy(to[k]), cell.kind === "orbit" ? 4.2 : 2.6, ink.accent, ink.plate));
   }, { square: true });
 }
 
@@ -218,9 +230,11 @@ export function drawMultipliers(canvas, cell) {
     c.beginPath();
     c.ellipse(sx(0), sy(0), sx(1) - sx(0), sy(0) - sy(1), 0, 0, 2 * Math.PI);
     c.stroke();
+    const texts = cell.multipliers.map(([modulus, argument]) => `modulus ${numberText(modulus)}, argument ${numberText(argument)} rad`);
+    for (const way of [1, -1]) read("", cell.multipliers.map(([modulus, argument]) => modulus * Math.cos(argument)), cell.multipliers.map(([modulus, argument]) => way * modulus * Math.sin(argument)), { texts });
     for (const [modulus, argument] of cell.multipliers)
       for (const way of [1, -1])
-        mark(c, modulus < 1 ? "circle" : "cross", sx(modulus * Math.cos(argument)), sy(way * modulus * Math.sin(argument)), 4.2, modulus < 1 ? ink.accent : ink.impact, modulus < 1 ? ink.plate : null);
+        mark(c, modulus < 1 ? "o" : "x", sx(modulus * Math.cos(argument)), sy(way * modulus * Math.sin(argument)), 4.2, modulus < 1 ? ink.accent : ink.impact, modulus < 1 ? ink.plate : null);
   }, { square: true });
 }
 

@@ -1,13 +1,16 @@
 // The chosen cell beside the map: its head, panels and keys, its numbers, and the calls that simulate it.
-import { described, drawHistory, drawMultipliers, drawPhase, drawPlane, drawReturns, drawSpectrum, groupsOf, planesOf, shownIn, symbolOf } from "./cell.js";
+import { colourName, described, drawHistory, drawMultipliers, drawPhase, drawPlane, drawReturns, drawSpectrum, groupsOf, planesOf, shownIn, symbolOf } from "./cell.js";
 import { el } from "./dom.js";
 import { interactive } from "./interact.js";
 import { stateAt } from "./machine.js";
 import { csvOf, download, fileName } from "./paper.js";
-import { inkOf, line, mark, numberText, prepared } from "./plots.js";
+import { drawSigns, entry, inkOf, line, mark, numberText, prepared } from "./plots.js";
 
-const EVENT_KEYS = { 1: ["stick", "vx-k-stick"], 2: ["slip", "vx-k-slip"], 3: ["impact", "vx-k-impact"] };
-const MASS_KEYS = [["x1", "bit", "vx-k-bit"], ["x2", "striker", "vx-k-striker"], ["x3", "bit on rock", "vx-k-rock"], ["x4", "hole", "vx-k-hole"]];
+const EVENT_KEYS = { 1: ["stick", "s"], 2: ["slip", "^"], 3: ["impact", "D"] };
+const MASS_KEYS = [["x1", "bit", "bit"], ["x2", "striker", "striker"], ["x3", "bit on rock", "rock"], ["x4", "hole", "faint"]];
+
+/** Values of flags that say nothing. */
+const SILENT = new Set(["done", "none", "found", "identified"]);
 
 const PERIODIC = [2, 3, 4, 5], IRREGULAR = 6;
 
@@ -49,16 +52,17 @@ function fileButton(page, motion) {
     motion: { kind: motion.kind, duration: motion.duration, returns: motion.returns, multipliers: motion.multipliers, time: Array.from(motion.time),
       states: Object.fromEntries(motion.columns.map(({ name, units, long_name }) => [name, { units, long_name, values: Array.from(motion.states[name]) }])) },
   }, null, 1);
-  return el("button", { type: "button", class: "vx-copy", text: "JSON", title: "Save this cell as a JSON file", onclick: () => download(content(), fileName(page.titleOf(), "json")) });
+  return el("button", { type: "button", class: "vx-copy", text: "JSON", title: "Save this cell as a JSON file", onclick: () => download(content(), fileName(page.about("cell").name, "json")) });
 }
 
 /**
  * A figure, what draws it, and what marks a moment in it. `at(time)`: the places of the moment, as [x, y, colour] with
- * null for a line across; `table()`: its columns for a file; `options` of `interactive`.
+ * null for a line across; `table()`: its columns for a file; `keys()`: its legend in a file; `file`: its name there,
+ * where it is not the title; `options` of `interactive`.
  */
-function panel(title, draw, about, { extra = "", more = [], at, table, ...options } = {}) {
-  const canvas = el("canvas", { role: "img", "aria-label": `${title}: ${about}` }), over = at ? [el("canvas", { class: "vx-moment", "aria-hidden": "true" })] : [];
-  const files = table ? [["CSV", "csv", () => csvOf(table())]] : [];
+function panel(page, title, draw, about, { extra = "", more = [], at, table, keys = () => [], file = title, ...options } = {}) {
+  const canvas = el("canvas", { role: "img", "aria-label": `${file}: ${about}` }), over = at ? [el("canvas", { class: "vx-moment", "aria-hidden": "true" })] : [];
+  const files = table ? { files: [["CSV", "csv", () => csvOf(table())]] } : {};
   let last = null;
   const cursor = (time) => {
     last = time;
@@ -67,10 +71,10 @@ function panel(title, draw, about, { extra = "", more = [], at, table, ...option
     const { context: c } = prepared(over[0]), { box } = frame, ink = inkOf(canvas);
     for (const [x, y, colour] of at(time)) {
       if (y === null) line(c, [x, x], [frame.y.inverse(box.bottom), frame.y.inverse(box.top)], frame.x, frame.y, ink.ink, 1.2);
-      else mark(c, "circle", frame.x(x), frame.y(y), 5, ink[colour] ?? colour, ink.plate);
+      else mark(c, "o", frame.x(x), frame.y(y), 5, ink[colour] ?? colour, ink.plate);
     }
   };
-  const tools = interactive(canvas, draw, { title: () => title, files, ...options, zoomed: () => cursor(last) });
+  const tools = interactive(canvas, draw, { about: () => page.about(file, { keys: keys() }), ...files, ...options, zoomed: () => cursor(last) });
   const figure = el("figure", { class: `vx-panel ${extra}` }, el("figcaption", {}, el("span", { text: title }), ...more, tools.menu),
     el("div", { class: "vx-stack" }, canvas, ...over, tools.band));
   return { figure, canvas, cursor, draw: () => { draw(canvas); cursor(last); } };
@@ -83,10 +87,9 @@ function motionTable(motion) {
   return table;
 }
 
-/** The legend of a file with pinned motions in it. */
-function pinKeys(page, motion) {
-  return page.pinned(motion).map(({ title, colour }) => ({ text: title, colour, shape: "line" }));
-}
+/** The legend of a file: of the pinned motions in it, and of the lines and marks of some states. */
+const pinKeys = (page, motion) => page.pinned(motion).map(({ title, colour }) => ({ text: title, colour, shape: "line" }));
+const stateKeys = (page, motion, columns, events = [1, 2, 3]) => [...keysOfMotion(motion, columns, events), ...pinKeys(page, motion)];
 
 function planePanels(page, motion, planes) {
   const mass = (one) => one.long_name.replace(/^.*(position|displacement) of (the )?/, "").replace(/ (relative|\().*/, "");
@@ -106,8 +109,9 @@ function planePanels(page, motion, planes) {
       });
       page.player.to(motion.time[best]);
     };
-    return panel(`Phase plane, ${title(k)}`, (canvas) => drawPlane(canvas, motion, plane, k, page.pinned(motion)), textOf(page, motion),
-      { extra: size, at, click, keys: () => pinKeys(page, motion), table: () => motionTable(motion) });
+    const events = x.name === "x2" ? [3] : [1, 2, 3];
+    return panel(page, `Phase plane, ${title(k)}`, (canvas) => drawPlane(canvas, motion, plane, k, page.pinned(motion)), textOf(page, motion),
+      { extra: size, at, click, keys: () => stateKeys(page, motion, plane.slice(0, 1), events), table: () => motionTable(motion) });
   });
 }
 
@@ -116,9 +120,9 @@ function historyPanels(page, motion) {
   return groups.map((some, k) => {
     const title = twice === 2 ? "Two cycles" : "Time history", [ft] = shownIn("s", [length]);
     const at = (time) => Array.from({ length: twice }, (_, i) => [(time + i * motion.duration) * ft, null]);
-    const one = panel(k ? "" : title, (canvas) => drawHistory(canvas, motion, some, k === groups.length - 1),
+    const one = panel(page, k ? "" : title, (canvas) => drawHistory(canvas, motion, some, k === groups.length - 1),
       `${some.map((column) => column.long_name).join(", ")} over time; ${textOf(page, motion)}`,
-      { extra: "vx-wide", at, table: () => motionTable(motion), scrub: ([px]) => { const { frame } = one.canvas; if (frame) page.player.to(frame.x.inverse(px) / ft); } });
+      { extra: "vx-wide", at, file: `${title}, ${some.map((column) => symbolOf(column.name)).join(", ")}`, keys: () => stateKeys(page, motion, some), table: () => motionTable(motion), scrub: ([px]) => { const { frame } = one.canvas; if (frame) page.player.to(frame.x.inverse(px) / ft); } });
     return one;
   });
 }
@@ -131,7 +135,7 @@ function phasePanel(page, motion) {
   const choice = el("select", { "aria-label": "State over the phase", onchange: (event) => { shown.phase = event.target.value; page.current.draw(); } },
     ...names.map((name) => el("option", { value: name, text: symbolOf(name), selected: name === shown.phase })));
   const all = () => [...others, { motion, colour: null }].filter((one) => shown.phase in one.motion.states);
-  return [panel("Over the phase", (canvas) => drawPhase(canvas, all(), motion.columns.find((one) => one.name === shown.phase)),
+  return [panel(page, "Over the phase", (canvas) => drawPhase(canvas, all(), motion.columns.find((one) => one.name === shown.phase)),
     `${shown.phase} of the shown and the pinned motions over the share of a return`, { extra: "vx-wide", more: [choice], keys: () => pinKeys(page, motion) })];
 }
 
@@ -144,7 +148,7 @@ function returnsPanel(page, motion) {
     onchange: (event) => { shown.returns = event.target.value; page.current.draw(); } },
     ...names.map((name) => el("option", { value: name, text: symbolOf(name), selected: name === shown.returns })));
   const unitsOf = (name) => motion.columns.find((one) => one.name === name)?.units ?? "m";
-  return [panel("Returns", (canvas) => drawReturns(canvas, motion, shown.returns, unitsOf(shown.returns)),
+  return [panel(page, "Returns", (canvas) => drawReturns(canvas, motion, shown.returns, unitsOf(shown.returns)),
     `${motion.section[names[0]].length} returns to the section`, { more: [choice], table: () => Object.fromEntries(names.map((name) => [name, Array.from(motion.section[name])])) })];
 }
 
@@ -152,21 +156,22 @@ function panelsOf(page, motion) {
   const planes = planesOf(motion.columns), positions = planes.map(([position]) => position);
   const found = [...planePanels(page, motion, planes), ...historyPanels(page, motion), ...phasePanel(page, motion)];
   if (positions.length)
-    found.push(panel("Spectrum", (canvas) => drawSpectrum(canvas, motion, positions),
-      `amplitudes of ${positions.map((one) => one.long_name).join(", ")} over frequency`));
+    found.push(panel(page, "Spectrum", (canvas) => drawSpectrum(canvas, motion, positions),
+      `amplitudes of ${positions.map((one) => one.long_name).join(", ")} over frequency`, { keys: () => keysOfMotion(motion, positions, []) }));
   found.push(...returnsPanel(page, motion));
   if (motion.multipliers?.length)
-    found.push(panel(`Largest multiplier ${numberText(Math.max(...motion.multipliers.map(([modulus]) => modulus)), 3)}`, (canvas) => drawMultipliers(canvas, motion),
+    found.push(panel(page, `Largest multiplier ${numberText(Math.max(...motion.multipliers.map(([modulus]) => modulus)), 3)}`, (canvas) => drawMultipliers(canvas, motion),
       motion.multipliers.map(([modulus, argument]) => `modulus ${numberText(modulus)}, argument ${numberText(argument)} rad`).join("; ")));
   return found;
 }
 
-/** What the lines and marks of the panels mean. */
-function keys(motion) {
-  const events = Object.entries(EVENT_KEYS).filter(([kind]) => motion.flags.some((flag) => (flag & 7) === Number(kind)));
-  const masses = MASS_KEYS.filter(([name]) => name in motion.states);
-  return el("ul", { class: "vx-keys" }, ...masses.map(([, text, style]) => el("li", {}, el("span", { class: `vx-line ${style}` }), text)),
-    ...events.map(([, [text, style]]) => el("li", {}, el("span", { class: `vx-mark ${style}` }), text)));
+/** The entries of a legend: of some states of a motion, and of the events that occur in it. */
+function keysOfMotion(motion, columns = motion.columns, kinds = [1, 2, 3]) {
+  const line = (text, colour) => ({ text, shape: "line", colour }), names = columns.map(({ name }) => name.replace("v", "x"));
+  const masses = MASS_KEYS.filter(([name]) => names.includes(name)).map(([, text, colour]) => line(text, colour));
+  const states = masses.length ? masses : groupsOf(columns).flatMap((some) => some.map(({ name }, k) => line(symbolOf(name), colourName(name, k))));
+  const events = kinds.filter((kind) => motion.flags.some((flag) => (flag & 7) === kind)).map((kind) => ({ text: EVENT_KEYS[kind][0], shape: EVENT_KEYS[kind][1], colour: EVENT_KEYS[kind][0] }));
+  return [...states, ...events];
 }
 
 /** A number of a pinned motion, and how far that of the shown one is from it. */
@@ -198,10 +203,10 @@ function spreadText(page, motion, variable, value) {
 
 /** The numbers of the chosen cell, or of a motion at a point beside it. */
 export function numbersOf(page, motion, pins = []) {
-  const { grid, named } = page, irregular = cyclesOf(page, motion) === 0, rows = [], apart = [...grid.startAxes, "attractor"].filter((axis) => !named.includes(axis));
+  const { grid, named } = page, irregular = cyclesOf(page, motion) === 0, rows = [], missing = [], apart = [...grid.startAxes, "attractor"].filter((axis) => !named.includes(axis));
   for (const variable of grid.variables.values()) {
-    if (variable.inner) continue;
-    const { name } = variable, ofMotion = motion?.numbers && name in motion.numbers;
+    if (variable.inner || grid.variables.has(variable.name.replace(/_worst$/, "")) && variable.name.endsWith("_worst")) continue;
+    const { name } = variable, worst = grid.variables.get(`${name}_worst`), ofMotion = motion?.numbers && name in motion.numbers;
     if (!page.point && variable.axes.some((axis) => apart.includes(axis))) continue;
     // An attractor without a start has a share of zero, and no motion.
     if (!page.point && page.apart === "attractor" && variable.axes.includes("attractor") && !name.startsWith("share")) continue;
@@ -209,13 +214,17 @@ export function numbersOf(page, motion, pins = []) {
     const push = name.startsWith("regime_") ? grid.value(name.replace("regime", "push"), page.cell) : 0;
     const value = Number.isNaN(push) ? NaN : ofMotion ? motion.numbers[name] ?? NaN : page.point ? undefined : grid.value(name, page.cell);
     if (value === undefined) continue;
+    if (Number.isNaN(value) && !pins.length) { missing.push(name); continue; }
+    if (variable.flags ? SILENT.has(variable.flags[value]) : name === "sensitive" && !value) continue;
     const text = irregular && !/^(share|lyapunov|multiplier)/.test(name) ? spreadText(page, motion, variable, value) : grid.valueText(variable, value, 5);
+    const least = worst && !worst.flags ? `, worst ${grid.valueText(worst, grid.value(worst.name, page.cell), 5)}` : "";
     const at = page.point ? "" : grid.cellText(page.cell, variable.axes.filter((axis) => !named.includes(axis)));
-    rows.push(el("tr", {}, el("th", { scope: "row", text: `${variable.long_name}${at && ` (${at})`} ` }, el("code", { text: name })), el("td", { "data-name": name, "data-value": value, text }), ...pins.map((pin) => pinnedNumber(grid, variable, value, pin))));
+    rows.push(el("tr", {}, el("th", { scope: "row", text: `${variable.long_name}${at && ` (${at})`} ` }, el("code", { text: name })), el("td", { "data-name": name, "data-value": value, text: text + least }), ...pins.map((pin) => pinnedNumber(grid, variable, value, pin))));
   }
   if (pins.length)
     rows.unshift(el("tr", {}, el("td"), el("th", { scope: "col", text: "this" }), ...pins.map((pin) =>
       el("th", { scope: "col" }, el("span", { class: "vx-swatch", style: `background:${pin.colour}` }), ` ${pin.title}`))));
+  if (missing.length) rows.push(el("tr", {}, el("th", { colspan: 2 }, "without a value: ", el("code", { text: missing.join(", ") }))));
   const wasClosed = page.table.querySelector("details")?.open === false;
   return el("details", { class: "vx-numbers", open: !wasClosed }, el("summary", { text: "Numbers" }), el("table", {}, el("tbody", {}, ...rows)));
 }
@@ -263,11 +272,11 @@ function commands(page) {
 export function fillChosen(page, motion) {
   const moves = motion && motion.kind !== "none", panels = moves ? panelsOf(page, motion) : [];
   if (page.data.kind === "plots") page.side.replaceChildren();
-  else page.side.replaceChildren(head(page, motion), ...(moves ? [page.player.element, keys(motion)] : []),
+  else page.side.replaceChildren(head(page, motion), ...(moves ? [page.player.element, el("ul", { class: "vx-keys" }, ...keysOfMotion(motion).map((key) => entry(key)))] : []),
     el("div", { class: "vx-panels" }, ...panels.map((one) => one.figure)), commands(page));
   page.player.set(motion, panels);
   const still = !page.data.lanes, summary = summaryOf(page, still);
   const numbers = page.data.variables.length ? [page.numbers(motion)] : [];
   page.table.replaceChildren(...(still ? summary : []), ...numbers, ...(still ? [] : summary));
-  return () => { panels.forEach((one) => one.draw()); page.player.draw(); };
+  return () => { panels.forEach((one) => one.draw()); page.player.draw(); drawSigns(page.side); };
 }

@@ -47,18 +47,19 @@ function directionControls(page, make) {
   return found;
 }
 
-/** What the map may be limited to: the motions of a regime, and of these the stable ones. */
+/** What the map may be limited to: the stable motions, those of a regime, and of these the stable ones. */
 function amongControl(page, make) {
   const { grid, shown } = page, regime = grid.variables.get("regime"), stable = grid.variables.get("stable");
   const runsAlong = (one) => one?.axes.every((name) => page.variable.axes.includes(name));
-  if (!regime?.flags || !runsAlong(regime) || page.variable.inner || !grid.values.has("regime")) return [];
   const there = new Set(grid.values.get("regime")), options = [["", "all motions"]];
-  for (const [flag, name] of Object.entries(regime.flags)) {
+  if (!page.variable || page.variable.inner) return [];
+  if (runsAlong(stable) && grid.values.has("stable") && new Set(grid.values.get("stable")).size > 1) options.push(["stable", "stable"]);
+  for (const [flag, name] of runsAlong(regime) ? Object.entries(regime.flags ?? {}) : []) {
     if (!there.has(Number(flag))) continue;
     options.push([flag, name]);
     if (runsAlong(stable) && /impact|subharmonic/.test(name)) options.push([`stable ${flag}`, `stable ${name}`]);
   }
-  return options.length > 2 ? [make.select("only", "Show", options, shown.only, (value) => page.show({ only: value }))] : [];
+  return options.length > 2 || options[1]?.[0] === "stable" ? [make.select("only", "Show", options, shown.only, (value) => page.show({ only: value }))] : [];
 }
 
 /** A short name of an axis: its label without what stands in brackets, and its symbol. */
@@ -84,7 +85,7 @@ function facetControl(page, make, facet) {
 function overControls(page, make) {
   const { shown, grid, data } = page, over = [shown.x, shown.y], found = [];
   if (data.region && over.every((one) => one in data.region))
-    found.push(make.check("region", "source's region", "The region that the source recommends: beta 0.25 to 0.6, gamma 0.6 to 0.8", shown.region,
+    found.push(make.check("region", "source's region", "The region that the source recommends: β 0.25 to 0.6, γ 0.6 to 0.8", shown.region,
       (value) => page.show({ region: value })));
   if (data.curves?.list.length && over.every((one) => one in data.curves.list[0].points)) {
     if (data.curves.of === "curves") {

@@ -2,15 +2,17 @@
 import { unpack } from "./decode.js";
 import { el } from "./dom.js";
 import { interactive } from "./interact.js";
-import { csvOf } from "./paper.js";
-import { FONT, framed, GLYPHS, inkOf, legible, line, mark } from "./plots.js";
+import { entry, FONT, framed, inkOf, legible, line, mark, numberText, read } from "./plots.js";
 
-/** Draw items of a description; cells need `levels`, their unpacked indices. */
-export function drawItems(c, items, sx, sy, ink) {
+/** Draw items of a description, and have their values read; cells need `levels`, their unpacked indices. */
+export function drawItems(c, items, sx, sy, ink, keys = []) {
+  const nameOf = (item, colour, ...shapes) => item.label || (keys.find((key) => key.colour === colour && (!shapes.length || shapes.includes(key.shape)))?.text ?? "");
   for (const item of items) {
     const { x, y } = item, colour = (text) => legible(text, ink);
-    if (item.kind === "line") line(c, x, y, sx, sy, colour(item.colour), Math.max(1, item.width), item.dash);
-    else if (item.kind === "points") {
+    if (item.kind === "line") {
+      line(c, x, y, sx, sy, colour(item.colour), Math.max(1, item.width), item.dash);
+      read(nameOf(item, item.colour, "line"), x, y, { joined: true });
+    } else if (item.kind === "points") {
       const { colours, sizes } = item;
       x.forEach((value, k) => {
         if (value === null || y[k] === null) return;
@@ -18,21 +20,28 @@ export function drawItems(c, items, sx, sy, ink) {
         if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, ink.plate, shade);
         else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(own) !== own ? ink.faint : size > 2.6 ? ink.plate : null);
       });
+      read(nameOf(item, colours[0], item.shape, "line"), x.map((value) => value ?? NaN), y.map((value) => value ?? NaN));
     } else if (item.kind === "area") {
       c.globalAlpha = item.alpha;
-      c.fillStyle = item.alpha < 1 ? colour(item.colour) : item.colour;
+      c.fillStyle = item.colour === "hatched" ? ink.undefined : item.alpha < 1 ? colour(item.colour) : item.colour;
       c.beginPath();
       x.forEach((value, k) => (k ? c.lineTo(sx(value), sy(y[k])) : c.moveTo(sx(value), sy(y[k]))));
       c.closePath();
       c.fill();
       c.globalAlpha = 1;
+      const name = nameOf(item, item.colour, "patch"), half = x.length / 2, top = y.slice(half).reverse();
+      if (item.at) read(name, [item.at[0]], [item.at[1]]);
+      else if (name) read(name, x.slice(0, half), top, { texts: top.map((high, k) => numberText(high - y[k])) });
     } else if (item.kind === "cells" && item.levels) {
-      const wide = x.length - 1;
+      const wide = x.length - 1, across = [], up = [];
       item.levels.forEach((level, k) => {
         const i = k % wide, j = Math.floor(k / wide), [x0, x1, y0, y1] = [sx(x[i]), sx(x[i + 1]), sy(y[j]), sy(y[j + 1])];
         c.fillStyle = level < 0 ? ink.undefined : item.colours[level];
-        c.fillRect(Math.floor(Math.min(x0, x1)), Math.floor(Math.min(y0, y1)), Math.ceil(Math.abs(x1 - x0)) + 0.5, Math.ceil(Math.abs(y1 - y0)) + 0.5);
+        if (level >= 0 || item.hatched) c.fillRect(Math.floor(Math.min(x0, x1)), Math.floor(Math.min(y0, y1)), Math.ceil(Math.abs(x1 - x0)) + 0.5, Math.ceil(Math.abs(y1 - y0)) + 0.5);
+        across.push((x[i] + x[i + 1]) / 2);
+        up.push((y[j] + y[j + 1]) / 2);
       });
+      read("", across, up, { edges: [x, y], texts: item.values.map((value) => item.names[String(value)] ?? (value === null ? "no value" : numberText(value))) });
     } else if (item.kind === "text") {
       const over = items.some((one) => one.kind === "cells");
       c.font = `11px ${FONT}`;
@@ -42,16 +51,6 @@ export function drawItems(c, items, sx, sy, ink) {
       c.fillText(item.text, sx(x[0]), sy(y[0]));
     }
   }
-}
-
-/** The columns of what a plot shows, for a file. */
-function table(plot) {
-  const columns = {}, names = [plot.x.label || "x", plot.y.label || "y"];
-  plot.items.filter((item) => item.kind === "line" || item.kind === "points").forEach((item, k) => {
-    columns[`${names[0]} ${k}`] = item.x;
-    columns[`${names[1]} ${k}`] = item.y;
-  });
-  return csvOf(columns);
 }
 
 /** The value of the chosen cell along a direction of the page, as the plot shows it; undefined without one. */
@@ -64,10 +63,12 @@ export class Figure {
   constructor(page, data) {
     this.page = page;
     this.plots = data.plots.map((plot) => this.plot(plot, data.keys));
-    const legend = el("ul", { class: "vx-figurekeys" }, ...data.keys.map((key) => el("li", {}, keyMark(key), key.text)));
+    const legend = el("ul", { class: "vx-figurekeys" }, ...data.keys.map((key) => entry(key)));
     const images = data.images.filter((one) => one.data.startsWith("data:image/png;base64,"))
       .map((one) => el("figure", { class: "vx-panel vx-wideplot" }, el("img", { src: one.data, alt: one.title || page.data.title })));
-    this.element = el("div", { class: "vx-figure" }, ...(data.keys.length ? [legend] : []), el("div", { class: "vx-plots" }, ...this.plots.map((one) => one.figure), ...images));
+    const tracks = this.plots.filter(({ track }) => track), together = tracks.length ? [el("div", { class: "vx-tracks" }, ...tracks.map((one) => one.figure))] : [];
+    this.element = el("div", { class: "vx-figure" }, ...(data.keys.length ? [legend] : []),
+      el("div", { class: "vx-plots" }, ...this.plots.filter(({ track }) => !track).map((one) => one.figure), ...together, ...images));
   }
 
   async load() {
@@ -80,19 +81,19 @@ export class Figure {
     const canvas = el("canvas", { role: "img", "aria-label": words });
     const draw = (paper) => this.paint(paper, plot);
     const tools = interactive(canvas, draw, {
-      title: () => words, keys: () => keys, files: [["CSV", "csv", () => table(plot)]],
+      about: () => this.page.about(words, { keys, name: words, notes: [this.page.data.title, this.page.data.common] }),
       click: plot.x.direction || plot.y.direction ? (place) => this.pick(canvas, plot, place) : undefined,
     });
     const size = `${plot.wide ? " vx-wideplot" : ""}${plot.low ? " vx-lowplot" : ""}${plot.x.direction ? " vx-linked" : ""}`;
     const figure = el("figure", { class: `vx-panel${size}` }, el("figcaption", {}, el("span", { text: plot.title || words }), tools.menu), canvas, tools.band);
-    return { figure, draw: () => draw(canvas) };
+    return { figure, track: plot.track, draw: () => draw(canvas) };
   }
 
   paint(canvas, plot) {
     const { page } = this, ink = inkOf(canvas);
     const axis = (one) => ({ ...one, ticks: one.ticks ?? undefined });
-    framed(canvas, ink, axis(plot.x), axis(plot.y), (c, sx, sy, box) => {
-      drawItems(c, plot.items, sx, sy, ink);
+    framed(canvas, ink, axis(plot.x), { ...axis(plot.y), bare: plot.bare && !canvas.source }, (c, sx, sy, box) => {
+      drawItems(c, plot.items, sx, sy, ink, page.data.figure.keys);
       const [x, y] = [chosenAt(page, plot.x.direction), chosenAt(page, plot.y.direction)];
       if (canvas.source) return;  // a file shows no cursor
       if (x !== undefined) line(c, [x, x], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [3, 3]);
@@ -118,12 +119,4 @@ export class Figure {
   }
 
   draw() { this.plots.forEach((one) => one.draw()); }
-}
-
-/** What stands before an entry of a legend. */
-function keyMark({ shape, colour, dash, colours }) {
-  if (shape === "line") return el("span", { class: `vx-dash${dash?.length ? " vx-dashed" : ""}`, style: `border-color:${colour}` });
-  if (colours) return el("span", { class: "vx-scale", style: `background:linear-gradient(90deg,${colours})` });
-  if (shape in GLYPHS && shape !== "circle") return el("span", { class: "vx-glyph", style: `color:${colour}`, text: GLYPHS[shape] });
-  return el("span", { class: "vx-swatch", style: `background:${colour};border-radius:${shape === "circle" ? "50%" : "3px"}` });
 }

@@ -9,7 +9,7 @@ function nearest(values, wanted) {
 }
 
 /** The fragment, without its #, of {shown, cell, scheme} of a page; a scheme only where one was chosen. */
-export function fragmentOf(data, { shown, cell, scheme, pins }) {
+export function fragmentOf(data, { shown, cell, scheme, pins, zoom }) {
   const parts = [["variable", shown.variable]];
   if (shown.x) parts.push(["x", shown.x], ["y", shown.y ?? ""]);
   for (const axis of data.axes) {
@@ -20,11 +20,12 @@ export function fragmentOf(data, { shown, cell, scheme, pins }) {
   if (!shown.region) parts.push(["region", "off"]);
   if (data.curves) parts.push(["borders", shown.borders]);
   if (pins) parts.push(["pins", pins]);
+  if (zoom) parts.push(["zoom", zoom.flat().map((end) => Number(end.toPrecision(6))).join("_")]);
   if (scheme) parts.push(["scheme", scheme]);
   return parts.map(([name, value]) => `${name}=${encodeURIComponent(value)}`).join("&");
 }
 
-/** What a fragment says: {variable, x, y, cell, region, borders, scheme}, null or left out what it does not say. */
+/** What a fragment says: {variable, x, y, cell, region, borders, zoom, scheme}, null or left out what it does not say. */
 export function readFragment(data, text) {
   const given = new URLSearchParams(text.replace(/^#/, "")), cell = {};
   for (const axis of data.axes) {
@@ -32,13 +33,15 @@ export function readFragment(data, text) {
     if (said === null || said === "" || !Number.isFinite(value)) continue;
     cell[axis.name] = byValue(axis) ? nearest(axis.values, value) : Math.max(0, Math.min(axis.values.length - 1, Math.round(value)));
   }
+  const [left, right, low, high] = (given.get("zoom") ?? "").split("_").map(Number);
   const oneOf = (name, known) => (known.includes(given.get(name)) ? given.get(name) : null);
   return {
     variable: given.get("variable"), x: given.get("x"), y: given.get("y"), cell,
     region: given.get("region") !== "off",
-    only: /^(stable )?\d+$/.test(given.get("only") ?? "") ? given.get("only") : "",
+    only: /^(stable|(stable )?\d+)$/.test(given.get("only") ?? "") ? given.get("only") : "",
     borders: oneOf("borders", ["own", "any", "off"]),
     scheme: oneOf("scheme", ["dark", "light"]),
+    zoom: left < right && low < high ? [[left, right], [low, high]] : null,
     pins: given.get("pins") ?? "",
   };
 }

@@ -92,15 +92,19 @@ export class Grid {
   }
 
   /** Where a cell is along the axes named `along`, in words. */
-  cellText(cell, along) {
+  cellText(cell, along, text = (column, k) => this.coordinateText(column, k)) {
     const parts = [];
     for (const axis of this.data.axes) {
       if (!(axis.name in cell) || !along.includes(axis.name)) continue;
       const columns = axis.columns.filter((one) => !one.silent && (new Set(one.values).size > 1 || !one.numeric));
-      if (columns.length) for (const column of columns) parts.push(this.coordinateText(column, cell[axis.name]));
-      else parts.push(this.coordinateText(axis, cell[axis.name]));
+      for (const column of columns.length ? columns : [axis]) parts.push(text(column, cell[axis.name]));
     }
     return parts.join(", ");
+  }
+
+  /** Where a cell is, for the name of a file. */
+  nameText(cell, along) {
+    return this.cellText(cell, along, ({ name, numeric, values, factor, units }, k) => `${name}=${numeric ? numberText(values[k] * factor, 5) + units : values[k]}`).replaceAll(", ", "_");
   }
 
   /** A variable's value in words, with its unit. */

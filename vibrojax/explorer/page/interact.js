@@ -1,98 +1,181 @@
-// What a plot offers besides being seen: a box to zoom into, panning, reset, and files of it.
+// What a plot offers besides being seen: its values, a box to zoom into, panning, pinching, reset, and files of it.
 import { el } from "./dom.js";
-import { download, fileName, picture } from "./paper.js";
+import { csvOf, download, fileName, picture } from "./paper.js";
+import { readText } from "./plots.js";
 
-const LEAST_DRAG = 6;
+const LEAST_DRAG = 6, NEAR = 26, DOUBLE_CLICK = 260;
 
-/** The limits in the middle of a scale's, by a factor narrower, around a pixel; a shift moves them by pixels. */
+/** The limits of a scale `factor` times nearer at a pixel, which then moves by `shift`; null where a log axis has none. */
 function limitsAt(scale, ends, log, factor, around, shift = 0) {
   const middle = around ?? (ends[0] + ends[1]) / 2;
-  const limits = ends.map((end) => scale.inverse(middle + (end - middle) / factor - shift)).sort((u, v) => u - v);
+  const limits = ends.map((end) => scale.inverse(middle + (end - middle - shift) / factor)).sort((u, v) => u - v);
   return log && !(limits[0] > 0) ? null : limits;
+}
+
+/** The place on a plot's lines, marks and cells that is read at a pixel: {series, k, x, y}, null where nothing is near. */
+export function readingAt({ frame, readings = [] }, [px, py]) {
+  let found = null, least = NEAR;
+  const offer = (series, k, u, v) => {
+    const away = Math.hypot(u - px, v - py);
+    if (away < least) { least = away; found = { series, k, x: series.joined ? frame.x.inverse(u) : series.xs[k], y: series.joined ? frame.y.inverse(v) : series.ys[k] }; }
+  };
+  for (const series of readings) {
+    if (series.edges) continue;
+    series.xs.forEach((x, k) => {
+      const [u, v] = [frame.x(x), frame.y(series.ys[k])];
+      if (!Number.isFinite(u + v)) return;
+      if (!series.joined || !k) { offer(series, k, u, v); return; }
+      const [a, b] = [frame.x(series.xs[k - 1]), frame.y(series.ys[k - 1])], [du, dv] = [u - a, v - b];
+      const share = Math.max(0, Math.min(1, ((px - a) * du + (py - b) * dv) / (du * du + dv * dv || 1)));
+      if (Number.isFinite(a + b)) offer(series, k, a + share * du, b + share * dv);
+    });
+  }
+  const inside = (edges, value) => edges.findIndex((edge, k) => k > 0 && (value - edges[k - 1]) * (value - edge) <= 0) - 1;
+  for (const series of found ? [] : readings.filter((one) => one.edges)) {
+    const [i, j] = [inside(series.edges[0], frame.x.inverse(px)), inside(series.edges[1], frame.y.inverse(py))], k = j * (series.edges[0].length - 1) + i;
+    if (i >= 0 && j >= 0) found = { series, k, x: series.xs[k], y: series.ys[k] };
+  }
+  return found;
+}
+
+/** What is read in a plot, as columns. */
+function tableOf({ readings = [], frame }) {
+  const name = (axis, other) => axis?.said || axis?.label || other, names = readings.some((one) => one.name), texts = readings.some((one) => one.texts), columns = {};
+  const all = (of) => readings.flatMap((one) => one.xs.map((_, k) => of(one, k)));
+  if (names) columns.name = all((one) => one.name);
+  columns[name(frame?.xAxis, "x")] = all((one, k) => one.xs[k]);
+  columns[name(frame?.yAxis, "y")] = all((one, k) => one.ys[k]);
+  if (texts) columns.value = all((one, k) => one.texts?.[k] ?? "");
+  return columns;
 }
 
 /**
  * Make a plot's canvas interactive.
  *
- * draw(canvas): draws the plot on its canvas or on paper. Options: title() and keys() of an export; files: [[label,
- * ending, () => text]]; click(place, event); scrub(place): hears of drags in place of a zoom box; zoomed(): hears of
- * each zoom; over: the element that hears the pointer, where it is not the canvas.
- * Returns {menu, layer, redraw}: the menu, and what lies over the canvas.
+ * draw(canvas): draws the plot on its canvas or on paper. Options: about(): {title, name, notes, keys, bar} of an export,
+ * see `picture`; files: [[label, ending, () => text]], by default a table of what is read; click(place, event); scrub(place): hears of drags in place of a
+ * zoom box; zoomed(): hears of each zoom; over: the element that hears the pointer, where it is not the canvas.
+ * Returns {menu, band, redraw, set(zoom, silent)}: the menu, and what lies over the canvas.
  */
-export function interactive(canvas, draw, { title = () => "", keys = () => [], files = [], click, scrub, zoomed, over = canvas } = {}) {
-  const band = el("div", { class: "vx-band", hidden: true });
+export function interactive(canvas, draw, { about = () => ({ title: "" }), files = [["CSV", "csv", () => csvOf(tableOf(canvas))]], click, scrub, zoomed, over = canvas } = {}) {
+  const band = el("div", { class: "vx-band", hidden: true }), tip = el("div", { class: "vx-tip", role: "status", hidden: true }), ring = el("span", { class: "vx-at", hidden: true });
+  const touches = new Map();
+  let from = null, dragged = false, panned = null, pinched = null, waiting = 0, shown = null;
   const redraw = () => { draw(canvas); };
-  const set = (zoom) => {
+  const set = (zoom, silent = false) => {
     canvas.zoom = zoom;
-    redraw();
+    if (!silent) { tell(null); redraw(); }
     menu.classList.toggle("vx-zoomed", Boolean(zoom));
-    zoomed?.(zoom);
+    if (!silent) zoomed?.(zoom);
   };
-  const scaledBy = (factor, at = []) => {
-    const { frame } = canvas;
-    if (!frame) return;
-    const { box } = frame;
-    const x = limitsAt(frame.x, [box.left, box.right], frame.xAxis.log, factor, at[0]), y = limitsAt(frame.y, [box.bottom, box.top], frame.yAxis.log, factor, at[1]);
-    if (x && y) set([x, y]);
+  /** Show the limits of a frame nearer around a place, and moved. */
+  const scaled = ({ box, x, y, xAxis, yAxis }, factor, at = [], shift = [0, 0]) => {
+    const limits = [limitsAt(x, [box.left, box.right], xAxis.log, factor, at[0], shift[0]), limitsAt(y, [box.bottom, box.top], yAxis.log, factor, at[1], shift[1])];
+    if (limits[0] && limits[1]) set(limits);
   };
+  const scaledBy = (factor, at) => { if (canvas.frame) scaled(canvas.frame, factor, at); };
   const place = (event) => {
     const box = canvas.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   };
   const inside = ([x, y], { box }) => [Math.max(box.left, Math.min(box.right, x)), Math.max(box.top, Math.min(box.bottom, y))];
-  let from = null, dragged = false, panned = null;
+  const middleOf = ([a, b]) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], apart = ([a, b]) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+
+  /** Say what is read at a place of the plot; null: nothing. */
+  function tell(found) {
+    shown = found;
+    tip.hidden = ring.hidden = !found;
+    if (!found) return;
+    const { x: sx, y: sy, xAxis, yAxis } = canvas.frame, { series, k } = found, [u, v] = [sx(found.x) + canvas.offsetLeft, sy(found.y) + canvas.offsetTop];
+    const up = readText(series.name ? { ...yAxis, said: (yAxis.said ?? yAxis.label ?? "").replace(/^[^[]*(?=\[|$)/, " ") } : yAxis, found.y), text = series.texts?.[k];
+    canvas.parentNode.append(ring, tip);
+    tip.replaceChildren(...[[series.name, text ?? up].filter(Boolean).join(": "), ...(series.edges ? [readText(yAxis, found.y)] : []), readText(xAxis, found.x)].map((line, n) => el(n ? "span" : "b", { text: line })));
+    ring.style.cssText = `left:${u}px;top:${v}px`;
+    tip.style.left = `${Math.max(2, Math.min(u + 12, canvas.parentNode.clientWidth - tip.offsetWidth - 2))}px`;
+    tip.style.top = `${v > canvas.offsetTop + canvas.clientHeight / 2 ? v - tip.offsetHeight - 10 : v + 12}px`;
+  }
+  if (over === canvas) {
+    canvas.tabIndex = 0;
+    canvas.addEventListener("pointermove", (event) => tell(from && dragged ? null : canvas.frame && readingAt(canvas, place(event))));
+    for (const name of ["pointerleave", "blur"]) canvas.addEventListener(name, () => tell(null));
+    canvas.addEventListener("keydown", (event) => {
+      const [along, across] = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1], Home: [-1e9, 0], End: [1e9, 0] }[event.key] ?? [0, 0], { readings = [], frame } = canvas;
+      if ((!along && !across) || !frame || !readings.length || event.ctrlKey || event.metaKey || event.altKey) return;
+      event.preventDefault();
+      const at = Math.max(0, readings.indexOf(shown?.series)), series = readings[(at + (shown ? across : 0) + readings.length) % readings.length];
+      const known = series.xs.flatMap((x, k) => (Number.isFinite(x) && Number.isFinite(series.ys[k]) ? [k] : [])), next = known.findIndex((k) => k >= (shown?.k ?? 0));
+      const k = known[Math.max(0, Math.min(known.length - 1, (next < 0 ? known.length - 1 : next) + (shown ? along * (event.shiftKey ? 10 : 1) : 0)))];
+      if (k !== undefined) tell({ series, k, x: series.xs[k], y: series.ys[k] });
+    });
+  }
   over.addEventListener("pointerdown", (event) => {
     if (event.button !== 0 || !canvas.frame) return;
     dragged = false;
-    if (event.pointerType === "touch" && !scrub) return;
+    if (event.pointerType === "touch") {
+      touches.set(event.pointerId, place(event));
+      pinched = touches.size === 2 ? { frame: canvas.frame, ends: [...touches.values()] } : null;
+      if (pinched || (!scrub && !canvas.zoom)) { from = null; return; }
+    }
     from = place(event);
-    panned = event.shiftKey ? canvas.frame : null;
+    panned = event.shiftKey || (event.pointerType === "touch" && canvas.zoom) ? canvas.frame : null;
   });
   over.addEventListener("pointermove", (event) => {
-    if (!from) return;
     const to = place(event), { frame } = canvas;
+    if (touches.has(event.pointerId)) touches.set(event.pointerId, to);
+    if (pinched) {
+      const ends = [...touches.values()], [was, is] = [middleOf(pinched.ends), middleOf(ends)];
+      dragged = true;
+      scaled(pinched.frame, apart(ends) / (apart(pinched.ends) || 1), was, [is[0] - was[0], is[1] - was[1]]);
+      return;
+    }
+    if (!from) return;
     if (!dragged && Math.hypot(to[0] - from[0], to[1] - from[1]) < LEAST_DRAG) return;
     if (!dragged) over.setPointerCapture(event.pointerId);
     dragged = true;
-    if (panned) {
-      const { box } = panned;
-      const x = limitsAt(panned.x, [box.left, box.right], panned.xAxis.log, 1, null, to[0] - from[0]), y = limitsAt(panned.y, [box.bottom, box.top], panned.yAxis.log, 1, null, to[1] - from[1]);
-      if (x && y) set([x, y]);
-    } else if (scrub) scrub(to);
+    if (panned) scaled(panned, 1, [], [to[0] - from[0], to[1] - from[1]]);
+    else if (scrub) scrub(to);
     else {
       const [a, b] = [inside(from, frame), inside(to, frame)], base = [canvas.offsetLeft, canvas.offsetTop];
       band.hidden = false;
       band.style.cssText = `left:${base[0] + Math.min(a[0], b[0])}px;top:${base[1] + Math.min(a[1], b[1])}px;width:${Math.abs(a[0] - b[0])}px;height:${Math.abs(a[1] - b[1])}px`;
     }
   });
+  const ended = (event) => {
+    touches.delete(event.pointerId);
+    band.hidden = true;
+    from = pinched = null;
+  };
   over.addEventListener("pointerup", (event) => {
     if (from && dragged && !panned && !scrub) {
       const { frame } = canvas, [a, b] = [inside(from, frame), inside(place(event), frame)];
       const between = (scale, k) => [scale.inverse(a[k]), scale.inverse(b[k])].sort((u, v) => u - v);
       if (Math.abs(a[0] - b[0]) > LEAST_DRAG && Math.abs(a[1] - b[1]) > LEAST_DRAG) set([between(frame.x, 0), between(frame.y, 1)]);
     }
-    band.hidden = true;
-    from = null;
+    ended(event);
   });
-  over.addEventListener("pointercancel", () => { band.hidden = true; from = null; });
+  over.addEventListener("pointercancel", ended);
+  // Two fingers zoom, and one moves what is zoomed; else a finger scrolls the page.
+  over.addEventListener("touchmove", (event) => { if (event.cancelable && (event.touches.length > 1 || canvas.zoom)) event.preventDefault(); }, { passive: false });
   over.addEventListener("click", (event) => {
+    const chosen = click ?? scrub;
+    clearTimeout(waiting);
     if (dragged) event.stopImmediatePropagation();
-    else if (click) click(place(event), event);
-    else if (scrub) scrub(place(event));
+    // The first click of two that reset a zoom chooses nothing.
+    else if (chosen && canvas.zoom) { if (event.detail < 2) waiting = setTimeout(() => chosen(place(event), event), DOUBLE_CLICK); } else chosen?.(place(event), event);
     dragged = false;
   });
-  over.addEventListener("dblclick", () => { if (canvas.zoom) set(null); });
+  over.addEventListener("dblclick", () => { clearTimeout(waiting); if (canvas.zoom) set(null); });
   over.addEventListener("wheel", (event) => {
     if (!event.ctrlKey && !event.metaKey) return;
     event.preventDefault();
     scaledBy(event.deltaY < 0 ? 1.25 : 0.8, place(event));
   }, { passive: false });
-  const save = async (type) => download(await picture(canvas, draw, { title: title(), keys: keys() }, type), fileName(title(), type));
+  const save = async (type) => { const said = about(); download(await picture(canvas, draw, said, type), fileName(said.name ?? said.title, type)); };
   const action = (text, run) => el("button", { type: "button", text, onclick: () => run() });
-  const menu = el("details", { class: "vx-menu" }, el("summary", { "aria-label": `Zoom and files of the plot ${title()}`.trim(), title: "Zoom and files", text: "⋯" }),
+  const menu = el("details", { class: "vx-menu" }, el("summary", { "aria-label": `Zoom and files of the plot ${about().title}`.trim(), title: "Zoom and files", text: "⋯" }),
     el("div", {}, action("Zoom in", () => scaledBy(1.6)), action("Zoom out", () => scaledBy(1 / 1.6)), action("Reset zoom", () => set(null)),
       action("PNG", () => save("png")), action("SVG", () => save("svg")),
-      ...files.map(([label, ending, text]) => action(label, () => download(text(), fileName(title(), ending))))));
+      ...files.map(([label, ending, text]) => action(label, () => download(text(), fileName(about().name ?? about().title, ending))))));
   menu.addEventListener("keydown", (event) => { if (event.key === "Escape") { menu.open = false; menu.firstChild.focus(); } });
   menu.addEventListener("focusout", (event) => { if (!menu.contains(event.relatedTarget)) menu.open = false; });
   const reset = el("button", { type: "button", class: "vx-reset", text: "reset zoom", onclick: () => set(null) });

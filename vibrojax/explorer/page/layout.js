@@ -3,7 +3,6 @@ import { el } from "./dom.js";
 import { Pins } from "./compare.js";
 import { Figure } from "./figure.js";
 import { interactive } from "./interact.js";
-import { legendKeys } from "./legend.js";
 import { MapView } from "./map.js";
 import { Player } from "./player.js";
 
@@ -35,16 +34,16 @@ export function layOut(page) {
   page.pins = new Pins(page);
   page.figure = data.figure ? new Figure(page, data.figure) : null;
   const tools = interactive(page.map, (paper) => page.view.paint(paper), {
-    over: page.over, title: () => page.mapTitle(), keys: () => legendKeys(page), files: [["CSV", "csv", () => page.mapTable()]],
+    over: page.over, about: () => (page.view.view ? page.aboutMap() : { title: "map" }), files: [["CSV", "csv", () => page.mapTable()]],
     click: (place) => {
       const cell = page.view.at(...place), inside = page.view.patchAt(place);
       if (inside) page.computing.beside(inside.at);
       else if (cell) page.pick(cell);
-    }, zoomed: (zoom) => { page.view.drawOver(); page.zoomed(zoom); },
+    }, zoomed: (zoom) => page.zoomed(zoom),
   });
   page.mapTools = tools;
   const figure = page.figure ? [el("section", { "aria-label": "Plots of the analysis" }, page.figure.element)] : [];
-  const first = figure.length && !data.family && !data.variables[0]?.inner && (data.view ?? []).length < 2, mapParts = [page.controls,
+  const first = figure.length && !data.family && !data.variables[0]?.inner && ((data.view ?? []).filter(Boolean).length < 2 || data.view[0].includes(":")), mapParts = [page.controls,
     el("div", { class: "vx-map" }, el("div", { class: "vx-caption" }, page.caption, tools.menu), page.map, page.over, page.tip, tools.band), page.legend, page.live, page.slices];
   page.theme = el("button", { type: "button", class: "vx-theme", onclick: () => page.switchScheme() });
   const computing = page.computing ? [page.computing.element] : [];

@@ -1,19 +1,8 @@
-// What the colours and lines of the map mean.
+// What the colours, lines and marks of the map mean.
 import { el, explained } from "./dom.js";
-import { DASHES, drawBar } from "./map.js";
-import { GLYPHS, inkOf, legible, numberText, ticks } from "./plots.js";
-
-/** A line as it lies over the map: its colour and dashes, with the white edge it has there. */
-function dash(colour, text, dashes = []) {
-  const svg = (tag, attributes) => {
-    const one = document.createElementNS("http://www.w3.org/2000/svg", tag);
-    for (const [name, value] of Object.entries(attributes)) one.setAttribute(name, value);
-    return one;
-  };
-  const picture = svg("svg", { class: "vx-stroke", width: 30, height: 8, "aria-hidden": "true" }), way = { x1: 1, x2: 29, y1: 4, y2: 4 };
-  picture.append(svg("line", { ...way, stroke: "#FFFFFF", "stroke-width": 5 }), svg("line", { ...way, stroke: colour, "stroke-width": 2.4, "stroke-dasharray": dashes.join(" ") }));
-  return el("li", {}, picture, text);
-}
+import { DASHES } from "./map.js";
+import { drawBar } from "./paper.js";
+import { entry, inkOf, numberText, prepared } from "./plots.js";
 
 /** The cells of the plane that is shown. */
 export function* plane(page, cell = page.cell, left = axesOfPlane(page)) {
@@ -30,22 +19,51 @@ function axesOfPlane(page) {
   return [...new Set(directions.map((one) => one.axis.name))];
 }
 
-/** Each label that occurs on the plane, with its share. */
-function flagItems(page) {
-  const { grid } = page, variable = page.variable.inner ? grid.variables.get("regime") : page.variable, counts = new Map();
-  let total = 0;
-  for (const cell of plane(page)) {
-    const value = String(grid.value(variable.name, cell));
-    counts.set(value, (counts.get(value) ?? 0) + 1);
-    total++;
+/** The variable whose colours the map has: of several values of a cell that of their lanes. */
+const coloured = ({ grid, variable }) => (variable.inner ? grid.variables.get("regime") ?? variable : variable);
+
+/** The values of a variable on the part of the map that is shown: of what was computed anew, else of the dataset. */
+function shownValues(page, { name }) {
+  const anew = page.view.view.patch?.variables.get(name), shows = page.view.shown();
+  return anew ? [...anew] : [...plane(page)].filter(shows).map((cell) => page.grid.value(name, cell));
+}
+
+const percent = (share) => (share === 1 ? "100 %" : share < 0.01 ? "<1 %" : share > 0.99 ? ">99 %" : `${Math.round(100 * share)} %`);
+
+/** The entries of the legend of the map and of its files, see `drawSign`: with a sentence on what it is and a share of cells. */
+export function keysOf(page) {
+  const { grid, data } = page, variable = coloured(page), { curves, family, meanings = {} } = data, values = shownValues(page, variable), found = [];
+  const count = (wanted) => values.reduce((n, value) => n + (value === wanted), 0);
+  for (const flag of Object.keys(variable.flags ?? {}).map(Number).sort((a, b) => a - b)) {
+    const text = variable.flags[flag], n = count(flag);
+    if (n) found.push({ text, shape: "patch", colour: variable.colours[flag], share: percent(n / values.length), why: variable.name === "regime" && meanings[text] });
   }
-  const percent = (n) => {
-    if (n === total) return "100 %";
-    return n / total < 0.01 ? "<1 %" : n / total > 0.99 ? ">99 %" : `${Math.round((100 * n) / total)} %`;
-  };
-  return Object.keys(variable.flags).filter((flag) => counts.has(flag)).sort((a, b) => a - b).map((flag) =>
-    el("li", {}, explained(el("span", {}, el("span", { class: "vx-swatch", style: `background:${variable.colours[flag]}` }), ` ${variable.flags[flag]} `,
-      el("small", { text: percent(counts.get(flag)) })), variable.name === "regime" && page.data.meanings?.[variable.flags[flag]])));
+  if (page.shown.y && values.some(Number.isNaN) && !values.every(Number.isNaN)) found.push({ text: "no value", shape: "patch", colour: "hatched" });
+  if (page.among) found.push({ text: "other motions", shape: "patch", colour: "grid" });
+  if (variable.nothing_at_zero && page.shown.y && count(0)) found.push({ text: "zero", shape: "patch", colour: "#FFFFFF" });
+  if (curves && page.shown.borders !== "off" && page.view.view.y) {
+    for (const kind of new Set(curves.list.filter((one) => page.view.onPlane(one)).map((one) => one.kind)))
+      found.push({ text: kind, shape: "line", colour: curves.colours[kind] ?? "#222222", dash: DASHES[kind], why: meanings[kind] });
+    const corners = [...new Set(page.view.corners().map((one) => one.kind))];
+    if (corners.length) found.push({ text: `where curves meet: ${corners.join(", ")}`, shape: "s", colour: "ink", hollow: true });
+  }
+  if (family) {
+    const line = { shape: "line", colour: family.runs[0]?.colour ?? "ink" }, stable = family.runs.map((run) => run.stable === 1);
+    if (stable.includes(true)) found.push({ ...line, text: "stable" });
+    if (stable.includes(false)) found.push({ ...line, text: "not stable", dash: [5, 4] });
+    for (const [kind, shape] of new Map(family.special.map((one) => [one.kind, one.shape]))) found.push({ text: kind, shape, colour: family.kinds[kind], why: meanings[kind] });
+  }
+  const hides = page.variable.name === "regime" && grid.variables.has("hidden_motion");
+  if (hides && [...plane(page)].some((cell) => grid.value("hidden_motion", cell) === 1)) found.push({ text: "another start: same label, other motion", shape: "o", colour: "#222222" });
+  return found;
+}
+
+/** The bar of the map's colours, null where it has none. */
+export function barOf(page) {
+  const variable = coloured(page), values = variable.flags || !page.shown.y ? [] : shownValues(page, variable);
+  const [only, ...others] = new Set(values);  // in a set, NaN equals itself
+  if (!others.length && !only) return null;
+  return { ...variable, label: variable.label.replace("\n", " "), map: page.grid.data.maps[variable.map] };
 }
 
 /** Buttons that choose the cells with the greatest and the least value, on the map and in the whole dataset. */
@@ -61,7 +79,7 @@ function extremes(page) {
     }
     return [most, least];
   };
-  const [most, least] = ends(plane(page)), whole = page.facets().length ? ends(plane(page, page.cell, every))[0] : most;
+  const [most, least] = ends([...plane(page)].filter(page.view.shown())), whole = page.facets().length ? ends(plane(page, page.cell, every))[0] : most;
   if (!whole || variable.inner) return [];
   const button = (text, end) => el("button", { type: "button", class: "vx-copy", text: `${text}: ${grid.valueText(variable, end.value, 4)}`, onclick: () => page.pick(end.cell) });
   const found = most ? [button("greatest here", most), ...(least.value < most.value ? [button("least here", least)] : [])] : [];
@@ -69,59 +87,18 @@ function extremes(page) {
   return [el("p", { class: "vx-extremes" }, "Go to", ...found)];
 }
 
-/** What lies over the map: borders, branches, cells of a hidden motion. */
-function overItems(page) {
-  const found = [], { curves, family } = page.data;
-  if (curves && page.shown.borders !== "off" && page.view.view.y) {
-    for (const kind of new Set(curves.list.filter((one) => page.view.onPlane(one)).map((one) => one.kind)))
-      found.push(dash(curves.colours[kind] ?? "#222222", explained(el("span", { text: kind }), page.data.meanings?.[kind]), DASHES[kind]));
-    const corners = [...new Set(page.view.corners().map((one) => one.kind))];
-    if (corners.length) found.push(el("li", {}, el("span", { class: "vx-corner" }), `where curves meet: ${corners.join(", ")}`));
-  }
-  if (family) {
-    const ink = inkOf(page.element), colour = legible(family.runs[0]?.colour ?? ink.ink, ink), stable = family.runs.map((run) => run.stable === 1);
-    if (stable.includes(true)) found.push(dash(colour, "stable"));
-    if (stable.includes(false)) found.push(dash(colour, "not stable", [5, 4]));
-    for (const [kind, shape] of new Map(family.special.map((one) => [one.kind, one.shape])))
-      found.push(el("li", {}, el("span", { class: "vx-glyph", style: `color:${legible(family.kinds[kind], ink)}`, text: GLYPHS[shape] }), explained(el("span", { text: kind }), page.data.meanings?.[kind])));
-  }
-  const hides = page.variable.name === "regime" && page.grid.variables.has("hidden_motion");
-  if (hides && [...plane(page)].some((cell) => page.grid.value("hidden_motion", cell) === 1))
-    found.push(el("li", {}, el("span", { class: "vx-dot" }), "another start: same label, other motion"));
-  return found;
-}
-
-/** The entries of the legend of an exported map: its labels, or some values of its bar, and the lines over it. */
-export function legendKeys(page) {
-  const { grid } = page, variable = page.variable.inner ? grid.variables.get("regime") ?? page.variable : page.variable, found = [];
-  if (variable.flags) {
-    const there = new Set([...plane(page)].map((cell) => String(grid.value(variable.name, cell))));
-    for (const [flag, text] of Object.entries(variable.flags)) if (there.has(flag)) found.push({ text, colour: variable.colours[flag], shape: "patch" });
-  } else if (page.shown.y)
-    for (const value of ticks(variable.low, variable.high, 5, variable.log))
-      found.push({ text: `${numberText(value, 3)} ${variable.units}`.trim(), colour: grid.colour(variable, value / variable.factor, "#888888"), shape: "patch" });
-  const { curves } = page.data;
-  if (curves && page.shown.borders !== "off" && page.view.view.y)
-    for (const kind of new Set(curves.list.filter((one) => page.view.onPlane(one)).map((one) => one.kind)))
-      found.push({ text: kind, colour: curves.colours[kind] ?? "#222222", shape: "line", dash: DASHES[kind] });
-  return found;
-}
-
 /** Draw the legend of what a page's map shows into its element. */
 export function drawLegend(page) {
-  const { grid, legend } = page, variable = page.variable.inner ? grid.variables.get("regime") ?? page.variable : page.variable;
-  if (variable.flags || !page.shown.y) {
-    legend.replaceChildren(el("ul", {}, ...(variable.flags ? flagItems(page) : []), ...overItems(page)), ...(variable.flags ? [] : extremes(page)));
-    return;
+  const variable = coloured(page), bar = barOf(page), name = el("p", { class: "vx-barname", text: variable.label.replace("\n", " ") });
+  const list = el("ul", {}, ...keysOf(page).map((key) => entry(key, explained(el("span", {}, `${key.text} `, el("small", { text: key.share ?? "" })), key.why))));
+  if (variable.flags || !page.shown.y) page.legend.replaceChildren(list, ...(variable.flags ? [] : extremes(page)));
+  else if (!bar) {
+    name.append(`: ${shownValues(page, variable)[0] === 0 ? "0 everywhere" : "no value"} here`);
+    page.legend.replaceChildren(name, list);
+  } else {
+    const canvas = el("canvas", { class: "vx-bar", role: "img", "aria-label": `Colours of ${bar.label} from ${numberText(bar.low)} to ${numberText(bar.high)}` });
+    page.legend.replaceChildren(name, canvas, ...extremes(page), list);
+    const { context, width } = prepared(canvas);
+    drawBar(context, bar, 0, 0, width, inkOf(canvas));
   }
-  const [only, ...others] = new Set([...plane(page)].map((cell) => grid.value(variable.name, cell)));
-  if (!others.length && !only) {
-    const text = `${variable.label.replace("\n", " ")}: ${only === 0 ? "0 everywhere" : "no value"} here`;
-    legend.replaceChildren(el("p", { class: "vx-barname", text }), el("ul", {}, ...overItems(page)));
-    return;
-  }
-  const about = `Colours of ${variable.label} from ${numberText(variable.low)} to ${numberText(variable.high)}`;
-  const bar = el("canvas", { class: "vx-bar", role: "img", "aria-label": about });
-  legend.replaceChildren(el("p", { class: "vx-barname", text: variable.label.replace("\n", " ") }), bar, ...extremes(page), el("ul", {}, ...overItems(page)));
-  drawBar(bar, grid, variable);
 }

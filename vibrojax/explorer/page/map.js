@@ -1,7 +1,7 @@
 // The map: cells over two axes, dots over two columns of a list, or a curve along one axis; and what lies over it.
 import { drawItems } from "./figure.js";
 import { edgesOf, labelOf } from "./grid.js";
-import { framed, inkOf, legible, limitsAndTicks, limitsOf, line, mark, numberText, prepared, ticks } from "./plots.js";
+import { framed, inkOf, legible, limitsAndTicks, limitsOf, line, mark, prepared } from "./plots.js";
 
 export const DASHES = {
   fold: [], "period-doubling": [], torus: [8, 2], grazing: [6, 2, 2, 2], stick: [], section: [2, 2], hopf: [9, 2, 2, 2], end: [1, 2],
@@ -61,7 +61,7 @@ export class MapView {
   drawCells(canvas, x, y, variable, ink) {
     const across = this.axisOf(x), up = this.axisOf(y), grid = this.grid;
     const hidden = variable.name === "regime" && grid.variables.get("hidden_motion");
-    return framed(canvas, ink, across, up, (c, sx, sy) => {
+    return framed(canvas, ink, across, up, (c, sx, sy, box) => {
       for (let i = 0; i < across.values.length; i++) {
         const x0 = Math.floor(sx(across.edges[i])), x1 = Math.floor(sx(across.edges[i + 1]));
         for (let j = 0; j < up.values.length; j++) {
@@ -70,11 +70,11 @@ export class MapView {
           c.fillStyle = this.colourAt(variable, cell, ink);
           c.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
           if (hidden && grid.value("hidden_motion", cell) === 1 && Math.abs(x1 - x0) > 4)
-            mark(c, "circle", (x0 + x1) / 2, (y0 + y1) / 2, Math.min(1.8, Math.abs(x1 - x0) / 5), "#222222", "#FFFFFF");
+            mark(c, "o", (x0 + x1) / 2, (y0 + y1) / 2, Math.min(1.8, Math.abs(x1 - x0) / 5), "#222222", "#FFFFFF");
         }
       }
       this.drawPatch(c, sx, sy, x, y, variable, ink);
-      this.drawRegion(c, sx, sy, x, y, ink);
+      this.drawRegion(c, sx, sy, box, x, y);
       this.drawCurves(c, sx, sy, x, y);
     }, { grid: false });
   }
@@ -109,11 +109,13 @@ export class MapView {
     return { at, value: values[index[first] * patch.axes[second].length + index[second]] };
   }
 
-  drawRegion(c, sx, sy, x, y, ink) {
+  drawRegion(c, sx, sy, box, x, y) {
     const ends = this.grid.data.region;
     if (!this.view.region || !ends || !(x.axis.name in ends) || !(y.axis.name in ends)) return;
-    const [left, right] = ends[x.axis.name].map((v) => sx(v * x.column.factor));
-    const [low, high] = ends[y.axis.name].map((v) => sy(v * y.column.factor));
+    // A region that goes on beyond the map is closed at its edge.
+    const inside = (way, scale, from, to) => ends[way.axis.name].map((v) => Math.max(Math.min(from, to) + 2, Math.min(Math.max(from, to) - 2, scale(v * way.column.factor))));
+    const [left, right] = inside(x, sx, box.left, box.right), [low, high] = inside(y, sy, box.top, box.bottom);
+    if (left >= right || high >= low) return;
     for (const [colour, width] of [["#FFFFFF", 3.5], ["#222222", 1.5]]) {
       c.strokeStyle = colour;
       c.lineWidth = width;
@@ -132,7 +134,7 @@ export class MapView {
     }
     for (const corner of this.corners()) {
       const place = [x, y].map((way) => corner.point[way.axis.name] * way.column.factor);
-      mark(c, "square", sx(place[0]), sy(place[1]), 3.2, "#FFFFFF", "#222222");
+      mark(c, "s", sx(place[0]), sy(place[1]), 3.2, "#FFFFFF", "#222222");
     }
   }
 
@@ -169,6 +171,16 @@ export class MapView {
     return [...new Set(near.map((one) => one.kind))];
   }
 
+  /** Whether a cell is on the part of the map that is zoomed into. */
+  shown() {
+    const { canvas: { zoom }, view } = this, inside = [[view.x, zoom?.[0]], [view.y, zoom?.[1]]].map(([way, limits]) => {
+      if (!way || !limits) return null;
+      const { values, edges } = edgesOf(way.column), ends = (k) => (way.column === way.axis ? [edges[k], edges[k + 1]] : [values[k], values[k]]);
+      return new Set(values.flatMap((_, k) => (Math.max(...ends(k)) >= limits[0] && Math.min(...ends(k)) <= limits[1] ? [k] : [])));
+    });
+    return (cell) => [view.x, view.y].every((way, n) => !inside[n] || inside[n].has(cell[way.axis.name]));
+  }
+
   /** Whether a curve is of the plane and the start that are shown. */
   onPlane(curve) {
     const { cell } = this.view, any = this.view.borders === "any";
@@ -190,7 +202,7 @@ export class MapView {
     return framed(canvas, ink, of(x, xs), of(y, ys), (c, sx, sy) => {
       xs.forEach((value, k) => {
         const cell = this.cellAt({ [x.axis.name]: k });
-        mark(c, "circle", sx(value), sy(ys[k]), size, this.colourAt(variable, cell, ink), ink.faint);
+        mark(c, "o", sx(value), sy(ys[k]), size, this.colourAt(variable, cell, ink), ink.faint);
       });
     });
   }
@@ -220,7 +232,7 @@ export class MapView {
       const size = family ? 1.6 : Math.max(1.8, Math.min(4.5, 700 / xs.length));
       xs.forEach((value, k) => {
         const colour = family ? ink.ink : flags ? grid.colour(variable, ys[k], ink.undefined) : ink.bit;
-        if (Number.isFinite(rows[k]) && rows[k] >= (flags ? 0 : -Infinity)) mark(c, "circle", sx(value), sy(rows[k]), size, colour, flags ? ink.faint : null);
+        if (Number.isFinite(rows[k]) && rows[k] >= (flags ? 0 : -Infinity)) mark(c, "o", sx(value), sy(rows[k]), size, colour, flags ? ink.faint : null);
       });
       for (const one of family?.special ?? []) mark(c, one.shape, sx(xs[one.point]), sy(rows[one.point]), 4.5, legible(family.kinds[one.kind], ink), ink.plate);
     }, { empty: !ys.some(Number.isFinite) });
@@ -246,7 +258,7 @@ export class MapView {
     const size = Math.max(1.6, Math.min(3.6, 900 / (axis.values.length + 1)));
     return framed(canvas, ink, across, { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") }, (c, sx, sy) => {
       const rim = xs.length < 300 ? ink.faint : null;  // rims of many would hide their colours
-      xs.forEach((value, k) => mark(c, "circle", sx(value), sy(ys[k]), size, colours[index[k]], rim));
+      xs.forEach((value, k) => mark(c, "o", sx(value), sy(ys[k]), size, colours[index[k]], rim));
       drawItems(c, over, sx, sy, ink);
     }, { empty: !xs.length });
   }
@@ -346,30 +358,5 @@ export class MapView {
       }
     }
     c.restore();
-  }
-}
-
-/** A bar of a quantity's colours. */
-export function drawBar(canvas, grid, variable) {
-  const ink = inkOf(canvas), map = grid.data.maps[variable.map], { low, high, log } = variable;
-  const { context: c, width, height } = prepared(canvas), left = 22, right = width - 22;
-  map.forEach((colour, k) => {
-    c.fillStyle = colour;
-    c.fillRect(left + (k / map.length) * (right - left), 2, (right - left) / map.length + 1, 12);
-  });
-  for (const [at, way, shown] of [[left, -1, ["min", "both"]], [right, 1, ["max", "both"]]]) {
-    if (!shown.includes(variable.extend)) continue;
-    c.beginPath();
-    c.moveTo(at, 2); c.lineTo(at + way * 8, 8); c.lineTo(at, 14);
-    c.fillStyle = way < 0 ? map[0] : map.at(-1);
-    c.fill();
-  }
-  c.fillStyle = ink.ink;
-  c.font = "11px system-ui, sans-serif";
-  c.textAlign = "center";
-  c.textBaseline = "top";
-  for (const value of ticks(low, high, width < 300 ? 3 : 6, log)) {
-    const share = log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
-    c.fillText(numberText(value, 3), left + share * (right - left), 18);
   }
 }

@@ -7,9 +7,9 @@ import { fragmentOf, readFragment } from "./fragment.js";
 import { Grid } from "./grid.js";
 import { layOut } from "./layout.js";
 import { csvOf } from "./paper.js";
-import { drawLegend, plane } from "./legend.js";
+import { barOf, drawLegend, keysOf, plane } from "./legend.js";
 import { listen } from "./pointing.js";
-import { limitsOf } from "./plots.js";
+import { drawSigns, limitsOf } from "./plots.js";
 import { drawSlices, drawWhole } from "./slices.js";
 
 let instances = 0;
@@ -60,6 +60,7 @@ class Page {
     await this.grid.loadAll();
     await this.pick(this.cell);
     await this.pins.restore(readFragment(this.data, state).pins);
+    if (this.map.zoom) this.zoomed(this.map.zoom);
   }
 
   destroy() {
@@ -86,7 +87,7 @@ class Page {
     const up = others.find((one) => one.id === wanted[1]) ?? others.find((one) => one.axis.values.length > 1);
     const y = this.data.family || this.variable?.inner ? null : up ?? null;  // several values of a cell make a diagram
     this.shown.x = x?.id ?? null;
-    this.shown.y = y?.id ?? null;
+    this.shown.y = wanted[1] === "" ? null : y?.id ?? null;
     for (const one of [x, y]) if (one) this.cell[one.axis.name] ||= this.data.first?.[one.axis.name] ?? Math.floor(one.axis.values.length / 2);
   }
 
@@ -109,6 +110,7 @@ class Page {
 
   /** Show another variable, other directions, or lay something over. */
   async show(changes) {
+    const ways = [this.shown.x, this.shown.y];
     Object.assign(this.shown, changes);
     if ("y" in changes) this.shown.y = changes.y || null;
     await this.grid.load(this.shown.variable);
@@ -120,6 +122,7 @@ class Page {
     const x = this.direction(this.shown.x), y = this.direction(this.shown.y);
     if (y && (this.variable.inner || !this.along(y) || !Grid.together(x, y))) this.shown.y = "y" in changes ? null : this.firstUp(x);
     if ("x" in changes && !this.shown.y && !("y" in changes) && !this.data.family) this.shown.y = this.firstUp(x);
+    if (ways[0] !== this.shown.x || ways[1] !== this.shown.y) this.mapTools.set(null, true);
     this.fillControls();
     this.draw();
     this.say();
@@ -138,6 +141,7 @@ class Page {
     this.caption.textContent = this.mapTitle();
     this.figure?.draw();
     drawSlices(this);
+    drawSigns(this.element);
   }
 
   /** The forms of a law have coefficients of different sizes: the colours span those of the form that is shown. */
@@ -160,14 +164,15 @@ class Page {
     this.controls.hidden = this.live.hidden = true;
     this.figure?.draw();
     if (this.history) drawWhole(this);
+    drawSigns(this.element);
   }
 
   /** Whether a cell is among those that the map is limited to; null where it shows all. */
   get among() {
     const { only } = this.shown, { grid } = this;
     if (!only) return null;
-    const stable = only.startsWith("stable "), flag = Number(only.replace("stable ", ""));
-    return (cell) => grid.value("regime", cell) === flag && (!stable || grid.value("stable", cell) === 1);
+    const stable = only.startsWith("stable"), flag = only.replace(/stable ?/, "");
+    return (cell) => (!flag || grid.value("regime", cell) === Number(flag)) && (!stable || grid.value("stable", cell) === 1);
   }
 
   // The chosen cell.
@@ -260,7 +265,7 @@ class Page {
 
   get state() {
     const { shown, cell } = this;
-    return fragmentOf(this.data, { shown, cell, scheme: this.element.dataset.scheme, pins: this.pins.state });
+    return fragmentOf(this.data, { shown, cell, scheme: this.element.dataset.scheme, pins: this.pins.state, zoom: this.map.zoom });
   }
 
   restore(state) {
@@ -276,10 +281,11 @@ class Page {
     }
     Object.assign(this.cell, said.cell);
     shown.region = said.region;
-    shown.only = this.grid.variables.has("regime") ? said.only : "";
+    shown.only = this.grid.variables.has("regime") || said.only === "stable" ? said.only : "";
     if (said.borders) shown.borders = said.borders;
     if (shown.borders === "own" && !this.grid.axes.has("start")) shown.borders = "any";
     if (said.scheme) this.element.dataset.scheme = said.scheme;
+    this.mapTools.set(said.zoom, true);
     this.nameScheme();
   }
 
@@ -301,27 +307,57 @@ class Page {
 
   /** A source that computes gives the part of the map that is zoomed into, once the zoom has rested. */
   zoomed(zoom) {
+    if (!this.view.view) return;  // before the first drawing
+    this.view.drawOver();
+    drawLegend(this);
+    drawSigns(this.legend);
+    this.tell();
     clearTimeout(this.resting);
     if (this.computing) this.resting = setTimeout(() => this.computing.box(zoom), 400);
   }
 
+  /** The axes of what is shown that the map does not run along. */
+  get besideMap() { return this.facets().filter((name) => this.variable?.axes.includes(name)); }
+
   /** What the map shows, in words. */
   mapTitle() {
-    const { variable, grid } = this, at = grid.cellText(this.cell, this.facets().filter((name) => variable?.axes.includes(name)));
-    return variable ? [variable.name.replaceAll("_", " "), at].filter(Boolean).join(", ") : "map";
+    const { variable, grid } = this;
+    return variable ? [variable.name.replaceAll("_", " "), grid.cellText(this.cell, this.besideMap)].filter(Boolean).join(", ") : "map";
+  }
+
+  /** What a file of a plot says besides the plot: what it is of, and a name that tells variables and cells apart. */
+  about(title, more = {}) {
+    const { point, data, grid, cell, named } = this, said = grid.cellText(cell, named);
+    return { title, notes: [[point?.title || said, data.common].filter(Boolean).join(", ")], name: [title, point?.title ?? grid.nameText(cell, named)].filter(Boolean).join("_"), ...more };
+  }
+
+  /** The values that are the same over a plot along some axes. */
+  notesAt(along) { return [[this.grid.cellText(this.cell, this.named.filter((name) => !along.includes(name))), this.data.common].filter(Boolean).join(", ")]; }
+
+  aboutMap() {
+    const { variable, grid, cell, besideMap } = this, only = this.element.querySelector("[data-control='only']")?.selectedOptions[0].text;
+    const notes = [[grid.cellText(cell, besideMap), this.data.common].filter(Boolean).join(", "), this.among ? `shown: ${only}` : ""];
+    return { title: variable.label.replace("\n", " ").replace(/ \[.*/, ""), notes, name: [variable.name, grid.nameText(cell, besideMap), this.among ? only : ""].filter(Boolean).join("_"), keys: keysOf(this), bar: barOf(this) };
   }
 
   /** The map, or the curve, that is shown, as a table. */
   mapTable() {
-    const { grid, variable } = this, [x, y] = [this.direction(this.shown.x), this.direction(this.shown.y)], columns = {};
+    const { grid, variable } = this, [x, y] = [this.direction(this.shown.x), this.direction(this.shown.y)];
     const names = [...new Set([x, y].filter(Boolean).map((one) => one.axis.name)), ...(variable.inner ? [variable.inner] : [])];
     const cells = names.reduce((some, name) => some.flatMap((cell) => grid.axes.get(name).values.map((_, k) => ({ ...cell, [name]: k }))), [{ ...this.cell }]);
-    for (const name of names) {
-      const axis = grid.axes.get(name), listed = axis.columns.length ? axis.columns : [axis];
-      for (const column of listed) columns[column.name] = cells.map((cell) => column.values[cell[name]]);
-    }
-    columns[variable.name] = cells.map((cell) => { const value = grid.value(variable.name, cell); return variable.flags ? variable.flags[value] ?? value : value; });
-    return csvOf(columns);
+    return csvOf(this.tableOf(this.among ? cells.filter(this.among) : cells));
+  }
+
+  /** Cells as columns: every coordinate and the variable that is shown, in the units of the plots. */
+  tableOf(cells) {
+    const { grid, variable, data } = this, columns = { }, along = new Set([...(data.lanes?.axes ?? []), ...variable.axes]);
+    const head = ({ name, units }) => (units ? `${name} [${units}]` : name), short = (value, digits) => (value === null || Number.isNaN(value) ? "" : Number(value.toPrecision(digits)));
+    for (const axis of [...grid.axes.values()].filter(({ name }) => along.has(name)))
+      for (const column of (axis.columns.length ? axis.columns : [axis]).filter((one) => !one.silent))
+        columns[head(column)] = cells.map((cell) => { const value = column.values[cell[axis.name] ?? 0]; return column.numeric ? short(value * column.factor, 10) : value; });
+    for (const [name, value] of Object.entries(data.fixed)) columns[name] = cells.map(() => value);
+    columns[head(variable)] = cells.map((cell) => { const value = grid.value(variable.name, cell); return variable.flags ? variable.flags[value] ?? value : short(value * variable.factor, 7); });
+    return columns;
   }
 
   /** Say what is chosen to who keeps it; `picked`: whether the user chose another cell. */

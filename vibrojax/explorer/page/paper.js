@@ -1,5 +1,5 @@
 // Exports: a plot drawn once more on a sheet, as PNG or SVG with its title and legend, and text files.
-import { FONT, inkOf } from "./plots.js";
+import { drawSign, FONT, inkOf, numberText, scaleOf, signWidth, ticks } from "./plots.js";
 
 const SCALE = 3;
 const escaped = (text) => String(text).replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
@@ -66,56 +66,79 @@ function paperOf(canvas, context, ratio) {
   return Object.assign(paper, { getBoundingClientRect: () => ({ width, height }) });
 }
 
-/** Rows of legend entries [{text, colour, shape, dash}] that fit into a width. */
+/** Rows of legend entries that fit into a width, each with its place from the left. */
 function rowsOf(c, keys, width) {
-  const rows = [[]];
-  let used = 0;
-  c.font = `11px ${FONT}`;
+  const rows = [];
+  let used = Infinity;
   for (const key of keys) {
-    const wide = c.measureText(key.text).width + 36;
-    if (used + wide > width && rows.at(-1).length) { rows.push([]); used = 0; }
+    const wide = c.measureText(key.text).width + signWidth(key) + 22;
+    if (used + wide > width) { rows.push([]); used = 0; }
     rows.at(-1).push({ ...key, left: used });
     used += wide;
   }
-  return rows[0].length ? rows : [];
+  return rows;
 }
 
-function drawKeys(c, rows, top, ink) {
-  c.font = `11px ${FONT}`;
-  c.textAlign = "left";
-  c.textBaseline = "middle";
-  rows.forEach((row, k) => {
-    for (const { text, colour, colours, shape, dash, left } of row) {
-      const y = top + 16 * k + 8;
-      if (shape === "line") {
-        c.strokeStyle = colour; c.lineWidth = 2; c.setLineDash(dash ?? []);
-        c.beginPath(); c.moveTo(left + 6, y); c.lineTo(left + 24, y); c.stroke();
-        c.setLineDash([]);
-      } else {
-        const all = colours ?? [colour], wide = colours ? 18 : 10;
-        all.forEach((one, k) => { c.fillStyle = one; c.fillRect(left + 24 - wide + (k * wide) / all.length - (colours ? 0 : 4), y - 5, wide / all.length, 10); });
-      }
-      c.fillStyle = ink.ink;
-      c.fillText(text, left + 28, y);
-    }
-  });
+/** A text in lines that fit into a width. */
+function wrapped(c, text, width) {
+  const lines = [""];
+  for (const word of text.replaceAll(" = ", "\u00a0=\u00a0").split(" ")) {
+    const longer = `${lines.at(-1)} ${word}`.trim();
+    if (c.measureText(longer).width <= width) lines[lines.length - 1] = longer; else lines.push(word);
+  }
+  return lines.filter(Boolean);
 }
 
-/** A blob of a plot with title and legend. `draw(paper)` draws the plot; `type`: "png" or "svg". */
-export async function picture(canvas, draw, { title = "", keys = [] }, type) {
-  const { width, height } = canvas.getBoundingClientRect(), ink = inkOf(canvas), top = title ? 24 : 6;
-  const inner = document.createElement("canvas"), probe = inner.getContext("2d"), rows = rowsOf(probe, keys, width - 8);
-  const whole = height + top + 16 * rows.length + 8;
+/** A bar of a quantity's colours, with arrows at the ends beyond which there are values. */
+export function drawBar(c, { low, high, log, extend, map }, left, top, width, ink) {
+  const [from, to] = [left + 22, left + width - 22];
+  map.forEach((colour, k) => { c.fillStyle = colour; c.fillRect(from + (k / map.length) * (to - from), top + 2, (to - from) / map.length + 1, 12); });
+  for (const [at, way, ends] of [[from, -1, ["min", "both"]], [to, 1, ["max", "both"]]]) {
+    if (!ends.includes(extend)) continue;
+    c.beginPath();
+    c.moveTo(at, top + 2); c.lineTo(at + way * 8, top + 8); c.lineTo(at, top + 14);
+    c.closePath();
+    c.fillStyle = way < 0 ? map[0] : map.at(-1);
+    c.fill();
+  }
+  Object.assign(c, { fillStyle: ink.ink, font: `11px ${FONT}`, textAlign: "center", textBaseline: "top" });
+  const place = scaleOf(low, high, from, to, log);
+  for (const value of ticks(low, high, width < 300 ? 3 : 6, log)) c.fillText(numberText(value, 3), place(value), top + 18);
+}
+
+/**
+ * A blob of a plot on a sheet in the light scheme. `draw(paper)` draws the plot; `about`: its title, the notes below it,
+ * the entries of its legend (`keys`, see `drawSign`) and the bar of its colours ({label, low, high, log, extend, map});
+ * `type`: "png" or "svg".
+ */
+export async function picture(canvas, draw, { title = "", notes = [], keys = [], bar = null }, type) {
+  const root = canvas.closest(".vibrojax"), scheme = root.dataset.scheme;
+  root.dataset.scheme = "light";
+  try {
+    return sheetOf(canvas, draw, title, notes, keys, bar, type);
+  } finally {
+    if (scheme) root.dataset.scheme = scheme; else delete root.dataset.scheme;
+  }
+}
+
+function sheetOf(canvas, draw, title, notes, keys, bar, type) {
+  const { width, height } = canvas.getBoundingClientRect(), ink = inkOf(canvas), top = title ? 26 : 6;
+  const inner = document.createElement("canvas"), probe = inner.getContext("2d");
+  probe.font = `11px ${FONT}`;
+  const rows = rowsOf(probe, keys, width - 16), lines = notes.filter(Boolean).flatMap((note) => wrapped(probe, note, width - 24));
+  const below = top + height + (bar ? 52 : 0), whole = below + 17 * rows.length + 15 * lines.length + 10;
   const around = (c, plot) => {
     c.fillStyle = ink.plate;
     c.fillRect(0, 0, width, whole);
     plot();
-    c.fillStyle = ink.ink;
-    c.font = `bold 12.5px ${FONT}`;
-    c.textAlign = "left";
-    c.textBaseline = "middle";
-    if (title) c.fillText(title, 10, 13, width - 20);
-    drawKeys(c, rows, top + height, ink);
+    const write = (text, font, x, y, textAlign = "left") => { Object.assign(c, { fillStyle: ink.ink, font: `${font} ${FONT}`, textAlign, textBaseline: "middle" }); c.fillText(text, x, y, width - 20); };
+    if (title) write(title, "bold 12.5px", 10, 14);
+    if (bar) {
+      drawBar(c, bar, 20, top + height, width - 40, ink);
+      write(bar.label, "11.5px", width / 2, top + height + 42, "center");
+    }
+    rows.forEach((row, k) => row.forEach((key) => { drawSign(c, key, 10 + key.left, below + 17 * k + 1, ink); write(key.text, "11px", 10 + key.left + signWidth(key) + 6, below + 17 * k + 8); }));
+    lines.forEach((line, k) => write(line, "11px", 12, below + 17 * rows.length + 15 * k + 9));
   };
   if (type === "svg") {
     const c = new SvgContext();
@@ -158,5 +181,5 @@ export function csvOf(columns) {
   return `${lines.join("\n")}\n`;
 }
 
-/** A file name from words. */
-export const fileName = (words, ending) => `${words.toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "").slice(0, 60) || "plot"}.${ending}`;
+/** A file name from words; numbers keep their signs and points. */
+export const fileName = (words, ending) => `${words.toLowerCase().replaceAll("−", "-").replace(/[₀-₉]/g, (digit) => "₀₁₂₃₄₅₆₇₈₉".indexOf(digit)).replace(/[^a-z0-9.=_-]+/g, "-").replace(/^[-.]+|[-.]+$/g, "").slice(0, 120) || "plot"}.${ending}`;

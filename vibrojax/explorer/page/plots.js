@@ -1,4 +1,5 @@
-// Plots on canvas: scales, ticks, frames, lines. Sizes are in CSS pixels.
+// Plots on canvas: scales, ticks, frames, lines, marks, signs of legends. Sizes are in CSS pixels.
+import { el } from "./dom.js";
 
 export const FONT = "system-ui, -apple-system, 'Segoe UI', sans-serif";
 
@@ -111,9 +112,10 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
   const { context: c, width, height } = prepared(canvas);
   if (width < 20 || height < 20) return null;
   [x, y] = zoomed(canvas, x, y);
+  if (y.bare) y = { ...y, said: y.label, label: "" };
   c.font = `11px ${FONT}`;
   c.textBaseline = "middle";
-  const textOf = (axis, value) => numberText(Math.abs(value) < 1e-12 * (axis.limits[1] - axis.limits[0]) ? 0 : value, 5);
+  const textOf = (axis, value) => (axis.bare ? "" : numberText(Math.abs(value) < 1e-12 * (axis.limits[1] - axis.limits[0]) ? 0 : value, 5));
   const yTicks = options.empty ? [] : y.ticks ?? ticks(...y.limits, Math.max(3.2, height / 42), y.log).map((v) => [v, textOf(y, v)]);
   const wide = Math.max(0, ...yTicks.map(([, text]) => c.measureText(text).width));
   const left = Math.round(options.left ?? wide + (y.label ? 30 : 12)), bottom = x.label ? 36 : 20, top = options.top ?? 8;
@@ -141,7 +143,9 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
   c.beginPath();
   c.rect(box.left, box.top, box.right - box.left, box.bottom - box.top);
   c.clip();
+  readings = canvas.readings = [];
   draw(c, sx, sy, box);
+  readings = null;
   c.restore();
   c.strokeStyle = ink.faint;
   c.strokeRect(box.left + 0.5, box.top + 0.5, box.right - box.left - 1, box.bottom - box.top - 1);
@@ -201,19 +205,75 @@ export function line(c, xs, ys, sx, sy, colour, width = 1.6, dash = []) {
   c.setLineDash([]);
 }
 
-/** Characters that look like the marks. */
-export const GLYPHS = { square: "■", circle: "●", diamond: "◆", triangle: "▲", bar: "|", cross: "×" };
+const AROUND = (count, ...radii) => Array.from({ length: count * radii.length }, (_, k) => [radii[k % radii.length], (2 * Math.PI * k) / (count * radii.length)])
+  .map(([radius, angle]) => [radius * Math.sin(angle), -radius * Math.cos(angle)]);
 
-/** A mark: "circle", "diamond", "square", "triangle" or "cross". */
+/** The marks by their names in the pictures, as matplotlib has them: corners of an area, or strokes, of size 1. */
+const AREAS = {
+  s: [[-1, -1], [1, -1], [1, 1], [-1, 1]], D: AROUND(4, 1.3), "*": AROUND(5, 1.6, 0.62), "|": [[-0.35, -1.6], [0.35, -1.6], [0.35, 1.6], [-0.35, 1.6]],
+  "^": [[0, -1.2], [1, 1], [-1, 1]], v: [[0, 1.2], [1, -1], [-1, -1]], "<": [[-1.2, 0], [1, 1], [1, -1]], ">": [[1.2, 0], [-1, 1], [-1, -1]],
+  P: [[-0.4, -1.1], [0.4, -1.1], [0.4, -0.4], [1.1, -0.4], [1.1, 0.4], [0.4, 0.4], [0.4, 1.1], [-0.4, 1.1], [-0.4, 0.4], [-1.1, 0.4], [-1.1, -0.4], [-0.4, -0.4]],
+};
+const STROKES = { x: [[-1, -1, 1, 1], [-1, 1, 1, -1]], "+": [[-1, 0, 1, 0], [0, -1, 0, 1]] };
+
+/** A mark: a name of the table, a circle for any other. */
 export function mark(c, kind, x, y, size, colour, edge) {
   c.beginPath();
-  if (kind === "circle") c.arc(x, y, size, 0, 2 * Math.PI);
-  else if (kind === "diamond") { c.moveTo(x, y - 1.3 * size); c.lineTo(x + 1.3 * size, y); c.lineTo(x, y + 1.3 * size); c.lineTo(x - 1.3 * size, y); c.closePath(); }
-  else if (kind === "square") c.rect(x - size, y - size, 2 * size, 2 * size);
-  else if (kind === "triangle") { c.moveTo(x, y - 1.2 * size); c.lineTo(x + 1.2 * size, y + size); c.lineTo(x - 1.2 * size, y + size); c.closePath(); }
-  else if (kind === "bar") { c.rect(x - 1.4, y - 1.6 * size, 2.8, 3.2 * size); }
-  else if (kind === "cross") { c.moveTo(x - size, y - size); c.lineTo(x + size, y + size); c.moveTo(x - size, y + size); c.lineTo(x + size, y - size); c.strokeStyle = colour; c.lineWidth = 1.8; c.stroke(); return; }
+  for (const [x0, y0, x1, y1] of STROKES[kind] ?? []) { c.moveTo(x + size * x0, y + size * y0); c.lineTo(x + size * x1, y + size * y1); }
+  if (kind in STROKES) { c.strokeStyle = colour; c.lineWidth = 1.8; c.stroke(); return; }
+  if (kind in AREAS) AREAS[kind].forEach(([u, v], k) => c[k ? "lineTo" : "moveTo"](x + size * u, y + size * v)); else c.arc(x, y, size, 0, 2 * Math.PI);
+  c.closePath();
   c.fillStyle = colour;
   c.fill();
   if (edge) { c.strokeStyle = edge; c.lineWidth = 1; c.stroke(); }
+}
+
+/** How wide the sign of an entry of a legend is. */
+export const signWidth = ({ shape }) => ({ line: 28, scale: 60 }[shape] ?? 14);
+
+/**
+ * What stands before an entry {text, shape: "line", "patch", "scale" or a mark, colour, dash, marker: on the line, hollow,
+ * colours: of a scale} of a legend, 14 high at a place: as it stands in the plot.
+ */
+export function drawSign(c, key, left, top, ink) {
+  const { shape, colour, colours, dash, marker, hollow } = key, wide = signWidth(key), own = ink[colour] ?? legible(colour, ink), y = top + 7, middle = left + wide / 2;
+  const spot = (kind) => mark(c, kind, middle, y, 4, hollow ? ink.plate : own, hollow ? own : null);
+  if (shape === "line") {
+    line(c, [left + 1, left + wide - 1], [y, y], (x) => x, (x) => x, own, 2, dash);
+    if (marker) spot(marker);
+  } else if (shape === "scale") colours.forEach((one, k) => { c.fillStyle = one; c.fillRect(left + (k * wide) / colours.length, y - 6, wide / colours.length + 0.5, 12); });
+  else if (shape === "patch") {
+    c.fillStyle = colour === "hatched" ? ink.undefined : ink[colour] ?? colour;
+    c.fillRect(middle - 6, y - 6, 12, 12);
+    c.strokeStyle = ink.faint;
+    c.lineWidth = 1;
+    c.strokeRect(middle - 6, y - 6, 12, 12);
+  } else spot(shape);
+}
+
+/** An entry of a legend in the page: its sign, and its text or what stands for it. `drawSigns` draws it. */
+export function entry(key, content = key.text) {
+  const sign = el("canvas", { class: "vx-sign", "aria-hidden": "true", style: `width:${signWidth(key)}px` });
+  sign.key = key;
+  return el("li", {}, sign, content);
+}
+
+/** Draw the signs of the legends in an element, in the colours of its scheme. */
+export function drawSigns(root) {
+  const ink = inkOf(root);
+  for (const one of root.querySelectorAll(".vx-sign")) drawSign(prepared(one).context, one.key, 0, 0, ink);
+}
+
+let readings = null;
+
+/**
+ * Have values of the plot that is being drawn read where they are pointed at: `xs`, `ys` in data coordinates; `texts`:
+ * what is read there, by default both coordinates; `edges`: [x, y] of cells, of which ys has the rows.
+ */
+export const read = (name, xs, ys, more = {}) => { if (xs.length) readings?.push({ name, xs, ys, ...more }); };
+
+/** A value along an axis as it is read: its label, and the value or the name of its tick. */
+export function readText({ label = "", said = label, ticks: named, log }, value) {
+  const [, words, unit = ""] = /^(.*?)(?: \[(.*)\])?$/.exec(said.replaceAll("\n", " ")), tick = log ? null : named?.find(([at]) => Math.abs(at - value) < 1e-9);
+  return [words, tick ? tick[1] : `${numberText(value, 5)} ${unit}`.trim()].filter(Boolean).join(" ");
 }

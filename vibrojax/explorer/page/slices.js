@@ -3,7 +3,7 @@ import { colourName, drawCourse, groupsOf } from "./cell.js";
 import { el } from "./dom.js";
 import { interactive } from "./interact.js";
 import { csvOf } from "./paper.js";
-import { framed, inkOf, limitsAndTicks, limitsOf, line, mark } from "./plots.js";
+import { entry, framed, inkOf, limitsAndTicks, limitsOf, line, mark, read } from "./plots.js";
 
 /** Draw the slices of a page's map into its element. */
 export function drawSlices(page) {
@@ -18,7 +18,7 @@ export function drawSlices(page) {
 function sliceFigure(k) {
   const canvas = el("canvas", { class: "vx-slice", role: "img", "data-slice": k }), title = el("span"), figure = el("figure", { class: "vx-panel" });
   const tools = interactive(canvas, (paper) => figure.slice.draw(paper), {
-    title: () => figure.slice?.title ?? `slice ${k + 1}`, files: [["CSV", "csv", () => csvOf(figure.slice.table)]], click: (place) => figure.slice.click(place),
+    about: () => figure.slice?.about() ?? { title: `slice ${k + 1}` }, files: [["CSV", "csv", () => csvOf(figure.slice.table())]], click: (place) => figure.slice.click(place),
   });
   figure.append(el("figcaption", {}, title, tools.menu), el("div", { class: "vx-stack" }, canvas, tools.band));
   return figure;
@@ -37,13 +37,15 @@ function drawSlice(page, figure, direction, other) {
     ? { limits: [-0.6, known.length - 0.4], label: "", ticks: known.map((flag, i) => [i, variable.flags[flag] ?? `${flag}`]) }
     : { ...limitsAndTicks(ys), label: variable.units };
   const named = column.numeric ? undefined : column.values.map((text, i) => [i, text]);
-  const right = { limits: limitsOf([xs], 0.02), label: column.symbol, log: column.log, ticks: named };
-  const draw = (paper, ink = inkOf(paper)) => framed(paper, ink, right, up, (c, sx, sy, box) => {
+  const right = { limits: limitsOf([xs], 0.02), label: column.units ? `${column.symbol} [${column.units}]` : column.symbol, log: column.log, ticks: named };
+  const draw = (paper, ink = inkOf(paper)) => framed(paper, ink, right, paper.source && !variable.flags ? { ...up, label: variable.label.replace("\n", " ") } : up, (c, sx, sy, box) => {
     const size = Math.max(1.6, Math.min(2.6, (box.right - box.left) / xs.length / 2));  // a rim would hide the colour of many
-    if (!variable.flags) line(c, xs, ys, sx, sy, ink.faint, 1.2);
+    if (!variable.flags && column.numeric) line(c, xs, ys, sx, sy, ink.faint, 1.2);
+    read("", xs, ys, { texts: values.map((value) => grid.valueText(variable, value)) });
     xs.forEach((value, i) => {
-      if (Number.isFinite(ys[i])) mark(c, "circle", sx(value), sy(ys[i]), size, grid.colour(variable, values[i], ink.undefined), size > 2.2 ? ink.faint : null);
+      if (Number.isFinite(ys[i])) mark(c, "o", sx(value), sy(ys[i]), size, grid.colour(variable, values[i], ink.undefined), size > 2.2 ? ink.faint : null);
     });
+    if (paper.source) return;  // a file shows no cursor
     const here = sx(xs[page.cell[direction.axis.name]]);
     c.strokeStyle = ink.ink;
     c.setLineDash([3, 3]);
@@ -60,8 +62,8 @@ function drawSlice(page, figure, direction, other) {
     xs.forEach((value, i) => { if (Math.abs(frame.x(value) - px) < Math.abs(frame.x(xs[best]) - px)) best = i; });
     page.pick(cells[best]);
   };
-  const table = { [column.name]: column.values, [variable.name]: values.map((value) => (variable.flags ? variable.flags[value] ?? value : value)) };
-  figure.slice = { title, draw, click, table };
+  const name = `${variable.name}_${grid.nameText(page.cell, page.named.filter((one) => one !== direction.axis.name))}`;
+  figure.slice = { about: () => page.about(title, { name, notes: page.notesAt([direction.axis.name]) }), draw, click, table: () => page.tableOf(cells) };
   draw(canvas);
 }
 
@@ -69,13 +71,14 @@ function drawSlice(page, figure, direction, other) {
 export function drawWhole(page) {
   const { slices, history } = page, every = page.data.history.columns;
   const groups = groupsOf(every).flatMap((some) => [some.filter(({ name }) => name !== "x4"), some.filter(({ name }) => name === "x4")]).filter((some) => some.length);  // the steps of the hole need a scale of their own
+  const keys = (columns) => columns.map(({ name, long_name }, i) => ({ text: long_name, shape: "line", colour: colourName(name, i) }));
   if (!slices.childElementCount) {
     page.courses = groups.map((columns, k) => {
       const canvas = el("canvas", { role: "img", "aria-label": "The whole course over time" }), words = columns.map((one) => one.long_name).join(", ");
       const tools = interactive(canvas, (paper) => drawCourse(paper, history, columns, k === groups.length - 1), {
-        title: () => words, files: [["CSV", "csv", () => csvOf(Object.fromEntries([["time [s]", history.time], ...columns.map((one) => [one.name, history[one.name]])].map(([name, x]) => [name, Array.from(x)])))]],
+        about: () => page.about(words, { keys: keys(columns) }), files: [["CSV", "csv", () => csvOf(Object.fromEntries([["time [s]", history.time], ...columns.map((one) => [one.name, history[one.name]])].map(([name, x]) => [name, Array.from(x)])))]],
       });
-      return { tools, figure: el("figure", { class: "vx-whole vx-panel" }, el("figcaption", {}, el("span", { class: "vx-course" }, ...columns.map(({ name, long_name }, i) => el("span", {}, el("span", { class: `vx-line vx-k-${colourName(name, i)}` }), long_name))), tools.menu), el("div", { class: "vx-stack" }, canvas, tools.band)) };
+      return { tools, figure: el("figure", { class: "vx-whole vx-panel" }, el("figcaption", {}, el("ul", { class: "vx-keys" }, ...keys(columns).map((key) => entry(key))), tools.menu), el("div", { class: "vx-stack" }, canvas, tools.band)) };
     });
     slices.replaceChildren(...page.courses.map((one) => one.figure));
   }

@@ -1,0 +1,118 @@
+"""Pictures in the width of a journal's column: fewer panels side by side, smaller type, and the legend below."""
+
+import re
+from collections.abc import Mapping
+from contextvars import ContextVar
+from dataclasses import replace
+from math import ceil, lcm
+from textwrap import fill
+from typing import Any
+
+from vibrojax.errors import InputError, shown
+from vibrojax.pictures.plots import Axis, Plot, Sheet, legend_of
+
+WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
+"""Width [inch] that the user chose for the picture; None if each picture has its own."""
+
+SMALL: Mapping[str, float] = {
+    "font.size": 7.5,
+    "axes.titlesize": 7.5,
+    "axes.labelsize": 7.5,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
+    "legend.fontsize": 6.5,
+}
+"""Sizes of type [pt] where panels are made narrower."""
+
+LEGEND_LINE = 0.16
+"""Height [inch] of an entry of the legend in small type."""
+
+_INCHES = {"mm": 1 / 25.4, "cm": 1 / 2.54, "in": 1.0}
+_NARROWEST, _WIDEST = 1.5, 40.0  # [inch]
+_LEAST_PANEL = 1.25  # least width [inch] of a panel with its labels
+_KEYS_PANEL = 3.6  # width [inch] from which a panel keeps a legend of its own
+_MOST_ACROSS = 6
+_LETTERS = 14.5  # of small type along an inch
+_LEAST_SHARE, _LOW = 0.75, 0.7  # by which a panel gets lower at most, and height [inch] below which it stays
+
+
+def read_width(width: str | float | int | None) -> float | None:
+    """Return a width in inches, given as text like "85mm" or as a number of millimetres.
+
+    **Raises:** `InputError` if it is neither.
+    """
+    if width is None:
+        return None
+    match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(mm|cm|in)?\s*", str(width))
+    inches = float(match[1]) * _INCHES[match[2] or "mm"] if match else 0.0
+    if not _NARROWEST <= inches <= _WIDEST:
+        raise InputError(f"width: {shown(width)} is not the width of a picture; give one like 85mm or 170mm")
+    return inches
+
+
+def in_width(sheet: Sheet, width: float) -> Sheet:
+    """Return a sheet in a width [inch]; if it has to be narrower, its legend is below.
+
+    Rows of panels that would be too narrow are broken into several rows.
+    """
+    if width >= sheet.size[0]:
+        return replace(sheet, size=(width, sheet.size[1]))
+    above = in_width(replace(sheet.above, size=(sheet.size[0], sheet.above.size[1])), width) if sheet.above else None
+    inside = sheet.size[1] - (sheet.above.size[1] if sheet.above else 0.0)
+    room = sheet.size[0] - 1.9 * bool(legend_of(sheet))
+    inch = inside / sum(sheet.heights)
+    rows: list[tuple[list[Plot], int, float]] = []
+    whole = sorted(sheet.plots, key=lambda plot: ((*plot.place, 1)[2] > 1, plot.place))  # tall panels come last
+    for start in dict.fromkeys(((*plot.place, 1)[2] > 1, plot.place[0]) for plot in whole):
+        row = [plot for plot in whole if ((*plot.place, 1)[2] > 1, plot.place[0]) == start]
+        across = min(len(row), max(1, int(width / _LEAST_PANEL)), _MOST_ACROSS)
+        across = -(-len(row) // ceil(len(row) / across))  # rows of equal lengths
+        deep = (*row[0].place, 1)[2]
+        height = inch * sum(sheet.heights[row[0].place[0] : row[0].place[0] + deep])
+        share = (width / across) / (room * _share(sheet, row[0]))
+        height = height if height < _LOW else height * min(1.0, max(share, _LEAST_SHARE))
+        height = min(height, width / across) if row[0].square else height
+        rows += [(row[k : k + across], across, height) for k in range(0, len(row), across)]
+    columns = lcm(*(across for _, across, _ in rows))
+    scales = {id(plot.scale): _broken(plot.scale, width / across) for row, across, _ in rows for plot in row}
+    plots = []
+    for k, (row, across, height) in enumerate(rows):
+        span = columns // across
+        for i, plot in enumerate(row):
+            placed = replace(plot, place=(k, i * span, 1, span), scale=scales[id(plot.scale)])
+            plots.append(_narrowed(placed, width / across, height))
+    heights = tuple(height for *_, height in rows)
+    size = width, sum(heights) + (above.size[1] if above else 0.0) + 0.12 * len(rows)
+    widths = (1.0,) * columns
+    return replace(sheet, plots=plots, size=size, widths=widths, heights=heights, above=above, beside=False)
+
+
+def _broken(scale: Any, width: float) -> Any:
+    """Return a quantity whose label fits below a panel of a width [inch]."""
+    words = scale and fill(
+        " ".join(scale.label.split()).replace(" [", "\u00a0["), max(int(_LETTERS * (width - 0.4)), 8)
+    )
+    return scale and replace(scale, label=words)
+
+
+def _share(sheet: Sheet, plot: Plot) -> float:
+    _, column, _, wide = (*plot.place, 1, 1)[:4]
+    return sum(sheet.widths[column : column + wide]) / sum(sheet.widths)
+
+
+def _narrowed(plot: Plot, width: float, height: float) -> Plot:
+    """Return a panel whose texts are broken, and whose ticks are fewer, in a width and height [inch]."""
+
+    def axis(of: Axis, length: float) -> Axis:
+        words = fill(" ".join(of.label.split()).replace(" [", "\u00a0["), max(int(_LETTERS * length), 8))
+        named = sum(len(text) + 2 for _, text in of.ticks or ())
+        crowded = of is plot.x and named > 1.2 * _LETTERS * length and max(len(text) for _, text in of.ticks or ()) > 4
+        return replace(
+            of, label=words, intervals=of.intervals or (4 if length < 2.2 else 0), rotated=of.rotated or crowded
+        )
+
+    letters = max(int(_LETTERS * (width - 0.3)), 10)
+    # A legend of the plot's own would be as wide as the plot.
+    keys = "" if width < _KEYS_PANEL and plot.keys else plot.keys
+    x, y = axis(plot.x, width - 0.3), axis(plot.y, height)
+    return replace(plot, title=fill(plot.title, letters), x=x, y=y, keys=keys)
