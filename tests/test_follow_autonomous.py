@@ -255,6 +255,21 @@ def test_curves_bear_the_names_of_switches():
     assert np.array(curves.kind.attrs["flag_meanings"].split())[curves.kind.values].tolist() == ["right"]
 
 
+@pytest.mark.parametrize("x", [0.1, 0.5])
+def test_bodies_that_friction_holds_are_no_equilibria(x):
+    """Every |x| up to 0.3 is one; Newton's method from 0.5 ends at the last of them, which is none of its own."""
+    held = vj.System(
+        "held",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"k": 1.0},
+        field=lambda t, y, p: {"x": y["v"], "v": -p["k"] * y["x"] - 0.2 * y["v"]},
+        section="x",
+        events=[vj.Friction("belt", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, acts_on="v", law=0.3)],
+    )
+    with pytest.raises(vj.InputError, match="where friction holds a body, none is isolated"):
+        vj.follow(held, along="k", at=1.0, span=(0.5, 2.0), start=[x, 0.0], cycles=0, progress=False)
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [
@@ -270,3 +285,97 @@ def test_wrong_beginnings_are_refused(more, words):
     settings = {"along": "m", "at": -0.1, "span": (-0.4, 0.2), "progress": False} | more
     with pytest.raises(vj.InputError, match=words):
         vj.follow(SUBCRITICAL, **settings)
+
+
+def rests(states, field, at, span, parameters=(), **more):
+    """Return the equilibria of a system along m, from the one at 0."""
+    start = [0.0] * len(states)
+    system = vj.System(
+        "rests", states=states, parameters={"m": 0.0, **dict(parameters)}, field=field, section="x", **more
+    )
+    return system, vj.follow(system, along="m", at=at, span=span, start=start, cycles=0, progress=False)
+
+
+@pytest.mark.parametrize("cubic", [1e6, 1e-8])
+def test_equilibria_at_zero_show_their_scale_by_the_field(cubic):
+    """The branches x² = m/cubic of a pitchfork are long and short, and both lead to the end."""
+    _, family = rests({"x": "m"}, lambda t, y, p: {"x": p["m"] * y["x"] - cubic * y["x"] ** 3}, -1.0, (-1.0, 1.0))
+    assert points(family, "branch-point") == [(0, pytest.approx(0.0, abs=1e-9))]
+    own = family.branch.values == 1
+    assert family.m.values[own].max() == 1.0
+    assert family.orbit_x.values[own] ** 2 == pytest.approx(family.m.values[own] / cubic, abs=1e-9 / cubic)
+
+
+def test_branches_that_nearly_meet_do_not_cross():
+    _, family = rests({"x": "1"}, lambda t, y, p: {"x": 1e-6 + p["m"] * y["x"] - y["x"] ** 3}, -1.0, (-1.0, 1.0))
+    assert kinds(family) == {"end"} and family.stable.values.all()
+    assert family.orbit_x.values.max() == pytest.approx(1.0, abs=1e-6)
+
+
+def test_mirrored_branch_points_are_all_followed():
+    """Two pitchforks at m = 0 and 1 that do not act upon each other have nine equilibria."""
+
+    def field(t, y, p):
+        return {"x": p["m"] * y["x"] - y["x"] ** 3, "y": (p["m"] - 1) * y["y"] - y["y"] ** 3}
+
+    _, family = rests({"x": "1", "y": "1"}, field, -0.5, (-1.0, 2.0))
+    last = family.m.values == 2.0
+    ends = np.round(np.column_stack([family.orbit_x.values, family.orbit_y.values])[last] / [2**0.5, 1.0], 9) + 0.0
+    assert {tuple(x) for x in ends.tolist()} == {(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)}
+    assert [value for _, value in points(family, "branch-point")] == pytest.approx([0.0, 1.0, 1.0, 1.0], abs=1e-9)
+
+
+def test_hopf_points_at_the_beginning_and_next_to_each_other():
+    def field(t, y, p):
+        m, n = p["m"], p["m"] - 1e-3
+        return {
+            "x": m * y["x"] - y["y"], "y": y["x"] + m * y["y"],
+            "z": n * y["z"] - 2 * y["w"], "w": 2 * y["z"] + n * y["w"],
+        }  # fmt: skip
+
+    _, family = rests(dict.fromkeys("xyzw", "1"), field, 0.0, (-1.0, 1.0))
+    assert [value for _, value in points(family, "hopf")] == pytest.approx([0.0, 1e-3], abs=1e-9)
+
+
+def test_real_eigenvalues_of_opposite_sign_are_no_hopf_point():
+    """At m = 0 the eigenvalues 1 and -1 sum to zero; the pair beside them keeps its real part -1/2."""
+
+    def field(t, y, p):
+        return {
+            "x": y["x"], "y": (p["m"] - 1) * y["y"],
+            "z": -0.5 * y["z"] - y["w"], "w": y["z"] - 0.5 * y["w"],
+        }  # fmt: skip
+
+    _, family = rests(dict.fromkeys("xyzw", "1"), field, -0.7, (-1.0, 0.5))
+    assert kinds(family) == {"end"}
+
+
+def test_equilibria_end_at_a_stop():
+    """A spring is loaded with m; at m = d it rests on the stop, and beyond that the field has no equilibrium."""
+    stop = vj.Impact("stop", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: 0.7)
+    system, family = rests(
+        {"x": "m", "v": "m s-1"}, lambda t, y, p: {"x": y["v"], "v": p["m"] - y["x"] - 0.2 * y["v"]}, 0.1, (0.0, 1.0),
+        {"d": 0.5}, events=[stop],
+    )  # fmt: skip
+    assert family.m.values.max() == pytest.approx(0.5, abs=1e-8) and family.m.values.max() <= 0.5
+    assert family.orbit_v.attrs == {"units": "m s-1", "long_name": "v, at the equilibrium"}
+    with pytest.raises(vj.InputError, match="no isolated equilibrium"):
+        vj.follow(system, along="m", at=0.8, span=(0.0, 1.0), start=[0.0, 0.0], cycles=0, progress=False)
+
+
+def test_orbits_begin_at_the_hopf_points_of_mirrored_equilibria():
+    """Circles r² = m around both equilibria z² = 1 + m."""
+
+    def field(t, y, p):
+        growth = y["z"] ** 2 - 1 - y["x"] ** 2 - y["y"] ** 2
+        z = (p["m"] + 1) * y["z"] - y["z"] ** 3
+        return {"x": growth * y["x"] - y["y"], "y": growth * y["y"] + y["x"], "z": z}
+
+    system, family = rests(dict.fromkeys("xyz", "1"), field, -1.5, (-2.0, 1.0))
+    assert [value for _, value in points(family, "hopf")] == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert family.special_note.values[family.special_value.values > 0.9].tolist() == ["the last value is reached"] * 3
+    circles = vj.follow(system, from_hopf=family, cycles=1, span=(-0.1, 0.5), progress=False)
+    last = circles.m.values == 0.5
+    assert sorted(circles.orbit_z.values[last]) == pytest.approx([-(1.5**0.5), 1.5**0.5], abs=1e-8)
+    with pytest.raises(vj.InputError, match="outside the span"):
+        vj.follow(system, from_hopf=family, span=(0.2, 0.5), progress=False)

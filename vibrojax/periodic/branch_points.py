@@ -32,6 +32,9 @@ POLISHING_STEPS = 3
 CRITICAL_MULTIPLIER = 1e-2
 """Largest distance of a multiplier from 1 at a branch point."""
 
+CROSSED_RESIDUAL = 1e-7
+"""Largest residual at a branch point. Where two branches only pass each other, it is larger."""
+
 SAME_HALVES = 1e-3
 """Difference between the halves of an orbit, relative to its unknowns, up to which they are equal."""
 
@@ -86,6 +89,7 @@ def branch_point(problem: Problem, bracket: Brackets) -> Brackets | None:
     Newton's method fails at the point itself, where two solutions meet. The point is interpolated between orbits on
     both sides, which are no nearer than `CLEAR`.
     """
+    bracket = _widened(problem, bracket)
     begin, row = bracket.near, bracket.near.tangent
     known = {0.0: begin, float(np.einsum("ij,ij->", row, bracket.far.u - begin.u)): bracket.far}
     values = {place: float(augmented(points, begin)[0]) for place, points in known.items()}
@@ -97,12 +101,10 @@ def branch_point(problem: Problem, bracket: Brackets) -> Brackets | None:
         wide = -1.0 if zero - low > high - zero else 1.0
         place = float(np.clip(zero + wide * max(CLEAR, 0.1 * (high - low)), low + 0.01 * CLEAR, high - 0.01 * CLEAR))
         guess = _between(known, row, place, low, high)[0]
-        now, converged = problem.correct(begin.family, guess, row, np.array([place]) + (row @ begin.u[0]))
-        if not converged[0]:
+        now = _corrected(problem, begin.family, guess, row, place + row @ begin.u[0])
+        if now is None:
             return None
-        # The nearer the branch point, the more a residual displaces the orbit: one more Newton step removes it.
-        step = solve_bordered(now.matrix, row, -np.column_stack([now.off, row @ now.u[0] - (place + row @ begin.u[0])]))
-        known[place] = problem.evaluate(begin.family, now.u + step).along(row)
+        known[place] = now
         values[place] = float(augmented(known[place], begin)[0])
     low, high = _ends(values)
     u, slope = _between(known, row, _zero(values, low, high), low, high)
@@ -112,11 +114,39 @@ def branch_point(problem: Problem, bracket: Brackets) -> Brackets | None:
         change = (left[:, :-1].T @ point.off[0]) / sizes[:-1] @ right[:-1]
         point = problem.evaluate(begin.family, point.u - change)
     point = point._replace(tangent=slope / np.linalg.norm(slope, axis=1, keepdims=True))
+    if not point.residual[0] < CROSSED_RESIDUAL:
+        return None
     half = problem.halves(point)
     same = np.linalg.norm(half) < SAME_HALVES * np.linalg.norm(point.u)
     if same or np.abs(multipliers(point.product) - 1).min(initial=np.inf) > CRITICAL_MULTIPLIER:
         return None
     return Brackets(np.array([BRANCH_POINT]), bracket.place, point, bracket.far)
+
+
+def _corrected(problem: Problem, family: Index, guess: Unknowns, row: Unknowns, level: PerLane) -> Points | None:
+    """Return the orbit on the plane row u = `level`, or None."""
+    now, converged = problem.correct(family, guess, row, level)
+    if not converged[0]:
+        return None
+    # The nearer the branch point, the more a residual displaces the orbit: one more Newton step removes it.
+    step = solve_bordered(now.matrix, row, -np.column_stack([now.off, row @ now.u[0] - level]))
+    return problem.evaluate(family, now.u + step).along(row)
+
+
+def _widened(problem: Problem, bracket: Brackets) -> Brackets:
+    """Return a bracket whose ends are farther from the branch point than `CLEAR`, if it is shorter."""
+    near, row = bracket.near, bracket.near.tangent
+    if np.einsum("ij,ij->", row, bracket.far.u - near.u) > 8 * CLEAR:
+        return bracket
+    ends = []
+    for side in (-4 * CLEAR, 4 * CLEAR):
+        guess = (near.u + bracket.far.u) / 2 + side * row
+        ends.append(_corrected(problem, near.family, guess, row, row @ guess[0]))
+    before, behind = ends
+    if before is None or behind is None:
+        return bracket
+    wide = bracket._replace(near=before, far=behind)
+    return wide if crosses(wide)[0] and not wide.changes_events[0] else bracket
 
 
 def _ends(values: dict[float, float]) -> tuple[float, float]:

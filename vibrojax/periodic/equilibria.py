@@ -19,7 +19,7 @@ from scipy.optimize import root
 
 from vibrojax.compile.xla import precision
 from vibrojax.io.kinds import SPECIAL_KINDS
-from vibrojax.periodic.arclength import STALLED, STOPPED, Stop
+from vibrojax.periodic.arclength import STOPPED, Stop
 from vibrojax.periodic.brackets import Brackets, TestFunction
 from vibrojax.periodic.branch_points import FamilyLocator
 from vibrojax.periodic.families import FamilyContinuation
@@ -38,10 +38,23 @@ SOLVED = 1e-9
 LARGEST_STATES = 50.0
 """Scaled states at which a family ends."""
 
-FAR_NOTE = f"the states are over {LARGEST_STATES:g} times as large as at the beginning"
+FAR_NOTE, NONE_NOTE = (
+    f"the states are over {LARGEST_STATES:g} times their scales",
+    "no equilibrium is found any further",
+)
+
+SEPARATED = 1e-3
+"""Scaled distance up to which special points next to each other are located one by one."""
+
+DISPLACEMENTS = 10.0 ** np.arange(-12, 13)
+"""Displacements of a state among which is its scale, if the equilibrium does not show it."""
 
 FEWEST_LANES = 4
 """Smallest number of points that are evaluated together."""
+
+LEAST_PRODUCT, ROUNDED = 1e-200, 1e-10
+"""Value of a product of sums that is zero, and sum of two eigenvalues that may be a rounding error, relative to the
+largest."""
 
 TURNING = 1e-6
 """Imaginary part of an eigenvalue, relative to its modulus, above which a pair turns instead of being real."""
@@ -60,7 +73,8 @@ class EquilibriumField:
             c = scene.scaled(c, jax.lax.stop_gradient(whole))
             mode = jax.lax.stop_gradient(scene.mode_at(c, whole))
             by_name = dict(zip(scene.state_names, scene.field(c, mode, whole), strict=True))
-            return jnp.stack([jnp.broadcast_to(by_name[name], x[0].shape) for name in names])
+            moves = jnp.stack([jnp.broadcast_to(by_name[name], x[0].shape) for name in names])
+            return jnp.where(scene.has_no_field(c, mode, whole), jnp.nan, moves)
 
         self._both = jax.jit(jax.vmap(lambda x, p: (rates(x, p), jax.jacfwd(rates)(x, p))))
 
@@ -98,6 +112,22 @@ class EquilibriumProblem(Problem):
     def halves(self, points: Points) -> Unknowns:
         return points.u
 
+    def left_branch(self, last: Points, now: Points) -> Flags:
+        """Return a mask of points on another branch, or behind special points that a shorter step may resolve.
+
+        Several special points hide one another. Where a real eigenvalue changes sign, a step may also have led across a
+        gap between two branches that nearly meet.
+        """
+        grows, turns = [], []
+        for points in (last, now):
+            values = multipliers(points.product) - 1
+            grows.append((values.real > 0).sum(axis=1))
+            turns.append(((values.real > 0) & (values.imag != 0)).sum(axis=1))
+        more, turning = (np.abs(ends[1] - ends[0]) for ends in (grows, turns))
+        several = (more > 2) | ((more > 0) & (turning == 0))
+        several &= np.linalg.norm(now.u - last.u, axis=1) > SEPARATED
+        return super().left_branch(last, now) | several
+
     def evaluate(self, family: Index, u: Unknowns) -> Points:
         scale = np.column_stack([self.scales[family], self.unit[family]])
         rates, jacobian = field_of(self.scene, self.along)(
@@ -124,11 +154,25 @@ class EquilibriumProblem(Problem):
 def sums_of_pairs(points: Points, _: Points) -> PerLane:
     """Return the product of the sums of all pairs of eigenvalues, which changes sign at hopf points.
 
-    See Kuznetsov, *Elements of Applied Bifurcation Theory*, section 10.2.
+    Zero counts as positive, so that a family that begins at a hopf point has it. See Kuznetsov, *Elements of Applied
+    Bifurcation Theory*, section 10.2.
     """
     values = multipliers(points.product) - 1
     first, second = np.triu_indices(values.shape[1], 1)
-    return np.asarray(np.prod(values[:, first] + values[:, second], axis=1).real)
+    product = np.prod(values[:, first] + values[:, second], axis=1).real
+    return np.asarray(np.where(product == 0, LEAST_PRODUCT, product))
+
+
+def critical_pair(points: Points) -> tuple[PerLane, PerLane]:
+    """Return size and imaginary part of the two eigenvalues whose sum is smallest, relative to the largest modulus.
+
+    The size is that of the sum.
+    """
+    values = multipliers(points.product) - 1
+    first, second = np.triu_indices(values.shape[1], 1)
+    sums, size = np.abs(values[:, first] + values[:, second]), np.abs(values).max(axis=1)
+    lanes, nearest = np.arange(len(values)), sums.argmin(axis=1)
+    return sums[lanes, nearest] / size, np.abs(values[lanes, first[nearest]].imag) / size
 
 
 class EquilibriumLocator(FamilyLocator):
@@ -145,11 +189,11 @@ class EquilibriumLocator(FamilyLocator):
         """Return folds, and hopf points; two real eigenvalues of equal size and opposite sign are no special point."""
         hopf = shrunk.kind[lanes] == HOPF
         own = lanes[hopf]
-        values = multipliers(shrunk.near.product[own]) - 1
-        pair = np.take_along_axis(
-            values, np.where(values.imag > 0, np.abs(values.real), np.inf).argmin(axis=1)[:, None], axis=1
-        )[:, 0]
-        turns = pair.imag > TURNING * np.abs(values).max(axis=1)
+        turns = np.zeros(len(own), bool)
+        if len(own):
+            # In conservative systems, the sums are rounding errors all along.
+            ends = (critical_pair(x.of(own))[0] for x in (brackets.near, brackets.far))
+            turns = (critical_pair(shrunk.near.of(own))[1] > TURNING) & (np.maximum(*ends) > ROUNDED)
         return Brackets.join([super().accepted(brackets, shrunk, test, lanes[~hopf]), shrunk.of(own[turns])])
 
 
@@ -171,7 +215,7 @@ class EquilibriumContinuation(FamilyContinuation):
 
     def _pass_stalls(self, segments: list[Segment]) -> list[Segment]:
         for segment in segments:
-            segment.mark("end", ENDINGS[STALLED])
+            segment.mark("end", NONE_NOTE)
         return []
 
 
@@ -197,3 +241,29 @@ def equilibrium_near(
         rates, jacobian = both(states)
     size = np.abs(jacobian).max() * max(np.abs(states).max(), np.abs(guess).max(), 1e-300)
     return (states, jacobian) if np.abs(rates).max() <= SOLVED * size else None
+
+
+def scales_at(
+    scene: Scene[Any],
+    along: str,
+    parameters: Mapping[str, float],
+    states: Float[np.ndarray, " states"],
+    bounds: tuple[float, float],
+) -> Float[np.ndarray, " states"]:
+    """Return the displacement of each state by which an eigenvalue changes as much as along the parameter's bounds.
+
+    It is 0 if no displacement changes an eigenvalue by that, and by the eigenvalue itself. Eigenvalues do not depend on
+    units of the states.
+    """
+    size = len(states)
+    displaced = states + (DISPLACEMENTS[:, None, None] * np.eye(size)).reshape(-1, size)
+    values = np.append([parameters[along], *bounds], np.full(len(displaced), parameters[along]))
+    unknowns = np.column_stack([np.concatenate([np.tile(states, (3, 1)), displaced]), values])
+    known = {name: np.full(len(values), x) for name, x in parameters.items()}
+    jacobian = field_of(scene, (along,))(unknowns, known)[1][..., :size]
+    finite = np.isfinite(jacobian).all(axis=(1, 2))
+    every = np.linalg.eigvals(np.where(finite[:, None, None], jacobian, jacobian[0]))
+    change = np.abs(every[:, :, None] - every[0]).min(axis=1)
+    needed = np.maximum(np.abs(every[0]), change[1:3].max(axis=0))
+    enough = ((change[3:] >= needed) & (needed > 0)).any(axis=1).reshape(len(DISPLACEMENTS), size)
+    return np.where(enough.any(axis=0), DISPLACEMENTS[enough.argmax(axis=0)], 0.0)

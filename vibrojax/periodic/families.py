@@ -76,7 +76,7 @@ class FamilyContinuation(Tracing):
                 segments.append(Segment(number, 0, sign, begin, home=begin))
         segments = self.trace(segments)
         self._end_at_doublings(segments)
-        return drop_duplicates(segments, self._problem.rows)
+        return drop_duplicates(segments, self._problem)
 
     def stop(self, segments: list[Segment]) -> Stop:
         """Return the condition that a doubled branch is back at the branch that it left."""
@@ -239,7 +239,7 @@ class FamilyContinuation(Tracing):
             for mark in segment.marks:
                 if mark.kind != "branch-point" or self._branches[segment.family] >= MAX_BRANCHES:
                     continue
-                known, here = self._crossings.setdefault(segment.family, []), invariants(mark.orbit)
+                known, here = self._crossings.setdefault(segment.family, []), invariants(self._problem, mark.orbit)
                 tangent = None if _is_among(here, known) else second_tangent(self._problem, mark.orbit)
                 if tangent is None:
                     continue
@@ -267,24 +267,26 @@ def own_event(scene: Scene[Any], kind: str, near: Points, far: Points) -> str:
     return next((name for name in names if name in scene.named_events), "")
 
 
-def invariants(orbit: Points) -> np.ndarray:
+def invariants(problem: Problem, orbit: Points) -> np.ndarray:
     """Return numbers that tell one orbit of a family from others, whatever its phase."""
     values = np.sort_complex(multipliers(orbit.product)[0])
-    return np.concatenate([orbit.u[0, -1:], np.log(orbit.period), orbit.swing, values.real, values.imag])
+    # Mirror images have equal multipliers. Where another branch crosses, states are less accurate than the parameter.
+    centre = orbit.u[0, : -len(problem.along)].reshape(-1, problem.rows).mean(axis=0) / 10 if problem.closes else []
+    return np.concatenate([orbit.u[0, -1:], np.log(orbit.period), orbit.swing, values.real, values.imag, centre])
 
 
 def _is_among(mine: np.ndarray, others: list[np.ndarray]) -> bool:
     return any(np.abs(mine - other).max() < SAME_CROSSING for other in others)
 
 
-def drop_duplicates(segments: list[Segment], rows: int) -> list[Segment]:
+def drop_duplicates(segments: list[Segment], problem: Problem) -> list[Segment]:
     """Remove branches that were continued twice, and renumber the others.
 
     A closed branch was continued in both directions. A branch that connects two period doublings was continued from
     both of them.
     """
     closed = {(s.family, s.branch) for s in segments if any(m.note == ENDINGS[CLOSED] for m in s.marks)}
-    again = _from_other_ends(segments, rows)
+    again = _from_other_ends(segments, problem.rows)
 
     def is_crossed(segment: Segment) -> bool:
         """Return whether an earlier branch, which is not the one that it left, leads through its first point."""
@@ -292,7 +294,10 @@ def drop_duplicates(segments: list[Segment], rows: int) -> list[Segment]:
         left = segment.parent.branch
         earlier = [s for s in segments if s.family == segment.family and s.branch < segment.branch and s.branch != left]
         marks = [
-            invariants(m.orbit) for s in earlier for m in s.marks if m.kind == "branch-point" and not is_dropped(s)
+            invariants(problem, m.orbit)
+            for s in earlier
+            for m in s.marks
+            if m.kind == "branch-point" and not is_dropped(s)
         ]
         return _is_among(segment.crossing, marks)
 

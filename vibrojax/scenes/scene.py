@@ -5,6 +5,8 @@ defines the next mode and state. Markers are zeros of states, mostly velocities.
 motion can be measured there.
 """
 
+import functools
+import operator
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, Generic, TypeVar
@@ -263,6 +265,10 @@ class Scene(ABC, Generic[C]):
         names = [mode.name for mode in self.modes]
         switches = [guard.name for guard in self.guards() if guard.is_switch]
         return {name: names.index(name if name in names else "slip") for name in switches}
+
+    def has_no_field(self, c: C, mode: Values, state: Values) -> Any:
+        """Return a mask of states that are no isolated equilibria whatever the rates: here, where the bit sticks."""
+        return functools.reduce(operator.or_, [mode[place] == 0 for place in self.switch_places.values()], False)
 
     @property
     def named_events(self) -> tuple[str, ...]:

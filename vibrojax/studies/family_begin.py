@@ -14,7 +14,7 @@ from vibrojax.io.dataset import open_dataset
 from vibrojax.io.kinds import kind_of
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.periodic.equilibria import EquilibriumProblem, equilibrium_near, field_of
+from vibrojax.periodic.equilibria import EquilibriumProblem, equilibrium_near, field_of, scales_at
 from vibrojax.periodic.flow_map import Flow, moving_names
 from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.problem import UNITS_PER_SPAN, Problem, towards
@@ -87,10 +87,14 @@ def read_hopf(place: Place, family: object) -> tuple[xr.Dataset, list[HopfPoint]
     size = np.where(size > 1e-3 * size.max(), size, size.max() or 1.0)
     kinds = str(family["special_kind"].attrs["flag_meanings"]).split()
     hopf = family["special_kind"].values == kinds.index("hopf") if "hopf" in kinds else np.zeros(0, bool)
-    points = []
+    eigenvalues = family["eigenvalue_re"].values + 1j * family["eigenvalue_im"].values
+    growth = np.where(eigenvalues.imag > 0, np.abs(eigenvalues.real), np.inf).min(axis=1)
+    points, taken = [], np.zeros(len(growth), bool)
     for value, branch in zip(family["special_value"].values[hopf], family["special_branch"].values[hopf], strict=True):
-        own = np.flatnonzero(family["branch"].values == branch)
-        nearest = own[np.abs(family[along].values[own] - value).argmin()]
+        off = np.where((family["branch"].values == branch) & ~taken, np.abs(family[along].values - value), np.inf)
+        # Mirror images have hopf points at the same value.
+        nearest = min(np.flatnonzero(off == off.min()).tolist(), key=growth.__getitem__)
+        taken[nearest] = True
         points.append(HopfPoint(float(value), tuple(columns[nearest].tolist()), tuple(size.tolist())))
     if not points:
         raise place.error("the family has no hopf point; follow it further")
@@ -162,14 +166,16 @@ def equilibria(
         if known is None:
             raise place.at("start").error(
                 f"Newton's method finds no isolated equilibrium from {guess.tolist()} at {along} = "
-                f"{parameters[along]:g}; give states nearer to one"
+                f"{parameters[along]:g}; give states nearer to one (where friction holds a body, none is isolated)"
             )
-        found.append((parameters[along], *known))
-    values, states, jacobian = (np.array([x[k] for x in found]) for k in range(3))
+        bounds = float(section.first[number, 0]), float(section.last[number, 0])
+        found.append((parameters[along], *known, scales_at(scene, along, parameters, known[0], bounds)))
+    values, states, jacobian, natural = (np.array([x[k] for x in found]) for k in range(4))
     span = section.last[:, 0] - section.first[:, 0]
     own = {**section.parameters, along: values}
     slope = field_of(scene, (along,))(np.column_stack([states, values]), own)[1][..., -1]
     size = np.maximum(np.abs(states), np.abs(np.linalg.solve(jacobian, slope[..., None])[..., 0]) * span[:, None] / 2)
+    size = np.maximum(size, natural)
     largest = size.max(axis=1, keepdims=True)
     scales = np.where(size > 1e-3 * largest, size, np.where(largest > 0, largest, 1.0))
     rate = np.abs(jacobian * scales[:, None, :] / scales[:, :, None]).max(axis=(1, 2))

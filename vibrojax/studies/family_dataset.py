@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.io.kinds import OF_FAMILIES, SPECIAL_KINDS
-from vibrojax.io.variables import VARIABLES, described, orbit_name
+from vibrojax.io.variables import VARIABLES, Variable, described, orbit_name
 from vibrojax.lanes.labels import measured_besides, of_orbits
 from vibrojax.maps.dataset import parameter_attributes, shared_attributes
 from vibrojax.maps.sweep import Sweep
@@ -73,6 +73,10 @@ def families_dataset(sweep: Sweep, problem: Problem, points: list[Mark], special
     schema = VARIABLES | OF_FAMILIES | measured_besides(sweep.system) | of_orbits(sweep.system)
     family = np.array([point.orbit.family[0] for point in points], int)
     standing = isinstance(problem, EquilibriumProblem)
+    if standing:
+        rest = {orbit_name(x.name): Variable(x.unit, f"{x.long_name}, at the equilibrium") for x in sweep.system.states}
+        stable = replace(schema["stable"], long_name="whether all eigenvalues have negative real parts")
+        schema |= rest | {"stable": stable}
     orbits = [point.orbit for point in points]
     branch = np.array([point.branch for point in points], int)
     if isinstance(problem, EquilibriumProblem):

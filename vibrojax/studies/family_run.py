@@ -46,8 +46,9 @@ from vibrojax.studies.family_dataset import families_dataset
 TRACED_PERIODS = 2.5
 """Duration of the motion in which an orbit that is given is traced to the section, in its periods."""
 
-SAME_HOPF = 1e-6
-"""Difference of the parameter, relative to its span, up to which two Hopf points are the same."""
+SAME_HOPF, SAME_CENTRE = 1e-6, 1e-3
+"""Differences of the parameter, relative to its span, and of the states, relative to their scales, up to which two Hopf
+points are the same."""
 
 
 def follow(
@@ -188,9 +189,9 @@ def family_spec(
         parameters, along = own | dict(parameters), family.attrs["along"] if along is None else along
         if along != family.attrs["along"]:
             raise place.at("along").error(f"{shown(along)} is not {family.attrs['along']}, along which the family is")
-        at, span = points[0].value, family.attrs["span"] if span is None else span
+        span = family.attrs["span"] if span is None else span
     for name, value in (("along", along), ("at", at), ("span", span)):
-        if value is None:
+        if value is None and not (hopf and name == "at"):
             raise place.error(f"{name} is missing")
     fixed = several_and_single(parameters)[1]
     names = read_names(place.at("scene"), scene, dict(fixed), place)
@@ -213,6 +214,13 @@ def family_spec(
             fault = f"fixes {REPLACED[name]} only at one {along}, and {along} varies along the family"
             raise place.at(name).error(f"{fault}; give {REPLACED[name]}")
     low, high = read_span(place, names, along, span)
+    if hopf:
+        near = SAME_HOPF * (high - low)
+        inside = tuple(point for point in hopf if low - near <= point.value <= high + near)
+        if not inside:
+            known = ", ".join(f"{point.value:.9g}" for point in hopf)
+            raise place.at("from_hopf").error(f"the hopf points, at {along} = {known}, are outside the span")
+        hopf, at = inside, float(np.clip(inside[0].value, low, high))
     first = names.quantity(place.at("at"), along, at)
     if not low <= first <= high:
         raise place.at("at").error(f"{first:g} is not between from = {low:g} and to = {high:g}")
@@ -287,15 +295,18 @@ def _from_hopf(spec: FamilySpec, section: Problem) -> xr.Dataset:
     """Return the families from all Hopf points to which no branch from an earlier one has led."""
     points: list[Mark] = []
     special: list[Mark] = []
-    branches = 0
+    branches, reached = 0, list[tuple[float, np.ndarray]]()
     for point in spec.hopf:
-        reached = [section.values(mark.orbit.family, mark.orbit.u)[0, 0] for mark in special if mark.kind == "hopf"]
-        if any(abs(value - point.value) < SAME_HOPF * (spec.high - spec.low) for value in reached):
+        near = (centre for value, centre in reached if abs(value - point.value) < SAME_HOPF * (spec.high - spec.low))
+        if any((np.abs(centre - point.states) < SAME_CENTRE * np.array(point.scales)).all() for centre in near):
             continue
         timed, first = around_hopf(section, point)
         family = np.zeros(1, int)
         if has_free_phase(section.scene):
             marks = in_order(TimedContinuation(timed, cycles=spec.cycles)(family, first))
+            for orbit in (mark.orbit for mark in marks[1] if mark.kind == "hopf"):
+                centre = timed.states(orbit.family, orbit.u).mean(axis=(0, 1))
+                reached.append((float(timed.values(orbit.family, orbit.u)[0, 0]), centre))
             marks = at_section(timed, section, marks[0]), at_section(timed, section, marks[1])
         else:
             problem, _, [u] = _through(spec, section, [returning_orbit(section, timed, first[0])])

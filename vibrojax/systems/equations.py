@@ -473,6 +473,15 @@ class SystemEquations(Scene[SystemConstants]):
         fails = [(gap < 0) | (r < 0) | (r > 1) for _, gap, r in self._stops(c.p, zero, y)]
         return (functools.reduce(lambda x, fails: jnp.where(fails, jnp.nan, x), fails, state[0]), *state[1:])
 
+    def has_no_field(self, c: SystemConstants, mode: Values, state: Values) -> Any:
+        """Return a mask of the states beyond a rigid stop, and of those in which friction holds a body, or just not."""
+        t, y = self._known(state)
+        without = [gap < 0 for _, gap, _ in self._stops(c.p, t, y)]
+        for index, _ in self._flow.of(Friction):
+            relative = self._flow.surface(c, mode, index, t, y)
+            without.append((mode[index] == 0) | (jnp.abs(relative) <= c.lifts[index]))
+        return functools.reduce(operator.or_, without, False)
+
     def _stops(self, p: Mapping[str, Any], t: Any, y: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
         """Return name, gap and restitution of each stop."""
         stops = [(event.name, event) for _, event in self._flow.of(Impact) if is_stop(event)]
