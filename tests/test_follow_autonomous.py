@@ -240,6 +240,7 @@ def test_points_bear_the_names_of_switches():
         gear(), along="om", at=1.5, span=(1.3, 1.6), start=[1.2, 0.0], settle=300.0, cycles=1, progress=False
     )
     assert kinds(family) == {"right", "end"}
+    assert family.special_kind.attrs["flag_values"].dtype == family.special_kind.dtype  # CF: flags
     linear = 1.2 - 0.2 / np.hypot(1 - 1.41067**2, 0.141067)  # the teeth just part at the amplitude 0.2
     assert points(family, "right") == [(0, pytest.approx(1.41067, abs=1e-5))] and linear == pytest.approx(1.0, abs=1e-5)
     assert vj.picture(family) is not None

@@ -57,7 +57,7 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve])
             variables[f"{dimension}_{name}"] = (dimension, values[:, k], about)
     schema = VARIABLES | OF_CURVES | measured_besides(problem.scene) | of_orbits(problem.scene)
     table = described(variables, schema)
-    table["kind"][-1].update(flag_values=list(range(len(kinds))), flag_meanings=" ".join(kinds))
+    table["kind"][-1].update(flag_values=np.arange(len(kinds), dtype=np.int8), flag_meanings=" ".join(kinds))
     ds = xr.Dataset(table, _coordinates(spec, problem, curves), _attributes(spec, problem))
     if any(problem.kinds[curve.number] == "stick" for curve in curves):
         for name in ("multiplier_abs", "multiplier_arg"):
