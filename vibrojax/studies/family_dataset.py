@@ -115,7 +115,8 @@ def families_dataset(sweep: Sweep, problem: Problem, points: list[Mark], special
         every = "eigenvalue" if standing else "multiplier"
         table[name] = (("special" if name.startswith("special_") else "point", every)[: x.ndim], x)
     variables = described(table, schema)
-    variables["special_kind"][-1].update(flag_values=np.arange(len(kinds), dtype=np.int8), flag_meanings=" ".join(kinds))
+    flags = {"flag_values": np.arange(len(kinds), dtype=np.int8), "flag_meanings": " ".join(kinds)}
+    variables["special_kind"][-1].update(flags)
     variables["special_value"][-1].update(about | {"long_name": f"{about['long_name']} at the special point"})
     about_orbits = {
         "states": moving_names(system) if standing else list(system.return_states),
