@@ -151,10 +151,10 @@ _DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
     "region_area": {"curve": ("vertex",), "kind": ("curve",), "region_area": ("region",)},
     "event_time": {"event_time": ("event",), "event_kind": ("event",)},
 }
-_OF_EQUILIBRIA = dict.fromkeys(("eigenvalue_re", "eigenvalue_im"), ("point", "eigenvalue"))
-
 """Dimensions of the variables of families, of curves, of borders and of a motion's events. The key is the variable
 whose presence implies the others."""
+
+_OF_EQUILIBRIA = dict.fromkeys(("eigenvalue_re", "eigenvalue_im"), ("point", "eigenvalue"))
 
 
 def check_structure(ds: xr.Dataset) -> None:

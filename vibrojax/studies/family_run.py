@@ -15,6 +15,7 @@ from vibrojax.maps.sweep import Sweep, resolved
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.equilibria import EquilibriumContinuation
 from vibrojax.periodic.families import FamilyContinuation, in_order
+from vibrojax.periodic.flow_map import moving_names
 from vibrojax.periodic.orbit_stages import why_no_orbit
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.periodic.problem import Problem
@@ -100,8 +101,8 @@ def follow(
       [rad] along `multiplier`, and `grazing_margin`. `cycles` is the number of section crossings per period of the
       motion, `period` [s] the mean time between crossings, and `impacts` the number of impacts per period of the
       motion. Further variables are the state at the section (`orbit_x1` and so on) and the scene's measures.
-    - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf,
-      branch-point, end), `special_value` (the parameter's value), `special_branch`, and `special_note`.
+    - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf, branch-point, end,
+      or the name of a system's switch), `special_value` (the parameter's value), `special_branch`, and `special_note`.
 
     At a *grazing* point, an impact or another event that is not a stick begins or vanishes. For other events than
     impacts, the note contains the name of the mode that changes, for example where rock begins to yield. Multipliers at
@@ -261,9 +262,8 @@ def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
     if spec.orbit is not None and has_free_phase(section.scene):
         return _free(spec, section, np.zeros(1, int), *given_orbit(section, spec.orbit))
     if not section.scene.return_states:
-        raise (
-            Place("follow").at("cycles").error("a motion of one state has no orbits; for its equilibria give cycles=0")
-        )
+        place = Place("follow").at("cycles")
+        raise place.error("a motion of one state has no orbits; for its equilibria give cycles=0")
     dataset = run_sweep(spec.sweep, progress=progress)
     if spec.orbit is None and _stands(section.scene, dataset):
         return _equilibria(spec, section, spec.sweep.run.settle)
@@ -296,17 +296,17 @@ def _from_hopf(spec: FamilySpec, section: Problem) -> xr.Dataset:
     points: list[Mark] = []
     special: list[Mark] = []
     branches, reached = 0, list[tuple[float, np.ndarray]]()
+    names = moving_names(section.scene)
+    rows = [names.index(name) for name in section.scene.return_states]
     for point in spec.hopf:
         near = (centre for value, centre in reached if abs(value - point.value) < SAME_HOPF * (spec.high - spec.low))
-        if any((np.abs(centre - point.states) < SAME_CENTRE * np.array(point.scales)).all() for centre in near):
+        states, scales = np.array(point.states)[rows], np.array(point.scales)[rows]
+        if any((np.abs(centre - states) < SAME_CENTRE * scales).all() for centre in near):
             continue
         timed, first = around_hopf(section, point)
         family = np.zeros(1, int)
         if has_free_phase(section.scene):
             marks = in_order(TimedContinuation(timed, cycles=spec.cycles)(family, first))
-            for orbit in (mark.orbit for mark in marks[1] if mark.kind == "hopf"):
-                centre = timed.states(orbit.family, orbit.u).mean(axis=(0, 1))
-                reached.append((float(timed.values(orbit.family, orbit.u)[0, 0]), centre))
             marks = at_section(timed, section, marks[0]), at_section(timed, section, marks[1])
         else:
             problem, _, [u] = _through(spec, section, [returning_orbit(section, timed, first[0])])
@@ -314,6 +314,9 @@ def _from_hopf(spec: FamilySpec, section: Problem) -> xr.Dataset:
             section = problem if not points else replace(problem, scales=section.scales)
             u = section.unknowns(family, problem.states(family, u[None]), problem.values(family, u[None]))[0]
             marks = in_order(FamilyContinuation(section, cycles=spec.cycles)(family, [u]))
+        for orbit in (mark.orbit for mark in marks[1] if mark.kind == "hopf"):
+            value, centre = section.values(orbit.family, orbit.u)[0, 0], section.states(orbit.family, orbit.u)[0, 0]
+            reached.append((float(value), centre))
         for found, own in zip((points, special), marks, strict=True):
             found += [mark._replace(branch=mark.branch + branches) for mark in own]
         branches = 1 + max(mark.branch for mark in points)
