@@ -1,43 +1,31 @@
-"""Exports of rigs with a planted law: each function writes a file, and returns its path and what is planted.
+"""Exports of rigs with planted laws: `write` writes a file, and returns its path and what is planted.
 
-    path, planted = exports.with_founder(tmp_path)
-    fit = vj.fit_rop(path, **planted["reading"])
+    path, planted = exports.write(tmp_path, "pason", [(15 / 3600, 40e3)], founder=160e3)
 
-`planted` has `C` [m/s] (a list by formation, where there are several), `onset` [N], `founder` [N] (NaN without one),
-`form`, `rows` (those that are drilling), and `reading`, the arguments of `fit_rop` and `read_log`.
+The rate of each formation is C ln(W/D), below the founder point; above it, it falls.
 """
+
+import sys
+from pathlib import Path
 
 import numpy as np
 
-FOOT, POUND_FORCE, TONNE_FORCE = 0.3048, 4.4482216152605, 9806.65
+sys.path.insert(0, str(Path(__file__).parents[2] / "notebooks"))
+import rig_logs
 
 
-def _weights(count, rng, low, high):
-    """Return weights on bit [N] that a driller changes every dozen rows."""
-    steps = rng.uniform(low, high, count // 12 + 1)
-    return np.repeat(steps, 12)[:count] + 500.0 * rng.standard_normal(count)
-
-
-def with_founder(folder, count=600, noise=0.03, seed=5):
-    """Write a Pason-like CSV in field units, with a founder point at 160 kN, sliding, connections and outliers."""
-    rng, C, D, founder = np.random.default_rng(seed), 8 / 3600, 40e3, 160e3
-    weight = _weights(count, rng, 60e3, 210e3)
-    rate = C * np.log(np.minimum(weight, founder) / D) * (1 - 0.3 * np.maximum(weight / founder - 1, 0))
-    rate *= 1 + noise * rng.standard_normal(count)
-    wrong = rng.choice(count, 6, replace=False)
-    rate[wrong] *= rng.uniform(1.5, 2.0, 6)
-    speed = np.where(np.arange(count) % 100 < 5, 0.0, 120.0)  # sliding
-    feed = np.where(np.arange(count) % 97 == 50, 2978.0, rate * 3600 / FOOT)  # connections
-    lines = ["Pason export,,,,,,", "YYYY/MM/DD,HH:MM:SS,Hole Depth (feet),Rate Of Penetration (ft_per_hr),"]
-    lines[1] += "Weight on Bit (klbs),Rotary RPM (RPM),Surface Torque (ft-lbf)"
-    for k in range(count):
-        seconds = 85_000 + 10 * k
-        clock = (
-            f"2024/03/{4 + seconds // 86_400:02},{seconds // 3600 % 24:02}:{seconds // 60 % 60:02}:{seconds % 60:02}"
-        )
-        cells = (5000 + k, feed[k], weight[k] / POUND_FORCE / 1e3, speed[k], 6000 + 20 * (k % 7))
-        lines.append(",".join([clock, *(f"{cell:.6g}" for cell in cells)]))
-    path = folder / "founder.csv"
-    path.write_text("\n".join(lines) + "\n")
-    rows = int(((speed > 0) & (feed < 500)).sum())
-    return path, {"C": C, "onset": D, "founder": founder, "form": "onset", "rows": rows, "reading": {}}
+def write(folder, dialect, formations, founder=None, count=600, noise=0.03, seed=5):
+    """Write an export with traps and six outliers; `formations` holds C [m/s] and D [N] of each."""
+    rng = np.random.default_rng(seed)
+    rows = rig_logs.drilling(count, seed=seed)
+    formation = np.sort(np.arange(count) % len(formations))
+    rows["formation"] = np.array(["chalk", "shale"])[formation]
+    rows["weight"] = weight = rig_logs.weights((count,), rng, 75e3, 210e3)
+    C, D = np.array(formations)[formation].T
+    end = founder or np.inf
+    rate = C * np.log(np.minimum(weight, end) / D) * (1 - np.maximum(weight / end - 1, 0))
+    rate += noise * rate.mean() * rig_logs.correlated((count,), 0.7, rng)
+    rate[rng.choice(count, 6, replace=False)] *= 1.9
+    rows, dropped = rig_logs.with_traps(rows | {"rate": rate})
+    path = rig_logs.write(folder / f"log.{'las' if dialect == 'las' else 'csv'}", dialect, rows)
+    return path, {"formations": formations, "founder": founder, "dropped": dropped, "rows": count}

@@ -132,6 +132,3 @@ def test_unit_factors():
     assert factor("kN/" * 700 + "m", "N") is None and factor("lbf", "N m") is None
     assert split_unit("ROP (m/h)") == ("ROP", "m/h") and split_unit("WOB (mean) [kN]") == ("WOB (mean)", "kN")
     assert split_unit("rate_of_penetration") == ("rate_of_penetration", None) and split_unit("x_1") == ("x_1", None)
-
-
-# regressions

@@ -123,29 +123,6 @@ def test_intervals_cover_truth_with_censored_lanes(noise):
         assert 0.90 <= interval <= 0.98, key
 
 
-def test_power_fit_matches_scipy(noise):
-    def slopes(x, c, p):
-        return np.stack([x**p, c * x**p * np.log(x)], axis=1)
-
-    rate = TRUTH["onset"](RELIEF) * (1 + 0.1 * noise.standard_normal(RELIEF.size))
-    fit = fitted(rate, form="power")
-    tight = {"xtol": 1e-13, "ftol": 1e-13, "gtol": 1e-13, "method": "trf", "jac": slopes}
-    c, exponent = optimize.curve_fit(lambda x, c, p: c * x**p, RELIEF, rate / C, (1.0, 1.0), **tight)[0]
-    assert fit.C.item() == pytest.approx(c * C, rel=1e-6)
-    assert fit.exponent.item() == pytest.approx(exponent, rel=1e-6)
-    errors = jackknife_errors(slopes(RELIEF, c, exponent), rate / C - c * RELIEF**exponent)
-    assert fit.C_stderr.item() == pytest.approx(errors[0] * C, rel=1e-4)
-    assert fit.exponent_stderr.item() == pytest.approx(errors[1], rel=1e-4)
-
-
-def jackknife_errors(jacobian, residual):
-    """Return standard errors (HC3): the omission of lane i moves theta by (J^T J)^-1 J_i r_i/(1 − h_i)."""
-    inverse = np.linalg.inv(jacobian.T @ jacobian)
-    leverage = [row @ inverse @ row for row in jacobian]
-    moves = [inverse @ row * r / (1 - h) for row, r, h in zip(jacobian, residual, leverage, strict=True)]
-    return np.sqrt(np.sum(np.square(moves), axis=0))
-
-
 def test_standard_errors_of_line_match_jackknife(noise):
     """Each lane is omitted in turn, and the form is fitted again.
 
@@ -197,24 +174,6 @@ def test_verdict_names_form_that_describes_data(noise):
 
 
 # censored lanes
-
-
-def test_dropping_zero_rates_biases_fit(noise):
-    """Near the onset, noise turns rates into zeros.
-
-    Dropping these keeps only lanes with positive noise, so C is too low.
-
-    The bias is 20 % with dropped zeros, 27 % with zeros as rates, and 13 % with censored lanes. The last comes from
-    lanes below the onset that noise lifts above zero.
-    """
-    relief = np.linspace(0.15, 0.4, 30)
-    noisy = TRUTH["onset"](relief) + 2e-4 * noise.standard_normal((300, 30))
-    kept = fitted_trials(np.maximum(noisy, 0), relief, "onset")
-    dropped = fitted_trials(np.where(noisy > 0, noisy, np.nan), relief, "onset")
-    for key, truth in (("C", C), ("eta0", ETA0)):
-        bias_kept, bias_dropped = (1 - fit[key].median().item() / truth for fit in (kept, dropped))
-        assert 0 < bias_kept < 0.75 * bias_dropped
-    assert (dropped.left_out > 0).any() and (kept.left_out == 0).all()
 
 
 def test_censored_lane_counts_if_a_rate_is_predicted():

@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+import exports
 import numpy as np
 import pytest
 from drawn import sheet_of
@@ -12,9 +13,7 @@ from vibrojax.cli import main
 from vibrojax.studies.rig_analysis import FOUNDER_REASONS, _limits, founder_point, torque_stick_slip
 
 sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[2] / "notebooks"))
-import exports
-import rig_logs
+from exports import rig_logs
 
 HEADER = "YYYY/MM/DD,Depth (ft),WOB (klbf),ROP (ft/h),Rotary Speed (rpm),Torque (ft lbf)"
 
@@ -44,14 +43,13 @@ def test_specific_energy_matches_teale_in_field_units(log):
     assert ds.percussive_specific_energy.values == pytest.approx(12e3 / (area * rate * 0.3048 / 3600), rel=1e-6)
 
 
-@pytest.mark.parametrize("correlation", [0.8])
 @pytest.mark.parametrize("law", ["line", "logarithm"])
-def test_laws_without_a_founder_have_none(law, correlation):
+def test_laws_without_a_founder_have_none(law):
     rng, found = np.random.default_rng(1), 0
     for _ in range(20):
         weight = rng.uniform(5e4, 2e5, 200)
         rate = 1e-8 * weight if law == "line" else 1e-3 * np.log(weight / 3e4)
-        noise = rig_logs.correlated((200,), correlation, rng)
+        noise = rig_logs.correlated((200,), 0.8, rng)
         found += FOUNDER_REASONS[founder_point(weight, rate + 1e-4 * noise)["founder_reason"]] == "found"
     assert found <= 2
 
@@ -63,30 +61,24 @@ def test_stick_slip_of_a_sine_is_its_relative_amplitude():
     assert np.isnan(torque_stick_slip(10 * time, np.ones_like(time))).all()
 
 
-@pytest.mark.parametrize("units", ["driller"])
-def test_command_draws_tracks_in_units_that_are_asked(tmp_path, capsys, units):
-    path, planted = exports.with_founder(tmp_path)
+def test_command_draws_tracks_and_tells_the_planted_founder_point(tmp_path, capsys):
+    path, planted = exports.write(tmp_path, "pason", [(15 / 3600, 40e3)], founder=160e3)
     out = tmp_path / "rig.nc"
-    words = ["--columns", "bit_diameter=8.5 in", "--units", units, "-o", str(out), "--quiet"]
-    assert main(["rig", str(path), *words]) == 0
+    assert main(["rig", str(path), "--columns", "bit_diameter=8.5 in", "-o", str(out), "--quiet"]) == 0
     ds = vj.open_dataset(out)
-    assert ds.sizes["row"] == planted["rows"] and ds.attrs["drawn_in"] == units and out.with_suffix(".png").exists()
-    tracks = sheet_of(ds).plots[1:]
+    assert ds.sizes["row"] == planted["rows"] and out.with_suffix(".png").exists()
+    assert float(ds.founder_weight) == pytest.approx(planted["founder"], rel=0.05) and float(ds.slope_above) < 0
     right = {
         "driller": ["[m/h]", "[kN]", "[rpm]", "[kN m]", "[MPa]"],
         "si": ["[m/s]", "[N]", "[rad/s]", "[N m]", "[J/m³]"],
     }
-    assert [track.x.label.split("\n")[0].strip() for track in tracks] == right[units]
-    assert all(track.y.reversed and track.y.label == "depth [m]" for track in tracks)  # depth grows downwards
+    for units, labels in right.items():
+        tracks = sheet_of(ds.assign_attrs(drawn_in=units)).plots[1:]
+        assert [track.x.label.split("\n")[0].strip() for track in tracks] == labels
+        assert all(track.y.reversed and track.y.label == "depth [m]" for track in tracks)  # depth grows downwards
     assert main(["info", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "founder point" in printed and "not percussive data" in printed and "dropped 36 of 600 rows" in printed
-
-
-def test_planted_founder_point_is_found(tmp_path):
-    path, planted = exports.with_founder(tmp_path)
-    ds = vj.rig(path)
-    assert float(ds.founder_weight) == pytest.approx(planted["founder"], rel=0.05) and float(ds.slope_above) < 0
+    assert "founder point" in printed and "not percussive data" in printed and "dropped 6 of 606 rows" in printed
 
 
 def test_spikes_do_not_flatten_tracks(log):

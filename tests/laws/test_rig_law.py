@@ -2,6 +2,7 @@
 
 import json
 
+import exports
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,8 +12,8 @@ from trials import CASES, FORMATIONS, FOUNDER, rig_logs, rows, trials
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.studies.rop_blocks import STANDINGS, Standing, block_covariance, find_founder, prediction_errors
-from vibrojax.studies.rop_forms import FORMS, evaluate, model_of
+from vibrojax.studies.rop_blocks import STANDINGS, Standing, find_founder, predictions_without
+from vibrojax.studies.rop_forms import FORMS, search, whiten
 from vibrojax.studies.rop_law import fit_rop
 from vibrojax.studies.rop_results import verdict
 
@@ -54,22 +55,17 @@ def test_forms_that_differ_by_less_than_noise_are_undecided():
     assert fit.attrs["verdict"] == "none" and any("these data cannot tell" in line for line in verdict(fit))
 
 
-def test_one_newton_step_is_exact_for_linear_forms():
-    """Check the omission of each block, and the bootstrap covariance for blocks of one row."""
+def test_leaving_out_a_block_is_exact_for_linear_forms():
+    """The rates of a block, predicted from the other rows, are those of a fit without it, with correlated noise too."""
     rng = np.random.default_rng(5)
-    relief = np.exp(rng.uniform(0, 1, 120))
-    model = model_of(FORMS[2], relief, relief > 0)
-    x = model.rates(np.ones(2))[1]
-    y = x @ [1.0, 0.2] + 0.02 * rng.standard_normal(120)
-    minimum = evaluate(model, np.linalg.lstsq(x, y)[0], y, y > 0)
-    block = np.arange(120) // 20
-    errors = prediction_errors(minimum, y, block)
+    relief, rate = np.exp(rng.uniform(0, 1, 120)), 1 + 0.2 * rng.standard_normal(120)
+    block, decay = np.arange(120) // 20, np.array([0.0, *[0.6] * 119])
+    minimum = search(FORMS[2], relief, rate, "squares", decay)
+    residual, x = predictions_without(minimum, rate / rate.max(), block), minimum.model.columns(relief)
     for index in range(6):
         kept = block != index
-        without, *_ = np.linalg.lstsq(x[kept], y[kept])
-        assert errors[index] == pytest.approx(np.mean((y - x @ without)[~kept] ** 2), rel=1e-9)
-    usual = np.linalg.inv(x.T @ x) * (minimum.residual @ minimum.residual) / 118
-    np.testing.assert_allclose(np.diag(block_covariance(x, minimum.residual, 0.0)), np.diag(usual), rtol=0.7)
+        without, *_ = np.linalg.lstsq(whiten(x, decay)[kept], whiten(rate / rate.max(), decay)[kept])
+        np.testing.assert_allclose(residual[~kept], (x @ without - rate / rate.max())[~kept], rtol=1e-6)
 
 
 # founder weights and wrong rows
@@ -116,8 +112,9 @@ def test_concave_law_has_no_founder(exponent):
     rate = np.log(weight / 30e3) if exponent is None else weight**exponent
     for noise in (0.0, 0.02):
         noisy = rate * (1 + noise * np.random.default_rng(2).standard_normal(400))
-        assert np.isnan(find_founder(weight / 1e5, weight, noisy).weight)
-    founder = find_founder(weight / 1e5, weight, np.minimum(rate, rate[np.argmin(abs(weight - 12e4))]))
+        assert np.isnan(find_founder(weight / 1e5, weight, noisy, np.arange(400)).weight)
+    bent = np.minimum(rate, rate[np.argmin(abs(weight - 12e4))])
+    founder = find_founder(weight / 1e5, weight, bent, np.arange(400))
     assert founder.weight == pytest.approx(12e4, rel=0.01) and not founder.falls
 
 
@@ -168,13 +165,36 @@ def test_unknown_threshold_keeps_determined_quantities(logs):
 # the command
 
 
+@pytest.mark.parametrize(
+    ("dialect", "formations", "founder", "words"),
+    [
+        ("pason", [(15 / 3600, 40e3)], 160e3, []),
+        ("semicolon", [(15 / 3600, 40e3), (8 / 3600, 60e3)], None, ["--by", "Formation"]),
+        ("las", [(8 / 3600, 40e3)], None, []),
+    ],
+)
+def test_one_command_gives_the_planted_values(tmp_path, dialect, formations, founder, words):
+    path, _ = exports.write(tmp_path, dialect, formations, founder)
+    assert main(["fit", str(path), *words, "-o", str(tmp_path / "law.nc"), "--quiet"]) == 0
+    fit = vj.open_dataset(tmp_path / "law.nc")
+    onset, (C, D) = fit.sel(form="onset"), np.array(formations).T
+    assert fit.attrs["verdict"] == "onset"
+    for name, right in (("C", C), ("onset_force", D)):
+        error = onset[f"{name}_stderr"].values.ravel()
+        assert (abs(onset[name].values.ravel() - right) <= 2 * error).all()
+    if founder:
+        assert abs(fit.founder_weight - founder) <= 2 * fit.founder_weight_stderr
+    else:
+        assert fit.founder_weight.isnull().all()
+
+
 def test_command_reports_rows_and_chosen_form(logs, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["fit", str(logs["las"]), "--columns", "rock=granite"]) == 0
     out = capsys.readouterr().out
     assert "dropped 6 of 406 rows:\n" in out and "  no rotation: 1 (line " in out
-    assert "CV [m/s]" in out and ("these data cannot tell onset from" in out or "the data support onset" in out)
-    assert "recommended C (95 % interval, by a bootstrap of blocks)" in out and "M/HR" in out
+    assert "CV [m/s]" in out and ("these data cannot tell" in out or "the data support onset" in out)
+    assert "recommended C (95 % interval, by blocks of rows)" in out and "M/HR" in out
     assert "Rotary rig data are not percussive data" in out and "las-fit.nc; picture las-fit.png" in out
     stored = vj.open_dataset("las-fit.nc")
     assert stored.standing.attrs["flag_meanings"].split() == list(STANDINGS)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from unchecked import unchecked
 
-from vibrojax.studies.rop_blocks import BLOCK_LIMITS, supported
+from vibrojax.studies.rop_blocks import BLOCK_LIMIT, supported
 from vibrojax.studies.rop_forms import FORMS
 from vibrojax.studies.rop_law import fit_lanes
 
@@ -47,7 +47,7 @@ def trial(rng, law="literal", founder=FOUNDER, unknown=False, **about):
         form = fit.forms[NAMES.index(name)]
         of_c.append(abs(form["C"] - C) <= 2 * form["C_stderr"])
         of_founder.append(np.isfinite(fit.founder.weight) == (founder is not None))
-    return supported(np.array(standing), np.array(evidence), NAMES, BLOCK_LIMITS), of_c, of_founder
+    return supported(np.array(standing), np.array(evidence), NAMES, BLOCK_LIMIT), of_c, of_founder
 
 
 def trials(count, seed=1, **planted):

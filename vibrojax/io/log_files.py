@@ -1,10 +1,7 @@
 """Files of rig logs as tables of text: delimited text, LAS, WITSML and xlsx; where their names and units stand."""
 
-import csv
 import io
-import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,7 +12,7 @@ from jaxtyping import Bool, Float
 from vibrojax.errors import Place, counted, shown
 from vibrojax.io.files import read_regular
 from vibrojax.io.log_columns import recognise
-from vibrojax.io.tables import is_number, read_text
+from vibrojax.io.tables import Rows, csv_rows, is_number, read_text, with_points
 from vibrojax.physics.units import is_unit
 
 NULLS = frozenset(
@@ -28,12 +25,6 @@ _HEAD = 200
 
 _MOST_LISTED = 10
 _NO_ROWS = "no rows; add a line for each measurement"
-_NUMBERS = {
-    ",": re.compile(r"[-+]?(\d+|\d{1,3}(\.\d{3})+),\d+([eE][-+]?\d+)?"),
-    ".": re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?|[-+]?\d{1,3}(,\d{3})+\.\d+"),
-}
-"""Numbers with a decimal mark; some could be numbers with thousands and the other mark, too."""
-_THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}([{mark}]\d{{3}})+([.,]\d+)?") for mark in ",."}
 _LAS_DELIMITERS = {"COMMA": ",", "TAB": "\t"}
 
 
@@ -52,14 +43,26 @@ class Cells:
 
 
 def read_cells(place: Place, path: Path) -> Cells:
-    """Return the cells of a file, whose kind is recognised by its content or its ending; raise `InputError`."""
+    """Return the cells of a file, whose kind is recognised by its content or its ending; raise `InputError`.
+
+    A row of another width than the header is an error, unless its further cells are empty.
+    """
     if path.suffix.lower() in (".xlsx", ".xlsm", ".xls"):
-        return _below_names(place, _read_xlsx(place, path))
-    text = read_text(path, windows=True)
-    start = text.lstrip()[:1]
-    if start == "~" or path.suffix.lower() == ".las":
-        return _read_las(place, text)
-    return _read_witsml(place, text) if start == "<" else _below_names(place, _read_delimited(place, text))
+        cells = _below_names(place, _read_xlsx(place, path))
+    else:
+        text = read_text(path, windows=True)
+        if text.lstrip().startswith("~") or path.suffix.lower() == ".las":
+            cells = _read_las(place, text)
+        else:
+            is_xml = text.lstrip().startswith("<")
+            cells = _read_witsml(place, text) if is_xml else _below_names(place, _read_delimited(place, text))
+    width, rows = len(cells.header), cells.rows
+    counts = rows.iloc[:, :width].notna().sum(axis=1) + (rows.iloc[:, width:].fillna("") != "").sum(axis=1)
+    if (wrong := counts[counts != width].astype(int)).size:
+        listed = [f"line {line} has {counted(count, 'cell')}" for line, count in wrong.iloc[:_MOST_LISTED].items()]
+        more = f"; and {len(wrong) - _MOST_LISTED} more" if len(wrong) > _MOST_LISTED else ""
+        raise place.error(f"{'; '.join(listed)}{more}; {width} are needed, one a column")
+    return replace(cells, rows=rows.iloc[:, :width])
 
 
 def _read_delimited(place: Place, text: str) -> pd.DataFrame:
@@ -68,14 +71,10 @@ def _read_delimited(place: Place, text: str) -> pd.DataFrame:
     if not lines:
         raise place.error("empty; a line of column names and a line for each measurement are needed")
     separator = next((mark for mark in ";\t" if 2 * sum(mark in line for line in lines) > len(lines)), ",")
-    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True, delimiter=separator)
-    try:
-        return _table([(reader.line_num, row) for row in reader if any(map(str.strip, row))])
-    except csv.Error as error:
-        raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
+    return _table(list(csv_rows(place, text, separator)))
 
 
-def _table(rows: list[tuple[int, list[str]]]) -> pd.DataFrame:
+def _table(rows: Rows) -> pd.DataFrame:
     """Return rows, each with its line, as a table indexed by line, in which short rows end in None."""
     width = max(len(cells) for _, cells in rows)
     padded = [cells + [None] * (width - len(cells)) for _, cells in rows]
@@ -122,18 +121,7 @@ def _below_names(place: Place, table: pd.DataFrame) -> Cells:
         header.pop()
     if above == len(table):
         raise place.error(f"{_NO_ROWS} below the {'column names' if below is None else 'units'}")
-    return _checked(place, Cells(header, int(table.index[names]), table.iloc[above:], notes=tuple(notes)))
-
-
-def _checked(place: Place, cells: Cells) -> Cells:
-    """Return the cells without empty columns beyond the header; raise `InputError` if a row has more or fewer cells."""
-    width, rows = len(cells.header), cells.rows
-    counts = rows.iloc[:, :width].notna().sum(axis=1) + (rows.iloc[:, width:].fillna("") != "").sum(axis=1)
-    if (wrong := counts[counts != width].astype(int)).size:
-        listed = [f"line {line} has {counted(count, 'cell')}" for line, count in wrong.iloc[:_MOST_LISTED].items()]
-        more = f"; and {len(wrong) - _MOST_LISTED} more" if len(wrong) > _MOST_LISTED else ""
-        raise place.error(f"{'; '.join(listed)}{more}; {width} are needed, one a column")
-    return Cells(cells.header, cells.line, rows.iloc[:, :width], cells.nulls, cells.notes)
+    return Cells(header, int(table.index[names]), table.iloc[above:], notes=tuple(notes))
 
 
 def _with_unit(name: str, unit: str) -> str:
@@ -160,11 +148,11 @@ def _read_witsml(place: Place, text: str) -> Cells:
     about = {c.findtext("{*}mnemonic"): c.findtext("{*}unit") or "" for c in root.findall(".//{*}logCurveInfo")}
     names = [name.strip() for name in names] if any(names) else list(map(str, about))
     units = units if len(units) == len(names) else [about.get(name, "") for name in names]
+    header = [_with_unit(name, unit.strip()) for name, unit in zip(names, units, strict=True)]
     lines = [number for number, line in enumerate(text.splitlines(), 1) if "<data>" in line]
     index = lines if len(lines) == len(rows) else range(1, len(rows) + 1)
-    header = [_with_unit(name, unit.strip()) for name, unit in zip(names, units, strict=True)]
     nulls = frozenset((null.text or "").strip() for null in root.findall(".//{*}nullValue"))
-    return _checked(place, Cells(header, max(index[0] - 1, 1), _table(list(zip(index, rows, strict=True))), nulls))
+    return Cells(header, max(index[0] - 1, 1), _table(list(zip(index, rows, strict=True))), nulls)
 
 
 def _read_las(place: Place, text: str) -> Cells:
@@ -206,19 +194,7 @@ def _read_las(place: Place, text: str) -> Cells:
     if not rows:
         raise place.at(f"line {begins['A']}").error(f"{_NO_ROWS} below ~ASCII")
     null = str(las.well["NULL"].value) if "NULL" in las.well else ""
-    return _checked(place, Cells(header, begins["C"], _table(rows), frozenset((null,))))
-
-
-def decimal_mark(columns: Iterable[pd.Series]) -> str:
-    """Return the decimal mark of text cells: "." or ",", "both" if both occur, or "" if commas may be either."""
-    columns = [column.dropna().str.strip() for column in columns]
-    if not any(column.str.contains(",", regex=False).any() for column in columns):
-        return "."
-    cells = pd.concat(columns)
-    found = [
-        mark for mark in ",." if (cells.str.fullmatch(_NUMBERS[mark]) & ~cells.str.fullmatch(_THOUSANDS[mark])).any()
-    ]
-    return "both" if len(found) == 2 else "".join(found)
+    return Cells(header, begins["C"], _table(rows), frozenset((null,)))
 
 
 def to_numbers(
@@ -229,14 +205,9 @@ def to_numbers(
     `mark`: the decimal mark, as `decimal_mark` returns it; `nulls`: what stands for a missing value, in small letters.
     """
     cells = cells.fillna("").str.strip()
-    if mark in (",", "."):
-        other = "," if mark == "." else "."
-        grouped = cells.str.fullmatch(_THOUSANDS[other])
-        cells = cells.where(~grouped, cells.str.replace(other, "", regex=False))
-        is_comma = cells.str.fullmatch(_NUMBERS[","]) & (mark == ",")
-        cells = cells.where(~is_comma, cells.str.replace(",", ".", regex=False))
+    cells = with_points(cells, mark) if mark in (",", ".") else cells
     missing = ((cells == "") | cells.str.casefold().isin(nulls)).to_numpy(bool)
-    listed = ["nan" if none else cell for cell, none in zip(cells, missing, strict=True)]
+    listed = cells.mask(missing, "nan").to_list()
     try:
         values = np.array(listed, dtype=float)
     except ValueError:

@@ -32,9 +32,9 @@ from vibrojax.io.log_columns import (
     likely_words,
     recognise,
 )
-from vibrojax.io.log_files import NULLS, Cells, decimal_mark, read_cells, to_numbers
+from vibrojax.io.log_files import NULLS, Cells, read_cells, to_numbers
 from vibrojax.io.log_filters import LIMITS, Where, line_ranges, meets, no_drilling, not_monotonic, read_conditions
-from vibrojax.io.tables import is_number
+from vibrojax.io.tables import ambiguous_commas, decimal_mark, is_number
 from vibrojax.physics.parameters import Parameter
 from vibrojax.physics.units import UNITS
 
@@ -314,8 +314,7 @@ def _check_cells(
         f"write a number, leave the cell empty, or say that it stands for a missing value: --nulls {shown(cells[0][2])}"
     )
     if "," in cells[0][2] and mark != ".":
-        other = "the file has decimal points too" if mark == "both" else "commas may separate thousands"
-        right = f"commas are ambiguous: {other}; write decimal points"
+        right = f"commas are ambiguous: {ambiguous_commas(mark)}; write decimal points"
     more = f"; and {len(faults) - _MOST_LISTED} more" if len(faults) > _MOST_LISTED else ""
     verb = "is not a number" if len(faults) == 1 else f"are not numbers ({len(faults)} cells)"
     raise place.error(f"{listed}{more} {verb}; {right}")

@@ -4,10 +4,11 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 
 from vibrojax.errors import InputError, Place, nearest, shown
@@ -17,11 +18,12 @@ from vibrojax.physics.units import is_unit
 Rows = list[tuple[int, list[str]]]
 """The non-empty lines of a table: (line number, cells)."""
 
-_DECIMAL_COMMA = re.compile(r"[-+]?(\d+|\d{1,3}(\.\d{3})+),\d+([eE][-+]?\d+)?")
-_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
-_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
-_THOUSANDS_AND_POINT = re.compile(r"[-+]?\d{1,3}(,\d{3})+\.\d+")
-_TO_POINT = str.maketrans({".": None, ",": "."})  # "1.234,5" is 1234.5
+_NUMBERS = {
+    ",": re.compile(r"[-+]?(\d+|\d{1,3}(\.\d{3})+),\d+([eE][-+]?\d+)?"),
+    ".": re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?|[-+]?\d{1,3}(,\d{3})+\.\d+"),
+}
+"""Numbers with a decimal mark; some could be numbers with thousands and the other mark, too."""
+_THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}([{mark}]\d{{3}})+([.,]\d+)?") for mark in ",."}
 _NOT_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f]|\A(\xff\xfe|\xfe\xff)")  # control characters, or UTF-16
 
 
@@ -62,7 +64,7 @@ def read_table(path: Path, row: str, none: str, example: str) -> tuple[int, list
     **Raises:** `InputError` if the header is no list of names or, while reading rows, if one has other columns.
     """
     place = Place(str(path))
-    rows = read_csv(place, read_text(path))
+    rows = _read_csv(place, read_text(path))
     line, header = next(rows, (0, []))
     if not header:
         raise place.error(f"empty; a line of column names and a line for each {row} are needed")
@@ -92,30 +94,8 @@ def is_number(cell: str) -> bool:
         return False
 
 
-def separator(text: str) -> str:
-    """Return the separator of a CSV's columns: a comma or a semicolon.
-
-    It is a semicolon if the first line has semicolons and no comma, or as many semicolons as the second line.
-    """
-    lines = (line for line in text.splitlines() if line.strip())
-    first, second = next(lines, ""), next(lines, "")
-    is_semicolon = ";" in first and ("," not in first or first.count(";") == second.count(";"))
-    return ";" if is_semicolon else ","
-
-
-def read_csv(place: Place, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Return the non-empty lines of a CSV, each with its number; columns are separated by commas or semicolons.
-
-    Commas in numbers between semicolons are decimal marks; a warning says so.
-
-    **Raises:** `InputError` if the text is not CSV, or a comma in a number may also separate thousands.
-    """
-    if separator(text) == ";":
-        return iter(_with_decimal_points(place, list(_csv_rows(place, text, ";"))))
-    return _csv_rows(place, text, ",")
-
-
-def _csv_rows(place: Place, text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+def csv_rows(place: Place, text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    """Return the non-empty lines of a CSV, each with its number; raise `InputError` if the text is not CSV."""
     reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True, delimiter=delimiter)
     try:
         yield from ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
@@ -123,22 +103,53 @@ def _csv_rows(place: Place, text: str, delimiter: str) -> Iterator[tuple[int, li
         raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
 
 
-def _with_decimal_points(place: Place, rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
-    """Return the rows of a semicolon-separated CSV with decimal points in place of decimal commas."""
-    cells = [(line, cell.strip()) for line, row in rows[1:] for cell in row]
-    commas = [(line, cell) for line, cell in cells if _DECIMAL_COMMA.fullmatch(cell)]
-    points = any(_DECIMAL_POINT.fullmatch(cell) for _, cell in cells)
-    if commas and (points or all(_THOUSANDS.fullmatch(cell) for _, cell in commas)):
-        line, cell = commas[0]
-        other = "the file has decimal points too" if points else "commas may separate thousands"
-        raise place.at(f"line {line}").error(f"{shown(cell)} is ambiguous: {other}; write decimal points")
-    message = "semicolons separate the columns" + (", commas are decimal marks" if commas else "")
-    warnings.warn(f"{place.file}: {message}", stacklevel=2)
-    header, *others = rows
-    return [header] + [
-        (line, [cell.translate(_TO_POINT) if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in row])
-        for line, row in others
+def decimal_mark(columns: Iterable[pd.Series]) -> str:
+    """Return the decimal mark of text cells: "." or ",", "both" if both occur, or "" if commas may be either."""
+    columns = [column.dropna().str.strip() for column in columns]
+    if not any(column.str.contains(",", regex=False).any() for column in columns):
+        return "."
+    cells = pd.concat(columns)
+    marks = [
+        mark
+        for mark, like in _NUMBERS.items()
+        if (cells.str.fullmatch(like) & ~cells.str.fullmatch(_THOUSANDS[mark])).any()
     ]
+    return "both" if len(marks) == 2 else "".join(marks)
+
+
+def ambiguous_commas(mark: str) -> str:
+    """Return why commas are ambiguous, if the decimal mark is "both" or ""."""
+    return "the file has decimal points too" if mark == "both" else "commas may separate thousands"
+
+
+def with_points(cells: pd.Series, mark: str) -> pd.Series:
+    """Return text cells with decimal points, and without marks between thousands; `mark`: their decimal mark."""
+    other = "," if mark == "." else "."
+    cells = cells.where(~cells.str.fullmatch(_THOUSANDS[other]), cells.str.replace(other, "", regex=False))
+    return cells.where(~(cells.str.fullmatch(_NUMBERS[","]) & (mark == ",")), cells.str.replace(",", ".", regex=False))
+
+
+def _read_csv(place: Place, text: str) -> Iterator[tuple[int, list[str]]]:
+    """Return the non-empty lines of a CSV; columns are separated by semicolons if the first line shows it, or commas.
+
+    Commas in numbers between semicolons are decimal marks; a warning says so.
+    """
+    lines = (line for line in text.splitlines() if line.strip())
+    first, second = next(lines, ""), next(lines, "")
+    if not (";" in first and ("," not in first or first.count(";") == second.count(";"))):
+        return csv_rows(place, text, ",")
+    header, *rows = csv_rows(place, text, ";")
+    cells = pd.Series([cell for _, row in rows for cell in row], dtype=object).str.strip()
+    commas = [(n, cell.strip()) for n, row in rows for cell in row if _NUMBERS[","].fullmatch(cell.strip())]
+    mark = decimal_mark([cells]) if commas else "."
+    if mark not in (",", "."):
+        line, cell = commas[0]
+        fault = f"{shown(cell)} is ambiguous: {ambiguous_commas(mark)}; write decimal points"
+        raise place.at(f"line {line}").error(fault)
+    message = "semicolons separate the columns" + (", commas are decimal marks" if mark == "," else "")
+    warnings.warn(f"{place.file}: {message}", stacklevel=2)
+    points = iter(with_points(cells, mark)) if mark == "," else iter(cells)
+    return iter([header] + [(line, [next(points) for _ in row]) for line, row in rows])
 
 
 def rows_without_units(place: Place, header: list[str], rows: Rows) -> Rows:
@@ -157,7 +168,7 @@ def column_numbers(place: Place, name: str, index: int, rows: Rows) -> Float[np.
     for position, (line, row) in enumerate(rows):
         if cell := row[index].strip():
             try:
-                values[position] = float(cell.replace(",", "") if _THOUSANDS_AND_POINT.fullmatch(cell) else cell)
+                values[position] = float(cell.replace(",", "") if _NUMBERS["."].fullmatch(cell) else cell)
             except ValueError:
                 fault = f"{shown(cell)} is not a number; write one, like 0.4, or leave it empty"
                 raise place.at(f"line {line}, column {name}").error(fault) from None

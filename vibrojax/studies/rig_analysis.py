@@ -151,7 +151,7 @@ def founder_point(weight: Rows, rate: Rows) -> dict[str, float]:
     x, y = weight[known], rate[known]
     right = ~np.any([*wrong_rows(x / np.median(x), x, y, "soft-l1").values()], axis=0)
     x, y = x[right], y[right]
-    founder = find_founder(x / np.median(x), x, y)
+    founder = find_founder(x / np.median(x), x, y, np.flatnonzero(right))
     below = ~(x > founder.weight)
     slope = np.polyfit(x[below] / x.max(), y[below], 1)[0] / x.max()
     reason = FOUNDER_REASONS.index("found" if np.isfinite(founder.weight) else "no-bend")

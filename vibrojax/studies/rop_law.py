@@ -21,19 +21,18 @@ from vibrojax.io.variables import Variable, described
 from vibrojax.progress import LOG
 from vibrojax.settings.values import choice
 from vibrojax.studies.rop_blocks import (
-    AIC_LIMITS,
-    BLOCK_LIMITS,
+    AIC_LIMIT,
+    BLOCK_LIMIT,
     LEAST_CLEANED,
     LEAST_ROWS,
     STANDINGS,
     Founder,
     block_covariance,
-    block_evidence,
     blocks_of,
     correlation,
+    decay_of,
     find_founder,
-    independent_rows,
-    prediction_errors,
+    predictions_without,
     standings,
     supported,
     wrong_rows,
@@ -45,12 +44,14 @@ from vibrojax.studies.rop_forms import (
     LOSSES,
     REASONS,
     SAME_AS_ONSET,
+    LaneBlocks,
     LaneFlags,
     Lanes,
     Minimum,
     Reason,
-    covariance,
+    moves_without,
     search,
+    whiten,
 )
 
 LEAST_DEGREES_OF_FREEDOM = 2
@@ -85,7 +86,7 @@ _SCHEMA = {
     "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2"),
     "cv_error": Variable("m s-1", "error of rates predicted from the other blocks of rows of a log"),
     "evidence_against": Variable(
-        "1", "n ln(e/least e) by cv_error or AIC, n independent rows; rejected above 9, of a sweep above 2"
+        "1", "n ln(e/least e), e the error of predicted rates, or by AIC; rejected above 5.4, of a sweep above 2"
     ),
     "degrees_of_freedom": Variable("1", "lanes with a residual less coefficients", np.int32),
     "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32),
@@ -133,8 +134,9 @@ def fit_rop(
     - The law ends at the founder weight, if the data show one: above it the rate stays or falls. The data show one if
       a form with a founder weight describes them better than every form without, beyond chance. All forms are then
       fitted to the rows below it.
-    - The noise of neighbouring rows is correlated. From 50 rows on, a bootstrap of blocks of rows gives the standard
-      errors, and the forms are compared by the rates of each block, predicted from all other blocks (`cv_error`).
+    - The noise of neighbouring rows is correlated. From 50 rows on, a fit subtracts from each row what the preceding
+      one predicts of its noise. Leaving out blocks of rows gives the standard errors, and the forms are compared by
+      the rates of each block, predicted from all other blocks (`cv_error`).
 
     **Arguments:**
 
@@ -242,7 +244,6 @@ def fit_groups(
     }
     names = [form.name for form in FORMS]
     form = ("form", names, {"units": "1", "long_name": "form of the law"})
-    limits = BLOCK_LIMITS if measured else AIC_LIMITS
     attributes = dataset_attributes(
         "fit",
         f"rate-of-penetration law: {title_of(data, place.file)}",
@@ -250,7 +251,9 @@ def fit_groups(
         **{name: data.attrs[name] for name in _KEPT if name in data.attrs},
         along=along,
         formulas="; ".join(f"{form.name}: {form.formula}" for form in FORMS),
-        verdict=supported(values["standing"], values["evidence_against"], names, limits),
+        verdict=supported(
+            values["standing"], values["evidence_against"], names, BLOCK_LIMIT if measured else AIC_LIMIT
+        ),
         robust=loss,
     )
     if lines := {reason: np.unique(lines) for reason, lines in left_out.items() if lines}:
@@ -277,72 +280,70 @@ def fit_lanes(
         left_out = wrong_rows(relief, weight, rate, loss)
     keep = ~np.any([above, *left_out.values()], axis=0)
     if left_out and has_force:
-        founder = find_founder(relief[keep], weight[keep], rate[keep])
+        founder = find_founder(relief[keep], weight[keep], rate[keep], np.flatnonzero(keep))
         above = keep & (weight > founder.end)  # none, if that is NaN
     fitted = keep & ~above
-    forms = _fit_forms(relief[fitted], rate[fitted], loss, founder.correlation if measured else None, unknown)
-    return _GroupFit(forms, founder, left_out, above)
+    row = np.flatnonzero(fitted) if measured else None
+    return _GroupFit(_fit_forms(relief[fitted], rate[fitted], loss, unknown, row), founder, left_out, above)
 
 
-def _fit_forms(relief: Lanes, rate: Lanes, loss: str, rho: float | None, unknown: bool) -> list[dict[str, float | int]]:
-    """Return the values of `_SCHEMA` of every form, and compare the forms.
+def _fit_forms(
+    relief: Lanes, rate: Lanes, loss: str, unknown: bool, row: LaneBlocks | None
+) -> list[dict[str, float | int]]:
+    """Return the values of `_SCHEMA` of every form, and compare the forms; `row`: the number of each row of a log."""
+    forms = {k: form for k, form in enumerate(FORMS) if not (unknown and form.name in SAME_AS_ONSET)}
 
-    `rho`: the correlation of the noise of neighbouring rows; None for lanes of a sweep.
-    """
-    found = [
-        Reason.UNKNOWN_THRESHOLD if unknown and form.name in SAME_AS_ONSET else search(form, relief, rate, loss)
-        for form in FORMS
-    ]
-    minima = {index: minimum for index, minimum in enumerate(found) if isinstance(minimum, Minimum)}
-    if rho is not None and minima:
-        rho = max(rho, correlation(min((minimum.residual for minimum in minima.values()), key=np.linalg.norm)))
-    by_blocks = rho is not None and rate.size >= LEAST_ROWS and bool(np.ptp(relief) > 0)
+    found = {k: search(form, relief, rate, loss) for k, form in forms.items()}
+    minima, rho, block = {k: x for k, x in found.items() if isinstance(x, Minimum)}, 0.0, None
+    if row is not None and minima:
+        rho = correlation(min((minimum.residual for minimum in minima.values()), key=np.linalg.norm), row)
+        if rate.size >= LEAST_ROWS and np.ptp(relief) > 0:
+            block, decay = blocks_of(rate.size), decay_of(rho, row)
+            found = {k: search(form, relief, rate, loss, decay) for k, form in forms.items()}
+            minima = {k: x for k, x in found.items() if isinstance(x, Minimum)}
     fits: list[dict[str, float | int]] = []
-    for minimum in found:
+    for k in range(len(FORMS)):
         fit: dict[str, float | int] = {name: np.nan for name, about in _SCHEMA.items() if about.dtype is np.float64}
         fit |= {"degrees_of_freedom": 0, "used": rate.size, "standing": 0}
-        if isinstance(minimum, Minimum):
-            fit |= _coefficients(minimum, rate, rho if by_blocks else None)
+        if k in minima:
+            fit |= _coefficients(minima[k], rate, block)
         else:
-            fit |= {"reason": minimum, "r_squared_reason": minimum}
+            reason = found.get(k, Reason.UNKNOWN_THRESHOLD)
+            fit |= {"reason": reason, "r_squared_reason": reason}
         fits.append(fit)
-    if not minima:
-        return fits
-    block = blocks_of(rate.size, rho) if rho is not None and by_blocks else None
     if block is not None:
-        errors = np.full((len(FORMS), int(block[-1]) + 1), np.nan)
-        for index, minimum in minima.items():
-            errors[index] = prediction_errors(minimum, rate / rate.max(), block)
-        evidence, limits = block_evidence(errors, independent_rows(rate.size, rho or 0.0)), BLOCK_LIMITS
-        for fit, squares in zip(fits, errors.mean(axis=1).tolist(), strict=True):
-            fit["cv_error"] = float(rate.max()) * float(np.sqrt(squares))
+        evidence, limit = np.full(len(FORMS), np.nan), BLOCK_LIMIT
+        for k, minimum in minima.items():
+            residual = predictions_without(minimum, rate / rate.max(), block)
+            fits[k]["cv_error"] = float(rate.max() * np.sqrt(np.mean(residual**2)))
+            evidence[k] = rate.size * np.log(max(np.mean(whiten(residual, decay) ** 2), _EPSILON**2))
     else:
-        missing = len(FORMS) - len(minima) - len(SAME_AS_ONSET) * unknown
-        if missing or any(fits[index]["degrees_of_freedom"] < LEAST_DEGREES_OF_FREEDOM for index in minima):
+        least = min((fits[k]["degrees_of_freedom"] for k in minima), default=0)
+        if len(minima) < len(forms) or least < LEAST_DEGREES_OF_FREEDOM:
             return fits
         size = np.array([2 * form.size for form in FORMS])
         exact = rate.size * 2 * np.log(LEAST_SPREAD * rate.max())  # below it, forms are equally exact
-        plain, limits = np.maximum([fit["aic"] for fit in fits] - size, exact), AIC_LIMITS
-        if rho is not None:  # correlated rows count as fewer independent ones
-            plain, limits = plain * independent_rows(rate.size, rho) / rate.size, BLOCK_LIMITS
-        evidence = plain + size
-    standing = standings(evidence, [form.name for form in FORMS], limits)
+        independent = (1 - rho) / (1 + rho)  # correlated rows count as fewer independent ones
+        evidence = independent * np.maximum([fit["aic"] for fit in fits] - size, exact) + size
+        limit = AIC_LIMIT if row is None else BLOCK_LIMIT
+    standing = standings(evidence, [form.name for form in FORMS], limit)
     for fit, value, against in zip(fits, standing.tolist(), (evidence - np.nanmin(evidence)).tolist(), strict=True):
         fit |= {"standing": value, "evidence_against": against}
     return fits
 
 
-def _coefficients(minimum: Minimum, rate: Lanes, rho: float | None) -> dict[str, float | int]:
+def _coefficients(minimum: Minimum, rate: Lanes, block: LaneBlocks | None) -> dict[str, float | int]:
     """Return the coefficients of a form with standard errors, R², AIC, and degrees of freedom.
 
     R² is NaN if the rates do not vary. RSS/n has a lower bound, the squared rounding error of the greatest rate, so
     that the AIC of exact data is finite.
     """
-    unit, noise, active = float(rate.max()), minimum.influence(), minimum.active
-    if rho is not None:
-        square = block_covariance(minimum.jacobian, noise, rho)
+    unit = float(rate.max())
+    if block is None:
+        moves = moves_without(minimum, np.arange(rate.size))
+        square = moves.T @ moves
     else:
-        square = covariance(minimum.jacobian[active], noise[active])
+        square = block_covariance(minimum, block)
     values, slopes = minimum.model.coefficients(minimum.theta)
     errors = np.sqrt(np.einsum("ci,ij,cj->c", slopes, square, slopes))
     fit: dict[str, float | int] = {"reason": Reason.IDENTIFIED}
@@ -360,4 +361,4 @@ def _coefficients(minimum: Minimum, rate: Lanes, rho: float | None) -> dict[str,
     fit["r_squared"] = 1 - squares / about_mean if varies else np.nan
     fit["r_squared_reason"] = Reason.IDENTIFIED if varies else Reason.CONSTANT_RATES
     fit["aic"] = rate.size * (np.log(max(squares / rate.size, _EPSILON**2)) + 2 * np.log(unit)) + 2 * size
-    return fit | {"degrees_of_freedom": int(active.sum()) - size}
+    return fit | {"degrees_of_freedom": int(minimum.active.sum()) - size}

@@ -1,6 +1,6 @@
 """The analysis `fit`: pictures of the law with its data, C and the comparison of the forms, as curves or maps."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +9,9 @@ from matplotlib.colors import ListedColormap
 
 from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log, log_lines
 from vibrojax.pictures.axes import margins, pretty_unit, scale, with_unit
-from vibrojax.pictures.colours import ROBUST, Value, form_colour, value_of
+from vibrojax.pictures.colours import Value, form_colour, value_of
 from vibrojax.pictures.contents import FORM, POINT, Contents, law_in, long_axes
-from vibrojax.pictures.lines import MOST_ROWS, Across, longest_axis, rows_of
+from vibrojax.pictures.lines import MOST_ROWS, longest_axis, rows_of
 from vibrojax.pictures.maps import map_sheet
 from vibrojax.pictures.plots import (
     FAINT,
@@ -34,7 +34,7 @@ from vibrojax.pictures.plots import (
 from vibrojax.pictures.sheet import LEGEND_WIDTH, Facets, at, facets
 from vibrojax.pictures.style import IMPACT
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.studies.rop_blocks import AIC_LIMITS, BLOCK_LIMITS, Founder, Standing
+from vibrojax.studies.rop_blocks import AIC_LIMIT, BLOCK_LIMIT, Standing
 from vibrojax.studies.rop_forms import FORMS, LOGARITHMIC, SAME_AS_ONSET
 from vibrojax.studies.rop_results import formulas_of, founders, verdict
 
@@ -56,14 +56,9 @@ _LEAST_WIDTH = 8.5
 _MANY_LANES, _CLOUD = 60, 300  # lanes from which on the markers are small, and a faint cloud below the curves
 _CURVE_POINTS = 200
 _SHIFT = 0.012  # between forms at the same abscissa, as a fraction of the axis
-_MOST_EVIDENCE = 30.0  # against a form, up to which it is drawn
+_MOST_EVIDENCE = 30  # against a form, up to which it is drawn
 _CHOSEN_SIZE = 7.0
-_SAME_ERROR = 0.1  # range of errors, relative to the greatest, up to which a note replaces their map
 _PER_HOUR = 3600.0
-
-
-def _is_law(held: Contents) -> bool:
-    return held.law and {"aic", "C_stderr"} <= held.variables
 
 
 def law_lines(fit: xr.Dataset) -> Sheet:
@@ -72,35 +67,48 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     C is that of the forms that the data do not reject. Without an axis, the panels of the data say C, and the evidence
     is drawn over the forms.
     """
-    fit = law_in(fit.drop_vars(["depth_from", "depth_to"], errors="ignore"))
+    fit = _law_of(fit.drop_vars(["depth_from", "depth_to"], errors="ignore"))
     if "reference_force" in fit.attrs:  # the threshold is unknown: some forms are the same curve as another one
-        fit = fit.sel({FORM: [name for name in _form_names(fit) if name not in SAME_AS_ONSET]})
-    x, names, limit = longest_axis(fit), _form_names(fit), _limit(fit)
+        fit = fit.sel({FORM: [name for name in _names(fit) if name not in SAME_AS_ONSET]})
+    by_blocks = "cv_error" in fit and bool(fit["cv_error"].notnull().any())
+    x, names, limit = longest_axis(fit), _names(fit), BLOCK_LIMIT if by_blocks else AIC_LIMIT
     fit = fit.sortby(x.name) if x.is_number else fit
-    groups, panels = _groups_to_show(fit), facets(fit, (POINT, x.name), MOST_ROWS)
+    groups, panels, (factor, unit) = (
+        _groups_to_show(fit),
+        facets(fit, (POINT, x.name), MOST_ROWS),
+        _rate_scale(fit, "C"),
+    )
+    known = factor * fit["C"].where(fit["standing"] != Standing.REJECTED).values
+    low, high = (float(end(known[np.isfinite(known)], initial=0.0)) for end in (np.min, np.max))
+    room = 0.15 * (high - low) or 1.0  # error bars do not count for the limits: they are huge for a failed fit
+    of_c = Axis(with_unit("C", unit), "C", (low - room * (low < 0), high + room * (high > 0)), group="C")
+    ticks = [(float(k), str(k)) for k in range(0, _MOST_EVIDENCE, 5)] + [(float(_MOST_EVIDENCE), f"≥{_MOST_EVIDENCE}")]
+    limits = -1.0, 1.07 * _MOST_EVIDENCE
+    of_evidence = Axis("evidence against the form", "evidence_against", limits, ticks=ticks, group="evidence")
     over_forms = Axis(ticks=[(float(k), name) for k, name in enumerate(names)], limits=(-0.5, len(names) - 0.5))
     across = x.axis(fit) if x.name else replace(over_forms, group="across")
-    factor, unit = _rate_scale(fit, "C")
-    values = factor * fit["C"].where(_kept(fit)).values
-    low, high = (float(end(values[np.isfinite(values)], initial=0.0)) for end in (np.min, np.max))
-    room = 0.15 * (high - low) or 1.0
-    # Error bars do not count for the limits: they are huge for a failed fit.
-    up = Axis(with_unit("C", unit), "C", (low - room * (low < 0), high + room * (high > 0)), group="C")
-    evidence = Axis("evidence against the form", "evidence_against", (-1.0, 1.07 * _MOST_EVIDENCE), group="evidence")
-    ticks = *range(0, int(_MOST_EVIDENCE), 5), f"≥{_MOST_EVIDENCE:.0f}"
-    evidence = replace(evidence, ticks=[(5.0 * k, str(tick)) for k, tick in enumerate(ticks)])
     plots = []
     for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
-        if x.name:
-            layers = [level(0.0, colour=FAINT, width=0.8), *_coefficient_layers(facet, x, factor)]
-            plots.append(Plot(layers, across, up, title, (row, 0), at(facet)))
-        layers = [Area([-np.inf, np.inf], [0.0] * 2, [limit] * 2, FAINT, 0.25), *_evidence_layers(facet, x)]
-        place = (row, 1) if x.name else (row, 0)
-        plots.append(Plot(layers, across, evidence, "" if x.name else title, place, at(facet)))
+        of_c_layers: list[Layer] = [level(0.0, colour=FAINT, width=0.8)]
+        layers: list[Layer] = [Area([-np.inf, np.inf], [0.0] * 2, [limit] * 2, FAINT, 0.25)]
+        kept = facet[["C", "C_stderr"]].where(facet["standing"] != Standing.REJECTED)
+        for k, name in enumerate(names):
+            form, dash = facet.sel({FORM: name}), "-" if x.is_number else ""
+            places = x.of(facet) if x.name else np.array([float(k)])
+            c, error = (factor * np.atleast_1d(kept[part].sel({FORM: name}).values) for part in ("C", "C_stderr"))
+            beside = places + _SHIFT * k * (float(np.ptp(places)) if x.is_number else 4.0)
+            error = np.nan_to_num(error, posinf=0.0)
+            of_c_layers.append(Line(*bars(beside, c - error, c + error), form_colour(name), 0.9, marker="_"))
+            of_c_layers.append(Line(beside, c, dash=dash, **_form_mark(name)))
+            evidence = np.minimum(np.atleast_1d(form["evidence_against"].values), _MOST_EVIDENCE)
+            layers.append(Line(places, evidence, dash=dash, **_form_mark(name)))
+            chosen = np.atleast_1d(form["standing"].values) == Standing.CHOSEN
+            layers.append(dots(places[chosen], evidence[chosen], **_form_mark(name) | {"size": _CHOSEN_SIZE}))
+        plots += [Plot(of_c_layers, across, of_c, title, (row, 0), at(facet))] if x.name else []
+        plots.append(Plot(layers, across, of_evidence, "" if x.name else title, (row, int(bool(x.name))), at(facet)))
     keys: list[Layer] = [patch(FAINT, f"not rejected: up to {limit:g}", alpha=0.25, edge="")]
-    keys += [dots(label="chosen form", size=_CHOSEN_SIZE)] if "standing" in fit else []
-    over = "over the rows of the table" if fit.attrs.get("along") == POINT else f"along {fit.attrs.get('along')}"
-    along = f"Fitted {over}; bars of one standard error, bands of that of C" if "along" in fit.attrs else ""
+    keys.append(dots(label="chosen form", size=_CHOSEN_SIZE))
+    along = f"{_along_text(fit)}; bars of one standard error, bands of that of C" if "along" in fit.attrs else ""
     notes = panels.note, _data_text(groups, fit), along, LIMITS_OF_LOGS * is_log(fit)
     rows = rows_of(panels, 1 + bool(x.name))
     rows["size"] = rows["size"] if x.name else (rows["size"][0], _FORMS_HEIGHT * len(panels) + 0.8)
@@ -109,53 +117,47 @@ def law_lines(fit: xr.Dataset) -> Sheet:
 
 
 def law_map(fit: xr.Dataset) -> Sheet:
-    """Draw maps over the two longest axes: the chosen form of each group, C, and the relative error of C if it varies.
+    """Draw maps over the two longest axes: the chosen form of each group, C, and the relative error of C.
 
     C is that of the form that all groups support or, if there is none, of a reading of the logarithmic law.
     """
-    fit = law_in(fit)
-    x, y = long_axes(fit)[:2]
-    names = _form_names(fit)
+    fit = _law_of(fit)
+    names, (x, y) = _names(fit), long_axes(fit)[:2]
     likely = str(fit.attrs.get("verdict")), *LOGARITHMIC[::-1], names[0]
     name = next(name for name in likely if name in names)
-    evidence = _evidence(fit).where(fit["standing"] == Standing.CHOSEN) if "standing" in fit else _evidence(fit)
-    best = evidence.fillna(np.inf).argmin(FORM).where(evidence.notnull().any(FORM))
-    best.attrs = {"flag_values": np.arange(len(names)), "flag_meanings": " ".join(names)}
-    shown = fit[["C", "C_stderr"]].sel({FORM: name}, drop=True).assign(best_form=best)
+    is_chosen = fit["standing"] == Standing.CHOSEN
+    chosen = is_chosen.argmax(FORM).where(is_chosen.any(FORM))
+    chosen.attrs = {"flag_values": np.arange(len(names)), "flag_meanings": " ".join(names)}
+    shown = fit[["C", "C_stderr"]].sel({FORM: name}, drop=True).assign(best_form=chosen)
+    error = 100.0 * shown["C_stderr"] / np.abs(shown["C"])
+    shown["C_relative_error"] = error.where(np.isfinite(error)).assign_attrs(units="%")
     first = value_of(shown["best_form"])
     colours = ListedColormap([form_colour(form) for form in first.names.values()], name="forms")
-    values: tuple[Value, ...] = replace(first, colour_map=colours.with_extremes(bad="#FFFFFF00")), value_of(shown["C"])
-    error = 100.0 * shown["C_stderr"] / np.abs(shown["C"])
-    error = error.where(np.isfinite(error)).assign_attrs(units="%")
-    about = f"C of the form {name}"
-    if error.notnull().any():
-        low, high = np.nanpercentile(error.values, ROBUST).tolist()  # without outliers
-        if high - low > _SAME_ERROR * high:
-            shown["C_relative_error"] = error
-            values = *values, value_of(shown["C_relative_error"])
-        else:
-            about += f", known to {high:.2g} %"
-    along = f"Fitted along {fit.attrs['along']}" if "along" in fit.attrs else ""
+    values: list[Value] = [replace(first, colour_map=colours.with_extremes(bad="#FFFFFF00"))]
+    values += [value_of(shown[of]) for of in ("C", "C_relative_error") if shown[of].notnull().any()]
     groups = _groups_to_show(fit)
-    sheet = map_sheet(shown.assign_attrs(fit.attrs), x, y, values, _data_text(groups, fit), along, about)
+    notes = _data_text(groups, fit), _along_text(fit), f"C of the form {name}"
+    sheet = map_sheet(shown.assign_attrs(fit.attrs), x, y, tuple(values), *notes)
     return _below(groups, sheet, [_form_keys(fit), _use_keys(groups)])
 
 
 def residuals(fit: xr.Dataset) -> Sheet:
     """Draw the residuals of the forms that the data do not reject over the force or relief, of all groups together."""
-    groups = _groups_to_show(law_in(fit))
+    groups = _groups_to_show(_law_of(fit))
     layers: list[Layer] = [level(0.0, colour=FAINT, width=0.8)]
-    unit, text = "", ""
+    unit = text = ""
     for group in groups.data:
         (factor, unit), (across, text) = _rate_scale(group, _RATE), _force_scale(group)
         relief, rate = (group[name].values[_use_masks(group).get("fitted", slice(0))] for name in (_RELIEF, _RATE))
-        for name in group[FORM].values[_kept(group).values].tolist():
-            if name in _RATES:
-                left = factor * (rate - _RATES[name](relief, *_coefficients(group, name)))
-                layers.append(dots(across * relief, left, **_form_mark(name) | {"size": 3.5}))
+        for name, _, curve in _curves(group, relief):
+            layers.append(dots(across * relief, factor * (rate - curve), **_form_mark(name) | {"size": 3.5}))
     title = "residuals of all groups" if len(groups) > 1 else "residuals"
     plots = [Plot(layers, Axis(text), Axis(with_unit("measured less the form", unit)), title)]
     return Sheet(plots if len(groups) else [], (8.0, 2.6))
+
+
+def _is_law(held: Contents) -> bool:
+    return held.law and {"aic", "C_stderr"} <= held.variables
 
 
 class Fits(Analysis):
@@ -177,28 +179,18 @@ class Fits(Analysis):
         return [SummaryPart("forms of the law", verdict(ds)), *self.summary(ds)]
 
 
-def _form_names(fit: xr.Dataset) -> list[str]:
+def _names(fit: xr.Dataset) -> list[str]:
     return [str(name) for name in fit[FORM].values]
 
 
-def _is_by_blocks(fit: xr.Dataset) -> bool:
-    """Return whether the forms were compared over blocks of rows."""
-    return "cv_error" in fit and bool(fit["cv_error"].notnull().any())
-
-
-def _limit(fit: xr.Dataset) -> float:
-    """Return the evidence beyond which a form is rejected."""
-    return (BLOCK_LIMITS if _is_by_blocks(fit) else AIC_LIMITS)[1]
-
-
-def _evidence(fit: xr.Dataset) -> xr.DataArray:
-    """Return the evidence against each form, by AIC in datasets that store none."""
-    return fit["evidence_against"] if "evidence_against" in fit else fit["aic"] - fit["aic"].min(FORM)
-
-
-def _kept(fit: xr.Dataset) -> xr.DataArray:
-    """Return which forms the data do not reject."""
-    return fit["standing"] != Standing.REJECTED if "standing" in fit else _evidence(fit) <= _limit(fit)
+def _law_of(fit: xr.Dataset) -> xr.Dataset:
+    """Return the fit with axes of length 1 as scalars, and with the comparison that version 0.1 did not store."""
+    fit = law_in(fit)
+    if "standing" in fit:
+        return fit
+    evidence = fit["aic"] - fit["aic"].min(FORM)
+    kept = xr.where(evidence <= AIC_LIMIT, int(Standing.UNDECIDED), int(Standing.REJECTED))
+    return fit.assign(evidence_against=evidence, standing=xr.where(evidence == 0, int(Standing.CHOSEN), kept))
 
 
 def _rate_scale(fit: xr.Dataset, name: str) -> tuple[float, str]:
@@ -212,10 +204,13 @@ def _force_scale(group: xr.Dataset) -> tuple[float, str]:
     return (threshold / 1e3, "mean force [kN]") if np.isfinite(threshold) else (1.0, "relief P/D")
 
 
-def _coefficients(group: xr.Dataset, name: str) -> list[float]:
-    """Return C, eta0 and the exponent of a form; NaN for those that it does not have."""
-    form = group.sel({FORM: name})
-    return [float(form[name]) if name in form else np.nan for name in ("C", "eta0", "exponent")]
+def _curves(group: xr.Dataset, relief: np.ndarray, rejected: bool = False) -> Iterator[tuple[str, bool, np.ndarray]]:
+    """Yield name, whether it is kept, and rates [m/s] of each fitted form; with `rejected`, also of rejected ones."""
+    for name, kept in zip(_names(group), group["standing"].values != Standing.REJECTED, strict=True):
+        form = group.sel({FORM: name})
+        values = [float(form[part]) if part in form else np.nan for part in ("C", "eta0", "exponent")]
+        if name in _RATES and np.isfinite(values[0]) and (kept or rejected):
+            yield name, kept, _RATES[name](relief, *values)
 
 
 def _form_mark(name: str) -> Look:
@@ -224,46 +219,23 @@ def _form_mark(name: str) -> Look:
 
 def _form_keys(fit: xr.Dataset) -> list[Layer]:
     """Return the legend entries of the forms, with their formulas."""
-    formulas = formulas_of(fit)
     keys: list[Layer] = []
-    for name in _form_names(fit):
-        formula = formulas.get(name, "")
+    for name in _names(fit):
+        formula = formulas_of(fit).get(name, "")
         for text, sign in {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}.items():
             formula = formula.replace(text, sign)
         keys.append(key("\n".join(filter(None, (name, formula))), dash=_DASHES.get(name, "-"), **_form_mark(name)))
     return keys
 
 
-def _coefficient_layers(facet: xr.Dataset, x: Across, factor: float) -> list[Layer]:
-    """Return C with error bars; forms are slightly shifted along the abscissa."""
-    layers: list[Layer] = []
-    kept = facet.where(_kept(facet))
-    for k, name in enumerate(_form_names(facet)):
-        values, errors = (factor * np.atleast_1d(kept[part].sel({FORM: name}).values) for part in ("C", "C_stderr"))
-        places = x.of(facet)
-        places = places + _SHIFT * k * (float(np.ptp(places)) if x.is_number else 4.0)
-        errors = np.nan_to_num(errors, posinf=0.0)
-        layers.append(Line(*bars(places, values - errors, values + errors), form_colour(name), 0.9, marker="_"))
-        layers.append(Line(places, values, dash="-" if x.is_number else "", **_form_mark(name)))
-    return layers
-
-
-def _evidence_layers(facet: xr.Dataset, x: Across) -> list[Layer]:
-    """Return the evidence against each form; the chosen form is large."""
-    layers: list[Layer] = []
-    for k, name in enumerate(_form_names(facet)):
-        form, places = facet.sel({FORM: name}), x.of(facet) if x.name else np.array([float(k)])
-        evidence = np.minimum(np.atleast_1d(_evidence(facet).sel({FORM: name}).values), _MOST_EVIDENCE)
-        layers.append(Line(places, evidence, dash="-" if x.is_number else "", **_form_mark(name)))
-        if "standing" in facet:
-            chosen = np.atleast_1d(form["standing"].values) == Standing.CHOSEN
-            layers.append(dots(places[chosen], evidence[chosen], **_form_mark(name) | {"size": _CHOSEN_SIZE}))
-    return layers
-
-
 def _groups_to_show(fit: xr.Dataset) -> Facets:
     """Return one facet per group, of at most six groups; no facets if the fit does not contain its data."""
     return facets(fit, (), _MOST_GROUPS) if {_RELIEF, _RATE, _USE} <= set(fit.data_vars) else Facets((), ())
+
+
+def _along_text(fit: xr.Dataset) -> str:
+    along = fit.attrs.get("along")
+    return "Fitted over the rows of the table" if along == POINT else f"Fitted along {along}" if along else ""
 
 
 def _data_text(groups: Facets, fit: xr.Dataset) -> str:
@@ -275,7 +247,7 @@ def _data_text(groups: Facets, fit: xr.Dataset) -> str:
 def _below(groups: Facets, sheet: Sheet, keys: Sequence[Sequence[Layer]] = (), with_c: bool = False) -> Sheet:
     """Return the sheet below a panel for each group, with the data and the fitted curve of each form.
 
-    `with_c`: whether the titles say C.
+    `with_c`: whether the titles say C of the form that the data support, if it has no rival.
     """
     if not len(groups):
         return sheet
@@ -287,24 +259,16 @@ def _below(groups: Facets, sheet: Sheet, keys: Sequence[Sequence[Layer]] = (), w
         layers, right, top = _group_layers(group, factor)
         across = Axis(text if k + wide >= len(groups) else "", limits=right)
         up = Axis(with_unit("rate of penetration", unit) if k % wide == 0 else "", limits=top, zero="no penetration")
-        words = "\n".join(filter(None, (title, _chosen_text(group, factor, unit) if with_c else "")))
-        plots.append(Plot(layers, across, up, words, divmod(k, wide), at(group)))
-    width, height = (
-        max(sheet.size[0] + LEGEND_WIDTH * bool(keys), _LEAST_WIDTH),
-        (_ROW_HEIGHT if len(groups) > 1 else _ONE_HEIGHT) * deep,
-    )
+        standing = group["standing"].values
+        if with_c and Standing.CHOSEN in standing and Standing.UNDECIDED not in standing:
+            form = group.isel({FORM: int(np.argmax(standing))})
+            c, error = (factor * float(form[name]) for name in ("C", "C_stderr"))
+            title = "\n".join(filter(None, (title, f"C = {c:.3g} ± {error:.1g} {pretty_unit(unit)}")))
+        plots.append(Plot(layers, across, up, title, divmod(k, wide), at(group)))
+    width = max(sheet.size[0] + LEGEND_WIDTH * bool(keys), _LEAST_WIDTH)
+    height = (_ROW_HEIGHT if len(groups) > 1 else _ONE_HEIGHT) * deep
     above = Sheet(plots, (6.4, height), (1.0,) * wide, (1.0,) * deep, keys)
     return replace(sheet, above=above, size=(width, sheet.size[1] + height))
-
-
-def _chosen_text(group: xr.Dataset, factor: float, unit: str) -> str:
-    """Return C of the form that the data support, with its standard error; empty if there is a rival or no form."""
-    standing = group["standing"].values
-    if Standing.CHOSEN not in standing or Standing.UNDECIDED in standing:
-        return ""
-    form = group.isel({FORM: int(np.argmax(standing))})
-    c, error = (factor * float(form[name]) for name in ("C", "C_stderr"))
-    return f"C = {c:.3g} ± {error:.1g} {pretty_unit(unit)}"
 
 
 _Limits = tuple[float | None, float | None]
@@ -314,34 +278,26 @@ def _group_layers(group: xr.Dataset, factor: float) -> tuple[list[Layer], _Limit
     """Return the lanes of a group and the curve of each form up to the founder weight and above it, and the limits."""
     across, relief, rate = _force_scale(group)[0], group[_RELIEF].values, factor * group[_RATE].values
     masks = _use_masks(group)
-    founder = founders(group)[0] if "founder_fall" in group and across != 1.0 else Founder()
     seen = np.any([np.zeros(relief.size, bool), *(mask for use, mask in masks.items() if use != "left-out")], axis=0)
     if not (seen & (relief > 0)).any():
         return [], (None, None), (None, None)
     low, high = relief[seen & (relief > 0)].min(), relief[seen].max()
-    end = np.fmin(high, founder.weight / (1e3 * across))
-    eta = np.linspace(low, end, _CURVE_POINTS)
-    layers: list[Layer] = []
-    for name, kept in zip(_form_names(group), _kept(group).values.tolist(), strict=True):
-        coefficients = _coefficients(group, name)
-        if name not in _RATES or not np.isfinite(coefficients[0]):
-            continue
-        curve = factor * _RATES[name](eta, *coefficients)
-        look: Look = {
-            "colour": form_colour(name),
-            "width": 1.4,
-            "dash": _DASHES.get(name, "-"),
-            "order": 2.5 if name in _DASHES else 2.0,
-        }
-        layers.append(Line(across * eta, curve, **look))
+    founder = founders(group)[0] if "founder_fall" in group and across != 1.0 else None
+    end = min(high, founder.weight / (1e3 * across)) if founder and founder.is_known else high
+    eta, layers = np.linspace(low, end, _CURVE_POINTS), list[Layer]()
+    for name, kept, curve in _curves(group, eta, rejected=True):
+        dash, order = _DASHES.get(name, "-"), 2.5 if name in _DASHES else 2.0
+        look: Look = {"colour": form_colour(name), "width": 1.4, "dash": dash, "order": order}
+        layers.append(Line(across * eta, factor * curve, **look))
+        form = group.sel({FORM: name})
         if kept:  # every form is proportional to its C
-            error = curve * float(group["C_stderr"].sel({FORM: name})) / coefficients[0]
-            layers.append(Area(across * eta, curve - error, curve + error, form_colour(name), 0.15))
-            beyond = np.array([end, high])
-            fall = factor * founder.fall * 1e3 * across * (beyond - end)
-            layers += [Line(across * beyond, curve[-1] - fall, **look)] if founder.is_known else []
-    if founder.is_known:
-        layers.append(upright(founder.weight / 1e3, dash=":", width=1.0, label="founder weight"))
+            error = factor * curve * float(form["C_stderr"] / form["C"])
+            layers.append(Area(across * eta, factor * curve - error, factor * curve + error, form_colour(name), 0.15))
+        if kept and founder and end < high:
+            fall = factor * founder.fall * 1e3 * across * (high - end)
+            layers.append(Line([across * end, across * high], factor * curve[-1] - np.array([0.0, fall]), **look))
+    if end < high:
+        layers.append(upright(across * end, dash=":", width=1.0, label="founder weight"))
     is_cloud = seen.sum() >= _CLOUD
     size = 4.2 if seen.sum() < _MANY_LANES else 1.6 if is_cloud else 2.2
     for use, mask in masks.items():

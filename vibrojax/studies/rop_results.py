@@ -4,13 +4,14 @@ A *group* is a set of lanes with a law of its own; a *form* is a formula of the 
 """
 
 import math
+from collections import Counter
 from collections.abc import Hashable, Mapping
 from itertools import product
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Shaped
+from jaxtyping import Shaped
 from scipy.special import stdtrit
 
 from vibrojax.errors import counted
@@ -39,19 +40,18 @@ def group_dims(fit: xr.Dataset) -> list[Hashable]:
 
 def group_names(fit: xr.Dataset) -> list[str]:
     """Return the coordinates of each group as text, such as "force=200000 N, rock=granite"."""
+
+    def text(name: Hashable, index: int) -> str:
+        value, unit = fit[name].values[index].item(), fit[name].attrs.get("units", "1")
+        number = f"{value:.6g}" if isinstance(value, float) else str(value)
+        return f"{name}={number}" + ("" if unit == "1" else f" {unit}")
+
     along = []
     for dim in group_dims(fit):
         names = [name for name in fit.coords if fit[name].dims == (dim,)]
-        texts = (
-            [f"{name}={_value_text(fit[name], k)}" for name in names] or [f"{dim}={k}"] for k in range(fit.sizes[dim])
-        )
+        texts = ([text(name, k) for name in names] or [f"{dim}={k}"] for k in range(fit.sizes[dim]))
         along.append([", ".join(parts) for parts in texts])
     return [", ".join(parts) or "all lanes" for parts in product(*along)]
-
-
-def _value_text(coordinate: xr.DataArray, index: int) -> str:
-    value, unit = coordinate.values[index].item(), coordinate.attrs.get("units", "1")
-    return (f"{value:.6g}" if isinstance(value, float) else str(value)) + ("" if unit == "1" else f" {unit}")
 
 
 def formulas_of(fit: xr.Dataset) -> dict[str, str]:
@@ -85,21 +85,22 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
     values = {str(name): table(fit, str(name)) for name, v in fit.items() if set(v.dims) == {*dims, "form"}}
     for name in ("reason", "r_squared_reason", "standing"):
         values[name] = np.array(str(fit[name].attrs["flag_meanings"]).split())[values[name]]
+    parts = zip(group_names(fit), founders(fit), recommended(fit), strict=True)
     groups: list[dict[str, Any]] = []
-    for index, (name, founder, choice) in enumerate(
-        zip(group_names(fit), founders(fit), recommended(fit), strict=True)
-    ):
+    for index, (name, founder, choice) in enumerate(parts):
         position = np.unravel_index(index, [fit.sizes[dim] for dim in dims])
         at = fit.coords.to_dataset().isel(dict(zip(dims, position, strict=True)))
-        group: dict[str, Any] = {
-            "name": name,
-            "coordinates": {str(x): at[x].item() for x in at.coords if not at[x].ndim},
-        }
-        group["forms"] = {
-            form: {name: rows[index, k].item() for name, rows in values.items()} for k, form in enumerate(forms)
-        }
-        group |= {f"founder_{x}": number for x, number in founder._asdict().items() if x != "correlation"}
-        groups.append(group | {"recommended": choice})
+        groups.append(
+            {
+                "name": name,
+                "coordinates": {str(x): at[x].item() for x in at.coords if not at[x].ndim},
+                "forms": {
+                    form: {name: v[index, k].item() for name, v in values.items()} for k, form in enumerate(forms)
+                },
+                **{f"founder_{x}": number for x, number in founder._asdict().items() if x != "correlation"},
+                "recommended": choice,
+            }
+        )
     facts: dict[str, Any] = {"along": str(fit.attrs["along"]), "columns": table_of(fit, "columns") or None}
     if "dialect" in fit.attrs:
         facts |= {name: attribute_of(fit, name) for name in ("dialect", "rows_read", "dropped", "notes")}
@@ -189,11 +190,10 @@ def verdict(fit: xr.Dataset) -> list[str]:
     judged, missing = (standing > 0).any(axis=1), ~np.isfinite(table(fit, "aic"))
     lost, lines = missing.any(axis=1) & ~judged, []
     if lost.any():  # count the reason of the first missing form in each group
-        meanings = str(fit["reason"].attrs["flag_meanings"]).split()
-        reasons = table(fit, "reason")[lost, np.argmax(missing[lost], axis=1)]
-        counts = {meanings[flag]: int((reasons == flag).sum()) for flag in np.unique(reasons)}
+        reasons = np.array(str(fit["reason"].attrs["flag_meanings"]).split())[table(fit, "reason")[lost]]
+        counts = Counter(reasons[np.arange(len(reasons)), np.argmax(missing[lost], axis=1)].tolist())
         listed = ", ".join(f"{meaning} {count}" for meaning, count in sorted(counts.items()))
-        lines.append(f"not every form can be told in {reasons.size} of {judged.size}: {listed}")
+        lines.append(f"not every form can be told in {lost.sum()} of {judged.size}: {listed}")
     if (short := ~judged & ~lost).any():
         needed = f"at least {LEAST_DEGREES_OF_FREEDOM + 2} with a rate are needed"
         lines.append(f"too few lanes to compare the forms in {short.sum()} of {judged.size}; {needed}")
@@ -203,7 +203,7 @@ def verdict(fit: xr.Dataset) -> list[str]:
         lines.append("no form can be told from the lanes that are there")
     founder_lines, choices = [], []
     for title, founder, choice in zip(titles, founders(fit), recommended(fit), strict=True):
-        if math.isfinite(founder.weight):
+        if founder.is_known:
             fall, error = (_PER_HOUR * _PER_STEP * value for value in (founder.fall, founder.fall_stderr))
             above = f"falls by {fall:.3g} ± {error:.2g} m/h per 10 kN" if founder.falls else "does not rise"
             weight = f"{founder.weight / 1e3:.4g} ± {founder.weight_stderr / 1e3:.2g} kN"
@@ -214,11 +214,11 @@ def verdict(fit: xr.Dataset) -> list[str]:
             choices.append(f"  {title}: C = {' = '.join(texts)}, {choice['form']}")
     how = "), of the likeliest reading of the log law"
     if _by_blocks(fit):
-        how = ", by a bootstrap of blocks), of the form that the data support, or else of the likeliest log law"
+        how = ", by blocks of rows), of the form that the data support, or else of the likeliest log law"
     lines += _listed("founder weight; the coefficients of every form are of the rows below it:", founder_lines)
     rows = table_of(fit, "left_out_rows").items()
     lines += [f"left out, {reason}: {counted(about['rows'], 'row')} (line {about['lines']})" for reason, about in rows]
-    lines += _combinations(fit, titles) + [LIMITS_OF_LOGS] * is_log(fit)
+    lines += _unknown_threshold(fit, titles) + [LIMITS_OF_LOGS] * is_log(fit)
     return lines + _listed(f"recommended C (95 % interval{how}:", choices)
 
 
@@ -249,9 +249,8 @@ def _comparison(
     count = np.any([*holds.values()], axis=0).sum() if holds else 0
     lines.append(f"the log law holds in {count} of {judged.size}{':' if holds else ''}")
     for name, mask in holds.items():
-        lines.append(
-            f"  as {name}, {formulas[name]}, in {mask.sum()}: R2 {_range_text(r_squared[mask, names.index(name)])}"
-        )
+        spread = _range_text(r_squared[mask, names.index(name)])
+        lines.append(f"  as {name}, {formulas[name]}, in {mask.sum()}: R2 {spread}")
     eta0, error = (table(fit, name)[judged, names.index("onset")] for name in ("eta0", "eta0_stderr"))
     early = kept[:, names.index("onset")] & (eta0 + _ONSET_STANDARD_ERRORS * error < 1)
     if early.any() and "reference_force" not in fit.attrs:
@@ -263,8 +262,8 @@ def _comparison(
     return lines
 
 
-def _combinations(fit: xr.Dataset, titles: list[str]) -> list[str]:
-    """Return lines of text: what the data determine if the threshold is unknown."""
+def _unknown_threshold(fit: xr.Dataset, titles: list[str]) -> list[str]:
+    """Return lines of text: the combinations that the data determine if the threshold is unknown."""
     force = attribute_of(fit, "reference_force")
     if force is None:
         return []
@@ -275,15 +274,15 @@ def _combinations(fit: xr.Dataset, titles: list[str]) -> list[str]:
         f"line C/D = {slope[group]:.4g} m/s per kN"
         for group in np.flatnonzero(np.isfinite(onset)).tolist()
     ]
-    same = "  literal and percent have the curve of onset: D would be eta0 D, or 100 times as much"
     about = (
         f"the threshold D is unknown, so that eta = P/{force / 1e3:.4g} kN, by the median of the mean force P. "
         "The data determine C and eta0 D of onset, C/D and eta0 D of line, the exponent and C/D^exponent of power:"
     )
+    same = "  literal and percent have the curve of onset: D would be eta0 D, or 100 times as much"
     return [about, *_listed("", lines)[1:], *[same] * bool(lines)]
 
 
-def _range_text(values: Float[np.ndarray, " groups"]) -> str:
+def _range_text(values: np.ndarray) -> str:
     """Return the least, the greatest and the median of values, or that there are none."""
     values = values[np.isfinite(values)]
     if not len(values):
