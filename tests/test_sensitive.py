@@ -113,8 +113,3 @@ def test_ends_of_transients_are_compared(fine, check, differ):
     """A lane is flagged if only one of its two runs becomes periodic, or each at another time."""
     runs = crossings(fine, 1), crossings(check, 2)
     assert module.ends_differ(*runs, SCENES["rotary"].section).tolist() == [differ]
-
-
-def test_constants():
-    assert module.GROWTH_RETURNS == 40 and module.CHANGE == 1e-9
-    assert module.SECOND_RUNS == 8 and module.LANE_SECONDS == 25e3

@@ -1,6 +1,6 @@
 """Reading and validation of a sweep from a file, a bundled name or a dict, and of a single point of a scene."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
@@ -14,10 +14,10 @@ from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.scenes import SCENES, HasRock, Scene
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.run_settings import RunSettings, read_settings
-from vibrojax.settings.toml import Source, plain, plain_table, read_source, with_changes
+from vibrojax.settings.toml import TABLES, TOP_KEYS, Source, plain, plain_table, read_source, with_changes
 from vibrojax.settings.values import as_table, check_distinct, flag, read_axis, warn_if_far
 
-_TOP_KEYS = ("scene", "title", "starts", "unusual", "parameters", "grid", "points", "run")
+_KEYS = (*TOP_KEYS, *TABLES, "points")
 
 SWEEP_MAX_LANES = 2**62
 """Maximum number of lanes of a sweep, which are numbered by 64-bit integers."""
@@ -65,8 +65,6 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     title = tables.get("title", "")
     if not isinstance(title, str):
         raise place.at("title").error(f"{shown(title)} is not text; write it in quotes")
-    absent = {*varied} | names.substituted({*fixed, *varied})
-    defaults = {name: parameter.default for name, parameter in names.parameters.items() if name not in absent}
     sweep = Sweep(
         name=origin.name,
         text=origin.text,
@@ -75,7 +73,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         options=dict(names.options),
         system=names.system,
         starts=starts,
-        parameters=with_substitutes(names.system, defaults | fixed),
+        parameters=_completed(names, fixed, varied),
         given=fixed,
         axes=axes,
         points=points.columns if points else None,
@@ -109,10 +107,17 @@ def read_parameters(place: Place, table: dict[str, object], names: Names) -> dic
     return {name: names.quantity(place.at(name), name, value) for name, value in table.items()} | set_by_presets
 
 
+def _completed(names: Names, fixed: Mapping[str, float], varied: Collection[str] = ()) -> dict[str, Any]:
+    """Return all parameters that do not vary: those in `fixed`, and the defaults of those that nothing else defines."""
+    absent = {*varied} | names.substituted({*fixed, *varied})
+    defaults = {name: parameter.default for name, parameter in names.parameters.items() if name not in absent}
+    return with_substitutes(names.system, defaults | fixed)
+
+
 def _check_top(place: Place, tables: dict[str, object]) -> None:
     """Raise if a key does not belong at the top level of the file, or if the scene is missing."""
     for key in tables:
-        if key in _TOP_KEYS:
+        if key in _KEYS:
             continue
         if key in RunSettings.__dataclass_fields__:
             raise place.at(key).error("unknown key at the top; it belongs in [run]")
@@ -120,7 +125,7 @@ def _check_top(place: Place, tables: dict[str, object]) -> None:
         names = read_names(place.at("scene"), scene) if scene is not None else None
         if any(key in kind.choices for kind in SCENES.values()) or (names and key in names.writable):
             raise place.at(key).error("unknown key at the top; it belongs in [parameters]")
-        raise place.at(key).error(f"unknown key; {suggestion(key, _TOP_KEYS)}")
+        raise place.at(key).error(f"unknown key; {suggestion(key, _KEYS)}")
     if "scene" not in tables:
         raise place.at("scene").error('missing; write the scene\'s name, like scene = "vibro-impact"')
 
@@ -226,9 +231,7 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     for name, value in fixed.items():
         if name in table:
             warn_if_far(place.at(name), names.writable[name], value)
-    absent = names.substituted(set(fixed))
-    values = {name: parameter.default for name, parameter in names.parameters.items() if name not in absent}
-    values = with_substitutes(names.system, values | fixed)
+    values = _completed(names, fixed)
     ordered = {name: values[name] for name in names.parameters}
     radius = fixed.get("bit_radius", HOLE_RADIUS)
     return Point(names.scene, dict(names.options), start, ordered, names.system, radius)

@@ -23,7 +23,7 @@ from vibrojax.maps.cost import check_size
 from vibrojax.maps.dataset import join
 from vibrojax.maps.executor import Executor, compute
 from vibrojax.maps.read import read_sweep
-from vibrojax.maps.store import CHUNKS, DamagedChunk, Store, report_damage
+from vibrojax.maps.store import CHUNKS, DamagedChunk, open_store, report_damage
 from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.lane_stages import lane_run
 from vibrojax.progress import Progress, timed
@@ -137,9 +137,8 @@ def _computed(
     began = time.monotonic()
     run = lane_run(sweep.inputs(0, 1), sweep.plan)
     manifest = sweep.identity() | provenance() | {"chunk size": sweep.plan.chunk}
-    with Store(out.with_name(out.name + CHUNKS), manifest) as store:
+    with open_store(out.with_name(out.name + CHUNKS), manifest, resume) as store:
         with Progress(sweep.lanes, "lanes", progress) as bar:
-            store.open(resume)
             finished = store.finished()
             bar.resume(_lanes_of(sweep, finished))
             missing = sorted(set(range(sweep.chunks)) - finished)

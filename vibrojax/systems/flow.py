@@ -200,10 +200,7 @@ class Flow:
         value = self.surface(c, mode, index, t, y)
         slopes = {key: self.slope(c, mode, index, t, y, {key: 1.0}, 0.0) for key in names}
         sizes = {key: c.typical[key] if len(names) > 1 else 1.0 for key in names}
-        weights = {key: slope * sizes[key] * sizes[key] for key, slope in slopes.items()}
-        total = sum(weights[key] * slope for key, slope in slopes.items())
-        share = jnp.where(total == 0, 0.0, value / jnp.where(total == 0, 1.0, total))
-        return {key: y[key] - weights[key] * share for key in names}
+        return onto_zero(value, slopes, {key: slope * sizes[key] * sizes[key] for key, slope in slopes.items()}, y)
 
     def at(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Motion:
         """Return the motion in a mode, at a state or at the series of a step."""
@@ -355,6 +352,13 @@ class Flow:
         bends = [sum(jacobian[i][k] * first[k] for k in n) / jnp.abs(x) for i, x in enumerate(y.values())]
         fall = jnp.sqrt(sum(jnp.where(jnp.isfinite(bend), bend, 0.0) for bend in bends))
         return jnp.where(radius > 0, radius, jnp.where(fall > 0, fall, 1.0))
+
+
+def onto_zero(value: Any, slopes: Mapping[str, Any], weights: Mapping[str, Any], y: States) -> Rates:
+    """Return the states, moved in proportion to `weights`, at which a function with this value and slopes is zero."""
+    total = sum(weights[key] * slope for key, slope in slopes.items())
+    share = jnp.where(total == 0, 0.0, value / jnp.where(total == 0, 1.0, total))
+    return {key: y[key] - weight * share for key, weight in weights.items()}
 
 
 def solved(

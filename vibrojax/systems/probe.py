@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from vibrojax.errors import CANNOT_EXPAND, InputError, shown, suggestion
+from vibrojax.errors import CANNOT_EXPAND, InputError, asked, shown, suggestion
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.parameters import Parameter
@@ -165,23 +165,9 @@ class Probe:
     # What the functions give
 
     def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        try:
-            with np.errstate(all="ignore"):
-                return function(*arguments)
-        except KeyError as error:
-            known, sides = ", ".join([*self._states, *self.parameters]), ", ".join(self._sides) or "none"
-            raise self._refuse(
-                f"{what} asks for {error.args[0]!r}; states and parameters are {known}, switches {sides}"
-            ) from None
-        except InputError:
-            raise
-        except Exception as error:
-            text = str(error).strip().split("\n")[0]
-            if "truth value" in text:
-                raise self._refuse(f"{what} decides by a value (if, max or min); write a vj.Switch instead") from None
-            if "scalar arrays" in text or "Python scalars" in text:
-                raise self._refuse(f"{what} {CANNOT_EXPAND}") from None
-            raise self._refuse(f"{what} fails with {type(error).__name__}: {text}") from None
+        with np.errstate(all="ignore"):
+            known = [*self._states, *self.parameters, *self._sides]
+            return asked(f"system {self._name}: {what}", function, *arguments, known=known)
 
     def _number(self, what: str, value: Any) -> Any:
         """Return a number per lane as an array; anything else is refused."""

@@ -149,13 +149,10 @@ class Structure(Probe):
 
     def _moves(self, event: Event) -> set[str]:
         """Return the states that the constraint of an event changes."""
-        if isinstance(event, Friction):
-            return {event.acts_on}
-        if isinstance(event, Impact):
-            return {event.velocity} if event.velocity is not None else set()
-        high, low = (self._rates_at({event.name: side}) for side in (1.0, -1.0))
-        sided = {other.acts_on for other in self._events if isinstance(other, Friction) and other.takes_sides}
-        return sided | {name for name in self._y if not equal(high[name], low[name])}
+        moved = {name for name, x in self._direction(event).items() if not equal(x, 0.0)}
+        if isinstance(event, Switch):
+            moved |= {other.acts_on for other in self._events if isinstance(other, Friction) and other.takes_sides}
+        return moved
 
     def _are_parallel(self, first: Event, second: Event) -> bool:
         """Return whether the constraints of two events act along the same direction at all random states."""
