@@ -80,7 +80,7 @@ def sweep(options: Options) -> None:
         dataset = run_to_file(plan, out, resume=not options.fresh, progress=progress, executor=executor)
     drawn = draw(options, dataset, out)
     if progress:
-        each = "a point from one start each" if plan.starts is not None or plan.point_vectors else "a point each"
+        each = "a point from one start each" if plan.starts is not None else "a point each"
         print(f"{out}: {counted(plan.lanes, 'lane')} ({each}){drawn}")
 
 

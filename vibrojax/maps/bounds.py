@@ -3,17 +3,18 @@
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from vibrojax.errors import InputError, Place, shown
-from vibrojax.maps.read import read_sweep
+from vibrojax.errors import Place, shown
+from vibrojax.maps.read import sweep_of
 from vibrojax.maps.sweep import Sweep
 from vibrojax.physics.parameters import Parameter
 from vibrojax.settings.fields import Settings, given, setting
 from vibrojax.settings.names import Names, read_names
-from vibrojax.settings.toml import Source
+from vibrojax.settings.toml import Source, plain_table, render
 from vibrojax.settings.values import as_table, quantity, require_number, warn_if_far
 
 MAX_VARIED = 12
@@ -49,11 +50,8 @@ class VariedFile(SceneFile):
             raise Place(file, "run.carry").error("points have no axis along which lanes continue; leave it out")
         tables = {name: getattr(self, name) for name in ("scene", "title", "parameters", "run", "starts")}
         tables |= {"points": points, "unusual": True} | changes
-        try:
-            return read_sweep({name: value for name, value in tables.items() if value is not None})
-        except InputError as error:
-            words = str(error).replace("sweep:", f"{file}:", 1)
-            raise InputError(words.replace(f"{file}: points.", f"{file}: vary.", 1)) from None
+        tables = plain_table(Place(file), {name: value for name, value in tables.items() if value is not None})
+        return sweep_of(Source("sweep", file, Path(), render(tables), tables), "vary")
 
 
 File = TypeVar("File", bound=SceneFile)

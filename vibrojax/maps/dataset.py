@@ -232,24 +232,23 @@ def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
         for name, column in columns.items():
             coords[name] = ((along or name,), column, parameter_attributes(sweep, name))
     states = {f"{VECTOR}{state.name}": state for state in sweep.system.states}
-    for name, column in (sweep.point_vectors or {}).items():
-        add(name, "point", column, f"{states[name].long_name} at t = 0", states[name].unit)
+    vectors = sweep.starts.columns if sweep.starts is not None and sweep.starts.has_vectors else {}
+    if sweep.own_starts:
+        for name, column in vectors.items():
+            add(name, "point", column, f"{states[name].long_name} at t = 0", states[name].unit)
     if sweep.points is not None:
         add("point", "point", np.arange(sweep.shape[0]), "number of the point")
-    if sweep.point_starts is not None:
-        add("start", "point", np.array(sweep.point_starts), "start of the motion")
-    elif sweep.run.carry is not None:
+    if sweep.run.carry is not None:
         meaning = f"way along {sweep.run.carry} in which lanes run, each from where the last one ended"
         add("direction", "direction", np.array(DIRECTIONS), meaning)
-    elif (starts := sweep.starts) is not None:
-        names = [start if isinstance(start, str) else json.dumps(list(start)) for start in starts]
-        labels = np.array(names) if starts.listed else np.arange(len(starts))
-        add("start", "start", labels, "start of the motion")
-        if starts.has_vectors:
-            for name, column in zip([f"{VECTOR}{name}" for name in starts.states], starts.vectors.T, strict=True):
-                coords[name] = (("start",), column, {})  # a scene may start from other states than its own
-                if name in states:
-                    add(name, "start", column, f"{states[name].long_name}, at t = 0", states[name].unit)
+    elif sweep.starts is not None and not (sweep.own_starts and vectors):
+        names = [start if isinstance(start, str) else json.dumps(list(start)) for start in sweep.starts]
+        labels = np.array(names) if sweep.starts.listed else np.arange(len(names))
+        add("start", "point" if sweep.own_starts else "start", labels, "start of the motion")
+        for name, column in vectors.items():
+            coords[name] = (("start",), column, {})  # a scene may start from other states than its own
+            if name in states:
+                add(name, "start", column, f"{states[name].long_name}, at t = 0", states[name].unit)
     if "return_index" in rows:
         length = np.arange(rows["return_index"])
         add("return_index", "return_index", length, "number of the return that is kept, the newest last")

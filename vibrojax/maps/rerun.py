@@ -192,12 +192,7 @@ def at_coordinates(sweep: Sweep, coords: Coordinates) -> Sweep:
     names = read_names(_PLACE, sweep.system)
     tables: dict[str, Any] = tomllib.loads(sweep.text)
     if "points" in tables:
-        columns = {
-            **(sweep.points or {}),
-            **(sweep.point_vectors or {}),
-            **({"start": 0} if sweep.point_starts else {}),
-        }
-        points = _read(sweep, tables | points_at(tables, columns, coords))
+        points = _read(sweep, tables | points_at(tables, [*(sweep.points or {}), *sweep.start_columns], coords))
         return sweep if points.identity() == sweep.identity() else points
     grid, fixed = dict(tables.get("grid", {})), dict(tables.get("parameters", {}))
     changed = False

@@ -91,6 +91,11 @@ class Starts:
     def has_vectors(self) -> bool:
         return bool(np.any(self.number == len(self.names)))
 
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """The vectors by names of their coordinates, `start_x1` and so on, each (starts,)."""
+        return {f"{VECTOR}{name}": x for name, x in zip(self.states, self.vectors.T, strict=True)}
+
 
 def list_of(starts: Sequence[Start], states: tuple[str, ...]) -> Starts:
     """Return the initial conditions in a list of names and vectors. `states`: names of the states in a vector."""
@@ -206,13 +211,11 @@ class Points:
     """A list of points, each column (points,).
 
     - `columns`: parameters and rocks by name.
-    - `starts`: names of the initial conditions, if specified.
-    - `vectors`: initial states by column name, if specified.
+    - `starts`: the initial condition of each point, names or vectors; None if other keys specify them.
     """
 
     columns: dict[str, np.ndarray]
-    starts: list[str] | None
-    vectors: dict[str, np.ndarray] | None
+    starts: Starts | None
 
 
 def read_points(place: Place, value: object, folder: Path, names: Names) -> Points:
@@ -292,9 +295,11 @@ def _check_columns(place_of: Callable[[str], Place], columns: Sequence[str], nam
 
 def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Names) -> Points:
     columns, vectors, starts = {}, {}, None
+    states = names.system.start_states
     for name, column in cells.items():
-        if name.removeprefix(VECTOR) in names.system.start_states and name.startswith(VECTOR):
-            vectors[name] = np.array([quantity(place_of(name, i), value, STATE) for i, value in enumerate(column)])
+        state = name.removeprefix(VECTOR)
+        if state in states and name != state:
+            vectors[state] = np.array([quantity(place_of(name, i), value, STATE) for i, value in enumerate(column)])
         elif name != "start" and name not in names.presets:
             columns[name] = _numbers(column, name, place_of, names)
     for name in names.presets:
@@ -302,8 +307,11 @@ def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Name
             chosen = [names.preset(place_of(name, i), name, cell) for i, cell in enumerate(cells[name])]
             columns[name] = np.array(chosen)
     if "start" in cells:
-        starts = [names.named_start(place_of("start", i), start) for i, start in enumerate(cells["start"])]
-    return Points(columns, starts, vectors or None)
+        starts = list_of([names.named_start(place_of("start", i), x) for i, x in enumerate(cells["start"])], states)
+    elif vectors:
+        rows = np.stack([vectors[name] for name in states], axis=1)
+        starts = Starts((), states, np.zeros(len(rows), int), rows)
+    return Points(columns, starts)
 
 
 def _numbers(column: Sequence[Any], name: str, place_of: CellPlace, names: Names) -> np.ndarray:

@@ -327,7 +327,7 @@ class Attractors(SweepAnalysis):
         sweep = sweep_with_orbits(source)
         if sweep.run.carry is not None:
             raise InputError("attractors: lanes of this sweep are carried, so they have no starts; leave carry out")
-        if sweep.points is not None or sweep.point_starts is not None or sweep.point_vectors is not None:
+        if sweep.points is not None:
             raise InputError("attractors: points of a list have no neighbours to number along; give a [grid] instead")
         if not sweep.crosses_starts or sweep.system.driving_part().section is None:
             raise InputError(f'attractors: scene "{sweep.scene}" takes no starts; give a sweep of a scene with a drill')
