@@ -12,8 +12,8 @@ from vibrojax.compile.xla import precision
 from vibrojax.errors import Place, shown
 from vibrojax.io.variables import VARIABLES
 from vibrojax.lanes.agreement import recorder_of
-from vibrojax.lanes.certificate import drift
 from vibrojax.lanes.compiler import lane_function
+from vibrojax.lanes.drift import drift
 from vibrojax.lanes.labels import measured_besides, regime_variables, regimes, unresolved, with_radius
 from vibrojax.lanes.programs import LaneArguments
 from vibrojax.lanes.record import RECORD_MAX_STEPS, Record, SampledMotion, record, window
