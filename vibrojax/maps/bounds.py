@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +14,7 @@ from vibrojax.physics.parameters import Parameter
 from vibrojax.settings.fields import Settings, given, setting
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.toml import Source, plain_table, render
-from vibrojax.settings.values import as_table, quantity, require_number, warn_if_far
+from vibrojax.settings.values import as_table, read_pair, warn_if_far
 
 MAX_VARIED = 12
 """Largest number of varied parameters: a dozen, as many as a person chooses by hand."""
@@ -62,15 +61,6 @@ def read_file(kind: type[File], origin: Source) -> tuple[File, Place, Names]:
     place = Place(origin.file)
     file = kind.read(place, origin.tables)
     return file, place, read_names(place.at("scene"), file.scene, dict(file.parameters), place.at("parameters"))
-
-
-def read_pair(place: Place, value: object, noun: str, parameter: Parameter | None = None) -> tuple[float, float]:
-    """Return two numbers, or two values of a parameter; `noun`: what they are, and an example."""
-    if not isinstance(value, list) or len(value) != 2:
-        raise place.error(f"{shown(value)} is not {noun}")
-    read = require_number if parameter is None else partial(quantity, parameter=parameter)
-    first, second = (read(place.item(k), number) for k, number in enumerate(value))
-    return first, second
 
 
 def read_bounds(

@@ -123,15 +123,19 @@ class Sweep:
 
     def values_of(self, numbers: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return the values of `lane_values` for the lanes with these numbers (lanes,)."""
+        varied, start = self._varied(numbers)
+        values = with_substitutes(self.system, self.parameters | varied)
+        values = {name: np.broadcast_to(values[name], len(numbers)).astype(float) for name in self.system.parameters()}
+        return values, start
+
+    def _varied(self, numbers: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return the values of axes and columns by name, and the index into `starts`, for the lanes `numbers`."""
         places = np.unravel_index(numbers, self._sizes(self.counted))
         indices = dict(zip(self.counted, places, strict=True))
         varied = {name: axis[indices[name]] for name, axis in self.axes.items()}
-        if self.points is not None:
-            varied |= {name: column[indices["point"]] for name, column in self.points.items()}
-        values = with_substitutes(self.system, self.parameters | varied)
-        values = {name: np.broadcast_to(values[name], len(numbers)).astype(float) for name in self.system.parameters()}
+        varied |= {name: column[indices["point"]] for name, column in (self.points or {}).items()}
         name = "point" if self.own_starts else "start" if self.crosses_starts else ""
-        return values, np.asarray(indices[name] if name else np.zeros(len(numbers), int))
+        return varied, np.asarray(indices[name] if name else np.zeros(len(numbers), int))
 
     @property
     def hole_radius(self) -> float | None:
@@ -149,9 +153,7 @@ class Sweep:
             start = self.starts.number[start]
         radius: float | np.ndarray | None = self.hole_radius
         if radius is None:
-            places = np.unravel_index(numbers, self._sizes(self.counted))
-            name = "point" if self.points is not None else "bit_radius"
-            radius = (self.points or self.axes)["bit_radius"][places[self.counted.index(name)]]
+            radius = self._varied(numbers)[0]["bit_radius"]
         return LaneInputs(self.system, self.run, values, start, self.start_names, states, radius)
 
     def inputs(self, first: int = 0, end: int | None = None) -> LaneInputs:

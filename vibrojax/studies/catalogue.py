@@ -11,7 +11,7 @@ import pandas as pd
 from vibrojax.errors import Place
 from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
 from vibrojax.lanes.labels import of_orbits, sweep_variables
-from vibrojax.maps.starts import PLANE, SAMPLE, VECTOR
+from vibrojax.maps.starts import VECTOR, examples
 from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
@@ -143,7 +143,7 @@ def scene_text(scene: str) -> str:
     if system.start_states:
         states = ", ".join(f"{VECTOR}{state}" for state in system.start_states)
         starts += f", or a vector [{', '.join(system.start_states)}]; in a list of points: columns {states}"
-        starts += f"; many: {SAMPLE}, or {PLANE}"
+        starts += f"; many: {', or '.join(examples(system.start_states))}"
     parts = [f"{system.name}: {_summary(type(system))}", starts if names.has_starts else "starts: always the same"]
     if "rock" in names.presets:
         rocks = (f"{name} ({rock.threshold / 1e3:g} kN, {rock.k3 / 1e6:g} MN/m)" for name, rock in ROCKS.items())
