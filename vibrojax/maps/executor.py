@@ -106,10 +106,9 @@ def _by_executor(
     task, threads = pickled(sweep), max(1, usable_cores() // workers) if workers else 1
     waiting, failed, running = deque(indices), list[int](), dict[Any, int]()
 
-    def fail(index: int, error: Exception) -> None:
+    def fail(index: int, error: Exception, broken: bool) -> None:
         if isinstance(error, InputError):
             raise error
-        broken = isinstance(error, (BrokenExecutor, CancelledError))
         if not broken or waiting or not failed:
             what = "the executor broke down" if broken else f"chunk {index} failed with a worker"
             _warn(f"{what} ({_first_line(error)}); {'the rest' if broken else 'it'} is computed here")
@@ -130,13 +129,13 @@ def _by_executor(
                     try:
                         running[executor.submit(compute_chunk, task, index, threads)] = index
                     except Exception as error:
-                        fail(index, error)
+                        fail(index, error, broken=True)
                 for future in _done(list(running)):
                     index = running.pop(future)
                     try:
                         arrays = future.result()
                     except Exception as error:
-                        fail(index, error)
+                        fail(index, error, isinstance(error, (BrokenExecutor, CancelledError)))
                     else:
                         report(int(np.subtract(*sweep.chunk(index)[::-1])))
                         yield index, arrays

@@ -6,7 +6,7 @@ chunks. `io` writes the dataset completely or not at all, and `maps.store` keeps
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -140,7 +140,7 @@ def _computed(
     with open_store(out.with_name(out.name + CHUNKS), manifest, resume) as store:
         with Progress(sweep.lanes, "lanes", progress) as bar:
             finished = store.finished()
-            bar.resume(_lanes_of(sweep, finished))
+            bar.resume(sum(end - first for first, end in map(sweep.chunk, finished)))
             missing = sorted(set(range(sweep.chunks)) - finished)
             with timed("compile and step"):
                 for index, arrays in compute(sweep, run, missing, bar.add, executor):
@@ -155,7 +155,3 @@ def _computed(
 
         yield lambda target: join(sweep, run, read, target, began)
         store.remove()
-
-
-def _lanes_of(sweep: Sweep, chunks: Iterable[int]) -> int:
-    return sum(end - first for first, end in map(sweep.chunk, chunks))
