@@ -199,7 +199,8 @@ class LaneRun:
             features.insert(0, self._certified(joined(fine), joined(check)))
         if not run.keep_returns and not self.stages:  # the crossings are needed only for the estimate
             features = [{name: x for name, x in part.items() if x.ndim == 1 or name == END} for part in features]
-        order = np.argsort(np.concatenate([part.lanes for part in (*half.fine, *half.ended)]))
+        lanes = [*(part.lanes for part in half.fine), *(part.lanes for part in half.ended)]
+        order = np.argsort(np.concatenate(lanes))
         whole = {name: x[order] for name, x in joined(features).items()}
         if "cycles" in whole:
             numbers = np.searchsorted(batch.lanes, apart)

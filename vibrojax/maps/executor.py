@@ -210,7 +210,7 @@ def slurm_executor(folder: Path, jobs: int) -> Iterator[Executor]:
     shared = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     if status.st_uid != os.geteuid() or shared or not stat.S_ISDIR(status.st_mode):  # files there are unpickled
         raise InputError(f"{folder}: others can write to it, and could run code in the jobs; remove it")
-    executor = submitit.AutoExecutor(folder=folder, cluster="slurm")
+    executor: Any = submitit.AutoExecutor(folder=folder, cluster="slurm")
     executor.update_parameters(name="vibrojax", timeout_min=SLURM_LIMIT_MINUTES, cpus_per_task=1)
     executor._max_workers = jobs  # `_by_executor` reads the number of workers
     yield executor

@@ -213,7 +213,7 @@ class Flow:
                 low, high = (self._mixed(c, mode, t, y, corners, {index: other})[0] for other in (-1.0, 1.0))
                 along = {name: 0.5 * (high[name] - low[name]) for name in rates}
             else:
-                along = {event.acts_on if isinstance(event, Friction) else event.velocity: 1.0}
+                along = {event.acts_on: 1.0}
             if None not in along:  # a reset cannot hold the motion
                 drift = self._effect(c, mode, index, t, y, rates)
                 gain = self._effect(c, mode, index, t, y, along, 0.0)
