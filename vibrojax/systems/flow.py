@@ -315,7 +315,7 @@ class Flow:
         # On a surface, the sides are both.
         for other in (-1.0, 1.0) if switches else (1.0,):
             sides = [jnp.where(mode[index] == 0, other, jnp.sign(mode[index])) for index, _ in switches]
-            present = {event.name: side for (_, event), side in zip(switches, sides, strict=True)}
+            present = self._named(sides)
 
             def field(t: Any, y: States, sides: Any = sides, present: Any = present) -> Rates:
                 rates = self.field(c, mode, t, y, sides)
