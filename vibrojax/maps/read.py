@@ -107,7 +107,7 @@ def read_parameters(place: Place, table: dict[str, object], names: Names) -> dic
     return {name: names.quantity(place.at(name), name, value) for name, value in table.items()} | set_by_presets
 
 
-def completed(names: Names, fixed: Mapping[str, float], varied: Collection[str] = ()) -> dict[str, Any]:
+def completed(names: Names, fixed: dict[str, float], varied: Collection[str] = ()) -> dict[str, Any]:
     """Return all parameters that do not vary: those in `fixed`, and the defaults of those that nothing else defines."""
     absent = {*varied} | names.substituted({*fixed, *varied})
     defaults = {name: parameter.default for name, parameter in names.parameters.items() if name not in absent}

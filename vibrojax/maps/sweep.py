@@ -216,9 +216,10 @@ class Sweep:
         return fixed | {f"run.{name}": value for name, value in self.run.described().items()}
 
     def _sizes(self, dims: tuple[str, ...]) -> tuple[int, ...]:
-        columns = [*(self.points or {}).values(), *self.start_columns.values(), ()]
+        columns = [*(self.points or {}).values(), *self.start_columns.values()]
         sizes = {name: len(axis) for name, axis in self.axes.items()}
-        sizes |= {"point": len(columns[0]), "start": len(self.starts or ()), "direction": len(DIRECTIONS)}
+        sizes |= {"point": len(columns[0]) if columns else 0, "start": len(self.starts or ())}
+        sizes |= {"direction": len(DIRECTIONS)}
         return tuple(sizes[name] for name in dims)
 
 
