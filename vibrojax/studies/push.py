@@ -100,7 +100,9 @@ def _sides(ds: xr.Dataset, state: str) -> Plot:
     for side, (size, flag) in enumerate(zip(push.values * factor, regime_cells(ds[f"regime_{state}"]), strict=True)):
         leaves = bool(np.isfinite(size))
         height = float(size) if leaves else bound if stable else 0.0
-        look = {"colours": REGIME_COLOURS[int(flag)], "edge": _EDGE} if leaves else {"colours": "#FFFFFF"} | _RETURNS
+        look: Look = {"colours": "#FFFFFF"} | _RETURNS
+        if leaves:
+            look = {"colours": REGIME_COLOURS[int(flag)], "edge": _EDGE}
         text = number(float(f"{size:.3g}")) if leaves else "returns" if stable else "no stable\ncycle"
         up = height if leaves else height / 2
         layers.append(Bars([side - 0.3], [0.0], [0.6], [height], **look))
