@@ -2,10 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from jaxtyping import Float
+from scipy.stats import qmc
 
 from vibrojax.errors import Place, shown
 from vibrojax.maps.read import sweep_of
@@ -96,3 +99,13 @@ def read_bounds(
     places = {name: Place(place.file, f"parameters.{name}") for name in fixed}
     names.check_substitutes(places | {name: place.at(name) for name in bounds})
     return bounds
+
+
+def corners(dimensions: int) -> Float[np.ndarray, "corners dimensions"]:
+    """Return the corners of the box [-1, 1]^dimensions."""
+    return np.array([*product((-1.0, 1.0), repeat=dimensions)])
+
+
+def draws(dimensions: int, count: int, seed: int) -> Float[np.ndarray, "count dimensions"]:
+    """Return the first points of a scrambled Sobol sequence in the box [-1, 1]^dimensions."""
+    return np.asarray(2 * qmc.Sobol(dimensions, seed=seed).random(count) - 1)

@@ -24,7 +24,7 @@ from vibrojax.settings.run_settings import RunSettings
 from vibrojax.studies import glossary
 from vibrojax.studies.analysis import offered_variables
 from vibrojax.studies.design import DESIGN_VARIABLES
-from vibrojax.studies.effects import SCHEMA as STUDY_SCHEMA
+from vibrojax.studies.effects import STUDY_VARIABLES
 from vibrojax.studies.tolerance import tolerance_variables
 
 
@@ -109,7 +109,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
         "attractors": OF_ATTRACTORS if has_section else {},
         "tolerance": tolerance_variables(held) if "regime" in held else {},
         "design": DESIGN_VARIABLES,
-        "study": {name: about for name, (_, about) in STUDY_SCHEMA.items()} if "regime" in held else {},
+        "study": STUDY_VARIABLES if "regime" in held else {},
         **offered_variables(),
     }
     rows: dict[str, dict[str, str]] = {}

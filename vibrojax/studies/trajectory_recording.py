@@ -169,6 +169,6 @@ def labelled_features(
     for name, variable in known.items():
         if name in features and features[name].ndim == 1:
             value = features[name][0]
-            value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value
-            numbers[name] = ((), np.asarray(value, variable.dtype), variable.attributes())
+            whole = np.issubdtype(variable.dtype, np.integer)
+            numbers[name] = variable.entry((), np.nan_to_num(value) if whole else value)
     return numbers
