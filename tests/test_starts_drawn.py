@@ -5,7 +5,8 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.io.dataset import open_dataset, write_dataset
+from vibrojax.io.dataset import open_dataset
+from vibrojax.io.writers import write_dataset
 
 BOX = {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 STATES = ("x1", "v1", "x2", "v2")

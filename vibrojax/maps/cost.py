@@ -9,8 +9,8 @@ import numpy as np
 
 from vibrojax.compile.xla import threads
 from vibrojax.errors import Place, counted
-from vibrojax.io.dataset import COMPRESSED
 from vibrojax.io.files import memory, size_text, time_text
+from vibrojax.io.writers import COMPRESSED
 from vibrojax.lanes.engine import steps_at_most
 from vibrojax.lanes.inputs import Index, PerLane
 from vibrojax.lanes.labels import fastest_rates

@@ -14,8 +14,8 @@ import xarray as xr
 
 from vibrojax.io.identity import IDENTITY, identity_text
 from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.targets import Region, Regions, Target
 from vibrojax.io.variables import Variable
+from vibrojax.io.writers import Region, Regions, Target
 from vibrojax.lanes.inputs import Features, LaneResult
 from vibrojax.lanes.labels import variables_of, with_radius
 from vibrojax.lanes.run import LaneRun, joined

@@ -16,7 +16,7 @@ import xarray as xr
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.files import provenance
 from vibrojax.io.identity import check_ours, check_replaceable
-from vibrojax.io.targets import InMemory, Target, file_target
+from vibrojax.io.writers import InMemory, Target, file_target
 from vibrojax.lanes.inputs import Features
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.cost import check_size

@@ -309,7 +309,7 @@ def share_map(ds: xr.Dataset) -> Sheet:
 
 @dataclass(frozen=True)
 class Attractors(SweepAnalysis):
-    """Attractors that a sweep's initial conditions lead to, and the fraction of initial conditions of each."""
+    """Find the attractors that a sweep's starts lead to, and the share of starts of each."""
 
     kind = "attractors"
     counted = "attractor"
