@@ -6,7 +6,6 @@ A `Cell` holds the motion of one lane as the page shows it, see [vibrojax.explor
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
@@ -19,6 +18,7 @@ from vibrojax.explorer.encoding import EVENTS, STUCK, TOUCHING, Cell, StateColum
 from vibrojax.io.attributes import parameters_of, run_of
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.record import Record, SampledMotion, events, record_batch, sample, states_shown
+from vibrojax.lazy import jax
 from vibrojax.scenes import HasContact, HasFriction, Scene
 from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at

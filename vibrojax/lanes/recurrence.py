@@ -10,11 +10,11 @@ the states (reduced rank extrapolation: Sidi, *Vector Extrapolation Methods*, 20
 from functools import reduce
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.lanes.inputs import Index, PerLane
+from vibrojax.lazy import jax
 
 RECURRENCE_MAX_ORDER = 3
 """A section with three states has three multipliers."""

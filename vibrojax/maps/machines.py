@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import numpy as np
 
 from vibrojax.errors import Place, shown
+from vibrojax.lazy import jax
 from vibrojax.maps.read import Point, read_point, read_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.settings.names import Names, read_names

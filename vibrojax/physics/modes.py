@@ -11,11 +11,10 @@ from collections.abc import Mapping
 from math import pi
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 from jaxtyping import Float
 
-from vibrojax.physics.arrays import Value
+from vibrojax.lazy import jnp
+from vibrojax.physics.arrays import Array, Value
 
 Numbers = Mapping[str, Any]
 """Parameters by name: scalars, or arrays with one value per lane."""
@@ -39,7 +38,7 @@ def uncoupled_frequencies(p: Numbers) -> tuple[Any, Any]:
     return bit, bit * p["gamma"]
 
 
-def natural_frequencies(p: Numbers) -> Float[jax.Array, "*lanes 2"]:
+def natural_frequencies(p: Numbers) -> Float[Array, "*lanes 2"]:
     """Return the two undamped natural frequencies [rad/s] (source, eq. 5.16).
 
     The last axis has length 2, the lower frequency first. The frequencies are the roots of
@@ -64,7 +63,7 @@ def empirical_frequency(p: Numbers, share: Value = 0.25) -> Any:
     return jnp.sqrt((p["k1"] + k2) / p["m1"] + share * k2 / m2)
 
 
-def linearised(p: Numbers, friction_slope: Value) -> Float[jax.Array, "4 4"]:
+def linearised(p: Numbers, friction_slope: Value) -> Float[Array, "4 4"]:
     """Return the system matrix of the motion linearised about steady sliding (source, eq. 5.15).
 
     **Arguments:** `p`: scalar parameters; `friction_slope` [N s/m]: dF/du at the drive speed. A negative slope means

@@ -6,11 +6,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 from weakref import WeakKeyDictionary
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
+from vibrojax.lazy import jax, jnp, lax
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes.declared import Guard, Start, Values
 from vibrojax.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
