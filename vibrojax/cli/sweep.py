@@ -95,7 +95,7 @@ def _prepare_output() -> None:
 
     import xarray as xr
 
-    from vibrojax.pictures.style import new_figure
+    from vibrojax.pictures.draw import new_figure
     from vibrojax.studies import choose as pictures  # noqa: F401
 
     with suppress(Exception):  # an error would be reported when it matters

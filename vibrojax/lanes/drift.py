@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 from functools import reduce
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.lanes.inputs import Features, Index, PerLane
+from vibrojax.lazy import jax
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.repeats import GROWTH, INTERVAL, REPEATS_WITHIN, TIME, rock_scale, state_name
 from vibrojax.measures.since_start import half_names, stored_scales

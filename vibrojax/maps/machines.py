@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import numpy as np
 
 from vibrojax.errors import Place, shown
+from vibrojax.lazy import jax
 from vibrojax.maps.read import check_run, completed, read_parameters, read_start
 from vibrojax.maps.starts import list_of
 from vibrojax.maps.sweep import Sweep

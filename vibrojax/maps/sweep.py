@@ -1,10 +1,10 @@
 """A validated sweep: fixed values, axes or points, and the values of any of its lanes."""
 
 import hashlib
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import pi, prod
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from vibrojax.lanes.inputs import LaneInputs, Plan
 from vibrojax.maps.starts import VECTOR, Starts
 from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.periodic.lane_stages import plan_of
-from vibrojax.physics.parameters import REPLACED, substitutes
+from vibrojax.physics.parameters import resolved, substitutes
 from vibrojax.scenes import HasRock, Scene
 from vibrojax.settings.code_identity import code_identity
 from vibrojax.settings.run_settings import RunSettings
@@ -226,7 +226,7 @@ class Sweep:
 def with_substitutes(scene: Scene[Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return `values` with presets (names, or arrays of names), rotation and frequencies replaced by parameters.
 
-    See [vibrojax.maps.sweep.resolved][]; presets are replaced by the parameters that they set.
+    See [vibrojax.physics.parameters.resolved][]; presets are replaced by the parameters that they set.
     """
     values = dict(values)
     for preset, parameters in scene.presets.items():
@@ -234,23 +234,6 @@ def with_substitutes(scene: Scene[Any], values: Mapping[str, Any]) -> dict[str, 
             rows = [parameters[str(name)] for name in values.pop(preset)]
             values |= {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return resolved(values, substitutes(scene.parameters()))
-
-
-def resolved(values: Mapping[str, Any], names: Collection[str] = tuple(REPLACED)) -> dict[str, Any]:
-    """Return `values` with the quantities in `names` replaced by the parameters that they define, if all are known.
-
-    A rotation defines v = 2 pi rpm/60 bit_radius [m/s], a natural frequency of the bit k1 = m1 (2 pi bit_frequency)²,
-    and one of the striker gamma = 2 pi striker_frequency sqrt(m1/k1).
-    """
-    values = dict(values)
-    given = values.keys() & set(names)
-    if given >= {"rpm", "bit_radius"}:
-        values["v"] = 2 * pi / 60 * values.pop("rpm") * values.pop("bit_radius")
-    if "bit_frequency" in given and "m1" in values:
-        values["k1"] = values["m1"] * (2 * pi * values.pop("bit_frequency")) ** 2
-    if "striker_frequency" in given and values.keys() >= {"m1", "k1"}:
-        values["gamma"] = 2 * pi * values.pop("striker_frequency") * (values["m1"] / values["k1"]) ** 0.5
-    return values
 
 
 def _outline(column: np.ndarray) -> object:

@@ -1,5 +1,6 @@
 """Drawing of pictures by matplotlib: panels, legends, colour bars, title and note."""
 
+from io import BytesIO
 from textwrap import fill
 from typing import Any
 
@@ -34,7 +35,7 @@ from vibrojax.pictures.plots import (
     legend_of,
     resolved,
 )
-from vibrojax.pictures.style import NO_VALUE, new_figure, plain, settings
+from vibrojax.pictures.style import NO_VALUE, plain, settings
 
 _TICK_SIZE, _TITLE_SIZE, _NOTE_SIZE = 8.0, 11.0, 8.0
 _BAR_INTERVALS = 6  # greatest number between the ticks of a colour bar: more labels would touch each other
@@ -47,6 +48,23 @@ _LINE_HEIGHT = 1.6  # line spacing in units of the font size
 _TEXT_SHARE = 0.92  # share of the width for texts, whose letters are wider at other resolutions
 _BELOW_EDGE = 0.95  # height of markers at the upper edge, as a fraction of the panel
 _ABOVE = {"above": ("lower center", 0.5), "above left": ("lower left", 0.0), "above right": ("lower right", 1.0)}
+
+
+class OwnFigure(Figure):
+    """A figure that pyplot does not manage, but that notebooks display."""
+
+    def _repr_png_(self) -> bytes:
+        with settings():
+            content = BytesIO()
+            self.savefig(content, format="png", dpi=self.dpi)
+        return content.getvalue()
+
+
+def new_figure(width: float, height: float) -> OwnFigure:
+    """Return an empty figure of `width` by `height` [inch] on the Agg canvas."""
+    figure = OwnFigure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def draw(picture: Picture | Figure) -> Figure:

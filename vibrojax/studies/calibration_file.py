@@ -6,7 +6,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -16,6 +15,7 @@ from vibrojax.io.dataset import open_dataset
 from vibrojax.io.log_columns import split_unit
 from vibrojax.io.tables import column_numbers, read_table, rows_without_units
 from vibrojax.io.variables import VARIABLES
+from vibrojax.lazy import jax
 from vibrojax.maps.bounds import SceneFile, read_bounds, read_file
 from vibrojax.maps.read import read_point
 from vibrojax.periodic.derivatives import orbit_variables

@@ -5,11 +5,9 @@ import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
+from vibrojax.lazy import jax, jnp, lax
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes.declared import Guard, Start, Values
 from vibrojax.scenes.scene import Scene

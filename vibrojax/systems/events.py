@@ -10,8 +10,7 @@ from inspect import Parameter as Parameters
 from inspect import signature
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.parameters import Parameter
 from vibrojax.systems.kinks import positive_part

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes.declared import Values
 from vibrojax.systems.events import Event, Friction, Impact, Switch

@@ -4,10 +4,10 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import jax
 import numpy as np
 
 from vibrojax.errors import CANNOT_EXPAND, InputError, asked, shown, suggestion
+from vibrojax.lazy import jax
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.parameters import Parameter

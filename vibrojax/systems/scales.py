@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 from weakref import WeakKeyDictionary
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes.declared import Values
 from vibrojax.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS

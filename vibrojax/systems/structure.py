@@ -7,8 +7,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jax import lax
 
+from vibrojax.lazy import lax
 from vibrojax.systems.events import Event, Friction, Impact, Switch, required_arguments
 from vibrojax.systems.flow import Dependences
 from vibrojax.systems.kinks import Function, Kink

@@ -11,11 +11,10 @@ from importlib import import_module
 from typing import Any
 from weakref import WeakValueDictionary
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.errors import InputError
+from vibrojax.lazy import jax, jnp
 from vibrojax.physics.parameters import Parameter
 from vibrojax.scenes.capabilities import HasImpacts
 from vibrojax.scenes.declared import Marker, Mode, Section, State, Swing, Values
