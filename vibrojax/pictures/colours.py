@@ -170,7 +170,7 @@ def regime_value(data: xr.DataArray, label: str = "") -> Value:
     return Value(str(data.name), label, 1.0, norm, "neither", colour_map, regime_names(data), counted=True)
 
 
-def regime_colour_map() -> "tuple[colors.ListedColormap, colors.BoundaryNorm]":
+def regime_colour_map() -> "tuple[colors.Colormap, colors.BoundaryNorm]":
     """Return the colour map of the regimes' numbers, and its norm."""
     colour_map = colors.ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=_CLEAR)
     return colour_map, colors.BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
