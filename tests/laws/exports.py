@@ -24,7 +24,7 @@ def write(folder, dialect, formations, founder=None, count=600, noise=0.03, seed
     C, D = np.array(formations)[formation].T
     end = founder or np.inf
     rate = C * np.log(np.minimum(weight, end) / D) * (1 - np.maximum(weight / end - 1, 0))
-    rate += noise * rate.mean() * rig_logs.correlated((count,), 0.7, rng)
+    rate *= 1 + noise * rig_logs.correlated((count,), 0.7, rng)
     rate[rng.choice(count, 6, replace=False)] *= 1.9
     rows, dropped = rig_logs.with_traps(rows | {"rate": rate})
     path = rig_logs.write(folder / f"log.{'las' if dialect == 'las' else 'csv'}", dialect, rows)
