@@ -40,7 +40,7 @@ def test_many_planted_laws_are_recovered(case):
     right, wrong, of_c, both, of_founder = trials(200, **CASES[case])
     assert wrong <= 0.01 and of_c >= 0.93 and of_founder >= 0.93
     # In two cases the noise hides some curvature. The limits hold for any seed: 200 trials scatter by 2 to 3 %.
-    least = {"line, falls": 0.7, "onset, falls": 0.8}.get(case, 0.89)
+    least = {"line, falls": 0.8, "onset, falls": 0.84}.get(case, 0.89)
     assert both >= least and right >= least
 
 
