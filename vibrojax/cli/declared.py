@@ -1,6 +1,6 @@
 """What the source of a study declares: settings and class attributes, for `--help`, without importing the study.
 
-A study imports jax, which takes longer than everything else that `--help` does.
+A study imports xarray, SciPy or jax, which takes longer than everything else that `--help` does.
 """
 
 import ast
