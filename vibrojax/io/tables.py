@@ -8,11 +8,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float
 
 from vibrojax.errors import InputError, Place, nearest, shown
 from vibrojax.io.files import read_regular
+from vibrojax.lazy import pd
 from vibrojax.physics.units import is_unit
 
 Rows = list[tuple[int, list[str]]]
@@ -103,7 +103,7 @@ def csv_rows(place: Place, text: str, delimiter: str) -> Iterator[tuple[int, lis
         raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
 
 
-def decimal_mark(columns: Iterable[pd.Series]) -> str:
+def decimal_mark(columns: "Iterable[pd.Series]") -> str:
     """Return the decimal mark of text cells: "." or ",", "both" if both occur, or "" if commas may be either."""
     columns = [column.dropna().str.strip() for column in columns]
     if not any(column.str.contains(",", regex=False).any() for column in columns):
@@ -122,7 +122,7 @@ def ambiguous_commas(mark: str) -> str:
     return "the file has decimal points too" if mark == "both" else "commas may separate thousands"
 
 
-def with_points(cells: pd.Series, mark: str) -> pd.Series:
+def with_points(cells: "pd.Series", mark: str) -> "pd.Series":
     """Return text cells with decimal points, and without marks between thousands; `mark`: their decimal mark."""
     other = "," if mark == "." else "."
     cells = cells.where(~cells.str.fullmatch(_THOUSANDS[other]), cells.str.replace(other, "", regex=False))
