@@ -95,7 +95,7 @@ _CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
 def curves(options: Options) -> None:
     """Continue the special points of a family in a second parameter: curves, and the points where several meet."""
     from vibrojax.io.dataset import open_dataset
-    from vibrojax.studies.curve_spec import read_curves
+    from vibrojax.studies.curves import read_curves
 
     place, file = Place("curves"), Path(str(options.file))
     settings, others = named_values(place, options.values, _CURVE_SETTINGS, lists=False)
@@ -109,7 +109,7 @@ def curves(options: Options) -> None:
     spec = read_curves(open_dataset(file), settings["by"], (settings["from"], settings["to"]), special, at)
 
     def compute() -> "xarray.Dataset":
-        from vibrojax.studies.curve_run import continue_curves
+        from vibrojax.studies.curves import continue_curves
 
         return continue_curves(spec, progress=not options.quiet)
 
