@@ -90,13 +90,13 @@ class Line:
         return ENDINGS[CLOSED] in self.curve.notes
 
     @property
-    def ends(self) -> list[int]:
-        """Indices of the first and the last point; none of a closed curve."""
-        return [] if self.closed else [0, len(self.u) - 1]
+    def ends(self) -> list[float]:
+        """Places of the first and the last point; none of a closed curve."""
+        return [] if self.closed else [0.0, len(self.u) - 1.0]
 
-    def near(self, point: Point, cell: Point) -> list[int]:
-        """Return the indices of the points at most `GAP_CELLS` from another one."""
-        return np.flatnonzero((np.abs(self.values - point) < GAP_CELLS * cell).all(axis=1)).tolist()
+    def near(self, point: Point, cell: Point) -> list[float]:
+        """Return the places of the curve's points that are at most `GAP_CELLS` from another point."""
+        return [float(k) for k in np.flatnonzero((np.abs(self.values - point) < GAP_CELLS * cell).all(axis=1))]
 
     @property
     def values(self) -> Plane:
@@ -243,11 +243,9 @@ class ContinuedBorders:
             return (middle, None), (middle, None)
         (line, place), vertex = known, first if here is not None else second
         own: End = np.array([vertex.x, vertex.y]), place
-        off, k = min(
-            ((float((np.abs(line.values[k] - middle) / cell).max()), k) for k in line.ends), default=(np.inf, 0)
-        )
+        off, k = min(((float((np.abs(line.at(k) - middle) / cell).max()), k) for k in line.ends), default=(np.inf, 0.0))
         if off <= 1:
-            own = line.values[k], float(k)
+            own = line.values[int(k)], k
         return (own, (own[0], None)) if here is not None else ((own[0], None), own)
 
     def _meeting(
@@ -293,10 +291,8 @@ class ContinuedBorders:
         for i, j in np.argwhere((s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)).tolist():
             p = one.at(i + s[i, j])
             crossing.append((p, i + float(s[i, j]), p, j + float(t[i, j])))
-        tips = [(one.values[k], k, another.values[j], j) for k in one.ends for j in another.near(one.values[k], cell)]
-        tips += [
-            (one.values[j], j, another.values[k], k) for k in another.ends for j in one.near(another.values[k], cell)
-        ]
+        tips = [(one.at(k), k, another.at(j), j) for k in one.ends for j in another.near(one.at(k), cell)]
+        tips += [(one.at(j), j, another.at(k), k) for k in another.ends for j in one.near(another.at(k), cell)]
         return nearest(meet) or nearest(crossing) or nearest(tips, tips=True)
 
 
