@@ -8,14 +8,13 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm
 from scipy.optimize import newton, root
 
 from vibrojax.compile.xla import precision
+from vibrojax.lazy import jax, jnp
 from vibrojax.periodic.flow_map import moving_names
 from vibrojax.periodic.newton import PerLane
 from vibrojax.scenes import Scene

@@ -13,10 +13,10 @@ from vibrojax.io.attributes import parameters_of, text_of
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.kinds import kind_of
 from vibrojax.maps.machines import read_machines, several_and_single
-from vibrojax.maps.sweep import Sweep, resolved
+from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.physics.meanings import suggest_parameter
-from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION
+from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION, resolved
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.values import count, warn_if_far
 
