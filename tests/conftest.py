@@ -42,7 +42,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 PACKAGE = Path(__file__).parents[1] / "vibrojax"
 UNCHECKED = re.compile(
     r"(compile/(?!agreement|trust|xla)|maps/(run|read|joining|bounds|starts|rerun)|settings/(toml|values|code_identity)"
-    r"|studies/(\w+_run|(accuracy|attractors|borders|trajectory)\.|catalogue)).*"
+    r"|studies/((accuracy|attractors|borders|curves|family|trajectory)\.|catalogue)).*"
 )
 CHECKED = [
     f"vibrojax.{file.removesuffix('.py').replace('/', '.')}"
