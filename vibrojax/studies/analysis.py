@@ -16,6 +16,7 @@ from vibrojax.errors import InputError, printable, shown
 from vibrojax.io.kinds import KIND, check_structure, dataset_attributes, kind_of
 from vibrojax.io.variables import Variable, described
 from vibrojax.settings.fields import Settings
+from vibrojax.studies import HOMES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -207,25 +208,6 @@ class Analysis(Settings):
 GROUP = "vibrojax.analyses"
 """Entry-point group in which an installed package registers its analyses, as `NAME = "module:Class"`."""
 
-_HOMES = {
-    "sweep": "sweep:Sweeps",
-    "trajectory": "trajectory:Trajectories",
-    "family": "family_analysis:Families",
-    "curves": "curve_analysis:Curves",
-    "borders": "borders:Borders",
-    "attractors": "attractors:Attractors",
-    "push": "push:Pushes",
-    "tolerance": "tolerance:Tolerances",
-    "design": "design:Designs",
-    "study": "effects:Studies",
-    "rig": "rig_analysis:Rigs",
-    "calibration": "calibrate:Calibrations",
-    "fit": "rop_picture:Fits",
-    "accuracy": "accuracy:AccuracyStudy",
-    "sensitivity": "sensitivity:Sensitivity",
-}
-"""Module and class of each of the package's own analyses, which are imported when they are needed."""
-
 _USED: dict[str, Analysis] = {}
 """Analyses by kind that were passed to `analyse` in this process."""
 
@@ -275,7 +257,7 @@ def checked_result(analysis: Analysis, ds: xr.Dataset) -> xr.Dataset:
     if ds.attrs.get(KIND) != kind:
         ds = ds.assign_attrs(dataset_attributes(kind, str(ds.attrs.get("title", kind)), kind) | ds.attrs | {KIND: kind})
     check_structure(ds)
-    if kind not in _HOMES:
+    if kind not in HOMES:
         _USED[kind] = analysis
     return ds
 
@@ -290,8 +272,8 @@ def analysis_named(kind: str) -> Analysis | None:
 
     **Raises:** `InputError` if an installed package registers the kind, but its class cannot be loaded.
     """
-    if kind in _HOMES:
-        module, _, name = _HOMES[kind].partition(":")
+    if kind in HOMES:
+        module, _, name = HOMES[kind].partition(":")
         own: Analysis = getattr(import_module(f"vibrojax.studies.{module}"), name)()
         return own
     if kind in _USED:
@@ -303,7 +285,7 @@ def analysis_named(kind: str) -> Analysis | None:
 @cache
 def offered_analyses() -> dict[str, Any]:
     """Return the entry points of analyses in installed packages, by kind; vibrojax's own kinds cannot be replaced."""
-    return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in _HOMES}
+    return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in HOMES}
 
 
 def load_analysis(entry: Any) -> type[Analysis]:

@@ -28,7 +28,7 @@ from vibrojax.pictures.colours import cell_keys, no_value_key, regime_names, reg
 from vibrojax.pictures.contents import ATTRACTOR, HIDDEN, NAMED, REGIME, START, axes_of_map, swept, without_single
 from vibrojax.pictures.maps import cell_layers, maps_of
 from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Look, Plot, Sheet, Text, bars, dots, patch
-from vibrojax.pictures.sheet import MOST_PANELS, at, columns, facets
+from vibrojax.pictures.sheet import MOST_PANELS, at, facets
 from vibrojax.pictures.starts import PREFIX, on_axes
 from vibrojax.studies import attractor_groups as grouping
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart
@@ -195,7 +195,7 @@ def _shares_along(ds: xr.Dataset, x: str) -> Sheet:
     ds = ds.sortby(x)
     panels = facets(ds, (x, ATTRACTOR), _MOST_FACETS)
     names = ["share", *([_VELOCITY] if _VELOCITY in ds and np.isfinite(ds[_VELOCITY]).any() else [])]
-    wide = columns(panels, _MOST_COLUMNS)
+    wide = 1 + max(column for _, column in panels.places(_MOST_COLUMNS))
     rows = -(-len(panels) // wide)
     plots = []
     for k, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
@@ -309,7 +309,7 @@ def share_map(ds: xr.Dataset) -> Sheet:
 
 @dataclass(frozen=True)
 class Attractors(SweepAnalysis):
-    """Attractors that a sweep's initial conditions lead to, and the fraction of initial conditions of each."""
+    """Find the attractors that a sweep's starts lead to, and the share of starts of each."""
 
     kind = "attractors"
     counted = "attractor"
@@ -326,7 +326,7 @@ class Attractors(SweepAnalysis):
         sweep = sweep_with_orbits(source)
         if sweep.run.carry is not None:
             raise InputError("attractors: lanes of this sweep are carried, so they have no starts; leave carry out")
-        if sweep.points is not None or sweep.point_starts is not None or sweep.point_vectors is not None:
+        if sweep.points is not None:
             raise InputError("attractors: points of a list have no neighbours to number along; give a [grid] instead")
         if not sweep.crosses_starts or sweep.system.driving_part().section is None:
             raise InputError(f'attractors: scene "{sweep.scene}" takes no starts; give a sweep of a scene with a drill')

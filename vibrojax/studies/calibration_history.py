@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Float
 
 from vibrojax.compile.xla import workers
 from vibrojax.lanes.compiler import lane_function
+from vibrojax.lazy import jax, jnp, lax
 from vibrojax.maps.read import Point
 from vibrojax.periodic.return_map import in_calls
 from vibrojax.periodic.tangent_loop import with_derivatives

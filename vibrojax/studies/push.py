@@ -232,7 +232,7 @@ class Pushes(MachineAnalysis[Machines]):
         machines = super().machines(place, scene, parameters, start, run)
         system = machines.sweep.system
         missing = [name for name in system.driving_part().return_states if name not in system.start_states]
-        if system.driving_part().section is None or missing or machines.first.start is None:
+        if system.driving_part().section is None or missing or machines.sweep.starts is None:
             why = f"{', '.join(missing)} of it cannot be given as a start" if missing else "it has no drill"
             raise place.at("scene").error(f"{shown(machines.sweep.scene)} has no working cycle to push: {why}")
         for name, value in self.most.items():
