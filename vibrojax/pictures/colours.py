@@ -44,25 +44,21 @@ FORM_COLOURS = {
 }
 _OTHER_FORM = "#8C8C8C"
 
-# Name on the picture, and perceptually uniform colour map.
-_QUANTITIES = {
-    "rate_of_penetration": ("rate of penetration", "plasma"),
-    "impact_velocity": ("impact velocity", "viridis"),
-    "period": ("period", "cividis"),
-    "bit_amplitude": ("bit amplitude", "plasma"),
-    "slip_per_impact": ("slip per blow", "viridis"),
-    "mean_force": ("mean force P", "cividis"),
-    "relief": ("relief P/D", "cividis"),
-    "C": ("C", "viridis"),
-    "multiplier_abs": ("largest |multiplier|", "viridis"),
-    "multiplier_arg": ("argument of the largest\nmultiplier", "viridis"),
-    "stable": ("stability", ""),
-    "lyapunov": ("greatest Lyapunov exponent", "viridis"),
-    "nature": ("nature", ""),
-    "stick_fraction": ("share of stick", "viridis"),
-    "reverse_fraction": ("share of slip backwards", "viridis"),
-    "C_relative_error": ("standard error of C", "cividis"),
+# Words for quantities whose names do not say enough, and perceptually uniform colour maps other than viridis.
+_WORDS = {
+    "slip_per_impact": "slip per blow",
+    "mean_force": "mean force P",
+    "relief": "relief P/D",
+    "multiplier_abs": "largest |multiplier|",
+    "multiplier_arg": "argument of the largest\nmultiplier",
+    "stable": "stability",
+    "lyapunov": "greatest Lyapunov exponent",
+    "stick_fraction": "share of stick",
+    "reverse_fraction": "share of slip backwards",
+    "C_relative_error": "standard error of C",
 }
+_COLOUR_MAPS = {"rate_of_penetration": "plasma", "bit_amplitude": "plasma"}
+_COLOUR_MAPS |= dict.fromkeys(("period", "mean_force", "relief", "C_relative_error"), "cividis")
 _STABILITY_COLOURS = {-1: "#BBBBBB", 0: "#D55E00", 1: "#0072B2"}
 _OF_DRILL = ("impact_velocity", "period", "bit_amplitude")
 _OF_ROCK = (RATE, "slip_per_impact", RELIEF, "mean_force")
@@ -174,20 +170,15 @@ def regime_value(data: xr.DataArray, label: str = "") -> Value:
     return Value(str(data.name), label, 1.0, norm, "neither", colour_map, regime_names(data), counted=True)
 
 
-def regime_colour_map() -> "tuple[colors.ListedColormap, colors.BoundaryNorm]":
+def regime_colour_map() -> "tuple[colors.Colormap, colors.BoundaryNorm]":
     """Return the colour map of the regimes' numbers, and its norm."""
     colour_map = colors.ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=_CLEAR)
     return colour_map, colors.BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
 
 
-def values_beside(ds: xr.Dataset) -> tuple[Value, ...]:
+def values_beside(ds: xr.Dataset) -> list[Value]:
     """Return the quantities that get a panel next to the regimes."""
-    return tuple(value_of(ds[name]) for name in quantities_beside(ds))
-
-
-def regimes_and_beside(ds: xr.Dataset) -> tuple[Value, ...]:
-    """Return the regimes and the quantities next to them."""
-    return regime_value(ds[REGIME]), *values_beside(ds)
+    return [value_of(ds[name]) for name in quantities_beside(ds)]
 
 
 def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
@@ -206,7 +197,7 @@ def value_of(data: xr.DataArray) -> Value:
     name = str(data.name)
     if "flag_meanings" in data.attrs and np.size(data.values):
         return _flags_value(data)
-    (text, colours), (factor, unit) = _QUANTITIES.get(name, (name.replace("_", " "), "viridis")), scale(data)
+    factor, unit = scale(data)
     finite: Cells = data.values[np.isfinite(data.values)] * factor
     finite = finite[finite > 0] if name in _NOTHING_AT_ZERO else finite
     has_values = bool(finite.size)
@@ -215,8 +206,13 @@ def value_of(data: xr.DataArray) -> Value:
     norm = _norm(name, finite)
     extends: tuple[Extend, ...] = ("neither", "min", "max", "both")
     extend = extends[bool(finite.min() < (norm.vmin or 0.0)) + 2 * bool(finite.max() > (norm.vmax or 0.0))]
-    shown = colour_map(colours).with_extremes(bad=_CLEAR)
-    return Value(name, with_unit(text, unit), factor, norm, extend, shown, has_values=has_values)
+    shown = colour_map(_COLOUR_MAPS.get(name, "viridis")).with_extremes(bad=_CLEAR)
+    return Value(name, with_unit(words_for(name), unit), factor, norm, extend, shown, has_values=has_values)
+
+
+def words_for(name: str) -> str:
+    """Return the words for a variable on axes and colour bars."""
+    return _WORDS.get(name, name.replace("_", " "))
 
 
 def _flags_value(data: xr.DataArray) -> Value:
@@ -229,7 +225,7 @@ def _flags_value(data: xr.DataArray) -> Value:
     norm = colors.BoundaryNorm([occurring[0] - 0.5, *between, occurring[-1] + 0.5], len(occurring))
     names = {flag: meanings.get(flag, str(flag)) for flag in occurring}
     shown = colors.ListedColormap(colours, name=name).with_extremes(bad=_CLEAR)
-    return Value(name, _QUANTITIES.get(name, (name.replace("_", " "), ""))[0], 1.0, norm, "neither", shown, names)
+    return Value(name, words_for(name), 1.0, norm, "neither", shown, names)
 
 
 def value_axis(value: Value, text: str = "", **about: Any) -> Axis:

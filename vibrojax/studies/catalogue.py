@@ -8,7 +8,7 @@ from typing import Any
 
 from vibrojax.errors import Place
 from vibrojax.lazy import pd
-from vibrojax.maps.starts import PLANE, SAMPLE, VECTOR
+from vibrojax.maps.starts import VECTOR, examples
 from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
@@ -100,7 +100,7 @@ def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
     from vibrojax.lanes.labels import of_orbits, sweep_variables
     from vibrojax.studies.analysis import offered_variables
     from vibrojax.studies.design import DESIGN_VARIABLES
-    from vibrojax.studies.effects import SCHEMA as STUDY_SCHEMA
+    from vibrojax.studies.effects import STUDY_VARIABLES
     from vibrojax.studies.tolerance import tolerance_variables
 
     system = read_names(Place("scenes"), scene).system
@@ -113,7 +113,7 @@ def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
         "attractors": OF_ATTRACTORS if has_section else {},
         "tolerance": tolerance_variables(held) if "regime" in held else {},
         "design": DESIGN_VARIABLES,
-        "study": {name: about for name, (_, about) in STUDY_SCHEMA.items()} if "regime" in held else {},
+        "study": STUDY_VARIABLES if "regime" in held else {},
         **offered_variables(),
     }
     rows: dict[str, dict[str, str]] = {}
@@ -147,7 +147,7 @@ def scene_text(scene: str) -> str:
     if system.start_states:
         states = ", ".join(f"{VECTOR}{state}" for state in system.start_states)
         starts += f", or a vector [{', '.join(system.start_states)}]; in a list of points: columns {states}"
-        starts += f"; many: {SAMPLE}, or {PLANE}"
+        starts += f"; many: {', or '.join(examples(system.start_states))}"
     parts = [f"{system.name}: {_summary(type(system))}", starts if names.has_starts else "starts: always the same"]
     if "rock" in names.presets:
         rocks = (f"{name} ({rock.threshold / 1e3:g} kN, {rock.k3 / 1e6:g} MN/m)" for name, rock in ROCKS.items())

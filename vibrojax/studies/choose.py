@@ -18,13 +18,13 @@ from vibrojax.pictures.contents import FORM, MULTIPLIER, POINT, REGIME, RETURN, 
 from vibrojax.pictures.draw import draw
 from vibrojax.pictures.fitting import WIDTH, read_width
 from vibrojax.pictures.lines import curves, regime_lines
-from vibrojax.pictures.maps import many_starts, map_sheet
+from vibrojax.pictures.maps import map_sheet
 from vibrojax.pictures.motion import histories
 from vibrojax.pictures.overlays import Overlays, as_layers, refuse_overlays
 from vibrojax.pictures.plots import Picture, Sheet
 from vibrojax.pictures.returns import bifurcation, hysteresis
 from vibrojax.pictures.selection import Value, select, thin_out, thinned_text
-from vibrojax.pictures.starts import medians, medians_text, varied_states
+from vibrojax.pictures.starts import many_starts, medians, medians_text, varied_states
 from vibrojax.pictures.style import COLOURS, drawable, settings
 from vibrojax.settings.values import check_distinct
 from vibrojax.studies.analysis import analysis_of
