@@ -181,11 +181,11 @@ def _serve(options: Options, live: Any) -> None:
 @command(argument("scene", "SCENE", "one of them, in full", nargs="?"))
 def scenes(options: Options) -> None:
     """List the scenes, or a scene's parameters, initial conditions, friction laws, variables and settings."""
-    from vibrojax.studies.catalogue import list_scenes, scene_text
+    from vibrojax.studies.catalogue import scene_rows, scene_text
 
     if options.scene is not None:
         print(scene_text(options.scene))
         return
-    for name, row in list_scenes().iterrows():
+    for name, row in scene_rows().items():
         print(f"{name:<18}{row['what']}")
         print(f"{'':<18}starts: {row['starts'] or 'always the same'}")

@@ -77,7 +77,7 @@ def sweep(options: Options) -> None:
             dataset = run_to_file(plan, out, resume=not options.fresh, progress=progress, executor=executor)
         yield dataset
 
-    each = "a point from one start each" if plan.starts is not None or plan.point_vectors else "a point each"
+    each = "a point from one start each" if plan.starts is not None else "a point each"
     result(
         options,
         default,
@@ -95,7 +95,7 @@ def _prepare_output() -> None:
 
     import xarray as xr
 
-    from vibrojax.pictures.style import new_figure
+    from vibrojax.pictures.draw import new_figure
     from vibrojax.studies import choose as pictures  # noqa: F401
 
     with suppress(Exception):  # an error would be reported when it matters

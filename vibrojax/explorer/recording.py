@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
@@ -18,6 +17,7 @@ from vibrojax.explorer.encoding import EVENTS, STUCK, TOUCHING, Cell, StateColum
 from vibrojax.io.attributes import parameters_of
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.record import Record, SampledMotion, events, record_batch, sample, states_shown
+from vibrojax.lazy import jax
 from vibrojax.scenes import HasContact, HasFriction, Scene
 from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at

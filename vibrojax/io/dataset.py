@@ -4,6 +4,7 @@ import os
 import shlex
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import netCDF4
 import xarray as xr
@@ -79,7 +80,9 @@ def check_dataset(dataset: xr.Dataset) -> None:
 
 def _opened(path: Path, is_copy: bool) -> xr.Dataset:
     """Return the dataset, loaded into memory if it is small, or a copy that will be removed."""
-    kind = {"engine": "zarr", "consolidated": True} if path.is_dir() else {"engine": "netcdf4"}
+    # By its class: by its name, xarray would search all installed packages for backends.
+    netcdf: Any = {"engine": xr.backends.NetCDF4BackendEntrypoint}
+    kind = {"engine": "zarr", "consolidated": True} if path.is_dir() else netcdf
     netCDF4.set_chunk_cache(1 << 20)  # bytes per variable; by default, 64 MB of each variable stay in memory
     # Times are seconds since the start of a motion; as dates, they would take a hundred times the memory.
     dataset = xr.open_dataset(path, cache=False, decode_times=False, **kind)

@@ -181,15 +181,27 @@ class Analysis(Settings):
         """Return the texts that the explorer page shows of a dataset; by default its summary."""
         return self.summary(ds)
 
-    def dataset(self, variables: Mapping[Any, Any], coords: Mapping[Any, Any], **attributes: object) -> xr.Dataset:
+    def dataset(
+        self,
+        variables: Mapping[Any, Any],
+        coords: Mapping[Any, Any],
+        *,
+        of: "Sweep | None" = None,
+        **attributes: object,
+    ) -> xr.Dataset:
         """Return a dataset of this kind with title, provenance and history; known variables get units and meanings.
 
         **Arguments:** `variables`: (dimensions, values) by name, or (dimensions, values, attributes) for variables that
-        the class attribute `variables` does not describe; `coords`: coordinates in the same form; `attributes`: further
-        dataset attributes, among them `title`.
+        the class attribute `variables` does not describe; `coords`: coordinates in the same form; `of`: the sweep whose
+        scene and parameters the dataset states; `attributes`: further dataset attributes, among them `title`.
         """
-        title = str(attributes.pop("title", self.kind))
-        attrs = dataset_attributes(self.kind, title, self.kind, **attributes)
+        title, command = str(attributes.pop("title", self.kind)), self.command or self.kind
+        if of is None:
+            attrs = dataset_attributes(self.kind, title, command, **attributes)
+        else:
+            from vibrojax.maps.dataset import shared_attributes  # imports jax
+
+            attrs = shared_attributes(of, self.kind, title, command) | attributes
         return xr.Dataset(described(variables, self.variables), described(coords, self.variables), attrs)
 
 
