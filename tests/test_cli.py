@@ -10,6 +10,10 @@ import pytest
 import xarray as xr
 
 from vibrojax.cli import _COMMANDS, main
+from vibrojax.cli.declared import DeclaredSetting, declared
+from vibrojax.settings.fields import meanings
+from vibrojax.studies import HOMES
+from vibrojax.studies.analysis import analysis_named
 from vibrojax.studies.summary import summarise, summary_lines
 
 ROOT = Path(__file__).parents[1]
@@ -46,6 +50,18 @@ def test_help_imports_nothing_heavy():
         "settle (time before the observation",
     ):
         assert words in " ".join(out.split()), out
+
+
+def test_source_declares_what_the_class_has():
+    """`--help` reads the source, a run the class: settings, their meanings and the attributes of commands agree."""
+    attributes = ("subject", "file", "lists", "tolerances", "terms", "scenes", "run_settings", "about", "columns")
+    for kind, home in HOMES.items():
+        module, _, name = home.partition(":")
+        source, analysis = declared(f"vibrojax.studies.{module}")[name], type(analysis_named(kind))
+        settings = {key: value.help for key, value in source.items() if isinstance(value, DeclaredSetting)}
+        assert settings == meanings(analysis), kind
+        for attribute in attributes:
+            assert source.get(attribute) == getattr(analysis, attribute, None), (kind, attribute)
 
 
 @pytest.mark.parametrize(

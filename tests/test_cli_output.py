@@ -78,3 +78,12 @@ def test_fit_prints_groups_as_json(here, capsys):
     assert strong["forms"]["onset"]["C"] > 0 and strong["forms"]["onset"]["used"] == 6
     assert facts["along"] == "frequency" and facts["dataset"] == "map-fit.nc" and facts["columns"] is None
     assert any("log law" in line for line in facts["verdict"])
+
+
+def test_orbits_of_a_sweep_are_printed_as_json(here, capsys):
+    table = "[grid]\nbeta = [0.4]\n[run]\nsettle = 8.0\nobserve = 4.0\n"
+    (here / "strong.toml").write_text(f'scene = "vibro-impact"\nstarts = ["stuck"]\n{table}')
+    facts = printed(capsys, "orbits", "strong.toml", "--json")
+    assert (facts["dataset"], facts["picture"]) == ("strong-orbits.nc", "strong-orbits.png")
+    assert facts["orbits"]["reason"] == {"found": 1}
+    assert printed(capsys, "orbits", "strong.toml", "--json") == facts  # from the file

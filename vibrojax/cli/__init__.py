@@ -73,7 +73,7 @@ class _Parser(ArgumentParser):
     def error(self, message: str) -> NoReturn:
         command = self.prog.partition(" ")[2]
         if match := _UNKNOWN_COMMAND.match(message):
-            message = f"{match[1]}; {suggestion(match[2], [*_COMMANDS, *_registered()])}"
+            message = f"{match[1]}; {suggestion(match[2], _names())}"
         raise InputError(f"{command}{': ' * bool(command)}{message}; see {self.prog} --help")
 
 
@@ -121,8 +121,7 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
         if options.version:
             print(f"vibrojax {package_version()}")
         elif options.command is None:
-            names = ", ".join([*_COMMANDS, *_registered()])
-            raise InputError(f"no command; choose from {names}, or see vibrojax --help")
+            raise InputError(f"no command; choose from {', '.join(_names())}, or see vibrojax --help")
         else:
             if getattr(options, "out", None) == "":
                 raise InputError("-o: the name is empty; give the name of a file, or leave out -o")
@@ -178,6 +177,10 @@ def _registered() -> dict[str, EntryPoint]:
     return {entry.name: entry for entry in entry_points(group="vibrojax.analyses") if entry.name not in _COMMANDS}
 
 
+def _names() -> list[str]:
+    return [*_COMMANDS, *_registered()]
+
+
 def _parser(words: Sequence[str]) -> ArgumentParser:
     """Return the parser of the command in `words`, or of all commands if there is none."""
     parser = _Parser(
@@ -191,7 +194,7 @@ def _parser(words: Sequence[str]) -> ArgumentParser:
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
     asked = next((word for word in words if not word.startswith("-")), "")
     known = _command_of(asked) if asked else None
-    for name in [asked] if known else [*_COMMANDS, *_registered()]:
+    for name in [asked] if known else _names():
         command = known or _command_of(name)
         assert command is not None
         subparser = subparsers.add_parser(name, help=command.summary, description=command.summary, allow_abbrev=False)

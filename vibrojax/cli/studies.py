@@ -221,7 +221,7 @@ def orbits(options: Options) -> None:
     from vibrojax.io.dataset import open_dataset
     from vibrojax.maps.rerun import sweep_with_orbits
     from vibrojax.maps.run import run_to_file
-    from vibrojax.studies.sweep import orbit_lines
+    from vibrojax.studies.sweep import lane_parts
 
     file = str(options.file)
     is_dataset = file.endswith(".nc")
@@ -240,7 +240,8 @@ def orbits(options: Options) -> None:
         counted=lambda _: f": {counted(sweep.lanes, 'lane')}",
         variables=("stable", "multiplier_abs", "regime"),  # of the multipliers, the largest is drawn
     )
-    found.print(options, orbit_lines(found.dataset))
+    part = lane_parts(found.dataset)["orbits"]
+    found.print(options, part.lines, part.facts)
 
 
 _CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
