@@ -22,7 +22,7 @@ START = {match["info"]: match["text"] for match in FENCE.finditer((NOTEBOOKS / "
 def folder(tmp_path_factory):
     """Return a folder with the files of the first page, and the command."""
     path = tmp_path_factory.mktemp("start")
-    (path / "map.toml").write_text(START["toml file=map.toml"])
+    (path / "map.toml").write_text(START["toml file=map.toml"].replace("num = 24", "num = 4"))
     (path / "vibrojax").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m vibrojax "$@"\n')
     (path / "vibrojax").chmod(0o755)
     return path
@@ -53,7 +53,7 @@ def test_first_map(folder):
     assert [line.split()[0] for line in process.stdout.splitlines()[:4]] == ["lanes", "memory", "disk", "time"]
     assert (folder / "map.png").is_file()
     ds = vj.open_dataset(folder / "map.nc")
-    assert dict(ds.sizes) | {"beta": 24, "gamma": 24, "start": 2} == dict(ds.sizes)
+    assert dict(ds.sizes) | {"beta": 4, "gamma": 4, "start": 2} == dict(ds.sizes)
     process = run(folder, "sh run=plot")
     assert process.returncode == 0, process.stderr
     assert (folder / "stick.png").is_file()
