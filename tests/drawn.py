@@ -1,28 +1,37 @@
 """Datasets for tests of pictures: sweeps, runs, families and fits that are made up, and how to read their plots."""
 
 import json
+from itertools import combinations
 
+import matplotlib
 import numpy as np
 import xarray as xr
 
+from vibrojax.io.variables import VARIABLES, described
 from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.plots import Cells, Line, as_sheet, labelled_layers, legend_of, plots_of
 from vibrojax.pictures.style import drawable
+from vibrojax.scenes import SCENES
 from vibrojax.studies.analysis import analysis_of
 
-MEANINGS = "undecided equilibrium impact-free single-impact multi-impact subharmonic irregular failed"
-
-COORDINATES = {
-    "beta": ("mass ratio m2/m1", "β", "1"),
-    "gamma": ("frequency ratio w2/w1", "γ", "1"),
-    "v": ("drive speed", "v", "m s-1"),
-    "delta": ("gap between striker and bit (negative: preload)", "Δ", "m"),
-}
-
-VALUES = {"impact_velocity": ("impact velocity", "m s-1"), "period": ("mean time between returns", "s")}
+PARAMETERS = SCENES["penetration"]().parameters() | SCENES["drilling"]().parameters()
+UNITS = {"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"}
 
 
-def lanes(grid, starts=("drive", "stuck"), attrs=True, regime=None):
+def dataset(variables, coords, **attrs):
+    """Return a dataset whose variables and axes have the attributes that a sweep gives them."""
+    return with_axes(xr.Dataset(described(variables, VARIABLES), attrs=attrs), **coords)
+
+
+def with_axes(ds, **coords):
+    ds = ds.assign_coords(coords)
+    for name in PARAMETERS.keys() & ds.coords.keys():
+        about = PARAMETERS[name]
+        ds[name].attrs = {"units": about.unit, "long_name": about.long_name, "symbol": about.symbol}
+    return ds
+
+
+def lanes(grid, starts=("drive", "stuck"), regime=None):
     """Return a sweep dataset with patches of regimes, impact velocity and period over `grid` and the starts."""
     values = {name: np.asarray(axis, float) for name, axis in grid.items()}
     along = np.meshgrid(*values.values(), np.arange(len(starts)), indexing="ij")
@@ -33,35 +42,11 @@ def lanes(grid, starts=("drive", "stuck"), attrs=True, regime=None):
     flags = np.digitize(far + ripple, [0.9, 1.3, 1.6, 2.2])
     regimes = np.array([3, 4, 5, 6, 2])[flags] + 0 * mesh["start"]
     regimes = np.where(beta > 1.12 - 0.05 * gamma, 0, regimes) if regime is None else np.full(regimes.shape, regime)
-    period = 0.25 - 0.02 * gamma / (0.5 + beta) + 0 * far
+    period = np.where(regimes == 0, np.nan, 0.25 - 0.02 * gamma / (0.5 + beta) + 0 * far)
     velocity = np.where(regimes == 2, np.nan, 1.2 * v + 2.6 * np.exp(-(far**2)) + 0.2 * ripple)
+    shown = {"regime": regimes, "impact_velocity": velocity, "period": period}
     dims = (*values, "start")
-    variables = {
-        "regime": flagged(dims, regimes),
-        "impact_velocity": (dims, velocity),
-        "period": (dims, np.where(regimes == 0, np.nan, period)),
-    }
-    ds = xr.Dataset(variables, {**values, "start": list(starts)}, {"title": "a sweep"})
-    return described(ds) if attrs else ds
-
-
-def flagged(dims, regimes):
-    attributes = {
-        "units": "1",
-        "long_name": "regime",
-        "flag_values": np.arange(8, dtype=np.int8),
-        "flag_meanings": MEANINGS,
-    }
-    return dims, np.asarray(regimes).astype(np.int8), attributes
-
-
-def described(ds):
-    for name in set(COORDINATES) & set(ds.coords):
-        long_name, symbol, units = COORDINATES[name]
-        ds[name].attrs = {"long_name": long_name, "symbol": symbol, "units": units}
-    for name, (long_name, units) in VALUES.items():
-        ds[name].attrs = {"long_name": long_name, "units": units}
-    return ds
+    return dataset({name: (dims, x) for name, x in shown.items()}, values | {"start": list(starts)}, title="a sweep")
 
 
 def square(count=9, **further):
@@ -71,10 +56,11 @@ def square(count=9, **further):
 def points(count=40, also_v=False):
     draw = np.random.default_rng(3)
     ds = lanes({"point": np.arange(count)}, ("drive",)).isel(start=0, drop=True)
-    ds["regime"] = flagged(("point",), draw.choice([2, 3, 3, 6], count))
-    ds = ds.assign_coords(beta=("point", draw.uniform(0.1, 1.2, count)), gamma=("point", draw.uniform(0.3, 1.2, count)))
-    ds = ds.assign_coords(start=("point", np.array(["drive", "stuck"])[np.arange(count) % 2]))
-    return described(ds.assign_coords(v=("point", draw.uniform(0.5, 2, count))) if also_v else ds)
+    ds["regime"].values[:] = draw.choice([2, 3, 3, 6], count)
+    axes = {"beta": draw.uniform(0.1, 1.2, count), "gamma": draw.uniform(0.3, 1.2, count)}
+    axes |= {"start": np.array(["drive", "stuck"])[np.arange(count) % 2]}
+    axes |= {"v": draw.uniform(0.5, 2, count)} if also_v else {}
+    return with_axes(ds, **{name: ("point", values) for name, values in axes.items()})
 
 
 def returns(grid, keep=24, starts=("drive", "stuck")):
@@ -84,8 +70,7 @@ def returns(grid, keep=24, starts=("drive", "stuck")):
     spread = xr.where(ds["regime"] == 6, 0.35, 0.0).values[..., None] * several
     doubled = xr.where(ds["regime"] == 5, 0.4, 0.0).values[..., None] * two
     kept = ds["impact_velocity"].values[..., None] * (1 + 0.3 * (spread + doubled))
-    attributes = {"long_name": "impact velocity at each stored return", "units": "m s-1"}
-    ds["return_impact_velocity"] = ((*ds["regime"].dims, "return_index"), kept, attributes)
+    ds["return_impact_velocity"] = ((*ds["regime"].dims, "return_index"), kept, {"units": "m s-1"})
     return ds
 
 
@@ -114,48 +99,22 @@ def run(duration=12.0, impacts=True, events=True):
     return ds.assign_attrs(scene=scene, start="drive", parameters=parameters)
 
 
-ROCK_AXES = {
-    "k3": ("stiffness of the rock", "k₃", "N m-1"),
-    "threshold": ("force at which the rock yields", "D", "N"),
-    "zeta": ("damping ratio", "ζ", "1"),
-    "force": ("greatest force of a pulse", "A", "N"),
-    "frequency": ("pulses per second", "f", "s-1"),
-    "beta": ("mass ratio m2/m1", "β", "1"),
-    "gamma": ("frequency ratio w2/w1", "γ", "1"),
-    "delta": ("gap between striker and bit (negative: preload)", "Δ", "m"),
-}
-
-ROCK_VALUES = {"rate_of_penetration": "m s-1", "relief": "1", "mean_force": "N", "slip_per_impact": "m"}
-
 FORMS = ["literal", "percent", "onset", "line", "power"]
-
-
-def axis(name, values):
-    return (
-        (name, values, dict(zip(("long_name", "symbol", "units"), ROCK_AXES[name], strict=True)))
-        if name in ROCK_AXES
-        else values
-    )
 
 
 def rock(grid, **fixed):
     """Return a penetration sweep with slips that grow from an onset and rates proportional to the frequency."""
     inputs = {"force": 2e5, "frequency": 20.0, "threshold": 15e4, "k3": 3e8, "zeta": 1.1} | fixed
-    mesh = dict(zip(grid, np.meshgrid(*grid.values(), indexing="ij"), strict=True)) if grid else {}
-    inputs = {name: mesh.get(name, value) for name, value in inputs.items()}
+    inputs |= dict(zip(grid, np.meshgrid(*grid.values(), indexing="ij"), strict=True)) if grid else {}
     slip = np.maximum(inputs["force"] - 1.1 * inputs["threshold"], 0.0) / inputs["k3"] / inputs["zeta"]
     force = inputs["force"] * 4e-3 * inputs["frequency"]
-    results = [slip * inputs["frequency"], force / inputs["threshold"], force, slip]
+    shown = {"rate_of_penetration": slip * inputs["frequency"], "relief": force / inputs["threshold"]}
+    shown |= {"mean_force": force, "slip_per_impact": slip}
     shape = tuple(len(values) for values in grid.values())
-    variables = {
-        name: (tuple(grid), np.broadcast_to(values, shape).copy(), {"units": unit, "long_name": name})
-        for (name, unit), values in zip(ROCK_VALUES.items(), results, strict=True)
-    }
-    coordinates = {name: axis(name, np.asarray(values)) for name, values in grid.items()}
-    parameters = {name: value for name, value in fixed.items()} | {"pulse_width": 4e-3}
-    return xr.Dataset(
-        variables, coordinates, {"title": "a rock", "scene": "penetration", "parameters": json.dumps(parameters)}
-    )
+    variables = {name: (tuple(grid), np.broadcast_to(values, shape).copy()) for name, values in shown.items()}
+    coords = {name: np.asarray(values) for name, values in grid.items()}
+    parameters = json.dumps(fixed | {"pulse_width": 4e-3})
+    return dataset(variables, coords, title="a rock", scene="penetration", parameters=parameters)
 
 
 def drill(grid, starts=("drive", "stuck")):
@@ -164,33 +123,23 @@ def drill(grid, starts=("drive", "stuck")):
     mesh = dict(zip([*grid, "start"], np.meshgrid(*grid.values(), range(len(starts)), indexing="ij"), strict=True))
     gap, k3, beta = (mesh.get(name, x) for name, x in (("delta", -0.005), ("k3", 1e8), ("beta", 0.4)))
     single = (gap < 0.004 * mesh["start"] + 0.001) & (beta < 0.6)
-    rate = np.where(single, 1e-3 + 0.05 * (gap + 0.005) + 1e-13 * k3, 0.0)
-    ds = rock({})
-    variables = {
-        "regime": np.where(single, 3, 6).astype(np.int8),
-        "rate_of_penetration": rate,
+    shown = {
+        "regime": np.where(single, 3, 6),
+        "rate_of_penetration": np.where(single, 1e-3 + 0.05 * (gap + 0.005) + 1e-13 * k3, 0.0),
         "relief": np.where(single, 0.05 + gap, 0.004),
         "peak_impact_force": np.where(single, 1e5, 3e4) + 1e6 * gap,
         "impact_velocity": np.where(single, 2.0, 0.5),
     }
-    units = ROCK_VALUES | {"peak_impact_force": "N", "impact_velocity": "m s-1"}
-    ds = xr.Dataset(
-        coords={name: axis(name, np.asarray(values)) for name, values in grid.items()} | {"start": list(starts)}
-    )
-    for name, values in variables.items():
-        ds[name] = ((*grid, "start"), np.broadcast_to(values, shape).copy(), {"units": units.get(name, "1")})
-    ds["regime"].attrs |= {"flag_values": np.arange(8, dtype=np.int8), "flag_meanings": MEANINGS}
-    return ds.assign_attrs(title="a drill", scene="drilling")
+    variables = {name: ((*grid, "start"), np.broadcast_to(values, shape).copy()) for name, values in shown.items()}
+    return dataset(variables, {**grid, "start": list(starts)}, title="a drill", scene="drilling")
 
 
-def rock_points(count=30, names=("force", "k3")):
+def rock_points(count=30):
     draw = np.random.default_rng(2)
-    span = {"force": (15e4, 3e5), "k3": (1e8, 5e8), "frequency": (10.0, 40.0)}
     ds = rock({"point": np.arange(count)})
-    for name in names:
-        ds = ds.assign_coords({name: ("point", *axis(name, draw.uniform(*span[name], count))[1:])})
+    axes = {"force": ("point", draw.uniform(15e4, 3e5, count)), "k3": ("point", draw.uniform(1e8, 5e8, count))}
     ds["rate_of_penetration"].values[:] = draw.uniform(0, 0.05, count)
-    return ds
+    return with_axes(ds, **axes)
 
 
 def law(grid):
@@ -201,26 +150,17 @@ def law(grid):
     C = np.stack([-1e-7 * force, 5e-8 * force, 1.5e-7 * force, 5e-7 * force, 6e-7 * force], axis=-1)
     aic = np.stack([0 * force - x for x in (80.0, 90.0, 110.0, 300.0, 297.0)], axis=-1)
     aic[force > 2.9e5, 2] = -400.0
-    dims = (*grid, "form")
-    attributes = {"units": "m s-1", "long_name": "coefficient"}
-    variables = {
-        "C": (dims, C, attributes),
-        "C_stderr": (dims, 0.05 * np.abs(C), attributes),
-        "aic": (dims, aic, {"units": "1"}),
-    }
-    coordinates = {name: axis(name, np.asarray(values)) for name, values in grid.items()} | {"form": FORMS}
+    dims, attributes = (*grid, "form"), {"units": "m s-1", "long_name": "coefficient"}
+    variables = {"C": (dims, C, attributes), "C_stderr": (dims, 0.05 * np.abs(C), attributes), "aic": (dims, aic)}
+    coords = {name: np.asarray(values) for name, values in grid.items()} | {"form": FORMS}
     formulas = "literal: C ln(eta); percent: C ln(100 eta); onset: C ln(eta/eta0); line: C (eta - eta0)"
-    return xr.Dataset(variables, coordinates, {"title": "a law", "along": "frequency", "formulas": formulas})
+    return dataset(variables, coords, title="a law", along="frequency", formulas=formulas)
 
 
 SPECIAL = "fold period-doubling torus grazing stick section end"
-
 FOLD, DOUBLING, TORUS, GRAZING, STICK, SECTION, END = range(7)
-
 FLAGS = {"flag_values": np.arange(7, dtype=np.int8), "flag_meanings": SPECIAL}
-
 STABILITY = {"flag_values": np.arange(-1, 2, dtype=np.int8), "flag_meanings": "not-known unstable stable"}
-
 MACHINE = {"scene": "vibro-impact", "friction": "stribeck"}
 
 
@@ -304,9 +244,6 @@ def carried(keep=True):
     return ds.assign_attrs(run=json.dumps({"carry": "gamma"}))
 
 
-UNITS = {"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"}
-
-
 def basin(states, grid=None, named=(), keep=0):
     """Return a sweep from state vectors and then from named starts, with single impacts where x2 > 0 and gamma < 0.8.
 
@@ -319,18 +256,12 @@ def basin(states, grid=None, named=(), keep=0):
     mesh = np.meshgrid(*grid.values(), np.arange(len(names)), indexing="ij")
     indices = dict(zip([*grid, "start"], mesh, strict=True))
     single = (rows["x2"][indices["start"]] > 0) & (indices.get("gamma", 0.7) < 0.8)
-    dims = (*grid, "start")
-    variables = {
-        "regime": flagged(dims, np.where(single, 3, 6)),
-        "impact_velocity": (dims, np.where(single, 2.0 + indices.get("beta", 0.4), 0.3), {"units": "m s-1"}),
-        "period": (dims, np.where(single, 0.23, 0.21), {"units": "s"}),
-        "hidden_motion": (dims, np.ones(single.shape, np.int8)),
-    }
+    velocity = np.where(single, 2.0 + indices.get("beta", 0.4), 0.3)
+    shown = {"regime": np.where(single, 3, 6), "impact_velocity": velocity, "period": np.where(single, 0.23, 0.21)}
+    shown |= {"hidden_motion": np.ones(single.shape)}
     along = {f"start_{name}": ("start", values, {"units": UNITS[name]}) for name, values in rows.items()}
-    ds = xr.Dataset(variables, {**grid, "start": names, **along}, {"title": "many starts"})
-    for name in set(grid) & set(COORDINATES):
-        long_name, symbol, units = COORDINATES[name]
-        ds[name].attrs = {"long_name": long_name, "symbol": symbol, "units": units}
+    variables = {name: ((*grid, "start"), values) for name, values in shown.items()}
+    ds = dataset(variables, {**grid, "start": names, **along}, title="many starts")
     if keep:
         ds["return_impact_velocity"] = ds["impact_velocity"].expand_dims(return_index=keep, axis=-1)
     return ds
@@ -398,3 +329,23 @@ def labels(sheet):
 def scales(sheet):
     """Return the quantities that have a colour bar."""
     return list({id(plot.scale): plot.scale for plot in plots_of(sheet) if plot.scale is not None}.values())
+
+
+# Texts of a figure.
+
+
+def texts(figure):
+    """Return the visible texts except tick labels, with their boxes in pixels."""
+    figure.draw_without_rendering()
+    visible = [text for text in figure.findobj(matplotlib.text.Text) if text.get_visible() and text.get_text().strip()]
+    ticks = {id(text) for axes in figure.axes for axis in (axes.xaxis, axes.yaxis) for text in axis.get_ticklabels()}
+    return [(text.get_text(), text.get_window_extent()) for text in visible if id(text) not in ticks]
+
+
+def check_texts(figure):
+    """Check that all texts lie within the figure without overlap."""
+    whole, placed = figure.bbox.padded(1), texts(figure)
+    for text, box in placed:
+        assert whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1, text
+    for (text_a, a), (text_b, b) in combinations(placed, 2):
+        assert not a.padded(-1).overlaps(b.padded(-1)), (text_a, text_b)

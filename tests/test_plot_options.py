@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn import LONG, basin, lanes, law, line, plane, points, returns, rock, sample, scales, square
-from read_off import axis_labels, meshes, note, titles
+from drawn import LONG, basin, cells, lanes, law, line, plane, points, returns, rock, sample, scales, sheet_of, square
+from matplotlib.collections import QuadMesh
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -27,11 +27,12 @@ def with_shares(ds):
 
 def test_variable_over_two_axes_is_drawn_as_single_map():
     ds = with_shares(lanes(square(7, delta=[-0.005, 0.005])))
-    figure = picture(ds, variable="stick_fraction")
-    assert not meshes(figure) and len(meshes(figure, "viridis")) == 4
+    sheet = requested(ds, "stick_fraction")
+    shown = cells(sheet, "viridis")
+    assert not cells(sheet) and len(shown) == 4
     expected = ds["stick_fraction"].sel(delta=-0.005, start="stuck").transpose("beta", "gamma")
-    assert np.array_equal(meshes(figure, "viridis")[1].get_array(), expected)
-    assert {"share of stick", "mass ratio m₂/m₁, β"} <= axis_labels(figure)
+    assert np.array_equal(shown[1][1].values, expected)
+    assert scales(sheet)[0].label == "share of stick" and sheet.plots[0].y.label == "mass ratio m₂/m₁, β"
 
 
 def test_variable_of_rock_sweep_and_of_fit_is_drawn_as_curves():
@@ -43,13 +44,13 @@ def test_variable_of_rock_sweep_and_of_fit_is_drawn_as_curves():
 
 
 def test_variable_of_many_starts_is_mapped_over_starts_or_as_median():
-    over = picture(with_shares(basin(plane())), variable="stick_fraction")
-    assert meshes(over, "viridis")[0].get_array().shape == (10, 12) and not meshes(over)
+    ((_, over),) = cells(requested(with_shares(basin(plane())), "stick_fraction"), "viridis")
+    assert over.values.shape == (10, 12)
     ds = with_shares(basin(sample(64), LONG))
-    figure = picture(ds, variable="stick_fraction")
-    median = ds["stick_fraction"].median("start").transpose("beta", "gamma")
-    assert np.allclose(meshes(figure, "viridis")[0].get_array(), median)
-    assert "Of 64 starts the median" in note(figure)
+    sheet = requested(ds, "stick_fraction")
+    ((_, shown),) = cells(sheet, "viridis")
+    assert np.allclose(shown.values, ds["stick_fraction"].median("start").transpose("beta", "gamma"))
+    assert "Of 64 starts the median" in sheet.note
 
 
 KINDS = {
@@ -79,9 +80,10 @@ def test_variables_of_every_kind_of_sweep_fit_on_page(kind):
 
 def test_only_lanes_at_selected_value_are_drawn():
     ds = lanes(square(7, delta=[-0.005, 0.005])).assign_attrs(certified=json.dumps({"estimated": 9}))
-    figure = picture(ds, where={"delta": 0.005, "start": "stuck"})
-    assert np.array_equal(meshes(figure)[0].get_array(), ds["regime"].sel(delta=0.005, start="stuck").T.T)
-    assert not titles(figure) and note(figure).startswith("Δ = 5 mm, start: stuck")
+    sheet = sheet_of(select(ds, {"delta": 0.005, "start": "stuck"}))
+    ((title, shown),) = cells(sheet)
+    assert np.array_equal(shown.values, ds["regime"].sel(delta=0.005, start="stuck").transpose("beta", "gamma"))
+    assert not title and sheet.note.startswith("Δ = 5 mm, start: stuck")
 
 
 def test_values_match_to_four_digits():
@@ -109,9 +111,13 @@ def test_group_of_fit_is_selected_by_its_column():
 
 def test_chosen_colours_apply_to_quantities_but_not_to_regimes():
     ds = lanes(square(7), ("drive",))
-    figure = picture(ds, colours="magma")
-    assert len(meshes(figure, "magma")) == 2 and len(meshes(figure)) == 1
-    assert len(meshes(picture(ds), "viridis")) == 1  # the choice does not affect the next picture
+
+    def colour_maps(figure):
+        maps = [mesh for axes in figure.axes for mesh in axes.collections if isinstance(mesh, QuadMesh)]
+        return {mesh.get_cmap().name for mesh in maps if not hasattr(mesh.axes, "_colorbar")}
+
+    assert colour_maps(picture(ds, colours="magma")) == {"regimes", "magma"}
+    assert colour_maps(picture(ds)) == {"regimes", "viridis", "cividis"}  # the choice does not affect the next picture
 
 
 # Invalid requests.

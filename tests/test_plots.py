@@ -11,10 +11,10 @@ import xarray as xr
 from drawn import (
     END,
     LONG,
-    MEANINGS,
     basin,
     carried,
     cells,
+    check_texts,
     drill,
     labels,
     lanes,
@@ -37,10 +37,10 @@ from drawn import (
 )
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from read_off import check_texts
 
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import STRUCTURES
+from vibrojax.io.variables import REGIMES
 from vibrojax.pictures.axes import label, scale, value_text
 from vibrojax.pictures.branches import branches, places, stability, stable_intervals
 from vibrojax.pictures.chart import chart
@@ -269,7 +269,8 @@ def test_flag_has_same_colour_in_every_map(flag):
 def test_flag_without_colour_is_refused_by_name():
     ds = lanes(square(4))
     ds["regime"].values[1, 2] = 9
-    ds["regime"].attrs |= {"flag_values": np.arange(10, dtype=np.int8), "flag_meanings": f"{MEANINGS} hopping rattling"}
+    names = " ".join([*REGIMES, "hopping", "rattling"])
+    ds["regime"].attrs |= {"flag_values": np.arange(10, dtype=np.int8), "flag_meanings": names}
     with pytest.raises(InputError, match=r"regime: flag 9 \(rattling\) is not a regime with a colour") as refused:
         picture(ds)
     assert "\n" not in str(refused.value)

@@ -32,20 +32,8 @@ _PREFIXED = {
     "W": (("kW", 1e-3, 1e4, np.inf),),
 }
 
-# The parameters that every note lists: symbol and unit.
-_NAMED = {
-    "beta": ("β", "1"),
-    "gamma": ("γ", "1"),
-    "v": ("v", "m s-1"),
-    "delta": ("Δ", "m"),
-    "force": ("A", "N"),
-    "bias": ("B", "N"),
-    "frequency": ("f", "s-1"),
-    "pulse_width": ("w", "s"),
-    "threshold": ("D", "N"),
-    "k3": ("k₃", "N m-1"),
-    "zeta": ("ζ", "1"),
-}
+# The parameters that every note lists, besides those that differ from their defaults.
+_LISTED = "beta", "gamma", "v", "delta", "force", "bias", "frequency", "pulse_width", "threshold", "k3", "zeta"
 
 _USUAL_FRICTION = "stribeck"  # notes omit this friction law
 
@@ -95,8 +83,13 @@ def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
     words = typeset(re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip())
     parts = (words, str(data.attrs.get("symbol", "")).strip())
     text = ", ".join(dict.fromkeys(filter(None, parts))) or str(data.name).replace("_", " ")
-    unbroken = with_unit(text, scale(data)[1]).replace(" [", "\u00a0[")
-    return fill(unbroken, min(letters, _LABEL_LETTERS)).replace("\u00a0", " ")
+    return broken(with_unit(text, scale(data)[1]), min(letters, _LABEL_LETTERS))
+
+
+def broken(text: str, letters: int) -> str:
+    """Return a text in lines of at most `letters` characters, none of which begins with a unit."""
+    unbroken = " ".join(text.split()).replace(" [", "\u00a0[")
+    return fill(unbroken, max(letters, 8)).replace("\u00a0", " ")
 
 
 def with_unit(text: str, unit: str) -> str:
@@ -169,15 +162,12 @@ def point_text(ds: xr.Dataset) -> str:
         scalars = {name: data for name, data in scalars.items() if not name.startswith("start_")}
     parts = [value_text(data, data.values.item()) for data in scalars.values()]
     known = {*ds.coords, *(("threshold", "k3") if "rock" in ds.coords else ())}
-    parameters = parameters_of(ds)
-    differing = differing_of(ds)
-    # A parameter of a user's scene with the same name has another symbol, and may have another unit.
-    own = {x["name"] for x in differing if x["name"] in _NAMED and x["symbol"] != _NAMED[x["name"]][0]}
-    if "frequency" not in {x["name"] for x in differing} and text_of(ds, "scene") not in ("", "penetration"):
-        own.add("frequency")  # its unit is unknown
-    records = [(name, *_NAMED[name], parameters[name]) for name in _NAMED if name in parameters and name not in own]
-    for x in differing:
-        if x["name"] not in _NAMED.keys() - own:
+    scene, values = SCENES.get(text_of(ds, "scene")), parameters_of(ds)
+    about = {} if scene is None else scene().parameters()
+    listed = [name for name in _LISTED if name in about and name in values]
+    records = [(name, about[name].symbol, about[name].unit, values[name]) for name in listed]
+    for x in differing_of(ds):
+        if x["name"] not in listed:
             records.append((x["name"], printable(x["symbol"], 40), printable(x["units"], 40), x["value"]))
     for name, sign, unit, value in records:
         if name not in known:

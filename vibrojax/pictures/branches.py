@@ -11,7 +11,7 @@ from jaxtyping import Int
 from vibrojax.errors import InputError, shown
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.pictures.axes import scale, value_text, values_along
-from vibrojax.pictures.contents import MOST_LINES, is_numeric
+from vibrojax.pictures.contents import is_numeric, some_of
 from vibrojax.pictures.plots import INK, Dash, Layer, Line, Look, dots, key
 from vibrojax.pictures.style import BIT, line_colours, other_colour
 
@@ -185,11 +185,11 @@ _MEANINGS = {STABLE: "stable", UNSTABLE: "unstable", UNKNOWN: "stability not kno
 MARKS: dict[str, Look] = {
     "fold": {"marker": "s", "colour": "#222222", "size": 5.5},
     "period-doubling": {"marker": "o", "colour": "#D55E00", "size": 5.5},
-    "torus": {"marker": "*", "colour": "#CC79A7", "size": 9.0},
+    "torus": {"marker": "*", "colour": "#B5468B", "size": 9.0},
     "branch-point": {"marker": "P", "colour": "#117733", "size": 6.5},
     "grazing": {"marker": "v", "colour": "#009E73", "size": 6.0},
     "stick": {"marker": "|", "colour": "#E69F00", "size": 6.0, "edge_width": 1.4},
-    "section": {"marker": "D", "colour": "#56B4E9", "size": 4.5},
+    "section": {"marker": "D", "colour": "#0072B2", "size": 4.5},
     "hopf": {"marker": "^", "colour": "#882255", "size": 6.0},
     "end": {"marker": "x", "colour": "#222222", "size": 4.5, "edge_width": 1.2},
 }
@@ -311,8 +311,7 @@ def colour_keys(ds: xr.Dataset) -> list[Line]:
     """Return the legend entries for colours: families, or periods in returns; equilibria have none."""
     if FAMILY in ds.dims:
         by, colours = ds[(*distinguishing_coords(ds), FAMILY)[0]], list(_family_colours(ds).values())
-        chosen = sorted({int(index) for index in np.linspace(0, by.size - 1, MOST_LINES).round()})
-        return [key(value_text(by, by.values[index]), colour=colours[index]) for index in chosen]
+        return [key(value_text(by, by.values[k]), colour=colours[k]) for k in some_of(by.size)]
     if LEADING in ds:
         return []
     periods = dict(sorted((branch.cycles, branch.colour) for branch in branches(ds)))

@@ -5,16 +5,15 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
-from matplotlib.colors import ListedColormap, Normalize
-from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 
 from vibrojax.errors import InputError
+from vibrojax.lazy import colors, ticker
 from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures.axes import axis, edges, margins, number, pretty_unit, scale, values_along, with_unit
 from vibrojax.pictures.contents import POINT, REGIME, START, axes_of_map, lane_dims, without_single
-from vibrojax.pictures.maps import REGION, contours
-from vibrojax.pictures.plots import INK, Cells, Dash, Layer, Line, Plot, Sheet, dots, key, patch
+from vibrojax.pictures.maps import contours, region
+from vibrojax.pictures.plots import INK, Cells, Dash, Layer, Plot, Sheet, dots, patch
 from vibrojax.pictures.style import IMPACT
 
 SAME_MOTION = 0.02
@@ -64,24 +63,21 @@ def chart(ds: xr.Dataset) -> Sheet:
     cliff = maximum_filter(energy, footprint=box) - minimum_filter(energy, footprint=box) > CLIFF * energy.max()
     robust = binary_erosion(single, box, border_value=1) & ~cliff
     names = [[name for name in group if name in ds and bool((ds[name] > 0).any())] for group in _PANELS]
-    names[1] = [*names[1][:1], "blow_frequency"] if names[1][1:] else names[1]
+    names[1] = list(dict.fromkeys((*names[1][:1], *names[1][-1:])))  # of rate and power only the first
     best = _best(ds, robust, names)
-    extra: list[Layer] = []
-    keys: list[Layer] = [patch(colour, words, edge=INK) for colour, words in _REGIONS.items()]
-    if REGION.keys() == {x, y}:
-        (left, right), (low, high) = REGION[x], REGION[y]
-        extra.append(Line([left, right, right, left, left], [low, low, high, high, low], width=1.6, order=3.0))
-        keys.append(key("recommended by\nthe source", width=1.6))
+    marks = region(ds[x], ds[y])
     if best is not None:
         place = [[float(values_along(ds[name])[k])] for name, k in zip((x, y), best[::-1], strict=True)]
         star = {"marker": "*", "size": 14.0, "colour": IMPACT, "edge": "white", "clip": False, "order": 5.0}
-        extra.append(dots(*place, **star))
-        keys.append(dots(label="best robust cell", **star | {"size": 11.0}))
+        marks.append(dots(*place, label="best robust cell", **star))
+    keys: list[Layer] = [patch(colour, words, edge=INK) for colour, words in _REGIONS.items()]
+    keys += [replace(mark, x=(), y=()) for mark in marks]
+    extra = [replace(mark, label="") for mark in marks]
     plots = [_panel(ds, (x, y), single.astype(int) + robust, group) for group in names]
     plots = [replace(plot, layers=[*plot.layers, *extra], place=(0, k)) for k, plot in enumerate(plots)]
     note = "" if best is None else _best_text(ds, (x, y), best, names)
     about = margins(ds, "Values are the worst over the starts" if START in ds.dims else "", note)
-    return Sheet(plots, (14.2, 5.2), (1.0, 1.0), keys=[keys], **about)
+    return Sheet(plots, (14.2, 5.2), keys=[keys], **about)
 
 
 def _single(ds: xr.Dataset) -> Bool[np.ndarray, "y x"]:
@@ -120,16 +116,16 @@ def _best_text(ds: xr.Dataset, axes: tuple[str, str], best: tuple[int, int], nam
     return f"Best robust cell: {place}; {', '.join(words)}"
 
 
-def _panel(ds: xr.Dataset, over: tuple[str, str], region: np.ndarray, names: list[str]) -> Plot:
+def _panel(ds: xr.Dataset, over: tuple[str, str], kinds: np.ndarray, names: list[str]) -> Plot:
     x, y = (values_along(ds[name]) for name in over)
-    colours = ListedColormap([*_REGIONS][::-1])
-    layers: list[Layer] = [Cells(edges(x), edges(y), region.astype(float), colours, Normalize(0.0, 2.0))]
+    colours = colors.ListedColormap([*_REGIONS][::-1])
+    layers: list[Layer] = [Cells(edges(x), edges(y), kinds.astype(float), colours, colors.Normalize(0.0, 2.0))]
     taken: list[np.ndarray] = []
     for name, dash in zip(names, _DASHES, strict=False):
-        z = np.where(region == 2, scale(ds[name])[0] * _worst(ds, name), np.nan)
+        z = np.where(kinds == 2, scale(ds[name])[0] * _worst(ds, name), np.nan)
         known = z[np.isfinite(z)]
         if known.size > 1 and np.ptp(known) and min(z.shape) > 1:
-            levels = list(MaxNLocator(_LEVELS).tick_values(known.min(), known.max()))
+            levels = list(ticker.MaxNLocator(_LEVELS).tick_values(known.min(), known.max()))
             words, colour = _LINES[name]
             label = with_unit(words, scale(ds[name])[1])
             layers += contours(x, y, z, levels, taken, colour=colour, dash=dash, width=1.1, label=label)

@@ -8,10 +8,10 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
 
 from vibrojax.errors import InputError
 from vibrojax.io.attributes import flags
+from vibrojax.lazy import colors
 from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures.axes import scale, share_text, with_unit
 from vibrojax.pictures.contents import RATE, REGIME, RELIEF, quantities_beside, require
@@ -32,8 +32,6 @@ REGIME_COLOURS = {
     7: "#000000",
 }
 _CLEAR = (1.0, 1.0, 1.0, 0.0)  # cells without a value show the hatched background
-REGIME_MAP = ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=_CLEAR)
-REGIME_NORM = BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
 SINGLE = REGIMES.index("single-impact")
 
 FORM_COLOURS = {
@@ -46,25 +44,21 @@ FORM_COLOURS = {
 }
 _OTHER_FORM = "#8C8C8C"
 
-# Name on the picture, and perceptually uniform colour map.
-_QUANTITIES = {
-    "rate_of_penetration": ("rate of penetration", "plasma"),
-    "impact_velocity": ("impact velocity", "viridis"),
-    "period": ("period", "cividis"),
-    "bit_amplitude": ("bit amplitude", "plasma"),
-    "slip_per_impact": ("slip per blow", "viridis"),
-    "mean_force": ("mean force P", "cividis"),
-    "relief": ("relief P/D", "cividis"),
-    "C": ("C", "viridis"),
-    "multiplier_abs": ("largest |multiplier|", "viridis"),
-    "multiplier_arg": ("argument of the largest\nmultiplier", "viridis"),
-    "stable": ("stability", ""),
-    "lyapunov": ("greatest Lyapunov exponent", "viridis"),
-    "nature": ("nature", ""),
-    "stick_fraction": ("share of stick", "viridis"),
-    "reverse_fraction": ("share of slip backwards", "viridis"),
-    "C_relative_error": ("standard error of C", "cividis"),
+# Words for quantities whose names do not say enough, and perceptually uniform colour maps other than viridis.
+_WORDS = {
+    "slip_per_impact": "slip per blow",
+    "mean_force": "mean force P",
+    "relief": "relief P/D",
+    "multiplier_abs": "largest |multiplier|",
+    "multiplier_arg": "argument of the largest\nmultiplier",
+    "stable": "stability",
+    "lyapunov": "greatest Lyapunov exponent",
+    "stick_fraction": "share of stick",
+    "reverse_fraction": "share of slip backwards",
+    "C_relative_error": "standard error of C",
 }
+_COLOUR_MAPS = {"rate_of_penetration": "plasma", "bit_amplitude": "plasma"}
+_COLOUR_MAPS |= dict.fromkeys(("period", "mean_force", "relief", "C_relative_error"), "cividis")
 _STABILITY_COLOURS = {-1: "#BBBBBB", 0: "#D55E00", 1: "#0072B2"}
 _OF_DRILL = ("impact_velocity", "period", "bit_amplitude")
 _OF_ROCK = (RATE, "slip_per_impact", RELIEF, "mean_force")
@@ -86,9 +80,9 @@ class Value:
     name: str
     label: str
     factor: float
-    norm: Normalize
+    norm: "colors.Normalize"
     extend: Extend
-    colour_map: Colormap
+    colour_map: "colors.Colormap"
     names: Mapping[int, str] = field(default_factory=dict)
     """Meanings of the values by flag; empty if the variable has no flags."""
 
@@ -172,18 +166,19 @@ def form_colour(name: str) -> str:
 
 def regime_value(data: xr.DataArray, label: str = "") -> Value:
     """Return the colour coding of the regimes; `label` is part of the titles of their maps."""
-    names = regime_names(data)
-    return Value(str(data.name), label, 1.0, REGIME_NORM, "neither", REGIME_MAP, names, counted=True)
+    colour_map, norm = regime_colour_map()
+    return Value(str(data.name), label, 1.0, norm, "neither", colour_map, regime_names(data), counted=True)
 
 
-def values_beside(ds: xr.Dataset) -> tuple[Value, ...]:
+def regime_colour_map() -> "tuple[colors.Colormap, colors.BoundaryNorm]":
+    """Return the colour map of the regimes' numbers, and its norm."""
+    colour_map = colors.ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=_CLEAR)
+    return colour_map, colors.BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
+
+
+def values_beside(ds: xr.Dataset) -> list[Value]:
     """Return the quantities that get a panel next to the regimes."""
-    return tuple(value_of(ds[name]) for name in quantities_beside(ds))
-
-
-def regimes_and_beside(ds: xr.Dataset) -> tuple[Value, ...]:
-    """Return the regimes and the quantities next to them."""
-    return regime_value(ds[REGIME]), *values_beside(ds)
+    return [value_of(ds[name]) for name in quantities_beside(ds)]
 
 
 def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
@@ -202,7 +197,7 @@ def value_of(data: xr.DataArray) -> Value:
     name = str(data.name)
     if "flag_meanings" in data.attrs and np.size(data.values):
         return _flags_value(data)
-    (text, colours), (factor, unit) = _QUANTITIES.get(name, (name.replace("_", " "), "viridis")), scale(data)
+    factor, unit = scale(data)
     finite: Cells = data.values[np.isfinite(data.values)] * factor
     finite = finite[finite > 0] if name in _NOTHING_AT_ZERO else finite
     has_values = bool(finite.size)
@@ -211,8 +206,13 @@ def value_of(data: xr.DataArray) -> Value:
     norm = _norm(name, finite)
     extends: tuple[Extend, ...] = ("neither", "min", "max", "both")
     extend = extends[bool(finite.min() < (norm.vmin or 0.0)) + 2 * bool(finite.max() > (norm.vmax or 0.0))]
-    shown = colour_map(colours).with_extremes(bad=_CLEAR)
-    return Value(name, with_unit(text, unit), factor, norm, extend, shown, has_values=has_values)
+    shown = colour_map(_COLOUR_MAPS.get(name, "viridis")).with_extremes(bad=_CLEAR)
+    return Value(name, with_unit(words_for(name), unit), factor, norm, extend, shown, has_values=has_values)
+
+
+def words_for(name: str) -> str:
+    """Return the words for a variable on axes and colour bars."""
+    return _WORDS.get(name, name.replace("_", " "))
 
 
 def _flags_value(data: xr.DataArray) -> Value:
@@ -222,10 +222,10 @@ def _flags_value(data: xr.DataArray) -> Value:
     own = REGIME_COLOURS if "single-impact" in meanings.values() else _STABILITY_COLOURS if name == "stable" else {}
     colours = [own.get(flag, other_colour(position)) for position, flag in enumerate(occurring)]
     between = [(low + high) / 2 for low, high in pairwise(occurring)]
-    norm = BoundaryNorm([occurring[0] - 0.5, *between, occurring[-1] + 0.5], len(occurring))
+    norm = colors.BoundaryNorm([occurring[0] - 0.5, *between, occurring[-1] + 0.5], len(occurring))
     names = {flag: meanings.get(flag, str(flag)) for flag in occurring}
-    shown = ListedColormap(colours, name=name).with_extremes(bad=_CLEAR)
-    return Value(name, _QUANTITIES.get(name, (name.replace("_", " "), ""))[0], 1.0, norm, "neither", shown, names)
+    shown = colors.ListedColormap(colours, name=name).with_extremes(bad=_CLEAR)
+    return Value(name, words_for(name), 1.0, norm, "neither", shown, names)
 
 
 def value_axis(value: Value, text: str = "", **about: Any) -> Axis:
@@ -240,7 +240,7 @@ def value_axis(value: Value, text: str = "", **about: Any) -> Axis:
 
 def share_value(data: xr.DataArray, name: str) -> Value:
     """Return the colour coding, from 0 to 100 %, of the fraction of initial conditions that end in regime `name`."""
-    return Value(str(data.name), f"{name} [% of starts]", 1.0, Normalize(0.0, 100.0), "neither", colour_map())
+    return Value(str(data.name), f"{name} [% of starts]", 1.0, colors.Normalize(0.0, 100.0), "neither", colour_map())
 
 
 def cell_keys(data: Sequence[xr.Dataset], values: Sequence[Value]) -> list[Layer]:
@@ -260,7 +260,7 @@ def _varies(values: Cells) -> bool:
     return bool(finite.size) and bool(np.ptp(finite) > _CONSTANT * np.abs(finite).max())
 
 
-def _norm(name: str, finite: Cells) -> Normalize:
+def _norm(name: str, finite: Cells) -> "colors.Normalize":
     """Return the colour scale: robust against outliers, from zero for the error of C, logarithmic over decades."""
     low, high = robust = tuple(float(limit) for limit in np.percentile(finite, ROBUST))
     if name not in _OF_DRILL:
@@ -268,7 +268,7 @@ def _norm(name: str, finite: Cells) -> Normalize:
         least, greatest = float(finite.min()), float(finite.max())
         low, high = (least if least >= low - beyond else low), (greatest if greatest <= high + beyond else high)
     if name in _SPREAD and finite.min() > 0 and float(np.percentile(finite, _LOG_SHARE)) < high / _LOG_RATIO:
-        return LogNorm(robust[0], high)
+        return colors.LogNorm(robust[0], high)
     if high - low <= 1e-6 * abs(high):  # one value everywhere: a bar with room on both sides
         low, high = low - 0.05 * abs(low) - 1e-12, high + 0.05 * abs(high) + 1e-12
-    return Normalize(0.0 if name == "C_relative_error" else low, high)
+    return colors.Normalize(0.0 if name == "C_relative_error" else low, high)

@@ -171,6 +171,11 @@ def named_groups(fit: xr.Dataset) -> xr.Dataset:
     return fit.swap_dims({_GROUP: columns[0]}) if len(columns) == 1 and _GROUP not in fit.coords else fit
 
 
+def some_of(count: int) -> list[int]:
+    """Return the indices of at most `MOST_LINES` of `count` items, evenly spread from the first to the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_LINES)).round().astype(int)).tolist()
+
+
 def is_numeric(data: xr.DataArray) -> bool:
     """Return whether the values are numeric, rather than strings."""
     return bool(np.issubdtype(data.dtype, np.number))

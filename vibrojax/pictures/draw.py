@@ -1,14 +1,17 @@
 """Drawing of pictures by matplotlib: panels, legends, colour bars, title and note."""
 
+from collections.abc import Sequence
+from io import BytesIO
 from textwrap import fill
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LogNorm, Normalize, to_rgba
+from matplotlib.colors import LogNorm, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.gridspec import GridSpec, SubplotSpec
@@ -17,14 +20,16 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from vibrojax.pictures.fitting import LEGEND_LINE, SMALL, WIDTH, in_width
+from vibrojax.pictures.fitting import SMALL, WIDTH, in_width
 from vibrojax.pictures.plots import (
     Area,
+    Axis,
     Bars,
     Cells,
     Layer,
     Line,
     Picture,
+    Places,
     Plot,
     Points,
     Sheet,
@@ -34,9 +39,10 @@ from vibrojax.pictures.plots import (
     legend_of,
     resolved,
 )
-from vibrojax.pictures.style import NO_VALUE, new_figure, plain, settings
+from vibrojax.pictures.style import NO_VALUE, plain, settings
 
-_TICK_SIZE, _TITLE_SIZE, _NOTE_SIZE = 8.0, 11.0, 8.0
+_TITLE_SIZE, _NOTE_SIZE = 11.0, 8.0
+_ROUND_STEPS = [1, 2, 5, 10]
 _BAR_INTERVALS = 6  # greatest number between the ticks of a colour bar: more labels would touch each other
 _BAR_ASPECT = 24.0  # length over width of a colour bar below one panel
 _FEW_DECADES = 1e3  # ratio of the ends of a logarithmic axis below which 1, 2 and 5 have labels, as plain numbers
@@ -46,7 +52,25 @@ _TITLE_LINES, _NOTE_LINES = 3, 6  # at most
 _LINE_HEIGHT = 1.6  # line spacing in units of the font size
 _TEXT_SHARE = 0.92  # share of the width for texts, whose letters are wider at other resolutions
 _BELOW_EDGE = 0.95  # height of markers at the upper edge, as a fraction of the panel
+_MANY_POINTS = 1_000  # from which on points are pixels in a PDF or SVG file; of a line 20 times as many
 _ABOVE = {"above": ("lower center", 0.5), "above left": ("lower left", 0.0), "above right": ("lower right", 1.0)}
+
+
+class OwnFigure(Figure):
+    """A figure that pyplot does not manage, but that notebooks display."""
+
+    def _repr_png_(self) -> bytes:
+        with settings():
+            content = BytesIO()
+            self.savefig(content, format="png", dpi=self.dpi)
+        return content.getvalue()
+
+
+def new_figure(width: float, height: float) -> OwnFigure:
+    """Return an empty figure of `width` by `height` [inch] on the Agg canvas."""
+    figure = OwnFigure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def draw(picture: Picture | Figure) -> Figure:
@@ -59,29 +83,17 @@ def draw(picture: Picture | Figure) -> Figure:
     sheet = as_sheet(picture)
     with settings(SMALL if width and width < sheet.size[0] else {}):
         sheet = in_width(sheet, width) if width else sheet
-        handles = _handles(sheet)
-        columns, lines = _legend_below(width, handles) if width and not sheet.beside else (0, 0)
         figure = new_figure(*sheet.size)
-        whole: Any = GridSpec(1, 1, figure)[0]
-        if lines:
-            room = LEGEND_LINE * lines + 0.1
-            grid: Any = GridSpec(2, 1, figure, height_ratios=(sheet.size[1], room))
-            whole, below = grid[0], grid[1]
-            figure.set_figheight(sheet.size[1] + room)
-            axes = figure.add_subplot(below)
-            axes.set_axis_off()
-            axes.legend(handles=handles, loc="upper left", ncols=columns, borderaxespad=0.0, columnspacing=1.2)
-        if sheet.above is not None:
-            heights = sheet.above.size[1], sheet.size[1] - sheet.above.size[1]
-            above, whole = whole.subgridspec(2, 1, height_ratios=heights)
-            _draw_plots(figure, above, sheet.above)
-        _draw_plots(figure, whole, sheet)
-        if not lines:
-            _draw_legend(figure, handles)
+        heights = [part.size[1] for part in sheet.parts]
+        heights[-1] = sheet.size[1] - sum(heights[:-1])
+        grid: Any = GridSpec(len(heights), 1, figure, height_ratios=heights)
+        for k, part in enumerate(sheet.parts):
+            _draw_plots(figure, grid[k], part)
+        _draw_legend(figure, sheet)
         _write_margins(figure, sheet)
-    # Ticks are created when the figure is rendered, under the user's settings.
-    for axes in figure.axes:
-        axes.tick_params(labelsize=_TICK_SIZE)
+        # Ticks are created when the figure is rendered, under the user's settings.
+        for axes in figure.axes:
+            axes.tick_params(labelsize=rcParams["xtick.labelsize"])
     return figure
 
 
@@ -91,7 +103,7 @@ def _draw_plots(figure: Figure, whole: SubplotSpec, sheet: Sheet) -> None:
     grid = whole.subgridspec(*size, height_ratios=sheet.heights, width_ratios=sheet.widths)
     plots, panels = resolved(sheet.plots), []
     for plot in plots:
-        row, column, deep, wide = (*plot.place, 1, 1)[:4]
+        row, column, deep, wide = plot.span
         panels.append(figure.add_subplot(grid[row : row + deep, column : column + wide]))
         _draw_plot(panels[-1], plot, plots)
     figure.align_ylabels(panels)
@@ -101,86 +113,88 @@ def _draw_plots(figure: Figure, whole: SubplotSpec, sheet: Sheet) -> None:
         _draw_scale(figure, below, value, _BAR_ASPECT * wide)
 
 
-def _draw_plot(axes: Axes, plot: Plot, plots: list[Plot]) -> None:
+def _draw_plot(axes: Axes, plot: Plot, plots: Sequence[Plot]) -> None:
     for layer in plot.layers:
-        _draw_layer(axes, layer)
-    outer = {
-        "x": not any(
-            p.x.group == plot.x.group != "" and p.place[1] == plot.place[1] and p.place[0] > plot.place[0]
-            for p in plots
-        ),
-        "y": not any(
-            p.y.group == plot.y.group != "" and p.place[0] == plot.place[0] and p.place[1] < plot.place[1]
-            for p in plots
-        ),
-    }
-    for which in ("x", "y"):
-        axis, shown = getattr(axes, f"{which}axis"), getattr(plot, which)
-        if shown.log:
-            axes.set(**{f"{which}scale": "log"})
-            low, high = shown.limits
-            if high / low < _FEW_DECADES:
-                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axis.set_minor_formatter(NullFormatter())
-        elif shown.intervals:
-            axis.set_major_locator(MaxNLocator(shown.intervals, steps=[1, 2, 5, 10]))
-        axes.set(**{f"{which}lim": shown.limits[::-1] if shown.reversed else shown.limits})
-        if shown.ticks is not None:
-            axis.set_ticks([value for value, _ in shown.ticks], [plain(text) for _, text in shown.ticks])
-            axis.set_minor_locator(NullLocator())
-            if shown.rotated:
-                axes.tick_params(which, rotation=45)
-                for text in axis.get_ticklabels():
-                    text.set(ha="right", rotation_mode="anchor")
-        axes.tick_params(which, **{"labelbottom" if which == "x" else "labelleft": outer[which]})
-        axis.set_label_text(plain(shown.label) if outer[which] else "")
-    if plot.grid and not any(isinstance(layer, Cells) for layer in plot.layers):
+        _draw_layer(axes, layer, plot)
+    row, column = plot.place[:2]
+    same_column = [p for p in plots if p.x.group == plot.x.group != "" and p.place[1] == column]
+    same_row = [p for p in plots if p.y.group == plot.y.group != "" and p.place[0] == row]
+    _draw_axis(axes, "x", plot.x, outer=not any(p.place[0] > row for p in same_column))
+    _draw_axis(axes, "y", plot.y, outer=not any(p.place[1] < column for p in same_row))
+    if plot.grid and not plot.has_cells:
         axes.grid(True, axis=plot.grid)  # type: ignore[arg-type]
     if plot.square:
         axes.set_aspect("equal")
     bold: dict[str, Any] = {"color": plot.title_colour, "fontweight": "bold"} if plot.title_colour else {}
-    cells = any(isinstance(layer, Cells) for layer in plot.layers) or plot.square or plot.title_colour
-    axes.set_title(plain(plot.title), loc="center" if cells else "left", **bold)
+    axes.set_title(plain(plot.title), loc="center" if plot.has_cells or plot.square or bold else "left", **bold)
     axes.set_title(plain(plot.remark), loc="right", fontsize=8)
     if plot.keys:
-        handles = [_handle(layer) for layer in labelled_layers(plot)]
-        loc, x = _ABOVE.get(plot.keys, (plot.keys, None))
-        place: dict[str, Any] = {"loc": loc, "ncols": plot.key_columns}
-        if x is not None:
-            place |= {"bbox_to_anchor": (x, 1.0), "borderpad": 0.0, "borderaxespad": 0.3}
-        axes.legend(handles=handles, **place)
+        place: dict[str, Any] = {"loc": plot.keys}
+        if plot.keys in _ABOVE:
+            loc, x = _ABOVE[plot.keys]
+            place = {"loc": loc, "bbox_to_anchor": (x, 1.0), "borderpad": 0.0, "borderaxespad": 0.3}
+        axes.legend(handles=[_handle(layer) for layer in labelled_layers(plot)], ncols=plot.key_columns, **place)
 
 
-def _draw_layer(axes: Axes, layer: Layer) -> None:
+def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: Axis, outer: bool) -> None:
+    """Set scale, limits, ticks and label of an axis; only the `outer` panels have labels."""
+    axis = getattr(axes, f"{which}axis")
+    low, high = shown.limits
+    if shown.log:
+        axes.set(**{f"{which}scale": "log"})
+        if low and high and high / low < _FEW_DECADES:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+    elif shown.intervals:
+        axis.set_major_locator(MaxNLocator(shown.intervals, steps=_ROUND_STEPS))
+    axes.set(**{f"{which}lim": (high, low) if shown.reversed else (low, high)})
+    if shown.ticks is not None:
+        axis.set_ticks([value for value, _ in shown.ticks], [plain(text) for _, text in shown.ticks])
+        axis.set_minor_locator(NullLocator())
+        if shown.rotated:
+            axes.tick_params(which, rotation=45)
+            for text in axis.get_ticklabels():
+                text.set(ha="right", rotation_mode="anchor")
+    axes.tick_params(which, **{"labelbottom" if which == "x" else "labelleft": outer})
+    axis.set_label_text(plain(shown.label) if outer else "")
+
+
+def _draw_layer(axes: Axes, layer: Layer, plot: Plot) -> None:
     stroke: dict[str, Any] = {}
     if isinstance(layer, Line | Text) and layer.halo:
         width = 2 * layer.halo + (layer.width if isinstance(layer, Line) else 0.0)
         stroke = {"path_effects": [withStroke(linewidth=width, foreground="white")]}
     if isinstance(layer, Line):
-        _draw_line(axes, layer, stroke)
+        edge = _BELOW_EDGE if layer.marker else 1.0
+        x, y = np.broadcast_arrays(_inside(layer.x, plot.x), _inside(layer.y, plot.y, edge))
+        (line,) = axes.plot(x, y, **_line_look(layer), **stroke, zorder=layer.order)
+        line.set_clip_on(layer.clip or not (np.isfinite(x) & np.isfinite(y)).any())
+        line.set_rasterized(x.size > 20 * _MANY_POINTS)
     elif isinstance(layer, Points):
-        x, y = np.atleast_1d(layer.x), np.atleast_1d(layer.y)
+        x, y = _inside(layer.x, plot.x), _inside(layer.y, plot.y)
         look: dict[str, Any] = {"marker": layer.marker, "linewidths": layer.edge_width, "hatch": layer.hatch or None}
         look |= {"edgecolors": layer.edge} if layer.edge else {}
         if len(x):
             area: Any = np.square(layer.sizes)
-            shown = axes.scatter(x, y, s=area, c=layer.colours, zorder=layer.order, rasterized=len(x) > 1000, **look)
+            many = len(x) > _MANY_POINTS
+            shown = axes.scatter(x, y, s=area, c=layer.colours, zorder=layer.order, rasterized=many, **look)
             shown.set_clip_on(layer.clip or not (np.isfinite(x) & np.isfinite(y)).any())
     elif isinstance(layer, Bars):
-        look = {"edgecolor": layer.edge or "none", "linewidth": 0.4, "hatch": layer.hatch or None}
         x, y, wide, high = np.broadcast_arrays(layer.x, layer.y, layer.width, layer.height)
-        colours = layer.colours if isinstance(layer.colours, str) else list(layer.colours)
-        axes.bar(x, high, wide, y, align="edge", color=colours, zorder=layer.order, **look)
+        look = {"edgecolor": layer.edge or "none", "linewidth": 0.4, "hatch": layer.hatch or None}
+        axes.bar(x, high, wide, y, align="edge", color=layer.colours, zorder=layer.order, **look)
     elif isinstance(layer, Area):
-        _draw_area(axes, layer)
+        x, low, high = _inside(layer.x, plot.x), _inside(layer.low, plot.y), _inside(layer.high, plot.y)
+        look = {"facecolor": to_rgba(layer.colour, layer.alpha), "hatch": layer.hatch or None, "zorder": layer.order}
+        look |= {"edgecolor": layer.edge or "none", "linewidth": 0.6 if layer.edge else 0.0}
+        if x.size:
+            axes.fill_between(x, low, high, step="post" if layer.step else None, **look)
     elif isinstance(layer, Cells):
         if layer.hatched and np.isnan(layer.values).any():
             axes.patch.set(**NO_VALUE, linewidth=0.0)
-        masked = np.ma.masked_invalid(layer.values)
-        axes.pcolormesh(
-            layer.x, layer.y, masked, cmap=layer.colour_map, norm=layer.norm, rasterized=True, zorder=layer.order
-        )
+        look = {"cmap": layer.colour_map, "norm": layer.norm, "zorder": layer.order, "rasterized": True}
+        axes.pcolormesh(layer.x, layer.y, np.ma.masked_invalid(layer.values), **look)
     else:
         look = {"ha": layer.align, "va": layer.baseline, "color": layer.colour, "fontsize": layer.size}
         if layer.box:
@@ -190,19 +204,11 @@ def _draw_layer(axes: Axes, layer: Layer) -> None:
         axes.annotate(plain(layer.text), (layer.x, layer.y), **look)
 
 
-def _draw_line(axes: Axes, layer: Line, stroke: dict[str, Any]) -> None:
-    x, y = np.broadcast_arrays(np.asarray(layer.x, float), np.asarray(layer.y, float))
-    look = _line_look(layer) | stroke | {"zorder": layer.order, "alpha": layer.alpha}
-    if np.isinf(y).any() and layer.marker:
-        axes.plot(x, np.full(x.shape, _BELOW_EDGE), transform=axes.get_xaxis_transform(), **look)
-    elif np.isinf(x).any():
-        axes.axhline(float(y.flat[0]), **look)
-    elif np.isinf(y).any():
-        axes.axvline(float(x.flat[0]), **look)
-    else:
-        (line,) = axes.plot(np.atleast_1d(x), np.atleast_1d(y), **look)
-        line.set_clip_on(layer.clip or not (np.isfinite(x) & np.isfinite(y)).any())
-        line.set_rasterized(x.size > 20_000)
+def _inside(values: Places, axis: Axis, edge: float = 1.0) -> np.ndarray:
+    """Return coordinates in which the ends of the axis, or a fraction `edge` of it, replace infinity."""
+    low, high = (float(end or 0.0) for end in axis.limits)
+    array = np.atleast_1d(np.asarray(values, float))
+    return np.where(np.isinf(array), np.where(array > 0, low + edge * (high - low), low), array)
 
 
 def _line_look(layer: Line) -> dict[str, Any]:
@@ -210,69 +216,50 @@ def _line_look(layer: Line) -> dict[str, Any]:
     if layer.marker:
         look |= {"marker": layer.marker, "markersize": layer.size, "markeredgewidth": layer.edge_width}
         look |= {"markerfacecolor": layer.face or layer.colour, "markeredgecolor": layer.edge or layer.colour}
-    return look
-
-
-def _draw_area(axes: Axes, layer: Area) -> None:
-    x, low, high = (np.asarray(values, float) for values in (layer.x, layer.low, layer.high))
-    look: dict[str, Any] = {"facecolor": to_rgba(layer.colour, layer.alpha), "zorder": layer.order}
-    look |= {"edgecolor": layer.edge or "none", "linewidth": 0.6 if layer.edge else 0.0}
-    if np.isinf(x).any():
-        axes.axhspan(float(low.flat[0]), float(high.flat[0]), **look)
-    elif np.isinf(low).any() and np.isinf(high).any():
-        axes.axvspan(float(x.flat[0]), float(x.flat[-1]), **look)
-    elif x.size:
-        axes.fill_between(x, low, high, step="post" if layer.step else None, hatch=layer.hatch or None, **look)
+    return look | {"alpha": layer.alpha}
 
 
 def _handle(layer: Layer) -> Artist:
     """Return the legend entry of a layer."""
     text = plain(layer.label) if not isinstance(layer, Cells) else ""
     if isinstance(layer, Line):
-        return Line2D([], [], label=text, **_line_look(layer) | {"alpha": layer.alpha})
+        return Line2D([], [], label=text, **_line_look(layer))
     if isinstance(layer, Points):
-        colour = layer.colours if isinstance(layer.colours, str) else layer.colours[0]
-        size = float(np.max(layer.sizes))
+        colour, size = np.atleast_1d(layer.colours)[0], float(np.max(layer.sizes))
         return Line2D([], [], label=text, linestyle="none", marker=layer.marker, color=colour, markersize=size)
     if isinstance(layer, Bars | Area):
-        several = isinstance(layer, Bars) and not isinstance(layer.colours, str)
-        colour = layer.colour if isinstance(layer, Area) else layer.colours[0] if several else str(layer.colours)
+        colour = layer.colour if isinstance(layer, Area) else np.atleast_1d(layer.colours)[0]
         face = to_rgba(colour, layer.alpha if isinstance(layer, Area) else 1.0) if colour != "none" else "none"
         edge: dict[str, Any] = {"edgecolor": layer.edge or "none", "linewidth": 1.3 if colour == "none" else 0.4}
         return Patch(facecolor=face, hatch=layer.hatch or None, label=text, **edge)
     return Line2D([], [], linestyle="none", label=text)
 
 
-def _legend_below(width: float, handles: list[Artist]) -> tuple[int, int]:
-    """Return the columns and lines of a legend below the plots, without the gaps between groups."""
-    texts = [str(handle.get_label()) for handle in handles if str(handle.get_label()).strip()]
-    handles[:] = [handle for handle in handles if str(handle.get_label()).strip()]
-    longest = max((len(line) for text in texts for line in text.split("\n")), default=0)
-    columns = max(1, min(len(texts), int((width - 0.6) / (0.055 * longest + 0.45)))) if texts else 0
-    return columns, -(-sum(text.count("\n") + 1 for text in texts) // columns) if texts else 0
-
-
-def _handles(sheet: Sheet) -> list[Artist]:
-    """Return the entries of the legend of a sheet, with a gap between groups."""
-    handles: list[Artist] = []
-    for group in legend_of(sheet):
-        handles += [Line2D([], [], linestyle="none", label=" ")] * bool(handles) + [_handle(layer) for layer in group]
-    return handles
-
-
-def _draw_legend(figure: Figure, handles: list[Artist]) -> None:
-    """Draw one legend at the right of all plots."""
-    if handles:
+def _draw_legend(figure: Figure, sheet: Sheet) -> None:
+    """Draw one legend at the right of all plots, with gaps between its groups, or below them in columns that fit."""
+    groups = [[_handle(layer) for layer in group] for group in legend_of(sheet)]
+    if not groups:
+        return
+    if sheet.beside:
+        gap = Line2D([], [], linestyle="none", label=" ")
+        handles = [handle for group in groups for handle in (gap, *group)][1:]
         dashed = any(isinstance(handle, Line2D) and handle.is_dashed() for handle in handles)
         look: dict[str, Any] = {"handlelength": _DASHED_LENGTH} if dashed else {}
         figure.legend(handles=handles, loc="outside right upper", **look)
+        return
+    handles = [handle for group in groups for handle in group]
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    for columns in range(min(len(handles), 6), 0, -1):
+        legend = figure.legend(handles=handles, loc="lower left", ncols=columns, columnspacing=1.2)
+        if columns == 1 or legend.get_window_extent(renderer).width < figure.bbox.width:
+            return
+        legend.remove()
 
 
 def _draw_scale(figure: Figure, above: list[Axes], value: Any, aspect: float) -> None:
     look: dict[str, Any] = {"extend": value.extend, "label": plain(value.label), "aspect": aspect}
-    look["extendfrac"] = 1.0 / aspect
     mappable = ScalarMappable(value.norm, value.colour_map)
-    bar = figure.colorbar(mappable, ax=above, location="bottom", **look)
+    bar = figure.colorbar(mappable, ax=above, location="bottom", extendfrac=1.0 / aspect, **look)
     if value.names:
         two_lines = len(value.names) > _NAMES_ON_ONE_LINE
         names = [name.replace("-", "-\n", 1) if two_lines else name for name in value.names.values()]
@@ -280,17 +267,18 @@ def _draw_scale(figure: Figure, above: list[Axes], value: Any, aspect: float) ->
         bar.minorticks_off()
     elif not value.has_values:
         bar.set_ticks([])
-    elif isinstance(value.norm, Normalize) and not isinstance(value.norm, LogNorm):
-        bar.set_ticks(MaxNLocator(_BAR_INTERVALS, steps=[1, 2, 5, 10]))
+    elif not isinstance(value.norm, LogNorm):
+        bar.set_ticks(MaxNLocator(_BAR_INTERVALS, steps=_ROUND_STEPS))
 
 
 def _write_margins(figure: Figure, sheet: Sheet) -> None:
-    """Write the title at the top, to the left of any legend, and the note at the bottom.
+    """Write the title at the top, to the left of any legend, and the note at the bottom, below any legend.
 
-    Each line after the first line of title or note makes the figure higher.
+    A legend below, and each line after the first line of title or note, makes the figure higher.
     """
     renderer = FigureCanvasAgg(figure).get_renderer()
     boxes = [legend.get_window_extent(renderer) for legend in figure.legends]
+    wide, tall = max((box.width for box in boxes), default=0.0), max((box.height for box in boxes), default=0.0)
 
     def wrapped(text: str, font: FontProperties, beside: float, most: int) -> str:
         """Wrap a text by the mean width of its letters; an ellipsis marks omitted text."""
@@ -299,12 +287,21 @@ def _write_margins(figure: Figure, sheet: Sheet) -> None:
         return plain(fill(text, max(int(letters), 8), max_lines=most, placeholder="…"))
 
     bold = FontProperties(size=_TITLE_SIZE, weight="bold")
-    title = wrapped(sheet.title, bold, max((box.width for box in boxes), default=0.0), _TITLE_LINES)
+    title = wrapped(sheet.title, bold, wide if sheet.beside else 0.0, _TITLE_LINES)
     note = wrapped(sheet.note, FontProperties(size=_NOTE_SIZE), 0.0, _NOTE_LINES)
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontproperties=bold)
     if note:
         figure.supxlabel(note, x=0.01, ha="left", fontsize=_NOTE_SIZE, color="0.3")
-    tall = max((box.height for box in boxes), default=0.0) / figure.dpi + 0.3 * bool(note)
-    more = _TITLE_SIZE * title.count("\n") + _NOTE_SIZE * note.count("\n")
-    figure.set_figheight(max(figure.get_figheight(), tall) + _LINE_HEIGHT * more / 72.0)
+    more = _LINE_HEIGHT / 72.0 * (_TITLE_SIZE * title.count("\n") + _NOTE_SIZE * note.count("\n"))
+    height, legend = figure.get_figheight() + more, tall / figure.dpi
+    if sheet.beside:
+        figure.set_figheight(max(height, legend + 0.3 * bool(note) + more))
+    else:
+        height += legend
+        figure.set_figheight(height)
+        lines = _LINE_HEIGHT / 72.0 * _NOTE_SIZE * (note.count("\n") + 1) if note else 0.0
+        for each in figure.legends:
+            each.set_bbox_to_anchor((0.0, lines / height, 1.0, 1.0), figure.transFigure)
+        engine: Any = figure.get_layout_engine()
+        engine.set(rect=(0.0, legend / height, 1.0, 1.0 - legend / height))

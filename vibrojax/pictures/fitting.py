@@ -6,9 +6,9 @@ from contextvars import ContextVar
 from dataclasses import replace
 from math import ceil, lcm
 from textwrap import fill
-from typing import Any
 
 from vibrojax.errors import InputError, shown
+from vibrojax.pictures.axes import broken
 from vibrojax.pictures.plots import Axis, Plot, Sheet, legend_of
 
 WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
@@ -23,9 +23,6 @@ SMALL: Mapping[str, float] = {
     "legend.fontsize": 6.5,
 }
 """Sizes of type [pt] where panels are made narrower."""
-
-LEGEND_LINE = 0.16
-"""Height [inch] of an entry of the legend in small type."""
 
 _INCHES = {"mm": 1 / 25.4, "cm": 1 / 2.54, "in": 1.0}
 _NARROWEST, _WIDEST = 1.5, 40.0  # [inch]
@@ -59,60 +56,50 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
         return replace(sheet, size=(width, sheet.size[1]))
     above = in_width(replace(sheet.above, size=(sheet.size[0], sheet.above.size[1])), width) if sheet.above else None
     inside = sheet.size[1] - (sheet.above.size[1] if sheet.above else 0.0)
-    room = sheet.size[0] - 1.9 * bool(legend_of(sheet))
-    inch = inside / sum(sheet.heights)
-    rows: list[tuple[list[Plot], int, float]] = []
-    whole = sorted(sheet.plots, key=lambda plot: ((*plot.place, 1)[2] > 1, plot.place))  # tall panels come last
-    for start in dict.fromkeys(((*plot.place, 1)[2] > 1, plot.place[0]) for plot in whole):
-        row = [plot for plot in whole if ((*plot.place, 1)[2] > 1, plot.place[0]) == start]
-        across = min(len(row), max(1, int(width / _LEAST_PANEL)), _MOST_ACROSS)
-        across = -(-len(row) // ceil(len(row) / across))  # rows of equal lengths
-        deep = (*row[0].place, 1)[2]
-        height = inch * sum(sheet.heights[row[0].place[0] : row[0].place[0] + deep])
-        share = (width / across) / (room * _share(sheet, row[0]))
-        height = height if height < _LOW else height * min(1.0, max(share, _LEAST_SHARE))
+    inch = inside / sum(sheet.heights), (sheet.size[0] - 1.9 * bool(legend_of(sheet))) / sum(sheet.widths)
+    starts: dict[tuple[bool, int], list[Plot]] = {}
+    for plot in sorted(sheet.plots, key=lambda plot: (plot.span[2] > 1, plot.place)):  # tall panels come last
+        starts.setdefault((plot.span[2] > 1, plot.place[0]), []).append(plot)
+    rows: list[tuple[list[Plot], float, float]] = []  # with the width and height of the panels
+    for row in starts.values():
+        most = min(len(row), max(1, int(width / _LEAST_PANEL)), _MOST_ACROSS)
+        across = -(-len(row) // ceil(len(row) / most))  # rows of equal lengths
+        first, column, deep, spanned = row[0].span
+        height = inch[0] * sum(sheet.heights[first : first + deep])
+        if height >= _LOW:
+            share = width / across / (inch[1] * sum(sheet.widths[column : column + spanned]))
+            height *= min(1.0, max(share, _LEAST_SHARE))
         height = min(height, width / across) if row[0].square else height
-        rows += [(row[k : k + across], across, height) for k in range(0, len(row), across)]
-    columns = lcm(*(across for _, across, _ in rows))
-    scales = {id(plot.scale): _broken(plot.scale, width / across) for row, across, _ in rows for plot in row}
+        for part in (row[k : k + across] for k in range(0, len(row), across)):
+            rows.append((part, width / (across if row[0].x.group else len(part)), height))  # no gap beside the last one
+    columns = lcm(*(round(width / wide) for _, wide, _ in rows))
+    scales = {
+        id(plot.scale): plot.scale and replace(plot.scale, label=broken(plot.scale.label, int(_LETTERS * (wide - 0.4))))
+        for row, wide, _ in rows
+        for plot in row
+    }
     plots = []
-    for k, (row, across, height) in enumerate(rows):
-        span = columns // across
+    for k, (row, wide, height) in enumerate(rows):
+        span = round(columns * wide / width)
         for i, plot in enumerate(row):
             placed = replace(plot, place=(k, i * span, 1, span), scale=scales[id(plot.scale)])
-            plots.append(_narrowed(placed, width / across, height))
-    heights = tuple(height for *_, height in rows)
+            plots.append(_narrowed(placed, wide, height))
+    heights = [height for *_, height in rows]
     size = width, sum(heights) + (above.size[1] if above else 0.0) + 0.12 * len(rows)
-    widths = (1.0,) * columns
-    return replace(sheet, plots=plots, size=size, widths=widths, heights=heights, above=above, beside=False)
-
-
-def _broken(scale: Any, width: float) -> Any:
-    """Return a quantity whose label fits below a panel of a width [inch]."""
-    words = scale and fill(
-        " ".join(scale.label.split()).replace(" [", "\u00a0["), max(int(_LETTERS * (width - 0.4)), 8)
-    )
-    return scale and replace(scale, label=words)
-
-
-def _share(sheet: Sheet, plot: Plot) -> float:
-    _, column, _, wide = (*plot.place, 1, 1)[:4]
-    return sum(sheet.widths[column : column + wide]) / sum(sheet.widths)
+    return replace(sheet, plots=plots, size=size, widths=[1.0] * columns, heights=heights, above=above, beside=False)
 
 
 def _narrowed(plot: Plot, width: float, height: float) -> Plot:
     """Return a panel whose texts are broken, and whose ticks are fewer, in a width and height [inch]."""
 
     def axis(of: Axis, length: float) -> Axis:
-        words = fill(" ".join(of.label.split()).replace(" [", "\u00a0["), max(int(_LETTERS * length), 8))
-        named = sum(len(text) + 2 for _, text in of.ticks or ())
-        crowded = of is plot.x and named > 1.2 * _LETTERS * length and max(len(text) for _, text in of.ticks or ()) > 4
-        return replace(
-            of, label=words, intervals=of.intervals or (4 if length < 2.2 else 0), rotated=of.rotated or crowded
-        )
+        intervals = of.intervals or (4 if length < 2.2 else 0)
+        texts = [text for _, text in of.ticks or ()]
+        crowded = sum(len(text) + 2 for text in texts) > 1.2 * _LETTERS * length and max(map(len, texts)) > 4
+        rotated = of.rotated or (of is plot.x and crowded)
+        return replace(of, label=broken(of.label, int(_LETTERS * length)), intervals=intervals, rotated=rotated)
 
-    letters = max(int(_LETTERS * (width - 0.3)), 10)
     # A legend of the plot's own would be as wide as the plot.
-    keys = "" if width < _KEYS_PANEL and plot.keys else plot.keys
-    x, y = axis(plot.x, width - 0.3), axis(plot.y, height)
-    return replace(plot, title=fill(plot.title, letters), x=x, y=y, keys=keys)
+    keys = "" if width < _KEYS_PANEL else plot.keys
+    title = fill(plot.title, max(int(_LETTERS * (width - 0.3)), 10))
+    return replace(plot, title=title, x=axis(plot.x, width - 0.3), y=axis(plot.y, height), keys=keys)

@@ -11,72 +11,37 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Float, Shaped
 
-from vibrojax.errors import InputError, counted
+from vibrojax.errors import InputError
 from vibrojax.pictures import axes, contents
 from vibrojax.pictures.colours import (
     REGIME_COLOURS,
-    REGIME_MAP,
-    REGIME_NORM,
     SENSITIVE_KEY,
     SINGLE,
     Value,
     form_colour,
     regime_cells,
+    regime_colour_map,
     regime_keys,
     regimes_in,
     value_axis,
     value_of,
     values_beside,
 )
-from vibrojax.pictures.contents import (
-    FORM,
-    MOST_LINES,
-    POINT,
-    RATE,
-    REGIME,
-    RELIEF,
-    SENSITIVE,
-    START,
-    is_numeric,
-    lane_dims,
-    many_starts,
-    named_axes,
-    swept,
-    varied,
-)
-from vibrojax.pictures.plots import (
-    INK,
-    Area,
-    Axis,
-    Cells,
-    Dash,
-    Layer,
-    Line,
-    Look,
-    Plot,
-    Points,
-    Sheet,
-    dots,
-    key,
-    level,
-)
-from vibrojax.pictures.sheet import LEGEND_WIDTH, MOST_PANELS, PAGE, Facets, at, columns, facets
+from vibrojax.pictures.contents import FORM, MOST_LINES, POINT, REGIME, SENSITIVE, START, is_numeric, lane_dims, some_of
+from vibrojax.pictures.plots import Area, Axis, Cells, Dash, Layer, Line, Plot, Points, Sheet, key, level
+from vibrojax.pictures.sheet import LEGEND_WIDTH, MOST_PANELS, PAGE, Facets, at, facets
 from vibrojax.pictures.style import BIT, ROCK_COLOURS, line_colours, nested_line, other_colour, start_colour
 
 MOST_ROWS = 4
 _PANEL_WIDTH = 3.3  # inches
 _FREQUENCY = "frequency"  # preferred among axes of equal length
-_MOST_COLUMNS = 3
+_STACK_WIDTHS = {1: 7.6, 2: 10.0, 3: 12.5}  # of the sheet [inch], by the number of stacks side by side
 _TITLE_ROOM = 0.6  # height [inches] of the title and the labels of a stack
 _SHARES_HEIGHT = 1.1  # inches
 _DISTINCT_HEIGHTS = 1000  # number of heights on a panel that the eye can distinguish
 _MARGINS = 2.6  # page height [inches] for title, notes and the figure's margins
-_SLIP, _PEAK = "slip_per_impact", "peak_impact_force"
-_NAMES = {RATE: "rate of penetration", _SLIP: "slip per blow", _PEAK: "peak impact force"}
-_MANY_LANES = 40  # number of lanes per line from which on markers are small
-_CONSTANT = 1e-6  # largest relative range of values that count as constant
 
 Lanes = Float[np.ndarray, " lanes"]
 
@@ -108,11 +73,9 @@ def regime_lines(ds: xr.Dataset, x: str | None = None, note: str = "", values: S
     ds = regimes_in(ds)
     values = values_beside(ds) if values is None else values
     x = x or max(contents.axes_to_draw(ds), key=lambda name: ds.sizes[name])
-    keys: list[Layer] = []
-    if not many_starts(ds) and START in lane_dims(ds):
-        for k, start in enumerate(starts_of(ds)):
-            look = nested_line(k, ds.sizes[START])
-            keys.append(key(f"start: {start.name}", marker="o", colour=start.colour, **look))
+    starts = starts_of(ds) if START in lane_dims(ds) and not contents.many_starts(ds) else []
+    looks = [{"marker": "o", "colour": start.colour, **nested_line(k, len(starts))} for k, start in enumerate(starts)]
+    keys = [key(f"start: {start.name}", **look) for start, look in zip(starts, looks, strict=True)]
     height = 1.9 if len(values) > 1 else 2.4
     return stacks(ds, x, len(values), (height, height), partial(value_plots, values=values, x=x), keys, note)
 
@@ -130,32 +93,28 @@ def stacks(
 
     `heights`: height [inch] of a curve panel with one facet and with several; `keys`: legend entries above the regimes.
     """
-    ds = ds.sortby(x)
-    strip = _SHARES_HEIGHT if many_starts(ds) else 0.10 + 0.17 * ds.sizes.get(START, 1)
+    ds, many = ds.sortby(x), contents.many_starts(ds)
+    strip = _SHARES_HEIGHT if many else 0.10 + 0.17 * ds.sizes.get(START, 1)
     height = heights[any(ds.sizes[name] > 1 for name in lane_dims(ds) if name not in (x, START))]
     stack_height = curves * height + strip + _TITLE_ROOM
-    most = _MOST_COLUMNS * int((PAGE[1] - _MARGINS) / stack_height)  # as many facets as fit on a page
-    panels = facets(ds, (x, START), min(most, MOST_PANELS))
-    wide = columns(panels, _MOST_COLUMNS)
-    deep = -(-len(panels) // wide)
+    columns = len(_STACK_WIDTHS)
+    on_page = columns * int((PAGE[1] - _MARGINS) / stack_height)
+    panels = facets(ds, (x, START), min(on_page, MOST_PANELS))
+    places = panels.places(columns)
     plots: list[Plot] = []
-    for k, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
-        row, column = divmod(k, wide)
+    for (row, column), (title, facet) in zip(places, panels, strict=True):
         for i, plot in enumerate([*draw(facet), _strip(facet, x)]):
             above = ", ".join(filter(None, (title if i == 0 or plot.title else "", plot.title)))
-            up = plot.y if plot.y.group else replace(plot.y, group=f"y{i}")
+            across, up = axes.map_axis(facet[x], group="x"), replace(plot.y, group=plot.y.group or f"y{i}")
             place = row * (curves + 1) + i, column
-            plots.append(
-                replace(plot, x=axes.map_axis(facet[x], group="x"), y=up, title=above, place=place, at=at(facet))
-            )
-    colours = "starts together, in the colours of the regimes that they end in"
-    together = f"{ds.sizes[START]} {colours}" if many_starts(ds) else ""
+            plots.append(replace(plot, x=across, y=up, title=above, place=place, at=at(facet)))
+    deep, wide = (max(ends) + 1 for ends in zip(*places, strict=True))
+    together = f"{ds.sizes[START]} starts together, in the colours of the regimes that they end in" if many else ""
     return Sheet(
         plots,
-        ({1: 7.6, 2: 10.0, 3: 12.5}[wide], stack_height * deep + 0.7),
-        (1.0,) * wide,
-        (*[height] * curves, strip) * deep,
-        [keys, regime_keys([facet[REGIME] for facet in panels.data])],
+        (_STACK_WIDTHS[wide], stack_height * deep + 0.7),
+        heights=(*[height] * curves, strip) * deep,
+        keys=[keys, regime_keys([facet[REGIME] for facet in panels.data])],
         **axes.margins(ds, axes.certified_text(ds), panels.note, together, note),
     )
 
@@ -183,13 +142,13 @@ def _strip(facet: xr.Dataset, x: str) -> Plot:
     """Draw the regimes along `x`: a row of coloured cells per initial condition, or the regime fractions of many."""
     by_start = facet if START in lane_dims(facet) else facet.expand_dims(START)
     rows, along = regime_cells(by_start[REGIME].transpose(START, x)), axes.values_along(facet[x])
-    if many_starts(facet):  # each column is sorted, single impacts first, so that the height of a colour is its share
+    if contents.many_starts(facet):  # each column sorted, single impacts first: the height of a colour is its share
         ordered = np.sort(np.where(rows == SINGLE, -1.0, rows), axis=0)
         rows = np.where(ordered == -1.0, float(SINGLE), ordered)
-        shares = Cells(axes.edges(along), np.linspace(0.0, 100.0, len(rows) + 1), rows, REGIME_MAP, REGIME_NORM)
+        shares = Cells(axes.edges(along), np.linspace(0.0, 100.0, len(rows) + 1), rows, *regime_colour_map())
         return Plot([shares], y=Axis("starts\n[%]", limits=(0.0, 100.0)), name="regimes")
     ends = np.arange(len(rows) + 1) - 0.5
-    layers: list[Layer] = [Cells(axes.edges(along), ends, rows, REGIME_MAP, REGIME_NORM)]
+    layers: list[Layer] = [Cells(axes.edges(along), ends, rows, *regime_colour_map())]
     layers += [level(between, colour="#FFFFFF") for between in ends[1:-1]]
     if SENSITIVE in facet:
         row, column = np.nonzero(by_start[SENSITIVE].transpose(START, x).values == 1)
@@ -202,15 +161,14 @@ def value_plots(facet: xr.Dataset, values: Sequence[Value], x: str) -> list[Plot
     """Draw each of the `values` along `x` on its own panel, with a line per initial condition."""
     plots = []
     for value in values:
-        up = value_axis(value, value.label.replace(" [", "\n["), zero="zero everywhere")
-        if many_starts(facet):
+        if contents.many_starts(facet):
             heights, regimes = (data.transpose(x, START) for data in (value.of(facet), facet[REGIME]))
             along = np.repeat(axes.values_along(facet[x]), heights.sizes[START])
-            colours = regime_cells(regimes).ravel()
-            layers: list[Layer] = [lane_dots(along, heights.values.ravel(), colours, dot_size(facet.sizes[x]))]
+            cells = regime_cells(regimes).ravel()
+            layers: list[Layer] = [lane_dots(along, heights.values.ravel(), cells, dot_size(facet.sizes[x]))]
         else:
             layers = value_lines(starts_of(facet), value, lambda lanes: axes.values_along(lanes[x]))
-        plots.append(Plot(layers, y=up))
+        plots.append(Plot(layers, y=value_axis(value, value.label.replace(" [", "\n["), zero="zero everywhere")))
     return plots
 
 
@@ -245,8 +203,8 @@ class Across:
     name: str
     label: str
     values: Shaped[np.ndarray, " values"]
-    factor: float
-    is_number: bool
+    factor: float = 1.0
+    is_number: bool = False
 
     def of(self, lanes: xr.Dataset) -> Float[np.ndarray, " lanes"]:
         """Return the positions of lanes along the axis."""
@@ -276,15 +234,15 @@ def longest_axis(ds: xr.Dataset) -> Across:
 
     **Raises:** `InputError` if there are several points and no parameter that distinguishes them.
     """
-    numbers = varied(ds) if POINT in lane_dims(ds) else {name: ds.sizes[name] for name in swept(ds)}
-    sizes = numbers or {name: ds.sizes[name] for name in named_axes(ds)}
+    numbers = contents.varied(ds) if POINT in lane_dims(ds) else {name: ds.sizes[name] for name in contents.swept(ds)}
+    sizes = numbers or {name: ds.sizes[name] for name in contents.named_axes(ds)}
+    if not sizes and ds.sizes.get(POINT, 1) > 1:
+        raise InputError(f"nothing to draw over: no parameter varies along the {ds.sizes[POINT]} points")
     if not sizes:
-        if ds.sizes.get(POINT, 1) > 1:
-            raise InputError(f"nothing to draw over: no parameter varies along the {ds.sizes[POINT]} points")
-        return Across("", "", np.zeros(1), 1.0, False)
+        return Across("", "", np.zeros(1))
     name = max(sizes, key=lambda name: (sizes[name], name == _FREQUENCY))
     if not numbers:
-        return Across(name, name, ds[name].values, 1.0, False)
+        return Across(name, name, ds[name].values)
     factor = axes.scale(ds[name])[0]
     return Across(name, axes.label(ds[name]), np.unique(ds[name].values) * factor, factor, True)
 
@@ -292,9 +250,9 @@ def longest_axis(ds: xr.Dataset) -> Across:
 def axis_of_lines(ds: xr.Dataset, along: str) -> str:
     """Return the axis with one line per value: the longest except `along`, `start` only if there is no other."""
     if POINT in lane_dims(ds):
-        sizes = {name: count for name, count in varied(ds, names=True).items() if count <= MOST_LINES}
+        sizes = {name: count for name, count in contents.varied(ds, names=True).items() if count <= MOST_LINES}
     else:
-        sizes = {name: ds.sizes[name] for name in (*swept(ds), *named_axes(ds))}
+        sizes = {name: ds.sizes[name] for name in (*contents.swept(ds), *contents.named_axes(ds))}
     rest = [name for name in sizes if name != along]
     return max(rest, key=lambda name: (name != START, sizes[name], not is_numeric(ds[name])), default="")
 
@@ -322,15 +280,14 @@ def split_lines(ds: xr.Dataset, by: str) -> list[Series]:
 def line_keys(ds: xr.Dataset, by: str, **look: Any) -> list[Line]:
     """Return the legend entries for lines; of too many lines, an even selection from the first to the last."""
     lines = split_lines(ds, by) if by else []
-    chosen = sorted({int(index) for index in np.linspace(0, len(lines) - 1, MOST_LINES).round()}) if lines else []
-    return [key(lines[i].name, **{"marker": "o", "size": 4.0, "colour": lines[i].colour, **look}) for i in chosen]
+    chosen = [lines[i] for i in some_of(len(lines))]
+    return [key(line.name, **{"marker": "o", "size": 4.0, "colour": line.colour, **look}) for line in chosen]
 
 
 def rows_of(panels: Facets, quantities: int) -> dict[str, Any]:
-    """Return the size and the ratios of a sheet with one row per facet, and room for a legend at the right."""
+    """Return the size of a sheet with one row per facet, and room for a legend at the right."""
     count = len(panels)
-    size = _PANEL_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8
-    return {"size": size, "widths": (1.0,) * quantities, "heights": (1.0,) * count}
+    return {"size": (_PANEL_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8)}
 
 
 def row_per_facet(
@@ -346,10 +303,10 @@ def row_per_facet(
     The functions `draws` return the plot of the lines of a facet.
     """
     panels, plots = facets(ds, (POINT, x.name, by), MOST_ROWS), []
-    for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+    for row, (title, facet) in enumerate(panels):
         for column, draw in enumerate(draws):
-            plot, above = draw(split_lines(facet, by)), "" if column else title
-            plots.append(replace(plot, title=above, place=(row, column), at=at(facet)))
+            above = "" if column else title
+            plots.append(replace(draw(split_lines(facet, by)), title=above, place=(row, column), at=at(facet)))
     return Sheet(plots, keys=keys, **rows_of(panels, len(draws)), **axes.margins(ds, panels.note, *notes))
 
 
@@ -368,92 +325,3 @@ def curves(ds: xr.Dataset, names: Sequence[str], note: str = "") -> Sheet:
 
     draws = [partial(draw, value=value_of(ds[name])) for name in names]
     return row_per_facet(ds, x, by, draws, [line_keys(ds, by, dash=dash)], note)
-
-
-# Rates of penetration.
-
-
-def rates(ds: xr.Dataset) -> Sheet:
-    """Draw the rate of penetration over the longest axis and over the relief P/D, and the slip or the force per blow.
-
-    Colours distinguish the values of the second longest axis. Further axes become rows, at most four; a note lists the
-    values shown if not all fit. Hollow markers are lanes without penetration; crosses are motions other than a single
-    impact. A list of points is drawn over the parameter with the most values.
-    """
-    ds = contents.rates_in(ds)
-    x = longest_axis(ds)
-    by = axis_of_lines(ds, x.name)
-    ds = ds.sortby(x.name) if x.is_number else ds
-    dash = x.dash(ds)
-    named = bool(by) and not is_numeric(ds[by]) and bool(dash)  # starts or rocks, whose lines may coincide
-
-    def draw(lines: list[Series], name: str, along: str) -> Plot:
-        factor, unit = axes.scale(ds[name])
-        # Zero is included, to show whether lines pass through it.
-        top = 1.05 * factor * float(ds[name].max(skipna=True).fillna(0.0)) or 1.0
-        up = Axis(axes.with_unit(_NAMES[name], unit), name, (-0.03 * top, top), group=name, zero="no penetration")
-        across = x.axis(ds)
-        if along == RELIEF:
-            right = 1.05 * float(np.nanmax(ds[RELIEF].values))
-            across = Axis("relief P/D", RELIEF, (-0.03 * right, right), group=RELIEF)
-        layers: list[Layer] = []
-        for k, line in enumerate(lines):
-            places = np.atleast_1d(line.lanes[RELIEF].values) if along == RELIEF else x.of(line.lanes)
-            look = nested_line(k, len(lines)) if named else {"dash": dash}
-            layers += _rate_layers(line, places, factor * np.atleast_1d(line.lanes[name].values), look)
-        return Plot(layers, across, up)
-
-    keys = line_keys(ds, by, dash=dash)
-    keys = [replace(each, **nested_line(k, len(keys))) if named else each for k, each in enumerate(keys)]
-    texts = {"single": "single impact", "other": "other motion", "none": "no penetration"}
-    shown_motions = [name for name, mask in _motions(ds).items() if mask.any() and (name == "none" or REGIME in ds)]
-    marks = [dots(label=texts[motion], **{"size": 4.5} | _mark(motion, INK)) for motion in shown_motions]
-    count = int(np.isnan(ds[RATE].values).sum())
-    missing = f"{count} of {counted(ds[RATE].size, 'lane')} without a rate" if count else ""
-    draws = [partial(draw, name=name, along=along) for name, along in _rate_curves(ds, x)]
-    return row_per_facet(ds, x, by, draws, [keys, marks], missing)
-
-
-def _rate_curves(ds: xr.Dataset, x: Across) -> list[tuple[str, str]]:
-    """Return pairs of a variable and what it is drawn over: the axis `x`, or the relief.
-
-    They are the rate over the axis and over the relief, if that varies, and the force or slip per blow.
-    """
-
-    def varies(name: str) -> bool:
-        """Return whether a variable varies along any of the lines."""
-        dimension = x.name if x.name in ds[name].dims else POINT
-        if dimension not in ds[name].dims:
-            return False
-        swing = ds[name].max(dimension) - ds[name].min(dimension)
-        return bool((swing > _CONSTANT * np.abs(ds[name]).max()).any())
-
-    each_blow = sorted((name for name in (_PEAK, _SLIP) if name in ds), key=lambda name: not varies(name))[:1]
-    over_relief = [(RATE, RELIEF)] if RELIEF in ds and varies(RELIEF) else []
-    return [(RATE, x.name), *over_relief, *((name, x.name) for name in each_blow)]
-
-
-def _rate_layers(line: Series, places: Lanes, values: Lanes, look: Look) -> list[Layer]:
-    """Return one line, interrupted at jumps between a single impact and another motion, and markers of its motions."""
-    motions = _motions(line.lanes)
-    jumps = 1 + np.flatnonzero(np.diff(motions["other"].astype(int)))
-    x, y = (np.insert(np.asarray(along, float), jumps, np.nan) for along in (places, values))
-    layers: list[Layer] = [Line(x, y, colour=line.colour, **look)]
-    size = look.get("size", 3.8) if values.size < _MANY_LANES else 2.0
-    for motion, mask in motions.items():
-        if mask.any():
-            mark = _mark(motion, line.colour)
-            layers.append(dots(places[mask], values[mask], size=size + (motion == "none"), clip=False, **mark))
-    return layers
-
-
-def _motions(lanes: xr.Dataset) -> dict[str, Bool[np.ndarray, "*lanes"]]:
-    """Return masks of the lanes with a single impact, another motion, and a single impact without penetration."""
-    nothing = np.atleast_1d(lanes[RATE].values) == 0
-    single = np.atleast_1d(lanes[REGIME].values) == SINGLE if REGIME in lanes else np.ones(nothing.shape, bool)
-    return {"single": single & ~nothing, "other": ~single, "none": single & nothing}
-
-
-def _mark(motion: str, colour: str) -> Look:
-    mark: Look = {"colour": colour, "marker": "x" if motion == "other" else "o"}
-    return mark | {"face": "white", "order": 4.0} if motion == "none" else mark

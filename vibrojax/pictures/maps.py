@@ -1,7 +1,4 @@
-"""Maps over two parameters, as cells of a grid or as dots of a list of points: regimes, other quantities, rates.
-
-Many initial conditions are drawn one by one or as fractions of regimes; lanes without a map are counted by regime.
-"""
+"""Maps over two parameters, as cells of a grid or as dots of a list of points: regimes, other quantities, rates."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,12 +8,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from contourpy import contour_generator
-from matplotlib.colors import ListedColormap, Normalize
-from matplotlib.ticker import MaxNLocator
 
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import kind_of
-from vibrojax.pictures import axes, contents, starts
+from vibrojax.lazy import colors, ticker
+from vibrojax.pictures import axes, contents
 from vibrojax.pictures.colours import (
     REGIME_COLOURS,
     SENSITIVE_KEY,
@@ -26,13 +22,11 @@ from vibrojax.pictures.colours import (
     regime_counts,
     regime_names,
     regime_value,
-    regimes_and_beside,
     regimes_in,
-    share_value,
+    values_beside,
     values_of_rock,
 )
-from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, RELIEF, SENSITIVE, START, lane_dims, swept, varied
-from vibrojax.pictures.lines import regime_lines
+from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, RELIEF, SENSITIVE, START, lane_dims, varied
 from vibrojax.pictures.overlays import check_borders, codim2_layers, over_map_text, over_panel
 from vibrojax.pictures.plots import (
     INK,
@@ -49,7 +43,7 @@ from vibrojax.pictures.plots import (
     colours_of,
     dots,
 )
-from vibrojax.pictures.sheet import LEGEND_WIDTH, MOST_PANELS, Facets, at, columns, facets, turned
+from vibrojax.pictures.sheet import LEGEND_WIDTH, MOST_PANELS, Facets, at, facets
 from vibrojax.pictures.style import NO_VALUE, NOTHING
 
 Values = Sequence[Value]
@@ -67,7 +61,6 @@ _DOT, _MANY_DOTS = 4.5, 600  # diameter of a dot [pt], and number of points from
 _SYMBOLS = {"mean_force": "P", "relief": "P/D"}
 _LABEL_ROOM = np.array([0.11, 0.06])  # width and height around the label of a contour line, as fractions of the panel
 _MOST_BAR_COLUMNS = 4
-_MOST_SHARES = 5  # number of fractions drawn as maps if there is a single facet
 
 # The region of parameters with "best" stable single impacts (source, chapter 5).
 REGION = {"beta": (0.25, 0.60), "gamma": (0.60, 0.80)}
@@ -86,43 +79,41 @@ def maps_of(
     Up to three facets have one row each, four or more quantities of a single facet two columns. With more facets, the
     maps of each quantity are a block of rows. `points`: whether the lanes are a list of points, rather than a grid.
     """
-    count, wide = len(panels), len(values)
-    blocks = count > _MOST_BESIDE
-    panels = turned(panels, _MOST_COLUMNS) if blocks else panels
-    across = columns(panels, _MOST_COLUMNS) if blocks else 2 if count == 1 and wide >= _SQUARE_FROM else wide
-    width, height = (3.4 if across > 1 else 4.4, 2.7) if not blocks else (2.75 if across <= 4 else 2.2, 2.1)
-    deep = -(-count // across) * wide if blocks else -(-count * wide // across)
+    count, many = len(panels), len(values)
+    if blocks := count > _MOST_BESIDE:
+        of_facets = panels.places(_MOST_COLUMNS)
+        block = 1 + max(row for row, _ in of_facets)
+        places = [(row + i * block, column) for row, column in of_facets for i in range(many)]
+    else:
+        across = 2 if count == 1 and many >= _SQUARE_FROM else many
+        places = [divmod(k, across) for k in range(count * many)]
+    deep, wide = (max(ends) + 1 for ends in zip(*places, strict=True))
+    width, height = (2.75 if wide <= 4 else 2.2, 2.1) if blocks else (3.4 if wide > 1 else 4.4, 2.7)
+    of, letters = axes.axis if points else axes.map_axis, int(_LETTERS_PER_INCH * 0.75 * height)
+    # Few ticks: no "-2.5", which would touch the tick labels of the next panel.
+    right, up = of(x, group="x", intervals=6), of(y, label=axes.label(y, letters), group="y")
     plots = []
-    for k, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
-        for i, value in enumerate(values):
-            row, column = divmod(k if blocks else k * wide + i, across)
-            words = ", ".join(filter(None, (title if blocks or not column else "", value.label * value.counted)))
+    for k, (title, facet) in enumerate(panels):
+        for value, place in zip(values, places[k * many :], strict=False):
+            words = ", ".join(filter(None, (title * (blocks or not place[1]), value.label * value.counted)))
             # Lines break between the parts of a title.
             words = fill(words.replace(" ", "\u00a0").replace(",\u00a0", ", "), int(13 * width)).replace("\u00a0", " ")
-            layers = layers_of(facet, value)
-            plot = _map_plot(x, y, layers, int(_LETTERS_PER_INCH * 0.75 * height), points)
-            place = row + blocks * i * (deep // wide), column
-            scale = None if value.counted else value
-            plots.append(replace(plot, title=words, place=place, at=at(facet), scale=scale))
-    bars = sum(not value.counted for value in values) if blocks or across < wide else 1
-    size = width * across + LEGEND_WIDTH + 0.3, height * deep + 0.6 * bars + 0.6
-    return Sheet(sorted(plots, key=lambda plot: plot.place), size, (1.0,) * across, (1.0,) * deep)
+            layers, scale = [*layers_of(facet, value), *region(x, y)], None if value.counted else value
+            plots.append(Plot(layers, right, up, words, place, at(facet), grid="both" * points, scale=scale))
+    bars = sum(not value.counted for value in values) if blocks or wide < many else 1
+    size = width * wide + LEGEND_WIDTH + 0.3, height * deep + 0.6 * bars + 0.6
+    return Sheet(sorted(plots, key=lambda plot: plot.place), size)
 
 
-def _map_plot(x: xr.DataArray, y: xr.DataArray, layers: list[Layer], letters: int, points: bool) -> Plot:
-    """Return the plot of a map, with the source's region of best single impacts over beta and gamma."""
-    # Few ticks: no "-2.5", which would touch the tick labels of the next panel.
-    of, about = axes.axis if points else axes.map_axis, {"group": "x", "intervals": 6}
-    across, up = of(x, **about), of(y, label=axes.label(y, letters), group="y")
-    if {x.name, y.name} == set(REGION):
-        (west, east), (south, north) = REGION[str(x.name)], REGION[str(y.name)]
-        (first, last), (bottom, top) = ((float(end) for end in _ends(data)) for data in (x, y))
-        if west < last and east > first and south < top and north > bottom:
-            # A region that goes on beyond the map is closed at its edge.
-            (west, east), (south, north) = (max(west, first), min(east, last)), (max(south, bottom), min(north, top))
-            corners = [west, east, east, west, west], [south, south, north, north, south]
-            layers = [*layers, Line(*corners, width=1.3, halo=0.85, label="source's best region")]
-    return Plot(layers, across, up, grid="both" if points else "")
+def region(x: xr.DataArray, y: xr.DataArray) -> list[Line]:
+    """Return the border of the source's region of best single impacts, closed at the edge of the map."""
+    if {x.name, y.name} != set(REGION):
+        return []
+    (west, east), (south, north) = (np.clip(REGION[str(data.name)], *_ends(data)).tolist() for data in (x, y))
+    if west >= east or south >= north:
+        return []
+    corners = [west, east, east, west, west], [south, south, north, north, south]
+    return [Line(*corners, width=1.3, halo=0.85, label="source's best region", order=3.0)]
 
 
 def _ends(data: xr.DataArray) -> tuple[float, float]:
@@ -164,7 +155,7 @@ def regime_grid(ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Sheet:
         x, y = y, x
     # Curves and their points need the width of the page.
     alone = any(kind_of(layer) == "curves" for layer in over)
-    return map_sheet(ds, x, y, [regime_value(ds[REGIME])] if alone else regimes_and_beside(ds), over=over)
+    return map_sheet(ds, x, y, [regime_value(ds[REGIME]), *([] if alone else values_beside(ds))], over=over)
 
 
 def rate_grid(ds: xr.Dataset) -> Sheet:
@@ -212,8 +203,8 @@ def cell_layers(facet: xr.Dataset, value: Value, x: str, y: str) -> list[Layer]:
     if not value.of_rate:
         return layers
     if (cells == 0).any():
-        white = ListedColormap([NOTHING, "#FFFFFF00"], name="nothing")
-        layers.append(Cells(right, top, np.where(cells == 0, 0.0, 1.0), white, Normalize(0.0, 1.0), order=0.5))
+        white = colors.ListedColormap([NOTHING, "#FFFFFF00"], name="nothing")
+        layers.append(Cells(right, top, np.where(cells == 0, 0.0, 1.0), white, colors.Normalize(0.0, 1.0), order=0.5))
     if REGIME in facet:
         single = facet[REGIME].transpose(y, x).values == SINGLE
         across, along = np.argwhere(single[:, 1:] != single[:, :-1]), np.argwhere(single[1:] != single[:-1])
@@ -283,7 +274,7 @@ def _relief_lines(facet: xr.Dataset, x: str, y: str) -> list[Layer]:
     constant = _CONSTANT_RELIEF * relief.max()
     if not np.isfinite(relief).all() or not all((np.ptp(relief, axis=i) > constant).any() for i in (0, 1)):
         return []  # lines would be straight if the relief does not depend on one of the axes
-    levels = MaxNLocator(_RELIEF_LEVELS).tick_values(relief.min(), relief.max())
+    levels = ticker.MaxNLocator(_RELIEF_LEVELS).tick_values(relief.min(), relief.max())
     levels = levels[(levels > relief.min()) & (levels < relief.max())]
     along = axes.values_along(facet[x]), axes.values_along(facet[y])
     return contours(*along, relief, levels.tolist(), [], halo=0.65, label="equal relief P/D")
@@ -326,7 +317,7 @@ def split_starts(ds: xr.Dataset) -> Facets:
     return Facets(tuple(f"start: {axes.short(name)}" for name in names), data, (len(names),))
 
 
-# Many initial conditions, and lanes without a map.
+# Lanes without a map.
 
 
 def regime_bars(ds: xr.Dataset) -> Sheet:
@@ -344,7 +335,7 @@ def regime_bars(ds: xr.Dataset) -> Sheet:
     ticks = [(float(k), names[flag]) for k, flag in enumerate(occurring)]
     up = Axis(limits=(-0.5, max(len(occurring), 1) - 0.5), ticks=ticks, reversed=True, group="regimes")
     plots = []
-    for k, (title, facet, count) in enumerate(zip(panels.titles, panels.data, counts, strict=True)):
+    for k, ((title, facet), count) in enumerate(zip(panels, counts, strict=True)):
         lanes = [count.get(flag, 0) for flag in occurring]
         texts = [
             Text(float(n), float(place), f"{n}  ({axes.share_text(n / facet[REGIME].size)})", "left", offset=(3.0, 0.0))
@@ -354,76 +345,4 @@ def regime_bars(ds: xr.Dataset) -> Sheet:
         bars = Bars(np.zeros(len(lanes)), places - 0.4, np.array(lanes), np.full(len(lanes), 0.8), colours, "#595959")
         plots.append(Plot([bars, *texts], across, up, title, divmod(k, wide), grid=""))
     size = 1.6 + 3.0 * wide, 0.6 + deep * (0.6 + 0.32 * max(len(occurring), 2))
-    return Sheet(plots, size, (1.0,) * wide, (1.0,) * deep, **axes.margins(ds, axes.certified_text(ds)))
-
-
-def many_starts(ds: xr.Dataset, values: Values | None = None) -> Sheet:
-    """Draw the regimes that many initial conditions lead to.
-
-    Initial states on a grid become maps over these states, and initial states on a line become curves. Other initial
-    conditions are scattered over the phase planes of bit and striker. If parameters vary over more values than there
-    can be panels, the fraction of initial conditions in each regime is drawn, or the median of `values`. If specified,
-    `values` replace the regimes and the quantities next to them.
-    """
-    ds = regimes_in(ds)
-    if POINT in lane_dims(ds):
-        names = list(varied(ds))
-        return _over_two(ds, names[0], names[1], values) if len(names) == 2 else regime_bars(ds)
-    parameters, spread = swept(ds), starts.on_axes(ds)
-    shown = values or regimes_and_beside(ds)
-    quantities = [value for value in shown if not value.counted]
-    states = [name for name in swept(spread) if name.startswith(starts.PREFIX)]
-    long = [name for name in parameters if ds.sizes[name] >= contents.ENOUGH]
-    note = starts.left_out_text(ds)
-    if len(states) >= 2 and not long:
-        return map_sheet(spread, states[0], states[1], shown, note)
-    if len(states) == 1 and len(long) == 1:
-        return map_sheet(spread, long[0], states[0], shown, note)
-    if len(states) == 1 and not long:
-        return regime_lines(spread, states[0], note, quantities)
-    if not parameters:
-        return _phase_planes(starts.described(ds), shown) if starts.varied_states(ds) else regime_bars(ds)
-    if len(parameters) == 1 or len(long) == 1:
-        return regime_lines(ds, values=quantities)
-    return _over_two(ds, *contents.axes_of_map(ds), values)
-
-
-def _over_two(ds: xr.Dataset, x: str, y: str, values: Values | None) -> Sheet:
-    """Draw the medians of `values` over two parameters, or the fraction of initial conditions in each regime.
-
-    The first fractions get a map each; a note lists the other regimes.
-    """
-    if values is not None:
-        names = [value.name for value in values if not value.counted]
-        return map_sheet(starts.medians(ds, names), x, y, values, starts.medians_text(ds))
-    most = 1 if set(swept(ds)) - {x, y} else _MOST_SHARES
-    shares = starts.regime_shares(ds)
-    names = [str(name).removeprefix(starts.SHARE) for name in shares.data_vars if str(name).startswith(starts.SHARE)]
-    shown = [share_value(shares[starts.SHARE + name], name) for name in names[:most]]
-    note = f"Without a map of its share: {', '.join(names[most:])}" if names[most:] else ""
-    about = f"The regime that most of {ds.sizes[START]} starts end in, and the share of them that ends in each"
-    return map_sheet(shares, x, y, [regime_value(shares[REGIME]), *shown], about, note)
-
-
-def _phase_planes(ds: xr.Dataset, shown: Values) -> Sheet:
-    """Draw the values `shown` over pairs of states, for initial conditions that form no grid."""
-    names = starts.varied_states(ds)
-    pairs = list(zip(names[::2], names[1::2], strict=False)) or [(names[0], names[0])]
-    pairs += [(names[0], names[-1])] if len(names) > 1 and len(names) % 2 else []
-    shuffled = ds.isel({START: np.random.default_rng(0).permutation(ds.sizes[START])})  # so none is always in front
-    plots = [
-        Plot(
-            point_layers(shuffled, value, x, y),
-            axes.axis(ds[x], group=f"x{row}", intervals=6),
-            axes.axis(ds[y], group=f"y{row}"),
-            place=(row, column),
-            grid="",
-            scale=None if value.counted else value,
-        )
-        for row, (x, y) in enumerate(pairs[:3])
-        for column, value in enumerate(shown)
-    ]
-    size = 3.4 * len(shown) + LEGEND_WIDTH, 3.0 * len(pairs[:3]) + 1.2
-    about = axes.margins(ds, axes.certified_text(ds), f"{ds.sizes[START]} starts", starts.left_out_text(ds))
-    keys = cell_keys([ds], [value for value in shown if value.counted])
-    return Sheet(plots, size, (1.0,) * len(shown), (1.0,) * len(pairs[:3]), keys=[keys], **about)
+    return Sheet(plots, size, **axes.margins(ds, axes.certified_text(ds)))

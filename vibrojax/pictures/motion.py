@@ -19,7 +19,7 @@ from vibrojax.pictures.contents import TIME, Contents
 from vibrojax.pictures.plots import FAINT, INK, Area, Axis, Layer, Line, Look, Plot, Sheet, Text, dots, level, upright
 from vibrojax.pictures.style import BIT, DASHED, IMPACT, ROCK, SAVED_DPI, STICK, STRIKER
 
-_WIDTH = 10.0  # of the figures [inch]
+FIGURE_WIDTH = 10.0  # of the figures [inch]
 _PANEL_SHARE = 0.775  # of the width of the figure
 _COLUMNS = 6  # of the grid that the panels of a row share
 _CYCLE_PIXELS = 5.0  # least width of a cycle that a line resolves
@@ -28,18 +28,14 @@ _FEWEST_SAMPLES = 16
 _WINDOW = 1.5  # duration of the end of the run that is shown [s]
 _OVERVIEW_FROM = 1.5  # ratio of the run's length to the window from which there is an overview
 _MOST_PEAKS, _LEAST_PEAK = 3, 0.1  # number of peaks, and least height relative to the highest
-_LOBE_BINS = 4  # width of the Hann window's main lobe in frequency bins
+_PADDED = 8  # length of the spectrum's samples with zeros appended, in units of the length without
+_LOBE_BINS = 4 * _PADDED  # width of the Hann window's main lobe in frequency bins
 _SPECTRUM_SPAN = 5.0  # in units of the bit's dominant frequency
 _SPECTRUM_AT_REST = 25.0  # span [Hz] if nothing moves
 _LEAST_AMPLITUDE = 1e-6  # [mm]: less is rounding error
 _IMPACT_WINDOW = 0.1  # time [s] within which the bit must come to rest after an impact, if the impact is enlarged
 _REST_SPEED = 0.01  # fraction of the greatest speed up to which the bit counts as resting
 _IMPACT_LEAD = 0.15  # fraction of an impact's duration that is shown before the impact
-_ENLARGED_BLOWS = 2
-_BLOW_LEAD = 0.08  # fraction of the time between blows that is shown before the first enlarged blow
-_FEWEST_CYCLES = 4
-_LEAST_SLIP = 1e-12  # [m] in one cycle: less is rounding error
-_MANY_CYCLES = 120  # number of cycles from which curves have no markers
 _MOST_STATES = 6  # of a system; more would not be legible on one page
 _DOTS: Look = {"size": 4.0, "colour": IMPACT, "order": 4.0, "clip": False}
 _FORCES = {  # colour, line width, legend text
@@ -50,7 +46,6 @@ _FORCES = {  # colour, line width, legend text
 }
 
 Samples = Float[np.ndarray, " samples"]
-Times = Float[np.ndarray, " times"]
 
 
 @dataclass(frozen=True)
@@ -64,19 +59,17 @@ class Run:
 
     time: Samples
     series: Mapping[str, Samples]
-    impacts: Times
+    impacts: Float[np.ndarray, " times"]
     parameters: Mapping[str, float]
 
     def __getitem__(self, name: str) -> Samples:
         return self.series[name]
 
-    def since(self, start: float) -> slice:
-        """Return the slice of samples from the time `start` [s] on."""
-        return slice(int(np.searchsorted(self.time, start)), None)
-
-    def between(self, start: float, end: float) -> slice:
-        """Return the slice of samples from `start` to `end` [s], with one more sample at both ends."""
-        return slice(max(int(np.searchsorted(self.time, start)) - 1, 0), int(np.searchsorted(self.time, end)) + 1)
+    def between(self, start: float, end: float) -> "Run":
+        """Return the run from `start` to `end` [s], with one more sample at both ends."""
+        part = slice(max(int(np.searchsorted(self.time, start)) - 1, 0), int(np.searchsorted(self.time, end)) + 1)
+        impacts = self.impacts[(self.impacts >= start) & (self.impacts < end)]
+        return Run(self.time[part], {name: x[part] for name, x in self.series.items()}, impacts, self.parameters)
 
 
 def read_run(ds: xr.Dataset, *states: str) -> Run:
@@ -119,7 +112,7 @@ def trace(time: Samples, values: Samples, share: float = 1.0, **look: Any) -> Li
 
     `share`: width of the panel, as a fraction of the figure's panels.
     """
-    pixels = max(int(share * _PANEL_SHARE * _WIDTH * SAVED_DPI), 1)
+    pixels = max(int(share * _PANEL_SHARE * FIGURE_WIDTH * SAVED_DPI), 1)
     height = float(np.ptp(values)) if values.size else 0.0
     # Number of cycles: the total variation over twice the height. Are the cycles too narrow for a line?
     if not (height > 0 and float(np.abs(np.diff(values)).sum()) / (2.0 * height) > pixels / _CYCLE_PIXELS):
@@ -129,165 +122,136 @@ def trace(time: Samples, values: Samples, share: float = 1.0, **look: Any) -> Li
     first = np.flatnonzero(np.diff(column, prepend=-1))
     low, high = (reduce.reduceat(values, first) for reduce in (np.minimum, np.maximum))
     ends, low, high = np.append(time[first], time[-1]), np.append(low, low[-1]), np.append(high, high[-1])
-    colour, label, order = look["colour"], look.get("label", ""), look.get("order", 2.0)
-    return Area(ends, low, high, colour, 0.3, edge=colour, step=True, label=label, order=order)
+    about = {name: look[name] for name in ("label", "order") if name in look}
+    return Area(ends, low, high, look["colour"], 0.3, edge=look["colour"], step=True, **about)
 
 
-def _band_text(plots: Sequence[Plot]) -> str:
+def band_text(plots: Sequence[Plot]) -> str:
     """Return the note on bands, or "" if no plot has a band."""
     if not any(isinstance(layer, Area) and layer.step for plot in plots for layer in plot.layers):
         return ""
     return "Bands: from the least to the greatest value, where the oscillations are too many to be told apart"
 
 
-def _time(start: float, end: float, group: str = "time", **about: Any) -> Axis:
-    return Axis("time [s]", TIME, (start, end), group=group, **about)
+def time_axis(start: float, end: float, group: str = "time") -> Axis:
+    """Return the axis of the time from `start` to `end` [s]."""
+    return Axis("time [s]", TIME, (start, end), group=group)
 
 
-def _span(start: float, end: float, alpha: float, label: str = "") -> Area:
+def span(start: float, end: float, alpha: float, label: str = "") -> Area:
+    """Return a shaded interval of the horizontal axis."""
     return Area([start, end], [-np.inf] * 2, [np.inf] * 2, FAINT, alpha, label=label)
 
 
-def _unlabelled(plot: Plot) -> list[Layer]:
-    return [replace(layer, label="") if isinstance(layer, Line | Area) else layer for layer in plot.layers]
+def enlarged(plot: Plot, remark: str, **about: Any) -> Plot:
+    """Return a plot beside one of the same lines, which the legend of that one names."""
+    layers = [replace(layer, label="") if isinstance(layer, Line | Area) else layer for layer in plot.layers]
+    return replace(plot, layers=layers, remark=remark, **about)
 
 
-def _unit(unit: str, *values: Samples) -> tuple[float, str]:
+def printed_unit(unit: str, *values: Samples) -> tuple[float, str]:
     """Return the conversion factor and the unit to print `values` in, which have an SI unit."""
-    greatest = max((float(np.abs(part).max(initial=0.0)) for part in values), default=0.0)
-    factor, printed = scale(xr.DataArray([greatest], attrs={"units": unit}))
+    factor, printed = scale(xr.DataArray(np.concatenate([np.zeros(1), *values]), attrs={"units": unit}))
     return factor, printed.replace(" s-1", "/s")
 
 
-def _contact(motion: Run) -> float | None:
+def _gap(motion: Run) -> float | None:
     """Return the place [mm] of the contact between striker and bit, or None for a scene without impacts."""
-    return (
-        1e3 * motion.parameters["delta"] if "impact_force" in motion.series and "delta" in motion.parameters else None
-    )
+    known = "impact_force" in motion.series and "delta" in motion.parameters
+    return 1e3 * motion.parameters["delta"] if known else None
 
 
-def _both(motion: Run, start: float, of_bit: Samples, of_striker: Samples, named: bool = False) -> list[Layer]:
+def _both(motion: Run, x_bit: Samples, x_striker: Samples, labels: Sequence[str] = ("",) * 4) -> list[Layer]:
     """Draw a quantity of striker and bit over time; mark sticking and impacts on lines, but not on bands."""
-    late, times = motion.since(start), motion.impacts[motion.impacts >= start]
-    names = ("bit", "striker", "bit sticks", "impact begins") if named else ("",) * 4
-    bit = trace(motion.time[late], of_bit[late], colour=BIT, width=1.1, label=names[0], order=2.1)
-    striker = trace(motion.time[late], of_striker[late], colour=STRIKER, width=1.1, label=names[1])
+    bit = trace(motion.time, x_bit, colour=BIT, width=1.1, label=labels[0], order=2.1)
+    striker = trace(motion.time, x_striker, colour=STRIKER, width=1.1, label=labels[1])
     layers: list[Layer] = [bit, striker]
-    if isinstance(bit, Line) and motion["stuck"][late].any():
-        stuck = np.where(motion["stuck"] == 1, of_bit, np.nan)[late]
-        layers.append(Line(motion.time[late], stuck, STICK, 2.6, label=names[2], order=2.2))
-    if isinstance(striker, Line) and times.size:
-        layers.append(dots(times, np.interp(times, motion.time, of_striker), label=names[3], **_DOTS))
-    gap = _contact(motion)
-    if named and gap is not None:
-        layers.append(level(gap, colour=FAINT, width=0.8, dash=DASHED, label=f"gap Δ = {number(gap)} mm", order=1.5))
+    if isinstance(bit, Line) and motion["stuck"].any():
+        stuck = np.where(motion["stuck"] == 1, x_bit, np.nan)
+        layers.append(Line(motion.time, stuck, STICK, 2.6, label=labels[2], order=2.2))
+    if isinstance(striker, Line) and motion.impacts.size:
+        at_impacts = np.interp(motion.impacts, motion.time, x_striker)
+        layers.append(dots(motion.impacts, at_impacts, label=labels[3], **_DOTS))
     return layers
 
 
-def _portrait(motion: Run, x: str, speed: Samples, start: float, speed_label: str) -> Plot:
+def _portrait(motion: Run, start: float, x: str, speed: str, label: str) -> Plot:
     """Draw the phase portrait of bit (`x` is x1) or striker (x2), with impacts as dots.
 
     The transient is faint, the motion after time `start` [s] strong. Sticking is a thick line on the bit's portrait,
     the contact a vertical line on the striker's.
     """
     name, symbol, colour = ("bit", "x₁", BIT) if x == "x1" else ("striker", "x₂", STRIKER)
-    late, displacement, gap = motion.since(start), 1e3 * motion[x], _contact(motion)
-    before = slice(None, late.start + 1)
+    before, late = motion.between(motion.time[0], start), motion.between(start, np.inf)
     layers: list[Layer] = [level(0.0, colour=FAINT, width=0.6, order=1.5)]
-    if x == "x2" and gap is not None:
+    if x == "x2" and (gap := _gap(motion)) is not None:
         layers.append(upright(gap, colour=FAINT, width=0.8, dash=DASHED, order=1.5))
-    layers.append(Line(displacement[before], speed[before], FAINT, 0.4, alpha=0.6))
-    layers.append(Line(displacement[late], speed[late], colour, 1.1))
+    layers.append(Line(1e3 * before[x], before[speed], FAINT, 0.4, alpha=0.6))
+    layers.append(Line(1e3 * late[x], late[speed], colour, 1.1))
     if x == "x1":
-        stuck = np.where(motion["stuck"] == 1, speed, np.nan)
-        layers.append(Line(displacement[late], stuck[late], STICK, 2.8, order=3.0))
-    times = motion.impacts[motion.impacts >= start]
-    layers.append(dots(*(np.interp(times, motion.time, values) for values in (displacement, speed)), **_DOTS))
-    return Plot(layers, Axis(f"{symbol} [mm]"), Axis(speed_label), name, title_colour=colour, grid="")
+        layers.append(Line(1e3 * late[x], np.where(late["stuck"] == 1, late[speed], np.nan), STICK, 2.8, order=3.0))
+    layers.append(dots(*(np.interp(late.impacts, late.time, part) for part in (1e3 * late[x], late[speed])), **_DOTS))
+    return Plot(layers, Axis(f"{symbol} [mm]"), Axis(label), name, title_colour=colour, grid="")
 
 
 def _spectrum(motion: Run) -> Plot:
     """Draw the amplitude spectra of both displacements, and label the peaks with their frequencies."""
+    from scipy.signal import find_peaks, periodogram  # slow to import, and no other picture needs it
+
+    late = np.linspace((motion.time[0] + motion.time[-1]) / 2, motion.time[-1], max(motion.time.size // 2, 8))
     named: list[tuple[float, float]] = []
     layers: list[Layer] = []
-    end, width, top = 0.0, 0.0, _LEAST_AMPLITUDE
+    end, top, lobe = 0.0, _LEAST_AMPLITUDE, 0.0
     for name, x, colour in (("bit x₁", "x1", BIT), ("striker x₂", "x2", STRIKER)):
-        frequencies, amplitudes = amplitude_spectrum(motion.time, 1e3 * motion[x])
-        highest = peaks(frequencies, amplitudes) if amplitudes.max() > _LEAST_AMPLITUDE else []
-        end = end or (_SPECTRUM_SPAN * highest[0][0] if highest else 0.0)
-        width, top = _LOBE_BINS * float(frequencies[1]), max(top, float(amplitudes.max()))
-        layers.append(Line(frequencies, amplitudes, colour, 1.0, label=name))
+        signal, rate = np.interp(late, motion.time, 1e3 * motion[x]), 1.0 / (late[1] - late[0])
+        frequencies, power = periodogram(signal, rate, "hann", _PADDED * late.size, scaling="spectrum")
+        amplitudes = np.sqrt(2.0 * power)  # of a sine: its amplitude
+        maxima, _ = find_peaks(amplitudes, max(_LEAST_PEAK * amplitudes.max(), _LEAST_AMPLITUDE), distance=_LOBE_BINS)
+        maxima = maxima[np.argsort(-amplitudes[maxima])][:_MOST_PEAKS]
+        end = end or (_SPECTRUM_SPAN * float(frequencies[maxima[0]]) if maxima.size else 0.0)
+        lobe, top = float(frequencies[_LOBE_BINS]), max(top, float(amplitudes.max()))
+        shown = frequencies < (end or _SPECTRUM_AT_REST)
+        layers.append(Line(frequencies[shown], amplitudes[shown], colour, 1.0, label=name))
         # Where both lines have a peak, the higher line hides the lower line, but not the marker at its top.
-        layers.append(dots(*np.reshape(highest, (-1, 2)).T, colour=colour, size=3.2, order=4.0))
-        named += highest
+        layers.append(dots(frequencies[maxima], amplitudes[maxima], colour=colour, size=3.2, order=4.0))
+        named += zip(frequencies[maxima].tolist(), amplitudes[maxima].tolist(), strict=True)
     end = end or _SPECTRUM_AT_REST
     texts: list[Text] = []
     look: dict[str, Any] = {"colour": INK, "size": 8.0, "halo": 1.0, "offset": (4.0, 2.0), "order": 5.0}
     for frequency, amplitude in sorted(named, key=lambda peak: -peak[1]):
-        if frequency < end and all(abs(frequency - text.x) > width for text in texts):
+        if frequency < end and all(abs(frequency - text.x) > lobe for text in texts):
             texts.append(Text(frequency, amplitude, f"{number(round(frequency, 2))} Hz", "left", "bottom", **look))
     up = Axis("amplitude [mm]", limits=(0.0, 1.12 * top))  # room for the text at the highest peak
     title = "spectrum, second half of the run"
     return Plot([*layers, *texts], Axis("frequency [Hz]", limits=(0.0, end)), up, title, keys="upper right")
 
 
-def amplitude_spectrum(time: Samples, signal: Samples) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequencies [Hz] and amplitudes of the second half of a signal, under a Hann window.
-
-    A sine of amplitude A gives a peak of height A. The signal is interpolated to equidistant times.
-    """
-    late = np.linspace((time[0] + time[-1]) / 2, time[-1], max(time.size // 2, 8))
-    values, window = np.interp(late, time, signal), np.hanning(late.size)
-    amplitudes = 2.0 * np.abs(np.fft.rfft((values - np.average(values, weights=window)) * window)) / window.sum()
-    return np.fft.rfftfreq(late.size, late[1] - late[0]), amplitudes
-
-
-def peaks(frequencies: np.ndarray, amplitudes: np.ndarray) -> list[tuple[float, float]]:
-    """Return frequency and amplitude of up to three local maxima above a tenth of the global maximum, highest first.
-
-    Each frequency is the vertex of the parabola through the logarithms of the three amplitudes at the peak.
-    """
-    from scipy.signal import find_peaks  # slow to import, and no other picture needs it
-
-    maxima, _ = find_peaks(amplitudes, height=_LEAST_PEAK * amplitudes.max(), distance=_LOBE_BINS + 1)
-    highest = []
-    for index in maxima[np.argsort(-amplitudes[maxima])][:_MOST_PEAKS].tolist():
-        below, here, above = np.log(np.maximum(amplitudes[index - 1 : index + 2], 1e-300))
-        bend = below - 2.0 * here + above  # 0 on a plateau
-        shift = 0.5 * (below - above) / bend if bend < 0 else 0.0
-        highest.append((float(frequencies[index] + shift * frequencies[1]), float(amplitudes[index])))
-    return highest
-
-
-def _hole_plot(hole: Run, start: float, end: float, group: str) -> Plot:
+def hole_plot(hole: Run, start: float, end: float, group: str) -> Plot:
     """Draw the bit's displacement x3 and the hole's depth x4 from `start` to `end` [s], on half of the width."""
     late = hole.between(start, end)
-    factor, unit = _unit("m", hole["x3"][late], hole["x4"][late])
+    factor, unit = printed_unit("m", late["x3"], late["x4"])
     # The wider line of the hole is drawn first, so that both are visible where the bit presses on the hole's bottom.
     layers = [
-        trace(hole.time[late], factor * hole["x4"][late], 0.5, colour=ROCK, width=2.4, label="hole x₄"),
-        trace(hole.time[late], factor * hole["x3"][late], 0.5, colour=BIT, width=0.9, label="bit x₃"),
+        trace(late.time, factor * late["x4"], 0.5, colour=ROCK, width=2.4, label="hole x₄"),
+        trace(late.time, factor * late["x3"], 0.5, colour=BIT, width=0.9, label="bit x₃"),
     ]
-    return Plot(layers, _time(start, end, group), Axis(f"depth\n[{unit}]"))
+    return Plot(layers, time_axis(start, end, group), Axis(f"depth\n[{unit}]"))
 
 
-def _force_plot(
-    run: Run, late: slice, names: Sequence[str], across: Axis, threshold: float | None = None, share: float = 1.0
-) -> Plot:
-    """Draw the forces `names` that the run has over the samples `late`, and the rock's threshold [N]."""
-    forces = {name: run[name] for name in names if name in run.series}
-    factor, unit = _unit("N", *forces.values())
+def force_plot(run: Run, names: Sequence[str], across: Axis, limit: float | None = None, share: float = 1.0) -> Plot:
+    """Draw the forces `names` of a run, and the rock's threshold `limit` [N]."""
+    factor, unit = printed_unit("N", *(run[name] for name in names))
     layers: list[Layer] = []
-    if threshold is not None:
-        text = f"threshold D = {number(factor * threshold)} {unit}"
-        layers.append(level(factor * threshold, colour=ROCK, width=1.0, dash=DASHED, label=text))
-    for name, force in forces.items():
+    if limit is not None:
+        text = f"threshold D = {number(factor * limit)} {unit}"
+        layers.append(level(factor * limit, colour=ROCK, width=1.0, dash=DASHED, label=text))
+    for name in names:
         colour, width, label = _FORCES[name]
-        layers.append(trace(run.time[late], factor * force[late], share, colour=colour, width=width, label=label))
+        layers.append(trace(run.time, factor * run[name], share, colour=colour, width=width, label=label))
     return Plot(layers, across, Axis(f"force\n[{unit}]"))
 
 
-def _growth_text(hole: Run) -> str:
+def growth_text(hole: Run) -> str:
     """Return the note on the hole's growth over the run."""
     depth, duration = 1e3 * float(hole["x4"][-1] - hole["x4"][0]), float(np.ptp(hole.time))
     if not depth > 0:
@@ -310,141 +274,54 @@ def trajectory(ds: xr.Dataset) -> Sheet:
     """
     motion = read_run(ds, "x1", "v1", "x2", "v2")
     hole = read_run(ds, "x3", "x4") if Contents(ds).hole else None
-    end, driven = float(motion.time[-1]), "v" in motion.parameters
-    start = max(end - _WINDOW, float(motion.time[0]))
+    begin, end, driven = float(motion.time[0]), float(motion.time[-1]), "v" in motion.parameters
+    start = max(end - _WINDOW, begin)
+    late, across = motion.between(start, np.inf), time_axis(start, end)
     rows: list[tuple[float, list[Plot]]] = []  # with their heights
-    if float(np.ptp(motion.time)) > _OVERVIEW_FROM * _WINDOW:
+    if end - begin > _OVERVIEW_FROM * _WINDOW:
         both = [trace(motion.time, 1e3 * motion[x], colour=c, width=0.4) for x, c in (("x1", BIT), ("x2", STRIKER))]
-        across = _time(motion.time[0], end, "")
-        rows.append((0.65, [Plot([*both, _span(start, end, 0.3)], across, Axis("whole run\n[mm]"), grid="")]))
-    displacements = _both(motion, start, 1e3 * motion["x1"], 1e3 * motion["x2"], named=True)
-    up = Axis("displacement\n[mm]")
-    rows.append((1.25, [Plot(displacements, _time(start, end), up, keys="above", key_columns=5)]))
-    speeds = [level(0.0, colour=FAINT, width=0.7), *_both(motion, start, motion["u"], motion["v2"])]
-    rows.append((1.25, [Plot(speeds, _time(start, end), Axis(f"{'u' if driven else 'x₁′'} and x₂′\n[m/s]"))]))
-    forces = [name for name in ("impact_force", "friction_force") if name in motion.series]
-    if forces:
-        plot = _force_plot(motion, motion.since(start), forces, _time(start, end))
-        rows.append((0.9, [replace(plot, keys="above right", key_columns=2)]))
+        whole = Plot([*both, span(start, end, 0.3)], time_axis(begin, end, ""), Axis("whole run\n[mm]"), grid="")
+        rows.append((0.65, [whole]))
+    labels = "bit", "striker", "bit sticks", "impact begins"
+    displacements = _both(late, 1e3 * late["x1"], 1e3 * late["x2"], labels)
+    if (gap := _gap(motion)) is not None:
+        text = f"gap Δ = {number(gap)} mm"
+        displacements.append(level(gap, colour=FAINT, width=0.8, dash=DASHED, label=text, order=1.5))
+    rows.append((1.25, [Plot(displacements, across, Axis("displacement\n[mm]"), keys="above", key_columns=5)]))
+    speeds = [level(0.0, colour=FAINT, width=0.7), *_both(late, late["u"], late["v2"])]
+    rows.append((1.25, [Plot(speeds, across, Axis(f"{'u' if driven else 'x₁′'} and x₂′\n[m/s]"))]))
+    if forces := [name for name in ("impact_force", "friction_force") if name in motion.series]:
+        rows.append((0.9, [replace(force_plot(late, forces, across), keys="above right", key_columns=2)]))
     if hole:
-        depths = replace(_hole_plot(hole, start, end, "hole"), keys="above left", key_columns=2)
-        near, row = _last_impact(hole, motion.impacts[(motion.impacts >= start) & (motion.impacts < end)]), [depths]
-        if near:
-            enlarged = _hole_plot(hole, *near, "impact")
-            across, layers = replace(enlarged.x, intervals=4), _unlabelled(enlarged)
-            row = [replace(depths, layers=[_span(*near, 0.4), *depths.layers])]
-            row.append(replace(enlarged, layers=layers, x=across, remark="enlarged: the shaded impact"))
+        depths = replace(hole_plot(hole, start, end, "hole"), keys="above left", key_columns=2)
+        row = [depths]
+        if near := _last_impact(hole, motion.between(start, end).impacts):
+            near_plot = enlarged(hole_plot(hole, *near, "impact"), "enlarged: the shaded impact")
+            near_plot = replace(near_plot, x=replace(near_plot.x, intervals=4))
+            row = [replace(depths, layers=[span(*near, 0.4), *depths.layers]), near_plot]
         rows.append((1.3, row))
     speed = "sliding speed u = x₁′ + v [m/s]" if driven else "velocity x₁′ [m/s]"
-    of_bit = _portrait(motion, "x1", motion["u"], start, speed)
-    rows.append((2.7, [of_bit, _portrait(motion, "x2", motion["v2"], start, "velocity x₂′ [m/s]"), _spectrum(motion)]))
+    of_bit = _portrait(motion, start, "x1", "u", speed)
+    of_striker = _portrait(motion, start, "x2", "v2", "velocity x₂′ [m/s]")
+    rows.append((2.7, [of_bit, of_striker, _spectrum(motion)]))
     heights, plots = [height for height, _ in rows], []
     for k, (_, row) in enumerate(rows):
         wide = _COLUMNS // len(row)
         plots += [replace(plot, place=(k, i * wide, 1, wide)) for i, plot in enumerate(row)]
-    about = margins(ds, _growth_text(hole) if hole else "", _band_text(plots))
-    return Sheet(plots, (_WIDTH, sum(heights) + 0.33 * len(heights) + 1.2), (1.0,) * _COLUMNS, heights, **about)
+    about = margins(ds, growth_text(hole) if hole else "", band_text(plots))
+    return Sheet(plots, (FIGURE_WIDTH, sum(heights) + 0.33 * len(heights) + 1.2), heights=heights, **about)
 
 
-def _last_impact(hole: Run, impacts: Times) -> tuple[float, float] | None:
+def _last_impact(hole: Run, impacts: Samples) -> tuple[float, float] | None:
     """Return the time interval [s] around the last impact after which the bit comes to rest, or None."""
     for begins in impacts[::-1].tolist():
         after = hole.between(begins, min(begins + _IMPACT_WINDOW, float(hole.time[-1])))
-        speed = np.abs(hole["v3"][after])
+        speed = np.abs(after["v3"])
         moving = np.flatnonzero(speed > _REST_SPEED * speed.max(initial=0.0))
         if moving.size and moving[-1] < speed.size - 1:
-            rest = float(hole.time[after][moving[-1]])
+            rest = float(after.time[moving[-1]])
             return begins - _IMPACT_LEAD * (rest - begins), rest + 2 * _IMPACT_LEAD * (rest - begins)
     return None
-
-
-# The bit on rock under an applied force.
-
-
-def pulses(ds: xr.Dataset) -> Sheet:
-    """Draw bit and hole above the forces on the bit: the whole run at the left, its last two blows at the right.
-
-    **Raises:** `InputError` if the dataset holds no trajectory of bit and hole.
-    """
-    hole = read_run(ds, "x3", "x4")
-    end, late = float(hole.time[-1]), _last_blows(hole)
-    names = [name for name in ("applied_force", "rock_force") if name in hole.series]
-    plots = []
-    for column, start in enumerate((float(hole.time[0]), late)):
-        shown = [_hole_plot(hole, start, end, f"time{column}")]
-        if names:
-            threshold, across = hole.parameters.get("threshold"), _time(start, end, f"time{column}")
-            shown.append(_force_plot(hole, hole.between(start, end), names, across, threshold, 0.5))
-        for row, plot in enumerate(shown):
-            if column:
-                remark = "" if row else "enlarged: the shaded end of the run"
-                plot = replace(plot, layers=_unlabelled(plot), remark=remark)
-            else:
-                plot = replace(plot, layers=[_span(late, end, 0.25), *plot.layers], keys="above left", key_columns=3)
-            plots.append(replace(plot, place=(row, column)))
-    plots.sort(key=lambda plot: plot.place)
-    about = margins(ds, _growth_text(hole), _band_text(plots))
-    return Sheet(plots, (_WIDTH, 5.4 if names else 3.4), (1.25, 1.0), (1.3, 1.0)[: len(shown)], **about)
-
-
-def _last_blows(hole: Run) -> float:
-    """Return a time [s] shortly before the last two blows, or, with too few blows, before the last fifth of the run.
-
-    A blow begins where the applied, or else the rock's, force rises through the middle of its range.
-    """
-    force = hole.series.get("applied_force", hole.series.get("rock_force", np.zeros(hole.time.size)))
-    above = force > (force.max() + force.min()) / 2
-    begun = hole.time[1:][above[1:] & ~above[:-1]]
-    if begun.size <= _ENLARGED_BLOWS + 1:
-        return float(hole.time[-1] - 0.2 * np.ptp(hole.time))
-    between = float(np.median(np.diff(begun)))
-    begun = begun[begun < hole.time[-1] - 0.5 * between]  # a blow cut short by the end of the run does not count
-    return float(begun[-_ENLARGED_BLOWS] - _BLOW_LEAD * between)
-
-
-def response(ds: xr.Dataset) -> Sheet:
-    """Draw the amplitudes of the bit and the hole's depth against the frequency of a swept sine.
-
-    There is one point per complete cycle of the force. Frequencies at which the rock slips are shaded (source, Figs 6.4
-    to 6.7).
-
-    **Raises:** `InputError` if the dataset holds no trajectory under a swept sine, or too few cycles.
-    """
-    hole = read_run(ds, "x3", "x4")
-    if not Contents(ds).swept_sine:
-        raise InputError("no response to draw: the force is not a swept sine (pulse_shape, sweep_rate)")
-    start, rate = hole.parameters.get("sweep_start", 0.0), hole.parameters["sweep_rate"]
-    phase = np.abs(start * hole.time + rate * hole.time**2 / 2)
-    turn = np.concatenate([[0], 1 + np.flatnonzero(np.diff(np.floor(phase)) != 0)])
-    if turn.size <= _FEWEST_CYCLES:
-        raise InputError(f"no response to draw: {max(turn.size - 1, 0)} whole cycles; simulate longer")
-
-    def half_swing(values: Samples) -> Float[np.ndarray, " cycles"]:
-        whole = values[: turn[-1]]
-        return (np.maximum.reduceat(whole, turn[:-1]) - np.minimum.reduceat(whole, turn[:-1])) / 2
-
-    frequency = np.abs(start + rate * (hole.time[turn[:-1]] + hole.time[turn[1:]]) / 2)
-    depth = hole["x4"][turn]
-    # Frequency ranges in which the rock slips in every cycle; they end halfway between cycles.
-    slips = np.diff(depth) > _LEAST_SLIP
-    changes = np.flatnonzero(np.diff(np.concatenate([[False], slips, [False]]).astype(int)))
-    ends = np.concatenate([frequency[:1], (frequency[1:] + frequency[:-1]) / 2, frequency[-1:]])
-    quantities = (
-        (half_swing(hole["x3"] - hole["x4"]), "m", BIT, 1.1, "amplitude of\nx₃ − x₄"),
-        (half_swing(hole["v3"]), "m s-1", INK, 1.1, "amplitude of\nx₃′"),
-        (depth[1:], "m", ROCK, 2.0, "depth of the hole\nx₄"),
-    )
-    marker = "o" if frequency.size < _MANY_CYCLES else ""
-    across = Axis("frequency of the force [Hz]", limits=(frequency.min(), frequency.max()), group="frequency")
-    plots = []
-    for row, (values, quantity, colour, width, label) in enumerate(quantities):
-        factor, unit = _unit(quantity, values)
-        name = "" if row else "the rock slips"
-        spans = [_span(ends[begin], ends[stop], 0.25, name) for begin, stop in changes.reshape(-1, 2)]
-        line = Line(frequency, factor * values, colour, width, marker=marker, size=2.0, clip=False)
-        up, keys = Axis(f"{label} [{unit}]", limits=(0.0, None)), "" if row else "above right"
-        plots.append(Plot([*spans, line], across, up, place=(row, 0), keys=keys))
-    return Sheet(plots, (7.6, 6.2), heights=(1.0,) * 3, **margins(ds, _growth_text(hole)))
 
 
 # Systems, and chosen variables.
@@ -465,24 +342,21 @@ def states_over_time(ds: xr.Dataset) -> Sheet:
     period = float(ds["period"]) if "period" in ds and ds["period"].ndim == 0 else np.nan
     length, part = (10 * period, "the last ten periods") if np.isfinite(period) else (end / 10, "the last tenth")
     start, part = (end - length, part) if length < end else (0.0, "the whole motion")
-    late, impacts = motion.since(start), motion.impacts[motion.impacts >= start]
+    late = motion.between(start, np.inf)
     plots = []
     for row, name in enumerate(names):
-        layers: list[Layer] = [trace(motion.time[late], motion[name][late], 2 / 3, colour=BIT, width=0.9)]
+        layers: list[Layer] = [trace(late.time, late[name], 2 / 3, colour=BIT, width=0.9)]
         # Only the first state is continuous in an impact; elsewhere a dot would lie within the jump.
         if not row:
-            layers.append(dots(impacts, np.interp(impacts, motion.time, motion[name]), **_DOTS | {"size": 3.0}))
-        plots.append(Plot(layers, _time(start, end), axis(ds[name]), place=(row, 0, 1, 2), grid=""))
-    portrait = len(names) > 1
-    if portrait:
-        x, y = (motion[name] for name in names[:2])
-        lines = [Line(x, y, FAINT, 0.5), Line(x[late], y[late], BIT, 1.0)]
+            layers.append(dots(late.impacts, np.interp(late.impacts, late.time, late[name]), **_DOTS | {"size": 3.0}))
+        plots.append(Plot(layers, time_axis(start, end), axis(ds[name]), place=(row, 0, 1, 2), grid=""))
+    if portrait := len(names) > 1:
+        lines = [Line(motion[names[0]], motion[names[1]], FAINT, 0.5), Line(late[names[0]], late[names[1]], BIT, 1.0)]
         across, up = (axis(ds[name]) for name in names[:2])
         plots.append(Plot(lines, across, up, place=(0, 2, len(names), 1), grid=""))
     about = f"Drawn: {part}" + (", grey: the whole motion" if portrait and start > 0 else "")
-    size = _WIDTH, max(1.5 * len(names) + 1.0, 3.6)
-    notes = margins(ds, about, "Dots: impacts" if impacts.size else "", _band_text(plots))
-    return Sheet(plots, size, (1.0,) * (2 + portrait), (1.0,) * len(names), **notes)
+    notes = margins(ds, about, "Dots: impacts" if late.impacts.size else "", band_text(plots))
+    return Sheet(plots, (FIGURE_WIDTH, max(1.5 * len(names) + 1.0, 3.6)), **notes)
 
 
 def histories(ds: xr.Dataset, names: Sequence[str]) -> Sheet:
@@ -492,7 +366,5 @@ def histories(ds: xr.Dataset, names: Sequence[str]) -> Sheet:
     plots = []
     for row, value in enumerate(value_of(ds[name]) for name in names):
         line = trace(time, value.of(ds).values.astype(float), colour=BIT, width=1.0)
-        up = value_axis(value, value.label.replace(" [", "\n["))
-        plots.append(Plot([line], across, up, place=(row, 0)))
-    size = _WIDTH, 1.5 * len(names) + 0.9
-    return Sheet(plots, size, heights=(1.0,) * len(names), **margins(ds, _band_text(plots)))
+        plots.append(Plot([line], across, value_axis(value, value.label.replace(" [", "\n[")), place=(row, 0)))
+    return Sheet(plots, (FIGURE_WIDTH, 1.5 * len(names) + 0.9), **margins(ds, band_text(plots)))

@@ -23,7 +23,7 @@ from vibrojax.pictures.branches import (
     stability_keys,
 )
 from vibrojax.pictures.contents import IMPACTS_OF_RETURNS, START, is_numeric
-from vibrojax.pictures.plots import FAINT, INK, Layer, Line, Look, dots
+from vibrojax.pictures.plots import FAINT, Dash, Layer, Line, Look, dots
 from vibrojax.pictures.style import DASHED
 
 SAME_DIGITS = 1e-4
@@ -34,20 +34,20 @@ ON_MAPS = ("borders", "curves")
 
 ANY = "any"
 
-# Distinguishable in greyscale and for colour-blind readers. Special points of families have the same or similar
-# colours.
-LINES: dict[str, Look] = {
-    "fold": {"colour": "#222222", "dash": "-"},
-    "period-doubling": {"colour": "#D55E00", "dash": "-"},
-    "torus": {"colour": "#B5468B", "dash": (0.0, (7.0, 1.5))},
-    "grazing": {"colour": "#009E73", "dash": (0.0, (5.0, 1.2, 1.2, 1.2))},
-    "stick": {"colour": "#E69F00", "dash": "-"},
-    "section": {"colour": "#0072B2", "dash": (0.0, (1.2, 1.2))},
-    "hopf": {"colour": "#882255", "dash": (0.0, (9.0, 1.5, 1.2, 1.5))},
-    "end": {"colour": INK, "dash": ":"},
-    "basin": {"colour": "#6E6E6E", "dash": DASHED},
-    "not-settled": {"colour": FAINT, "dash": (0.0, (1.2, 1.6))},
+# Distinguishable in greyscale and for colour-blind readers, in the colours of the special points of families.
+_DASHES: dict[str, Dash] = {
+    "fold": "-",
+    "period-doubling": "-",
+    "torus": (0.0, (7.0, 1.5)),
+    "branch-point": "-.",
+    "grazing": (0.0, (5.0, 1.2, 1.2, 1.2)),
+    "stick": "-",
+    "section": (0.0, (1.2, 1.2)),
+    "hopf": (0.0, (9.0, 1.5, 1.2, 1.5)),
+    "end": ":",
 }
+LINES: dict[str, Look] = {kind: {"colour": MARKS[kind]["colour"], "dash": dash} for kind, dash in _DASHES.items()}
+LINES |= {"basin": {"colour": "#6E6E6E", "dash": DASHED}, "not-settled": {"colour": FAINT, "dash": (0.0, (1.2, 1.6))}}
 _CODIM2 = "osD^v<>phP*X"  # one marker per name of points of codimension two, in the order of their first occurrence
 
 Overlays = xr.Dataset | Sequence[xr.Dataset] | None

@@ -4,13 +4,14 @@ Coordinates are in the units of the axes. An infinite coordinate is the edge of 
 is an upright line through the whole panel. A layer without coordinates is an entry of a legend.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.colors import Colormap, Normalize, to_hex
+
+from vibrojax.lazy import colors
 
 INK = "#222222"
 FAINT = "#9A9A9A"
@@ -104,8 +105,8 @@ class Cells:
     x: Places
     y: Places
     values: Float[np.ndarray, "y x"]
-    colour_map: Colormap
-    norm: Normalize
+    colour_map: "colors.Colormap"
+    norm: "colors.Normalize"
     hatched: bool = True
     order: float = 0.0
 
@@ -215,10 +216,21 @@ class Plot:
     title_colour: str = ""
     scale: Any = None
 
+    @property
+    def span(self) -> tuple[int, int, int, int]:
+        """Row and column on the sheet, and the numbers of rows and of columns."""
+        row, column, deep, wide = (*self.place, 1, 1)[:4]
+        return row, column, deep, wide
+
+    @property
+    def has_cells(self) -> bool:
+        """True if the plot is a map."""
+        return any(isinstance(layer, Cells) for layer in self.layers)
+
 
 @dataclass(frozen=True)
 class Sheet:
-    """A picture: its plots with ratios of their `widths` and `heights`, legend, title and note.
+    """A picture: its plots with ratios of their `widths` and `heights` (equal ones by default), legend, title and note.
 
     - `size`: width and height [inch], without the further lines of title and note.
     - `keys`: groups of legend entries, before those of the layers with labels.
@@ -228,13 +240,23 @@ class Sheet:
 
     plots: Sequence[Plot]
     size: tuple[float, float] = (6.4, 4.8)
-    widths: Sequence[float] = (1.0,)
-    heights: Sequence[float] = (1.0,)
+    widths: Sequence[float] = ()
+    heights: Sequence[float] = ()
     keys: Sequence[Sequence[Layer]] = ()
     title: str = ""
     note: str = ""
     above: "Sheet | None" = None
     beside: bool = True
+
+    def __post_init__(self) -> None:
+        for k, name in enumerate(("heights", "widths")):
+            count = max((plot.span[k] + plot.span[k + 2] for plot in self.plots), default=1)
+            object.__setattr__(self, name, getattr(self, name) or (1.0,) * count)
+
+    @property
+    def parts(self) -> "tuple[Sheet, ...]":
+        """The sheet above the plots, if any, and this one."""
+        return (self,) if self.above is None else (self.above, self)
 
 
 Picture = Sheet | Sequence[Plot]
@@ -246,96 +268,86 @@ def as_sheet(plots: Picture) -> Sheet:
         return plots
     wide = min(len(plots), 3)
     placed = [replace(plot, place=divmod(k, wide)) for k, plot in enumerate(plots)]
-    deep = -(-len(plots) // max(wide, 1))
-    return Sheet(placed, (3.6 * wide + 1.6, 3.0 * deep + 0.6), (1.0,) * wide, (1.0,) * deep)
+    return Sheet(placed, (3.6 * wide + 1.6, 3.0 * -(-len(plots) // max(wide, 1)) + 0.6))
 
 
 def plots_of(sheet: Sheet) -> list[Plot]:
     """Return all plots of a sheet, those above first."""
-    return [plot for part in (sheet.above, sheet) if part is not None for plot in resolved(part.plots)]
+    return [plot for part in sheet.parts for plot in resolved(part.plots)]
 
 
 def legend_of(sheet: Sheet) -> list[list[Layer]]:
     """Return the groups of legend entries: the keys of the sheet, and layers with labels, each text once."""
-    plots = [plot for part in (sheet.above, sheet) if part is not None for plot in part.plots if not plot.keys]
-    labelled: list[Layer] = [*{x.label: x for plot in plots for x in labelled_layers(plot)}.values()]
+    plots = [plot for part in sheet.parts for plot in part.plots if not plot.keys]
+    labelled: list[Layer] = [*{layer.label: layer for plot in plots for layer in labelled_layers(plot)}.values()]
     return [group for group in (*map(list, sheet.keys), labelled) if group]
 
 
 def labelled_layers(plot: Plot) -> list[Labelled]:
     """Return the layers of a plot that have a label, each text once."""
-    layers: list[Labelled] = [x for x in plot.layers if not isinstance(x, Cells)]
-    return list({layer.label: layer for layer in layers if layer.label}.values())
+    layers: list[Labelled] = [layer for layer in plot.layers if not isinstance(layer, Cells) and layer.label]
+    return list({layer.label: layer for layer in layers}.values())
 
 
 def resolved(plots: Sequence[Plot]) -> list[Plot]:
     """Return the plots with the limits of all axes, and with the ticks and text of axes along which all is zero."""
+    plots = list(plots)
     for which in ("x", "y"):
         groups: dict[str, list[int]] = {}
         for k, plot in enumerate(plots):
             groups.setdefault(getattr(plot, which).group or f" {k}", []).append(k)
-        changed = list(plots)
         for members in groups.values():
-            limits, nothing = _limits([plots[k] for k in members], which)
+            limits = _limits([plots[k] for k in members], which)
             for k in members:
-                axis = replace(getattr(plots[k], which), limits=limits)
-                texts = [Text(0.5, 0.7, axis.zero, relative=True)] if nothing else []
-                axis = replace(axis, ticks=[(0.0, "0")]) if nothing else axis
-                changed[k] = replace(plots[k], **{which: axis}, layers=[*plots[k].layers, *texts])
-        plots = changed
-    return list(plots)
+                axis = replace(getattr(plots[k], which), limits=limits or (-1.0, 1.0))
+                if limits:
+                    plots[k] = replace(plots[k], **{which: axis})
+                else:
+                    layers = [*plots[k].layers, Text(0.5, 0.7, axis.zero, relative=True)]
+                    plots[k] = replace(plots[k], layers=layers, **{which: replace(axis, ticks=[(0.0, "0")])})
+    return plots
 
 
-def _limits(plots: Sequence[Plot], which: str) -> tuple[tuple[float, float], bool]:
-    """Return the limits of a group of axes, and whether all values along them are zero, with a text for this case."""
-    axes = [getattr(plot, which) for plot in plots]
+def _limits(plots: Sequence[Plot], which: str) -> tuple[float, float] | None:
+    """Return the limits of a group of axes; None if all values along them are zero, and a text says so."""
+    axes: list[Axis] = [getattr(plot, which) for plot in plots]
     first = axes[0]
-    parts = [_finite(part) for plot in plots for layer in plot.layers for part in _extents(layer, which)]
-    values = np.concatenate([*parts, np.zeros(0)])
-    values = values[values > 0] if first.log else values
+    values = np.concatenate([np.zeros(0), *(_places(layer, which) for plot in plots for layer in plot.layers)])
+    values = values[np.isfinite(values) & ((values > 0) | (not first.log))]
     if first.zero and values.size and not values.any():
-        return (-1.0, 1.0), True
-    given = [(low, high) for low, high in (axis.limits for axis in axes)]
-    lows, highs = ([end for end in ends if end is not None] for ends in zip(*given, strict=True))
-    cells = any(isinstance(layer, Cells) for plot in plots for layer in plot.layers)
+        return None
+    lows, highs = ([end for axis in axes if (end := axis.limits[k]) is not None] for k in (0, 1))
     low, high = (float(values.min()), float(values.max())) if values.size else (0.1 * first.log, 1.0)
     if lows or highs:
         low, high = min(lows, default=low), max(highs, default=high)
     forward, back = (np.log, np.exp) if first.log else (np.asarray, np.asarray)
     ends = np.asarray(forward([low, high]), float)
-    if np.ptp(ends) <= _ROUNDING * np.abs(ends).max() or ends[1] < ends[0]:
+    if ends[1] - ends[0] <= _ROUNDING * np.abs(ends).max():
         room = np.log(1.1) if first.log else 0.1 * float(np.abs(ends).max()) or 1.0
     else:
-        room = 0.0 if cells else first.margin * float(np.ptp(ends))
-    low, high = (float(x) for x in back(ends + [-room * (not lows), room * (not highs)]))
-    return (low, high) if high > low else (low, low + (room or 1.0)), False
+        room = 0.0 if any(plot.has_cells for plot in plots) else first.margin * float(np.ptp(ends))
+    low, high = (float(end) for end in back(ends + [-room * (not lows), room * (not highs)]))
+    return (low, high) if high > low else (low, low + (room or 1.0))
 
 
-def _finite(values: Places) -> np.ndarray:
-    array = np.asarray(values, float).ravel()
-    return array[np.isfinite(array)]
-
-
-def _extents(layer: Layer, which: str) -> Iterator[Places]:
-    """Yield the coordinates of a layer along an axis."""
+def _places(layer: Layer, which: str) -> Float[np.ndarray, " places"]:
+    """Return the coordinates of a layer along an axis; of points, those with both coordinates."""
     if isinstance(layer, Text):
-        return
-    if isinstance(layer, Area):
-        yield from [layer.x] if which == "x" else [layer.low, layer.high]
+        return np.zeros(0)
+    if isinstance(layer, Cells):
+        parts: Sequence[Places] = [layer.x if which == "x" else layer.y]
+    elif isinstance(layer, Area):
+        parts = [layer.x] if which == "x" else [layer.low, layer.high]
     elif isinstance(layer, Bars):
         begin, size = (layer.x, layer.width) if which == "x" else (layer.y, layer.height)
-        yield from (begin, np.asarray(begin, float) + np.asarray(size, float))
-    elif isinstance(layer, Line | Points):
-        x, y = np.broadcast_arrays(np.asarray(layer.x, float), np.asarray(layer.y, float))
-        if np.isinf(x).any() or np.isinf(y).any():  # a line through the panel
-            yield x if which == "x" else y
-        else:
-            known = np.isfinite(x) & np.isfinite(y)
-            yield (x if which == "x" else y)[known]
+        parts = [begin, np.asarray(begin, float) + np.asarray(size, float)]
     else:
-        yield layer.x if which == "x" else layer.y
+        pair = np.broadcast_arrays(np.asarray(layer.x, float), np.asarray(layer.y, float))
+        here, there = pair if which == "x" else pair[::-1]
+        parts = [here[~np.isnan(there)]]
+    return np.concatenate([np.asarray(part, float).ravel() for part in parts])
 
 
-def colours_of(values: Places, colour_map: Colormap, norm: Normalize) -> list[str]:
+def colours_of(values: Places, colour_map: "colors.Colormap", norm: "colors.Normalize") -> list[str]:
     """Return the colours of values."""
-    return [to_hex(colour) for colour in colour_map(norm(np.asarray(values, float)))]
+    return [colors.to_hex(colour) for colour in colour_map(norm(np.asarray(values, float)))]

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from textwrap import fill
 
 import numpy as np
 import xarray as xr
@@ -13,7 +12,7 @@ from vibrojax.errors import InputError, shown
 from vibrojax.io.attributes import run_of
 from vibrojax.measures.labels import COMPARED, FAILED, SAME_WITHIN, UNDECIDED
 from vibrojax.pictures import contents, overlays
-from vibrojax.pictures.axes import number, pretty_unit, scale, values_along, with_unit
+from vibrojax.pictures.axes import broken, number, pretty_unit, scale, values_along, with_unit
 from vibrojax.pictures.colours import Value, regime_cells, regimes_in, values_beside
 from vibrojax.pictures.contents import DIRECTION, IMPACTS_OF_RETURNS, REGIME, RETURN, START
 from vibrojax.pictures.lines import Lanes, dot_size, lane_dots, stacks, starts_of, value_plots
@@ -79,8 +78,8 @@ def returns_label(returns: xr.DataArray) -> str:
 def _return_plots(facet: xr.Dataset, shown: str, x: str, layers: Sequence[xr.Dataset]) -> list[Plot]:
     """Draw the section crossings of each initial condition over those of all others, then the families."""
     factor, unit = scale(facet[shown])
-    words = fill(with_unit(returns_label(facet[shown]), unit).replace(" [", "\u00a0["), _LETTERS)
-    up = Axis(words.replace("\u00a0", " "), shown, group="returns", zero="zero everywhere")
+    words = broken(with_unit(returns_label(facet[shown]), unit), _LETTERS)
+    up = Axis(words, shown, group="returns", zero="zero everywhere")
     families = overlays.over_layers(layers, facet, x, overlays.variable_over(shown), factor)
     size = dot_size(facet.sizes[x])
     if contents.many_starts(facet):
@@ -116,7 +115,7 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = Non
         raise InputError(f"attribute run: carry: {shown(along)} is not an axis of the carried lanes")
     ds = regimes_in(ds.rename({DIRECTION: START}))
     at_returns = variable or contents.returns_in(ds)
-    values = () if at_returns is not None else values_beside(ds)
+    values = [] if at_returns is not None else values_beside(ds)
     layers = overlays.as_layers(over)
     overlays.check_families(ds, layers, along)
     others = [name for name in ds[REGIME].dims if name not in (START, along)]

@@ -1,8 +1,9 @@
 """Facets of pictures: the lanes at each combination of values of the axes that are neither abscissa nor ordinate."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import product
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -24,41 +25,58 @@ LEGEND_WIDTH = 1.9
 class Facets:
     """The facets of a picture: their titles and their lanes.
 
-    - `runs`: numbers of facets after which the values of an axis repeat, from the last axis to the first.
+    - `counts`: numbers of values of the axes, of which the last one changes from facet to facet.
     - `note`: text that lists the values shown, empty if none are left out.
     """
 
     titles: tuple[str, ...]
     data: tuple[xr.Dataset, ...]
-    runs: tuple[int, ...] = (1,)
+    counts: tuple[int, ...] = (1,)
     note: str = ""
 
     def __len__(self) -> int:
         return len(self.data)
 
+    def __iter__(self) -> Iterator[tuple[str, xr.Dataset]]:
+        return zip(self.titles, self.data, strict=True)
+
+    def places(self, most: int) -> list[tuple[int, int]]:
+        """Return the row and column of each facet, in at most `most` columns.
+
+        Rows end where the values of an axis end, or the values of the last axis are below each other; as few places as
+        possible stay empty.
+        """
+        count, last = len(self), self.counts[-1]
+        if count <= most:
+            return [(0, k) for k in range(count)]
+        runs = np.cumprod(self.counts[::-1]).tolist()  # facets after which the values of an axis repeat
+        step = max((run for run in runs if run <= most), default=1)
+        choices = [(n, False) for n in range(2, most + 1) if n % step == 0]
+        choices += [(count // last, True)] if last > 1 and 1 < count // last <= most else []
+        wide, turned = min(choices, key=lambda c: (c[0] < 3, -count % c[0], not c[1], -c[0]), default=(most, False))
+        return [divmod(k, last)[::-1] if turned else divmod(k, wide) for k in range(count)]
+
 
 def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST_PANELS) -> Facets:
     """Split the dataset into at most `most` facets along its lane dimensions that are not in `along`."""
-    axes = [name for name in lane_dims(ds) if name not in along]
-    sizes = {name: ds.sizes[name] for name in axes}
+    sizes = {name: ds.sizes[name] for name in lane_dims(ds) if name not in along}
     counts = dict(sizes)
-    while np.prod(list(counts.values()), initial=1) > most:  # initial conditions are left out last
+    while prod(counts.values()) > most:  # initial conditions are left out last
         droppable = [name for name in counts if name != START and counts[name] > 1] or list(counts)
         counts[max(droppable, key=counts.__getitem__)] -= 1
     picks = {  # from the first to the last value; the middle value if there is room for only one
         name: [size // 2] if counts[name] == 1 else np.linspace(0, size - 1, counts[name]).round().astype(int).tolist()
         for name, size in sizes.items()
     }
-    indices = [dict(zip(axes, pick, strict=True)) for pick in product(*picks.values())]
+    indices = [dict(zip(sizes, pick, strict=True)) for pick in product(*picks.values())]
     titles = tuple(", ".join(index_text(ds, name, i) for name, i in index.items()) for index in indices)
-    runs = tuple(int(run) for run in np.cumprod([counts[name] for name in reversed(axes)]))
-    parts = [
+    some = [
         f"{_listed(ds, name, pick)} ({len(pick)} of {sizes[name]} values)"
         for name, pick in picks.items()
         if len(pick) < sizes[name]
     ]
-    note = f"Too many panels to show all; here {'; '.join(parts)}" if parts else ""
-    return Facets(titles, tuple(ds.isel(index) for index in indices), runs, note)
+    note = f"Too many panels to show all; here {'; '.join(some)}" if some else ""
+    return Facets(titles, tuple(ds.isel(index) for index in indices), tuple(counts.values()) or (1,), note)
 
 
 def at(facet: xr.Dataset) -> dict[str, Any]:
@@ -72,23 +90,3 @@ def _listed(ds: xr.Dataset, name: str, pick: list[int]) -> str:
     values, (factor, unit) = ds[name].values[pick], scale(ds[name]) if is_numeric(ds[name]) else (1.0, "")
     texts = [number(float(x) * factor) if is_numeric(ds[name]) else short(str(x)) for x in values]
     return f"{symbol(ds[name])} = {', '.join(texts)} {pretty_unit(unit)}".rstrip()
-
-
-def turned(panels: Facets, most: int) -> Facets:
-    """Return the facets with the few values of their last axis below each other, if the others then fit in a row."""
-    count, last = len(panels), panels.runs[0]
-    if not 1 < last < count or count <= most or count // last > most:
-        return panels
-    order = [k * last + i for i in range(last) for k in range(count // last)]
-    titles, data = tuple(panels.titles[k] for k in order), tuple(panels.data[k] for k in order)
-    return replace(panels, titles=titles, data=data, runs=(count // last, count))
-
-
-def columns(panels: Facets, most: int) -> int:
-    """Return the number of columns, at most `most`, so that rows end where an axis ends and few places stay empty."""
-    count = len(panels)
-    if count <= most:
-        return count
-    step = max([run for run in panels.runs if run <= most], default=1)
-    choices = [n for n in range(most, 1, -1) if n % step == 0]
-    return min(choices, key=lambda n: (n < 3, -count % n, -n), default=most)

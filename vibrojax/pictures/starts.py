@@ -6,9 +6,22 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Int
 
-from vibrojax.pictures.axes import short
-from vibrojax.pictures.colours import SINGLE, regime_names
-from vibrojax.pictures.contents import HIDDEN, REGIME, START
+from vibrojax.pictures import axes, contents
+from vibrojax.pictures.colours import (
+    SINGLE,
+    Value,
+    cell_keys,
+    regime_names,
+    regime_value,
+    regimes_in,
+    share_value,
+    values_beside,
+)
+from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, START, lane_dims, swept
+from vibrojax.pictures.lines import regime_lines
+from vibrojax.pictures.maps import map_sheet, point_layers, regime_bars
+from vibrojax.pictures.plots import Plot, Sheet
+from vibrojax.pictures.sheet import LEGEND_WIDTH
 
 PREFIX = "start_"
 """Name prefix of a coordinate that holds an initial state."""
@@ -16,6 +29,7 @@ PREFIX = "start_"
 SHARE = "share_"
 """Name prefix of a variable that holds the fraction of a regime."""
 
+_MOST_SHARES = 5  # number of fractions drawn as maps if there is a single facet
 _SAME_STATE = 1e-9  # fraction of a state's range within which two initial values count as equal
 SYMBOLS = {"x1": "x₁", "v1": "x₁′", "x2": "x₂", "v2": "x₂′", "x3": "x₃", "v3": "x₃′", "x4": "x₄"}
 
@@ -65,7 +79,7 @@ def described(ds: xr.Dataset) -> xr.Dataset:
 def left_out_text(ds: xr.Dataset) -> str:
     """Return the note on named initial conditions, which are not shown, with regimes if nothing else varies."""
     others = ~_is_vector(ds)
-    names = [short(str(name)) for name in ds[START].values[others]]
+    names = [axes.short(str(name)) for name in ds[START].values[others]]
     if not names or not start_states(ds):
         return ""
     if ds[REGIME].dims == (START,):
@@ -132,3 +146,78 @@ def _about(data: xr.DataArray) -> dict[str, str]:
     name = str(data.name).removeprefix(PREFIX)
     symbol = f"{SYMBOLS.get(name, name)}(0)"
     return {"units": str(data.attrs.get("units", "1")), "long_name": "start", "symbol": symbol}
+
+
+# Pictures.
+
+
+def many_starts(ds: xr.Dataset, values: Sequence[Value] | None = None) -> Sheet:
+    """Draw the regimes that many initial conditions lead to.
+
+    Initial states on a grid become maps over these states, and initial states on a line become curves. Other initial
+    conditions are scattered over the phase planes of bit and striker. If parameters vary over more values than there
+    can be panels, the fraction of initial conditions in each regime is drawn, or the median of `values`. If specified,
+    `values` replace the regimes and the quantities next to them.
+    """
+    ds = regimes_in(ds)
+    if POINT in lane_dims(ds):
+        names = list(contents.varied(ds))
+        return _over_two(ds, names[0], names[1], values) if len(names) == 2 else regime_bars(ds)
+    parameters, spread = swept(ds), on_axes(ds)
+    shown = values or [regime_value(ds[REGIME]), *values_beside(ds)]
+    quantities = [value for value in shown if not value.counted]
+    states = [name for name in swept(spread) if name.startswith(PREFIX)]
+    long = [name for name in parameters if ds.sizes[name] >= contents.ENOUGH]
+    note = left_out_text(ds)
+    if len(states) >= 2 and not long:
+        return map_sheet(spread, states[0], states[1], shown, note)
+    if len(states) == 1 and len(long) == 1:
+        return map_sheet(spread, long[0], states[0], shown, note)
+    if len(states) == 1 and not long:
+        return regime_lines(spread, states[0], note, quantities)
+    if not parameters:
+        return _phase_planes(described(ds), shown) if varied_states(ds) else regime_bars(ds)
+    if len(parameters) == 1 or len(long) == 1:
+        return regime_lines(ds, values=quantities)
+    return _over_two(ds, *contents.axes_of_map(ds), values)
+
+
+def _over_two(ds: xr.Dataset, x: str, y: str, values: Sequence[Value] | None) -> Sheet:
+    """Draw the medians of `values` over two parameters, or the fraction of initial conditions in each regime.
+
+    The first fractions get a map each; a note lists the other regimes.
+    """
+    if values is not None:
+        names = [value.name for value in values if not value.counted]
+        return map_sheet(medians(ds, names), x, y, values, medians_text(ds))
+    most = 1 if set(swept(ds)) - {x, y} else _MOST_SHARES
+    shares = regime_shares(ds)
+    names = [str(name).removeprefix(SHARE) for name in shares.data_vars if str(name).startswith(SHARE)]
+    shown = [share_value(shares[SHARE + name], name) for name in names[:most]]
+    note = f"Without a map of its share: {', '.join(names[most:])}" if names[most:] else ""
+    about = f"The regime that most of {ds.sizes[START]} starts end in, and the share of them that ends in each"
+    return map_sheet(shares, x, y, [regime_value(shares[REGIME]), *shown], about, note)
+
+
+def _phase_planes(ds: xr.Dataset, shown: Sequence[Value]) -> Sheet:
+    """Draw the values `shown` over pairs of states, for initial conditions that form no grid."""
+    names = varied_states(ds)
+    pairs = list(zip(names[::2], names[1::2], strict=False)) or [(names[0], names[0])]
+    pairs += [(names[0], names[-1])] if len(names) > 1 and len(names) % 2 else []
+    shuffled = ds.isel({START: np.random.default_rng(0).permutation(ds.sizes[START])})  # so none is always in front
+    plots = [
+        Plot(
+            point_layers(shuffled, value, x, y),
+            axes.axis(ds[x], group=f"x{row}", intervals=6),
+            axes.axis(ds[y], group=f"y{row}"),
+            place=(row, column),
+            grid="",
+            scale=None if value.counted else value,
+        )
+        for row, (x, y) in enumerate(pairs[:3])
+        for column, value in enumerate(shown)
+    ]
+    size = 3.4 * len(shown) + LEGEND_WIDTH, 3.0 * len(pairs[:3]) + 1.2
+    about = axes.margins(ds, axes.certified_text(ds), f"{ds.sizes[START]} starts", left_out_text(ds))
+    keys = cell_keys([ds], [value for value in shown if value.counted])
+    return Sheet(plots, size, keys=[keys], **about)

@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
 
 from vibrojax.errors import InputError
 from vibrojax.pictures.axes import scale, with_unit
@@ -21,8 +20,6 @@ _MOTION_NAMES = {"return_frequency": "returns of the bit", "blows_per_second": "
 _ORDERS = 6  # most multiples of the rotation that are drawn
 _CURVE_POINTS = 200
 _FORCE = "mean_force"
-
-Lanes = Float[np.ndarray, " lanes"]
 
 
 def campbell(ds: xr.Dataset) -> Sheet:
@@ -110,15 +107,17 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
             group = fit.sel({name: line.lanes[name].item() for name in fit["C"].dims})
             with np.errstate(all="ignore"):
                 threshold = np.nanmedian(force / np.atleast_1d(line.lanes[RELIEF].values))
-            onset, (below, above) = float(group["eta0"]) * threshold, _onset(force, rate)
-            text = f"onset at {of_force * below:.4g} to {of_force * above:.4g} {force_unit}"
+            onset = float(group["eta0"]) * threshold
+            # The greatest force without penetration below the least force with it, and the latter.
+            above = of_force * float(np.min(force[rate > 0], initial=np.inf))
+            below = of_force * float(np.max(force[(rate == 0) & (of_force * force < above)], initial=-np.inf))
             if not np.isfinite(above):
                 text = "no onset"
             elif not np.isfinite(below):
-                text = f"onset below {of_force * above:.4g} {force_unit}"
+                text = f"onset below {above:.4g} {force_unit}"
             else:
-                ends = [of_force * below, of_force * above]
-                layers.append(Area(ends, [-np.inf] * 2, [np.inf] * 2, line.colour, 0.15))
+                text = f"onset at {below:.4g} to {above:.4g} {force_unit}"
+                layers.append(Area([below, above], [-np.inf] * 2, [np.inf] * 2, line.colour, 0.15))
             for mask, face in ((rate > 0, line.colour), (rate == 0, "white")):
                 layers.append(dots(of_force * force[mask], factor * rate[mask], colour=line.colour, face=face))
             if 0 < onset < float(np.nanmax(force)):
@@ -157,10 +156,3 @@ def _force_axis(ds: xr.Dataset) -> Across:
 
 def _marks(marker: str) -> Look:
     return {"marker": marker, "size": 5.0, "face": "none", "edge_width": 1.2}
-
-
-def _onset(force: Lanes, rate: Lanes) -> tuple[float, float]:
-    """Return the greatest force without penetration below the least force with it, and the latter; NaN if unknown."""
-    above = float(np.min(force[rate > 0], initial=np.inf))
-    below = float(np.max(force[(rate == 0) & (force < above)], initial=-np.inf))
-    return (below if np.isfinite(below) else np.nan), (above if np.isfinite(above) else np.nan)
