@@ -6,7 +6,6 @@ with the number of its process. As in SLURM, a cancelled job and all its childre
 
 import os
 import re
-import shlex
 import signal
 import subprocess
 import sys
@@ -24,38 +23,22 @@ def install(folder: Path) -> None:
 
 
 def sbatch(jobs: Path, script: str) -> None:
-    """Start the tasks of an array, or a single job, according to the #SBATCH lines of the script."""
-    text = Path(script).read_text()
-    options = dict(
-        shlex.split(line)[0].removeprefix("--").split("=", 1) for line in re.findall(r"^#SBATCH (.*=.*)$", text, re.M)
-    )
-    number = 100 + len({path.name.split("_")[0] for path in jobs.iterdir()})
-    array = options.get("array")
-    first, last = map(int, array.split("%")[0].split("-")) if array else (0, 0)
-    for task in range(first, last + 1):
-        variables = {
-            "SLURM_JOB_ID": str(1000 + task),
-            "SLURM_ARRAY_JOB_ID": str(number),
-            "SLURM_ARRAY_TASK_ID": str(task),
-        }
-        variables |= {"SLURM_ARRAY_TASK_COUNT": str(last - first + 1)} if array else {}
-        variables = variables if array else {"SLURM_JOB_ID": str(number)}
-        variables |= {"SLURM_NTASKS": "1", "SLURM_JOB_NUM_NODES": "1", "SLURM_NODEID": "0", "SLURM_PROCID": "0"}
-        variables |= {
-            "SLURM_LOCALID": "0",
-            "SLURM_JOB_NODELIST": "here",
-            "SLURM_CPUS_PER_TASK": options.get("cpus-per-task", "1"),
-        }
-        log = open(jobs.parent / f"job-{number}_{task}.log", "wb")  # noqa: SIM115
+    """Start a job according to the #SBATCH lines of the script."""
+    cores = re.search(r"^#SBATCH --cpus-per-task=(\d+)", Path(script).read_text(), re.MULTILINE)
+    number = 100 + len(list(jobs.iterdir()))
+    variables = {"SLURM_JOB_ID": number, "SLURM_NTASKS": 1, "SLURM_JOB_NUM_NODES": 1, "SLURM_JOB_NODELIST": "here"}
+    variables |= {"SLURM_NODEID": 0, "SLURM_PROCID": 0, "SLURM_LOCALID": 0}
+    variables |= {"SLURM_CPUS_PER_TASK": cores[1] if cores else 1}
+    with open(jobs.parent / f"job-{number}.log", "wb") as log:
         job = subprocess.Popen(
             ["bash", script],
-            env=os.environ | variables,
+            env=os.environ | {name: str(value) for name, value in variables.items()},
             stdout=log,
             stderr=log,
             stdin=subprocess.DEVNULL,
             start_new_session=True,
         )
-        (jobs / (f"{number}_{task}" if array else str(number))).write_text(str(job.pid))
+    (jobs / str(number)).write_text(str(job.pid))
     print(f"Submitted batch job {number}")
 
 

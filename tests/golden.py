@@ -167,7 +167,7 @@ def run(name: str, out: Path) -> None:
         for key, value in result.variables.items()
     }
     dims = {str(key): list(value.dims) for key, value in result.variables.items()}
-    np.savez(out, **arrays, _dims=json.dumps(dims), _identity=str(result.attrs.get("identity", "")))
+    np.savez(out, **arrays, _dims=json.dumps(dims, sort_keys=True), _identity=str(result.attrs.get("identity", "")))
 
 
 def results(tree: Path, names: list[str], folder: Path) -> None:

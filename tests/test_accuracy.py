@@ -30,8 +30,7 @@ def test_errors_shrink_with_tolerance(study, scene):
 @pytest.mark.parametrize("method", ["smoothed", "diffrax Tsit5"])
 def test_errors_shrink_with_smoothing_width(study, method):
     smoothed = settings_for(study, "vibro-impact", method, "width")
-    for name in ("period", "impact_velocity", "peak_impact_force", "stick_fraction"):
-        assert np.all(np.diff(smoothed[f"{name}_error_worst"].values) > 0), name
+    assert np.all(np.diff(smoothed["error_worst"].values) > 0)
     assert np.all(smoothed["error_median"] <= smoothed["error_worst"])
 
 
@@ -71,7 +70,7 @@ def test_status_of_each_lane():
     features["period"][0], features["period"][2], features["period"][3] = 1 + 1e-6, 2.0, np.nan
     features["impacts"][1] = 2
     features |= {"finite": np.arange(5) != 3, "finished": np.arange(5) != 4}
-    status, errors = compared(features, reference)
-    np.testing.assert_allclose(errors[""][0], 1e-6, rtol=1e-6)
+    status, error = compared(features, reference)
+    np.testing.assert_allclose(error[0], 1e-6, rtol=1e-6)
     expected = ["done", "other-regime", "other-regime", "not-finite", "out-of-steps"]
     assert [[*STATUSES][number] for number in status] == expected

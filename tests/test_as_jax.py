@@ -128,16 +128,8 @@ NUMBERS = {
     "duration": lambda x: vj.simulate("vibro-impact", duration=x),
     "sweep": lambda x: vj.read_sweep({"scene": "vibro-impact", "grid": {"beta": [x]}}),
     "data": lambda x: vj.calibrate({"scene": "vibro-impact", "data": {"period": [x]}, "unknown": {"mu": [0.2, 0.6]}}),
-    "section": lambda x: _system(0.1, ("x", x)),
     "reason": lambda x: _function().reason(x * HERE),
 }
-
-
-def _system(zeta, section):
-    states, parameters = {"x": "m", "v": "m s-1"}, {"zeta": zeta}
-    return vj.System(
-        "o", states=states, parameters=parameters, field=lambda t, y, p: dict.fromkeys(y, 0.0), section=section
-    )
 
 
 @pytest.mark.parametrize("name", NUMBERS)

@@ -83,11 +83,10 @@ def test_numbers_continue_along_axes(attractors):
     assert not below & set(next(iter(numbers.values())))
 
 
-@pytest.mark.parametrize("axes", [("beta", "gamma")])
-def test_result_does_not_depend_on_direction_of_axes(attractors, axes):
-    grid = {name: x[::-1] if name in axes else x for name, x in SWEEP["grid"].items()}
+def test_result_does_not_depend_on_direction_of_axes(attractors):
+    grid = {name: x[::-1] for name, x in SWEEP["grid"].items()}
     other = vj.attractors(SWEEP | {"grid": grid}, progress=False)
-    other = other.isel({name: slice(None, None, -1) for name in axes})
+    other = other.isel(beta=slice(None, None, -1), gamma=slice(None, None, -1))
     for name in attractors.data_vars:
         np.testing.assert_array_equal(attractors[name], other[name])
 

@@ -5,7 +5,7 @@ import pytest
 from checked_types import checked
 from jaxtyping import Float
 
-from vibrojax.lanes.certificate import _means
+from vibrojax.lanes.drift import _means
 from vibrojax.periodic.return_map import Segments, in_calls
 from vibrojax.scenes import SCENES
 

@@ -116,7 +116,7 @@ def test_truncated_files_are_refused(tmp_path, capsys, share):
 
 def test_temporary_files_of_dead_writers_are_removed(tmp_path):
     """Temporary files of running processes stay."""
-    from vibrojax.io.dataset import write_dataset
+    from vibrojax.io.writers import write_dataset
 
     dead = subprocess.Popen(["true"])
     dead.wait()
@@ -164,7 +164,7 @@ def change_array(store, **changes):
 @pytest.mark.parametrize("kind", ["pickle", "object", "compressor", "link", "damaged"])
 def test_stores_that_may_run_code_are_refused(kind, tmp_path):
     pytest.importorskip("zarr")
-    from vibrojax.io.dataset import write_dataset
+    from vibrojax.io.writers import write_dataset
 
     store, trap = tmp_path / "sent.zarr", tmp_path / "trap"
     attributes = {"source": f"vibrojax {vj.__version__}"}

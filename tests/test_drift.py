@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.lanes import certificate as drift_module
+from vibrojax.lanes import drift as drift_module
 from vibrojax.scenes import SCENES
 
 

@@ -164,7 +164,7 @@ def test_edited_points(points):
         sweep = sweep_of_dataset(ds)
         for name in ("beta", "gamma"):
             assert sweep.points[name].tolist() == np.atleast_1d(ds[name].values).tolist()
-        assert sweep.point_starts == np.atleast_1d(ds["start"].values).tolist()
+        assert list(sweep.starts) == np.atleast_1d(ds["start"].values).tolist()
     assert sweep_of_dataset(points.assign_coords(delta=0.001)).points["delta"].tolist() == [0.001] * 3
     for name in ("beta", "start"):
         with pytest.raises(InputError, match=f"has no coordinate {name}"):

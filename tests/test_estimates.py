@@ -1,10 +1,9 @@
 """Tests of the cost that `--dry-run` prints and that limits a sweep before it runs."""
 
-import numpy as np
 import pytest
 
 from vibrojax.lanes.run import LaneRun
-from vibrojax.maps.cost import estimated_steps, lane_steps, tried
+from vibrojax.maps.cost import estimated_steps, tried
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_to_file
 
@@ -16,13 +15,13 @@ def test_estimated_steps_match_computed_steps():
     sweep = read_sweep(MAP, ["run.end_early=false"])
     inputs = sweep.inputs()
     taken = LaneRun(inputs, sweep.plan).chunk(inputs).features["steps"].sum()
-    assert 2 / 3 < lane_steps(sweep, np.arange(sweep.lanes)).sum() / taken < 3 / 2
+    assert 2 / 3 < estimated_steps(sweep).sum() / taken < 3 / 2
 
 
 def test_stiff_lanes_take_more_steps():
     """A stiff damper needs c2/m2 steps per second, divided by the stride 2; 1e6 and 1000 per second are the limit."""
     usual, stiff, stiffest = (
-        estimated_steps(read_sweep(MAP | {"grid": {"c2": [c2]}})).total for c2 in (200, 1e6, 1e13)
+        estimated_steps(read_sweep(MAP | {"grid": {"c2": [c2]}})).sum() for c2 in (200, 1e6, 1e13)
     )
     assert stiff / usual == pytest.approx((1e4 / 2 + 45.0) / (45.0 + 18.0), rel=0.1)
     assert stiffest == pytest.approx(1e6 + 48 * 1000, rel=0.1)

@@ -19,7 +19,7 @@ from matplotlib.colors import Normalize
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.explorer import Cell, cell_of, cells_of, document_of, encode, module_text, page_text, write_page
+from vibrojax.explorer import Cell, cell_of, contents_of, encode, module_text, page_text, write_page
 from vibrojax.explorer.encoding import EVENTS, STATE_LEVELS, STUCK, StateColumn
 from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.write import blocks_of
@@ -43,7 +43,7 @@ def plane() -> xr.Dataset:
 
 @pytest.fixture(scope="module")
 def cells(plane: xr.Dataset) -> list[Cell]:
-    return list(cells_of(plane, progress=False))
+    return list(contents_of(plane, progress=False).cells)
 
 
 @cache
@@ -162,7 +162,7 @@ def test_trajectory_ends_like_its_lane(cells: list[Cell]) -> None:
 
 
 def test_document_holds_numbers_of_dataset(plane: xr.Dataset) -> None:
-    document = document_of(plane)
+    document = contents_of(plane).document
     assert document["view"] == ["gamma", "beta"]
     for variable in document["variables"]:
         data = plane[variable["name"]].transpose(*variable["axes"])
@@ -181,10 +181,11 @@ def test_colours_match_picture(plane: xr.Dataset) -> None:
 
     from vibrojax.pictures.colours import REGIME_COLOURS, value_of
 
-    variables = {entry["name"]: entry for entry in document_of(plane)["variables"]}
+    document = contents_of(plane).document
+    variables = {entry["name"]: entry for entry in document["variables"]}
     assert variables["regime"]["colours"]["3"] == REGIME_COLOURS[3]
     value, entry = value_of(plane["impact_velocity"]), variables["impact_velocity"]
-    map_ = document_of(plane)["maps"][entry["map"]]
+    map_ = document["maps"][entry["map"]]
     for x in plane["impact_velocity"].values.ravel()[:4]:
         share = (x * entry["factor"] - entry["low"]) / (entry["high"] - entry["low"])
         shown = map_[max(0, min(255, int(share * 256)))]
@@ -193,7 +194,8 @@ def test_colours_match_picture(plane: xr.Dataset) -> None:
 
 def test_family_document_has_branches_and_orbits() -> None:
     fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.74, 0.76), start="stuck", beta=0.4, progress=False)
-    document, cells = document_of(fam), list(cells_of(fam))
+    contents = contents_of(fam)
+    document, cells = contents.document, list(contents.cells)
     assert document["kind"] == "family"
     assert {tuple(run["points"]) for run in document["family"]["runs"]} == {tuple(range(fam.sizes["point"]))}
     assert len(cells) == fam.sizes["point"]
@@ -220,8 +222,8 @@ def test_page_of_default_map_is_under_ten_megabytes() -> None:
     plane = {"beta": {"start": 0.1, "stop": 1.2, "num": 5}, "gamma": {"start": 0.3, "stop": 1.2, "num": 6}}
     grid = plane | {"delta": [-0.005, 0.005]}
     ds = vj.run_sweep({**PLANE, "grid": grid}, progress=False)
-    blocks = blocks_of(cells_of(ds, progress=False))
-    document = document_of(ds)
+    contents = contents_of(ds, progress=False)
+    blocks, document = blocks_of(contents.cells), contents.document
     text = page_text(document, blocks)
     bytes_per_lane = (sum(map(len, blocks)) + sum(len(entry["data"]["data"]) for entry in document["variables"])) / ds[
         "regime"

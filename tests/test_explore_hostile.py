@@ -17,7 +17,7 @@ from hostile import CODE, HUGE, MARKUP, STEERING, attribute, each_variable
 from small_map import small_map
 
 import vibrojax as vj
-from vibrojax.explorer import document_of, page_text
+from vibrojax.explorer import contents_of, page_text
 from vibrojax.explorer.document import run_document
 from vibrojax.explorer.write import content_policy
 from vibrojax.io.kinds import SPECIAL_KINDS
@@ -97,7 +97,7 @@ def hostile_runs() -> list[dict[str, Any]]:
 
 def test_calls_of_hostile_documents_are_plain(browser: Any, tmp_path: Path) -> None:
     """The page repeats the checks that Python makes."""
-    document = document_of(small_map())
+    document = contents_of(small_map()).document
     page, messages, _ = open_page(browser, page_text(document), tmp_path)
     call = """([runs, own]) => runs.map((run) => {
         Object.assign(vibrojax.data, { run });
@@ -151,7 +151,7 @@ def hostile_map() -> xr.Dataset:
 
 @pytest.mark.parametrize("width", [1280, 390])
 def test_hostile_dataset_runs_no_code(browser: Any, tmp_path: Path, width: int) -> None:
-    text = page_text(document_of(hostile_map()))
+    text = page_text(contents_of(hostile_map()).document)
     assert len(text) < 500_000
     page, messages, requests = open_page(browser, text, tmp_path, width=width)
     for variable in ("regime", "period", "stick_fraction"):
@@ -167,7 +167,7 @@ def test_hostile_dataset_runs_no_code(browser: Any, tmp_path: Path, width: int) 
 
 def test_page_policy_blocks_injected_code(browser: Any, tmp_path: Path) -> None:
     """Injected code can neither run, nor load, nor send anything."""
-    page, messages, _ = open_page(browser, page_text(document_of(small_map())), tmp_path)
+    page, messages, _ = open_page(browser, page_text(contents_of(small_map()).document), tmp_path)
     policy = page.locator("meta[http-equiv]").get_attribute("content")
     assert "unsafe" not in policy and "default-src 'none'" in policy and "connect-src 'none'" in policy
     assert not messages
@@ -249,4 +249,4 @@ def curves_over(change: dict[str, Any]) -> xr.Dataset:
 )
 def test_hostile_curves_are_refused(change: dict[str, Any], says: str) -> None:
     with pytest.raises(vj.InputError, match=says):
-        document_of(small_map(), curves_over(change))
+        contents_of(small_map(), curves_over(change))

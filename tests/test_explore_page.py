@@ -13,7 +13,7 @@ import xarray as xr
 from browser import chromium, new_page, wait_for
 
 import vibrojax as vj
-from vibrojax.explorer import document_of, page_text, write_page
+from vibrojax.explorer import contents_of, page_text, write_page
 
 # Short lanes are enough to test what a page shows; motions need lanes that settle.
 MANY = {
@@ -41,7 +41,7 @@ def many() -> xr.Dataset:
 @pytest.fixture(scope="module")
 def files(many: xr.Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
-    (folder / "many.html").write_text(page_text(document_of(many)), encoding="utf-8")
+    (folder / "many.html").write_text(page_text(contents_of(many).document), encoding="utf-8")
     write_page(vj.run_sweep(FEW, progress=False), folder / "few.html", progress=False)
     return {name: folder / f"{name}.html" for name in ("many", "few")}
 
@@ -388,7 +388,7 @@ def test_reduced_motion_steps_and_axe_finds_nothing_serious(browser: Any, files:
 
 
 def _open(browser: Any, ds: xr.Dataset, path: Path, fragment: str = "", scheme: str = "light") -> OpenPage:
-    path.write_text(page_text(document_of(ds)), encoding="utf-8")
+    path.write_text(page_text(contents_of(ds).document), encoding="utf-8")
     return OpenPage(browser, path, fragment, scheme=scheme)
 
 

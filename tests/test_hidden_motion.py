@@ -5,34 +5,41 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import counted
-from vibrojax.measures.labels import SINGLE_IMPACT, hides_another
+from vibrojax.measures.labels import COMPARED, SAME_WITHIN, SINGLE_IMPACT, hides_another
 from vibrojax.studies.choose import picture
 from vibrojax.studies.summary import summarise, summary_lines
 
 STARTS = ["drive", "stuck", "touching"]
 
 
-def hidden(velocity, error=1e-6, regime=SINGLE_IMPACT, cycles=1):
-    lanes = np.size(velocity)
-    features = {"impact_velocity": np.array(velocity, float), "cycles": np.full(lanes, cycles)}
-    features["error_estimate"] = np.full(lanes, error)
-    return hides_another(features, np.full(lanes, regime, np.int8), lanes).tolist()
+def test_hidden_motion_agrees_with_comparison_of_all_pairs():
+    random = np.random.default_rng(0)
+    for _ in range(40):
+        points, starts, motions = random.integers(1, 6), random.integers(2, 40), random.integers(1, 4)
+        lanes, noise = points * starts, 10.0 ** random.uniform(-6, -1.5)
+        spread, which = 10.0 ** random.uniform(-4, -1), random.integers(0, motions, lanes)
+        features = {
+            name: (1 + spread * random.normal(size=motions))[which] * (1 + noise * random.normal(size=lanes))
+            for name in COMPARED
+        }
+        features["impact_velocity"][random.random(lanes) < 0.1] = np.nan
+        features["cycles"] = random.integers(0, 3, lanes).astype(float)
+        error = 10.0 ** random.uniform(-6, random.uniform(-5.5, -0.5), lanes)
+        error[random.random(lanes) < 0.1] = np.inf
+        features["error_estimate"] = error
+        regime = random.integers(2, 4, lanes).astype(np.int8)
+        assert (hides_another(features, regime, int(starts)) == _compare_all_pairs(features, regime, starts)).all()
 
 
-def test_rule():
-    assert hidden([0.67, 3.03, 0.67]) == [1, 1, 1]  # each lane differs from another one
-    assert hidden([0.67, 0.675]) == [0, 0]  # one motion, equal to 1 %
-    assert hidden([0.67, 0.69]) == [1, 1]
-    assert hidden([0.67, 0.69], error=0.05) == [0, 0] and hidden([0.67, 3.0], error=np.inf) == [0, 0]
-    assert hidden([0.67, 3.03], cycles=0) == [0, 0]  # irregular lanes have no motion to compare
-    assert hidden([np.nan, np.nan]) == [0, 0]
-    features = {
-        "impact_velocity": np.array([0.67, 3.03, 1.0, 1.0]),
-        "cycles": np.ones(4),
-        "error_estimate": np.zeros(4),
-    }
-    labels = np.array([3, 5, 3, 3], np.int8)
-    assert hides_another(features, labels, 2).tolist() == [0, 0, 0, 0]  # the labels differ already
+def _compare_all_pairs(features, regime, starts):
+    hidden = np.zeros(len(regime), int)
+    for i in range(len(regime)):
+        for j in range(i - i % starts, i - i % starts + starts):
+            same = regime[i] == regime[j] and features["cycles"][i] > 0 and features["cycles"][j] > 0
+            within = SAME_WITHIN + features["error_estimate"][i] + features["error_estimate"][j]
+            pairs = [(features[name][i], features[name][j]) for name in COMPARED]
+            hidden[i] |= same and any(abs(a - b) > within * max(abs(a), abs(b)) for a, b in pairs)
+    return hidden
 
 
 @pytest.fixture(scope="module")

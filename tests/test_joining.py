@@ -12,7 +12,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vibrojax.io.targets import Regions
+from vibrojax.io.writers import Regions
 from vibrojax.maps import dataset as joining
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_sweep, run_to_file
@@ -68,7 +68,7 @@ import numpy as np
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.dataset import join
 from vibrojax.maps.executor import compute
-from vibrojax.io.targets import file_target
+from vibrojax.io.writers import file_target
 from vibrojax.periodic.lane_stages import lane_run
 sweep = read_sweep({"scene": "rotary", "starts": ["stuck"], "run": {"settle": 0.1, "observe": 0.1},
                     "grid": {"v": {"start": 0.5, "stop": 2.0, "num": int(sys.argv[2])}, "k1": {"start": 1e5, "stop": 2e5, "num": 1000}}})

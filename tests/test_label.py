@@ -54,22 +54,14 @@ def test_flags_keep_their_numbers():
         ({"bit_amplitude": 0.99 * SWING}, "equilibrium"),
         ({"finite": False}, "failed"),
         ({"finished": False}, "failed"),
-    ],
-)
-def test_rules(changes, expected):
-    assert regime(**changes) == expected
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
+        # Of several rules, the first in the order 7, 1, 0, 2 to 5, 6 applies.
         ({"finite": False, "bit_amplitude": 0.0, "returns": 0.0}, "failed"),
         ({"bit_amplitude": 0.0, "returns": 0.0, "cycles": 0.0}, "equilibrium"),
         ({"returns": 5.0, "impacts": 0.0}, "undecided"),
         ({"trend": 1.0, "cycles": 0.0}, "undecided"),
     ],
 )
-def test_order_of_rules(changes, expected):
+def test_rules_in_order(changes, expected):
     assert regime(**changes) == expected
 
 

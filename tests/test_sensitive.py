@@ -1,7 +1,6 @@
 """Test the flag for lanes in which rounding errors decide the attractor."""
 
 import json
-from functools import cache
 
 import numpy as np
 import pytest
@@ -21,30 +20,17 @@ POINT = {
 """A machine with two attractors. A chaotic transient of some 25 s ends on either of them."""
 
 
-@cache
-def run_after_settling(settle: float):
+@pytest.mark.long
+def test_chaotic_transient_before_two_attractors_is_flagged():
+    """The label changes with the settling time, which is why the lane needs a flag; no error estimate shows it."""
     sweep = {"scene": "vibro-impact", "starts": ["touching"], "unusual": True, "grid": {"beta": [0.6232515398628401]}}
-    return vj.run_sweep(sweep | {"parameters": POINT, "run": {"settle": settle}}, progress=False)
-
-
-@pytest.mark.parametrize("settle", [39.0, 40.0, 45.0, 80.0])
-@pytest.mark.long
-def test_chaotic_transient_before_two_attractors_is_flagged(settle):
-    lane = run_after_settling(settle)
-    assert lane.regime.item() in (MULTI_IMPACT, IRREGULAR)
-    assert lane.sensitive.item() == 1
-    assert json.loads(lane.attrs["certified"])["within"] == 0
-    if lane.regime.item() == MULTI_IMPACT:
-        assert lane.error_estimate.item() < 1e-7
-
-
-@pytest.mark.long
-def test_settling_time_decides_attractor():
-    """The label changes between settling times, which is why the lane needs a flag."""
-    assert (
-        len({run_after_settling(settle).regime.item() for settle in (39.0, 40.0, 41.0, 45.0, 50.0, 60.0, 80.0, 100.0)})
-        == 2
-    )
+    regimes = set()
+    for settle in (39.0, 40.0, 41.0, 45.0, 50.0, 60.0, 80.0, 100.0):
+        lane = vj.run_sweep(sweep | {"parameters": POINT, "run": {"settle": settle}}, progress=False)
+        regimes.add(lane.regime.item())
+        assert lane.sensitive.item() == 1 and json.loads(lane.attrs["certified"])["within"] == 0, settle
+        assert lane.error_estimate.item() < 1e-7 or lane.regime.item() != MULTI_IMPACT
+    assert regimes == {MULTI_IMPACT, IRREGULAR}
 
 
 def test_slow_regular_transients_are_not_flagged():
@@ -113,8 +99,3 @@ def test_ends_of_transients_are_compared(fine, check, differ):
     """A lane is flagged if only one of its two runs becomes periodic, or each at another time."""
     runs = crossings(fine, 1), crossings(check, 2)
     assert module.ends_differ(*runs, SCENES["rotary"].section).tolist() == [differ]
-
-
-def test_constants():
-    assert module.GROWTH_RETURNS == 40 and module.CHANGE == 1e-9
-    assert module.SECOND_RUNS == 8 and module.LANE_SECONDS == 25e3

@@ -5,8 +5,8 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.io.dataset import open_dataset, write_dataset
-from vibrojax.measures.labels import COMPARED, SAME_WITHIN, hides_another
+from vibrojax.io.dataset import open_dataset
+from vibrojax.io.writers import write_dataset
 
 BOX = {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 STATES = ("x1", "v1", "x2", "v2")
@@ -79,33 +79,3 @@ def test_invalid_starts_are_refused_in_one_line(starts, line):
     with pytest.raises(InputError) as caught:
         read_starts(starts)
     assert line in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_hidden_motion_agrees_with_comparison_of_all_pairs():
-    random = np.random.default_rng(0)
-    for _ in range(40):
-        points, starts, motions = random.integers(1, 6), random.integers(2, 40), random.integers(1, 4)
-        lanes, noise = points * starts, 10.0 ** random.uniform(-6, -1.5)
-        spread, which = 10.0 ** random.uniform(-4, -1), random.integers(0, motions, lanes)
-        features = {
-            name: (1 + spread * random.normal(size=motions))[which] * (1 + noise * random.normal(size=lanes))
-            for name in COMPARED
-        }
-        features["impact_velocity"][random.random(lanes) < 0.1] = np.nan
-        features["cycles"] = random.integers(0, 3, lanes).astype(float)
-        error = 10.0 ** random.uniform(-6, random.uniform(-5.5, -0.5), lanes)
-        error[random.random(lanes) < 0.1] = np.inf
-        features["error_estimate"] = error
-        regime = random.integers(2, 4, lanes).astype(np.int8)
-        assert (hides_another(features, regime, int(starts)) == _compare_all_pairs(features, regime, starts)).all()
-
-
-def _compare_all_pairs(features, regime, starts):
-    hidden = np.zeros(len(regime), int)
-    for i in range(len(regime)):
-        for j in range(i - i % starts, i - i % starts + starts):
-            same = regime[i] == regime[j] and features["cycles"][i] > 0 and features["cycles"][j] > 0
-            within = SAME_WITHIN + features["error_estimate"][i] + features["error_estimate"][j]
-            pairs = [(features[name][i], features[name][j]) for name in COMPARED]
-            hidden[i] |= same and any(abs(a - b) > within * max(abs(a), abs(b)) for a, b in pairs)
-    return hidden

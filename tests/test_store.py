@@ -12,7 +12,7 @@ import pytest
 
 from vibrojax.errors import InputError
 from vibrojax.io.identity import canonical, digest
-from vibrojax.maps.store import FORMAT, DamagedChunk, Store
+from vibrojax.maps.store import FORMAT, DamagedChunk, open_store
 
 MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
 OWNER = digest(json.loads(canonical(MANIFEST | {"store": FORMAT})))
@@ -26,18 +26,14 @@ def arrays(index: int) -> dict[str, np.ndarray]:
 @pytest.fixture
 def store(tmp_path):
     """Return a closed folder in which chunks 0 and 2 are finished."""
-    opened = Store(tmp_path / "out.nc.chunks", MANIFEST)
-    opened.open(resume=True)
-    opened.write(2, arrays(2))
-    opened.write(0, arrays(0))
-    opened.close()
+    with open_store(tmp_path / "out.nc.chunks", MANIFEST, resume=True) as opened:
+        opened.write(2, arrays(2))
+        opened.write(0, arrays(0))
     return opened
 
 
-def reopen(store, resume=True, **changes) -> Store:
-    opened = Store(store.folder, MANIFEST | changes)
-    opened.open(resume)
-    return opened
+def reopen(store, resume=True, **changes):
+    return open_store(store.folder, MANIFEST | changes, resume)
 
 
 def chunk_path(store, index):
@@ -131,15 +127,15 @@ def test_folder_of_version_1_is_refused(store):
     manifest = {"sha256": digest(MANIFEST), "manifest": MANIFEST}
     (store.folder / "manifest.json").write_text(json.dumps(manifest))
     os.replace(chunk_path(store, 2), store.folder / "chunk-00000002.shard")
-    with pytest.raises(InputError, match="store was not there, is 2"):
-        reopen(store)
+    with pytest.raises(InputError, match="store was not there, is 2"), reopen(store):
+        pass
     with reopen(store, resume=False) as opened:
-        assert opened.there() == set()
+        assert opened.indices() == set()
 
 
 def test_changed_manifest_is_refused(store):
-    with pytest.raises(InputError) as caught:
-        reopen(store, chunk=8)
+    with pytest.raises(InputError) as caught, reopen(store, chunk=8):
+        pass
     line = str(caught.value)
     assert "chunk was 4, is 8" in line and "--fresh" in line and "\n" not in line and "scene" not in line
     with reopen(store) as opened:  # nothing was lost, and the lock is free
@@ -169,13 +165,13 @@ def test_partial_file_of_killed_process_is_removed(store):
 
 def test_lock_of_killed_process_is_free(store):
     """The operating system releases the lock when the process ends. The lock file that remains has no effect."""
-    code = "import sys, time; from pathlib import Path; from vibrojax.maps.store import Store; "
-    code += "taken = Store(Path(sys.argv[1]), {}); taken.open(resume=False); print('taken', flush=True); time.sleep(60)"
+    code = "import sys, time; from pathlib import Path; from vibrojax.maps.store import open_store\n"
+    code += "with open_store(Path(sys.argv[1]), {}, False): print('taken', flush=True); time.sleep(60)"
     other = subprocess.Popen([sys.executable, "-c", code, str(store.folder)], stdout=subprocess.PIPE, text=True)
     with other:
         assert other.stdout.readline() == "taken\n"
-        with pytest.raises(InputError, match="another process is at work there"):
-            reopen(store)
+        with pytest.raises(InputError, match="another process is at work there"), reopen(store):
+            pass
         other.kill()
     assert (store.folder / "lock").exists()
     with reopen(store, resume=False) as opened:

@@ -181,7 +181,7 @@ def test_points_can_be_data_frame():
 def test_points_file_is_relative_to_sweep_file(tmp_path):
     (tmp_path / "p.csv").write_bytes(b"\xef\xbb\xbfbeta, gamma\r\n0.3,0.7\r\n\r\n0.4,1e0\r\n")
     sweep = read_sweep(write_text(tmp_path, 'scene = "vibro-impact"\npoints = "p.csv"\n'))
-    assert sweep.dims == ("point", "start") and sweep.shape == (2, 2) and sweep.point_starts is None
+    assert sweep.dims == ("point", "start") and sweep.shape == (2, 2) and not sweep.own_starts
     values, starts = sweep.lane_values(0, 4)
     assert values["gamma"].tolist() == [0.7, 0.7, 1.0, 1.0] and starts.tolist() == [0, 1, 0, 1]
 
@@ -189,7 +189,7 @@ def test_points_file_is_relative_to_sweep_file(tmp_path):
 def test_start_column_replaces_starts():
     points = {"beta": [0.3, 0.4, 0.5], "start": ["stuck", "drive", "stuck"]}
     sweep = read_sweep({"scene": "vibro-impact", "points": points, "starts": ["touching"]})
-    assert sweep.dims == ("point",) and sweep.shape == (3,) and sweep.point_starts == points["start"]
+    assert sweep.dims == ("point",) and sweep.shape == (3,) and list(sweep.starts) == points["start"]
     values, starts = sweep.lane_values(1, 3)
     assert values["beta"].tolist() == [0.4, 0.5]
     assert [sweep.starts[index] for index in starts] == ["drive", "stuck"]

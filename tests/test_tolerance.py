@@ -104,7 +104,7 @@ def test_scene_without_regimes_is_refused():
         "gamma=0.7": "no parameter has a tolerance",
         "gamma=0.7+-x": "is not a tolerance; write NAME=VALUE+-HALF_WIDTH",
         "beta=0.4+-0.5": "beta: is -0.1; it must be above 0",
-        "gamma=0.7+-0.01 gamma=0.7+-0.02": "gamma: has a second value",
+        "gamma=0.7+-0.01 gamma=0.7+-0.02": "is a second value",
         "beta=1+-.1 gamma=1+-.1 v=1+-.1 g=9+-.1 c2=9+-.1 mu=1+-.1 m1=99+-.1": "7 parameters have a tolerance",
     }.items(),
 )  # fmt: skip

@@ -5,7 +5,8 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.io.dataset import open_dataset, write_dataset
+from vibrojax.io.dataset import open_dataset
+from vibrojax.io.writers import write_dataset
 
 COLUMNS = ("start_x1", "start_v1", "start_x2", "start_v2")
 VECTORS = np.array([[0.0, -1.5, 0.0, 0.0], [0.01, 0.3, -0.02, 1.0], [-0.03, 0.0, 0.001, -2.0]])

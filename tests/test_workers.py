@@ -2,12 +2,14 @@
 
 import json
 import multiprocessing
+import tracemalloc
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 
 import pytest
 from commands import TEXT
 
 import vibrojax as vj
+from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_to_file
@@ -56,8 +58,6 @@ def test_spawned_pool_in_memory(file, expected):
 
 def test_dask_cluster(file, expected):
     distributed = pytest.importorskip("distributed")
-    from vibrojax.cli import main
-
     out = file.with_name("out.nc")
     with distributed.LocalCluster(
         2, processes=True, threads_per_worker=1, dashboard_address=":0", silence_logs=50
@@ -163,3 +163,34 @@ def test_workers_share_cores(file):
     with with_threads(3):
         assert threads() == 3
     assert threads() == usable_cores()
+
+
+@pytest.mark.parametrize(
+    "words, problem",
+    [
+        (["--workers", "nonsense"], '--workers: "nonsense" is not dask://HOST:PORT, slurm or slurm:N'),
+        (["--workers", "slurm:0"], "slurm:N (N from 1 to 1000)"),
+        (["--workers", "slurm"], "--workers slurm: there is no sbatch and no srun here"),
+    ],
+)
+def test_bad_options_are_refused_before_any_work(words, problem, capsys, file, monkeypatch):
+    monkeypatch.setenv("PATH", str(file.parent))
+    monkeypatch.chdir(file.parent)
+    assert main(["sweep", "map.toml", *words]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1 and problem in captured.err
+    assert [path.name for path in file.parent.iterdir()] == ["map.toml"]
+
+
+def test_hundred_million_lanes_need_only_disk(capsys, file):
+    """Neither the memory of the plan nor that of the estimate grows with the number of lanes."""
+    axes = "v = { start = 1.0, stop = 2.0, num = 10000 }\nc2 = { start = 0.0, stop = 2500.0, num = 10000 }"
+    file.write_text(f'scene = "rotary"\nstarts = ["stuck"]\n[grid]\n{axes}\n[run]\nsettle = 0.5\nobserve = 0.5\n')
+    out = file.with_name("map.nc")
+    tracemalloc.start()
+    main(["sweep", str(file), "-o", str(out), "--dry-run"])  # refused on a small disk
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 50e6 and [path.name for path in file.parent.iterdir()] == ["map.toml"]
+    captured = capsys.readouterr()
+    assert "100000000 lanes" in captured.err or captured.out.startswith("lanes   100000000 (10000 v x 10000 c2 x 1")

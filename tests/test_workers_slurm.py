@@ -44,7 +44,7 @@ def test_interrupt_cancels_jobs(slurm, tmp_path):
     (tmp_path / "map.toml").write_text(TEXT.replace("settle = 3.0", "settle = 20000.0\nend_early = false"))
     driver = slurm("sweep", "map.toml", "-o", "out.nc", "--workers", "slurm:2", "--quiet")
     end = time.monotonic() + 300.0
-    while len(list(tmp_path.glob("bin/jobs/*"))) < 4:  # two that run, and two that wait
+    while len(list(tmp_path.glob("out.nc.jobs/*_submitted.pkl"))) < 4:  # two that run, and two that wait
         assert driver.poll() is None and time.monotonic() < end
         time.sleep(0.05)
     driver.send_signal(signal.SIGINT)

@@ -4,9 +4,9 @@ from vibrojax.errors import InputError as InputError
 from vibrojax.explorer import write_page as write_page
 from vibrojax.explorer.write import explore as explore
 from vibrojax.io.dataset import open_dataset as open_dataset
-from vibrojax.io.dataset import write_dataset as write_dataset
 from vibrojax.io.riglog import read_log as read_log
 from vibrojax.io.variables import Variable as Variable
+from vibrojax.io.writers import write_dataset as write_dataset
 from vibrojax.maps.read import read_sweep as read_sweep
 from vibrojax.maps.rerun import orbits as orbits
 from vibrojax.maps.run import run_sweep as run_sweep

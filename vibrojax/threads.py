@@ -1,10 +1,13 @@
-"""Threads: work that can always be interrupted, one pool for compiled programs, and drivers that call it."""
+"""Threads: work that can always be interrupted, one pool for compiled programs, and drivers that call it.
+
+All threads are daemons: an interrupt ends the process without waiting for compiled code.
+"""
 
 import contextvars
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, wait
+from concurrent.futures import Future, as_completed, wait
 from contextlib import contextmanager, suppress
 from functools import cache
 from queue import SimpleQueue
@@ -23,8 +26,8 @@ _POLL_SECONDS = 0.2
 
 _CLEAN_UP: list[Callable[[], object]] = []
 
-Calls = SimpleQueue[Callable[[int], None] | None]
-"""Functions of the number of the thread that calls them; a thread ends at None."""
+Tasks = SimpleQueue[tuple[Future[Any], Callable[..., Any], Any] | None]
+"""Futures, each with the function and the item that give its result; a thread ends at None."""
 
 _member = threading.local()
 """Holds `within`: True in a thread of the pool."""
@@ -47,6 +50,32 @@ def leave() -> None:
             action()
 
 
+def _serve(tasks: Tasks, *worker: object) -> None:
+    """Compute the futures of a queue. A thread of the pool has a `worker`, with which it calls the functions."""
+    _member.within = bool(worker)
+    while (task := tasks.get()) is not None:
+        future, work, item = task
+        if future.set_running_or_notify_cancel():
+            try:
+                future.set_result(work(*worker, item))
+            except BaseException as error:
+                future.set_exception(error)
+        del task, future, work, item  # a waiting thread holds no results
+
+
+@cache
+def _pool(workers: tuple[Any, ...]) -> Tasks:
+    """Start threads that never end, one for each worker, and return the queue of their tasks."""
+    tasks: Tasks = SimpleQueue()
+    for worker in workers:
+        threading.Thread(target=_serve, args=(tasks, worker), daemon=True).start()
+    return tasks
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # the child has none of the threads
+
+
 def in_own_thread(work: Callable[[], Result]) -> Result:
     """Run `work` in a thread while the calling thread only waits; return its result, or raise its exception.
 
@@ -55,38 +84,14 @@ def in_own_thread(work: Callable[[], Result]) -> Result:
     After an interrupt, the thread is abandoned.
     """
     future: Future[Result] = Future()
-
-    def run() -> None:
-        try:
-            future.set_result(work())
-        except BaseException as error:
-            future.set_exception(error)
-
-    threading.Thread(target=run, name="work", daemon=True).start()
+    tasks: Tasks = SimpleQueue()
+    tasks.put((future, lambda _: work(), None))
+    tasks.put(None)
+    threading.Thread(target=_serve, args=(tasks,), name="work", daemon=True).start()
     while not wait([future], _POLL_SECONDS).done:  # a signal that another thread receives does not end waiting
         if asked_to_end:
             raise asked_to_end[0]
     return future.result()
-
-
-def _make(calls: Calls, number: int, within: bool) -> None:
-    """Make the calls of a queue."""
-    _member.within = within
-    while (call := calls.get()) is not None:
-        call(number)
-
-
-@cache
-def _pool(threads: int) -> Calls:
-    """Start threads that never end, and return the queue of their calls."""
-    calls: Calls = SimpleQueue()
-    for number in range(threads):
-        threading.Thread(target=_make, args=(calls, number, True), daemon=True).start()
-    return calls
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # the child has none of the threads
 
 
 def in_parallel(
@@ -101,7 +106,7 @@ def in_parallel(
     """
     if getattr(_member, "within", False):  # a thread of the pool does not wait for the pool
         return ((index, work(workers[0], item)) for index, item in enumerate(items))
-    return _results(_pool(len(workers)), lambda number, index: work(workers[number], items[index]), len(items))
+    return _results(_pool(tuple(workers)), work, items)
 
 
 def by_drivers(work: Callable[[Item], Result], items: Sequence[Item], drivers: int) -> Iterator[tuple[int, Result]]:
@@ -109,40 +114,25 @@ def by_drivers(work: Callable[[Item], Result], items: Sequence[Item], drivers: i
 
     `work` may itself call `in_parallel`. The threads have the context variables of the caller.
     """
-    calls: Calls = SimpleQueue()
+    tasks: Tasks = SimpleQueue()
     threads = min(drivers, len(items))
     for _ in range(threads):
-        context = contextvars.copy_context()
-        threading.Thread(target=context.run, args=(_make, calls, 0, False), daemon=True).start()
+        threading.Thread(target=contextvars.copy_context().run, args=(_serve, tasks), daemon=True).start()
     try:
-        yield from _results(calls, lambda _, index: work(items[index]), len(items))
+        yield from _results(tasks, work, items)
     finally:
         for _ in range(threads):
-            calls.put(None)
+            tasks.put(None)
 
 
-def _results(calls: Calls, work: Callable[[int, int], Any], count: int) -> Iterator[tuple[int, Any]]:
-    """Call `work(thread, index)` for each index below `count`; yield (index, result) as each call is finished."""
-    done: SimpleQueue[tuple[int, Any] | BaseException] = SimpleQueue()
-    over = False
-
-    def call(index: int) -> Callable[[int], None]:
-        def made(number: int) -> None:
-            try:
-                if not over:
-                    done.put((index, work(number, index)))
-            except BaseException as error:
-                done.put(error)
-
-        return made
-
-    for index in range(count):
-        calls.put(call(index))
+def _results(tasks: Tasks, work: Callable[..., Any], items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+    """Queue the call of `work` for each item; yield (index, result) as each call is finished."""
+    index_of: dict[Future[Any], int] = {Future(): index for index in range(len(items))}
+    for future, index in index_of.items():
+        tasks.put((future, work, items[index]))
     try:
-        for _ in range(count):
-            result = done.get()
-            if isinstance(result, BaseException):
-                raise result
-            yield result
+        for future in as_completed(list(index_of)):
+            yield index_of.pop(future), future.result()
     finally:
-        over = True
+        for future in index_of:
+            future.cancel()

@@ -15,8 +15,7 @@ import warnings
 import numpy as np
 
 import vibrojax as vj
-from vibrojax.studies.design import read_design
-from vibrojax.studies.design_points import DesignSpec
+from vibrojax.studies.design_requirements import DesignSpec, read_design
 from vibrojax.studies.design_search import Search
 
 DESIGNS = ("energy", "rate-in-sandstone", "power-at-120-kn")

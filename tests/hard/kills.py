@@ -34,13 +34,14 @@ observe = 0.4
 chunk = 10
 """
 POOL = """
-import sys, multiprocessing
+import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 if __name__ == "__main__":
     from vibrojax.maps.read import read_sweep
     from vibrojax.maps.run import run_to_file
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as executor:
-        run_to_file(read_sweep("sweep.toml"), "out.nc", progress=False, executor=executor)
+        run_to_file(read_sweep("sweep.toml"), Path("out.nc"), progress=False, executor=executor)
 """
 
 

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from vibrojax.io.dataset import open_dataset, write_dataset
+from vibrojax.io.dataset import open_dataset
+from vibrojax.io.writers import write_dataset
 
 ROOT = Path(__file__).parents[2]
 CHUNKS = 12

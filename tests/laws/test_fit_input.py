@@ -10,7 +10,8 @@ import xarray as xr
 
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.io.dataset import open_dataset, write_dataset
+from vibrojax.io.dataset import open_dataset
+from vibrojax.io.writers import write_dataset
 from vibrojax.studies.rop_law import fit_rop
 from vibrojax.studies.rop_results import law_facts, law_table
 

@@ -14,9 +14,9 @@ from source.rules import DIFFERS, NOT_COMPARED, VERDICTS
 from vibrojax.errors import InputError
 from vibrojax.explorer.write import content_policy
 from vibrojax.io.atomic import atomic_write
-from vibrojax.io.dataset import write_dataset
 from vibrojax.io.files import source
 from vibrojax.io.identity import text_mark
+from vibrojax.io.writers import write_dataset
 
 FOLDER = Path(__file__).parent
 COLUMNS = ("id", "what", "source", "here", "verdict", "reading")

@@ -16,7 +16,8 @@ from source.pictures_motions import FIGURE_WIDTH, LINE_COLOURS, panels_for
 from vibrojax.measures.labels import REGIMES
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.pictures.colours import REGIME_COLOURS
-from vibrojax.pictures.style import BIT, FAINT, INK, START_COLOURS, new_figure
+from vibrojax.pictures.draw import new_figure
+from vibrojax.pictures.style import BIT, FAINT, INK, START_COLOURS
 
 LAWS = ("coulomb", "popp-exponential", "popp-arctan", "hyperbolic", "hyperbolic-quadratic", "stribeck")
 SINGLE_IMPACT_COLOURS = {

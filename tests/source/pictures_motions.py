@@ -16,7 +16,8 @@ from matplotlib.figure import Figure
 from source.closed_forms import LOSS_FACTORS
 from source.motions import DRIVE_SPEED, envelope, events, last_cycle, power_spectrum, swept_frequency, within
 from vibrojax.physics.contact import restitution
-from vibrojax.pictures.style import BIT, FAINT, IMPACT, INK, ROCK, STICK, STRIKER, new_figure
+from vibrojax.pictures.draw import new_figure
+from vibrojax.pictures.style import BIT, FAINT, IMPACT, INK, ROCK, STICK, STRIKER
 
 FIGURE_WIDTH = 6.4
 """Width of a figure [inch]: half the width of the text on the reproduction page."""

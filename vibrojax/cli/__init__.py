@@ -12,16 +12,15 @@ import sys
 import traceback
 import warnings
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import NoReturn
 
-from vibrojax.cli.analyses import study_command
-from vibrojax.cli.command import Command, Options, either, flag
+from vibrojax.cli.arguments import Command, Options, either, flag
 from vibrojax.cli.datasets import explore, info, plot, scenes
-from vibrojax.cli.studies import accuracy, curves, fit, orbits, rig
-from vibrojax.cli.sweeps import sweep
+from vibrojax.cli.studies import accuracy, curves, fit, orbits, rig, study_command
+from vibrojax.cli.sweep import sweep
 from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.files import package_version
 from vibrojax.progress import LOG, end_lines, timed
@@ -45,41 +44,14 @@ _LOUDNESS = either(
     flag("--verbose", "say on stderr what was chosen, and how long each part took"),
 )
 
-_COMMANDS: dict[str, Command] = {
+_COMMANDS: dict[str, Command | str] = {
     "sweep": sweep,
-    "simulate": study_command("trajectory", "Simulate one point: write its trajectory as a dataset, and a picture"),
+    "simulate": "trajectory",
     "orbits": orbits,
-    "follow": study_command(
-        "family",
-        "Follow a family of periodic orbits or equilibria, stable and unstable, along one parameter",
-    ),
+    "follow": "family",
     "curves": curves,
-    "borders": study_command(
-        "borders",
-        "Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there",
-    ),
-    "attractors": study_command(
-        "attractors", "Find the attractors that a sweep's starts lead to, and the share of starts of each"
-    ),
-    "push": study_command(
-        "push",
-        "Find the smallest push in each state variable after which a machine no longer returns to its working cycle",
-    ),
-    "tolerance": study_command(
-        "tolerance",
-        "Simulate a machine at samples of the box of its tolerances: regimes, extremes, and where they occur",
-    ),
-    "design": study_command(
-        "design", "Find the best drill under constraints that hold from every start and at samples of the tolerances"
-    ),
-    "study": study_command(
-        "study",
-        "Find which parameters decide about a machine: effects, interactions and Sobol indices; FILE is a study (TOML)",
-    ),
-    "calibrate": study_command(
-        "calibration",
-        "Estimate parameters of a drill from observations of its motion, and say which the data determine",
-    ),
+    **{kind: kind for kind in ("borders", "attractors", "push", "tolerance", "design", "study")},
+    "calibrate": "calibration",
     "plot": plot,
     "explore": explore,
     "info": info,
@@ -88,6 +60,7 @@ _COMMANDS: dict[str, Command] = {
     "accuracy": accuracy,
     "scenes": scenes,
 }
+"""Commands by name: a command, or the kind of the analysis from whose class it follows."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -100,7 +73,7 @@ class _Parser(ArgumentParser):
     def error(self, message: str) -> NoReturn:
         command = self.prog.partition(" ")[2]
         if match := _UNKNOWN_COMMAND.match(message):
-            message = f"{match[1]}; {suggestion(match[2], _commands())}"
+            message = f"{match[1]}; {suggestion(match[2], [*_COMMANDS, *_registered()])}"
         raise InputError(f"{command}{': ' * bool(command)}{message}; see {self.prog} --help")
 
 
@@ -148,13 +121,16 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
         if options.version:
             print(f"vibrojax {package_version()}")
         elif options.command is None:
-            raise InputError(f"no command; choose from {', '.join(_commands())}, or see vibrojax --help")
+            names = ", ".join([*_COMMANDS, *_registered()])
+            raise InputError(f"no command; choose from {names}, or see vibrojax --help")
         else:
             if getattr(options, "out", None) == "":
                 raise InputError("-o: the name is empty; give the name of a file, or leave out -o")
-            command = _commands()[options.command]
+            command = _command_of(options.command)
+            assert command is not None  # the parser knows it
+            run = command.run
             with _verbosely(options):
-                do(lambda: _run(command.run, options))
+                do(lambda: _run(run, options))
         sys.stdout.flush()
         return DONE
     except SystemExit as leaving:  # --help
@@ -190,17 +166,20 @@ def _run(run: Callable[[Options], None], options: Options) -> None:
         raise InputError(f"{file}: its content does not fit together ({about}); --verbose says where") from error
 
 
-def _commands() -> dict[str, Command]:
-    """Return the commands of this package, and those of analyses that installed packages register."""
-    registered = {
-        entry.name: study_command(entry.name, f"analysis of the package {entry.dist.name if entry.dist else '?'}")
-        for entry in entry_points(group="vibrojax.analyses")
-        if entry.name not in _COMMANDS
-    }
-    return _COMMANDS | registered
+def _command_of(name: str) -> Command | None:
+    """Return a command of this package, or of an analysis that an installed package registers."""
+    known = _COMMANDS.get(name)
+    if known is None and (entry := _registered().get(name)) is not None:
+        return study_command(name, f"analysis of the package {entry.dist.name if entry.dist else '?'}")
+    return study_command(known) if isinstance(known, str) else known
 
 
-def _parser(words: Collection[str]) -> ArgumentParser:
+def _registered() -> dict[str, EntryPoint]:
+    return {entry.name: entry for entry in entry_points(group="vibrojax.analyses") if entry.name not in _COMMANDS}
+
+
+def _parser(words: Sequence[str]) -> ArgumentParser:
+    """Return the parser of the command in `words`, or of all commands if there is none."""
     parser = _Parser(
         prog="vibrojax",
         description="Simulate a self-exciting percussive-rotary drill: maps over parameters, single points, pictures.",
@@ -210,10 +189,13 @@ def _parser(words: Collection[str]) -> ArgumentParser:
     )
     parser.add_argument("--version", action="store_true", help="print the version")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
-    for name, command in _commands().items():
-        about = command.summary
-        subparser = subparsers.add_parser(name, help=about, description=about, allow_abbrev=False)
-        if name in words:
+    asked = next((word for word in words if not word.startswith("-")), "")
+    known = _command_of(asked) if asked else None
+    for name in [asked] if known else [*_COMMANDS, *_registered()]:
+        command = known or _command_of(name)
+        assert command is not None
+        subparser = subparsers.add_parser(name, help=command.summary, description=command.summary, allow_abbrev=False)
+        if known:
             for add_arguments in (*command.arguments, _LOUDNESS):
                 add_arguments(subparser)
     return parser

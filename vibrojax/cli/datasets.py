@@ -8,21 +8,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from vibrojax.cli.command import (
-    JSON,
-    Options,
-    argument,
-    command,
-    flag,
-    named_values,
-    number_or_name,
-)
-from vibrojax.cli.output import PICTURES, print_json, shortened, view_path, write_view
+from vibrojax.cli.arguments import JSON, MANY, Options, argument, command, flag, named_values, number_or_name, words
+from vibrojax.cli.output import PICTURES, View, print_json, shortened
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.progress import timed
 from vibrojax.threads import on_leaving
-
-_SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
 
 
 @command(
@@ -33,15 +23,13 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
         "where to draw (OUT.png beside OUT.nc; with options OUT-VARIABLE.png, OUT-over-FAMILY.png, ...)",
         dest="out",
     ),
-    argument("--variable", "NAME", "draw these variables, over all that varies; regime is one of them", **_SEVERAL),
-    argument(
-        "--where", "CONDITION", 'draw only the lanes there, as in delta=0.005 start=stuck "v (m/s) < 2"', **_SEVERAL
-    ),
+    argument("--variable", "NAME", "draw these variables, over all that varies; regime is one of them", **MANY),
+    argument("--where", "CONDITION", 'draw only the lanes there, as in delta=0.005 start=stuck "v (m/s) < 2"', **MANY),
     argument(
         "--over",
         "FAMILY.nc",
         "over the returns of a sweep: what vibrojax follow has found along its axis; over a map: borders or curves",
-        **_SEVERAL,
+        **MANY,
     ),
     argument(
         "--diagram",
@@ -57,6 +45,7 @@ def plot(options: Options) -> None:
     from vibrojax.io.dataset import open_dataset
     from vibrojax.io.log_filters import read_conditions
     from vibrojax.settings.values import check_distinct
+    from vibrojax.studies.choose import save_picture
 
     where: dict[str, float | str] = {}
     for condition in read_conditions(options.where):
@@ -64,29 +53,23 @@ def plot(options: Options) -> None:
             raise InputError(f"--where: {condition.name}: {shown(condition.value)} is a second value; give one")
         is_value = condition.operator == "=" and condition.unit is None
         where[condition.name] = number_or_name(condition.value) if is_value else condition.text
-    path = Path(options.file)
+    path, above = Path(options.file), [Path(name) for name in options.over or ()]
     check_distinct(Place("plot", "--over"), options.over or (), "file")
     with timed("read"):
         dataset = open_dataset(path)
-        over = [open_dataset(Path(name)) for name in options.over or ()] or None
+        over = [open_dataset(name) for name in above] or None
     with dataset:
         places = [re.sub("=|[ =<>!()]*[<>!][=<>!() ]*", "-", word) for word in options.where or ()]
-        stems = [Path(name).stem for name in options.over or ()]
         parts = [*shortened(options.variable or ()), *filter(None, [options.diagram]), *shortened(places)]
-        parts += [*filter(None, [options.colours, options.width]), *(["over", *shortened(stems)] if stems else [])]
-        picture = view_path(options, path, PICTURES, parts)
-        from vibrojax.studies.choose import save_picture
-
+        parts += filter(None, [options.colours, options.width])
+        parts += ["over", *shortened([name.stem for name in above])] if above else []
+        view = View.of(options, path, PICTURES, parts)
         asked = options.variable, where, options.colours, over, options.diagram, options.width
-        drawn: list[str] = []
+        notes: list[str] = []
         with timed("draw"):
-            picture, replaced = write_view(
-                picture,
-                lambda path: drawn.append(save_picture(dataset, path, *asked)),
-                numbered=bool(parts) and not options.out,
-            )
+            picture, replaces = view.write(lambda path: notes.append(save_picture(dataset, path, *asked)))
+    notes += ["replaces another picture"] if replaces and not options.out else []
     if not options.quiet:
-        notes = [*drawn, f"{replaced} picture" if replaced and not options.out else ""]
         print(": ".join(filter(None, (str(picture), "; ".join(filter(None, notes))))))
 
 
@@ -114,21 +97,11 @@ def info(options: Options) -> None:
         "a dataset of vibrojax: of a sweep, its orbits, attractors or borders, families, one motion, or a fit; "
         "with --live also a scene",
     ),
-    argument(
-        "values",
-        "NAME=VALUE",
-        "of a scene: where its motion begins, as for vibrojax simulate",
-        nargs="*",
-        default=[],  # without it, argparse before Python 3.13 requires the values
-    ),
+    words("of a scene: where its motion begins, as for vibrojax simulate"),
     argument(
         "-o", "PAGE.html", "where to write (OUT.html beside OUT.nc; with --over OUT-over-BORDERS.html)", dest="out"
     ),
-    argument(
-        "--over",
-        "CURVES.nc",
-        "lay over the map what vibrojax borders or curves has found in the same plane",
-    ),
+    argument("--over", "CURVES.nc", "lay over the map what vibrojax borders or curves has found in the same plane"),
     flag(
         "--live", "open the page from a server on this machine alone, with sliders for every parameter; Ctrl-C ends it"
     ),
@@ -141,26 +114,25 @@ def explore(options: Options) -> None:
     can be zoomed and saved, and motions compared. With --live, nothing is written: a server on this machine serves the
     page, and computes what the user clicks or drags, and the part of a map that is zoomed into.
     """
-    from vibrojax.io.dataset import open_dataset
-
-    path, progress = Path(options.file), not options.quiet
-    scene = options.live and not path.suffix
+    path, is_scene = Path(options.file), options.live and not Path(options.file).suffix
     if options.live and options.out:
         raise InputError("explore: -o: --live writes no page; leave one of them out")
     if options.no_browser and not options.live:
         raise InputError("explore: --no-browser: there is no browser to open without --live")
-    if options.values and not scene:
+    if options.values and not is_scene:
         raise InputError(f"explore: {shown(options.values[0])}: values are for a scene, with --live; leave them out")
-    if scene and options.over:
+    if is_scene and options.over:
         raise InputError("explore: --over: a motion has no map to lay curves over; leave it out")
     parts = ["over", Path(options.over).stem] if options.over else []
-    if not options.live:
-        out = view_path(options, path, (".html",), parts)
-    over = None
-    if scene:
-        from vibrojax.studies.trajectory import Trajectories, simulate
+    view = None if options.live else View.of(options, path, (".html",), parts)
+    from vibrojax.explorer.live import serve
+    from vibrojax.explorer.write import write_page
+    from vibrojax.io.dataset import open_dataset
+    from vibrojax.studies.trajectory import Trajectories, simulate
 
-        settings, parameters = named_values(Place("explore"), options.values, Trajectories.words(), lists=False)
+    progress, over = not options.quiet, None
+    if is_scene:
+        settings, parameters = named_values(Place("explore"), options.values, Trajectories.words())
         arguments: dict[str, Any] = settings | parameters
         dataset = simulate(options.file, **arguments, progress=progress)
     else:
@@ -169,32 +141,26 @@ def explore(options: Options) -> None:
             over = open_dataset(Path(options.over)) if options.over else None
     with dataset:
         try:
-            if options.live:
-                from vibrojax.explorer.live import serve
-
+            if view is None:
                 live = serve(dataset, over, progress=progress)
             else:
-                from vibrojax.explorer import write_page
-
-                def write(page: Path) -> None:
-                    write_page(dataset, page, over, progress=progress)
-
                 with timed("compute and write"):
-                    out, replaced = write_view(out, write, numbered=bool(parts) and not options.out)
+                    out, replaces = view.write(lambda page: write_page(dataset, page, over, progress=progress))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-    if options.live:
+    if view is None:
         _serve(options, live)
     elif progress:
-        note = f"; {replaced} page" if replaced and not options.out else ""
+        note = "; replaces another page" if replaces and not options.out else ""
         print(f"{out}: {out.stat().st_size / 1e6:.1f} MB{note}")
 
 
 def _serve(options: Options, live: Any) -> None:
+    """Print the address of a live page, open it in a browser, and serve it until the user ends it."""
     private = TemporaryDirectory(prefix="vibrojax-")
     with live, on_leaving(lambda: live.close(1.0)), on_leaving(private.cleanup), private:
-        words = [str(options.file), *options.values, *(["--over", str(options.over)] if options.over else [])]
-        options.advise("the page is closed; to open it again", "explore", *words, "--live")
+        given = [str(options.file), *options.values, *(["--over", str(options.over)] if options.over else [])]
+        options.advise("the page is closed; to open it again", "explore", *given, "--live")
         if not options.quiet:
             print("Ctrl-C ends it", file=sys.stderr, flush=True)
         # Who reads the address may end the command at once; then nothing else is being written.
@@ -215,11 +181,11 @@ def _serve(options: Options, live: Any) -> None:
 @command(argument("scene", "SCENE", "one of them, in full", nargs="?"))
 def scenes(options: Options) -> None:
     """List the scenes, or a scene's parameters, initial conditions, friction laws, variables and settings."""
-    from vibrojax.studies.catalogue import list_scenes, scene_text
+    from vibrojax.studies.catalogue import scene_rows, scene_text
 
     if options.scene is not None:
         print(scene_text(options.scene))
         return
-    for name, row in list_scenes().iterrows():
+    for name, row in scene_rows().items():
         print(f"{name:<18}{row['what']}")
         print(f"{'':<18}starts: {row['starts'] or 'always the same'}")

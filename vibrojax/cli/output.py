@@ -1,4 +1,4 @@
-"""Output of commands: checking files before any work, writing and drawing datasets, and JSON."""
+"""Results of commands: files that are checked before any work, datasets with their pictures, and JSON."""
 
 import json
 import math
@@ -7,11 +7,12 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from vibrojax.cli.command import Options
+from vibrojax.cli.arguments import Options
 from vibrojax.errors import InputError, escape_json, shown
 from vibrojax.progress import timed
 
@@ -21,10 +22,10 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".pdf", ".svg")
 ZARR = ".zarr"
 
-_NAME_MAX_CHARACTERS = 200
+NAME_MAX_CHARACTERS = 200
 """Maximum length of a default name without ending; most file systems allow 255 bytes."""
 
-_MAX_WORDS = 3
+NAME_MAX_WORDS = 3
 """Maximum number of variables, values or datasets that a default name states."""
 
 
@@ -62,69 +63,6 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",), *, drawn: bool =
     return path
 
 
-def view_path(options: Options, file: Path, endings: Sequence[str], parts: Sequence[str]) -> Path:
-    """Return the path of the picture or page of a dataset: `-o`, or the dataset's name, `parts` and the first ending.
-
-    **Raises:** `InputError` if the name has none of the `endings`, or the file cannot be written.
-    """
-    name = "-".join([file.stem, *(re.sub(r"[^\w.+-]+", "_", part) for part in parts)])
-    default = file.with_name(name[:_NAME_MAX_CHARACTERS] + endings[0])
-    return output(options.out or default, endings, numbered=bool(parts) and not options.out)
-
-
-def write_view(path: Path, write: Callable[[Path], object], *, numbered: bool) -> tuple[Path, str]:
-    """Write a picture or page with the function `write`; return its path, and a note if it replaces another one.
-
-    `numbered`: whether the view is numbered where it would replace another one.
-    """
-    before = path.read_bytes() if path.is_file() else None
-    if not numbered or before is None:
-        write(path)
-        return path, "replaces another" if before is not None and before != path.read_bytes() else ""
-    with tempfile.TemporaryDirectory(prefix=".vibrojax-", dir=path.parent) as folder:
-        part = Path(folder) / path.name
-        write(part)
-        content = part.read_bytes()
-        path = _numbered(path, lambda other: other.is_file() and other.read_bytes() == content)
-        os.replace(part, path)
-    return path, ""
-
-
-def shortened(words: Sequence[str]) -> list[str]:
-    """Return the parts of a name that state `words`: all of them, or the first ones and a count."""
-    more = len(words) - _MAX_WORDS
-    return [*words[:_MAX_WORDS], f"and-{more}-more"] if more > 0 else list(words)
-
-
-def output_folder(folder: str, names: Sequence[str]) -> list[Path]:
-    """Return the paths of the files `names` in a folder, which is created if it does not exist.
-
-    **Raises:** `InputError` if one of the files cannot be written.
-    """
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"-o: {shown(folder)} cannot be made a folder ({error.strerror})") from None
-    return [output(Path(folder) / name, (Path(name).suffix,)) for name in names]
-
-
-def result_at(options: Options, default: str, identity: Mapping[str, object], *, numbered: bool = False) -> Path:
-    """Return the file of a result, which depends on `identity`: `default` without `-o`.
-
-    With `numbered`, results without `-o` get a number where they would replace others.
-
-    **Raises:** `InputError` if the file or its picture cannot be written, or the file holds another result.
-    """
-    from vibrojax.io.identity import check_replaceable, holds
-
-    if numbered and options.out is None:
-        return output(_numbered(Path(default), lambda path: holds(path, identity), options.fresh), drawn=True)
-    out = output(options.out or default, drawn=True)
-    if not options.fresh:
-        check_replaceable(out, identity)
-    return out
-
-
 def _numbered(default: Path, is_result: Callable[[Path], bool], fresh: bool = False) -> Path:
     """Return the one of the files NAME, NAME-2, NAME-3, ... that holds a result, or the first that does not exist.
 
@@ -144,38 +82,132 @@ def _numbered(default: Path, is_result: Callable[[Path], bool], fresh: bool = Fa
     return numbered(next(number for number in count(2) if number not in numbers))
 
 
-def stored_result(options: Options, out: Path, identity: Mapping[str, object]) -> "xarray.Dataset | None":
-    """Return the finished result with this `identity` at `out`, or None if there is none, or with `--fresh`."""
-    from vibrojax.io.identity import holds
+# Pictures and pages.
+
+
+class View(NamedTuple):
+    """A picture or page of a dataset: its path, and whether it gets a number where it would replace another one."""
+
+    path: Path
+    is_numbered: bool
+
+    @classmethod
+    def of(cls, options: Options, file: Path, endings: Sequence[str], parts: Sequence[str]) -> "View":
+        """Return the view at `-o`, or else at the dataset's name with `parts` and the first of the `endings`.
+
+        **Raises:** `InputError` if the name has none of the `endings`, or the file cannot be written.
+        """
+        name = "-".join([file.stem, *(re.sub(r"[^\w.+-]+", "_", part) for part in parts)])
+        default = file.with_name(name[:NAME_MAX_CHARACTERS] + endings[0])
+        is_numbered = bool(parts) and not options.out
+        return cls(output(options.out or default, endings, numbered=is_numbered), is_numbered)
+
+    def write(self, draw: Callable[[Path], object]) -> tuple[Path, bool]:
+        """Write the view with the function `draw`; return its path, and whether it replaces another one."""
+        before = self.path.read_bytes() if self.path.is_file() else None
+        if before is None or not self.is_numbered:
+            draw(self.path)
+            return self.path, before is not None and before != self.path.read_bytes()
+        with tempfile.TemporaryDirectory(prefix=".vibrojax-", dir=self.path.parent) as folder:
+            part = Path(folder) / self.path.name
+            draw(part)
+            content = part.read_bytes()
+            path = _numbered(self.path, lambda other: other.is_file() and other.read_bytes() == content)
+            os.replace(part, path)
+        return path, False
+
+
+def shortened(words: Sequence[str]) -> list[str]:
+    """Return the parts of a name that state `words`: all of them, or the first ones and a count."""
+    more = len(words) - NAME_MAX_WORDS
+    return [*words[:NAME_MAX_WORDS], f"and-{more}-more"] if more > 0 else list(words)
+
+
+# Results.
+
+
+class Result(NamedTuple):
+    """The dataset of a command, its file, and the last line of the output, which names file and picture."""
+
+    dataset: "xarray.Dataset"
+    out: Path
+    line: str
+
+    def print(
+        self, options: Options, lines: Sequence[str] | None = None, facts: Mapping[str, object] | None = None
+    ) -> None:
+        """Print the summary, as text or with `--json` as one object; `lines`, `facts`: by default the analysis's."""
+        if options.quiet and not options.json:
+            return
+        from vibrojax.studies.analysis import analysis_of
+
+        parts = analysis_of(self.dataset).summary(self.dataset) if lines is None or facts is None else []
+        if options.json:
+            picture = self.out.with_suffix(".png")
+            files = {"dataset": str(self.out), "picture": str(picture) if f"picture {picture}" in self.line else None}
+            print_json({**({k: x for p in parts for k, x in p.facts.items()} if facts is None else facts), **files})
+        else:
+            own = [line for part in parts for line in part.lines] if lines is None else lines
+            print("\n".join([*own, self.line]))
+
+
+def result(
+    options: Options,
+    default: str,
+    identity: Mapping[str, object],
+    computed: Callable[[Path], "AbstractContextManager[xarray.Dataset]"],
+    *,
+    endings: Sequence[str] = (".nc",),
+    numbered: bool = False,
+    reused: bool = True,
+    written: bool = False,
+    counted: Callable[["xarray.Dataset"], str] = lambda _: "",
+    variables: Sequence[str] = (),
+) -> Result:
+    """Return the result with this `identity`: the one that its file holds, or else a new one, written and drawn.
+
+    **Arguments:**
+
+    - `default`: name of the file without `-o`; `endings`: the accepted ones. `numbered`: whether results without `-o`
+      get a number where they would replace others.
+    - `computed`: function of the path of the file that returns a context manager of the dataset. The context ends when
+      the dataset is written. `written`: whether it has been written already.
+    - `reused`: False if the identity does not say everything on which the result depends.
+    - `counted`: function of the dataset that says in the last line how much there is of what. `variables`: those that
+      the picture shows, as far as the dataset has them; empty: those that fit it.
+
+    **Raises:** `InputError` if the file or its picture cannot be written, or the file holds another result.
+    """
+    from vibrojax.io.dataset import open_dataset
+    from vibrojax.io.identity import IDENTITY, check_replaceable, holds, identity_text
+    from vibrojax.io.writers import write_dataset
     from vibrojax.maps.store import CHUNKS
 
-    # Chunks beside a dataset belong to a run that was interrupted while it replaced the dataset.
-    if options.fresh or out.with_name(out.name + CHUNKS).exists() or not holds(out, identity):
-        return None
-    from vibrojax.io.dataset import open_dataset
+    def file() -> Path:
+        if numbered and options.out is None:
+            return output(_numbered(Path(default), lambda path: holds(path, identity), options.fresh), drawn=True)
+        return output(options.out or default, endings, drawn=True)
 
-    with timed("read"):
-        return open_dataset(out)
-
-
-def stored_line(options: Options, dataset: "xarray.Dataset", out: Path, variables: Sequence[str] | None = None) -> str:
-    """Return the output line of a result that `out` holds already; draw the picture next to `out` if it is missing."""
-    picture = out.with_suffix(".png")
-    drawn = f"; picture {picture}" if picture.exists() else draw(options, dataset, out, variables)
-    return f"{out}: is there already ({dataset.attrs['source']}); it is not computed again without --fresh{drawn}"
-
-
-def write_result(options: Options, dataset: "xarray.Dataset", out: Path, identity: Mapping[str, object]) -> str:
-    """Write a result and draw it; return the end of an output line, which names the picture."""
-    from vibrojax.io.dataset import write_dataset
-    from vibrojax.io.identity import IDENTITY, identity_text
-
-    with timed("write"):
-        write_dataset(dataset.assign_attrs({IDENTITY: identity_text(identity)}), out)
-    return draw(options, dataset, out)
+    out = file()
+    if not options.fresh:
+        check_replaceable(out, identity)
+        # Chunks beside a dataset belong to a run that was interrupted while it replaced the dataset.
+        if reused and out.exists() and not out.with_name(out.name + CHUNKS).exists():
+            with timed("read"):
+                dataset = open_dataset(out)
+            picture = out.with_suffix(".png")
+            drawn = f"; picture {picture}" if picture.exists() else draw(options, dataset, out, variables)
+            known = f"is there already ({dataset.attrs['source']}); it is not computed again without --fresh"
+            return Result(dataset, out, f"{out}: {known}{drawn}")
+    with computed(out) as dataset:
+        if not written:
+            out = file() if numbered else out  # another process may have taken the number
+            with timed("write"):
+                write_dataset(dataset.assign_attrs({IDENTITY: identity_text(identity)}), out)
+    return Result(dataset, out, f"{out}{counted(dataset)}{draw(options, dataset, out, variables)}")
 
 
-def draw(options: Options, dataset: "xarray.Dataset", out: Path, variables: Sequence[str] | None = None) -> str:
+def draw(options: Options, dataset: "xarray.Dataset", out: Path, variables: Sequence[str] = ()) -> str:
     """Draw the picture of a dataset, or of its `variables`, next to its file `out`, which is complete.
 
     **Returns:** the end of an output line, which names the picture. If nothing can be drawn, the string is empty, and
@@ -183,63 +215,15 @@ def draw(options: Options, dataset: "xarray.Dataset", out: Path, variables: Sequ
     """
     from vibrojax.studies.choose import save_picture
 
-    dataset_written(options, out)
+    options.advise(f"{out} is whole; for its picture", "plot", str(out))
     picture = out.with_suffix(".png")
     try:
         with timed("draw"):
-            part = save_picture(dataset, picture, variables)
+            part = save_picture(dataset, picture, [name for name in variables if name in dataset] or None)
     except InputError as error:  # the result, which is the dataset, has been written
         print(f"no picture: {error}", file=sys.stderr)
         return ""
     return f"; picture {picture}" + (f" ({part})" if part else "")
-
-
-def dataset_written(options: Options, out: Path) -> None:
-    """Change the advice after an interrupt: the dataset `out` is complete, and only its picture is missing."""
-    options.advise(f"{out} is whole; for its picture", "plot", str(out))
-
-
-def answer(
-    options: Options,
-    default: str,
-    identity: Mapping[str, object],
-    compute: Callable[[], "xarray.Dataset"],
-    facts: Callable[["xarray.Dataset"], Mapping[str, object] | None] = lambda _: None,
-    *,
-    numbered: bool = False,
-) -> None:
-    """Compute a result, write and draw it, and print its summary as text, or with `--json` its `facts`.
-
-    By default, the analysis's summary gives the facts. A result that its file holds already is only printed.
-    `default`, `identity`, `numbered`: as for `result_at`.
-    """
-    out = result_at(options, default, identity, numbered=numbered)
-    from vibrojax.studies.analysis import analysis_of
-
-    dataset = stored_result(options, out, identity)
-    if dataset is None:
-        dataset = compute()
-        if numbered and options.out is None:  # another process may have taken the number
-            out = result_at(options, default, identity, numbered=True)
-        drawn = write_result(options, dataset, out, identity)
-        last = f"{out}{drawn}"
-    else:
-        last = drawn = stored_line(options, dataset, out)
-    if options.quiet and not options.json:
-        return
-    parts = analysis_of(dataset).summary(dataset)
-    if options.json:
-        own = facts(dataset)
-        own = {key: fact for part in parts for key, fact in part.facts.items()} if own is None else own
-        print_json({**own, **file_facts(out, drawn)})
-    else:
-        print("\n".join([*(line for part in parts for line in part.lines), last]))
-
-
-def file_facts(out: Path, drawn: str) -> dict[str, object]:
-    """Return the files of a result as JSON values; `drawn` is the return value of `draw` or `stored_line`."""
-    picture = out.with_suffix(".png")
-    return {"dataset": str(out), "picture": str(picture) if drawn and picture.exists() else None}
 
 
 def print_json(facts: Mapping[str, object]) -> None:

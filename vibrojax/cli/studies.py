@@ -1,52 +1,220 @@
-"""The commands `orbits`, `curves`, `fit`, `rig` and `accuracy`; `analyses` has those of the others."""
+"""Commands of studies: those that follow from the class of an analysis, and the commands of the others."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from vibrojax.cli.command import (
-    JSON,
+from vibrojax.cli.arguments import (
+    MANY,
     SWEEP,
+    AddArguments,
+    Command,
     Options,
     argument,
     command,
+    explained,
     flag,
     named_values,
-    output_options,
-    whole,
+    result_options,
+    words,
 )
-from vibrojax.cli.output import (
-    answer,
-    dataset_written,
-    draw,
-    file_facts,
-    output,
-    output_folder,
-    print_json,
-    result_at,
-    stored_line,
-    stored_result,
-    write_result,
-)
-from vibrojax.errors import InputError, Place, counted
+from vibrojax.cli.declared import DeclaredSetting, declared, summary_of
+from vibrojax.cli.output import draw, output, result
+from vibrojax.errors import InputError, Place, counted, shown
 from vibrojax.progress import timed
-from vibrojax.studies import WORDS
+from vibrojax.studies import HOMES, WORDS
 
 if TYPE_CHECKING:
+    from dataclasses import Field
+
     import xarray
 
+    from vibrojax.studies.analysis import Analysis
+    from vibrojax.studies.subjects import CheckedAnalysis, FileAnalysis, MachineAnalysis
 
-_DIGEST_LENGTH = 12
-"""Number of hexadecimal digits of the SHA-256 by which a fit recognises its data."""
+START = "start (a name, or [x1,x1',x2,x2'])"
+LISTS = (
+    "; a list, beta=0.3,0.4,0.5, is as many machines, computed together; of several lists the first values belong to "
+    "one machine, the second ones to the next"
+)
+TOLERANCES = "; those with a tolerance as NAME=VALUE+-HALF_WIDTH, like delta=-0.002+-0.001 or gamma=0.64+-1% (± too)"
 
-_ORBIT_VARIABLES = ("stable", "multiplier_abs", "regime")
-"""Variables in the picture of orbits: of the multipliers, the largest is drawn."""
+
+def study_command(kind: str, summary: str = "") -> Command:
+    """Return the command of a kind of analysis, which is imported when the command runs.
+
+    `summary`: by default, the first line of the docstring of the class.
+    """
+
+    def add(parser: Any) -> None:
+        for add_argument in _arguments(kind, _about(kind)):
+            add_argument(parser)
+
+    return Command(summary or summary_of(*_home(kind)), (add,), lambda options: _run(kind, options))
+
+
+def _home(kind: str) -> tuple[str, str]:
+    """Return module and class of an analysis of this package."""
+    module, _, name = HOMES[kind].partition(":")
+    return f"vibrojax.studies.{module}", name
+
+
+def _about(kind: str) -> Mapping[str, Any]:
+    """Return attributes and settings of an analysis by name: as its source declares them, or of the imported class."""
+    if kind in HOMES:
+        module, name = _home(kind)
+        attributes: Mapping[str, Any] = declared(module)[name]
+        return attributes
+    from vibrojax.settings.fields import settings_of
+
+    analysis = _class_of(kind)
+    settings = {
+        name: DeclaredSetting(item.metadata.get("help", ""), item.default, item.metadata.get("metavar"))
+        for name, item in settings_of(analysis).items()
+    }
+    return {name: getattr(analysis, name) for name in dir(analysis)} | settings
+
+
+def _class_of(kind: str) -> "type[Analysis]":
+    from vibrojax.studies.analysis import analysis_named
+
+    analysis = analysis_named(kind)
+    assert analysis is not None  # commands exist only for known kinds
+    return type(analysis)
+
+
+def _arguments(kind: str, about: Mapping[str, Any]) -> Iterator[AddArguments]:
+    """Yield the arguments of the command of an analysis with the attributes `about`."""
+    settings = {name: value for name, value in about.items() if isinstance(value, DeclaredSetting)}
+    if about["subject"] == "machines":
+        if about["terms"]:
+            yield explained(*about["terms"])
+        yield argument("scene", "SCENE", about["scenes"])
+        run = declared("vibrojax.settings.run_settings")["RunSettings"]
+        text = f"parameters, and friction{LISTS * about['lists']}{TOLERANCES * about['tolerances']}. Also {START}"
+        for name, setting in (settings | {name: run[name] for name in about["run_settings"]}).items():
+            if setting.help:
+                default = f": {setting.default:g}" if isinstance(setting.default, (int, float)) else ""
+                text += f"; {name} ({setting.help}{default})"
+        yield words(text.replace("%", "%%"))
+    elif about["subject"] == "file":
+        yield argument("file", "FILE", about["about"])
+        if about["columns"]:
+            yield argument("--columns", "NAME=COLUMN", about["columns"], **MANY)
+    else:
+        text = "the dataset of a sweep (.nc), which is run again where it lacks what the analysis needs"
+        yield argument("file", "FILE", SWEEP + text)
+        yield from (argument(_option(n), each.metavar or n.upper(), each.help) for n, each in settings.items())
+    yield from result_options(about.get("file") or f"{'SCENE' if about['subject'] == 'machines' else 'NAME'}-{kind}.nc")
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _run(kind: str, options: Options) -> None:
+    analysis: Any = _class_of(kind)
+    {"machines": _run_machines, "file": _run_file, "sweep": _run_sweep}[analysis.subject](analysis, options)
+
+
+def _run_machines(analysis_class: "type[MachineAnalysis[Any]]", options: Options) -> None:
+    about = analysis_class
+    place = Place(about.command or about.kind)
+    values, parameters = named_values(place, options.values, about.words(), about.lists, about.tolerances)
+    analysis, machines = about.asked(options.scene, about.of_words(values), parameters)
+    _answer(options, analysis, machines, analysis.file_name(machines))
+
+
+def _run_file(analysis_class: "type[FileAnalysis[Any]]", options: Options) -> None:
+    from vibrojax.io.log_columns import read_columns
+
+    analysis = analysis_class()
+    columns = read_columns(options.columns or []) if analysis.columns else None
+    asked, stem = analysis.asked(options.file, columns), Path(options.file).stem
+    default = f"{stem}.nc" if stem.endswith(analysis.kind) else f"{stem}-{analysis.kind}.nc"
+    if analysis.chunks:
+        _advise_to_go_on(options, str(options.command), options.file, "-o", options.out or default)
+    _answer(options, analysis, asked, default)
+
+
+def _answer(options: Options, analysis: "CheckedAnalysis[Any]", asked: Any, default: str) -> None:
+    """Compute and print what an analysis has checked, unless its file holds the result."""
+    from vibrojax.studies.analysis import checked_result
+
+    def computed(out: Path) -> "nullcontext[xarray.Dataset]":
+        dataset = analysis.compute_beside(asked, out, not options.fresh, not options.quiet)
+        return nullcontext(checked_result(analysis, dataset))
+
+    found = result(options, default, analysis.identity(asked), computed, numbered=analysis.numbered)
+    found.print(options, facts=analysis.facts(found.dataset, asked) if options.json else None)
+
+
+def _run_sweep(analysis_class: "type[Analysis]", options: Options) -> None:
+    from vibrojax.io.dataset import open_dataset
+    from vibrojax.maps.rerun import holds_orbits
+    from vibrojax.maps.run import lanes_beside
+    from vibrojax.settings.fields import settings_of
+    from vibrojax.studies.analysis import analyse, checked_result
+    from vibrojax.studies.sweep_analysis import SweepAnalysis
+
+    kind, file, progress = analysis_class.kind, str(options.file), not options.quiet
+    given = {name: text for name in settings_of(analysis_class) if (text := getattr(options, name)) is not None}
+    settings = {name: _setting(settings_of(analysis_class)[name], text) for name, text in given.items()}
+    analysis = analysis_class(**settings)
+    is_dataset = file.endswith(".nc")
+    source: Any = open_dataset(Path(file)) if is_dataset else file
+    sweep = analysis.sweep(source) if isinstance(analysis, SweepAnalysis) else None
+    name = Path(file).stem if sweep is None or is_dataset else sweep.name
+
+    @contextmanager
+    def computed(out: Path) -> "Iterator[xarray.Dataset]":
+        again = [kind, file, "-o", str(out), *(word for name, text in given.items() for word in (_option(name), text))]
+        if not isinstance(analysis, SweepAnalysis) or sweep is None:
+            options.advise("nothing was kept; to begin again", *again)
+            yield analyse(source, analysis, progress=progress)
+            return
+        lanes: Any = nullcontext(source)
+        if not (is_dataset and holds_orbits(source)):
+            # Finished chunks are kept next to OUT until the result is written, so an interrupt loses none of them.
+            _advise_to_go_on(options, *again)
+            lanes = lanes_beside(sweep, out, resume=not options.fresh, progress=progress)
+        with lanes as dataset:
+            yield checked_result(analysis, analysis.of_lanes(sweep, dataset, progress))
+
+    def count(dataset: "xarray.Dataset") -> str:
+        return f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
+
+    identity: dict[str, object] = {kind: True, "file": file, **{name: str(value) for name, value in settings.items()}}
+    if isinstance(analysis, SweepAnalysis) and sweep is not None:
+        identity = {**analysis.identity(sweep), **sweep.identity()}
+    # The identity of any other analysis states neither its data nor its code: it is computed again.
+    result(options, f"{name}-{kind}.nc", identity, computed, reused=sweep is not None, counted=count).print(options)
+
+
+def _setting(field: "Field[Any]", text: str) -> object:
+    """Return the value of an option in the type of its field: a number, a string, or a tuple of strings."""
+    option, kind = _option(field.name), str(getattr(field.type, "__name__", field.type))
+    if kind.startswith("tuple"):
+        items = [item.strip() for item in text.split(",")]
+        if not all(items) or (kind.count(",") == 1 and "..." not in kind and len(items) != 2):
+            example = field.metadata.get("example", "A,B")
+            raise InputError(f"{option}: {shown(text)} is not a pair of names; write two, like {example}")
+        return tuple(items)
+    try:
+        return float(text) if kind.startswith("float") else int(text) if kind.startswith("int") else text
+    except ValueError:
+        raise InputError(f"{option}: {shown(text)} is not a number") from None
+
+
+def _advise_to_go_on(options: Options, *again: str) -> None:
+    options.advise("finished chunks are kept; to go on", *again)
 
 
 @command(
     argument("file", "FILE", SWEEP + "a sweep's dataset (.nc), whose sweep is then run again"),
-    output_options("NAME-orbits.nc"),
+    *result_options("NAME-orbits.nc"),
 )
 def orbits(options: Options) -> None:
     """Find the periodic orbits of a sweep's lanes, with their multipliers and stability."""
@@ -57,68 +225,60 @@ def orbits(options: Options) -> None:
 
     file = str(options.file)
     is_dataset = file.endswith(".nc")
-
-    def variables(dataset: "xarray.Dataset") -> list[str]:
-        return [name for name in _ORBIT_VARIABLES if name in dataset]
-
     sweep = sweep_with_orbits(open_dataset(Path(file)) if is_dataset else file)
-    out = output(options.out or f"{Path(file).stem if is_dataset else sweep.name}-orbits.nc", drawn=True)
-    options.advise("finished chunks are kept; to go on", "orbits", file, "-o", str(out))
-    dataset = stored_result(options, out, sweep.identity())
-    if dataset is not None:
-        line = stored_line(options, dataset, out, variables(dataset))
-    else:
-        dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
-        line = f"{out}: {counted(sweep.lanes, 'lane')}{draw(options, dataset, out, variables(dataset))}"
-    if not options.quiet:
-        print("\n".join([line, *orbit_lines(dataset)]))
+
+    def computed(out: Path) -> "nullcontext[xarray.Dataset]":
+        _advise_to_go_on(options, "orbits", file, "-o", str(out))
+        return nullcontext(run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet))
+
+    found = result(
+        options,
+        f"{Path(file).stem if is_dataset else sweep.name}-orbits.nc",
+        sweep.identity(),
+        computed,
+        written=True,
+        counted=lambda _: f": {counted(sweep.lanes, 'lane')}",
+        variables=("stable", "multiplier_abs", "regime"),  # of the multipliers, the largest is drawn
+    )
+    found.print(options, orbit_lines(found.dataset))
 
 
-_CURVE_SETTINGS = ("by", "from", "to", "special")
 _CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
 
 
 @command(
     argument("file", "FAMILY.nc", "what vibrojax follow has made"),
-    argument(
-        "values",
-        "NAME=VALUE",
+    words(
         f"{_CURVE_SYNTAX}: the second parameter and its bounds; the number of one special point of the family, from 0 "
-        "(by default all that can be continued)",
-        nargs="*",
-        default=[],
+        "(by default all that can be continued)"
     ),
     argument("--at", "NAME=VALUE", "locate where the curves pass this value of one of the two parameters"),
-    output_options("FAMILY-NAME.nc"),
-    JSON,
+    *result_options("FAMILY-NAME.nc"),
 )
 def curves(options: Options) -> None:
     """Continue the special points of a family in a second parameter: curves, and the points where several meet."""
     from vibrojax.io.dataset import open_dataset
+    from vibrojax.studies.curve_analysis import curves_facts
+    from vibrojax.studies.curve_run import continue_curves
     from vibrojax.studies.curve_spec import read_curves
 
     place, file = Place("curves"), Path(str(options.file))
-    settings, others = named_values(place, options.values, _CURVE_SETTINGS, lists=False)
+    settings, others = named_values(place, options.values, ("by", "from", "to", "special"))
     if others:
         raise place.at(next(iter(others))).error(f"is not a setting; write vibrojax curves FAMILY.nc {_CURVE_SYNTAX}")
     missing = [name for name in ("by", "from", "to") if name not in settings]
     if missing:
         raise place.error(f"{' and '.join(missing)} missing; write vibrojax curves FAMILY.nc {_CURVE_SYNTAX}")
-    at = None if options.at is None else named_values(place.at("--at"), [options.at], (), lists=False)[1]
-    special = whole(settings["special"]) if "special" in settings else None
-    spec = read_curves(open_dataset(file), settings["by"], (settings["from"], settings["to"]), special, at)
-
-    def compute() -> "xarray.Dataset":
-        from vibrojax.studies.curve_run import continue_curves
-
-        return continue_curves(spec, progress=not options.quiet)
-
-    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
-        from vibrojax.studies.curve_analysis import curves_facts
-
-        return curves_facts(dataset)
-
-    answer(options, f"{file.stem}-{spec.by}.nc", spec.identity(), compute, facts)
+    at = None if options.at is None else named_values(place.at("--at"), [options.at])[1]
+    ends = settings["from"], settings["to"]
+    spec = read_curves(open_dataset(file), settings["by"], ends, settings.get("special"), at)
+    found = result(
+        options,
+        f"{file.stem}-{spec.by}.nc",
+        spec.identity(),
+        lambda _: nullcontext(continue_curves(spec, progress=not options.quiet)),
+    )
+    found.print(options, facts=curves_facts(found.dataset) if options.json else None)
 
 
 _READING = (
@@ -126,8 +286,7 @@ _READING = (
         "--where",
         "CONDITION",
         'of a rig log: rows to read, like "WOB (klb) < 35", "1000 <= depth (m) < 1200" or Formation=shale',
-        nargs="+",
-        action="extend",
+        **MANY,
     ),
     argument("--nulls", "TEXT", "of a rig log: further texts that stand for a missing value", nargs="+"),
 )
@@ -148,19 +307,17 @@ _READING = (
         "of a CSV: which column is what, in which unit, like "
         'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN" or '
         "rock=granite, whose threshold it takes; threshold=unknown is the default of rig logs",
-        nargs="+",
-        action="extend",
+        **MANY,
     ),
     argument("--by", "COLUMN", "of a CSV: fit the rows of each of its values, such as formations", action="append"),
     *_READING,
-    JSON,
-    output_options("FILE-fit.nc"),
+    *result_options("FILE-fit.nc"),
 )
 def fit(options: Options) -> None:
     """Fit the rate-of-penetration law to a sweep's dataset or to rig data."""
-    words = list(options.columns or [])
-    if options.file is None and words and "=" not in words[-1]:
-        options.file = words.pop()  # FILE may follow the columns
+    given = list(options.columns or [])
+    if options.file is None and given and "=" not in given[-1]:
+        options.file = given.pop()  # FILE may follow the columns
     if options.file is None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
     from vibrojax.io.log_columns import read_columns
@@ -168,7 +325,7 @@ def fit(options: Options) -> None:
     from vibrojax.studies.rop_law import fit_groups, read_groups
     from vibrojax.studies.rop_results import law_facts, law_table
 
-    file, columns, by = Path(options.file), read_columns(words), options.by or []
+    file, columns, by = Path(options.file), read_columns(given), options.by or []
     reading = {"where": options.where, "nulls": options.nulls}
     data = read_groups(options.file, options.along, by, columns, **reading)
     groups = data[-1]
@@ -176,17 +333,12 @@ def fit(options: Options) -> None:
         lanes = counted(int(groups["is_lane"].sum()), "lane")
         more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
         raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
-    identity = {"data": f"{file.name}, sha256 {_digest(file)}", "along": options.along, "by": ", ".join(by)}
-    identity |= _given(reading)
-    identity |= {"fit": True} | {f"columns.{name}": text for name, text in columns.items()}
-    out = result_at(options, f"{file.stem}-fit.nc", identity)
+    identity = {"data": _digest(file), "along": options.along, "by": ", ".join(by), **_given(reading), "fit": True}
+    identity |= {f"columns.{name}": text for name, text in columns.items()}
     with timed("fit"):
         law = fit_groups(*data)
-    drawn = write_result(options, law, out, identity)
+    found = result(options, f"{file.stem}-fit.nc", identity, lambda _: nullcontext(law), reused=False)
     facts = law_facts(law)
-    if options.json:
-        print_json({"file": options.file, **facts, **file_facts(out, drawn)})
-        return
     sources = log_lines(law)
     lane = "a row of the CSV" if "columns" in law.attrs else WORDS["lane"]
     lines = [
@@ -199,23 +351,31 @@ def fit(options: Options) -> None:
         + "; CV: error of rates predicted from other rows, which decides" * bool(law["cv_error"].notnull().any()),
         "",
         *facts["verdict"],
-        *([] if options.quiet else [f"{out}{drawn}"]),
     ]
-    print("\n".join(lines))
+    if options.quiet and not options.json:
+        print("\n".join(lines))
+    found.print(options, lines, {"file": options.file, **facts})
 
 
 def _given(reading: Mapping[str, Sequence[str] | None]) -> dict[str, str]:
     return {name: "; ".join(words) for name, words in reading.items() if words}
 
 
+DIGEST_LENGTH = 12
+"""Number of hexadecimal digits of the SHA-256 by which a fit recognises its data."""
+
+
 def _digest(file: Path) -> str:
-    """Return a digest of the data in a file: of the identity of a dataset, which a repeated run keeps, or of a CSV."""
+    """Return a file's name with a digest of its data.
+
+    The digest is that of the identity of a dataset, which a repeated run keeps, or of the content of another file.
+    """
     from vibrojax.io.identity import digest, stored_identity
 
     identity = stored_identity(file) if file.suffix == ".nc" else None
-    if identity is not None:
-        return digest(identity)[:_DIGEST_LENGTH]
-    return hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGEST_LENGTH] if file.is_file() else ""
+    content = file.read_bytes() if file.is_file() else b""
+    text = digest(identity) if identity is not None else hashlib.sha256(content).hexdigest()
+    return f"{file.name}, sha256 {text[:DIGEST_LENGTH]}"
 
 
 @command(
@@ -224,15 +384,13 @@ def _digest(file: Path) -> str:
         "--columns",
         "NAME=COLUMN",
         'which column is what, or one value for all rows, like bit_diameter="8.5 in" or impact_power="12 kW"',
-        nargs="+",
-        action="extend",
+        **MANY,
     ),
     *_READING,
     argument(
         "--units", "driller|si", "of the picture and the summary: driller (m/h, rpm, kN, MPa), the default, or si"
     ),
-    JSON,
-    output_options("FILE-rig.nc"),
+    *result_options("FILE-rig.nc"),
 )
 def rig(options: Options) -> None:
     """Compute specific energies, the founder point and stick-slip of a rig log, and draw tracks over depth."""
@@ -242,11 +400,10 @@ def rig(options: Options) -> None:
     file, columns = Path(options.file), read_columns(list(options.columns or []))
     reading = {"where": options.where, "nulls": options.nulls}
     units = options.units or "driller"
-    identity = {"rig": f"{file.name}, sha256 {_digest(file)}", "units": units, **_given(reading), **columns}
-    computed = measures(
-        file, columns, **reading, units=units
-    )  # first: wrong input is refused whatever the output holds
-    answer(options, f"{file.stem}-rig.nc", identity, lambda: computed)
+    # First: wrong input is refused whatever the output holds.
+    computed = measures(file, columns, **reading, units=units)
+    identity = {"rig": _digest(file), "units": units, **_given(reading), **columns}
+    result(options, f"{file.stem}-rig.nc", identity, lambda _: nullcontext(computed)).print(options)
 
 
 @command(
@@ -258,19 +415,22 @@ def accuracy(options: Options) -> None:
 
     An interrupted run keeps nothing, since timings of different runs must not be mixed in one table.
     """
-    dataset_path, table_path, picture_path = output_folder(options.out, ("accuracy.nc", "accuracy.md", "accuracy.png"))
+    folder = Path(options.out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"-o: {shown(options.out)} cannot be made a folder ({error.strerror})") from None
+    out, table_path = output(folder / "accuracy.nc", drawn=True), output(folder / "accuracy.md", (".md",))
     options.advise("nothing is kept; to start again", "accuracy", "-o", options.out, *["--quick"] * options.quick)
     from vibrojax.io.atomic import atomic_write
-    from vibrojax.io.dataset import write_dataset
     from vibrojax.io.identity import text_mark
+    from vibrojax.io.writers import write_dataset
     from vibrojax.studies.accuracy import run_accuracy, table
-    from vibrojax.studies.choose import save_picture
 
     dataset = run_accuracy(quick=options.quick, progress=not options.quiet)
-    write_dataset(dataset, dataset_path)
+    write_dataset(dataset, out)
     with atomic_write(table_path) as part:
         part.write_text(table(dataset) + text_mark(), encoding="utf-8")
-    dataset_written(options, dataset_path)
-    save_picture(dataset, picture_path)
+    drawn = draw(options, dataset, out)
     if not options.quiet:
-        print(f"{table_path}: {dataset.sizes['setting']} settings; dataset {dataset_path}, picture {picture_path}")
+        print(f"{table_path}: {dataset.sizes['setting']} settings; dataset {out}{drawn.replace(';', ',', 1)}")

@@ -14,7 +14,6 @@ from functools import cache
 from inspect import signature
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -22,6 +21,7 @@ from vibrojax.compile import reference
 from vibrojax.compile.assembly import LANES
 from vibrojax.compile.native import Kernel, trace
 from vibrojax.errors import InputError
+from vibrojax.lazy import jax
 
 AGREEMENT_TOLERANCE = {"float64": 1e-10, "float32": 1e-4}
 """Accepted difference, relative to the largest value in all compared lanes."""

@@ -4,8 +4,9 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
+
+from vibrojax.lazy import jax
 
 BOOL = np.dtype(bool)
 

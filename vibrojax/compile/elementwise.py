@@ -5,7 +5,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from jax.lax import RoundingMethod
 
 from vibrojax.compile.assembly import (
     BOOL,
@@ -289,7 +288,7 @@ def _saturate(op: Application) -> str:
 COMPOSED: dict[str, Callable[[Assembly, Sequence[Entry]], Operand]] = {"clamp": _clamp, "select_n": _select}
 """Rules of primitives that are composed of others or that take arguments of several types."""
 
-ROUNDING = {RoundingMethod.AWAY_FROM_ZERO: "round", RoundingMethod.TO_NEAREST_EVEN: "roundeven"}
+ROUNDING = {"AWAY_FROM_ZERO": "round", "TO_NEAREST_EVEN": "roundeven"}
 INTRINSICS = ("sqrt", "floor", "ceil", "exp", "exp2", "log", "sin", "cos")
 CIRCULAR = ("tan", "tanh", "sinh", "cosh", "asin", "acos", "atan", "asinh", "acosh", "atanh", "atan2")
 LIBRARY = (*CIRCULAR, "expm1", "log1p", "cbrt", "erf", "erfc")
@@ -317,7 +316,7 @@ RULES: dict[str, Rule] = {
     "is_finite": Rule(lambda op: op.compare("olt", op.intrinsic("fabs"), op.constant(np.inf)), FLOATS),
     "integer_pow": Rule(_integer_power, NUMBERS),
     "square": Rule(lambda op: op.emit("fmul" if op.is_float else "mul", op.x[0], op.x[0]), NUMBERS),
-    "round": Rule(lambda op: op.intrinsic(ROUNDING[op.params["rounding_method"]]), FLOATS),
+    "round": Rule(lambda op: op.intrinsic(ROUNDING[op.params["rounding_method"].name]), FLOATS),
     "pow": Rule(_power, FLOATS),
     "bitcast_convert_type": Rule(_reinterpret, ANY),
     "convert_element_type": Rule(_convert, ANY),

@@ -11,8 +11,6 @@ from hashlib import sha256
 from itertools import count
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import llvmlite
 import llvmlite.binding as llvm
 import numpy as np
@@ -21,6 +19,7 @@ from jaxtyping import Int
 from vibrojax.compile import cache as store
 from vibrojax.compile.assembly import LANES, Untranslatable, dtype_of, refuse_if, varies
 from vibrojax.compile.translation import kernel_text
+from vibrojax.lazy import jax, jnp
 
 PASSES = ("sroa", "aggressive_dce")
 """LLVM's optimization passes before instruction selection. With all other passes as well, compilation takes ten times

@@ -5,7 +5,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jax.lax import GatherScatterMode
 
 from vibrojax.compile.assembly import (
     BOOL,
@@ -134,7 +133,7 @@ def _gather(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value
     rows = _in_memory(asm, rows.reshape(-1))
     first, varying = rows[0], varies(equation.outvars[0].aval)
     fill = fill_value(first.dtype, equation.params["fill_value"])
-    numbers = _row_numbers(asm, numbers, len(rows), clipped=mode != GatherScatterMode.FILL_OR_DROP)
+    numbers = _row_numbers(asm, numbers, len(rows), clipped=mode.name != "FILL_OR_DROP")
     kind, flags = asm.type(first.dtype, True), asm.type(BOOL, True)
     function = f"llvm.masked.gather.v{asm.width}{asm.suffix(first.dtype)}.v{asm.width}p0"
     asm.declared.add(f"declare {kind} @{function}(<{asm.width} x ptr>, i32, {flags}, {kind})")
@@ -185,7 +184,7 @@ def scatter(asm: Assembly, equation: Any, values: Sequence[Value], in_place: boo
     shared = len({slot.pointer for slot in slots}) < by_row.size  # elements of a broadcast array share memory
     if not in_place or _stride(by_row) is None or shared:
         by_row = _in_memory(asm, each(asm.register, by_row))
-    numbers = _row_numbers(asm, numbers, len(by_row), clipped=mode == GatherScatterMode.CLIP)
+    numbers = _row_numbers(asm, numbers, len(by_row), clipped=mode.name == "CLIP")
     row, new = _RowSelection(asm, numbers.reshape(-1)[0], by_row), new.reshape(by_row.shape[1:])
     dtype = by_row.flat[0].dtype
     kind, flags = asm.type(dtype, True), asm.type(BOOL, True)

@@ -6,9 +6,7 @@ from functools import cache, partial
 from math import prod
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
-from jax.lax import GatherScatterMode
 
 from vibrojax.compile import arrangement, control, elementwise, selection
 from vibrojax.compile.assembly import (
@@ -22,6 +20,7 @@ from vibrojax.compile.assembly import (
     varies,
     without_lanes,
 )
+from vibrojax.lazy import jax
 
 TEMPLATE = """{declarations}
 
@@ -262,7 +261,8 @@ PARAMETERS: dict[str, tuple[str, str]] = {
 """Two groups of parameters of each primitive. The first group is read by the rule and must be present. The second group
 has no effect in a kernel, provided that the values are accepted, and may be absent."""
 
-MODES = (GatherScatterMode.CLIP, GatherScatterMode.FILL_OR_DROP, GatherScatterMode.PROMISE_IN_BOUNDS)
+MODES = ("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS")
+"""Accepted names of `jax.lax.GatherScatterMode`."""
 
 ACCEPTED: dict[str, Callable[[Any], bool]] = {
     **dict.fromkeys(
@@ -270,9 +270,9 @@ ACCEPTED: dict[str, Callable[[Any], bool]] = {
         lambda value: value is None,
     ),
     **dict.fromkeys(("compiler_options_kvs", "update_consts"), lambda value: len(value) == 0),
-    "mode": lambda mode: mode in MODES,
+    "mode": lambda mode: getattr(mode, "name", None) in MODES,
     "reverse": lambda reverse: isinstance(reverse, bool),
-    "rounding_method": lambda method: method in elementwise.ROUNDING,
+    "rounding_method": lambda method: getattr(method, "name", None) in elementwise.ROUNDING,
     "y": lambda exponent: isinstance(exponent, int),
 }
 """Predicates that accept a value, by `parameter` or `primitive.parameter`. Other parameters may have any value."""

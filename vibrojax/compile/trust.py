@@ -17,18 +17,17 @@ from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache, partial, wraps
 from hashlib import sha256
+from importlib.metadata import version
 from inspect import signature
 from typing import Any, NamedTuple, TypeVar
 
-import jax
-import jax.numpy as jnp
 import llvmlite
-from jaxlib import version as jaxlib
 
 from vibrojax.compile import cache as store
 from vibrojax.compile.assembly import Untranslatable
 from vibrojax.compile.native import Kernel, kernel_for
 from vibrojax.compile.xla import jitted
+from vibrojax.lazy import jax, jnp
 
 TESTED_VERSIONS = {"jax": ("0.10.2", "0.12.0.1"), "llvmlite": ("0.50.0",)}
 """Versions with which all tests have passed, oldest first."""
@@ -152,7 +151,7 @@ def _verdict(subject: Subject) -> bytes:
 
 def _verdict_name(key: str) -> str:
     """Return the cache key for the outcome of a comparison, given the hash of the compared kernels."""
-    return sha256("\n".join(("agreement 3", key, jax.__version__, jaxlib.__version__)).encode()).hexdigest()
+    return sha256("\n".join(("agreement 3", key, jax.__version__, version("jaxlib"))).encode()).hexdigest()
 
 
 @cache

@@ -6,13 +6,13 @@ from collections.abc import Callable, Hashable, Iterator
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from functools import cache, partial, wraps
+from importlib.metadata import version
 from typing import Any, ParamSpec, TypeVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxlib import version as jaxlib
 from jaxtyping import Int
+
+from vibrojax.lazy import jax, jnp
 
 WIDE_VECTORS_CHECKED = ("0.10.0", "0.12.0.1")
 """Versions of jaxlib whose functions are correct with AVX-512 registers. In 0.10.2, 0.11.0 and 0.11.2, arctan of more
@@ -28,7 +28,7 @@ def compiler_options(platform: str) -> dict[str, int | str]:
     """Return XLA's options for functions of lanes on the devices of a platform, such as "cpu"."""
     options: dict[str, int | str] = {}
     if platform == "cpu":
-        if jaxlib.__version__ in WIDE_VECTORS_CHECKED:
+        if version("jaxlib") in WIDE_VECTORS_CHECKED:
             # Use the widest registers. On processors with narrower registers this option has no effect.
             options["xla_cpu_prefer_vector_width"] = 512
         if jax.__version_info__ < (0, 11, 2):
@@ -134,7 +134,7 @@ THREAD_VARIABLES = ("VIBROJAX_THREADS", "SLURM_CPUS_PER_TASK")
 _THREADS: ContextVar[int | None] = ContextVar("threads", default=None)
 
 
-def workers() -> list[jax.Device]:
+def workers() -> "list[jax.Device]":
     """Return a list with the jax device of each thread that computes lanes.
 
     A compiled loop keeps one CPU core busy, so by default there is one thread per core. All threads share the first CPU

@@ -42,9 +42,7 @@ that the page shows for one map cell. An HTML file reads them from itself (`embe
 from vibrojax.explorer.encoding import Cell as Cell
 from vibrojax.explorer.encoding import encode as encode
 from vibrojax.explorer.recording import cell_of as cell_of
-from vibrojax.explorer.views import cells_of as cells_of
-from vibrojax.explorer.views import document_of as document_of
+from vibrojax.explorer.views import contents_of as contents_of
 from vibrojax.explorer.write import module_text as module_text
 from vibrojax.explorer.write import page_text as page_text
-from vibrojax.explorer.write import style_text as style_text
 from vibrojax.explorer.write import write_page as write_page

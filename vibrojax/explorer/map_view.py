@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from vibrojax.errors import InputError, shown
 from vibrojax.explorer import document
@@ -262,7 +263,7 @@ def lane_cells(sweep: Sweep, progress: bool = True) -> Iterator[Cell]:
 def _chunk_cells(first: int, inputs: LaneInputs, run: LaneRun, features: Features) -> list[Cell]:
     """Return the motions of the lanes of a chunk, which are numbered from `first` on."""
     scene, parameters = inputs.scene, dict(inputs.parameters)
-    excerpt = _excerpts(inputs, run, features)
+    state, excerpt = _excerpts(inputs, run, features)
     reasons = np.full(len(inputs), "its motion was not found", object)
     reasons[~features["finished"]] = "failed: it took too many steps"
     reasons[~features["finite"]] = "failed: it is not finite"
@@ -270,13 +271,13 @@ def _chunk_cells(first: int, inputs: LaneInputs, run: LaneRun, features: Feature
     if refusal is not None:
         reasons[np.broadcast_to(np.asarray(refusal[1]), reasons.shape)] = f"refused: {refusal[0].replace('-', ' ')}"
     cells = [Cell(lane, "none", str(reason)) for lane, reason in enumerate(reasons, first)]
-    usable = np.isfinite(excerpt.state).all(axis=0) & np.isfinite(excerpt.recorded) & (excerpt.recorded > 0)
+    usable = np.isfinite(state).all(axis=0) & np.isfinite(excerpt.recorded) & (excerpt.recorded > 0)
     usable &= np.array([not cell.note.startswith(("refused", "failed")) for cell in cells])
     # A batch runs until its longest record ends: lanes with similar ratios of recorded to shown time share one.
     order = np.flatnonzero(usable)
     order = order[np.argsort(excerpt.recorded[order] / np.maximum(excerpt.shown[order], 1e-9), kind="stable")]
     parameters = {name: x[order] for name, x in parameters.items()}
-    for lane, cell in zip(order, record_cells(scene, parameters, excerpt.lanes(order)), strict=True):
+    for lane, cell in zip(order, record_cells(scene, parameters, state[:, order], excerpt.of(order)), strict=True):
         multipliers = None
         if "multiplier_abs" in features:
             multipliers = np.stack([features[f"multiplier_{name}"][lane] for name in ("abs", "arg")], axis=1)
@@ -285,8 +286,10 @@ def _chunk_cells(first: int, inputs: LaneInputs, run: LaneRun, features: Feature
     return cells
 
 
-def _excerpts(inputs: LaneInputs, run: LaneRun, features: Features) -> Excerpt:
-    """Return the excerpts of a chunk's lanes, from their orbits, last section crossings or settled states."""
+def _excerpts(
+    inputs: LaneInputs, run: LaneRun, features: Features
+) -> tuple[Float[np.ndarray, "states lanes"], Excerpt]:
+    """Return the states from which a chunk's lanes are recorded, of orbits, section crossings or settled lanes."""
     scene, parameters, count = inputs.scene, inputs.parameters, len(inputs)
     driving = scene.driving_part()
     zero, nan = np.zeros(count), np.full(count, np.nan)
@@ -311,4 +314,4 @@ def _excerpts(inputs: LaneInputs, run: LaneRun, features: Features) -> Excerpt:
         state[:, subset] = np.stack([np.asarray(x, float) for x in batch.underway.lane.state])
     elif unknown.any():  # a lane's settled state depends on those of previous lanes, which are not stored
         state[:, unknown] = np.nan
-    return Excerpt(state, repeats, skipped, shown, recorded, returns)
+    return state, Excerpt(repeats, skipped, shown, skipped, recorded, returns)

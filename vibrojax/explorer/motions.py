@@ -12,10 +12,9 @@ import xarray as xr
 
 from vibrojax.compile.xla import precision
 from vibrojax.errors import InputError, Place, shown
-from vibrojax.explorer import recording
 from vibrojax.explorer.document import Document, one_line, options_of, run_seconds, start_of
 from vibrojax.explorer.encoding import Cell, encode, pack
-from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SECONDS, Excerpt
+from vibrojax.explorer.recording import cell_of_record, event_times, finite, last_excerpt, repeated_pulses
 from vibrojax.explorer.views import sweep_of
 from vibrojax.io.attributes import differing_of, text_of
 from vibrojax.lanes.record import BATCH, Record, check_size, window
@@ -170,7 +169,6 @@ class LiveMotions:
         system = self.names.system
         units = {state.name: state.unit for state in system.states}
         return {
-            "scene": self.point.scene,
             "parameters": [self._slider(parameter) for parameter in self.names.parameters.values()],
             "values": self.point.parameters,
             "starts": list(self.names.starts),
@@ -179,7 +177,6 @@ class LiveMotions:
             "start": list(self.point.start) if isinstance(self.point.start, tuple) else self.point.start,
             "duration": self.duration,
             "whole": self.whole,
-            "observed": window(self.names.system, self.duration)[1],
             "lanes": self.sweep.lanes if self.sweep is not None else 0,
             "rocks": self.names.presets.get("rock", {}),
             "bit_radius": ROTATION["bit_radius"].default,
@@ -223,17 +220,15 @@ def box_of(sweep: Sweep, lane: int, box: object, check: Callable[..., None]) -> 
 
     **Raises:** `InputError` if the box does not belong to the sweep, or takes too many steps.
     """
-    ends = _ends(sweep, box)
-    axes = {
-        name: np.linspace(ends[name][0], ends[name][1], min(len(x), BOX_MAX_SIDE))
-        for name, x in sweep.axes.items()
-        if name in ends
-    }
-    values, _ = sweep.lane_values(lane, lane + 1)
+    if sweep.run.carry is not None or sweep.points is not None:
+        raise BOX.error("only grids of independent lanes have boxes")
+    if not isinstance(box, dict) or len(box) != 2 or not set(box) <= set(sweep.axes):
+        raise BOX.error(f"{shown(box)} is not a table of two of the axes {', '.join(sweep.axes)}")
+    axes = {name: _values_between(BOX.at(name), box[name], known) for name, known in sweep.axes.items() if name in box}
+    values, index = sweep.lane_values(lane, lane + 1)
     fixed = {name: float(x[0]) for name, x in values.items() if name not in axes}
     starts = sweep.starts
     if starts is not None and len(starts):
-        index = [int(sweep.lane_values(lane, lane + 1)[1][0])]
         starts = replace(starts, number=starts.number[index], vectors=starts.vectors[index])
     run = replace(sweep.run, orbits=False, keep_returns=0)
     part = replace(sweep, axes=axes, parameters=sweep.parameters | fixed, starts=starts, run=run)
@@ -249,20 +244,15 @@ def box_of(sweep: Sweep, lane: int, box: object, check: Callable[..., None]) -> 
     }
 
 
-def _ends(sweep: Sweep, box: object) -> Mapping[str, Any]:
-    if sweep.run.carry is not None or sweep.points is not None:
-        raise BOX.error("only grids of independent lanes have boxes")
-    if not isinstance(box, dict) or len(box) != 2 or not set(box) <= set(sweep.axes):
-        raise BOX.error(f"{shown(box)} is not a table of two of the axes {', '.join(sweep.axes)}")
-    for name, ends in box.items():
-        place, known = BOX.at(name), sweep.axes[name]
-        if known.dtype.kind != "f" or not isinstance(ends, list) or len(ends) != 2:
-            raise place.error("give [low, high] of an axis of numbers")
-        numbers = all(isinstance(x, (int, float)) and np.isfinite(x) for x in ends)
-        step = np.ptp(known) / max(len(known) - 1, 1)
-        if not numbers or not known.min() - step <= ends[0] < ends[1] <= known.max() + step:
-            raise place.error(f"{shown(ends)} is not an interval within that of the map")
-    return box
+def _values_between(place: Place, ends: Any, known: np.ndarray) -> np.ndarray:
+    """Return evenly spaced values of an axis between two ends, at most a step outside its `known` values."""
+    if known.dtype.kind != "f" or not isinstance(ends, list) or len(ends) != 2:
+        raise place.error("give [low, high] of an axis of numbers")
+    step = np.ptp(known) / max(len(known) - 1, 1)
+    numbers = all(isinstance(x, (int, float)) and np.isfinite(x) for x in ends)
+    if not numbers or not known.min() - step <= ends[0] < ends[1] <= known.max() + step:
+        raise place.error(f"{shown(ends)} is not an interval within that of the map")
+    return np.linspace(ends[0], ends[1], min(len(known), BOX_MAX_SIDE))
 
 
 def motions_for(ds: xr.Dataset, own: Sweep | None = None) -> LiveMotions:
@@ -293,34 +283,16 @@ def _cell_of_motion(scene: Scene[Any], constants: Any, motion: Recorded, duratio
     """Return the last period of a recorded motion, or some of its last section crossings, with its features."""
     if not np.isfinite(motion.steps.after).all():
         raise InputError("explore: the motion is not finite; give values nearer to the usual ones")
-    late = motion.steps.start >= window(scene, duration)[0]
+    observed = window(scene, duration)[0]
+    late = motion.steps.start >= observed
     record = Record(*(np.asarray(x)[late] for x in motion.steps))
     with precision("float64"):
-        moments = recording.event_times(scene, constants, record)
+        moments = event_times(scene, constants, record)
     if "cycles" in motion.found:
         cycles = int(motion.found["cycles"][1])
     else:
         after = np.asarray(record.after)[:, [scene.place(name) for name in scene.driving_part().return_states]]
         passed = after[np.searchsorted(record.start + record.dt, moments["section"])]
-        cycles = recording.repeated_pulses(passed, np.ptp(after, axis=0) / 2)
-    cell = recording.cell_of_record(scene, record, moments, _excerpt(moments["section"], cycles, duration))
-    numbers = {name: value.item() for name, (_, value, _) in motion.found.items()}
-    return replace(cell, numbers={n: x if isinstance(x, int) or np.isfinite(x) else None for n, x in numbers.items()})
-
-
-def _excerpt(returns: np.ndarray, cycles: int, duration: float) -> Excerpt:
-    """Return the excerpt of a motion: its last period, or some of its last section crossings if it is not periodic.
-
-    `returns` [s]: times of the section crossings; `cycles`: number of return intervals per period, or 0.
-    """
-    repeats = 0 < cycles < len(returns)
-    if repeats:
-        values = (returns[-1 - cycles], returns[-1] - returns[-1 - cycles], returns[-1], cycles)
-    elif len(returns) < 2:
-        shown = min(SHOWN_SECONDS, duration / 2)
-        values = (duration - shown, shown, duration, 0)
-    else:
-        first = max(len(returns) - 1 - SECTION_RETURNS, 0)
-        last = min(first + SHOWN_RETURNS, len(returns) - 1)
-        values = (returns[first], returns[last] - returns[first], duration, last - first)
-    return Excerpt(np.zeros(0), np.array(repeats), *(np.asarray(value) for value in values))
+        cycles = repeated_pulses(passed, np.ptp(after, axis=0) / 2)
+    cell = cell_of_record(scene, record, moments, last_excerpt(moments["section"], cycles, observed, duration))
+    return replace(cell, numbers=finite({name: value.item() for name, (_, value, _) in motion.found.items()}))

@@ -17,7 +17,7 @@ from vibrojax.errors import InputError
 from vibrojax.explorer.document import Document
 from vibrojax.explorer.encoding import Cell, deflate, encode
 from vibrojax.explorer.motions import LiveMotions, motions_for
-from vibrojax.explorer.views import cells_of, document_of, with_map
+from vibrojax.explorer.views import contents_of
 from vibrojax.io.atomic import atomic_write
 from vibrojax.io.files import source
 from vibrojax.maps.read import read_sweep
@@ -149,8 +149,8 @@ def page_contents(
     `live`: whether motions are computed on demand; None: True if the dataset's scene is a scene of the package.
     """
     own = read_sweep(sweep) if isinstance(sweep, Mapping) else sweep
-    ds, over = with_map(ds, over, progress)
-    document, motions = document_of(ds, over, own), None
+    ds, document, cells = contents_of(ds, over, own, progress)
+    motions = None
     if live is not False:
         try:
             motions = motions_for(ds, own)
@@ -158,7 +158,7 @@ def page_contents(
             if live:
                 raise
     has_lanes = motions is not None and motions.sweep is not None
-    blocks = [] if has_lanes else blocks_of(cells_of(ds, progress, own))
+    blocks = [] if has_lanes else blocks_of(cells)
     if blocks:
         document["cells"] = {"size": BLOCK_CELLS, "blocks": len(blocks)}
     return ds, document, blocks, motions
@@ -203,14 +203,9 @@ def style_text(live: bool = False) -> str:
     return _file("page.css") + (_file("live.css") if live else "")
 
 
-def module_text(*more: str, exported: bool = False) -> str:
-    """Return the modules behind `mount`, followed by `more`, as one module without imports.
-
-    `exported`: whether to export `mount`, `decodeCells` and `embeddedSource`.
-    """
-    parts = [_EXPORT.sub("", _IMPORT.sub("", _file(name))) for name in (*MODULES, *more)]
-    ending = "\nexport { mount, decodeCells, embeddedSource };\n" if exported else ""
-    return "\n".join(parts) + ending
+def module_text(*more: str) -> str:
+    """Return the modules behind `mount`, followed by `more`, as one script without imports and exports."""
+    return "\n".join(_EXPORT.sub("", _IMPORT.sub("", _file(name))) for name in (*MODULES, *more)) + "\n"
 
 
 def _file(name: str) -> str:

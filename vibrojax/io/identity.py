@@ -13,7 +13,7 @@ from pathlib import Path
 
 from vibrojax.errors import InputError, shown
 from vibrojax.io.files import read_regular, source
-from vibrojax.io.seal import LARGEST_METADATA, has_seal
+from vibrojax.io.seal import LARGEST_METADATA, seal_of
 from vibrojax.io.untrusted import global_attributes
 
 MARK = "vibrojax"
@@ -77,9 +77,7 @@ def _says_so(path: Path) -> bool:
             return isinstance(attributes, dict) and str(attributes.get("source", "")).startswith(MARK)
         if mark is not None:
             return mark.search(read_regular(path)) is not None
-        if has_seal(path):
-            return True
-        return str(global_attributes(path).get("source", "")).startswith(MARK)
+        return seal_of(path) is not None or str(global_attributes(path).get("source", "")).startswith(MARK)
     except (InputError, OSError, ValueError, RecursionError):
         return False
 

@@ -19,7 +19,7 @@ import struct
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, NamedTuple
 
 from platformdirs import user_cache_path
 
@@ -47,17 +47,23 @@ _END_ADDRESS = {0: 40, 1: 44, 2: 28, 3: 28}
 """Position of the address of the file's end in the superblock of HDF5, by its version."""
 
 
+class Seal(NamedTuple):
+    """The SHA-256 of the content of a file or store, and its code."""
+
+    digest: bytes
+    code: bytes
+
+
 def seal(path: Path) -> None:
     """Seal a complete file or store; its content must not change afterwards."""
+    digest = _digest(path)
+    code = hmac.digest(_secret() or b"", digest, "sha256")
     if path.is_dir():
-        metadata = json.loads((path / METADATA).read_bytes())
-        digest = _store_digest(path, metadata)
-        metadata[KEY] = {"sha256": digest.hex(), "code": _code(digest).hex()}
+        metadata = _metadata(path) | {KEY: {"sha256": digest.hex(), "code": code.hex()}}
         (path / METADATA).write_text(json.dumps(metadata))
-        return
-    with open(path, "r+b") as file:
-        digest = _file_digest(file, os.fstat(file.fileno()).st_size)
-        file.write(MAGIC + digest + _code(digest))
+    else:
+        with open(path, "ab") as file:
+            file.write(MAGIC + digest + code)
 
 
 def is_own(path: Path) -> bool:
@@ -65,47 +71,40 @@ def is_own(path: Path) -> bool:
 
     **Raises:** `InputError` if the content is not what the seal states.
     """
+    given = seal_of(path)
+    if given is None:
+        if not path.is_dir() and _continues(path):
+            raise _damaged(path)  # something follows the end, and it is no seal
+        return False
+    if given.digest != _digest(path, leave_out=_LENGTH):
+        raise _damaged(path)
+    secret = _secret()
+    return secret is not None and hmac.compare_digest(given.code, hmac.digest(secret, given.digest, "sha256"))
+
+
+def seal_of(path: Path) -> Seal | None:
+    """Return the seal of a file or store, broken or not, or None if it has none."""
     if path.is_dir():
-        metadata = json.loads(read_regular(path / METADATA, LARGEST_METADATA))
-        given = metadata.pop(KEY, None)
-        if given is None:
-            return False
-        digest, stated = _store_digest(path, metadata), (str(given.get(name, "")) for name in ("sha256", "code"))
-        sealed, code = (value.encode() for value in stated)
-        return _compare(path, digest.hex().encode(), sealed, code, _code(digest).hex().encode())
-    with open(path, "rb") as file:
-        size, given = os.fstat(file.fileno()).st_size, _given(file)
-        if given:
-            digest = _file_digest(file, size - _LENGTH)
-            return _compare(path, digest, given[:_SIZE], given[_SIZE:], _code(digest))
-        file.seek(0)
-        start = file.read(64)
-    end = _END_ADDRESS.get(start[8]) if len(start) == 64 and start.startswith(_HDF5) else None
-    if end is not None and size > struct.unpack_from("<Q", start, end)[0]:
-        raise _damaged(path)  # something follows the end, and it is no seal
-    return False
-
-
-def has_seal(path: Path) -> bool:
-    """Return whether a file has a seal, broken or not."""
-    with open(path, "rb") as file:
-        return bool(_given(file))
-
-
-def _given(file: BinaryIO) -> bytes:
-    """Return digest and code of the seal at the end of a file, or b"" if it has none."""
-    with suppress(OSError):  # the file is shorter
+        stated = _metadata(path).get(KEY)
+        if stated is None:
+            return None
+        with suppress(ValueError, TypeError, LookupError):
+            return Seal(bytes.fromhex(stated["sha256"]), bytes.fromhex(stated["code"]))
+        return Seal(b"", b"")
+    with open(path, "rb") as file, suppress(OSError):  # the file is shorter
         file.seek(-_LENGTH, os.SEEK_END)
         end = file.read(_LENGTH)
         if end.startswith(MAGIC):
-            return end[len(MAGIC) :]
-    return b""
+            return Seal(end[len(MAGIC) : -_SIZE], end[-_SIZE:])
+    return None
 
 
-def _compare(path: Path, digest: bytes, sealed: bytes, code: bytes, own: bytes) -> bool:
-    if digest != sealed:
-        raise _damaged(path)
-    return _secret() is not None and hmac.compare_digest(code, own)
+def _continues(path: Path) -> bool:
+    """Return whether a file is longer than its HDF5 superblock says."""
+    with open(path, "rb") as file:
+        start = file.read(64)
+    end = _END_ADDRESS.get(start[8]) if len(start) == 64 and start.startswith(_HDF5) else None
+    return end is not None and os.path.getsize(path) > int(struct.unpack_from("<Q", start, end)[0])
 
 
 def _damaged(path: Path) -> InputError:
@@ -113,28 +112,26 @@ def _damaged(path: Path) -> InputError:
     return InputError(f"{path}: {problem}; take a copy, or compute it again (remove the file first)")
 
 
-def _file_digest(file: BinaryIO, size: int) -> bytes:
-    """Return the SHA-256 of the first `size` bytes of a file, after which it then is."""
-    file.seek(0)
-    digest = hashlib.sha256()
-    while size > 0 and (piece := file.read(min(_PIECE, size))):
-        digest.update(piece)
-        size -= len(piece)
-    return digest.digest()
+def _metadata(path: Path) -> dict[str, Any]:
+    metadata: dict[str, Any] = json.loads(read_regular(path / METADATA, LARGEST_METADATA))
+    return metadata
 
 
-def _store_digest(path: Path, metadata: object) -> bytes:
-    """Return the SHA-256 of the names and contents of a store's files, and of its metadata without the seal."""
+def _digest(path: Path, leave_out: int = 0) -> bytes:
+    """Return the SHA-256 of a file, but for its last `leave_out` bytes, or of a store, but for its seal."""
+    if not path.is_dir():
+        digest, size = hashlib.sha256(), os.path.getsize(path) - leave_out
+        with open(path, "rb") as file:
+            while size > 0 and (piece := file.read(min(_PIECE, size))):
+                digest.update(piece)
+                size -= len(piece)
+        return digest.digest()
+    metadata = {key: value for key, value in _metadata(path).items() if key != KEY}
     digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
-    files = (file.relative_to(path).as_posix() for file in path.rglob("*") if file.is_file())
-    for name in sorted(set(files) - {METADATA}):
-        with open(path / name, "rb") as content:
-            digest.update(json.dumps(name).encode() + _file_digest(content, os.fstat(content.fileno()).st_size))
+    names = {file.relative_to(path).as_posix() for file in path.rglob("*") if file.is_file()}
+    for name in sorted(names - {METADATA}):
+        digest.update(json.dumps(name).encode() + _digest(path / name))
     return digest.digest()
-
-
-def _code(digest: bytes) -> bytes:
-    return hmac.digest(_secret() or b"", digest, "sha256")
 
 
 @cache

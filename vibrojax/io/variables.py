@@ -15,6 +15,7 @@ class Variable:
     - `dtype`: data type of the stored values.
     - `flags`: the meanings of the values 0, 1, ..., or of `first_flag` and the following integers.
     - `along`: the dimension in addition to the sweep's dimensions, "" if there is none.
+    - `dims`: the dimensions in datasets of one analysis, which need not be given with the values then.
     - `notes`: further attributes by name, such as a definition.
 
     **Example:**
@@ -30,6 +31,7 @@ class Variable:
     first_flag: int = 0
     along: str = ""
     notes: Mapping[str, str | float] = field(default_factory=dict, hash=False)
+    dims: tuple[str, ...] = ()
 
     def attributes(self) -> dict[str, Any]:
         """Return the CF attributes of the variable, by name; a text has no units."""
@@ -42,17 +44,23 @@ class Variable:
             attributes["flag_meanings"] = " ".join(flag.replace("/", "-over-") for flag in self.flags)
         return attributes
 
+    def entry(self, dims: Any, values: Any) -> tuple[Any, np.ndarray, dict[str, Any]]:
+        """Return the variable of a dataset: its dimensions, the values in its data type, and its attributes."""
+        return dims, np.asarray(values, self.dtype), self.attributes()
+
 
 def described(table: Mapping[Any, Any], schema: Mapping[str, Variable]) -> dict[Any, Any]:
     """Return variables with the data types and attributes in `schema`.
 
-    **Arguments:** `table`: (dimensions, values) by name; entries of another form are not changed.
+    **Arguments:** `table`: (dimensions, values) by name, or the values alone of a variable that states its `dims`;
+    entries of another form are not changed.
     """
 
     def entry(name: Any, given: Any) -> Any:
-        if name not in schema or not isinstance(given, tuple) or len(given) != 2:
+        if name not in schema or (isinstance(given, tuple) and len(given) != 2):
             return given
-        return given[0], np.asarray(given[1], schema[name].dtype), schema[name].attributes()
+        dims, values = given if isinstance(given, tuple) else (schema[name].dims, given)
+        return schema[name].entry(dims, values)
 
     return {name: entry(name, given) for name, given in table.items()}
 

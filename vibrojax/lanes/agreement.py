@@ -16,8 +16,6 @@ from collections.abc import Hashable, Mapping
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.compile import Subject
@@ -26,6 +24,7 @@ from vibrojax.compile.assembly import LANES
 from vibrojax.compile.native import Kernel
 from vibrojax.errors import InputError
 from vibrojax.lanes.programs import LaneArguments, ProgramKey, constants_of, state_of
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures import recorder_for
 from vibrojax.scenes import Scene
 from vibrojax.stepping import Accuracy, AccuracyRequest, Goal, Lane, Located, Stepper, lane_at

@@ -1,46 +1,20 @@
-"""Certificates: error estimates, the distance of a lane from its limit, and lanes whose attractor rounding determines.
+"""Certificates: error estimates, and lanes whose attractor rounding determines."""
 
-Near a periodic orbit, the distance of a section crossing from the orbit is a linear map of that of the previous
-crossing. A recurrence that is fitted to the last crossings gives the limit, see [vibrojax.lanes.recurrence][].
-"""
-
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrojax.lanes.drift import PerLaneBool, PerLaneInt, pick, section_crossings
 from vibrojax.lanes.engine import Batch, Engine
 from vibrojax.lanes.inputs import Features, Index, PerLane
-from vibrojax.lanes.recurrence import (
-    RECURRENCE_MAX_ORDER,
-    Crossings,
-    Numbers,
-    PerLaneBool,
-    PerLaneInt,
-    Recurrence,
-    Series,
-    SumsAndMean,
-    fit_recurrence,
-    future_sum,
-    pick,
-)
 from vibrojax.lanes.settled import repeats_lately
 from vibrojax.measures.labels import LABELLED_BY
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.measures.repeats import (
-    GROWTH,
-    INTERVAL,
-    REPEATS_WITHIN,
-    ROCK_STATES,
-    SETTLED_WITHIN,
-    TIME,
-    rock_scale,
-    state_name,
-)
+from vibrojax.measures.repeats import GROWTH, ROCK_STATES, SETTLED_WITHIN, TIME, rock_scale, state_name
 from vibrojax.measures.section import Settling
-from vibrojax.measures.since_start import half_names, stored_scales
 from vibrojax.scenes import Section
 
 ERROR_FLOOR = 0.03
@@ -58,20 +32,6 @@ of 2,044 lanes of seven systems, 34 had larger errors than their estimates, and 
 LOAD_MARGIN = 10.0
 """Multiple of the distance of the states from their limit by which the greatest force of the rock may still change, as
 a fraction of the yield force."""
-
-DRIFT_RESOLVED = 1e4
-"""Differences determine multipliers if they exceed the rounding noise by this factor, and ten times the error tolerance
-of the steps."""
-
-FITS, FITS_CLOSELY = 0.3, 0.02
-"""Relative residuals of a fit: below the first, differences obey a recurrence at all. Below the second, the fit is so
-close that the recurrence is taken as the true one."""
-
-GROWS, DECAYS = 1.0005, 0.999
-"""Modulus of the dominant multiplier above which a lane moves away from an orbit, and below which it approaches."""
-
-LANES_AT_ONCE = 1024
-"""Number of lanes whose recurrences are fitted together. Their arrays fit into the cache."""
 
 
 def certified(fine: Features, check: Features, share: float, least: float, states: Sequence[str] = ()) -> Features:
@@ -134,42 +94,6 @@ def error_under_pulses(
     return np.where((rate == 0) & yields, np.inf, error)
 
 
-def drift(features: Features, section: Section, precision: str, tolerance: float) -> PerLane:
-    """Return the relative distance of period, impact velocity and rate of penetration from their limits, the largest.
-
-    It is NaN for a lane that is not periodic. It is infinite if the section crossings move away from the orbit,
-    approach an orbit with a shorter period, or determine neither.
-
-    **Arguments:** `features`: (lanes,), and (lanes, returns) for the last section crossings, the newest last;
-    `precision`: that of the features, "float64" or "float32"; `tolerance`: relative error tolerance of the steps.
-    """
-    cycles = np.nan_to_num(features["cycles"]).astype(int)
-    return _in_parts(cycles, lambda lanes: _crossings(features, lanes, cycles[lanes], section), precision, tolerance)
-
-
-def drift_under_pulses(features: Features, states: Sequence[str], precision: str, tolerance: float) -> PerLane:
-    """Return the relative distance of the growth of the hole per pulse from its limit, for scenes under pulses.
-
-    The beginnings of pulses take the place of section crossings. A motion is periodic if the `states` at the last
-    pulses repeat within 1e-3 of their scales. Without pulses nothing repeats, and the result is NaN.
-    """
-    if not states:
-        return np.full(len(features["rate_of_penetration"]), np.nan)
-    rows = np.stack([features[state_name(name)].T[::-1] / features[rock_scale(name)] for name in states]).astype(float)
-    known = np.sum(np.isfinite(rows[0]), axis=0)
-    cycles = np.zeros(len(known), int)
-    with np.errstate(invalid="ignore"):
-        for repeat in range(MOST_CYCLES, 0, -1):
-            moves = np.any(np.abs(rows[:, repeat:] - rows[:, :-repeat]) > REPEATS_WITHIN, axis=(0, 1))
-            cycles[~moves & (known > 3 * repeat)] = repeat
-
-    def crossings(lanes: Index) -> Crossings:
-        growth = (features[GROWTH].T[::-1, lanes].astype(float), None, features["slip_per_impact"][lanes])
-        return Crossings(rows[..., lanes], known[lanes], cycles[lanes], (growth,))
-
-    return _in_parts(cycles, crossings, precision, tolerance)
-
-
 ROCK_MARGIN, ROCK_MARGIN_SHORT = 4.0, 100.0
 """Multiple of the changes of the rock's states from period to period that bounds their distance from the limit: in an
 observation of many periods, and of one. For a multiplier m, all future changes add up to m/(1 - m) times the last."""
@@ -202,135 +126,6 @@ def rock_error(features: Features) -> PerLane:
         return np.where(growth > 0, away / growth, np.where(features["load"] + away < 1, 0.0, np.inf))
 
 
-def _in_parts(cycles: PerLaneInt, crossings: Callable[[Index], Crossings], precision: str, tolerance: float) -> PerLane:
-    """Return the distances of all lanes; `crossings` returns the section crossings of lanes by index."""
-    distance = np.where(cycles > 0, np.inf, np.nan)
-    noise = 64 * float(np.finfo(precision).eps)
-    resolved = max(DRIFT_RESOLVED * noise, 10 * tolerance)
-    periodic = np.flatnonzero(cycles > 0)
-    with np.errstate(all="ignore"):
-        for first in range(0, len(periodic), LANES_AT_ONCE):
-            lanes = periodic[first : first + LANES_AT_ONCE]
-            distance[lanes] = _drift(crossings(lanes), noise, resolved)
-    return distance
-
-
-def _crossings(features: Features, lanes: PerLaneInt, cycles: PerLaneInt, section: Section) -> Crossings:
-    """Return the section crossings of periodic lanes, with a lag of one period."""
-
-    def newest_first(name: str) -> Series:
-        return np.take(features[name].T, lanes, axis=1)[::-1].astype(float)
-
-    halves = [features[name][lanes] for name in half_names(section)]
-    period = features["period"][lanes]
-    rows = [newest_first(state_name(name)) for name in section.compared]
-    scales = stored_scales(section, halves, period, [row[0] for row in rows])
-    states = np.stack([row / np.asarray(scale, float) for row, scale in zip(rows, scales, strict=True)])
-    sums: list[SumsAndMean] = [(newest_first(INTERVAL), None, period)]
-    if "return_impacts" in features:
-        impacts = newest_first("return_impacts")
-        velocity = np.where(impacts > 0, impacts * newest_first("return_impact_velocity"), 0.0)
-        sums.append((velocity, impacts, features["impact_velocity"][lanes]))
-    if GROWTH in features:
-        growth = features["rate_of_penetration"][lanes] * period
-        sums.append((newest_first(GROWTH), None, growth))
-    count = np.sum(np.isfinite(features[TIME][lanes]), axis=1)
-    return Crossings(states, count, cycles, tuple(sums))
-
-
-def _drift(crossings: Crossings, noise: float, resolved: float) -> PerLane:
-    """Return the distance of periodic lanes.
-
-    `noise`: relative rounding error of a crossing. `resolved`: smallest difference that determines multipliers.
-    """
-    distance, away = np.full((2, len(crossings.lag)), np.inf)
-    for order, lanes in _by_order(crossings.highest):
-        part = crossings.of(lanes)
-        # If the limits of two orders differ, neither is reliable: the distance between them is added.
-        differences = part.differences(order)
-        fits = [fit_recurrence(part, differences, k, noise) for k in range(max(order - 1, 1), order + 1)]
-        unknown = _is_unknown(part, fits, resolved)
-        away[lanes] = np.where(unknown, np.inf, _distance_of_states(part, fits))
-        distance[lanes] = np.fmax(away[lanes], _distance_of_means(part, fits))
-    for shorter in range(1, crossings.lag.max(initial=0)):
-        divided = np.flatnonzero((crossings.lag > shorter) & (crossings.lag % shorter == 0))
-        part = crossings.of(divided)
-        # At the end of a transient, only the first crossings fail the test of the shorter period.
-        number = np.arange(part.lag.max(initial=0))[:, None]
-        changes = np.abs(part.at(number) - part.at(number + shorter))
-        apart = np.max(changes, axis=(0, 1), where=number < part.lag, initial=0.0)
-        distance[divided[apart <= REPEATS_WITHIN + 2 * away[divided]]] = np.inf
-        # A slow spiral towards an orbit with a shorter period seems periodic after each revolution.
-        part = part._replace(lag=np.full(len(divided), shorter))
-        for order, lanes in _by_order(np.where(part.are_resolved(resolved), part.highest, 0)):
-            subset = part.of(lanes)
-            fit = fit_recurrence(subset, subset.differences(order), order, noise)
-            close = np.flatnonzero(fit.residual() < FITS_CLOSELY)
-            if len(close):
-                distance[divided[lanes[close[fit.of(close).radius() < DECAYS]]]] = np.inf
-    return distance
-
-
-def _by_order(highest: PerLaneInt) -> list[tuple[int, Index]]:
-    """Return each order above 0 with the lanes of which it is the highest."""
-    lanes = [(order, np.flatnonzero(highest == order)) for order in range(1, RECURRENCE_MAX_ORDER + 1)]
-    return [pair for pair in lanes if len(pair[1])]
-
-
-def _distance_of_states(crossings: Crossings, fits: list[Recurrence]) -> PerLane:
-    """Return the distance of the last states from the limit of their recurrence, given fits of one or two orders."""
-    numbers = crossings.lag * np.arange(len(fits[-1].coefficients) + 1)[:, None]
-    distances = []
-    for state in crossings.at(numbers):
-        changes = [future_sum(state, fit) for fit in fits]
-        distances.append(np.abs(changes[-1]) + np.abs(changes[-1] - changes[0]))
-    return reduce(np.fmax, distances)
-
-
-def _distance_of_means(crossings: Crossings, fits: list[Recurrence]) -> PerLane:
-    """Return the relative distance of the means over the observation from their limits."""
-    numbers = crossings.lag * np.arange(len(fits[-1].coefficients) + 1)[:, None]
-    distances = []
-    for total, count, mean in crossings.sums:
-        values = _means(total, count, crossings.lag, numbers)
-        limits = [values[0] + future_sum(values, fit) for fit in fits]
-        distances.append((np.abs(limits[-1] - mean) + np.abs(limits[-1] - limits[0])) / np.abs(mean))
-    return reduce(np.fmax, distances)
-
-
-def _is_unknown(crossings: Crossings, fits: list[Recurrence], resolved: float) -> PerLaneBool:
-    """Return a mask of the lanes that move away from the orbit, or whose differences obey no recurrence."""
-    unknown = crossings.are_resolved(resolved)
-    lanes = np.flatnonzero(unknown)  # few: most lanes are as near as rounding permits
-    if len(lanes):
-        part, fits = crossings.of(lanes), [fit.of(lanes) for fit in fits]
-        number = np.arange(crossings.states.shape[1])[:, None]
-        differences = np.abs(part.at(number) - part.at(number + part.lag))
-        third = np.maximum((part.known - part.lag) // 3, 1)
-        recent, before = (
-            np.max(np.where(mask, differences, 0.0), axis=(0, 1))
-            for mask in (number < third, (number >= third) & (number < 2 * third))
-        )
-        leaves = (recent > before) & np.all([fit.radius() > GROWS for fit in fits], axis=0)
-        unknown[lanes] = leaves | (fits[-1].residual() > FITS)
-    return unknown
-
-
-def _means(total: Series, count: Series | None, window: PerLaneInt, first: Numbers) -> Series:
-    """Return averages of the sums `total` over windows of section crossings, which begin at the numbers `first`.
-
-    A window is divided by its number of crossings or, if `count` is not None, by its number of terms, such as impacts.
-    """
-    sums = []
-    for series in (total,) if count is None else (total, count):
-        over = pick(series, first)
-        for k in range(1, window.max(initial=0)):
-            lanes = np.flatnonzero(window > k)
-            over[:, lanes] += pick(series[:, lanes], first[:, lanes] + k)
-        sums.append(over)
-    return sums[0] / (window if count is None else sums[1])
-
-
 def ends_differ(fine: Features, check: Features, section: Section) -> PerLaneBool:
     """Return a mask of aperiodic lanes of which only one run becomes periodic by the end, or each at another time.
 
@@ -351,7 +146,7 @@ def _periodic_since(features: Features, lanes: PerLaneInt, section: Section) -> 
 
     It is -inf if all stored crossings are periodic.
     """
-    states = _crossings(features, lanes, np.ones_like(lanes), section).states
+    states = section_crossings(features, lanes, np.ones_like(lanes), section).states
     times, since = features[TIME][lanes].T[::-1], np.full(len(lanes), np.nan)
     for repeat in range(ENDS_WITHIN // 2, 0, -1):
         differs = ~(np.max(np.abs(states[:, :-repeat] - states[:, repeat:]), axis=0) < SETTLED_WITHIN)

@@ -1,13 +1,12 @@
 """Compiled programs of lanes. Kernels of scenes from outside the package are first compared with XLA."""
 
 from collections.abc import Callable, Hashable
+from importlib.metadata import version
+from inspect import isfunction
 from typing import Any, TypeVar
 
-import jax
-import jax.numpy as jnp
 import llvmlite
 import numpy as np
-from jaxlib import version as jaxlib
 
 from vibrojax import compile as compilation
 from vibrojax.compile import native, trusted_kernel
@@ -16,6 +15,7 @@ from vibrojax.compile.native import BoundKernel, Kernel
 from vibrojax.compile.xla import BoundProgram, compiler_options, evaluation
 from vibrojax.lanes.agreement import scene_subject
 from vibrojax.lanes.programs import ProgramKey, settle_lanes
+from vibrojax.lazy import jax, jnp
 from vibrojax.physics import elementary
 
 R = TypeVar("R")
@@ -34,7 +34,13 @@ XLA_BLOCKS_PER_CALL = 8
 XLA_BLOCK_ON_ACCELERATOR = 16384
 """Lanes that step together on an accelerator, where a step of few lanes costs as much as a step of many."""
 
-EQUATION_FUNCTIONS = (*(x for x in vars(elementary).values() if hasattr(x, "registry")), jnp.arctan2)
+
+def arctan2(y: Any, x: Any) -> Any:
+    """Return the angle of the point (x, y), which measures use and equations do not."""
+    return jnp.arctan2(y, x)
+
+
+EQUATION_FUNCTIONS = (*(x for x in vars(elementary).values() if isfunction(x) and hasattr(x, "registry")), arctan2)
 """Elementary functions that equations and measures use: the generic functions of `elementary`, and arctan2."""
 
 
@@ -73,7 +79,7 @@ class Programs:
         evaluate, compiler = _evaluate_by_kernel, f"llvmlite {llvmlite.__version__}"
         if self._platform is not None:
             options = tuple(compiler_options(self._platform).items())
-            evaluate, compiler = evaluation(options), f"jaxlib {jaxlib.__version__}"
+            evaluate, compiler = evaluation(options), f"jaxlib {version('jaxlib')}"
         check(evaluate, EQUATION_FUNCTIONS, compiler, self._dtype, self.block)
 
     def bind(self, program: Callable[..., Any], *arguments: Any) -> BoundKernel | BoundProgram:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Int
 
@@ -30,6 +29,7 @@ from vibrojax.lanes.programs import (
     settle_lanes,
     start_lanes,
 )
+from vibrojax.lazy import jax
 from vibrojax.measures.recorder import Effort, LaneState, Records
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes import Scene
@@ -103,7 +103,7 @@ class Engine:
         start_names: tuple[str, ...],
         stepper: Stepper,
         recorder: Records,
-        workers: Sequence[jax.Device],
+        workers: Sequence["jax.Device"],
     ) -> None:
         self.scene, self.run, self.workers = scene, run, workers
         self.accelerated = workers[0].platform != "cpu"
@@ -226,7 +226,7 @@ class Engine:
             pass
         return [call.results for call in bound]
 
-    def _call(self, worker: jax.Device, call: Callable[[], Any]) -> Any:
+    def _call(self, worker: "jax.Device", call: Callable[[], Any]) -> Any:
         """Return the result of `call` on a worker's device. If no kernel can be used, switch to XLA and call again."""
         with precision(self.run.precision), jax.default_device(worker):
             try:

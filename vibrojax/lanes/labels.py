@@ -8,8 +8,6 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Int8, Shaped
 
@@ -17,6 +15,7 @@ from vibrojax.compile.xla import precision
 from vibrojax.io.variables import ORBIT_REASONS, OWN_REGIMES, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.inputs import Features, LaneInputs
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures import gauge_named, recorder_for
 from vibrojax.measures.labels import LABELLED_BY, REGIMES, derived, derived_names, label
 from vibrojax.measures.recorder import Effort, run_block

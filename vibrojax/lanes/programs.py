@@ -2,8 +2,7 @@
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.measures.recorder import (
     Effort,
     Features,

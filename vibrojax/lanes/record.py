@@ -5,8 +5,6 @@ from functools import reduce
 from math import ceil
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
@@ -15,6 +13,7 @@ from vibrojax.errors import InputError, Place
 from vibrojax.io.files import memory, size_text
 from vibrojax.io.variables import Variable
 from vibrojax.lanes.compiler import lane_function
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures.recorder import Features, Records
 from vibrojax.measures.section import lowest
 from vibrojax.physics.arrays import Array

@@ -1,10 +1,11 @@
 """Runs of lanes: the steps shared by main run and check run, both runs, certificates, stages, and labels."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import chain
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,17 +13,16 @@ from vibrojax.compile.xla import workers
 from vibrojax.lanes.certificate import (
     ERROR_FLOOR,
     certified,
-    drift,
-    drift_under_pulses,
     ends_differ,
     error_under_pulses,
     sensitive,
 )
+from vibrojax.lanes.drift import drift, drift_under_pulses
 from vibrojax.lanes.engine import Batch, Engine
-from vibrojax.lanes.inputs import Features, LaneInputs, LaneResult, Plan, Report, Stage, unreported
+from vibrojax.lanes.inputs import Features, Index, LaneInputs, LaneResult, Plan, Report, Stage, unreported
 from vibrojax.lanes.labels import labelled
 from vibrojax.lanes.programs import END
-from vibrojax.lanes.settled import OBSERVING, SETTLED, Ended, ReadyLanes, StopRule, checkpoints, run_together
+from vibrojax.lanes.settled import CHECK_SETTLES, OBSERVING, SETTLED, Ended, StopRule, checkpoints, settled
 from vibrojax.measures import recorder_for
 from vibrojax.measures.repeats import INTERVAL
 from vibrojax.measures.since_start import scale_names
@@ -32,8 +32,20 @@ from vibrojax.stepping import Accuracy
 from vibrojax.threads import by_drivers
 
 
+class FirstHalf(NamedTuple):
+    """Lanes after the steps that main run and check run share.
+
+    - `fine`, `check`: batches to observe, the same lanes in both runs.
+    - `ended`: lanes that need no more steps.
+    """
+
+    fine: list[Batch]
+    check: list[Batch]
+    ended: list[Ended]
+
+
 class LaneRun:
-    """A run of lanes of one scene on all cores. Its programs are compiled once, at its first chunk.
+    """A run of lanes of one scene. Its programs are compiled once, at its first chunk.
 
     `inputs`: lanes, which determine scene, settings and names of initial conditions; `stop`: rule by which lanes end
     before their time, besides having settled; `stages`: add features to observed lanes, in this order.
@@ -58,31 +70,31 @@ class LaneRun:
                 self.engine.compile(inputs, self.accuracy)
             self._compiled = True
 
-    def chunks(
-        self, parts: Sequence[Callable[[], LaneInputs]], report: Report = unreported
-    ) -> Iterator[tuple[int, LaneResult]]:
-        """Yield (index, results) of chunks of lanes as soon as each is finished, in any order.
-
-        Each of as many threads as there are cores computes a chunk of its own. `parts` return the lanes of the chunks.
-        """
-        with quiet():
-            if parts:
-                self.compile(parts[0]())
-            yield from by_drivers(partial(self.chunk, report=report), parts, len(self.engine.workers))
-
     def chunk(self, lanes: LaneInputs | Callable[[], LaneInputs], report: Report = unreported) -> LaneResult:
         """Return the results of lanes that are computed together; `lanes` may return them when their turn comes.
 
-        `report` is called with the number of lanes finished since its last call.
+        Rows advance in parallel from one lane of each row to the next. `report` is called with the number of lanes
+        finished since its last call.
         """
         began, inputs = time.monotonic(), lanes() if callable(lanes) else lanes
         self.compile(inputs)
-        if inputs.row:
-            features = self._rows(inputs, report)
-        else:
-            portions = Portions(len(inputs), report)
-            features = self._measured(self.engine.start(inputs, self.accuracy), portions)
+        whole, steps = self.engine.start(inputs, self.accuracy), _steps_of_rows(inputs)
+        measured: list[Features] = []
+        state = None
+        for places in steps:
+            portions = Portions(len(places), report)
+            batch = whole.of(places)
+            if state is not None:
+                # A failed lane has no final state. The next lane of its row begins in its own initial state.
+                assert batch.underway is not None
+                usable = np.isfinite(state).all(axis=1)
+                initial = zip(state.T, batch.underway.lane.state, strict=True)
+                batch = self.engine.carried(batch, tuple(np.where(usable, new, old) for new, old in initial))
+            measured.append(self._second_half(batch, self._first_half(batch, portions), portions))
             portions.finish()
+            state = measured[-1].pop(END, None)
+        order = np.argsort(np.concatenate(steps))
+        features = {name: x[order] for name, x in joined(measured).items()}
         kept = self.settings.keep_returns
         stored = {name: x[:, x.shape[1] - kept :] if x.ndim == 2 else x for name, x in features.items()}
         stored = {name: x for name, x in stored.items() if x.size and name != INTERVAL}
@@ -97,23 +109,24 @@ class LaneRun:
         firsts = range(0, len(inputs), self.plan.chunk)
         ends = [*firsts[1:], len(inputs)]
         parts = [partial(inputs.of, np.arange(first, end)) for first, end in zip(firsts, ends, strict=True)]
-        results = dict(self.chunks(parts, report))
+        with quiet():
+            self.compile(parts[0]())
+            results = dict(by_drivers(partial(self.chunk, report=report), parts, len(self.engine.workers)))
         features, variables, _ = zip(*(results[index] for index in range(len(parts))), strict=True)
         return LaneResult(joined(list(features)), joined(list(variables)))
 
     def at(self, inputs: LaneInputs, accuracy: Accuracy) -> Features:
         """Return the features of lanes at another `accuracy`, without check run and early stopping."""
-        batch = self._stepped(self.engine.start(inputs, accuracy), checkpoints(self.settings))
-        return self._observed([batch], Portions(len(inputs), unreported))[0]
+        batch = self._stepped(self.engine.start(inputs, accuracy), False)
+        return self.engine.observe(self.engine.settle([batch]))[0]
 
     def before_observation(self, inputs: LaneInputs) -> Batch:
         """Return lanes at the last checkpoint, up to which main run and check run share their steps."""
         self.compile(inputs)
-        rounds = checkpoints(self.settings, self.stop is not None)
-        return self._stepped(self.engine.start(inputs, self.accuracy), rounds)
+        return self._stepped(self.engine.start(inputs, self.accuracy), self.stop is not None)
 
-    def _stepped(self, batch: Batch, rounds: Iterable[Iterable[float]]) -> Batch:
-        for now in chain(*rounds):
+    def _stepped(self, batch: Batch, on_orbits: bool) -> Batch:
+        for now in chain(*checkpoints(self.settings, on_orbits)):
             [batch] = self.engine.settle([batch], now)
         return batch
 
@@ -127,62 +140,72 @@ class LaneRun:
         run = self.settings
         return run.end_early and not run.keep_returns and self.scene.autonomous and not self.engine.accelerated
 
-    def _measured(self, batch: Batch, portions: Portions) -> Features:
-        """Step lanes from t = 0 and return their features with error estimates."""
-        run, coarse = self.settings, self.stepper.coarser(self.accuracy)
+    def _first_half(self, active: Batch, portions: Portions) -> FirstHalf:
+        """Step lanes from t = 0 until main run and check run separate; set those aside that stop early.
+
+        The computation is interrupted at the same times even without early stopping. Lanes that never settle thus have
+        the same values with and without early stopping.
+        """
+        run, early, coarse = self.settings, self.ends_early, self.stepper.coarser(self.accuracy)
         tolerance = self.accuracy.tolerance or SETTLED * run.error
-        report = partial(_reporter, run, portions)
-        items = list(run_together(self.engine, batch, coarse, tolerance, self.ends_early, self.stop, report))
-        parts = [item for item in items if isinstance(item, ReadyLanes)]
-        ended = [item for item in items if isinstance(item, Ended)]
-        observed = self._observed([part.fine for part in parts] + [part.check for part in parts], portions)
-        features, apart = [item.features for item in ended], np.zeros(0, int)
-        if parts:
+        rule = self.stop.for_chunk() if early and self.stop is not None else None
+        half, before = FirstHalf([], [], []), 0.0
+        for times in checkpoints(run, self.stop is not None):
+            near: list[Batch] = []
+            for now in times:
+                if len(active.lanes):
+                    [active] = self.engine.settle([active], now, _reporter(run, portions, now - before))
+                before = now
+                if rule is not None:
+                    candidates, active = active.split(rule.near(active))
+                    near.append(candidates)
+            if early:
+                assert active.underway is not None
+                returns, end = active.underway.carry, run.settle + run.observe
+                done, duration = settled(returns, now, end, run.observe, tolerance)
+                if done.any():
+                    leaving, active = active.split(done)
+                    fine = leaving.observed(now, duration[done])
+                    half.fine.append(fine)
+                    check = replace(fine, accuracy=coarse).observed((1 + CHECK_SETTLES) * now, duration[done])
+                    half.check.append(check)
+            if rule is not None:
+                candidates = near[0].joined(near[1:])
+                ended = rule.ended(candidates)
+                half.ended.extend(ended)
+                lanes = np.concatenate([np.zeros(0, int), *(part.lanes for part in ended)])
+                active = active.joined([candidates.split(np.isin(candidates.lanes, lanes))[1]])
+            if not len(active.lanes):
+                return half
+        half.fine.append(active)
+        half.check.append(replace(active, accuracy=coarse))
+        return half
+
+    def _second_half(self, batch: Batch, half: FirstHalf, portions: Portions) -> Features:
+        """Observe both runs of a batch and return its features, in order, with error estimates.
+
+        `batch`: the lanes at t = 0.
+        """
+        run, engine, rounds = self.settings, self.engine, checkpoints(self.settings)
+        settling = _reporter(run, portions, run.settle - (rounds[-1][-1] if rounds else 0.0))
+        observing = _reporter(run, portions, 0.0, run.observe)
+        observed = engine.observe(engine.settle(half.fine + half.check, report=settling), observing)
+        fine, check = observed[: len(half.fine)], observed[len(half.fine) :]
+        features, apart = [part.features for part in half.ended], np.zeros(0, int)
+        if fine:
             if (section := self.scene.section) is not None:
-                pairs = zip(parts, observed[: len(parts)], observed[len(parts) :], strict=True)
-                apart = np.concatenate(
-                    [part.fine.lanes[ends_differ(fine, check, section)] for part, fine, check in pairs]
-                )
-            features.insert(0, self._certified(joined(observed[: len(parts)]), joined(observed[len(parts) :])))
+                pairs = zip(half.fine, fine, check, strict=True)
+                apart = np.concatenate([part.lanes[ends_differ(x, y, section)] for part, x, y in pairs])
+            features.insert(0, self._certified(joined(fine), joined(check)))
         if not run.keep_returns and not self.stages:  # the crossings are needed only for the estimate
-            features = [{name: x for name, x in one.items() if x.ndim == 1 or name == END} for one in features]
-        order = np.argsort(np.concatenate([part.fine.lanes for part in parts] + [item.lanes for item in ended]))
+            features = [{name: x for name, x in part.items() if x.ndim == 1 or name == END} for part in features]
+        lanes = [*(part.lanes for part in half.fine), *(part.lanes for part in half.ended)]
+        order = np.argsort(np.concatenate(lanes))
         whole = {name: x[order] for name, x in joined(features).items()}
         if "cycles" in whole:
             numbers = np.searchsorted(batch.lanes, apart)
-            whole["sensitive"] = sensitive(self.engine, batch, whole, numbers, self.plan.lanes)
+            whole["sensitive"] = sensitive(engine, batch, whole, numbers, self.plan.lanes)
         return whole
-
-    def _rows(self, inputs: LaneInputs, report: Report) -> Features:
-        """Return the features of whole rows, which advance in parallel from one lane of each row to the next."""
-        assert inputs.upwards is not None
-        whole = self.engine.start(inputs, self.accuracy)
-        rows = np.arange(len(inputs)).reshape(-1, inputs.row)
-        order = np.where(inputs.upwards[:, None], rows, rows[:, ::-1])
-        runs: list[Features] = []
-        ended = None
-        for lanes in order.T:
-            portions = Portions(len(lanes), report)
-            batch = whole.of(lanes)
-            if ended is not None:
-                # A failed lane has no final state. The next lane of its row begins in its own initial state.
-                assert batch.underway is not None
-                usable = np.isfinite(ended).all(axis=1)
-                initial = zip(ended.T, batch.underway.lane.state, strict=True)
-                batch = self.engine.carried(batch, tuple(np.where(usable, new, old) for new, old in initial))
-            features = self._measured(batch, portions)
-            portions.finish()
-            ended = features.pop(END)
-            runs.append(features)
-        place = np.argsort(order.T.ravel())
-        return {name: x[place] for name, x in joined(runs).items()}
-
-    def _observed(self, batches: list[Batch], portions: Portions) -> list[Features]:
-        """Settle the lanes to the beginning of their observation, observe them, and return their features."""
-        run, rounds = self.settings, checkpoints(self.settings)
-        settling = run.settle - (rounds[-1][-1] if rounds else 0.0)
-        batches = self.engine.settle(batches, report=_reporter(run, portions, settling))
-        return self.engine.observe(batches, _reporter(run, portions, 0.0, run.observe))
 
     def _certified(self, fine: Features, check: Features) -> Features:
         """Return the features of observed lanes, with drift and error estimates."""
@@ -210,6 +233,15 @@ class LaneRun:
             "steps": steps,
             **self.accuracy.described(),
         }
+
+
+def _steps_of_rows(inputs: LaneInputs) -> list[Index]:
+    """Return the lanes that are computed at the same time: all, or one of each row after another."""
+    if not inputs.row:
+        return [np.arange(len(inputs))]
+    assert inputs.upwards is not None
+    rows = np.arange(len(inputs)).reshape(-1, inputs.row)
+    return list(np.where(inputs.upwards[:, None], rows, rows[:, ::-1]).T)
 
 
 def _reporter(run: RunSettings, portions: Portions, settling: float, observing: float = 0.0) -> Report:

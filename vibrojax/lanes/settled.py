@@ -1,19 +1,16 @@
-"""The first half of the lanes' work, which main run and check run share. Lanes that have settled stop early."""
+"""Early stopping: when lanes are checked, which of them have settled, and rules by which others end."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from vibrojax.lanes.engine import Batch, Engine
-from vibrojax.lanes.inputs import Features, Index, Mask, PerLane, Report
+from vibrojax.lanes.engine import Batch
+from vibrojax.lanes.inputs import Features, Index, Mask, PerLane
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.repeats import REPEATS_WITHIN
 from vibrojax.measures.section import Settling
 from vibrojax.physics.arrays import Array
 from vibrojax.settings.run_settings import RunSettings
-from vibrojax.stepping import Accuracy
 
 OBSERVING = 2.0
 """Work per simulated second during the observation, relative to that before the observation."""
@@ -104,13 +101,6 @@ def settled(returns: Settling, now: float, end: float, observe: float, tolerance
     return done, duration
 
 
-class ReadyLanes(NamedTuple):
-    """Lanes at the end of the shared run: a batch for each accuracy."""
-
-    fine: Batch
-    check: Batch
-
-
 class Ended(NamedTuple):
     """Lanes that need no more steps: their indices in the chunk, and their features with error estimates."""
 
@@ -144,54 +134,3 @@ def checkpoints(run: RunSettings, on_orbits: bool = False) -> list[list[float]]:
     half = min(run.settle, (run.settle + OBSERVING * run.observe) / 2)
     rounds = CHECKPOINTS_ON_ORBITS if on_orbits else CHECKPOINTS
     return [[share * half for share in shares] for shares in rounds] if half > 0 else []
-
-
-def run_together(
-    engine: Engine,
-    start: Batch,
-    coarse: Accuracy,
-    tolerance: float,
-    early: bool,
-    rule: StopRule | None,
-    report: Callable[[float], Report],
-) -> Iterator[ReadyLanes | Ended]:
-    """Step lanes from t = 0 until main run and check run separate. First yield the lanes that stop early.
-
-    The computation is interrupted at the same times even without early stopping. Lanes that never settle thus have the
-    same values with and without early stopping.
-
-    **Arguments:** `coarse`: accuracy of the check run; `tolerance`: see `settled`; `early`: whether lanes stop early;
-    `rule`: further rule by which they do; `report(seconds)`: returns the callback for lanes that have been stepped for
-    this time.
-    """
-    run = engine.run
-    ends = rule.for_chunk() if early and rule is not None else None
-    active, before = start, 0.0
-    for times in checkpoints(run, rule is not None):
-        near: list[Batch] = []
-        for now in times:
-            if len(active.lanes):
-                [active] = engine.settle([active], now, report(now - before))
-            before = now
-            if ends is not None:
-                candidates, active = active.split(ends.near(active))
-                near.append(candidates)
-        if early:
-            assert active.underway is not None
-            returns = active.underway.carry
-            done, duration = settled(returns, now, run.settle + run.observe, run.observe, tolerance)
-            if done.any():
-                leaving, active = active.split(done)
-                fine = leaving.observed(now, duration[done])
-                yield ReadyLanes(
-                    fine, replace(fine, accuracy=coarse).observed((1 + CHECK_SETTLES) * now, duration[done])
-                )
-        if ends is not None:
-            candidates = near[0].joined(near[1:])
-            ended = ends.ended(candidates)
-            yield from ended
-            lanes = np.concatenate([np.zeros(0, int), *(part.lanes for part in ended)])
-            active = active.joined([candidates.split(np.isin(candidates.lanes, lanes))[1]])
-        if not len(active.lanes):
-            return
-    yield ReadyLanes(active, replace(active, accuracy=coarse))

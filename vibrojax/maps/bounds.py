@@ -2,19 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
-from functools import partial
+from itertools import product
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from jaxtyping import Float
+from scipy.stats import qmc
 
-from vibrojax.errors import InputError, Place, shown
-from vibrojax.maps.read import read_sweep
+from vibrojax.errors import Place, shown
+from vibrojax.maps.read import sweep_of
 from vibrojax.maps.sweep import Sweep
 from vibrojax.physics.parameters import Parameter
 from vibrojax.settings.fields import Settings, given, setting
 from vibrojax.settings.names import Names, read_names
-from vibrojax.settings.toml import Source
-from vibrojax.settings.values import as_table, quantity, require_number, warn_if_far
+from vibrojax.settings.toml import Source, plain_table, render
+from vibrojax.settings.values import as_table, read_pair, warn_if_far
 
 MAX_VARIED = 12
 """Largest number of varied parameters: a dozen, as many as a person chooses by hand."""
@@ -49,11 +52,8 @@ class VariedFile(SceneFile):
             raise Place(file, "run.carry").error("points have no axis along which lanes continue; leave it out")
         tables = {name: getattr(self, name) for name in ("scene", "title", "parameters", "run", "starts")}
         tables |= {"points": points, "unusual": True} | changes
-        try:
-            return read_sweep({name: value for name, value in tables.items() if value is not None})
-        except InputError as error:
-            words = str(error).replace("sweep:", f"{file}:", 1)
-            raise InputError(words.replace(f"{file}: points.", f"{file}: vary.", 1)) from None
+        tables = plain_table(Place(file), {name: value for name, value in tables.items() if value is not None})
+        return sweep_of(Source("sweep", file, Path(), render(tables), tables), "vary")
 
 
 File = TypeVar("File", bound=SceneFile)
@@ -64,15 +64,6 @@ def read_file(kind: type[File], origin: Source) -> tuple[File, Place, Names]:
     place = Place(origin.file)
     file = kind.read(place, origin.tables)
     return file, place, read_names(place.at("scene"), file.scene, dict(file.parameters), place.at("parameters"))
-
-
-def read_pair(place: Place, value: object, noun: str, parameter: Parameter | None = None) -> tuple[float, float]:
-    """Return two numbers, or two values of a parameter; `noun`: what they are, and an example."""
-    if not isinstance(value, list) or len(value) != 2:
-        raise place.error(f"{shown(value)} is not {noun}")
-    read = require_number if parameter is None else partial(quantity, parameter=parameter)
-    first, second = (read(place.item(k), number) for k, number in enumerate(value))
-    return first, second
 
 
 def read_bounds(
@@ -108,3 +99,13 @@ def read_bounds(
     places = {name: Place(place.file, f"parameters.{name}") for name in fixed}
     names.check_substitutes(places | {name: place.at(name) for name in bounds})
     return bounds
+
+
+def corners(dimensions: int) -> Float[np.ndarray, "corners dimensions"]:
+    """Return the corners of the box [-1, 1]^dimensions."""
+    return np.array([*product((-1.0, 1.0), repeat=dimensions)])
+
+
+def draws(dimensions: int, count: int, seed: int) -> Float[np.ndarray, "count dimensions"]:
+    """Return the first points of a scrambled Sobol sequence in the box [-1, 1]^dimensions."""
+    return np.asarray(2 * qmc.Sobol(dimensions, seed=seed).random(count) - 1)

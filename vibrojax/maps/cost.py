@@ -9,8 +9,8 @@ import numpy as np
 
 from vibrojax.compile.xla import threads
 from vibrojax.errors import Place, counted
-from vibrojax.io.dataset import COMPRESSED
 from vibrojax.io.files import memory, size_text, time_text
+from vibrojax.io.writers import COMPRESSED
 from vibrojax.lanes.engine import steps_at_most
 from vibrojax.lanes.inputs import Index, PerLane
 from vibrojax.lanes.labels import fastest_rates
@@ -34,15 +34,14 @@ LANE_BYTES, ORBIT_BYTES, RETURN_BYTES, PACKED = 210.0, 108.0, 48.0, 0.75
 PROGRAM_BYTES, LOOP_BYTES = 450e6, 4000.0
 """Memory for imported and compiled code, and for a lane in the time loop [bytes]."""
 
-TRIED_LANES, TRIED_RUNS = 256, 8
-"""Number of lanes that `tried` computes, and of runs of consecutive lanes among them, which may share orbits."""
+TRIED_RUNS, TRIED_RUN = 8, 32
+"""Number of runs of consecutive lanes that `tried` computes, and their length; neighbours may share orbits."""
 
-STEPPED_MAX_LANES = 2**40
-"""Number of lanes above which a sweep is certainly rejected and its stiffness is therefore not sampled."""
+SAMPLED_RUNS, SAMPLED_RUN = 8, 256
+"""The same for lanes whose steps are estimated."""
 
-SAMPLES, SAMPLE = 8, 256
-"""Number of positions in a sweep, and number of lanes at each position, for which steps are estimated. In a smaller
-sweep, the steps of all lanes are."""
+SPREAD_MAX_LANES = 2**40
+"""Number of lanes over which samples are spread; a larger sweep is certainly rejected."""
 
 YEARS = 10 * 365.25 * 86400.0
 """Longest time of a sweep [s]."""
@@ -63,20 +62,24 @@ def estimate(sweep: Sweep, to_file: bool = False) -> Cost:
     `to_file`: whether finished chunks are kept on the disk, or in memory.
     """
     size = LANE_BYTES + RETURN_BYTES * sweep.run.keep_returns + ORBIT_BYTES * sweep.run.orbits
-    return _cost(sweep, to_file, size, STEP_SECONDS * estimated_steps(sweep).total / threads())
+    return _cost(sweep, to_file, size, STEP_SECONDS * estimated_steps(sweep).mean() * sweep.lanes / threads())
+
+
+def spread(lanes: int, runs: int, length: int) -> Index:
+    """Return the numbers of lanes in runs that are spread over a sweep, or of all its lanes if they are few."""
+    if lanes <= runs * length:
+        return np.arange(lanes)
+    firsts = np.linspace(0, min(lanes, SPREAD_MAX_LANES) - length, runs).astype(int)
+    return (firsts[:, None] + np.arange(length)).ravel()
 
 
 def tried(sweep: Sweep) -> Cost:
     """Compute one chunk of at most 256 lanes, discard it, and return the cost of the whole sweep to a file."""
     row = 0 if sweep.run.carry is None else len(sweep.axes[sweep.run.carry])
-    if 0 < row <= TRIED_LANES:
-        inputs = sweep.inputs(0, min(TRIED_LANES // row * row, sweep.lanes))
-    elif sweep.lanes <= TRIED_LANES:
-        inputs = sweep.inputs()
-    else:  # runs of lanes, spread over the whole
-        length = TRIED_LANES // TRIED_RUNS
-        firsts = np.linspace(0, sweep.lanes - length, TRIED_RUNS).astype(int)
-        inputs = sweep.inputs_of((firsts[:, None] + np.arange(length)).ravel())
+    if 0 < row <= TRIED_RUNS * TRIED_RUN:
+        inputs = sweep.inputs(0, min(TRIED_RUNS * TRIED_RUN // row * row, sweep.lanes))
+    else:
+        inputs = sweep.inputs_of(spread(sweep.lanes, TRIED_RUNS, TRIED_RUN))
     run = lane_run(inputs, sweep.plan)
     with quiet():
         began = time.monotonic()
@@ -98,41 +101,21 @@ def _cost(sweep: Sweep, to_file: bool, lane_bytes: float, seconds: float) -> Cos
     return Cost(memory, file + lane_bytes * sweep.lanes, file, seconds)
 
 
-def lane_steps(sweep: Sweep, numbers: Index) -> PerLane:
-    """Return the estimated number of steps of each lane in `numbers` (lanes,)."""
+def estimated_steps(sweep: Sweep) -> PerLane:
+    """Return the estimated steps of lanes spread over a sweep, of all if it is small, without running any."""
     run, scene = sweep.run, sweep.system
     accuracy, seconds = run.accuracy(scene), run.settle + run.observe
-    rates = np.full(len(numbers), 1 / accuracy.step)
+    parameters, _ = sweep.values_of(spread(sweep.lanes, SAMPLED_RUNS, SAMPLED_RUN))
+    rates = np.full(len(next(iter(parameters.values()))), 1 / accuracy.step)
     with np.errstate(all="ignore"):
         if not run.stepper.smooths:
             if isinstance(scene, HasRock):
                 rates += ROCK_EVENTS if scene.autonomous else PULSE_EVENTS
             else:
                 rates += CONTACT_EVENTS if isinstance(scene, HasContact) else FRICTION_EVENTS
-            if isinstance(scene, HasFriction) and sweep.lanes <= STEPPED_MAX_LANES:
-                rates += fastest_rates(scene, sweep.values_of(numbers)[0]).flight / accuracy.stride
+            if isinstance(scene, HasFriction):
+                rates += fastest_rates(scene, parameters).flight / accuracy.stride
         return np.minimum(np.nan_to_num(rates, nan=np.inf) * seconds, steps_at_most(seconds, accuracy))
-
-
-class Steps(NamedTuple):
-    """Estimated steps of the slowest lane of a sweep, and of all its lanes."""
-
-    slowest: float
-    total: float
-
-
-def estimated_steps(sweep: Sweep) -> Steps:
-    """Return the estimated steps of a sweep, without compiling or stepping."""
-    lanes = sweep.lanes
-    if lanes > STEPPED_MAX_LANES:
-        numbers = np.zeros(1, int)
-    elif lanes <= SAMPLES * SAMPLE:
-        numbers = np.arange(lanes)
-    else:
-        firsts = np.linspace(0, lanes - SAMPLE, SAMPLES).astype(int)
-        numbers = (firsts[:, None] + np.arange(SAMPLE)).ravel()
-    steps = lane_steps(sweep, numbers)
-    return Steps(float(steps.max()), float(steps.mean()) * lanes)
 
 
 def check_size(sweep: Sweep, out: Path | None = None, to_file: bool = False, cost: Cost | None = None) -> None:

@@ -1,15 +1,12 @@
 """Assembly of a sweep's dataset from its finished chunks, one block of lanes after another, to limit memory.
 
-A block, here called region, fills a box in the dataset's arrays. While one thread writes values, another one reads the
-next chunks. A large dataset is written about as fast as the disk allows; file compression is slower, see
-[vibrojax.io.dataset][].
+A block, here called region, fills a box in the dataset's arrays.
 """
 
 import json
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -17,11 +14,11 @@ import xarray as xr
 
 from vibrojax.io.identity import IDENTITY, identity_text
 from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.targets import Region, Regions, Target
 from vibrojax.io.variables import Variable
+from vibrojax.io.writers import Region, Regions, Target
 from vibrojax.lanes.inputs import Features, LaneResult
 from vibrojax.lanes.labels import variables_of, with_radius
-from vibrojax.lanes.run import LaneRun
+from vibrojax.lanes.run import LaneRun, joined
 from vibrojax.maps.starts import VECTOR
 from vibrojax.maps.sweep import DIRECTIONS, Sweep
 from vibrojax.measures.labels import hides_another, shares_transient
@@ -57,7 +54,8 @@ def join(sweep: Sweep, run: LaneRun, read: Read, target: Target, began: float) -
     counts: Counter[str] = Counter()
     begun = False
     with quiet():
-        for regions, variables in _parts(sweep, lanes):
+        for regions in _groups(sweep):
+            variables = lanes.take(regions[0].first, regions[-1].end)
             counts.update(certified(sweep, variables))
             if not begun:
                 template = _template(sweep, variables)
@@ -77,29 +75,6 @@ def join(sweep: Sweep, run: LaneRun, read: Read, target: Target, began: float) -
     target.finish(values | {name: json.dumps(about) for name, about in described.items()})
 
 
-def _parts(sweep: Sweep, lanes: "_Lanes") -> Iterator[tuple[list[Region], Features]]:
-    """Yield array regions that are written together and the variables of their lanes, in order, the next one ahead."""
-
-    def read(regions: list[Region]) -> tuple[list[Region], Features]:
-        variables = lanes.take(regions[0].first, regions[-1].end)
-        if sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in variables:
-            of_points = (variables, variables["regime"], len(sweep.starts))
-            variables |= {"hidden_motion": hides_another(*of_points), "sensitive": shares_transient(*of_points)}
-        return regions, {name: variables[name] for name in variables_of(sweep.system) if name in variables}
-
-    with ThreadPoolExecutor(1) as reader:
-        ahead: deque[Future[tuple[list[Region], Features]]] = deque()
-        try:
-            for regions in _groups(sweep):
-                ahead.append(reader.submit(read, regions))
-                if len(ahead) > 1:
-                    yield ahead.popleft().result()
-            yield ahead.popleft().result()
-        finally:
-            for future in ahead:
-                future.cancel()
-
-
 def _write(sweep: Sweep, target: Target, regions: list[Region], variables: Features) -> None:
     # With `carry`, the order of dimensions in which lanes are numbered differs from that of the dataset.
     first, order = regions[0].first, [sweep.counted.index(name) for name in sweep.dims]
@@ -114,13 +89,16 @@ class _Lanes:
     """Sequential access to the lanes of all chunks, with one chunk in memory at a time."""
 
     def __init__(self, sweep: Sweep, read: Read) -> None:
-        self._size, self._read = sweep.plan.chunk, read
+        self._sweep, self._size, self._read = sweep, sweep.plan.chunk, read
         self._index = -1
         self._chunk: Features = {}
         self.seconds, self.steps = 0.0, 0
 
     def take(self, first: int, end: int) -> Features:
-        """Return the variables of the lanes from `first` to `end` (exclusive), which follow the last ones."""
+        """Return the variables of the lanes from `first` to `end` (exclusive), which follow the last ones.
+
+        They contain all initial conditions of their points, which are compared.
+        """
         parts = []
         for index in range(first // self._size, (end - 1) // self._size + 1):
             if index != self._index:
@@ -129,7 +107,14 @@ class _Lanes:
                 self.steps += int(self._chunk.pop(STEPS))
             begin = index * self._size
             parts.append({name: x[max(first - begin, 0) : end - begin] for name, x in self._chunk.items()})
-        return parts[0] if len(parts) == 1 else {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}
+        variables, starts = joined(parts), self._sweep.starts
+        if self._sweep.crosses_starts and starts is not None and len(starts) > 1 and "regime" in variables:
+            of_points = (variables, variables["regime"], len(starts))
+            variables = variables | {
+                "hidden_motion": hides_another(*of_points),
+                "sensitive": shares_transient(*of_points),
+            }
+        return {name: variables[name] for name in variables_of(self._sweep.system) if name in variables}
 
 
 def _groups(sweep: Sweep) -> Iterator[list[Region]]:
@@ -232,24 +217,23 @@ def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
         for name, column in columns.items():
             coords[name] = ((along or name,), column, parameter_attributes(sweep, name))
     states = {f"{VECTOR}{state.name}": state for state in sweep.system.states}
-    for name, column in (sweep.point_vectors or {}).items():
-        add(name, "point", column, f"{states[name].long_name} at t = 0", states[name].unit)
+    vectors = sweep.starts.columns if sweep.starts is not None and sweep.starts.has_vectors else {}
+    if sweep.own_starts:
+        for name, column in vectors.items():
+            add(name, "point", column, f"{states[name].long_name} at t = 0", states[name].unit)
     if sweep.points is not None:
         add("point", "point", np.arange(sweep.shape[0]), "number of the point")
-    if sweep.point_starts is not None:
-        add("start", "point", np.array(sweep.point_starts), "start of the motion")
-    elif sweep.run.carry is not None:
+    if sweep.run.carry is not None:
         meaning = f"way along {sweep.run.carry} in which lanes run, each from where the last one ended"
         add("direction", "direction", np.array(DIRECTIONS), meaning)
-    elif (starts := sweep.starts) is not None:
-        names = [start if isinstance(start, str) else json.dumps(list(start)) for start in starts]
-        labels = np.array(names) if starts.listed else np.arange(len(starts))
-        add("start", "start", labels, "start of the motion")
-        if starts.has_vectors:
-            for name, column in zip([f"{VECTOR}{name}" for name in starts.states], starts.vectors.T, strict=True):
-                coords[name] = (("start",), column, {})  # a scene may start from other states than its own
-                if name in states:
-                    add(name, "start", column, f"{states[name].long_name}, at t = 0", states[name].unit)
+    elif sweep.starts is not None and not (sweep.own_starts and vectors):
+        names = [start if isinstance(start, str) else json.dumps(list(start)) for start in sweep.starts]
+        labels = np.array(names) if sweep.starts.listed else np.arange(len(names))
+        add("start", "point" if sweep.own_starts else "start", labels, "start of the motion")
+        for name, column in vectors.items():
+            coords[name] = (("start",), column, {})  # a scene may start from other states than its own
+            if name in states:
+                add(name, "start", column, f"{states[name].long_name}, at t = 0", states[name].unit)
     if "return_index" in rows:
         length = np.arange(rows["return_index"])
         add("return_index", "return_index", length, "number of the return that is kept, the newest last")

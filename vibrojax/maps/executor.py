@@ -7,9 +7,9 @@ import stat
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from threading import Lock
@@ -21,11 +21,11 @@ from vibrojax.compile.xla import usable_cores, with_threads
 from vibrojax.errors import InputError, Place
 from vibrojax.lanes.inputs import Features, Report, unreported
 from vibrojax.lanes.run import LaneRun
-from vibrojax.maps.dataset import SECONDS, stored
+from vibrojax.maps.dataset import stored
 from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.lane_stages import lane_run
-from vibrojax.progress import LOG
-from vibrojax.threads import on_leaving
+from vibrojax.progress import quiet
+from vibrojax.threads import by_drivers, on_leaving
 
 AHEAD = 256
 """Number of chunks submitted at once to an executor with an unknown number of workers."""
@@ -74,77 +74,74 @@ def compute(
 ) -> Iterator[tuple[int, Features]]:
     """Compute chunks, and yield (index, arrays to store) as soon as each is finished, in any order.
 
-    `report` is called with the number of lanes finished since its last call; `executor`: see `run_sweep`.
+    Each of as many threads as there are cores computes a chunk of its own. `report` is called with the number of lanes
+    finished since its last call. `executor`: see `run_sweep`; this process computes what the executor fails to deliver.
     """
     if executor is not None:
-        check_executor(executor)
-        for index, arrays in _by_executor(sweep, run, executor, indices):
-            report(int(np.subtract(*sweep.chunk(index)[::-1])))
-            yield index, arrays
+        indices = yield from _by_executor(sweep, executor, indices, report)
+    if not indices:
         return
-    # Chunks that are computed at the same time share the cores.
-    at_once = max(min(len(run.engine.workers), len(indices)), 1)
     parts = [partial(sweep.inputs, *sweep.chunk(index)) for index in indices]
-    for place, result in run.chunks(parts, report):
-        yield indices[place], stored(result, result.seconds / at_once)
+    cores = len(run.engine.workers)
+    at_once = min(cores, len(indices))  # these chunks share the cores
+    with quiet():
+        run.compile(parts[0]())
+        for place, result in by_drivers(partial(run.chunk, report=report), parts, cores):
+            yield indices[place], stored(result, result.seconds / at_once)
 
 
 def _by_executor(
-    sweep: Sweep, run: LaneRun, executor: Executor, order: Sequence[int]
-) -> Iterator[tuple[int, Features]]:
-    """Compute the chunks of a sweep in this order; yield each one as soon as it is finished.
+    sweep: Sweep, executor: Executor, indices: Sequence[int], report: Report
+) -> Generator[tuple[int, Features], None, list[int]]:
+    """Compute chunks in the workers of an executor; yield each one as soon as it is finished.
 
-    If a worker raises, this process computes its chunk. If the executor breaks down (a process of Python's own pool
-    died, or the scheduler is gone), this process computes all remaining chunks. Each task contains all data for
-    its chunk.
+    **Returns:** the chunks that the executor has not delivered: those whose worker raised, and, if it broke down (a
+    process of Python's own pool died, or the scheduler is gone), all that remained.
 
-    **Raises:** the error of a chunk that also fails in this process; `InputError` if the sweep cannot be pickled.
+    **Raises:** `InputError` from a worker, or if the executor is unsuitable or the sweep cannot be pickled.
     """
+    check_executor(executor)
     count = getattr(executor, "_max_workers", None)
     workers = count if isinstance(count, int) and count > 0 else 0  # 0: the executor does not state their number
     task, threads = pickled(sweep), max(1, usable_cores() // workers) if workers else 1
-    ahead = workers * QUEUED or AHEAD
-    waiting, local = deque(order), list[int]()
-    running: dict[Any, int] = {}
-    began, busy = time.monotonic(), 0.0
+    waiting, failed, running = deque(indices), list[int](), dict[Any, int]()
 
-    def stop(problem: str, error: BaseException) -> None:
-        if waiting or not local:
-            _warn(f"{problem} ({_first_line(error)}); the rest is computed here")
-        local.extend(waiting)
-        waiting.clear()
+    def fail(index: int, error: Exception, broken: bool) -> None:
+        if isinstance(error, InputError):
+            raise error
+        if not broken or waiting or not failed:
+            what = "the executor broke down" if broken else f"chunk {index} failed with a worker"
+            _warn(f"{what} ({_first_line(error)}); {'the rest' if broken else 'it'} is computed here")
+        failed.extend([index, *waiting] if broken else [index])
+        if broken:
+            waiting.clear()
 
-    try:
-        while waiting or running:
-            while waiting and len(running) < ahead:
-                try:
-                    running[executor.submit(compute_chunk, task, waiting[0], threads)] = waiting[0]
-                except InputError:
-                    raise
-                except Exception as error:
-                    stop("the executor takes no more chunks", error)
-                    break
-                waiting.popleft()
-            for future in _done(list(running)):
-                index = running.pop(future)
-                try:
-                    arrays = future.result()
-                except InputError:
-                    raise
-                except Exception as error:
-                    if isinstance(error, (BrokenExecutor, CancelledError)):
-                        stop("the executor broke down", error)
+    def cancel() -> None:
+        for future in list(running):
+            with suppress(Exception):
+                future.cancel()
+
+    with on_leaving(cancel):
+        try:
+            while waiting or running:
+                while waiting and len(running) < (workers * QUEUED or AHEAD):
+                    index = waiting.popleft()
+                    try:
+                        running[executor.submit(compute_chunk, task, index, threads)] = index
+                    except Exception as error:
+                        fail(index, error, broken=True)
+                for future in _done(list(running)):
+                    index = running.pop(future)
+                    try:
+                        arrays = future.result()
+                    except Exception as error:
+                        fail(index, error, isinstance(error, (BrokenExecutor, CancelledError)))
                     else:
-                        _warn(f"chunk {index} failed with a worker ({_first_line(error)}); computed here")
-                    local.append(index)
-                else:
-                    busy += float(arrays[SECONDS])
-                    yield index, arrays
-    finally:
-        for future in running:
-            future.cancel()
-    LOG.info("workers: %.1f s busy in %.1f s", busy, time.monotonic() - began)
-    yield from compute(sweep, run, local)
+                        report(int(np.subtract(*sweep.chunk(index)[::-1])))
+                        yield index, arrays
+        finally:
+            cancel()
+    return failed
 
 
 def compute_chunk(task: bytes, index: int, threads: int | None) -> Features:
@@ -190,27 +187,9 @@ def _first_line(error: BaseException) -> str:
     return f"{type(error).__name__}: {first}" if first else type(error).__name__
 
 
-class _SlurmJobs:
-    """An executor that runs each call in a job of its own, at most `jobs` at a time."""
-
-    def __init__(self, executor: Any, jobs: int) -> None:
-        self._executor, self._max_workers = executor, jobs  # `by_executor` reads the number of workers
-        self._jobs: list[Any] = []
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any) -> Any:
-        self._jobs.append(self._executor.submit(fn, *args))
-        return self._jobs[-1]
-
-    def cancel(self) -> None:
-        """Cancel the jobs that have not ended."""
-        for job in self._jobs:
-            if not job.done():
-                job.cancel(check=False)
-
-
 @contextmanager
 def slurm_executor(folder: Path, jobs: int) -> Iterator[Executor]:
-    """Yield an executor that runs each call in a job of SLURM, at most `jobs` at a time; at the end, cancel the jobs.
+    """Yield an executor that runs each call in a job of SLURM, twice as many as `jobs` at a time.
 
     Further options of SLURM (partition, account, memory, time) are read from the environment variables SBATCH_*.
 
@@ -231,14 +210,10 @@ def slurm_executor(folder: Path, jobs: int) -> Iterator[Executor]:
     shared = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     if status.st_uid != os.geteuid() or shared or not stat.S_ISDIR(status.st_mode):  # files there are unpickled
         raise InputError(f"{folder}: others can write to it, and could run code in the jobs; remove it")
-    executor = submitit.AutoExecutor(folder=folder, cluster="slurm")
+    executor: Any = submitit.AutoExecutor(folder=folder, cluster="slurm")
     executor.update_parameters(name="vibrojax", timeout_min=SLURM_LIMIT_MINUTES, cpus_per_task=1)
-    running = _SlurmJobs(executor, jobs)
-    with on_leaving(running.cancel):
-        try:
-            yield running
-        finally:
-            running.cancel()
+    executor._max_workers = jobs  # `_by_executor` reads the number of workers
+    yield executor
     shutil.rmtree(folder, ignore_errors=True)
 
 

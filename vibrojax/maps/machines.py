@@ -1,19 +1,20 @@
 """Machines: one or several points of a scene, each from one start, as functions and commands of analyses take them."""
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import numpy as np
 
 from vibrojax.errors import Place, shown
-from vibrojax.maps.read import Point, read_point, read_sweep
+from vibrojax.lazy import jax
+from vibrojax.maps.read import check_run, completed, read_parameters, read_start
+from vibrojax.maps.starts import list_of
 from vibrojax.maps.sweep import Sweep
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.run_settings import read_settings
-from vibrojax.settings.values import UnusualValue, warn_if_far
+from vibrojax.settings.toml import plain_table
+from vibrojax.settings.values import warn_if_far
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,12 +22,10 @@ class Machines:
     """Checked points of one scene.
 
     - `place`: where errors occur, the name of the analysis.
-    - `first`: the first machine.
     - `sweep`: sweep with one lane for each machine; `several`: whether a list of them was given.
     """
 
     place: Place
-    first: Point
     sweep: Sweep
     several: bool
 
@@ -49,28 +48,38 @@ def read_machines(
 
     **Raises:** `InputError`.
     """
-    several, fixed = several_and_single(parameters)
-    begin, run = begin or {}, {name: value for name, value in (run or {}).items() if value is not None}
-    names = read_names(place.at("scene"), scene, dict(fixed), place)
-    read_settings(place, run, names.system)
-    number = _count(place, names, several)
-    first = {name: column[0] for name, column in several.items()}
-    with warnings.catch_warnings():  # all values are checked below
-        warnings.simplefilter("ignore", UnusualValue)
-        point = read_point(place, scene, {**fixed, **first, **begin}, start)
-    for name, value in (fixed | several).items():
-        if name in names.writable:
+    lists, single = several_and_single(parameters)
+    names = read_names(place.at("scene"), scene, single, place)
+    settings = read_settings(place, {name: x for name, x in (run or {}).items() if x is not None}, names.system)
+    columns = _read_columns(place, names, lists)
+    number = len(next(iter(columns.values()))) if columns else 1
+    fixed = read_parameters(place, plain_table(place, single), names)
+    columns = {name: np.full(number, value) for name, value in (begin or {}).items()} | columns
+    names.check_substitutes({name: place.at(name) for name in (*single, *columns)})
+    for name, value in (fixed | columns).items():
+        if name in parameters and name in names.writable:
             warn_if_far(place.at(name), names.writable[name], value)
-    columns = {name: [value] * number for name, value in begin.items()} | several
-    several_given = bool(columns)
-    if not columns and point.start is None:  # one lane without a start: its point is listed
-        name = next(iter(point.parameters))
-        columns, fixed = {name: [point.parameters[name]]}, {key: x for key, x in fixed.items() if key != name}
-    tables: dict[str, Any] = {"scene": scene, "parameters": fixed, "unusual": True, "run": run}
-    tables |= {"points": columns} if columns else {}
-    if point.start is not None:
-        tables["starts"] = [point.start if isinstance(point.start, str) else list(point.start)]
-    return Machines(place, point, read_sweep(tables), several_given)
+    begun, several = read_start(place.at("start"), start, names), bool(columns)
+    if not columns and begun is None:  # one lane without a start: its point is listed
+        name = next(iter(names.parameters))
+        columns = {name: np.array([completed(names, fixed)[name]])}
+        fixed.pop(name, None)
+    sweep = Sweep(
+        name=place.file,
+        text="",
+        title="",
+        scene=names.scene,
+        options=dict(names.options),
+        system=names.system,
+        starts=None if begun is None else list_of([begun], names.system.start_states),
+        parameters=completed(names, fixed, columns),
+        given=fixed,
+        points=columns or None,
+        run=settings,
+        file=place.file,
+    )
+    check_run(place, sweep)
+    return Machines(place, sweep, several)
 
 
 def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:
@@ -83,23 +92,21 @@ def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list
     return several, {name: x for name, x in parameters.items() if name not in several}
 
 
-def _count(place: Place, names: Names, several: Mapping[str, list[Any]]) -> int:
-    """Check the values in which machines differ, and return the number of machines."""
-    for name, column in several.items():
+def _read_columns(place: Place, names: Names, lists: Mapping[str, list[Any]]) -> dict[str, np.ndarray]:
+    """Return the validated values in which machines differ, each (machines,)."""
+    columns = {}
+    for name, values in lists.items():
+        here = place.at(name)
         if name in names.options:
-            raise place.at(name).error(f"{shown(column)} is a list; it is chosen once for all")
-        if not column:
-            raise place.at(name).error("is empty; give a value")
-        for index, value in enumerate(column):
-            item = place.at(name).item(index)
-            if name in names.presets:
-                names.preset(item, name, value)
-            else:
-                names.quantity(item, name, value)
-    sizes = {name: len(column) for name, column in several.items()}
+            raise here.error(f"{shown(values)} is a list; it is chosen once for all")
+        if not values:
+            raise here.error("is empty; give a value")
+        read = names.preset if name in names.presets else names.quantity
+        columns[name] = np.array([read(here.item(index), name, value) for index, value in enumerate(values)])
+    sizes = {name: len(column) for name, column in columns.items()}
     if len(set(sizes.values())) > 1:
         lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
         raise place.error(
             f"lists of different lengths ({lengths}); give one machine's values at the same place of each"
         )
-    return next(iter(sizes.values()), 1)
+    return columns

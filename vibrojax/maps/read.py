@@ -1,6 +1,6 @@
 """Reading and validation of a sweep from a file, a bundled name or a dict, and of a single point of a scene."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.maps.starts import VECTOR, Points, Start, list_of, read_points, read_starts
+from vibrojax.maps.starts import Points, Start, read_points, read_starts
 from vibrojax.maps.sweep import Sweep, with_substitutes
 from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.scenes import SCENES, HasRock, Scene
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.run_settings import RunSettings, read_settings
-from vibrojax.settings.toml import Source, plain, plain_table, read_source, with_changes
+from vibrojax.settings.toml import TABLES, TOP_KEYS, Source, plain, plain_table, read_source, with_changes
 from vibrojax.settings.values import as_table, check_distinct, flag, read_axis, warn_if_far
 
-_TOP_KEYS = ("scene", "title", "starts", "unusual", "parameters", "grid", "points", "run")
+_KEYS = (*TOP_KEYS, *TABLES, "points")
 
 SWEEP_MAX_LANES = 2**62
 """Maximum number of lanes of a sweep, which are numbered by 64-bit integers."""
@@ -42,31 +42,30 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     origin = read_source(source)
     if words := tuple(changes):
         origin = with_changes(origin, words)
+    return sweep_of(origin)
+
+
+def sweep_of(origin: Source, table_of_points: str = "points") -> Sweep:
+    """Return the sweep with these tables, validated and completed; messages about points name `table_of_points`."""
     place, tables = Place(origin.file), origin.tables
     _check_top(place, tables)
     in_parameters = place.at("parameters")
     table = dict(as_table(in_parameters, tables.get("parameters", {})))
     names = read_names(place.at("scene"), tables["scene"], table, in_parameters)
     fixed = read_parameters(in_parameters, table, names)
-    axes, points = _read_varied(place, origin, names)
+    axes, points = _read_varied(place, origin, names, table_of_points)
     varied = points.columns if points else axes
-    varying = place.at("points" if points else "grid")
+    varying = place.at(table_of_points if points else "grid")
     places = {name: in_parameters.at(name) for name in table} | {name: varying.at(name) for name in varied}
     names.check_substitutes(places)
     for name in varied:
         if name in table:
             raise varying.at(name).error("is in [parameters] as well; give it in one of the two")
     starts = read_starts(place.at("starts"), tables.get("starts"), names)
-    vectors = None
-    if points and points.starts:
-        starts = list_of(tuple(dict.fromkeys(points.starts)), names.system.start_states)
-    if points and points.vectors:
-        starts, vectors = None, {f"{VECTOR}{x}": points.vectors[f"{VECTOR}{x}"] for x in names.system.start_states}
+    own = points.starts if points else None
     title = tables.get("title", "")
     if not isinstance(title, str):
         raise place.at("title").error(f"{shown(title)} is not text; write it in quotes")
-    absent = {*varied} | names.substituted({*fixed, *varied})
-    defaults = {name: parameter.default for name, parameter in names.parameters.items() if name not in absent}
     sweep = Sweep(
         name=origin.name,
         text=origin.text,
@@ -74,19 +73,18 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         scene=names.scene,
         options=dict(names.options),
         system=names.system,
-        starts=starts,
-        parameters=with_substitutes(names.system, defaults | fixed),
+        starts=own or starts,
+        parameters=completed(names, fixed, varied),
         given=fixed,
         axes=axes,
         points=points.columns if points else None,
-        point_starts=points.starts if points else None,
-        point_vectors=vectors,
+        own_starts=own is not None,
         run=read_settings(place.at("run"), as_table(place.at("run"), tables.get("run", {})), names.system),
         file=origin.file,
     )
     if sweep.lanes > SWEEP_MAX_LANES:
         raise place.at("grid").error(f"{shown(sweep.lanes)} lanes are too many; make the axes shorter")
-    _check_run(place.at("run"), sweep)
+    check_run(place.at("run"), sweep)
     if not flag(place.at("unusual"), tables.get("unusual", False)):
         for name, value in {**fixed, **varied}.items():
             if name not in names.presets:
@@ -109,10 +107,17 @@ def read_parameters(place: Place, table: dict[str, object], names: Names) -> dic
     return {name: names.quantity(place.at(name), name, value) for name, value in table.items()} | set_by_presets
 
 
+def completed(names: Names, fixed: dict[str, float], varied: Collection[str] = ()) -> dict[str, Any]:
+    """Return all parameters that do not vary: those in `fixed`, and the defaults of those that nothing else defines."""
+    absent = {*varied} | names.substituted({*fixed, *varied})
+    defaults = {name: parameter.default for name, parameter in names.parameters.items() if name not in absent}
+    return with_substitutes(names.system, defaults | fixed)
+
+
 def _check_top(place: Place, tables: dict[str, object]) -> None:
     """Raise if a key does not belong at the top level of the file, or if the scene is missing."""
     for key in tables:
-        if key in _TOP_KEYS:
+        if key in _KEYS:
             continue
         if key in RunSettings.__dataclass_fields__:
             raise place.at(key).error("unknown key at the top; it belongs in [run]")
@@ -120,18 +125,20 @@ def _check_top(place: Place, tables: dict[str, object]) -> None:
         names = read_names(place.at("scene"), scene) if scene is not None else None
         if any(key in kind.choices for kind in SCENES.values()) or (names and key in names.writable):
             raise place.at(key).error("unknown key at the top; it belongs in [parameters]")
-        raise place.at(key).error(f"unknown key; {suggestion(key, _TOP_KEYS)}")
+        raise place.at(key).error(f"unknown key; {suggestion(key, _KEYS)}")
     if "scene" not in tables:
         raise place.at("scene").error('missing; write the scene\'s name, like scene = "vibro-impact"')
 
 
-def _read_varied(place: Place, origin: Source, names: Names) -> tuple[dict[str, np.ndarray], Points | None]:
+def _read_varied(
+    place: Place, origin: Source, names: Names, table_of_points: str
+) -> tuple[dict[str, np.ndarray], Points | None]:
     """Return the axes of the grid, or the points. The other of the two is empty or None."""
     tables = origin.tables
     if "points" in tables and "grid" in tables:
         raise place.at("points").error(f"{shown(tables['points'])} beside [grid]; give one of them")
     if "points" in tables:
-        return {}, read_points(place.at("points"), tables["points"], origin.folder, names)
+        return {}, read_points(place.at(table_of_points), tables["points"], origin.folder, names)
     place = place.at("grid")
     grid = as_table(place, tables.get("grid", {}))
     if not grid and ("grid" in tables or "starts" not in tables or not names.has_starts):
@@ -152,7 +159,7 @@ def _read_varied(place: Place, origin: Source, names: Names) -> tuple[dict[str, 
     return axes, None
 
 
-def _check_run(place: Place, sweep: Sweep) -> None:
+def check_run(place: Place, sweep: Sweep) -> None:
     """Raise if a setting does not apply to the scene, or if continuation along the axis `carry` is impossible."""
     if sweep.run.carry is not None:
         name, place_of_carry = sweep.run.carry, place.at("carry")
@@ -172,6 +179,15 @@ def _check_run(place: Place, sweep: Sweep) -> None:
         raise place.at("orbits").error(f"{useless} without a section or pulses to return to; leave it out")
     if sweep.run.lyapunov and sweep.system.section is None:
         raise place.at("lyapunov").error(f"{useless}, which has no section to return to; leave it out")
+
+
+def read_start(place: Place, value: object, names: Names) -> Start | None:
+    """Return the initial condition of one point, by default the first of the scene; None if it has none."""
+    if value is None:
+        return names.starts[0] if names.starts else None
+    if not names.has_starts:
+        raise place.error(f"scene {shown(names.scene)} has no starts; leave it out")
+    return names.start(place, plain(place, value))
 
 
 @dataclass(frozen=True)
@@ -216,19 +232,12 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     names = read_names(place.at("scene"), scene, table, place)
     table = plain_table(place, table)
     fixed = read_parameters(place, table, names)
-    if start is None:
-        start = names.starts[0] if names.starts else None
-    elif not names.has_starts:
-        raise place.at("start").error(f"scene {shown(names.scene)} has no starts; leave it out")
-    else:
-        start = names.start(place.at("start"), plain(place.at("start"), start))
+    start = read_start(place.at("start"), start, names)
     names.check_substitutes({name: place.at(name) for name in table})
     for name, value in fixed.items():
         if name in table:
             warn_if_far(place.at(name), names.writable[name], value)
-    absent = names.substituted(set(fixed))
-    values = {name: parameter.default for name, parameter in names.parameters.items() if name not in absent}
-    values = with_substitutes(names.system, values | fixed)
+    values = completed(names, fixed)
     ordered = {name: values[name] for name in names.parameters}
     radius = fixed.get("bit_radius", HOLE_RADIUS)
     return Point(names.scene, dict(names.options), start, ordered, names.system, radius)

@@ -172,9 +172,9 @@ def rerun_problem(sweep: Sweep, most_steps: float = RERUN_MAX_STEPS) -> str:
     **Arguments:** `most_steps`: limit on the estimated steps of all lanes.
     """
     steps = estimated_steps(sweep)
-    if steps.slowest <= RERUN_LANE_MAX_STEPS and steps.total <= most_steps:
+    if steps.max() <= RERUN_LANE_MAX_STEPS and steps.mean() * sweep.lanes <= most_steps:
         return ""
-    return f"{sweep.lanes} lanes of up to {steps.slowest:.3g} steps, more than is run for a dataset"
+    return f"{sweep.lanes} lanes of up to {steps.max():.3g} steps, more than is run for a dataset"
 
 
 def has_lanes_of(dataset: xr.Dataset, sweep: Sweep) -> bool:
@@ -192,27 +192,18 @@ def at_coordinates(sweep: Sweep, coords: Coordinates) -> Sweep:
     names = read_names(_PLACE, sweep.system)
     tables: dict[str, Any] = tomllib.loads(sweep.text)
     if "points" in tables:
-        columns = {
-            **(sweep.points or {}),
-            **(sweep.point_vectors or {}),
-            **({"start": 0} if sweep.point_starts else {}),
-        }
-        points = _read(sweep, tables | points_at(tables, columns, coords))
+        points = _read(sweep, tables | points_at(tables, [*(sweep.points or {}), *sweep.start_columns], coords))
         return sweep if points.identity() == sweep.identity() else points
     grid, fixed = dict(tables.get("grid", {})), dict(tables.get("parameters", {}))
     changed = False
     for name in dict.fromkeys([*sweep.axes, *_parameters_in(coords, names)]):
         value = _along(coords, name, name)
-        if isinstance(value, list):
-            if name in sweep.axes and np.array_equal(value, sweep.axes[name]):
-                continue
-            grid[name] = value
-            fixed.pop(name, None)
-        elif name in sweep.axes or value != fixed.get(name, sweep.given.get(name, sweep.parameters.get(name))):
-            grid.pop(name, None)
-            fixed[name] = value
-        else:
+        before = sweep.axes[name].tolist() if name in sweep.axes else fixed.get(name, sweep.given.get(name))
+        if value == (sweep.parameters.get(name) if before is None else before):
             continue
+        table, other = (grid, fixed) if isinstance(value, list) else (fixed, grid)
+        table[name] = value
+        other.pop(name, None)
         changed = True
     starts = _starts_at(sweep, coords)
     if starts is not None and (starts != list(sweep.starts or ()) or "starts" not in tables):

@@ -6,7 +6,7 @@ chunks. `io` writes the dataset completely or not at all, and `maps.store` keeps
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -16,14 +16,14 @@ import xarray as xr
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.files import provenance
 from vibrojax.io.identity import check_ours, check_replaceable
-from vibrojax.io.targets import InMemory, Target, file_target
+from vibrojax.io.writers import InMemory, Target, file_target
 from vibrojax.lanes.inputs import Features
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.cost import check_size
 from vibrojax.maps.dataset import join
 from vibrojax.maps.executor import Executor, compute
 from vibrojax.maps.read import read_sweep
-from vibrojax.maps.store import CHUNKS, DamagedChunk, Store, report_damage
+from vibrojax.maps.store import CHUNKS, DamagedChunk, open_store, report_damage
 from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.lane_stages import lane_run
 from vibrojax.progress import Progress, timed
@@ -137,11 +137,10 @@ def _computed(
     began = time.monotonic()
     run = lane_run(sweep.inputs(0, 1), sweep.plan)
     manifest = sweep.identity() | provenance() | {"chunk size": sweep.plan.chunk}
-    with Store(out.with_name(out.name + CHUNKS), manifest) as store:
+    with open_store(out.with_name(out.name + CHUNKS), manifest, resume) as store:
         with Progress(sweep.lanes, "lanes", progress) as bar:
-            store.open(resume)
             finished = store.finished()
-            bar.resume(_lanes_of(sweep, finished))
+            bar.resume(sum(end - first for first, end in map(sweep.chunk, finished)))
             missing = sorted(set(range(sweep.chunks)) - finished)
             with timed("compile and step"):
                 for index, arrays in compute(sweep, run, missing, bar.add, executor):
@@ -156,7 +155,3 @@ def _computed(
 
         yield lambda target: join(sweep, run, read, target, began)
         store.remove()
-
-
-def _lanes_of(sweep: Sweep, chunks: Iterable[int]) -> int:
-    return sum(end - first for first, end in map(sweep.chunk, chunks))

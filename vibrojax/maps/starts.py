@@ -4,10 +4,9 @@ Initial conditions are a list of names and vectors, a random sample of a box, or
 from a CSV file or a table of columns, takes the place of a grid.
 """
 
-import re
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from math import prod
 from pathlib import Path
 from sys import intern
@@ -18,17 +17,17 @@ from jaxtyping import Float, Int
 
 from vibrojax.errors import Place, shown
 from vibrojax.io.tables import read_table
+from vibrojax.settings.fields import Settings, setting
 from vibrojax.settings.names import Names
 from vibrojax.settings.values import (
     AXIS_MAX_VALUES,
     STATE,
     as_table,
     check_distinct,
-    choice,
-    count,
     known_keys,
     quantity,
     read_axis,
+    read_pair,
 )
 
 VECTOR = "start_"
@@ -37,27 +36,18 @@ VECTOR = "start_"
 CellPlace = Callable[[str, int], Place]
 """Function that returns the place of a cell from its column and index."""
 
-SAMPLE = '{ sample = "sobol", count = 256, seed = 0, box = { x1 = [-0.05, 0.05], v1 = [-2.0, 2.0] } }'
-PLANE = "{ plane = { x2 = { start = -0.05, stop = 0.05, num = 50 }, v2 = [-1.0, 1.0] } }"
-"""Examples of a sample and a plane of initial conditions, for messages and the catalogue."""
-
-
-def _example(text: str, states: Sequence[str]) -> str:
-    """Return `SAMPLE` or `PLANE` with the first states of a scene that has other ones."""
-    if {"x1", "v1", "x2", "v2"} <= set(states):
-        return text
-    first, second = (*states, *states)[:2]
-    text = re.sub(r"\b[xv][12] = ", lambda match: f"{first if match[0][0] == 'x' else second} = ", text)
-    return text if len(states) > 1 else re.sub(r", \w+ = \[[^]]*\] }", " }", text)
-
-
 DEFAULT_STARTS = ("drive", "stuck")
 """Initial conditions of a sweep that specifies none, if the scene has them."""
 
-_SAMPLE_KEYS = ("sample", "count", "seed", "box", "at")
-
 Start = str | tuple[float, ...]
 """An initial condition: a name or a vector."""
+
+
+def examples(states: Sequence[str]) -> tuple[str, str]:
+    """Return how a sample and a plane of initial states are written, for messages and the catalogue."""
+    box = ", ".join(f"{name} = [-0.05, 0.05]" for name in states[:2])
+    axes = ", ".join(f"{name} = {{ start = -0.05, stop = 0.05, num = 50 }}" for name in states[:2])
+    return f'{{ sample = "sobol", count = 256, seed = 0, box = {{ {box} }} }}', f"{{ plane = {{ {axes} }} }}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +80,11 @@ class Starts:
     @property
     def has_vectors(self) -> bool:
         return bool(np.any(self.number == len(self.names)))
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """The vectors by names of their coordinates, `start_x1` and so on, each (starts,)."""
+        return {f"{VECTOR}{name}": x for name, x in zip(self.states, self.vectors.T, strict=True)}
 
 
 def list_of(starts: Sequence[Start], states: tuple[str, ...]) -> Starts:
@@ -132,71 +127,78 @@ def _read_many(place: Place, table: dict[str, object], names: Names) -> Starts:
     states = names.system.start_states
     if not states:
         raise place.error(f"scene {shown(names.scene)} accepts no initial states; give names")
-    if "plane" in table:
-        known_keys(place, table, ("plane", "at"), {key: "a plane has no such key" for key in _SAMPLE_KEYS})
-        here = place.at("plane")
-        axes = _states_of(here, table["plane"], states)
-        if not axes:
-            raise here.error(f"empty; write one like {_example(PLANE, states)}")
-        values = [read_axis(here.at(name), axis, STATE) for name, axis in axes.items()]
-        if prod(map(len, values)) > AXIS_MAX_VALUES:
-            raise here.error(f"{prod(map(len, values))} starts are too many; {AXIS_MAX_VALUES} at most")
-        columns = dict(zip(axes, map(np.ravel, np.meshgrid(*values, indexing="ij")), strict=True))
-    elif "sample" in table:
-        known_keys(place, table, _SAMPLE_KEYS)
-        columns = _read_sample(place, table, states)
-    else:
-        raise place.error(
-            f"neither a sample nor a plane; write one like {_example(PLANE, states)}, or {_example(SAMPLE, states)}"
-        )
-    shared = _states_of(place.at("at"), table.get("at", {}), states)
-    for name in shared:
+    kind = next((kind for key, kind in (("plane", _Plane), ("sample", _Sample)) if key in table), None)
+    if kind is None:
+        raise place.error(f"neither a sample nor a plane; write one like {' or '.join(examples(states))}")
+    many = kind.read(place, table)
+    columns, at = many.columns(place, states), _of_states(place.at("at"), many.at, states)
+    for name in at:
         if name in columns:
             raise place.at("at").at(name).error("varies already; leave it out")
-    fixed = {name: quantity(place.at("at").at(name), x, STATE) for name, x in shared.items()}
+    fixed = {name: quantity(place.at("at").at(name), x, STATE) for name, x in at.items()}
     rows = len(next(iter(columns.values())))
     vectors = np.stack([columns.get(name, np.full(rows, fixed.get(name, 0.0))) for name in states], axis=1)
     return Starts((), states, np.zeros(rows, int), vectors, listed=False)
 
 
-def _read_sample(place: Place, table: Mapping[str, object], states: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Return the sampled states by name, each (count,).
+@dataclass(frozen=True, kw_only=True)
+class _Sample(Settings):
+    """A scrambled Sobol sequence (Owen 1998) in a box, or independent and uniform samples."""
 
-    The samples are a scrambled Sobol sequence (Owen 1998), or independent and uniform in the box.
-    """
-    kind = choice(place.at("sample"), table["sample"], ("sobol", "random"))
-    for key in ("count", "box"):
-        if key not in table:
-            raise place.at(key).error(f"missing; write one like {_example(SAMPLE, states)}")
-    rows = count(place.at("count"), table["count"], 1, AXIS_MAX_VALUES)
-    seed = count(place.at("seed"), table.get("seed", 0), 0)
-    box = _states_of(place.at("box"), table["box"], states)
-    if not box:
-        raise place.at("box").error(f"empty; write one like {_example(SAMPLE, states)}")
-    low, high = np.array([_read_side(place.at("box").at(name), side) for name, side in box.items()]).T
-    random = np.random.default_rng(seed)
-    if kind == "sobol":
-        from scipy.stats import qmc  # imported here because the import is slow
+    sample: str = setting(MISSING, "kind of sample", choices=("sobol", "random"))
+    count: int = setting(MISSING, "give the number of starts", least=1, most=AXIS_MAX_VALUES)
+    box: dict[str, object] = setting(
+        MISSING, "give the ends of some states, like { x1 = [-0.05, 0.05] }", read=as_table
+    )
+    seed: int = setting(0, "seed of the random numbers", least=0)
+    at: dict[str, object] = setting(dict, "values of the other states", read=as_table)
 
-        unit = np.asarray(qmc.Sobol(len(box), rng=random).random_base2((rows - 1).bit_length())[:rows])
-    else:
-        unit = random.random((rows, len(box)))
-    return dict(zip(box, (low + (high - low) * unit).T, strict=True))
+    def columns(self, place: Place, states: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Return the sampled states by name, each (count,)."""
+        box = _of_states(place.at("box"), self.box, states)
+        if not box:
+            raise place.at("box").error(f"empty; write one like {examples(states)[0]}")
+        low, high = np.array([_read_side(place.at("box").at(name), side) for name, side in box.items()]).T
+        random = np.random.default_rng(self.seed)
+        if self.sample == "sobol":
+            from scipy.stats import qmc  # imported here because the import is slow
+
+            sobol = qmc.Sobol(len(box), rng=random)
+            unit = np.asarray(sobol.random_base2((self.count - 1).bit_length())[: self.count])
+        else:
+            unit = random.random((self.count, len(box)))
+        return dict(zip(box, (low + (high - low) * unit).T, strict=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Plane(Settings):
+    """All combinations of values of some states."""
+
+    plane: dict[str, object] = setting(MISSING, "axes of the plane", read=as_table)
+    at: dict[str, object] = setting(dict, "values of the other states", read=as_table)
+
+    def columns(self, place: Place, states: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Return the states by name, each (starts,)."""
+        here = place.at("plane")
+        axes = _of_states(here, self.plane, states)
+        if not axes:
+            raise here.error(f"empty; write one like {examples(states)[1]}")
+        values = [read_axis(here.at(name), axis, STATE) for name, axis in axes.items()]
+        if prod(map(len, values)) > AXIS_MAX_VALUES:
+            raise here.error(f"{prod(map(len, values))} starts are too many; {AXIS_MAX_VALUES} at most")
+        return dict(zip(axes, map(np.ravel, np.meshgrid(*values, indexing="ij")), strict=True))
 
 
 def _read_side(place: Place, value: object) -> tuple[float, float]:
     """Return the lower and upper bound of the box for one state."""
-    if not isinstance(value, (list, tuple)) or len(value) != 2:
-        raise place.error(f"{shown(value)} is not a side of a box; write its two ends, like [-0.05, 0.05]")
-    low, high = (quantity(place.item(index), end, STATE) for index, end in enumerate(value))
+    low, high = read_pair(place, value, "a side of a box; write its two ends, like [-0.05, 0.05]", STATE)
     if not low < high:
         raise place.error(f"from {low:g} to {high:g} is not a side of a box; the first end must be below the second")
     return low, high
 
 
-def _states_of(place: Place, value: object, states: tuple[str, ...]) -> dict[str, object]:
-    """Return `value` as a table; raise if a key is not a state of the scene."""
-    table = as_table(place, value)
+def _of_states(place: Place, table: dict[str, object], states: tuple[str, ...]) -> dict[str, object]:
+    """Return the table; raise if a key is not a state of the scene."""
     known_keys(place, table, states)
     return table
 
@@ -206,13 +208,11 @@ class Points:
     """A list of points, each column (points,).
 
     - `columns`: parameters and rocks by name.
-    - `starts`: names of the initial conditions, if specified.
-    - `vectors`: initial states by column name, if specified.
+    - `starts`: the initial condition of each point, names or vectors; None if other keys specify them.
     """
 
     columns: dict[str, np.ndarray]
-    starts: list[str] | None
-    vectors: dict[str, np.ndarray] | None
+    starts: Starts | None
 
 
 def read_points(place: Place, value: object, folder: Path, names: Names) -> Points:
@@ -292,9 +292,11 @@ def _check_columns(place_of: Callable[[str], Place], columns: Sequence[str], nam
 
 def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Names) -> Points:
     columns, vectors, starts = {}, {}, None
+    states = names.system.start_states
     for name, column in cells.items():
-        if name.removeprefix(VECTOR) in names.system.start_states and name.startswith(VECTOR):
-            vectors[name] = np.array([quantity(place_of(name, i), value, STATE) for i, value in enumerate(column)])
+        state = name.removeprefix(VECTOR)
+        if state in states and name != state:
+            vectors[state] = np.array([quantity(place_of(name, i), value, STATE) for i, value in enumerate(column)])
         elif name != "start" and name not in names.presets:
             columns[name] = _numbers(column, name, place_of, names)
     for name in names.presets:
@@ -302,8 +304,11 @@ def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Name
             chosen = [names.preset(place_of(name, i), name, cell) for i, cell in enumerate(cells[name])]
             columns[name] = np.array(chosen)
     if "start" in cells:
-        starts = [names.named_start(place_of("start", i), start) for i, start in enumerate(cells["start"])]
-    return Points(columns, starts, vectors or None)
+        starts = list_of([names.named_start(place_of("start", i), x) for i, x in enumerate(cells["start"])], states)
+    elif vectors:
+        rows = np.stack([vectors[name] for name in states], axis=1)
+        starts = Starts((), states, np.zeros(len(rows), int), rows)
+    return Points(columns, starts)
 
 
 def _numbers(column: Sequence[Any], name: str, place_of: CellPlace, names: Names) -> np.ndarray:

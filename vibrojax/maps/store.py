@@ -5,8 +5,8 @@ import os
 import re
 import sys
 import zipfile
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import numpy as np
 from filelock import FileLock, Timeout
 from jaxtyping import Shaped
 
-from vibrojax.errors import InputError, counted
+from vibrojax.errors import InputError
 from vibrojax.io.atomic import commit
 from vibrojax.io.files import new_file
 from vibrojax.io.identity import canonical, changes, digest
@@ -30,11 +30,6 @@ FORMAT = 2
 
 _LOCK_PATIENCE = 0.2
 """Time [s] to wait for the lock, so that a process that is just ending can release it and remove its file."""
-
-_WRITE_ATTEMPTS = 5
-"""Times that a file is written anew while the user removes its folder; removing a folder takes milliseconds."""
-
-_DAMAGES_SHOWN = 3
 
 _NUMBERS = re.compile(r"[<>|][biuf]\d")
 """Types of the arrays that are stored: booleans and real numbers."""
@@ -54,14 +49,12 @@ class DamagedChunk(Exception):
 
 
 class Store:
-    """The finished chunks of one sweep, as immutable archives in one folder.
+    """The finished chunks of one sweep, as immutable archives in one folder that `open_store` opens.
 
     A file with another manifest or index, a truncated file and a flipped bit (by the CRC of each array) are detected.
     The chunk then counts as missing. The name of each member of an archive, as JSON, is the name, type and shape of an
     array. (It is no npz file, because numpy parses headers with `ast`, which fails in Python 3.11 when two threads use
     it at once: CPython issue 106905.)
-
-    **Arguments:**
 
     - `folder`: the folder `OUT.nc.chunks`.
     - `manifest`: everything that the results depend on, as JSON values.
@@ -71,62 +64,19 @@ class Store:
         self.folder = folder
         self.manifest: dict[str, object] = json.loads(canonical({**manifest, "store": FORMAT}))
         self._digest = digest(self.manifest)
-        self._lock: FileLock | None = None
-
-    def open(self, resume: bool) -> None:
-        """Prepare the folder for exclusive use by this process.
-
-        With `resume`, finished chunks are kept; otherwise they are removed.
-
-        **Raises:** `InputError` if another process is working there, the folder is not writable, or, with `resume`, the
-        chunks belong to another manifest.
-        """
-        try:
-            self.folder.mkdir(exist_ok=True)
-        except OSError as error:
-            line = f"{self.folder}: cannot be made a folder ({error.strerror}); give another output"
-            raise InputError(line) from None
-        manifest, before = self.folder / MANIFEST, None
-        try:
-            stored = json.loads(manifest.read_bytes())
-            is_intact = isinstance(stored["manifest"], dict) and digest(stored["manifest"]) == stored["sha256"]
-            before = stored["manifest"] if is_intact else None
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            stored = None
-        if stored is None and manifest.exists() and not self.there():
-            line = f"{manifest}: exists already, and does not say that vibrojax wrote it"
-            raise InputError(f"{line}; give another output, or remove it")
-        self._lock = _locked(self.folder / LOCK)
-        try:
-            # Without an intact manifest, each chunk itself shows that it belongs to another sweep.
-            if resume and before is not None and self.there() and (differences := changes(before, self.manifest)):
-                advice = "--fresh starts over, or give another output"
-                raise InputError(f"{self.folder}: holds chunks of another sweep: {differences}; {advice}")
-            self._clear(chunks=not resume)
-            content = {"sha256": self._digest, "manifest": self.manifest}
-            self._put(manifest, json.dumps(content, indent=1).encode())
-        except BaseException:
-            self.close()
-            raise
 
     def finished(self) -> set[int]:
         """Return the indices of the intact chunks; report damaged chunks on stderr."""
-        whole, damages = set[int](), list[str]()
-        for index in sorted(self.there()):
+        whole = set[int]()
+        for index in sorted(self.indices()):
             try:
                 self.read(index)
                 whole.add(index)
             except DamagedChunk as damage:
-                damages.append(str(damage))
-        if more := damages[_DAMAGES_SHOWN:]:
-            damages[_DAMAGES_SHOWN:] = [
-                f"{self.folder}: {counted(len(more), 'more chunk is', 'more chunks are')} damaged"
-            ]
-        for line in damages:
-            report_damage(line)
+                report_damage(damage)
         return whole
 
-    def there(self) -> set[int]:
+    def indices(self) -> set[int]:
         """Return the indices of the existing chunks, without verifying that they are intact."""
         try:
             return {int(match[1]) for match in map(FILE.fullmatch, os.listdir(self.folder)) if match}
@@ -164,29 +114,23 @@ class Store:
             raise DamagedChunk(f"{path}: damaged") from None
         return arrays
 
+    def write_manifest(self) -> None:
+        """Store the manifest, to which all chunks belong."""
+        content = {"sha256": self._digest, "manifest": self.manifest}
+        self._put(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
+
+    def clear(self, chunks: bool) -> None:
+        """Remove leftovers of killed processes and, with `chunks`, the finished chunks; other files stay."""
+        for path in self.folder.iterdir():
+            if _LEFTOVER.fullmatch(path.name) or (chunks and FILE.fullmatch(path.name)):
+                path.unlink(missing_ok=True)
+
     def remove(self) -> None:
-        """Remove the chunks and release the folder; remove the folder, too, unless it holds other files."""
-        self._clear(chunks=True)
+        """Remove the chunks; the folder follows when it is closed, unless it holds other files."""
+        self.clear(chunks=True)
         (self.folder / MANIFEST).unlink(missing_ok=True)
-        with suppress(InputError):  # another process has just locked the folder
-            self._lock = self._lock or _locked(self.folder / LOCK)
-            with suppress(PermissionError):  # Windows cannot delete an open file; releasing the lock removes it
-                (self.folder / LOCK).unlink(missing_ok=True)  # while no other process can hold the lock
-        self.close()
-        with suppress(OSError):  # the folder holds other files
-            self.folder.rmdir()
-
-    def close(self) -> None:
-        """Release the folder and keep its content."""
-        if self._lock is not None:
-            self._lock.release()
-            self._lock = None
-
-    def __enter__(self) -> "Store":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        with suppress(PermissionError):  # Windows cannot delete an open file; releasing the lock removes it
+            (self.folder / LOCK).unlink(missing_ok=True)  # while no other process can hold the lock
 
     def _path(self, index: int) -> Path:
         return self.folder / f"chunk-{index:08d}.zip"
@@ -196,31 +140,51 @@ class Store:
         return f"{self._digest} {index}".encode()
 
     def _put(self, path: Path, content: bytes | memoryview) -> None:
-        """Write a file that is complete or absent, even after a power failure.
-
-        A folder that the user removes meanwhile is made again, and the file is then written once more.
-        """
+        """Write a file that is complete or absent, even after a power failure."""
         temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-        for attempt in reversed(range(_WRITE_ATTEMPTS)):
-            try:
-                self.folder.mkdir(exist_ok=True)
-                with new_file(temporary) as file:
-                    file.write(content)
-                commit(temporary, path)
-                return
-            except OSError as error:  # an error while writing does not state the file name
-                with suppress(OSError):
-                    temporary.unlink(missing_ok=True)
-                # The second error: the folder was removed between two steps of `mkdir`.
-                if attempt and isinstance(error, (FileNotFoundError, FileExistsError)):
-                    continue
-                raise OSError(error.errno, error.strerror, str(path)) from None
+        try:
+            self.folder.mkdir(exist_ok=True)  # the user may have removed it
+            with new_file(temporary) as file:
+                file.write(content)
+            commit(temporary, path)
+        except OSError as error:  # an error while writing does not state the file name
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise OSError(error.errno, error.strerror, str(path)) from None
 
-    def _clear(self, chunks: bool) -> None:
-        """Remove leftovers of killed processes and, with `chunks`, the finished chunks; other files stay."""
-        for path in self.folder.iterdir():
-            if _LEFTOVER.fullmatch(path.name) or (chunks and FILE.fullmatch(path.name)):
-                path.unlink(missing_ok=True)
+
+@contextmanager
+def open_store(folder: Path, manifest: Mapping[str, object], resume: bool) -> Iterator[Store]:
+    """Open the chunks of a sweep for a `with` block, in which no other process can open them.
+
+    With `resume`, finished chunks are kept; otherwise they are removed.
+
+    **Raises:** `InputError` if another process is working there, the folder is not writable, or, with `resume`, the
+    chunks belong to another manifest.
+    """
+    store = Store(folder, manifest)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made a folder ({error.strerror}); give another output") from None
+    path, before = folder / MANIFEST, None
+    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        stored = json.loads(path.read_bytes())
+        is_intact = isinstance(stored["manifest"], dict) and digest(stored["manifest"]) == stored["sha256"]
+        before = stored["manifest"] if is_intact else {}
+    if before is None and path.exists() and not store.indices():
+        line = f"{path}: exists already, and does not say that vibrojax wrote it"
+        raise InputError(f"{line}; give another output, or remove it")
+    with _locked(folder / LOCK):
+        # Without an intact manifest, each chunk itself shows that it belongs to another sweep.
+        if resume and before and store.indices() and (differences := changes(before, store.manifest)):
+            advice = "--fresh starts over, or give another output"
+            raise InputError(f"{folder}: holds chunks of another sweep: {differences}; {advice}")
+        store.clear(chunks=not resume)
+        store.write_manifest()
+        yield store
+    with suppress(OSError):  # the folder is not empty
+        folder.rmdir()
 
 
 def report_damage(damage: object) -> None:
@@ -228,8 +192,9 @@ def report_damage(damage: object) -> None:
     print(f"vibrojax: warning: {damage}; computed again", file=sys.stderr)
 
 
-def _locked(path: Path) -> FileLock:
-    """Return an exclusive lock on the file at `path`.
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold an exclusive lock on the file at `path` for a `with` block.
 
     The operating system locks the open file, and releases the lock when the process ends, even if it is killed. A file
     that remains therefore blocks no other process. On a file system without locks there is no protection.
@@ -246,4 +211,7 @@ def _locked(path: Path) -> FileLock:
     except OSError as error:
         if error.filename is not None:  # the file could not even be opened
             raise InputError(f"{path}: cannot be written ({error.strerror}); give another output") from None
-    return lock
+    try:
+        yield
+    finally:
+        lock.release()

@@ -1,19 +1,19 @@
 """A validated sweep: fixed values, axes or points, and the values of any of its lanes."""
 
 import hashlib
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import pi, prod
+from math import prod
 from typing import Any
 
 import numpy as np
 
 from vibrojax.lanes.inputs import LaneInputs, Plan
-from vibrojax.maps.starts import Starts
+from vibrojax.maps.starts import VECTOR, Starts
 from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.periodic.lane_stages import plan_of
-from vibrojax.physics.parameters import REPLACED, substitutes
+from vibrojax.physics.parameters import resolved, substitutes
 from vibrojax.scenes import HasRock, Scene
 from vibrojax.settings.code_identity import code_identity
 from vibrojax.settings.run_settings import RunSettings
@@ -39,18 +39,14 @@ class Sweep:
     - `scene`: name of the scene. `system`: the scene itself.
     - `options`: names of the scene's options, such as the friction law.
     - `starts`: initial conditions, as names or vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene without
-      selectable initial conditions.
+      selectable initial conditions. `own_starts`: True if each point has its own, the one with its index.
     - `parameters`: all fixed values by name, in SI units. `given`: those that the user specified.
     - `axes`: axes of the grid, each (values,), in the order of the file; empty if only the initial condition varies.
     - `points`: columns (points,) that replace a grid.
-    - `point_starts`: name of each point's initial condition, if specified with the points.
-    - `point_vectors`: initial states of the points, if specified with the points: columns (points,) by name, in the
-      scene's order.
     - `run`: settings of the run.
 
-    With `point_starts` or `point_vectors`, there are no other initial conditions. Fixed `rpm` and `bit_radius` appear
-    in `parameters` as `v`. If one of the two varies, `v` is in neither `parameters` nor `axes`, but only in the values
-    of the lanes. The same applies to frequencies, which replace `k1` and `gamma`.
+    Fixed `rpm` and `bit_radius` appear in `parameters` as `v`. If one of the two varies, `v` is in neither `parameters`
+    nor `axes`, but only in the values of the lanes. The same applies to frequencies, which replace `k1` and `gamma`.
     """
 
     name: str
@@ -64,8 +60,7 @@ class Sweep:
     given: dict[str, float]
     axes: dict[str, np.ndarray] = field(default_factory=dict)
     points: dict[str, np.ndarray] | None = None
-    point_starts: list[str] | None = None
-    point_vectors: dict[str, np.ndarray] | None = None
+    own_starts: bool = False
     run: RunSettings = field(default_factory=RunSettings)
     file: str = "sweep"
 
@@ -97,11 +92,18 @@ class Sweep:
     @property
     def crosses_starts(self) -> bool:
         """True if every point is run from each initial condition."""
-        return self.starts is not None and self.point_starts is None and self.run.carry is None
+        return self.starts is not None and not self.own_starts and self.run.carry is None
 
     @property
     def start_names(self) -> tuple[str, ...]:
         return self.starts.names if self.starts is not None else ()
+
+    @property
+    def start_columns(self) -> dict[str, np.ndarray]:
+        """Columns of the points that give each its own start: its states, or the index of its name."""
+        if not self.own_starts or self.starts is None:
+            return {}
+        return self.starts.columns if self.starts.has_vectors else {"start": self.starts.number}
 
     def over_dims(self, lanes: np.ndarray) -> np.ndarray:
         """Reshape an array over all lanes (lanes, ...) to the dimensions of the sweep, `(*shape, ...)`."""
@@ -121,16 +123,19 @@ class Sweep:
 
     def values_of(self, numbers: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return the values of `lane_values` for the lanes with these numbers (lanes,)."""
+        varied, start = self._varied(numbers)
+        values = with_substitutes(self.system, self.parameters | varied)
+        values = {name: np.broadcast_to(values[name], len(numbers)).astype(float) for name in self.system.parameters()}
+        return values, start
+
+    def _varied(self, numbers: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return the values of axes and columns by name, and the index into `starts`, for the lanes `numbers`."""
         places = np.unravel_index(numbers, self._sizes(self.counted))
         indices = dict(zip(self.counted, places, strict=True))
         varied = {name: axis[indices[name]] for name, axis in self.axes.items()}
-        if self.points is not None:
-            varied |= {name: column[indices["point"]] for name, column in self.points.items()}
-        values = with_substitutes(self.system, self.parameters | varied)
-        values = {name: np.broadcast_to(values[name], len(numbers)).astype(float) for name in self.system.parameters()}
-        if self.point_starts is not None:
-            return values, self._start_of_point()[indices["point"]]
-        return values, np.asarray(indices["start"] if self.crosses_starts else np.zeros(len(numbers), int))
+        varied |= {name: column[indices["point"]] for name, column in (self.points or {}).items()}
+        name = "point" if self.own_starts else "start" if self.crosses_starts else ""
+        return varied, np.asarray(indices[name] if name else np.zeros(len(numbers), int))
 
     @property
     def hole_radius(self) -> float | None:
@@ -142,17 +147,13 @@ class Sweep:
         """Return the lanes with these numbers (lanes,) as independent lanes."""
         values, start = self.values_of(numbers)
         states: tuple[np.ndarray, ...] = ()
-        if self.point_vectors is not None:
-            states = tuple(column[numbers] for column in self.point_vectors.values())
-        elif self.starts is not None and self.starts.has_vectors:
-            # The states of a named initial condition are not used.
-            states = tuple(np.nan_to_num(self.starts.vectors[start]).T)
+        if self.starts is not None:
+            if self.starts.has_vectors:  # the states of a named initial condition are not used
+                states = tuple(np.nan_to_num(self.starts.vectors[start]).T)
             start = self.starts.number[start]
         radius: float | np.ndarray | None = self.hole_radius
         if radius is None:
-            places = np.unravel_index(numbers, self._sizes(self.counted))
-            name = "point" if self.points is not None else "bit_radius"
-            radius = (self.points or self.axes)["bit_radius"][places[self.counted.index(name)]]
+            radius = self._varied(numbers)[0]["bit_radius"]
         return LaneInputs(self.system, self.run, values, start, self.start_names, states, radius)
 
     def inputs(self, first: int = 0, end: int | None = None) -> LaneInputs:
@@ -170,7 +171,7 @@ class Sweep:
         starts = 1.0
         if self.crosses_starts:
             starts = float(self.shape[-1])
-        elif self.point_vectors is not None:  # points listed with their initial conditions: the average
+        elif self.own_starts and not self.start_names:  # points listed with their states: the average
             columns = [column.tolist() for column in (self.points or {}).values()]
             starts = self.lanes / max(len(set(zip(*columns, strict=True))), 1)
         plan = plan_of(self.system, self.run, self.lanes, starts)
@@ -196,16 +197,16 @@ class Sweep:
         Long columns are represented by their checksum, the code of the user's own scenes, laws and steppers by a
         digest. Chunk size, title and wording of the file are not included.
         """
-        columns = {**(self.points or {}), **(self.point_vectors or {})}
-        if self.point_starts is not None:
-            columns["start"] = self._start_of_point()
+        columns = (self.points or {}) | self.start_columns
         varied = {f"grid.{name}": axis for name, axis in self.axes.items()}
         varied |= {f"points.{name}": column for name, column in columns.items()}
         starts: object = None
-        if self.starts is not None and self.starts.listed:
+        if self.own_starts:
+            starts = list(self.start_names) or None
+        elif self.starts is not None and self.starts.listed:
             starts = [start if isinstance(start, str) else list(start) for start in self.starts]
         elif self.starts is not None:
-            varied |= {f"starts.{name}": x for name, x in zip(self.starts.states, self.starts.vectors.T, strict=True)}
+            varied |= {f"starts.{name.removeprefix(VECTOR)}": x for name, x in self.starts.columns.items()}
         fixed = {"scene": self.scene, **self.options, "dims": list(self.dims), "starts": starts}
         fixed |= code_identity(self.system, self.options, method=self.run.stepper)
         fixed |= {f"parameters.{name}": value for name, value in self.parameters.items()}
@@ -215,21 +216,17 @@ class Sweep:
         return fixed | {f"run.{name}": value for name, value in self.run.described().items()}
 
     def _sizes(self, dims: tuple[str, ...]) -> tuple[int, ...]:
-        columns = [*(self.points or {}).values(), *(self.point_vectors or {}).values(), self.point_starts or ()]
+        columns = [*(self.points or {}).values(), *self.start_columns.values()]
         sizes = {name: len(axis) for name, axis in self.axes.items()}
-        sizes |= {"point": len(columns[0]), "start": len(self.starts or ()), "direction": len(DIRECTIONS)}
+        sizes |= {"point": len(columns[0]) if columns else 0, "start": len(self.starts or ())}
+        sizes |= {"direction": len(DIRECTIONS)}
         return tuple(sizes[name] for name in dims)
-
-    def _start_of_point(self) -> np.ndarray:
-        """Return the index of each point's initial condition in `starts`."""
-        index = {name: number for number, name in enumerate(self.start_names)}
-        return np.array([index[name] for name in self.point_starts or ()], dtype=int)
 
 
 def with_substitutes(scene: Scene[Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return `values` with presets (names, or arrays of names), rotation and frequencies replaced by parameters.
 
-    See [vibrojax.maps.sweep.resolved][]; presets are replaced by the parameters that they set.
+    See [vibrojax.physics.parameters.resolved][]; presets are replaced by the parameters that they set.
     """
     values = dict(values)
     for preset, parameters in scene.presets.items():
@@ -237,23 +234,6 @@ def with_substitutes(scene: Scene[Any], values: Mapping[str, Any]) -> dict[str, 
             rows = [parameters[str(name)] for name in values.pop(preset)]
             values |= {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return resolved(values, substitutes(scene.parameters()))
-
-
-def resolved(values: Mapping[str, Any], names: Collection[str] = tuple(REPLACED)) -> dict[str, Any]:
-    """Return `values` with the quantities in `names` replaced by the parameters that they define, if all are known.
-
-    A rotation defines v = 2 pi rpm/60 bit_radius [m/s], a natural frequency of the bit k1 = m1 (2 pi bit_frequency)²,
-    and one of the striker gamma = 2 pi striker_frequency sqrt(m1/k1).
-    """
-    values = dict(values)
-    given = values.keys() & set(names)
-    if given >= {"rpm", "bit_radius"}:
-        values["v"] = 2 * pi / 60 * values.pop("rpm") * values.pop("bit_radius")
-    if "bit_frequency" in given and "m1" in values:
-        values["k1"] = values["m1"] * (2 * pi * values.pop("bit_frequency")) ** 2
-    if "striker_frequency" in given and values.keys() >= {"m1", "k1"}:
-        values["gamma"] = 2 * pi * values.pop("striker_frequency") * (values["m1"] / values["k1"]) ** 0.5
-    return values
 
 
 def _outline(column: np.ndarray) -> object:

@@ -3,9 +3,7 @@
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
-
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures.gauge import Sums
 from vibrojax.physics.arrays import Array, Flags, Lanes, keep
 
@@ -75,7 +73,7 @@ def _without(sums: Sums, here: Flags) -> Sums:
     return {name: jnp.where(here, 0, total) for name, total in sums.items()}
 
 
-def whole(ledger: Ledger, returns: Lanes, cycles: Lanes) -> tuple[Sums, jax.Array]:
+def whole(ledger: Ledger, returns: Lanes, cycles: Lanes) -> "tuple[Sums, jax.Array]":
     """Return the sums over the greatest number of return intervals that form complete periods, and that number.
 
     `returns`: number of section crossings; `cycles`: return intervals per period; 0 means that all intervals are used.

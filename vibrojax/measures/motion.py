@@ -4,9 +4,7 @@ from dataclasses import dataclass
 from math import factorial, pi
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
-
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.physics.arrays import Array, Lanes, keep
 from vibrojax.scenes.capabilities import HasFriction
@@ -81,13 +79,13 @@ def positions(scene: Scene[Any], lane: Lane) -> list[Lanes]:
     return [lane.state[scene.place(swing.position)] for swing in section_of(scene).swings]
 
 
-def widened(extremes: tuple[Lanes, Lanes], x: Lanes) -> tuple[jax.Array, jax.Array]:
+def widened(extremes: tuple[Lanes, Lanes], x: Lanes) -> "tuple[jax.Array, jax.Array]":
     """Return the least and greatest value after including `x`."""
     lowest, highest = extremes
     return jnp.minimum(lowest, x), jnp.maximum(highest, x)
 
 
-def _trend(greatest: Array) -> jax.Array:
+def _trend(greatest: Array) -> "jax.Array":
     """Return 1 if the amplitudes of the eighths increase strictly, -1 if they decrease strictly, else 0.
 
     The change from the first to the last eighth must exceed 1 %.
@@ -238,7 +236,7 @@ _QUARTER = 1.5707963109016418
 _REST = 1.5893254773528196e-08
 
 
-def cos_sin(angle: Lanes) -> tuple[jax.Array, jax.Array]:
+def cos_sin(angle: Lanes) -> "tuple[jax.Array, jax.Array]":
     """Return (cos, sin) of `angle` [rad] of any shape, accurate to a few rounding errors of the angle.
 
     On a CPU, the library functions would be called for one lane at a time. Instead, Taylor polynomials are evaluated

@@ -8,11 +8,9 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
-
 from vibrojax.errors import InputError, asked, number_of, shown
 from vibrojax.io.variables import VARIABLES
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures import ledger, repeats, section, since_start
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.measures.ledger import Ledger

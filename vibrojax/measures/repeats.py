@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
-
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures.gauge import Gauge, Return, Whole
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.physics.arrays import Array, Flags, Lanes, keep
@@ -100,7 +98,7 @@ def _rate(times: Array, repeats: Array, now: Lanes) -> Lanes:
     return rate
 
 
-def cycles(section: Section, carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.Array:
+def cycles(section: Section, carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> "jax.Array":
     """Return the number p of return intervals per period, 1 to 8, or 0 if no period is found.
 
     A period of p intervals is recognised after 3 p + 1 section crossings. `amplitudes` and `period`: amplitudes, with
@@ -114,7 +112,7 @@ def cycles(section: Section, carry: Returns, amplitudes: tuple[Lanes, ...], peri
     return repeating
 
 
-def settling_time(carry: Returns, cycles: Lanes) -> jax.Array:
+def settling_time(carry: Returns, cycles: Lanes) -> "jax.Array":
     """Return the time [s] of the last section crossing that differs from the crossing one period later.
 
     The period is `cycles` return intervals; where `cycles` is 0, the result is NaN. Two crossings differ if a state
@@ -169,7 +167,7 @@ class KeptReturns(Gauge[Scene[Any]]):
         return (TIME, INTERVAL, *(state_name(name) for name in scene.return_states), *impacts, *growth)
 
 
-def put_row(rows: Array, here: Flags, number: Lanes, new: Sequence[Lanes]) -> jax.Array:
+def put_row(rows: Array, here: Flags, number: Lanes, new: Sequence[Lanes]) -> "jax.Array":
     """Return the ring buffer `rows` with the values `new` of the crossing `number` of the lanes `here`."""
     keep = len(rows)
     row = jnp.where(here, number % keep, keep).astype(jnp.int32)

@@ -7,9 +7,7 @@ section crossing. While settling, steps do not end on the section: crossings are
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
-
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures import since_start
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.motion import positions, section_of, widened
@@ -130,7 +128,7 @@ def _turn(velocity: Coefficients, after: Array, step: Step) -> tuple[Array, Arra
     return sign * after < 0, keep(guess * step.tau)
 
 
-def _turned(step: Step, scene: Scene[Any], swing: Swing, end: Lanes, lane: Lane) -> jax.Array:
+def _turned(step: Step, scene: Scene[Any], swing: Swing, end: Lanes, lane: Lane) -> "jax.Array":
     """Return an oscillating position at its turning point within the step, or its value `end` if there is none."""
     if swing.velocity is None:
         return jnp.asarray(end)
@@ -171,7 +169,7 @@ def step(scene: Scene[Any], c: Any, carry: Returns, lane: Lane, step: Step) -> R
     )
 
 
-def lowest(velocity: Coefficients, tau: Array) -> jax.Array:
+def lowest(velocity: Coefficients, tau: Array) -> "jax.Array":
     """Return the least velocity between 0 and `tau`, from the parabola through the two ends and the middle."""
     start, middle, end = velocity[0], value(velocity, tau / 2), value(velocity, tau)
     bend, fall = start + end - 2 * middle, 3 * start + end - 4 * middle

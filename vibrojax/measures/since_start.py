@@ -7,9 +7,9 @@ rounding errors would make the motion irregular. A section with `typical` theref
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from vibrojax.lazy import jnp
 from vibrojax.measures.motion import positions, section_of, widened
 from vibrojax.measures.repeats import REPEATS_WITHIN, Range
 from vibrojax.scenes.declared import Section

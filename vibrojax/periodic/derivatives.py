@@ -9,8 +9,6 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -18,6 +16,7 @@ from vibrojax.compile.xla import precision, workers
 from vibrojax.io.variables import VARIABLES
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.labels import measured_besides
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures import PulseRecorder, Recorder, recorder_for
 from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.measures.labels import derived as derived_quantities

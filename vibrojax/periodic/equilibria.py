@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 from scipy.optimize import root
 
 from vibrojax.compile.xla import precision
 from vibrojax.io.kinds import SPECIAL_KINDS
+from vibrojax.lazy import jax, jnp
 from vibrojax.periodic.arclength import STOPPED, Stop
 from vibrojax.periodic.brackets import Brackets, TestFunction
 from vibrojax.periodic.branch_points import FamilyLocator

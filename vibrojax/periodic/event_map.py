@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Float
 
 from vibrojax.lanes.compiler import lane_function
+from vibrojax.lazy import jax, jnp, lax
 from vibrojax.periodic.margin import DEPARTED, FLAT, Margin, typical_values
 from vibrojax.periodic.return_map import Mapped, ReturnLoop, map_state
 from vibrojax.physics.arrays import Array, Flags, Lanes

@@ -7,13 +7,12 @@ condition among the equations, they are followed wherever they lead.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from vibrojax.compile.xla import workers
 from vibrojax.lanes.compiler import lane_function
+from vibrojax.lazy import jax, jnp
 from vibrojax.periodic.return_map import MOST_STEPS, STEPS, _mode_changes, in_calls
 from vibrojax.periodic.tangent_loop import Loop
 from vibrojax.physics.arrays import Array, Flags, Lanes, Real

@@ -9,14 +9,13 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.compile.xla import precision, workers
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.inputs import PerLane
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures.repeats import REPEATS_WITHIN
 from vibrojax.periodic.return_map import MOST_STEPS, at_section, passed
 from vibrojax.physics.arrays import Array, Flags, Lanes

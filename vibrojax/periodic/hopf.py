@@ -10,14 +10,13 @@ import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm
 from scipy.optimize import newton
 
 from vibrojax.compile.xla import precision
+from vibrojax.lazy import jax, jnp
 from vibrojax.periodic.brackets import LOCATED_WITHIN
 from vibrojax.periodic.flow_map import moving_names
 from vibrojax.periodic.problem import Points, Problem

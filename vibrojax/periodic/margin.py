@@ -18,10 +18,7 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-from jax import lax
-
+from vibrojax.lazy import jax, jnp, lax
 from vibrojax.physics.arrays import Array, Flags, Lanes
 from vibrojax.scenes.declared import Section
 from vibrojax.scenes.scene import ROUNDINGS, Scene
@@ -151,12 +148,12 @@ def typical_values(resolutions: tuple[Any, ...]) -> list[Array]:
     return [resolution / (ROUNDINGS * jnp.finfo(resolution.dtype).eps) for resolution in resolutions]
 
 
-def _at_hit(f: Coefficients, step: Step, hit: Flags, rate: Array) -> jax.Array:
+def _at_hit(f: Coefficients, step: Step, hit: Flags, rate: Array) -> "jax.Array":
     """Return the slope at the end of a step that ends on the guard, relative to a typical `rate`; else infinity."""
     return jnp.where(hit, jnp.abs(slope(f, step.tau)) / (step.h * rate), jnp.inf)
 
 
-def _near_miss(f: Coefficients, step: Step, scale: Array, turned: Flags) -> jax.Array:
+def _near_miss(f: Coefficients, step: Step, scale: Array, turned: Flags) -> "jax.Array":
     """Return the positive minimum of a function within the step, divided by `scale`; infinity without a minimum.
 
     `turned`: mask of steps that end where a velocity is zero, and hence at a minimum within rounding errors.

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -11,6 +10,7 @@ from vibrojax.compile.xla import workers
 from vibrojax.lanes.engine import Batch, Engine
 from vibrojax.lanes.inputs import Features, Index, LaneInputs, PerLane
 from vibrojax.lanes.programs import LaneArguments
+from vibrojax.lazy import jax
 from vibrojax.measures import recorder_for
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.scenes import Scene

@@ -2,9 +2,10 @@
 
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Inexact
+
+from vibrojax.lazy import jax
 
 PerLane = Float[np.ndarray, " lanes"]
 

@@ -12,9 +12,9 @@ Even an orbit with large multipliers is thus integrated only from one section cr
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Complex, Float, Int
@@ -22,6 +22,7 @@ from jaxtyping import Bool, Complex, Float, Int
 from vibrojax.io.variables import ORBIT_REASONS, orbit_name
 from vibrojax.lanes.inputs import Features, LaneInputs
 from vibrojax.lanes.programs import LaneArguments
+from vibrojax.lazy import jax
 from vibrojax.measures.since_start import half_names, scale_names, stored_scales
 from vibrojax.periodic.derivatives import NEUTRAL, NO_ORBIT, OrbitFeatures, differentiated
 from vibrojax.periodic.measuring import ORBIT_ACCURACY, Measuring
@@ -60,7 +61,12 @@ States = Float[np.ndarray, "orbits cycles states"]
 Scales = Float[np.ndarray, "orbits states"]
 
 
-@jax.tree_util.register_dataclass
+@cache
+def _register_as_tree() -> None:
+    """Register `Orbits` as a pytree. This waits for the first object because it imports jax."""
+    jax.tree_util.register_dataclass(Orbits)
+
+
 @dataclass(frozen=True, eq=False)
 class Orbits:
     """Periodic orbits of a scene with equally many section crossings per period; some may not have converged.
@@ -90,6 +96,9 @@ class Orbits:
     reach: PerOrbit
     steps: Float[np.ndarray, "orbits cycles"]
     lane: Index
+
+    def __post_init__(self) -> None:
+        _register_as_tree()
 
     @classmethod
     @np.errstate(all="ignore")

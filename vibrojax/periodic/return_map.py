@@ -10,13 +10,12 @@ Forward-mode derivatives include the implicit derivative of each event time, hen
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.compile.xla import precision, workers
 from vibrojax.lanes.compiler import lane_function
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures.section import lowest, rising
 from vibrojax.periodic.margin import Margin
 from vibrojax.periodic.tangent_loop import Loop
@@ -259,7 +258,7 @@ class Segments:
         return in_calls(work, states.shape[1], self._workers)
 
 
-def in_calls(work: Callable[[Index], R], number: int, workers: Sequence[jax.Device]) -> R:
+def in_calls(work: Callable[[Index], R], number: int, workers: Sequence["jax.Device"]) -> R:
     """Return `work(part)` in float64 for `number` segments, joined along the last axis; `part`: indices of segments."""
     by_threads = min(len(workers), number // MIN_SEGMENTS_PER_THREAD)
     calls = max(-(-number // MAX_SEGMENTS_PER_CALL), by_threads, 1)

@@ -15,7 +15,6 @@ from copy import copy
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
@@ -24,6 +23,7 @@ from vibrojax.lanes.certificate import certified
 from vibrojax.lanes.engine import Batch
 from vibrojax.lanes.inputs import Features, Index, Mask, PerLane
 from vibrojax.lanes.settled import Ended
+from vibrojax.lazy import jax
 from vibrojax.measures import since_start
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.repeats import SETTLED_WITHIN

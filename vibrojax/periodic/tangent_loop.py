@@ -8,10 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
-import jax
-import jax.numpy as jnp
-from jax.custom_derivatives import SymbolicZero
-
+from vibrojax.lazy import jax, jnp
 from vibrojax.physics.arrays import Array, Flags
 
 X = TypeVar("X")
@@ -81,19 +78,10 @@ def with_derivatives(tree: X) -> X:
     first carry in which these parts have derivatives saves that.
     """
     leaves, structure = jax.tree.flatten(tree)
-    real = iter(_with_derivatives([leaf for leaf in leaves if _is_real(leaf)]))
+    identity: Any = jax.custom_jvp(lambda reals: reals)
+    identity.defjvp(lambda primals, tangents: (*primals, *tangents))  # zeros are arrays here
+    real = iter(identity([leaf for leaf in leaves if _is_real(leaf)]))
     return jax.tree.unflatten(structure, [next(real) if _is_real(leaf) else leaf for leaf in leaves])
-
-
-@jax.custom_jvp
-def _with_derivatives(leaves: list[Array]) -> list[Array]:
-    return leaves
-
-
-@_with_derivatives.defjvp
-def _derivatives_of_leaves(primals: Any, tangents: Any) -> tuple[list[Array], list[Array]]:
-    (leaves,), (slopes,) = primals, tangents  # zeros are arrays here
-    return leaves, slopes
 
 
 def _derivatives(function: Callable[..., Y], inputs: Sequence[Any], moved: Tangents) -> tuple[Y, Tangents]:
@@ -111,7 +99,7 @@ def _derivatives(function: Callable[..., Y], inputs: Sequence[Any], moved: Tange
     @partial(recorded.defjvp, symbolic_zeros=True)
     def record_zeros(primals: Any, tangents: Any) -> tuple[list[Array], list[Array]]:
         (values,), (slopes,) = primals, tangents
-        zero[:] = [isinstance(slope, SymbolicZero) for slope in slopes]
+        zero[:] = [isinstance(slope, jax.custom_derivatives.SymbolicZero) for slope in slopes]
         pairs = zip(values, slopes, zero, strict=True)
         return values, [jnp.zeros_like(value) if none else slope for value, slope, none in pairs]
 

@@ -11,12 +11,12 @@ The derivative of a simple eigenvalue with right and left eigenvectors v and w, 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from vibrojax.compile.xla import workers
 from vibrojax.lanes.compiler import lane_function
+from vibrojax.lazy import jax
 from vibrojax.periodic.margin import Margin
 from vibrojax.periodic.newton import PerLane, shooting_matrix, solve
 from vibrojax.periodic.return_map import MOST_STEPS, ReturnLoop, in_calls, map_state

@@ -5,16 +5,25 @@ the batch. Only the tests check the shapes at run time (`tests/conftest.py`).
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.errors import InputError
+from vibrojax.lazy import jax
 
-Array = jax.Array | np.ndarray
-"""A JAX or NumPy array; inside a compiled program always a JAX array."""
+if TYPE_CHECKING:
+    Array = jax.Array | np.ndarray
+else:  # what the two have in common, since annotations are evaluated before jax is imported
+
+    @runtime_checkable
+    class Array(Protocol):
+        """A JAX or NumPy array; inside a compiled program always a JAX array."""
+
+        shape: Any
+        dtype: Any
+
 
 Lanes = Float[Array, "*lanes"]
 """One number per lane."""

@@ -11,8 +11,7 @@
 
 from typing import Any
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.arrays import Real, Value
 
 

@@ -16,27 +16,27 @@ from contextvars import ContextVar
 from functools import singledispatch
 from typing import Any
 
-import jax.numpy as jnp
+from vibrojax.lazy import jnp
 
 
-def _generic(name: str, meaning: str, function: Callable[..., Any]) -> Any:
-    """Return a function of a number type; other modules register their own types with its `register`."""
+def _generic(name: str, meaning: str) -> Any:
+    """Return jax's function `name` of a number; other modules register their own number types with its `register`."""
 
     def call(x: Any) -> Any:
-        return function(x)
+        return getattr(jnp, name)(x)
 
     call.__name__ = call.__qualname__ = name
     call.__doc__ = meaning
     return singledispatch(call)
 
 
-exp = _generic("exp", "Return the exponential of x.", jnp.exp)
-log = _generic("log", "Return the natural logarithm of x > 0.", jnp.log)
-sqrt = _generic("sqrt", "Return the square root of x > 0.", jnp.sqrt)
-sin = _generic("sin", "Return the sine of x.", jnp.sin)
-cos = _generic("cos", "Return the cosine of x.", jnp.cos)
-tanh = _generic("tanh", "Return the hyperbolic tangent of x.", jnp.tanh)
-arctan = _generic("arctan", "Return the inverse tangent of x.", jnp.arctan)
+exp = _generic("exp", "Return the exponential of x.")
+log = _generic("log", "Return the natural logarithm of x > 0.")
+sqrt = _generic("sqrt", "Return the square root of x > 0.")
+sin = _generic("sin", "Return the sine of x.")
+cos = _generic("cos", "Return the cosine of x.")
+tanh = _generic("tanh", "Return the hyperbolic tangent of x.")
+arctan = _generic("arctan", "Return the inverse tangent of x.")
 
 
 @singledispatch
@@ -73,8 +73,8 @@ BRANCHES: ContextVar[Branches | None] = ContextVar("branches", default=None)
 """The object that kinks ask, None outside of the functions of a system."""
 
 # Dispatch by number type. Functions of a system reach these through the functions without kinks below.
-magnitude = _generic("absolute", "Return |x|; a Taylor series keeps the sign of the start of the step.", jnp.abs)
-whole = _generic("floor", "Return the floor of x; that of a Taylor series is the one of its start.", jnp.floor)
+magnitude = _generic("absolute", "Return |x|; a Taylor series keeps the sign of the start of the step.")
+whole = _generic("floor", "Return the floor of x; that of a Taylor series is the one of its start.")
 
 
 @singledispatch

@@ -11,11 +11,10 @@ from collections.abc import Mapping
 from math import pi
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 from jaxtyping import Float
 
-from vibrojax.physics.arrays import Value
+from vibrojax.lazy import jnp
+from vibrojax.physics.arrays import Array, Value
 
 Numbers = Mapping[str, Any]
 """Parameters by name: scalars, or arrays with one value per lane."""
@@ -39,20 +38,21 @@ def uncoupled_frequencies(p: Numbers) -> tuple[Any, Any]:
     return bit, bit * p["gamma"]
 
 
-def natural_frequencies(p: Numbers) -> Float[jax.Array, "*lanes 2"]:
+def natural_frequencies(p: Numbers, xp: Any = jnp) -> Float[Array, "*lanes 2"]:
     """Return the two undamped natural frequencies [rad/s] (source, eq. 5.16).
 
     The last axis has length 2, the lower frequency first. The frequencies are the roots of
     w⁴ - w² (w1² + w2² (1 + beta)) + w1² w2² = 0, which follows from m1 x1'' = -k1 x1 - k2 (x1 - x2) and
-    m2 x2'' = -k2 (x2 - x1).
+    m2 x2'' = -k2 (x2 - x1). `xp`: the library of the arrays, jax.numpy or numpy.
     """
     w1_squared = p["k1"] / p["m1"]
     w2_squared = w1_squared * p["gamma"] ** 2
     total = w1_squared + w2_squared * (1 + p["beta"])
     product = w1_squared * w2_squared
-    upper = (total + jnp.sqrt(total**2 - 4 * product)) / 2
+    upper = (total + xp.sqrt(total**2 - 4 * product)) / 2
     # product/upper instead of (total - root)/2, which loses digits by cancellation if the frequencies are far apart.
-    return jnp.sqrt(jnp.stack([product / upper, upper], axis=-1))
+    frequencies: Array = xp.sqrt(xp.stack([product / upper, upper], axis=-1))
+    return frequencies
 
 
 def empirical_frequency(p: Numbers, share: Value = 0.25) -> Any:
@@ -64,7 +64,7 @@ def empirical_frequency(p: Numbers, share: Value = 0.25) -> Any:
     return jnp.sqrt((p["k1"] + k2) / p["m1"] + share * k2 / m2)
 
 
-def linearised(p: Numbers, friction_slope: Value) -> Float[jax.Array, "4 4"]:
+def linearised(p: Numbers, friction_slope: Value) -> Float[Array, "4 4"]:
     """Return the system matrix of the motion linearised about steady sliding (source, eq. 5.15).
 
     **Arguments:** `p`: scalar parameters; `friction_slope` [N s/m]: dF/du at the drive speed. A negative slope means

@@ -7,9 +7,10 @@
 'is -1; it must be above 0 m s-1'
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, pi
+from typing import Any
 
 FAR_FACTOR = 20.0
 """Ratio to the usual values beyond which a value counts as far from them. Mistaken units (rpm for m/s, per cent, per
@@ -128,3 +129,20 @@ def substitutes(parameters: Mapping[str, Parameter]) -> dict[str, Parameter]:
     known = ROTATION if "v" in parameters else {}
     known = known | (FREQUENCIES if parameters.keys() >= {"m1", "k1", "beta", "gamma"} else {})
     return {name: parameter for name, parameter in known.items() if name not in parameters}
+
+
+def resolved(values: Mapping[str, Any], names: Collection[str] = tuple(REPLACED)) -> dict[str, Any]:
+    """Return `values` with the quantities in `names` replaced by the parameters that they define, if all are known.
+
+    A rotation defines v = 2 pi rpm/60 bit_radius [m/s], a natural frequency of the bit k1 = m1 (2 pi bit_frequency)²,
+    and one of the striker gamma = 2 pi striker_frequency sqrt(m1/k1).
+    """
+    values = dict(values)
+    given = values.keys() & set(names)
+    if given >= {"rpm", "bit_radius"}:
+        values["v"] = 2 * pi / 60 * values.pop("rpm") * values.pop("bit_radius")
+    if "bit_frequency" in given and "m1" in values:
+        values["k1"] = values["m1"] * (2 * pi * values.pop("bit_frequency")) ** 2
+    if "striker_frequency" in given and values.keys() >= {"m1", "k1"}:
+        values["gamma"] = 2 * pi * values.pop("striker_frequency") * (values["m1"] / values["k1"]) ** 0.5
+    return values

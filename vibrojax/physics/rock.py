@@ -6,8 +6,7 @@ The bottom of the hole acts as a ratchet: it only moves downwards.
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.arrays import Real, Value
 from vibrojax.physics.parameters import not_negative, positive, table
 

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
-from matplotlib.colors import ListedColormap, Normalize
-from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 
 from vibrojax.errors import InputError
+from vibrojax.lazy import colors, ticker
 from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures.axes import axis, edges, margins, number, pretty_unit, scale, value_text, values_along, with_unit
 from vibrojax.pictures.contents import POINT, REGIME, START, axes_of_map, lane_dims, without_single
@@ -119,14 +118,14 @@ def _best_text(ds: xr.Dataset, axes: tuple[str, str], best: tuple[int, int], nam
 
 def _panel(ds: xr.Dataset, over: tuple[str, str], kinds: np.ndarray, names: list[str]) -> Plot:
     x, y = (values_along(ds[name]) for name in over)
-    colours = ListedColormap([*_REGIONS][::-1])
-    layers: list[Layer] = [Cells(edges(x), edges(y), kinds.astype(float), colours, Normalize(0.0, 2.0))]
+    colours = colors.ListedColormap([*_REGIONS][::-1])
+    layers: list[Layer] = [Cells(edges(x), edges(y), kinds.astype(float), colours, colors.Normalize(0.0, 2.0))]
     taken: list[np.ndarray] = []
     for name, dash in zip(names, _DASHES, strict=False):
         z = np.where(kinds == 2, scale(ds[name])[0] * _worst(ds, name), np.nan)
         known = z[np.isfinite(z)]
         if known.size > 1 and np.ptp(known) and min(z.shape) > 1:
-            levels = list(MaxNLocator(_LEVELS).tick_values(known.min(), known.max()))
+            levels = list(ticker.MaxNLocator(_LEVELS).tick_values(known.min(), known.max()))
             words, colour = _LINES[name]
             label = with_unit(words, scale(ds[name])[1])
             layers += contours(x, y, z, levels, taken, colour=colour, dash=dash, width=1.1, label=label)

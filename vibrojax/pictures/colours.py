@@ -8,10 +8,10 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
 
 from vibrojax.errors import InputError
 from vibrojax.io.attributes import flags
+from vibrojax.lazy import colors
 from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures.axes import scale, share_text, with_unit
 from vibrojax.pictures.contents import RATE, REGIME, RELIEF, quantities_beside, require
@@ -32,8 +32,6 @@ REGIME_COLOURS = {
     7: "#000000",
 }
 _CLEAR = (1.0, 1.0, 1.0, 0.0)  # cells without a value show the hatched background
-REGIME_MAP = ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=_CLEAR)
-REGIME_NORM = BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
 SINGLE = REGIMES.index("single-impact")
 
 FORM_COLOURS = {
@@ -82,9 +80,9 @@ class Value:
     name: str
     label: str
     factor: float
-    norm: Normalize
+    norm: "colors.Normalize"
     extend: Extend
-    colour_map: Colormap
+    colour_map: "colors.Colormap"
     names: Mapping[int, str] = field(default_factory=dict)
     """Meanings of the values by flag; empty if the variable has no flags."""
 
@@ -168,8 +166,14 @@ def form_colour(name: str) -> str:
 
 def regime_value(data: xr.DataArray, label: str = "") -> Value:
     """Return the colour coding of the regimes; `label` is part of the titles of their maps."""
-    names = regime_names(data)
-    return Value(str(data.name), label, 1.0, REGIME_NORM, "neither", REGIME_MAP, names, counted=True)
+    colour_map, norm = regime_colour_map()
+    return Value(str(data.name), label, 1.0, norm, "neither", colour_map, regime_names(data), counted=True)
+
+
+def regime_colour_map() -> "tuple[colors.Colormap, colors.BoundaryNorm]":
+    """Return the colour map of the regimes' numbers, and its norm."""
+    colour_map = colors.ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=_CLEAR)
+    return colour_map, colors.BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
 
 
 def values_beside(ds: xr.Dataset) -> list[Value]:
@@ -218,9 +222,9 @@ def _flags_value(data: xr.DataArray) -> Value:
     own = REGIME_COLOURS if "single-impact" in meanings.values() else _STABILITY_COLOURS if name == "stable" else {}
     colours = [own.get(flag, other_colour(position)) for position, flag in enumerate(occurring)]
     between = [(low + high) / 2 for low, high in pairwise(occurring)]
-    norm = BoundaryNorm([occurring[0] - 0.5, *between, occurring[-1] + 0.5], len(occurring))
+    norm = colors.BoundaryNorm([occurring[0] - 0.5, *between, occurring[-1] + 0.5], len(occurring))
     names = {flag: meanings.get(flag, str(flag)) for flag in occurring}
-    shown = ListedColormap(colours, name=name).with_extremes(bad=_CLEAR)
+    shown = colors.ListedColormap(colours, name=name).with_extremes(bad=_CLEAR)
     return Value(name, words_for(name), 1.0, norm, "neither", shown, names)
 
 
@@ -236,7 +240,7 @@ def value_axis(value: Value, text: str = "", **about: Any) -> Axis:
 
 def share_value(data: xr.DataArray, name: str) -> Value:
     """Return the colour coding, from 0 to 100 %, of the fraction of initial conditions that end in regime `name`."""
-    return Value(str(data.name), f"{name} [% of starts]", 1.0, Normalize(0.0, 100.0), "neither", colour_map())
+    return Value(str(data.name), f"{name} [% of starts]", 1.0, colors.Normalize(0.0, 100.0), "neither", colour_map())
 
 
 def cell_keys(data: Sequence[xr.Dataset], values: Sequence[Value]) -> list[Layer]:
@@ -256,7 +260,7 @@ def _varies(values: Cells) -> bool:
     return bool(finite.size) and bool(np.ptp(finite) > _CONSTANT * np.abs(finite).max())
 
 
-def _norm(name: str, finite: Cells) -> Normalize:
+def _norm(name: str, finite: Cells) -> "colors.Normalize":
     """Return the colour scale: robust against outliers, from zero for the error of C, logarithmic over decades."""
     low, high = robust = tuple(float(limit) for limit in np.percentile(finite, ROBUST))
     if name not in _OF_DRILL:
@@ -264,7 +268,7 @@ def _norm(name: str, finite: Cells) -> Normalize:
         least, greatest = float(finite.min()), float(finite.max())
         low, high = (least if least >= low - beyond else low), (greatest if greatest <= high + beyond else high)
     if name in _SPREAD and finite.min() > 0 and float(np.percentile(finite, _LOG_SHARE)) < high / _LOG_RATIO:
-        return LogNorm(robust[0], high)
+        return colors.LogNorm(robust[0], high)
     if high - low <= 1e-6 * abs(high):  # one value everywhere: a bar with room on both sides
         low, high = low - 0.05 * abs(low) - 1e-12, high + 0.05 * abs(high) + 1e-12
-    return Normalize(0.0 if name == "C_relative_error" else low, high)
+    return colors.Normalize(0.0 if name == "C_relative_error" else low, high)

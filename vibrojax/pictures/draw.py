@@ -1,6 +1,7 @@
 """Drawing of pictures by matplotlib: panels, legends, colour bars, title and note."""
 
 from collections.abc import Sequence
+from io import BytesIO
 from textwrap import fill
 from typing import Any, Literal
 
@@ -38,7 +39,7 @@ from vibrojax.pictures.plots import (
     legend_of,
     resolved,
 )
-from vibrojax.pictures.style import NO_VALUE, new_figure, plain, settings
+from vibrojax.pictures.style import NO_VALUE, plain, settings
 
 _TITLE_SIZE, _NOTE_SIZE = 11.0, 8.0
 _ROUND_STEPS = [1, 2, 5, 10]
@@ -55,6 +56,23 @@ _TEXT_SHARE = 0.92  # share of the width for texts, whose letters are wider at o
 _BELOW_EDGE = 0.95  # height of markers at the upper edge, as a fraction of the panel
 _MANY_POINTS = 1_000  # from which on points are pixels in a PDF or SVG file; of a line 20 times as many
 _ABOVE = {"above": ("lower center", 0.5), "above left": ("lower left", 0.0), "above right": ("lower right", 1.0)}
+
+
+class OwnFigure(Figure):
+    """A figure that pyplot does not manage, but that notebooks display."""
+
+    def _repr_png_(self) -> bytes:
+        with settings():
+            content = BytesIO()
+            self.savefig(content, format="png", dpi=self.dpi)
+        return content.getvalue()
+
+
+def new_figure(width: float, height: float) -> OwnFigure:
+    """Return an empty figure of `width` by `height` [inch] on the Agg canvas."""
+    figure = OwnFigure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def draw(picture: Picture | Figure) -> Figure:

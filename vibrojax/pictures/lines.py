@@ -17,13 +17,12 @@ from vibrojax.errors import InputError
 from vibrojax.pictures import axes, contents
 from vibrojax.pictures.colours import (
     REGIME_COLOURS,
-    REGIME_MAP,
-    REGIME_NORM,
     SENSITIVE_KEY,
     SINGLE,
     Value,
     form_colour,
     regime_cells,
+    regime_colour_map,
     regime_keys,
     regimes_in,
     value_axis,
@@ -146,10 +145,10 @@ def _strip(facet: xr.Dataset, x: str) -> Plot:
     if contents.many_starts(facet):  # each column sorted, single impacts first: the height of a colour is its share
         ordered = np.sort(np.where(rows == SINGLE, -1.0, rows), axis=0)
         rows = np.where(ordered == -1.0, float(SINGLE), ordered)
-        shares = Cells(axes.edges(along), np.linspace(0.0, 100.0, len(rows) + 1), rows, REGIME_MAP, REGIME_NORM)
+        shares = Cells(axes.edges(along), np.linspace(0.0, 100.0, len(rows) + 1), rows, *regime_colour_map())
         return Plot([shares], y=Axis("starts\n[%]", limits=(0.0, 100.0)), name="regimes")
     ends = np.arange(len(rows) + 1) - 0.5
-    layers: list[Layer] = [Cells(axes.edges(along), ends, rows, REGIME_MAP, REGIME_NORM)]
+    layers: list[Layer] = [Cells(axes.edges(along), ends, rows, *regime_colour_map())]
     layers += [level(between, colour="#FFFFFF") for between in ends[1:-1]]
     if SENSITIVE in facet:
         row, column = np.nonzero(by_start[SENSITIVE].transpose(START, x).values == 1)

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from contourpy import contour_generator
-from matplotlib.colors import ListedColormap, Normalize
-from matplotlib.ticker import MaxNLocator
 
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import kind_of
+from vibrojax.lazy import colors, ticker
 from vibrojax.pictures import axes, contents
 from vibrojax.pictures.colours import (
     REGIME_COLOURS,
@@ -204,8 +203,8 @@ def cell_layers(facet: xr.Dataset, value: Value, x: str, y: str) -> list[Layer]:
     if not value.of_rate:
         return layers
     if (cells == 0).any():
-        white = ListedColormap([NOTHING, "#FFFFFF00"], name="nothing")
-        layers.append(Cells(right, top, np.where(cells == 0, 0.0, 1.0), white, Normalize(0.0, 1.0), order=0.5))
+        white = colors.ListedColormap([NOTHING, "#FFFFFF00"], name="nothing")
+        layers.append(Cells(right, top, np.where(cells == 0, 0.0, 1.0), white, colors.Normalize(0.0, 1.0), order=0.5))
     if REGIME in facet:
         single = facet[REGIME].transpose(y, x).values == SINGLE
         across, along = np.argwhere(single[:, 1:] != single[:, :-1]), np.argwhere(single[1:] != single[:-1])
@@ -275,7 +274,7 @@ def _relief_lines(facet: xr.Dataset, x: str, y: str) -> list[Layer]:
     constant = _CONSTANT_RELIEF * relief.max()
     if not np.isfinite(relief).all() or not all((np.ptp(relief, axis=i) > constant).any() for i in (0, 1)):
         return []  # lines would be straight if the relief does not depend on one of the axes
-    levels = MaxNLocator(_RELIEF_LEVELS).tick_values(relief.min(), relief.max())
+    levels = ticker.MaxNLocator(_RELIEF_LEVELS).tick_values(relief.min(), relief.max())
     levels = levels[(levels > relief.min()) & (levels < relief.max())]
     along = axes.values_along(facet[x]), axes.values_along(facet[y])
     return contours(*along, relief, levels.tolist(), [], halo=0.65, label="equal relief P/D")

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.colors import Colormap, Normalize, to_hex
+
+from vibrojax.lazy import colors
 
 INK = "#222222"
 FAINT = "#9A9A9A"
@@ -104,8 +105,8 @@ class Cells:
     x: Places
     y: Places
     values: Float[np.ndarray, "y x"]
-    colour_map: Colormap
-    norm: Normalize
+    colour_map: "colors.Colormap"
+    norm: "colors.Normalize"
     hatched: bool = True
     order: float = 0.0
 
@@ -347,6 +348,6 @@ def _places(layer: Layer, which: str) -> Float[np.ndarray, " places"]:
     return np.concatenate([np.asarray(part, float).ravel() for part in parts])
 
 
-def colours_of(values: Places, colour_map: Colormap, norm: Normalize) -> list[str]:
+def colours_of(values: Places, colour_map: "colors.Colormap", norm: "colors.Normalize") -> list[str]:
     """Return the colours of values."""
-    return [to_hex(colour) for colour in colour_map(norm(np.asarray(values, float)))]
+    return [colors.to_hex(colour) for colour in colour_map(norm(np.asarray(values, float)))]

@@ -5,19 +5,15 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from io import BytesIO
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import xarray as xr
-from matplotlib import colormaps, style
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import Colormap, to_hex
-from matplotlib.figure import Figure
 
 from vibrojax.errors import printable
 from vibrojax.io.attributes import title_of
+from vibrojax.lazy import colors
 from vibrojax.pictures.plots import FAINT as FAINT
 from vibrojax.pictures.plots import INK as INK
 from vibrojax.pictures.plots import Dash, Look
@@ -49,40 +45,27 @@ COLOURS: ContextVar[str | None] = ContextVar("COLOURS", default=None)
 """Colour map that the user chose for quantities; None if each quantity has its own."""
 
 
-class OwnFigure(Figure):
-    """A figure that pyplot does not manage, but that notebooks display."""
-
-    def _repr_png_(self) -> bytes:
-        with settings():
-            content = BytesIO()
-            self.savefig(content, format="png", dpi=self.dpi)
-        return content.getvalue()
-
-
 @contextmanager
 def settings(more: Mapping[str, float] = MappingProxyType({})) -> Iterator[None]:
     """Apply the common settings of all pictures, and `more`, to matplotlib, in place of the user's settings."""
+    from matplotlib import style
+
     with style.context(["default", _STYLE, dict(more)]), warnings.catch_warnings():
         # A character that the font lacks is drawn as a box, so no warning is needed.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield
 
 
-def new_figure(width: float, height: float) -> OwnFigure:
-    """Return an empty figure of `width` by `height` [inch] on the Agg canvas."""
-    figure = OwnFigure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def colour_map(default: str = "viridis") -> Colormap:
+def colour_map(default: str = "viridis") -> "colors.Colormap":
     """Return the colour map that the user chose, else `default`."""
+    from matplotlib import colormaps
+
     return colormaps[COLOURS.get() or default]
 
 
 def line_colours(count: int) -> list[str]:
     """Return `count` graded colours, for lines in the order of a numeric value."""
-    return [to_hex(colour_map()(share)) for share in np.linspace(*VIRIDIS_RANGE, count)]
+    return [colors.to_hex(colour_map()(share)) for share in np.linspace(*VIRIDIS_RANGE, count)]
 
 
 def other_colour(position: int) -> str:

@@ -8,8 +8,7 @@ steps are needed. The motion of e and x3' does not depend on the depth of the ho
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics import rock as rocks
 from vibrojax.scenes.capabilities import HasRock
 from vibrojax.scenes.declared import Guard, Mode, State, Values

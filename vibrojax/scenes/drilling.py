@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.parameters import Parameter
 from vibrojax.physics.rock import ROCK, ROCKS
 from vibrojax.scenes import bit_on_rock

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.elementary import sin
 from vibrojax.physics.parameters import BIT_AND_STRIKER, Parameter, not_negative, positive, table
 from vibrojax.physics.rock import ROCK

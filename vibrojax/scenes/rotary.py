@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
-import jax.numpy as jnp
-
 from vibrojax.errors import InputError, shown
+from vibrojax.lazy import jnp
 from vibrojax.physics.arrays import Array
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.modes import striker

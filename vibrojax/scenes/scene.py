@@ -11,8 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, Generic, TypeVar
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.arrays import Array
 from vibrojax.physics.parameters import Parameter
 from vibrojax.scenes.declared import Guard, Marker, Mode, Section, Start, State, Values

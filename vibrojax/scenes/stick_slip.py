@@ -7,8 +7,7 @@ It is 0 while sticking, until the magnitude of the net spring force exceeds the 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.arrays import Array
 from vibrojax.physics.elementary import absolute
 from vibrojax.physics.friction import FrictionLaw

@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.contact import contact_time, raw_force
 from vibrojax.physics.elementary import maximum
 from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT, Parameter

@@ -12,9 +12,9 @@ from sysconfig import get_paths
 from types import CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
 from typing import Any
 
-import jax
 import numpy as np
 
+from vibrojax.lazy import jax
 from vibrojax.measures import GAUGES
 from vibrojax.physics.parameters import Parameter
 from vibrojax.scenes import Scene

@@ -18,6 +18,7 @@ from vibrojax.physics.meanings import suggest_by_meaning, suggest_parameter
 from vibrojax.physics.parameters import FREQUENCIES, REPLACED, Parameter, substitutes
 from vibrojax.scenes import SCENES, HasContact, HasRock, Scene
 from vibrojax.settings.run_settings import RunSettings
+from vibrojax.settings.toml import TOP_KEYS
 from vibrojax.settings.values import STATE, choice, quantity
 from vibrojax.stepping import STEPPERS, Stepper
 from vibrojax.systems.system import DEFINED, System
@@ -36,8 +37,6 @@ _RESULTS = ("blow_frequency", "blows", "blow_rate", "blows_per_minute", "bpm")
 
 _LACKING = {"friction": "does not slide"}
 """Wording for a scene without an option, used in messages."""
-
-_TOP_KEYS = ("scene", "title", "starts", "unusual", "points")
 
 
 def known_options() -> dict[str, Mapping[str, object]]:
@@ -165,8 +164,10 @@ class Names:
             return f"scene {shown(self.scene)} has no {name}; {hint}" if hint else has
         if name in _DERIVED and _DERIVED[name][0] in self.writable:
             return f"is not a parameter: {_DERIVED[name][1]}"
-        if name in _TOP_KEYS or name in RunSettings.__dataclass_fields__:
-            return f"is not a parameter; it belongs {'at the top of the file' if name in _TOP_KEYS else 'in [run]'}"
+        if name in RunSettings.__dataclass_fields__:
+            return "is not a parameter; it belongs in [run]"
+        if name in (*TOP_KEYS, "points"):
+            return "is not a parameter; it belongs at the top of the file"
         if not hint and (elsewhere := self._meaning_elsewhere(name)):
             return f"scene {shown(self.scene)} has no {elsewhere}"
         return f"scene {shown(self.scene)} has no such parameter; {suggest_parameter(name, self.writable)}"

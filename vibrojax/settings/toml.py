@@ -31,8 +31,10 @@ _CHECKOUT = (_PACKAGE.parent,) if (_PACKAGE.parent / "pyproject.toml").exists() 
 BUNDLED_FOLDERS = tuple(folder / "sweeps" for folder in (_PACKAGE, *_CHECKOUT))
 _SUBFOLDERS = {"sweep": "", "study": "studies", "design": "designs"}
 
-_TABLES = ("parameters", "grid", "run")
-_TOP_KEYS = ("scene", "title", "starts", "unusual")
+TABLES = ("parameters", "grid", "run")
+TOP_KEYS = ("scene", "title", "starts", "unusual")
+"""Tables of a sweep, and keys before them."""
+
 _OBJECTS = (Scene, FrictionLaw, Stepper)
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -118,12 +120,12 @@ def with_changes(source: Source, words: Iterable[str]) -> Source:
 def _set(place: Place, tables: dict[str, object], name: str, value: object) -> None:
     """Set one value in `tables`, which is modified in place."""
     table, dot, key = name.partition(".")
-    if dot and table not in _TABLES:
-        raise place.error(f"unknown table {shown(table)}; {suggestion(table, _TABLES)}")
+    if dot and table not in TABLES:
+        raise place.error(f"unknown table {shown(table)}; {suggestion(table, TABLES)}")
     if not dot:
         key, varies = name, isinstance(value, (list, dict))
         is_setting = name in RunSettings.__dataclass_fields__
-        table = "" if name in _TOP_KEYS else "run" if is_setting else "grid" if varies else "parameters"
+        table = "" if name in TOP_KEYS else "run" if is_setting else "grid" if varies else "parameters"
     if table in ("parameters", "grid"):
         for other in ("parameters", "grid"):
             former = tables.get(other)

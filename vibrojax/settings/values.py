@@ -4,6 +4,7 @@ import re
 import sys
 import warnings
 from collections.abc import Collection, Hashable, Mapping, Sequence
+from functools import partial
 from numbers import Integral, Real
 from pathlib import Path
 
@@ -60,6 +61,15 @@ def quantity(place: Place, value: object, parameter: Parameter) -> float:
     if problem is not None:
         raise place.error(problem)
     return checked
+
+
+def read_pair(place: Place, value: object, noun: str, parameter: Parameter | None = None) -> tuple[float, float]:
+    """Return two numbers, or two values of a parameter; `noun`: what they are, and an example."""
+    if not isinstance(value, list) or len(value) != 2:
+        raise place.error(f"{shown(value)} is not {noun}")
+    read = require_number if parameter is None else partial(quantity, parameter=parameter)
+    first, second = (read(place.item(k), number) for k, number in enumerate(value))
+    return first, second
 
 
 def count(place: Place, value: object, least: int, most: int | None = None) -> int:

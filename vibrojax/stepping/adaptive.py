@@ -3,9 +3,9 @@
 from typing import Any
 
 import diffrax
-import jax.numpy as jnp
 
 from vibrojax.errors import InputError
+from vibrojax.lazy import jnp
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes.declared import Values
 from vibrojax.scenes.scene import Scene

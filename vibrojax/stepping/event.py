@@ -5,9 +5,7 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
-
+from vibrojax.lazy import jax, jnp
 from vibrojax.physics.arrays import Array, Flags, Lanes, keep
 from vibrojax.scenes.scene import Scene
 from vibrojax.stepping.polynomial import Coefficients, first_guess, root, slope, value
@@ -177,7 +175,7 @@ def _crossings(
 
 def _root_of_chosen(
     functions: list[Coefficients], chosen: list[Array], small: list[Small], guess: Array, reach: Array
-) -> jax.Array:
+) -> "jax.Array":
     """Return, for each lane, the root in tau of the chosen function."""
 
     def pick(values: Sequence[Array]) -> Array:
@@ -206,18 +204,18 @@ def _first_true(masks: list[Array]) -> list[Array]:
     return firsts
 
 
-def _sign_at_start(marker: Coefficients, small: Small) -> jax.Array:
+def _sign_at_start(marker: Coefficients, small: Small) -> "jax.Array":
     """Return a marker's sign at the start of the step; at zero, that of the first coefficient above rounding error."""
     rate = jnp.where(jnp.abs(marker[1]) <= small.slope, marker[2], marker[1])
     return jnp.where(jnp.where(marker[0] == 0, rate, marker[0]) < 0, -1.0, 1.0)
 
 
-def _zeros_at_start(f: Coefficients, small: Small) -> jax.Array:
+def _zeros_at_start(f: Coefficients, small: Small) -> "jax.Array":
     """Return the multiplicity of the function's zero at the start of the step: 0 if not zero, 2 at a tangency."""
     return jnp.where(f[0] <= 0, jnp.where(jnp.abs(f[1]) <= small.slope, 2.0, 1.0), 0.0)
 
 
-def _guess(f: Coefficients, end: Array, reach: Array, small: Small) -> jax.Array:
+def _guess(f: Coefficients, end: Array, reach: Array, small: Small) -> "jax.Array":
     """Return a guess of the fraction of the step at which a function with a negative `end` value crosses zero.
 
     The result is 0 if the function is negative from the start.
@@ -228,12 +226,12 @@ def _guess(f: Coefficients, end: Array, reach: Array, small: Small) -> jax.Array
     return jnp.where(leaves, 0.0, guess)
 
 
-def _dip(f: Coefficients, end: Array, tau: Array) -> jax.Array:
+def _dip(f: Coefficients, end: Array, tau: Array) -> "jax.Array":
     """Return the fraction of the step to `tau` near which a function may have dipped below zero, else infinity."""
     return _dip_between(f[0], f[1] * tau, end, slope(f, tau) * tau)
 
 
-def _dip_in_halves(f: Coefficients, end: Array, tau: Array, small: Small) -> jax.Array:
+def _dip_in_halves(f: Coefficients, end: Array, tau: Array, small: Small) -> "jax.Array":
     """Return the same for functions that may turn several times in a step, such as those of a user's system."""
     half = 0.5 * tau
     middle, rate = value(f, half), slope(f, half) * half
@@ -244,7 +242,7 @@ def _dip_in_halves(f: Coefficients, end: Array, tau: Array, small: Small) -> jax
     return jnp.minimum(both, below)
 
 
-def _dip_between(start: Array, rate: Array, end: Array, end_rate: Array) -> jax.Array:
+def _dip_between(start: Array, rate: Array, end: Array, end_rate: Array) -> "jax.Array":
     """Return the fraction of an interval near which a function may have dipped below zero, else infinity.
 
     A convex function is above the tangents at both ends. If these tangents meet above zero, there is no dip.

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
-import jax.numpy as jnp
-from jax import lax
-
 from vibrojax.errors import InputError, shown
+from vibrojax.lazy import jnp, lax
 from vibrojax.physics.arrays import Array, keep
 from vibrojax.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Landing, Trial, locate

@@ -4,10 +4,7 @@ from collections.abc import Sequence
 from functools import reduce
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-from jax import custom_jvp, lax
-
+from vibrojax.lazy import jax, jnp, lax
 from vibrojax.physics.arrays import Array, Real, keep
 
 Coefficients = Sequence[Array]
@@ -35,7 +32,7 @@ def integral(coefficients: Coefficients, tau: Real) -> Any:
     return tau * value([c / (k + 1) for k, c in enumerate(coefficients)], tau)
 
 
-def highest(coefficients: Coefficients, tau: Array) -> jax.Array:
+def highest(coefficients: Coefficients, tau: Array) -> "jax.Array":
     """Return the greatest value between 0 and tau: at an end, or at a maximum in between.
 
     The maximum is found with two Newton iterations from the zero of a linear slope. For 2 rad of a sine wave, the
@@ -51,7 +48,7 @@ def highest(coefficients: Coefficients, tau: Array) -> jax.Array:
     return jnp.maximum(jnp.maximum(coefficients[0], value(coefficients, tau)), value(coefficients, top))
 
 
-def extremes(coefficients: Coefficients, tau: Array) -> tuple[jax.Array, jax.Array]:
+def extremes(coefficients: Coefficients, tau: Array) -> "tuple[jax.Array, jax.Array]":
     """Return the least and the greatest value between 0 and tau, for a polynomial with at most one turning point there.
 
     The turning point is found as in `highest`.
@@ -67,7 +64,7 @@ def extremes(coefficients: Coefficients, tau: Array) -> tuple[jax.Array, jax.Arr
     return reduce(jnp.minimum, values), reduce(jnp.maximum, values)
 
 
-def first_guess(start: Array, rate: Array, end: Array) -> jax.Array:
+def first_guess(start: Array, rate: Array, end: Array) -> "jax.Array":
     """Return the root r in (0, 1] of the parabola start + rate r + c r² whose value at r = 1 is `end`.
 
     For start >= 0 > end there is one such root in addition to a possible root at r = 0. Each of the two formulas is
@@ -81,8 +78,7 @@ def first_guess(start: Array, rate: Array, end: Array) -> jax.Array:
     return jnp.where(jnp.isnan(guess), 0.5, guess)
 
 
-@custom_jvp
-def root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> jax.Array:
+def root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> "jax.Array":
     """Return the root in (0, end) of a polynomial that is positive before the root and negative at `end`.
 
     Newton's iteration stays inside a shrinking bracket. It is applied to the polynomial divided by tau^zeros, so that
@@ -93,7 +89,13 @@ def root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> 
     **Returns:** tau (lanes,). Its derivative is that of the root of the polynomial G, d tau = -sum_k dc_k tau^k /
     G'(tau), not that of the iteration. Event times thus have the correct derivatives with respect to parameters.
     """
+    differentiable: Any = jax.custom_jvp(_iterated_root)
+    differentiable.defjvp(_root_jvp)
+    found: jax.Array = differentiable(coefficients, zeros, guess, end)
+    return found
 
+
+def _iterated_root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> "jax.Array":
     def refine(_: Any, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         tau, low, high = carry
         y = value(coefficients, tau)
@@ -110,8 +112,7 @@ def root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> 
     return tau
 
 
-@root.defjvp
-def _root_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+def _root_jvp(primals: tuple, tangents: tuple) -> "tuple[jax.Array, jax.Array]":
     coefficients, zeros, guess, end = primals
     tau = root(coefficients, zeros, guess, end)
     rate = slope(coefficients, tau)
@@ -119,7 +120,7 @@ def _root_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
     return tau, jnp.where(rate == 0, 0.0, -moved / jnp.where(rate == 0, 1.0, rate))
 
 
-def rough_root(x: Array, n: int) -> jax.Array:
+def rough_root(x: Array, n: int) -> "jax.Array":
     """Return x^(1/n) for x > 0 times an error factor between 1 and 1.07.
 
     The result is a tiny number for 0, and a number above 1 for infinity and NaN. This accuracy suffices for step

@@ -13,8 +13,7 @@ factors of the combination, which are computed once per step and not at every or
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics import elementary
 from vibrojax.physics.arrays import Array, Lanes, Real, Value, keep
 

@@ -4,10 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
-import jax
-import jax.numpy as jnp
-from jax import lax
-
+from vibrojax.lazy import jax, jnp, lax
 from vibrojax.physics.arrays import Array, Flags, Lanes, Real, keep
 from vibrojax.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Landing, Trial
@@ -173,7 +170,7 @@ class Stepper(ABC):
         return 0.0
 
 
-def trial_length(lane: Lane, nominal: Array, longest: Real, goal: Goal) -> jax.Array:
+def trial_length(lane: Lane, nominal: Array, longest: Real, goal: Goal) -> "jax.Array":
     """Return the length of the next trial step [s], 0 for lanes that do not move.
 
     It is the least of `nominal`, `longest`, the limit from a rejected trial, and the time until `goal.end`.

@@ -1,4 +1,23 @@
-"""Analyses of scenes and datasets, one folder per analysis; and definitions of the terms in their output."""
+"""Analyses of scenes and datasets, where they are; and definitions of the terms in their output."""
+
+HOMES = {
+    "sweep": "sweep:Sweeps",
+    "trajectory": "trajectory:Trajectories",
+    "family": "family_analysis:Families",
+    "curves": "curve_analysis:Curves",
+    "borders": "borders:Borders",
+    "attractors": "attractors:Attractors",
+    "push": "push:Pushes",
+    "tolerance": "tolerance:Tolerances",
+    "design": "design:Designs",
+    "study": "effects:Studies",
+    "rig": "rig_analysis:Rigs",
+    "calibration": "calibrate:Calibrations",
+    "fit": "rop_picture:Fits",
+    "accuracy": "accuracy:AccuracyStudy",
+    "sensitivity": "sensitivity:Sensitivity",
+}
+"""Module and class of each of the package's own analyses, which are imported when they are needed."""
 
 WORDS = {
     "lane": "one point of the parameters from one start, stepped on its own",

@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 from vibrojax.compile.xla import usable_cores, workers
 from vibrojax.errors import InputError, Place, counted, printable, suggestion
 from vibrojax.io.attributes import table_of, title_of
-from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.variables import Variable, described
+from vibrojax.io.variables import Variable
 from vibrojax.pictures.contents import SETTING
 from vibrojax.pictures.plots import (
     INK,
@@ -69,13 +68,7 @@ STATUSES = {
     "other-regime": "moved in another way than the reference",
     "unsupported": "plain integration knows no rock that yields: its ratchet needs events",
 }
-_RELATIVE = {"period": "period", "impact_velocity": "impact velocity", "peak_impact_force": "peak force"}
-_ERRORS = _RELATIVE | {"stick_fraction": "stick fraction", "rate_of_penetration": "ROP"}  # feature: name in the table
-_MEANINGS = {  # errors, by the prefix of their variables
-    "": "relative error of the larger of period and impact velocity; in penetration of the rate of penetration",
-    **{f"{name}_": f"relative error of {name.replace('_', ' ')}" for name in _ERRORS},
-    "stick_fraction_": "error of stick fraction",
-}
+_ERROR = "relative error of the larger of period and impact velocity; in penetration of the rate of penetration"
 _VARIABLES = {
     **{name: Variable("1", name, np.str_) for name in ("scene", "method", "precision")},
     "varied": Variable("1", "varied quantity", np.str_),
@@ -83,17 +76,11 @@ _VARIABLES = {
     "time_per_lane_second": Variable("s", "median time per lane-second"),
     "time_per_lane_second_min": Variable("s", "shortest time per lane-second"),
     "time_per_lane_second_max": Variable("s", "longest time per lane-second"),
-    "repeats": Variable("1", "repeats", np.int32),
     "compile_time": Variable("s", "compile time"),
-    "steps_per_second": Variable("s-1", "steps of a lane per simulated second"),
-    **{
-        f"{prefix}error_{which}": Variable("1", f"{which} {meaning}")
-        for prefix, meaning in _MEANINGS.items()
-        for which in ("worst", "median")
-    },
+    "error_worst": Variable("1", f"worst {_ERROR}"),
+    "error_median": Variable("1", f"median {_ERROR}"),
     "lanes": Variable("1", "periodic lanes", np.int32),
     "agreeing": Variable("1", "lanes that move like the reference, over which errors are counted", np.int32),
-    "repeating": Variable("1", "lanes that also repeat like the reference, to 1e-3", np.int32),
     "status": Variable("1", "outcome", np.int8, tuple(STATUSES)),
     "remark": Variable("1", "why lanes failed", np.str_),
     "reference_spread": Variable("1", "difference of two references, below which errors mean nothing"),
@@ -103,9 +90,8 @@ _READING = (
     "Time is that of all lanes on all cores, copied until each core has a block of them, divided by their number and "
     "the simulated seconds of each, without compiling and without a check run: the median of the repeats, and half "
     "their range as its spread. Worst and median are over the lanes that move like the reference, of the larger "
-    "relative error of period and impact velocity (penetration: of the rate of penetration, ROP); the columns after "
-    "them are the worst lane's, relative, of the stick fraction the difference. Settings in bold are on the Pareto "
-    "front of time and worst error. Rows with a remark had lanes that failed; they are never on the front."
+    "relative error of period and impact velocity (penetration: of the rate of penetration). Settings in bold are on "
+    "the Pareto front of time and worst error. Rows with a remark had lanes that failed; they are never on the front."
 )
 
 
@@ -139,17 +125,18 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     began = time.monotonic()
     bar = Progress(sum(len(settings_of(scene, quick)) for scene in scenes), "settings", progress, pace=False)
     rows = [row for scene in scenes for row in _measured_scene(scene, quick, bar)]
-    attributes = {
-        **dataset_attributes("accuracy", "Speed against error", "accuracy"),
-        "reference": REFERENCE_TEXT,
-        "settings": SETTINGS_TEXT,
-        "machine": json.dumps(machine()),
-        "wall_time_s": time.monotonic() - began,
-    }
     missing = {name: 0 if variable.dtype is np.int32 else np.nan for name, variable in _VARIABLES.items()}
-    data = described({name: (SETTING, [row.get(name, x) for row in rows]) for name, x in missing.items()}, _VARIABLES)
-    coordinates = {name: data.pop(name) for name in Setting._fields}
-    return xr.Dataset(data, coordinates, attributes)
+    columns = {name: (SETTING, [row.get(name, x) for row in rows]) for name, x in missing.items()}
+    coordinates = {name: columns.pop(name) for name in Setting._fields}
+    return AccuracyStudy().dataset(
+        columns,
+        coordinates,
+        title="Speed against error",
+        reference=REFERENCE_TEXT,
+        settings=SETTINGS_TEXT,
+        machine=json.dumps(machine()),
+        wall_time_s=time.monotonic() - began,
+    )
 
 
 def _measured_scene(scene: str, quick: bool, bar: Progress) -> list[dict[str, Any]]:
@@ -157,13 +144,13 @@ def _measured_scene(scene: str, quick: bool, bar: Progress) -> list[dict[str, An
     fine = Program(scene, "located", "float64", quick)
     fine.compile(FINE)
     reference, second = (fine.features(accuracy, fine.run(accuracy)) for accuracy in (FINE, SECOND))
-    status, errors = compared(second, reference)
-    usable = (status == 0) & (errors[""] < TRUSTED_WITHIN)  # and periodic
+    status, error = compared(second, reference)
+    usable = (status == 0) & (error < TRUSTED_WITHIN)  # and periodic
     if "cycles" in reference:
         usable &= (reference["cycles"] > 0) & (reference["cycles"] == second["cycles"])
     else:
         usable &= reference["rate_of_penetration"] > 0
-    spread = errors[""][usable].max()
+    spread = error[usable].max()
     rows, programs = [], dict[tuple[str, str], tuple[Program, float]]()
     for setting in settings_of(scene, quick):
         key, by_diffrax = (setting.method, setting.precision), setting.method.startswith("diffrax")
@@ -202,51 +189,42 @@ def _measured(
             break
     pair = program.features(accuracy, ran), reference
     features, expected = ({name: x[usable] for name, x in found.items()} for found in pair)
-    status, errors = compared(features, expected)
+    status, error = compared(features, expected)
     agrees, times = status == 0, np.array(seconds) / (program.sweep.lanes * (program.settle + program.observe))
     lanes, counts = counted(len(status), "lane"), np.bincount(status, minlength=len(STATUSES))
     row: dict[str, Any] = {
         "time_per_lane_second": np.median(times),
         "time_per_lane_second_min": times.min(),
         "time_per_lane_second_max": times.max(),
-        "repeats": len(seconds),
-        "steps_per_second": np.mean(ran["steps"]) / (program.settle + program.observe),
         "lanes": len(status),
         "agreeing": agrees.sum(),
-        "repeating": (agrees & np.equal(*(found.get("cycles", 0) for found in (features, expected)))).sum(),
         "status": 0 if agrees.all() else status[~agrees].min(),
         "remark": "; ".join(
             f"{n} of {lanes} {why}" for n, why in zip(counts, STATUSES.values(), strict=True) if n and why
         ),
     }
-    for name, x in errors.items() if agrees.any() else ():
-        row |= {f"{name}error_worst": x[agrees].max(), f"{name}error_median": np.median(x[agrees])}
-    return row
+    known = {"error_worst": error[agrees].max(), "error_median": np.median(error[agrees])} if agrees.any() else {}
+    return row | known
 
 
-def compared(
-    features: Features, reference: Features
-) -> tuple[Int[np.ndarray, " lanes"], dict[str, Float[np.ndarray, " lanes"]]]:
-    """Return the status of each lane, an index into `STATUSES`, and its errors by the prefix of their variables.
+def compared(features: Features, reference: Features) -> tuple[Int[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
+    """Return the status of each lane, an index into `STATUSES`, and its error.
 
-    The error without prefix is the larger one of period and impact velocity, or that of the rate of penetration in
-    scenes without them. A motion is another one if impacts per return differ by more than 5 %, or that error is a half
-    or more. It need not be periodic to 1e-3: coarse steps cause more jitter, but the means belong to the same motion.
+    The error is the larger one of period and impact velocity, or that of the rate of penetration in scenes without
+    them. A motion is another one if impacts per return differ by more than 5 %, or the error is a half or more. It need
+    not be periodic to 1e-3: coarse steps cause more jitter, but the means belong to the same motion.
     """
-    errors = {}
-    for name in _ERRORS:
-        if name in reference and name in features:
-            difference = np.abs(features[name].astype(float) - reference[name])
-            size = 1.0 if name == "stick_fraction" else np.abs(reference[name])
-            with np.errstate(divide="ignore", invalid="ignore"):
-                errors[f"{name}_"] = np.where(difference == 0, 0.0, difference / size)
-    main = [errors[name] for name in ("period_", "impact_velocity_") if name in errors]
-    errors[""] = reduce(np.fmax, main or [errors["rate_of_penetration_"]])
-    other = ~(errors[""] < OTHER_MOTION_ERROR)
+    names: list[str] = [name for name in ("period", "impact_velocity") if name in reference]
+    names = names or ["rate_of_penetration"]
+    differences = [np.abs(features[name].astype(float) - reference[name]) for name in names]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = [x / np.abs(reference[name]) for x, name in zip(differences, names, strict=True)]
+    error = reduce(np.fmax, [np.where(x == 0, 0.0, y) for x, y in zip(differences, relative, strict=True)])
+    other = ~(error < OTHER_MOTION_ERROR)
     if "impacts" in reference:
         found, expected = (np.asarray(x["impacts"], float) / np.maximum(x["cycles"], 1) for x in (features, reference))
         other |= ~(np.abs(found - expected) <= 0.05 * np.maximum(expected, 1))
-    return np.select([~features["finite"], ~features["finished"], other], [1, 2, 3], 0), errors
+    return np.select([~features["finite"], ~features["finished"], other], [1, 2, 3], 0), error
 
 
 def pareto(time: ArrayLike, error: ArrayLike) -> Bool[np.ndarray, " points"]:
@@ -283,7 +261,6 @@ def table(ds: xr.Dataset) -> str:
         _READING,
     ]
     for scene, here in ds.to_dataframe().groupby("scene", sort=False):
-        shown = {f"{name}_": text for name, text in _ERRORS.items() if here[f"{name}_error_worst"].notna().any()}
         unit, ends = here["varied"].map({"width": " m/s", "step": " s"}).fillna(""), ("_max", "_min")
         slowest, fastest = (here[f"time_per_lane_second{end}"] for end in ends)
         cells = {
@@ -294,7 +271,6 @@ def table(ds: xr.Dataset) -> str:
             "spread": (5e5 * (slowest - fastest)).map("± {:.2g}".format),
             "worst": here["error_worst"].map("{:.1e}".format),
             "median": here["error_median"].map("{:.1e}".format),
-            **{text: here[f"{prefix}error_worst"].map("{:.1e}".format) for prefix, text in shown.items()},
             "compile s": here["compile_time"].map("{:.1f}".format),
             "remark": here["remark"],
         }
@@ -407,5 +383,6 @@ class AccuracyStudy(Analysis):
     """Study of speed against error on this machine: a dataset, a table and a picture."""
 
     kind = "accuracy"
+    variables = _VARIABLES
     view = "plots"
     pictures = (PictureRule("accuracy", lambda held: True, work_precision),)

@@ -16,6 +16,7 @@ from vibrojax.errors import InputError, printable, shown
 from vibrojax.io.kinds import KIND, check_structure, dataset_attributes, kind_of
 from vibrojax.io.variables import Variable, described
 from vibrojax.settings.fields import Settings
+from vibrojax.studies import HOMES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -180,39 +181,32 @@ class Analysis(Settings):
         """Return the texts that the explorer page shows of a dataset; by default its summary."""
         return self.summary(ds)
 
-    def dataset(self, variables: Mapping[Any, Any], coords: Mapping[Any, Any], **attributes: object) -> xr.Dataset:
+    def dataset(
+        self,
+        variables: Mapping[Any, Any],
+        coords: Mapping[Any, Any],
+        *,
+        of: "Sweep | None" = None,
+        **attributes: object,
+    ) -> xr.Dataset:
         """Return a dataset of this kind with title, provenance and history; known variables get units and meanings.
 
         **Arguments:** `variables`: (dimensions, values) by name, or (dimensions, values, attributes) for variables that
-        the class attribute `variables` does not describe; `coords`: coordinates in the same form; `attributes`: further
-        dataset attributes, among them `title`.
+        the class attribute `variables` does not describe; `coords`: coordinates in the same form; `of`: the sweep whose
+        scene and parameters the dataset states; `attributes`: further dataset attributes, among them `title`.
         """
-        title = str(attributes.pop("title", self.kind))
-        attrs = dataset_attributes(self.kind, title, self.kind, **attributes)
+        title, command = str(attributes.pop("title", self.kind)), self.command or self.kind
+        if of is None:
+            attrs = dataset_attributes(self.kind, title, command, **attributes)
+        else:
+            from vibrojax.maps.dataset import shared_attributes  # imports jax
+
+            attrs = shared_attributes(of, self.kind, title, command) | attributes
         return xr.Dataset(described(variables, self.variables), described(coords, self.variables), attrs)
 
 
 GROUP = "vibrojax.analyses"
 """Entry-point group in which an installed package registers its analyses, as `NAME = "module:Class"`."""
-
-_HOMES = {
-    "sweep": "sweep:Sweeps",
-    "trajectory": "trajectory:Trajectories",
-    "family": "family_analysis:Families",
-    "curves": "curve_analysis:Curves",
-    "borders": "borders:Borders",
-    "attractors": "attractors:Attractors",
-    "push": "push:Pushes",
-    "tolerance": "tolerance:Tolerances",
-    "design": "design_analysis:Designs",
-    "study": "effects:Studies",
-    "rig": "rig_analysis:Rigs",
-    "calibration": "calibration_analysis:Calibrations",
-    "fit": "rop_picture:Fits",
-    "accuracy": "accuracy:AccuracyStudy",
-    "sensitivity": "sensitivity:Sensitivity",
-}
-"""Module and class of each of the package's own analyses, which are imported when they are needed."""
 
 _USED: dict[str, Analysis] = {}
 """Analyses by kind that were passed to `analyse` in this process."""
@@ -263,7 +257,7 @@ def checked_result(analysis: Analysis, ds: xr.Dataset) -> xr.Dataset:
     if ds.attrs.get(KIND) != kind:
         ds = ds.assign_attrs(dataset_attributes(kind, str(ds.attrs.get("title", kind)), kind) | ds.attrs | {KIND: kind})
     check_structure(ds)
-    if kind not in _HOMES:
+    if kind not in HOMES:
         _USED[kind] = analysis
     return ds
 
@@ -278,8 +272,8 @@ def analysis_named(kind: str) -> Analysis | None:
 
     **Raises:** `InputError` if an installed package registers the kind, but its class cannot be loaded.
     """
-    if kind in _HOMES:
-        module, _, name = _HOMES[kind].partition(":")
+    if kind in HOMES:
+        module, _, name = HOMES[kind].partition(":")
         own: Analysis = getattr(import_module(f"vibrojax.studies.{module}"), name)()
         return own
     if kind in _USED:
@@ -291,7 +285,7 @@ def analysis_named(kind: str) -> Analysis | None:
 @cache
 def offered_analyses() -> dict[str, Any]:
     """Return the entry points of analyses in installed packages, by kind; vibrojax's own kinds cannot be replaced."""
-    return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in _HOMES}
+    return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in HOMES}
 
 
 def load_analysis(entry: Any) -> type[Analysis]:

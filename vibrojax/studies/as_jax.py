@@ -1,14 +1,9 @@
 """Features of orbits as functions of JAX arrays, with gradients by the implicit function theorem: `as_jax`."""
 
 import _thread
-import sys
-import threading
-import time
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from pathlib import Path
-from threading import Lock
-from types import FrameType
+from threading import Event, Lock, Timer
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -203,11 +198,10 @@ VALID, LOGARITHM = "valid", "margin"
 
 R = TypeVar("R")
 
-POLL_SECONDS = 1e-3
-"""Interval at which the main thread's stack is inspected after Ctrl-C."""
+INTERRUPT_SECONDS = 0.02
+"""Time after which a deferred Ctrl-C interrupts the main thread: long enough for jax to return from its callbacks."""
 
-_JAX = str(Path(jax.__file__).parent)
-_PENDING = threading.Event()
+_INTERRUPTED = Event()
 
 
 class OrbitFunction:
@@ -237,7 +231,6 @@ class OrbitFunction:
                 raise InputError("as_jax: the array's mesh has explicit axes; call it inside of jax.set_mesh(mesh)")
             features = jax.sharding.auto_axes(features, out_sharding=jax.sharding.PartitionSpec())
         results = features(x)
-        await_interrupt()
         values = {name: results[index] for name, index in self._outputs.items()}
         return values | {VALID: jax.lax.stop_gradient(results[-1]) > 0.5}
 
@@ -406,50 +399,19 @@ def _features(branch: Branch, outside: str) -> Callable[[jax.Array], jax.Array]:
 
 
 def deferring_interrupts(compute: Callable[[], R], nothing: R) -> R:
-    """Return `compute()`; upon Ctrl-C, return `nothing` and raise KeyboardInterrupt once the callback is over.
+    """Return `compute()`; upon Ctrl-C, return `nothing`, and interrupt the main thread again a moment later.
 
-    jax reports each exception of a callback as an error of XLA. Callbacks that the program makes before it ends return
-    `nothing` as well.
+    jax reports each exception of a callback as an error of XLA. Until the program has left its callbacks, which return
+    `nothing` meanwhile, each interrupt is deferred once more.
     """
-    if _PENDING.is_set():
-        return nothing
     try:
-        return compute()
+        return nothing if _INTERRUPTED.is_set() else compute()
     except KeyboardInterrupt:
-        _PENDING.set()
-        caller = _caller(sys._getframe())
-        instruction = caller.f_lasti if caller else 0
-        threading.Thread(target=_interrupt_after, args=(caller, instruction), daemon=True).start()
+        _INTERRUPTED.set()
+        Timer(INTERRUPT_SECONDS, _interrupt).start()
         return nothing
 
 
-def await_interrupt() -> None:
-    """Return at once, or wait for the KeyboardInterrupt that a callback has deferred."""
-    while _PENDING.is_set():
-        time.sleep(POLL_SECONDS)
-
-
-def _caller(frame: FrameType | None) -> FrameType | None:
-    """Return the frame that runs the compiled program, outside of the functions of jax that call back, in one file."""
-    file = ""
-    while frame and file in ("", frame.f_code.co_filename):
-        if frame.f_code.co_filename.startswith(_JAX):
-            file = frame.f_code.co_filename
-        frame = frame.f_back
-    return frame
-
-
-def _interrupt_after(caller: FrameType | None, instruction: int) -> None:
-    """Interrupt the main thread when the frame `caller` has gone on from its `instruction`, or has ended."""
-    main = threading.main_thread().ident or 0
-
-    def is_busy() -> bool:
-        frame = sys._current_frames().get(main)
-        while frame and frame is not caller:
-            frame = frame.f_back
-        return frame is not None and frame.f_lasti == instruction
-
-    while is_busy():
-        time.sleep(POLL_SECONDS)
-    _PENDING.clear()
+def _interrupt() -> None:
+    _INTERRUPTED.clear()
     _thread.interrupt_main()

@@ -377,6 +377,34 @@ def find_links(
     return links
 
 
+def numbered_motions(
+    runs: list[tuple[Sweep, xr.Dataset]], progress: bool
+) -> tuple[xr.Dataset, list[Motion], Int[np.ndarray, " motions"]]:
+    """Return the lanes of all runs, joined along `start`, their motions, and the attractor number of each motion.
+
+    Attractors are numbered from 0 by decreasing number of lanes of the first run; further runs do not count. Equal
+    numbers are ordered by increasing values of the axes, so that numbers do not depend on the direction of the axes.
+    """
+    sweep, _ = runs[0]
+    *shape, starts = sweep.shape
+    scene, observed = sweep.system.driving_part(), observe_irregular(runs, progress)
+    values, _ = sweep.lane_values(0, sweep.lanes)
+    points = {name: values[name][::starts] for name in scene.parameters()}
+    each = observed.sizes["start"]
+    motions = classify_motions(scene, observed, {name: np.repeat(x, each) for name, x in points.items()}, each)
+    counts = [int((motion.lanes % each < starts).sum()) for motion in motions]
+    ranks = [np.argsort(np.argsort(axis)) for axis in sweep.axes.values()]
+    keys = []
+    for index, (motion, count) in enumerate(zip(motions, counts, strict=True)):
+        place = np.unravel_index(motion.cell, shape) if ranks else ()
+        keys.append((*(float(rank[k]) for rank, k in zip(ranks, place, strict=True)), -float(count), float(index)))
+    links = find_links(scene, points, tuple(shape), motions)
+    number = number_attractors([motion.cell for motion in motions], counts, links, keys)
+    kept = ~is_ambiguous(motions, number)
+    motions = [motion for motion, counts_too in zip(motions, kept, strict=True) if counts_too]
+    return observed, motions, np.unique(number[kept], return_inverse=True)[1]
+
+
 def number_attractors(
     cells: Sequence[int], lanes: Sequence[int], links: Links, order: Sequence[tuple[float, ...]]
 ) -> Int[np.ndarray, " motions"]:

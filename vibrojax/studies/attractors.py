@@ -17,7 +17,6 @@ from vibrojax.io.attributes import flags, parameters_of
 from vibrojax.io.kinds import OF_ATTRACTORS
 from vibrojax.io.variables import VARIABLES, described
 from vibrojax.lanes.labels import measured_besides, of_orbits
-from vibrojax.maps.dataset import shared_attributes
 from vibrojax.maps.rerun import sweep_with_orbits
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.starts import DEFAULT_STARTS, list_of
@@ -310,7 +309,7 @@ def share_map(ds: xr.Dataset) -> Sheet:
 
 @dataclass(frozen=True)
 class Attractors(SweepAnalysis):
-    """Attractors that a sweep's initial conditions lead to, and the fraction of initial conditions of each."""
+    """Find the attractors that a sweep's starts lead to, and the share of starts of each."""
 
     kind = "attractors"
     counted = "attractor"
@@ -327,7 +326,7 @@ class Attractors(SweepAnalysis):
         sweep = sweep_with_orbits(source)
         if sweep.run.carry is not None:
             raise InputError("attractors: lanes of this sweep are carried, so they have no starts; leave carry out")
-        if sweep.points is not None or sweep.point_starts is not None or sweep.point_vectors is not None:
+        if sweep.points is not None:
             raise InputError("attractors: points of a list have no neighbours to number along; give a [grid] instead")
         if not sweep.crosses_starts or sweep.system.driving_part().section is None:
             raise InputError(f'attractors: scene "{sweep.scene}" takes no starts; give a sweep of a scene with a drill')
@@ -343,58 +342,38 @@ class Attractors(SweepAnalysis):
         if sweep.starts is not None and not sweep.starts.listed and named:
             own = replace(sweep, starts=list_of(named, sweep.starts.states), run=replace(sweep.run, orbits=True))
             runs.append((own, run_sweep(own, progress=progress).transpose(*sweep.dims, ...)))
-        scene, observed = sweep.system.driving_part(), grouping.observe_irregular(runs, progress)
-        values, _ = sweep.lane_values(0, sweep.lanes)
-        points = {name: values[name][::starts] for name in scene.parameters()}
-        each = observed.sizes[START]  # with the scene's named initial conditions, which do not count
-        motions = grouping.classify_motions(
-            scene, observed, {name: np.repeat(x, each) for name, x in points.items()}, each
-        )
-        count = [int((motion.lanes % each < starts).sum()) for motion in motions]
-        links = grouping.find_links(scene, points, tuple(shape), motions)
-        ranks = [np.argsort(np.argsort(axis)) for axis in sweep.axes.values()]
-        order = []  # of numbers: increasing axis values, then decreasing number of lanes
-        for index, motion in enumerate(motions):
-            place = np.unravel_index(motion.cell, shape) if ranks else ()
-            at_axes = (float(rank[k]) for rank, k in zip(ranks, place, strict=True))
-            order.append((*at_axes, -float(count[index]), float(index)))
-        number = grouping.number_attractors([motion.cell for motion in motions], count, links, order)
-        ambiguous = grouping.is_ambiguous(motions, number)
-        motions = [motion for motion, left_out in zip(motions, ambiguous, strict=True) if not left_out]
-        number = np.unique(number[~ambiguous], return_inverse=True)[1]
+        observed, motions, number = grouping.numbered_motions(runs, progress)
         of_lane = np.full(observed["regime"].size, -1)
         for motion, own_number in zip(motions, number.tolist(), strict=True):
             of_lane[motion.lanes] = own_number
-        of_lane = of_lane.reshape(*shape, each)
+        of_lane = of_lane.reshape(*shape, -1)
         of_start = of_lane[..., :starts]
 
         columns = _columns(sweep, observed, motions, number)
         share, assigned = np.zeros_like(columns["regime"]), np.flatnonzero(of_start >= 0)
         np.add.at(share, (assigned // starts, of_start.ravel()[assigned]), 1 / starts)
         columns = {"share": share, "share_stderr": np.sqrt(share * (1 - share).clip(0) / starts), **columns}
-        about = VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system) | OF_ATTRACTORS
         data: dict[str, Any] = {name: ((*dims, ATTRACTOR), x.reshape(*shape, -1)) for name, x in columns.items()}
         data |= {"unassigned": (dims, (of_start < 0).sum(axis=-1)), LANES: (sweep.dims, of_start)}
-        of_names: dict[str, Any] = {}
-        if len(runs) > 1:
-            about_names = {"units": "1", "long_name": "start of the scene, by name"}
-            of_names = {
-                NAMED: (NAMED, runs[1][1][START].values, about_names),
-                "named_attractor": ((*dims, NAMED), of_lane[..., starts:]),
-                "named_regime": ((*dims, NAMED), runs[1][1]["regime"].values),
-            }
         coordinates: dict[Any, Any] = {name: x for name, x in lanes.coords.items() if set(x.dims) <= set(sweep.dims)}
         numbers = np.arange(share.shape[1])
         coordinates[ATTRACTOR] = (ATTRACTOR, numbers, {"units": "1", "long_name": "number of the attractor"})
+        if len(runs) > 1:
+            names, about = runs[1][1][START].values, {"units": "1", "long_name": "start of the scene, by name"}
+            coordinates[NAMED] = (NAMED, names, about)
+            data["named_attractor"] = (*dims, NAMED), of_lane[..., starts:]
+            data["named_regime"] = (*dims, NAMED), runs[1][1]["regime"].values
         title = (sweep.title or sweep.name).removesuffix(f": {sweep.name}")  # not two colons
-        attributes = {
-            **shared_attributes(sweep, self.kind, f"Attractors: {title}", self.kind),
-            "sweep": sweep.text,
-            "attractors": json.dumps(SETTINGS),
-            "lanes": sweep.lanes,
-        }
-        dataset = xr.Dataset(described(data, about), coordinates, attributes)
-        return dataset.assign(described(of_names, OF_ATTRACTORS))
+        known = VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system) | OF_ATTRACTORS
+        return self.dataset(
+            described(data, known),
+            coordinates,
+            of=sweep,
+            title=f"Attractors: {title}",
+            sweep=sweep.text,
+            attractors=json.dumps(SETTINGS),
+            lanes=sweep.lanes,
+        )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Summarise how many attractors coexist at how many points, and fraction, points and regimes of each."""

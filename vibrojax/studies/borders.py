@@ -50,7 +50,7 @@ def borders(
     at: Mapping[str, float] | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
-    """Compute the borders of the stable single impact in a sweep's plane, as curves with the kind of each border.
+    """Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there.
 
         cur = vj.borders(ds)
 
@@ -324,7 +324,7 @@ def _stable_cells(ds: xr.Dataset, region: int, x: str, y: str) -> tuple[Cells, d
 
 @dataclass(frozen=True)
 class Borders(SweepAnalysis):
-    """Compute the borders of the stable single impact in a sweep's plane, as curves with the kind of each border."""
+    """Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there."""
 
     axes: tuple[str, str] | None = field(
         default=None,

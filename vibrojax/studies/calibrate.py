@@ -1,59 +1,38 @@
-"""The function `calibrate`: the searches, the uncertainty of the best estimate, and the dataset."""
+"""The analysis `calibrate`: the searches, the uncertainty of the best estimate, its dataset, picture and summary."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from os import PathLike
 from typing import Any
 
 import numpy as np
-import scipy.stats
 import xarray as xr
-from jaxtyping import Float
 
 from vibrojax.compile.xla import precision
 from vibrojax.errors import InputError, counted
-from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.variables import VARIABLES, Variable, described
+from vibrojax.io.attributes import flags, text_of
+from vibrojax.io.variables import VARIABLES
+from vibrojax.pictures.axes import margins, pretty_unit, scale, symbols_of, with_unit
+from vibrojax.pictures.plots import FAINT, Axis, Bars, Layer, Line, Plot, Sheet, dots, level, upright
+from vibrojax.pictures.style import BIT, IMPACT, other_colour
 from vibrojax.progress import Progress
+from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.calibration_estimate import CALIBRATION_VARIABLES, VAGUE, estimated
 from vibrojax.studies.calibration_file import LAW, Calibration, read_calibration
-from vibrojax.studies.calibration_model import (
-    CONSTANT,
-    ORBIT_ERROR,
-    SCREENED,
-    TOLERANCE,
-    VELOCITY,
-    Fit,
-    Model,
-    best_along_step,
-    fit_from,
-    starts,
-)
+from vibrojax.studies.calibration_model import CONSTANT, SCREENED, VELOCITY, Fit, Model, fit_from, starts
+from vibrojax.studies.subjects import FileAnalysis
 
-CHECKED_DRAWS = 32
-"""Draws of the posterior at which the motion is computed again, to check the linear approximation."""
+MIN_EXPONENT = 0.1
+"""Exponent in a combination below which the summary leaves a parameter out."""
 
-REASONS = ("identified", "confounded", "at-bound")
-"""Whether the data determine a parameter."""
+WELL_DETERMINED = 0.1
+"""Nonlinearity up to which the summary trusts standard errors and posterior."""
 
-USES = ("no", "yes")
-"""Whether an observation is used: it is not where the followed orbit does not exist, or is not stable."""
+LARGE_RESIDUAL = 2.0
+"""Root mean square of the residuals, in standard errors, above which the summary doubts the model."""
 
-INTERVAL = 0.95
-"""Probability with which an interval covers the true value."""
+_MARKS = ("o", "s", "^", "D", "v", "P", "X", "<")
 
-VAGUE = 0.5
-"""Relative standard error from which on a parameter is not identified."""
-
-AT_BOUND = 1e-2
-"""Distance from a bound, relative to the interval, within which an estimate whose next step leads beyond the bound is
-at the bound: a search approaches it slowly."""
-
-LARGEST_OFFSET = 0.05
-"""Length of the residuals along the tangent plane, in standard errors, up to which a search has reached a minimum
-(Bates and Watts 1981)."""
-
-LARGEST_FALL = 0.1
-"""Variances by which the sum of squares of a history may fall along a step, where its minimum is at a kink: the
-estimate is then within a third of a standard error of it."""
 
 ERROR_MODELS = {
     "history": "all samples have the same error (normal), which the residuals give; 95 % intervals by Student's t with "
@@ -64,32 +43,247 @@ ERROR_MODELS = {
 }
 """Error models without standard errors of the observations, for a history and for rows, and with them."""
 
-_OF, _PARAMETER = ("observation", "of"), ("parameter",)
 
-SCHEMA: dict[str, tuple[tuple[str, ...], Variable]] = {
-    "estimate": (_PARAMETER, Variable("", "estimate, in the parameter's own unit")),
-    "estimate_stderr": (_PARAMETER, Variable("", "standard error of the estimate, in the parameter's own unit")),
-    "estimate_low": (_PARAMETER, Variable("", "lower end of the 95 % interval, not below the bound")),
-    "estimate_high": (_PARAMETER, Variable("", "upper end of the 95 % interval, not above the bound")),
-    "low": (_PARAMETER, Variable("", "lower bound, in the parameter's own unit")),
-    "high": (_PARAMETER, Variable("", "upper bound, in the parameter's own unit")),
-    "reason": (_PARAMETER, Variable("1", "whether the data determine the parameter", np.int8, REASONS)),
-    "correlation": (("parameter", "other"), Variable("1", "correlation of two estimates")),
-    "direction": (("combination", "parameter"), Variable("1", "exponent of the parameter in a combination")),
-    "direction_error": (("combination",), Variable("1", "relative standard error of a combination, best known first")),
-    "posterior": (("draw", "parameter"), Variable("", "draws of the posterior, in the parameter's own unit")),
-    "observed": (_OF, Variable("", "observation, in the variable's own unit")),
-    "predicted": (_OF, Variable("", "value of the orbit at the estimate, in the variable's own unit")),
-    "residual": (_OF, Variable("1", "predicted minus observed, in standard errors of the observation")),
-    "used": (("observation",), Variable("1", "whether the observation is used", np.int8, USES)),
-    "chi_squared": ((), Variable("1", "sum of the squared residuals")),
-    "freedom": ((), Variable("1", "number of used values minus number of unknowns", np.int32)),
-    "noise": ((), Variable("1", "relative error of the observations that the residuals give; NaN if it was given")),
-    "nonlinearity": (
-        (),
-        Variable("1", "error of the linear prediction over draws of the posterior, relative to their spread"),
-    ),
-}
+def calibration_picture(ds: xr.Dataset) -> Sheet:
+    """Draw what was measured over the model, the residuals, the posterior of the first two parameters, combinations.
+
+    What was measured and the model are relative to the mean of each variable.
+    """
+    layers: list[Layer] = [level(0.0, width=0.6)]
+    compared: list[Layer] = [Line([-1e3, 1e3], [-1e3, 1e3], FAINT, 0.8, label="measured = model", order=1.0)]
+    for k, name in enumerate(str(x) for x in ds["of"].values):
+        observed, model, values = (ds[key].values[:, k] for key in ("observed", "predicted", "residual"))
+        look = {"marker": _MARKS[k % len(_MARKS)], "colour": other_colour(k), "label": name.replace("_", " ")}
+        layers.append(dots(np.arange(1, len(values) + 1), values, **look))
+        mean = float(np.nanmean(np.abs(observed))) or 1.0
+        compared.append(dots(100 * (model / mean - 1), 100 * (observed / mean - 1), **look))
+    found = np.concatenate([layer.y for layer in compared[1:] if isinstance(layer, Line)])
+    room = 0.08 * float(np.ptp(found[np.isfinite(found)])) or 1.0
+    ends = float(np.nanmin(found)) - room, float(np.nanmax(found)) + room
+    across, up = (Axis(f"{word} [% from the mean]", limits=ends, intervals=5) for word in ("model", "measured"))
+    count = ds.sizes["observation"]
+    steps = [(float(k), str(k)) for k in range(1, count + 1, max(1, -(-count // 8)))]
+    plots = [
+        Plot(compared, across, up, "measured and model"),
+        Plot(layers, Axis("observation", ticks=steps), Axis("residual [standard errors]"), "residuals"),
+        _posterior_plot(ds),
+        *([_combination_plot(ds)] if ds.sizes["parameter"] > 1 else []),
+    ]
+    plots = [replace(plot, place=(0, k)) for k, plot in enumerate(plots)]
+    size, widths = (2.0 + 2.9 * len(plots), 3.6), (1.0,) * len(plots)
+    return Sheet(plots, size, widths, **margins(ds, point="; ".join(_estimates(ds))))
+
+
+def _posterior_plot(ds: xr.Dataset) -> Plot:
+    names = [str(name) for name in ds["parameter"].values]
+    scales = [scale(_value(ds, k)) for k in range(len(names))]
+    signs = symbols_of(ds)
+    axes = [
+        Axis(with_unit(signs.get(name, name), unit), intervals=5) for name, (_, unit) in zip(names, scales, strict=True)
+    ]
+    factors = np.array([factor for factor, _ in scales])
+    draws, estimate = ds["posterior"].values * factors, ds["estimate"].values * factors
+    if len(names) == 1:
+        counts, ends = np.histogram(draws[:, 0], 30)
+        bars = Bars(ends[:-1], np.zeros(30), np.diff(ends), counts)
+        layers: list[Layer] = [bars, upright(estimate[0], colour=IMPACT)]
+        return Plot(layers, axes[0], Axis("draws of the posterior", limits=(0.0, None)), "posterior", grid="")
+    layers = [
+        dots(draws[:, 0], draws[:, 1], colour=BIT, size=1.0, alpha=0.4),
+        dots(estimate[:1], estimate[1:2], marker="*", colour=IMPACT, size=10.0, order=3.0),
+    ]
+    return Plot(layers, axes[0], axes[1], "posterior", grid="")
+
+
+def _combination_plot(ds: xr.Dataset) -> Plot:
+    errors = np.clip(100 * ds["direction_error"].values, 1e-6, 1e4)
+    rows = np.arange(len(errors), dtype=float)
+    log = bool(errors.max() > 10 * errors.min())
+    begin = np.full(len(errors), 0.5 * errors.min() if log else 0.0)
+    colours = [BIT if error < 100 * VAGUE else FAINT for error in errors]
+    across = Axis("relative standard error [%]", limits=(float(begin[0]), None), log=log, intervals=5)
+    up = Axis(ticks=[(row, _combination(ds, int(row))) for row in rows.tolist()], reversed=True)
+    bars = Bars(begin, rows - 0.25, errors - begin, np.full(len(errors), 0.5), colours)
+    return Plot([bars], across, up, "combinations", grid="")
+
+
+def _value(ds: xr.Dataset, k: int) -> xr.DataArray:
+    """Return the estimate of a parameter as an array with its unit."""
+    return xr.DataArray(ds["estimate"].values[k], attrs={"units": str(ds["parameter_unit"].values[k])})
+
+
+def _estimates(ds: xr.Dataset) -> list[str]:
+    """Return each parameter with its estimate, its 95 % interval and its unit, or as a value at a bound."""
+    lines, reasons, signs = [], flags(ds["reason"]), symbols_of(ds)
+    for k, name in enumerate(signs.get(str(x), str(x)) for x in ds["parameter"].values):
+        factor, unit = scale(_value(ds, k))
+        columns = ("estimate", "estimate_stderr", "estimate_low", "estimate_high")
+        value, error, low, high = (f"{factor * float(ds[x][k]):.{2 if 'std' in x else 5}g}" for x in columns)
+        bound = reasons[int(ds["reason"][k])] == "at-bound"
+        line = f"{name} = {value}{' at its bound' if bound else f' ± {error}'} {pretty_unit(unit)}".rstrip()
+        lines.append(f"{line}, 95 %: {low} to {high}")
+    return lines
+
+
+def _combination(ds: xr.Dataset, k: int) -> str:
+    """Return a combination as a product of powers, or as a sum if a parameter may be negative."""
+    powers, signs = bool((ds["low"].values > 0).all()), symbols_of(ds)
+    parts = []
+    for name, x in zip(
+        (signs.get(str(name), str(name)) for name in ds["parameter"].values), ds["direction"].values[k], strict=True
+    ):
+        if abs(x) >= MIN_EXPONENT:
+            parts.append(name if powers and abs(x - 1) < 0.05 else f"{name}^{x:.1f}" if powers else f"{x:+.1f} {name}")
+    return " ".join(parts)
+
+
+class Calibrations(FileAnalysis[Calibration]):
+    """Estimate parameters of a drill from observations of its motion, and say which the data determine."""
+
+    kind = "calibration"
+    variables = CALIBRATION_VARIABLES
+    pictures = (PictureRule("a calibration", lambda held: "posterior" in held.variables, calibration_picture),)
+    view = "plots"
+
+    command = "calibrate"
+    about = (
+        "a calibration: the path of a TOML file with scene, data (a CSV of operating conditions and observations) or "
+        "history (a CSV of the bit's velocity over time), [unknown] NAME = [low, high] and, as needed, start, "
+        "[parameters], [error], [prior]"
+    )
+    columns = 'of the history: which column is what, in which unit, like time="t (ms)" v1="bit speed (mm/s)"'
+
+    def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Calibration:
+        return read_calibration(file, columns)
+
+    def identity(self, spec: Calibration) -> dict[str, object]:
+        """Return all settings on which the result depends, as flat JSON values."""
+        problem = spec.problem
+        times = {} if problem.history is None else {"time": problem.history.times}
+        tables = problem.conditions | dict(zip(problem.of, problem.values.T, strict=True)) | times
+        data = {f"data.{name}": x.tolist() for name, x in tables.items()}
+        return {"calibration": True, "specification": spec.origin.text} | data
+
+    def compute(self, spec: Calibration, progress: bool = True) -> xr.Dataset:
+        problem, searches, name = spec.problem, spec.file.searches, spec.origin.file
+        with precision("float64"), Progress(searches, "searches", progress) as bar:
+            begins = starts(problem)
+            if not begins:
+                raise InputError(
+                    f"{name}: no observation has a stable orbit from the start at any of {SCREENED} points inside the "
+                    "bounds; choose narrower bounds around plausible values, or another start"
+                )
+            fits = []
+            for theta, row in begins[:searches]:
+                model = Model(problem, theta, row)
+                fits.append((fit_from(problem, model, theta), model))
+                bar.add(1)
+            fit, model = min(fits, key=lambda pair: pair[0].score)
+            used = fit.target.used
+            if fault := problem.shortage(used):
+                orbits = f"{used.sum()} of {counted(len(used), 'observation')} {'has' if used.sum() == 1 else 'have'}"
+                raise InputError(
+                    f"{name}: {orbits} an orbit of one kind inside the bounds: {fault}; narrower bounds, another "
+                    "start or more searches may find others"
+                )
+            return self._dataset(spec, model, fit)
+
+    def _dataset(self, spec: Calibration, model: Model, fit: Fit) -> xr.Dataset:
+        """Return the dataset of the best fit; raise `InputError` if it has not reached a minimum."""
+        problem, history = spec.problem, spec.problem.history
+        given, count, freedom = problem.errors is not None, problem.parameters, fit.freedom
+        names = problem.names[:count]
+        table = estimated(spec.origin.file, problem, model, fit, spec.file.draws)
+        system = problem.point.system
+        parameters = {**system.parameters(), CONSTANT: LAW}
+        units = {name: about.units for name, about in VARIABLES.items()} | {VELOCITY: "m s-1"}
+        coords: dict[str, Any] = {
+            "parameter": [*names],
+            "other": [*names],
+            "of": [*problem.of],
+            "observation": problem.labels,
+            "parameter_unit": ("parameter", [parameters[name].unit for name in names]),
+            "parameter_long_name": ("parameter", [parameters[name].long_name for name in names]),
+            "of_unit": ("of", [units[name] for name in problem.of]),
+        }
+        for name, x in problem.conditions.items():
+            meaning = {"units": parameters[name].unit, "long_name": parameters[name].long_name}
+            if history is not None:
+                x = np.append(x, np.full(len(history.times), history.point.parameters[name]))
+            coords[name] = ("observation", x, meaning)
+        if history is not None:
+            times = np.append(np.full(problem.rows, np.nan), history.begin + history.times)
+            meaning = {"units": "s", "long_name": "time of a sample of the history"}
+            coords["time"] = ("observation", times, meaning)
+        if history is not None and history.states:
+            coords["state"] = [*history.states]
+            coords["state_unit"] = ("state", [system.states[system.place(name)].unit for name in history.states])
+            meaning = {"long_name": "state at the first sample of the history, in its own unit"}
+            table["first_state"] = ("state", fit.theta[count:], meaning)
+        symbols = ", ".join(parameters[name].symbol for name in names)
+        kind = "given" if given else "relative" if history is None else "history"
+        return self.dataset(
+            table,
+            coords,
+            title=str(spec.file.title or f"Calibration of {symbols}"),
+            scene=problem.point.scene,
+            specification=spec.origin.text,
+            searches=spec.file.searches,
+            error_model=ERROR_MODELS[kind].format(freedom=freedom),
+        )
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return the estimates, the combinations that the data determine, and what speaks against the estimates."""
+        reasons = [flags(ds["reason"])[int(flag)] for flag in ds["reason"].values]
+        lines = [
+            f"{text}{'' if reason == 'identified' else f' ({reason})'}"
+            for text, reason in zip(_estimates(ds), reasons, strict=True)
+        ]
+        errors = ds["direction_error"].values
+        if "confounded" in reasons:
+            texts = [f"{_combination(ds, k)} to {_percent(float(e))}" for k, e in enumerate(errors) if e < VAGUE]
+            determined = f"{', '.join(texts)}, and not the parameters by themselves" if texts else "no parameter"
+            lines.append(f"the data determine {determined}")
+        elif "at-bound" in reasons:
+            lines.append("the data suggest values beyond a bound; widen the bounds, or examine the model")
+        used = int(ds["used"].sum())
+        size, freedom = ds.sizes["observation"], int(ds["freedom"])
+        others = "; the others have no stable orbit of this kind near the estimate" if used < size else ""
+        lines.append(f"{used} of {counted(size, 'observation')} used{others}")
+        lines.append(f"error model: {text_of(ds, 'error_model')}")
+        if np.isfinite(ds["noise"]):
+            lines.append(f"the observations scatter by {_percent(float(ds['noise']))} around the model")
+        elif freedom > 0:
+            rms = float(np.sqrt(ds["chi_squared"] / freedom))
+            doubt = ": the model, the motion or the errors are wrong" if rms > LARGE_RESIDUAL else ""
+            lines.append(f"the residuals are {rms:.2g} standard errors{doubt}")
+        nonlinearity = float(ds["nonlinearity"])
+        if nonlinearity > WELL_DETERMINED:
+            lines.append(
+                f"over the posterior the motion differs by {_percent(nonlinearity)} from a linear prediction; standard "
+                "errors are rough"
+            )
+        facts = {
+            "parameters": {
+                str(name): {
+                    "estimate": float(ds["estimate"][k]),
+                    "stderr": float(ds["estimate_stderr"][k]),
+                    "interval": [float(ds["estimate_low"][k]), float(ds["estimate_high"][k])],
+                    "reason": reasons[k],
+                }
+                for k, name in enumerate(ds["parameter"].values)
+            },
+            "combinations": {_combination(ds, k): float(errors[k]) for k in range(len(errors))},
+            "used": used,
+            "error_model": text_of(ds, "error_model"),
+            "noise": float(ds["noise"]),
+            "nonlinearity": nonlinearity,
+        }
+        return [SummaryPart("calibration", lines, {"calibration": facts})]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
 
 
 def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
@@ -149,174 +343,4 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     >>> f"{float(fit.estimate[0]):.2f}"
     '0.40'
     """
-    return find_calibration(read_calibration(source), progress)
-
-
-def find_calibration(asked: Calibration, progress: bool = True) -> xr.Dataset:
-    """Return the dataset of a checked calibration."""
-    problem, searches, name = asked.problem, asked.file.searches, asked.origin.file
-    with precision("float64"), Progress(searches, "searches", progress) as bar:
-        begins = starts(problem)
-        if not begins:
-            raise InputError(
-                f"{name}: no observation has a stable orbit from the start at any of {SCREENED} points inside the "
-                "bounds; choose narrower bounds around plausible values, or another start"
-            )
-        fits = []
-        for theta, row in begins[:searches]:
-            model = Model(problem, theta, row)
-            fits.append((fit_from(problem, model, theta), model))
-            bar.add(1)
-        fit, model = min(fits, key=lambda pair: pair[0].score)
-        used = fit.target.used
-        if fault := problem.shortage(used):
-            orbits = f"{used.sum()} of {counted(len(used), 'observation')} {'has' if used.sum() == 1 else 'have'}"
-            raise InputError(
-                f"{name}: {orbits} an orbit of one kind inside the bounds: {fault}; narrower bounds, another "
-                "start or more searches may find others"
-            )
-        return _dataset(asked, model, fit)
-
-
-def _dataset(asked: Calibration, model: Model, fit: Fit) -> xr.Dataset:
-    problem, (theta, prediction, target, cost, freedom, _) = asked.problem, fit
-    residuals, jacobian = target.residuals(prediction, theta), target.jacobian(prediction)
-    given, count, history = problem.errors is not None, problem.parameters, problem.history
-    names, low, high, estimate = problem.names[:count], problem.low[:count], problem.high[:count], theta[:count]
-    variance = 1.0 if given else max(cost / freedom, ORBIT_ERROR**2)
-    noise = np.nan if given else float(np.sqrt(variance))
-    step = -np.linalg.lstsq(jacobian, residuals)[0]
-    margin = AT_BOUND * (problem.high - problem.low)
-    beyond = (theta < problem.low + margin) & (theta + step < problem.low)
-    beyond |= (theta > problem.high - margin) & (theta + step > problem.high)
-    free = jacobian * ~beyond
-    offset = np.linalg.norm(free @ np.linalg.lstsq(free, residuals)[0])
-    far = offset > LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE
-    if far and (history is None or best_along_step(problem, model, target, theta)[1] > LARGEST_FALL * variance):
-        where = ", ".join(f"{name} = {x:.4g}" for name, x in zip(problem.names, theta, strict=True))
-        raise InputError(
-            f"{asked.origin.file}: no search has reached a minimum of the residuals; the best one ended at {where}, "
-            f"where {target.used.sum()} of {counted(len(problem.labels), 'observation')} have an orbit; give other "
-            "bounds, another start, more searches, or leave out observations of other motions"
-        )
-    # Unknown states follow the parameters: what they cannot compensate determines the parameters.
-    along = jacobian[:, count:]
-    follow = -np.linalg.pinv(along) @ jacobian[:, :count]
-    scale = np.where(low > 0, np.abs(estimate), high - low)
-    covariance, directions, direction_error = _uncertainty((jacobian[:, :count] + along @ follow) * scale, variance)
-    width = np.sqrt(np.diag(covariance))
-
-    def moved(steps: np.ndarray) -> np.ndarray:
-        """Return estimates changed by `steps` in units of `scale`, in logarithms of positive parameters, in bounds."""
-        with np.errstate(over="ignore"):
-            return np.clip(np.where(low > 0, estimate * np.exp(steps), estimate + scale * steps), low, high)
-
-    rng = np.random.default_rng(problem.seed)
-    finite = np.where(np.isfinite(direction_error), direction_error, 1e3)
-    steps = (rng.standard_normal((asked.file.draws, count)) * finite) @ directions
-    if not given and freedom > 0:  # the error of the observations is uncertain itself: Student's t
-        steps /= np.sqrt(rng.chisquare(freedom, (len(steps), 1)) / freedom)
-    draws = moved(steps)
-    reason = np.where(width < VAGUE, REASONS.index("identified"), REASONS.index("confounded"))
-    reason = np.where(beyond[:count], REASONS.index("at-bound"), reason)
-    nonlinearity = np.nan
-    if not reason.any():
-        checked = draws[:CHECKED_DRAWS]
-        nonlinearity = _nonlinearity(
-            model, fit, jacobian, np.hstack([checked, theta[count:] + (checked - estimate) @ follow.T])
-        )
-    quantile = scipy.stats.norm.ppf(0.5 + INTERVAL / 2) if given else scipy.stats.t.ppf(0.5 + INTERVAL / 2, freedom)
-    error = problem.errors_at(prediction.values) * (1.0 if given else noise)
-    predicted = prediction.values.copy()
-    if history is not None:  # rows have no samples, and samples no variables of orbits
-        predicted[: problem.rows, -1] = predicted[problem.rows :, :-1] = np.nan
-    table: dict[str, Any] = {
-        "estimate": estimate,
-        "estimate_stderr": scale * width,
-        "estimate_low": moved(-quantile * width),
-        "estimate_high": moved(quantile * width),
-        "low": low,
-        "high": high,
-        "reason": reason,
-        "correlation": covariance / width / width[:, None],
-        "direction": directions,
-        "direction_error": direction_error,
-        "posterior": draws,
-        "observed": problem.values,
-        "predicted": predicted,
-        "residual": np.where(target.weight > 0, (prediction.values - problem.values) / error, np.nan),
-        "used": target.used,
-        "chi_squared": cost / variance,
-        "freedom": freedom,
-        "noise": noise,
-        "nonlinearity": nonlinearity,
-    }
-    parameters = {**problem.point.system.parameters(), CONSTANT: LAW}
-    units = {name: about.units for name, about in VARIABLES.items()} | {VELOCITY: "m s-1"}
-    coordinates: dict[str, Any] = {
-        "parameter": [*names],
-        "other": [*names],
-        "of": [*problem.of],
-        "observation": problem.labels,
-        "parameter_unit": ("parameter", [parameters[name].unit for name in names]),
-        "parameter_long_name": ("parameter", [parameters[name].long_name for name in names]),
-        "of_unit": ("of", [units[name] for name in problem.of]),
-    }
-    for name, x in problem.conditions.items():
-        meaning = {"units": parameters[name].unit, "long_name": parameters[name].long_name}
-        if history is not None:
-            x = np.append(x, np.full(len(history.times), history.point.parameters[name]))
-        coordinates[name] = ("observation", x, meaning)
-    variables = described(
-        {name: (SCHEMA[name][0], x) for name, x in table.items()}, {n: v for n, (_, v) in SCHEMA.items()}
-    )
-    if history is not None:
-        times = np.append(np.full(problem.rows, np.nan), history.begin + history.times)
-        coordinates["time"] = ("observation", times, {"units": "s", "long_name": "time of a sample of the history"})
-        if history.states:
-            system = problem.point.system
-            coordinates["state"] = [*history.states]
-            coordinates["state_unit"] = ("state", [system.states[system.place(name)].unit for name in history.states])
-            meaning = {"long_name": "state at the first sample of the history, in its own unit"}
-            variables["first_state"] = ("state", theta[count:], meaning)
-    about = problem.point.system.parameters()
-    symbols = ", ".join(about[name].symbol if name in about else name for name in names)
-    title = str(asked.file.title or f"Calibration of {symbols}")
-    attributes = dataset_attributes("calibration", title, "calibrate", scene=problem.point.scene)
-    kind = "given" if given else "relative" if history is None else "history"
-    more = {"specification": asked.origin.text, "searches": asked.file.searches}
-    return xr.Dataset(
-        variables, coordinates, attributes | more | {"error_model": ERROR_MODELS[kind].format(freedom=freedom)}
-    )
-
-
-def _uncertainty(
-    scaled: Float[np.ndarray, "residuals unknown"], variance: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the covariance from the Fisher information J'J, and combinations of the unknowns with their errors.
-
-    The covariance is very large, but finite, where the data do not determine a parameter. The combinations are
-    orthonormal rows, the best known first.
-    """
-    values, vectors = np.linalg.eigh(scaled.T @ scaled)
-    values, vectors = values[::-1], vectors[:, ::-1]
-    floor = np.finfo(float).eps * max(values[0], 0.0) * len(values)
-    with np.errstate(divide="ignore"):
-        errors = np.sqrt(variance / np.where(values > floor, values, 0.0))
-    finite = np.where(np.isfinite(errors), errors, 1e9)  # products with infinities would be NaN
-    signs = np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(len(values))])
-    return (vectors * finite**2) @ vectors.T, (vectors * signs).T, errors
-
-
-def _nonlinearity(model: Model, fit: Fit, jacobian: np.ndarray, draws: np.ndarray) -> float:
-    """Return the error of the linear prediction at draws of the posterior, relative to the spread of the prediction."""
-    rows, width = slice(0, fit.target.values.size), fit.target.values.shape[1]
-    centre = fit.target.residuals(fit.prediction, fit.theta)
-    off, spread = [], []
-    for draw, prediction in zip(draws, model.predict_all(draws), strict=True):
-        valid = np.repeat(prediction.valid, width)
-        linear = jacobian @ (draw - fit.theta)
-        off.append((fit.target.residuals(prediction, draw) - centre - linear)[rows][valid])
-        spread.append(linear[rows][valid])
-    total = np.sum(np.concatenate(spread) ** 2)
-    return float(np.sqrt(np.sum(np.concatenate(off) ** 2) / total)) if total > 0 else np.nan
+    return Calibrations().run(source, progress)

@@ -6,7 +6,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -16,7 +15,8 @@ from vibrojax.io.dataset import open_dataset
 from vibrojax.io.log_columns import split_unit
 from vibrojax.io.tables import column_numbers, read_table, rows_without_units
 from vibrojax.io.variables import VARIABLES
-from vibrojax.maps.bounds import SceneFile, read_bounds, read_file, read_pair
+from vibrojax.lazy import jax
+from vibrojax.maps.bounds import SceneFile, read_bounds, read_file
 from vibrojax.maps.read import read_point
 from vibrojax.periodic.derivatives import orbit_variables
 from vibrojax.physics.arrays import check_untraced
@@ -25,7 +25,7 @@ from vibrojax.physics.units import factor
 from vibrojax.settings.fields import Settings, given, setting, settings_of
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import Source, plain, read_source
-from vibrojax.settings.values import as_table, choice, require_number
+from vibrojax.settings.values import as_table, choice, read_pair, require_number
 from vibrojax.studies.calibration_model import CONSTANT, RATE, RELIEF, VELOCITY, History, Problem
 
 LAW = Parameter(

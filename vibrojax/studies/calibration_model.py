@@ -7,10 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 from scipy.stats import qmc
@@ -18,6 +15,7 @@ from scipy.stats import qmc
 from vibrojax.compile.xla import workers
 from vibrojax.errors import counted
 from vibrojax.lanes.compiler import lane_function
+from vibrojax.lazy import jax, jnp, lax
 from vibrojax.maps.read import Point
 from vibrojax.periodic.return_map import in_calls
 from vibrojax.periodic.tangent_loop import with_derivatives

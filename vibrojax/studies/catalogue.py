@@ -6,12 +6,9 @@ All tables are derived from the definitions that the simulation uses.
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
-import pandas as pd
-
 from vibrojax.errors import Place
-from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
-from vibrojax.lanes.labels import of_orbits, sweep_variables
-from vibrojax.maps.starts import PLANE, SAMPLE, VECTOR
+from vibrojax.lazy import pd
+from vibrojax.maps.starts import VECTOR, examples
 from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
@@ -22,13 +19,9 @@ from vibrojax.settings.fields import meanings
 from vibrojax.settings.names import Names, enter_offered, read_names
 from vibrojax.settings.run_settings import RunSettings
 from vibrojax.studies import glossary
-from vibrojax.studies.analysis import offered_variables
-from vibrojax.studies.design import DESIGN_VARIABLES
-from vibrojax.studies.effects import SCHEMA as STUDY_SCHEMA
-from vibrojax.studies.tolerance import tolerance_variables
 
 
-def list_scenes() -> pd.DataFrame:
+def list_scenes() -> "pd.DataFrame":
     """Return a table of the scenes by name: description, states and named initial conditions.
 
     **Example:**
@@ -36,15 +29,19 @@ def list_scenes() -> pd.DataFrame:
     >>> vj.list_scenes().states["vibro-impact"]
     'x1, v1, x2, v2'
     """
+    return pd.DataFrame.from_dict(scene_rows(), orient="index").rename_axis("scene")
+
+
+def scene_rows() -> dict[str, dict[str, str]]:
+    """Return the rows of `list_scenes` by name."""
     enter_offered()
-    rows = {
+    return {
         name: {"what": _summary(kind), "states": ", ".join(kind().state_names), "starts": ", ".join(kind.starts)}
         for name, kind in SCENES.items()
     }
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("scene")
 
 
-def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
+def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
     """Return a table of a scene's parameters by name, including alternatives and those of every friction law.
 
     The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual`
@@ -87,7 +84,7 @@ def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
     return pd.DataFrame(rows).set_index("name")
 
 
-def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
+def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
     """Return a table of the variables in a scene's datasets by name: `units`, `meaning`, and `where`.
 
     `where` is the command that adds the variable; it is empty for variables of sweeps, including those of orbits.
@@ -99,6 +96,13 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     >>> vj.list_variables("drilling").loc["relief", ["units", "meaning"]].tolist()
     ['1', 'mean force over threshold, P/D']
     """
+    from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
+    from vibrojax.lanes.labels import of_orbits, sweep_variables
+    from vibrojax.studies.analysis import offered_variables
+    from vibrojax.studies.design import DESIGN_VARIABLES
+    from vibrojax.studies.effects import STUDY_VARIABLES
+    from vibrojax.studies.tolerance import tolerance_variables
+
     system = read_names(Place("scenes"), scene).system
     held, has_section, has_orbits = sweep_variables(system), system.section is not None, bool(of_orbits(system))
     tables = {
@@ -109,7 +113,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
         "attractors": OF_ATTRACTORS if has_section else {},
         "tolerance": tolerance_variables(held) if "regime" in held else {},
         "design": DESIGN_VARIABLES,
-        "study": {name: about for name, (_, about) in STUDY_SCHEMA.items()} if "regime" in held else {},
+        "study": STUDY_VARIABLES if "regime" in held else {},
         **offered_variables(),
     }
     rows: dict[str, dict[str, str]] = {}
@@ -120,7 +124,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
 
 
-def list_settings() -> pd.DataFrame:
+def list_settings() -> "pd.DataFrame":
     """Return a table of the settings of a sweep, which belong in its table [run], with their defaults.
 
     The default times of a `vj.System` are its `usual_times` instead.
@@ -143,7 +147,7 @@ def scene_text(scene: str) -> str:
     if system.start_states:
         states = ", ".join(f"{VECTOR}{state}" for state in system.start_states)
         starts += f", or a vector [{', '.join(system.start_states)}]; in a list of points: columns {states}"
-        starts += f"; many: {SAMPLE}, or {PLANE}"
+        starts += f"; many: {', or '.join(examples(system.start_states))}"
     parts = [f"{system.name}: {_summary(type(system))}", starts if names.has_starts else "starts: always the same"]
     if "rock" in names.presets:
         rocks = (f"{name} ({rock.threshold / 1e3:g} kN, {rock.k3 / 1e6:g} MN/m)" for name, rock in ROCKS.items())
@@ -160,7 +164,7 @@ def scene_text(scene: str) -> str:
     return "\n\n".join(parts)
 
 
-def _aligned(table: pd.DataFrame) -> str:
+def _aligned(table: "pd.DataFrame") -> str:
     """Format a table as text with left-aligned columns, indented by two spaces."""
 
     def text(value: object) -> str:

@@ -28,8 +28,6 @@ from vibrojax.pictures.starts import many_starts, medians, medians_text, varied_
 from vibrojax.pictures.style import COLOURS, drawable, settings
 from vibrojax.settings.values import check_distinct
 from vibrojax.studies.analysis import analysis_of
-from vibrojax.studies.diagrams import DIAGRAMS
-from vibrojax.studies.family_analysis import families
 
 # Files contain no date, so that the same dataset gives the same file.
 _METADATA: dict[str, dict[str, None]] = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
@@ -86,10 +84,13 @@ def picture(
         like = nearest(str(colours), colormaps)
         right = f"did you mean {shown(like)}?" if like else "choose one of matplotlib's, like viridis or magma"
         raise InputError(f"colours: {shown(colours)} is not a colour map; {right}")
-    if diagram is not None and diagram not in DIAGRAMS:
-        raise InputError(f"diagram: {shown(diagram)} is unknown; {suggestion(str(diagram), DIAGRAMS)}")
-    if diagram is not None and (variable is not None or over is not None):
-        raise InputError(f"diagram: {diagram} draws its own variables; leave variable and over out")
+    if diagram is not None:
+        from vibrojax.studies.diagrams import DIAGRAMS
+
+        if diagram not in DIAGRAMS:
+            raise InputError(f"diagram: {shown(diagram)} is unknown; {suggestion(str(diagram), DIAGRAMS)}")
+        if variable is not None or over is not None:
+            raise InputError(f"diagram: {diagram} draws its own variables; leave variable and over out")
     layers = as_layers(over)
     token, width_token = COLOURS.set(colours), WIDTH.set(read_width(width))
     try:
@@ -152,6 +153,8 @@ def requested(
 ) -> Picture:
     """Return the plots of chosen variables, or of a diagram."""
     if diagram is not None:
+        from vibrojax.studies.diagrams import DIAGRAMS
+
         return DIAGRAMS[diagram](ds)
     if isinstance(variable, str) and variable in ds and RETURN in ds[variable].dims:
         return (hysteresis if Contents(ds).carried else bifurcation)(ds, layers, variable)
@@ -179,6 +182,8 @@ def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Sheet:
     if TIME in ds.dims:
         return histories(ds, names)
     if kind_of(ds) == "family":
+        from vibrojax.studies.family_analysis import families
+
         return families(ds, names)
     ds = contents.named_groups(ds)
     largest = {name: ds[name].isel({MULTIPLIER: 0}) for name in names if MULTIPLIER in ds[name].dims}

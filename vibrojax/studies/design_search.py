@@ -1,31 +1,29 @@
-"""The search of a design: seeds from a map, SLSQP on the periodic orbits, a zoom by lanes, and verification."""
+"""The search of a design: seeds from a map, optima of their orbits, a zoom by lanes, verification, and the front."""
 
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
 from itertools import product
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize
 from scipy.stats import qmc
 
+from vibrojax.maps.bounds import corners, draws
 from vibrojax.maps.run import run_sweep
-from vibrojax.periodic.derivatives import MODULUS, orbit_variables
-from vibrojax.studies.design_points import (
+from vibrojax.studies.design_orbits import SAME_POINT, BoxOrbits, has_derivatives, orbit_gradient
+from vibrojax.studies.design_requirements import (
+    DRAWN_BOX,
+    MARGIN,
+    TOLERANCE_SPAN,
     Assessment,
-    BoxOrbits,
+    Constraint,
     DesignSpec,
     Lanes,
-    LostOrbit,
     Offsets,
     Points,
     Unit,
-    has_orbit,
-    orbits_at,
-    scene_parameters,
+    extreme,
 )
 
 MAP_AXIS = {1: 33, 2: 16}
@@ -37,23 +35,14 @@ FIRST_SAMPLE, LARGEST_SAMPLE, ENOUGH_FEASIBLE = 64, 2048, 8
 SEEDS, TRIED_SEEDS, RESULTS = 8, 24, 3
 """Seeds from which SLSQP begins, points compared over their boxes to choose them, and candidates that are kept."""
 
-APART, SAME_POINT = 0.12, 0.01
-"""Least distance between two seeds, and between two candidates, in the unit box (greatest coordinate)."""
-
-DRAWN_BOX = 1.04
-"""Size of the box from which verification draws, relative to the tolerances: what holds there holds in the box."""
+APART = 0.12
+"""Least distance between two seeds in the unit box (greatest coordinate)."""
 
 MAX_CORNERS = 16
 """Largest number of corners in the search; verification has all."""
 
 DRAWS, NEAR_WIDTHS, NEAR_DRAWS = 256, (0.25, 0.06), 16
 """Draws of verification; half-widths of the regions around the worst samples, and draws in each of these."""
-
-SLSQP_MAX_ITERATIONS, SLSQP_MAX_ROUNDS = 12, 20
-"""Iterations of SLSQP in a box around the best point so far, and boxes: the next begins at the best point of all."""
-
-FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.1, 0.2, 1e-3
-"""Half-widths of these boxes in the unit box: the first, the largest, and the one below which the search ends."""
 
 ZOOM_ROUNDS, ZOOM_PROPOSALS, ZOOM_ELITE = 24, (32, 64), 8
 """Rounds of the zoom, proposals in each with up to two and with more parameters, and points that shape the next."""
@@ -64,8 +53,8 @@ ZOOM_LEAST_SPREAD, ZOOM_GAIN, ZOOM_PATIENCE = 1e-5, 1e-6, 3
 MAX_REPAIRS, ADDED_SAMPLES, REPAIR_RADIUS = 4, 4, 0.01
 """Rounds of verification and zoom, failing samples that each adds to the box of the search, and radius of the zoom."""
 
-CHECK_RADIUS = 0.0025
-"""Radius in the unit box within which lanes check an optimum of SLSQP."""
+CHECK_RADIUS, WARM_RADIUS = 0.0025, 0.02
+"""Radii in the unit box within which lanes check an optimum of SLSQP, and search for a point of a front."""
 
 DIFFERENCE_STEP = 1e-5
 """Step of central differences of lanes in the unit box."""
@@ -86,20 +75,13 @@ class Search:
     def __init__(self, spec: DesignSpec, counts: Counter[str] | None = None) -> None:
         self.spec, self.counts = spec, Counter[str]() if counts is None else counts
         count = len(spec.tolerances)
-        self.corners = np.array([*product((-1.0, 1.0), repeat=count)] if count else np.zeros((0, 0)))
+        self.centre = np.zeros((1, count))
+        self.corners = corners(count) if count else self.centre[:0]
         few = self.corners
         if len(few) > MAX_CORNERS:
-            few = np.unique(np.sign(qmc.Sobol(count, seed=1).random(MAX_CORNERS) - 0.5), axis=0)
-        self.centre = np.zeros((1, count))
-        self.optima: list[Unit] = []
+            few = np.unique(np.sign(draws(count, MAX_CORNERS, seed=1)), axis=0)
         self.box = np.concatenate([self.centre, DRAWN_BOX * few])
-
-    @cached_property
-    def features(self) -> dict[str, str]:
-        """The features of orbits that have the derivatives of the design's variables, by variable."""
-        known = orbit_variables(self.spec.template.system)
-        features = {name: f"{MODULUS}0" if name == "multiplier_abs" else name for name in self.spec.names}
-        return {name: feature for name, feature in features.items() if feature in known}
+        self.optima: list[Unit] = []
 
     def lanes(self, unit: Points, offsets: Float[np.ndarray, "points tolerances"]) -> Lanes:
         """Return the variables of points with offsets, one row each, from every start."""
@@ -117,13 +99,13 @@ class Search:
         lanes = self.lanes(np.repeat(points, number, axis=0), np.tile(offsets, (len(points), 1)))
         parts = (slice(number * k, number * (k + 1)) for k in range(len(points)))
         return [
-            Assessment.of(self.spec, unit, offsets, {name: x[part] for name, x in lanes.items()})
+            Assessment(self.spec, unit, offsets, {name: x[part] for name, x in lanes.items()})
             for unit, part in zip(points, parts, strict=True)
         ]
 
     def map(self) -> list[Assessment]:
         """Assess the points of a grid or a Sobol sample over the bounds, without tolerances."""
-        count = len(self.spec.varied)
+        count = len(self.spec.bounds)
         if count in MAP_AXIS:
             return self.assess(np.array([*product(np.linspace(0, 1, MAP_AXIS[count]), repeat=count)]), self.centre)
         sampler = qmc.Sobol(count, seed=0)
@@ -134,13 +116,12 @@ class Search:
 
     def seeds(self, points: Sequence[Assessment]) -> list[Assessment]:
         """Return the best points of the map that are apart from one another, assessed over the box."""
-        spacing = self.spacing(len(points))
-        tried = distinct(points, min(APART, 0.99 * spacing), TRIED_SEEDS)
+        tried = distinct(points, min(APART, 0.99 * self.spacing(points)), TRIED_SEEDS)
         return distinct(self.assess([a.unit for a in tried], self.box), APART, SEEDS)
 
-    def spacing(self, points: int) -> float:
+    def spacing(self, points: Sequence[Assessment]) -> float:
         """Return the typical distance between neighbouring points of the map."""
-        return 1 / (points ** (1 / len(self.spec.varied)) - 1)
+        return 1 / (len(points) ** (1 / len(self.spec.bounds)) - 1)
 
     def best(self, seeds: Sequence[Assessment], radius: float) -> list[Assessment]:
         """Return verified candidates, best first: the optima of the seeds' orbits, improved by lanes.
@@ -149,7 +130,11 @@ class Search:
         """
         points: list[Unit] = []
         for seed in seeds:
-            points += self.climb(seed, points)
+            orbits = BoxOrbits(self.spec, seed) if has_derivatives(seed) else None
+            if orbits is not None and orbits.visits:
+                points += orbits.climb(points)
+                self.optima += orbits.optima
+                self.counts["orbits"] += orbits.solved
         candidates = distinct([*seeds, *self.assess(points, self.box)], APART / 2, RESULTS)
         verified: list[Assessment] = []
         for _ in range(MAX_REPAIRS):
@@ -168,11 +153,10 @@ class Search:
         count = len(self.spec.tolerances)
         if not count:
             return list(candidates)
-        draws = DRAWN_BOX * (2 * qmc.Sobol(count, seed=2).random(DRAWS) - 1)
-        offsets = np.concatenate([self.centre, self.corners, draws])
+        offsets = np.concatenate([self.centre, self.corners, DRAWN_BOX * draws(count, DRAWS, seed=2)])
         checked = self.assess([a.unit for a in candidates], offsets)
         for width in NEAR_WIDTHS:  # the worst sample of a ridge that crosses the box lies between those before
-            cube = DRAWN_BOX * width * (2 * qmc.Sobol(count, seed=3).random(NEAR_DRAWS) - 1)
+            cube = DRAWN_BOX * width * draws(count, NEAR_DRAWS, seed=3)
             checked = [self._with_samples(a, cube) if a.feasible else a for a in checked]
         return checked
 
@@ -183,7 +167,7 @@ class Search:
         near = np.concatenate([np.clip(a.offsets[k] + cube, -DRAWN_BOX, DRAWN_BOX) for k in sorted(worst)])
         [b] = self.assess([a.unit], near)
         lanes = {name: np.concatenate([x, b.lanes[name]]) for name, x in a.lanes.items()}
-        return Assessment.of(self.spec, a.unit, np.concatenate([a.offsets, near]), lanes)
+        return Assessment(self.spec, a.unit, np.concatenate([a.offsets, near]), lanes)
 
     def _failing(self, a: Assessment) -> list[int]:
         """Return some samples at which a requirement fails, by index."""
@@ -197,7 +181,7 @@ class Search:
         Each round draws points from a box around the best one, whose shape is the covariance of the best few so far.
         An optimum of SLSQP ends after one round nearby without a gain.
         """
-        count = len(self.spec.varied)
+        count = len(self.spec.bounds)
         sampler = qmc.Sobol(count, seed=4)
         pools = [[a] for a in candidates]
         smooth = [any(np.array_equal(a.unit, unit) for unit in self.optima) for a in candidates]
@@ -211,9 +195,7 @@ class Search:
             for k, own in zip(active, points, strict=True):
                 best = pools[k][0]
                 pool = sorted([*pools[k], *(next(found) for _ in own)], key=lambda a: a.rank)[:ZOOM_ELITE]
-                moves = (
-                    np.array([a.unit for a in pool]) - best.unit
-                )  # from the last best one: steady progress widens the box
+                moves = np.array([a.unit for a in pool]) - best.unit  # from the last best: steady progress widens it
                 shapes[k] = np.linalg.cholesky(3 * moves.T @ moves / len(moves) + 1e-14 * np.eye(count))
                 pools[k] = pool
                 gain = best.rank[0] > pool[0].rank[0] or -pool[0].rank[1] > -best.rank[1] * (1 + ZOOM_GAIN)
@@ -224,71 +206,55 @@ class Search:
                     patience[k] = 0
         return distinct([pool[0] for pool in pools], SAME_POINT, RESULTS)
 
-    def climb(self, seed: Assessment, known: Sequence[Unit]) -> list[Unit]:
-        """Return points on the way to the optimum of the seed's periodic orbits, by SLSQP; none without derivatives.
-
-        SLSQP maximises t under f >= t for each motion of the starts and, for a robust design, each sample of the box.
-        The limits hold for each motion and sample. No motion has to settle here. It ends near points that are `known`.
-        """
-        if not self.has_derivatives(seed):
-            return []
-        orbits, count = BoxOrbits(self.spec, self.features, seed), len(self.spec.varied)
-        if not orbits.visits:
-            return []
-        objectives = orbits.objectives
-        is_objective = 1.0 * (np.arange(len(orbits.visits[0].rows)) < objectives)
-        limits = {
-            "fun": lambda z: orbits.at(z[:count]).rows - z[-1] * is_objective,
-            "jac": lambda z: np.column_stack([orbits.at(z[:count]).slopes, -is_objective]),
-        }
-        path, radius = [orbits.visits[0]], FIRST_RADIUS
-        for _ in range(SLSQP_MAX_ROUNDS):
-            now = path[-1]
-            box = zip(np.maximum(0.0, now.unit - radius), np.minimum(1.0, now.unit + radius), strict=True)
-            done = False
-            with suppress(LostOrbit):
-                end = minimize(
-                    lambda z: -z[-1], [*now.unit, now.rows[:objectives].min()], jac=lambda z: -np.eye(count + 1)[-1],
-                    method="SLSQP", bounds=[*box, (None, None)], constraints={"type": "ineq", **limits},
-                    options={"maxiter": SLSQP_MAX_ITERATIONS, "ftol": 1e-9},
-                )  # fmt: skip
-                done = bool(end.success) and float(np.abs(end.x[:count] - now.unit).max()) < 0.99 * radius
-            best = max(orbits.visits, key=lambda visit: visit.rank(objectives))
-            moved = float(np.abs(best.unit - now.unit).max())
-            if best is not now:
-                path.append(best)
-            if done:
-                self.optima.append(best.unit)
-            radius = min(2 * radius, LARGEST_RADIUS) if moved > radius / 2 else radius / 4
-            met = any(np.abs(best.unit - unit).max() < SAME_POINT for unit in known)
-            if done or met or radius < LEAST_RADIUS:
-                break
-        self.counts["orbits"] += len(orbits.visits) * len(seed.motions) * len(orbits.box)
-        return [path[k].unit for k in sorted({len(path) - 1, len(path) // 2, len(path) // 4})]
-
-    def has_derivatives(self, a: Assessment) -> bool:
-        """Return whether all variables have derivatives, and the nominal orbits of all motions were found."""
-        known = set(self.features) == set(self.spec.names) and "orbit_reason" in a.lanes and bool(a.motions)
-        return known and all(has_orbit(a.lanes, start) for start in a.motions)
-
-    def gradients(self, candidates: Sequence[Assessment]) -> list[Unit]:
-        """Return the derivatives of the objective at nominal points, of the motion with the least objective.
+    def gradient(self, a: Assessment) -> Unit:
+        """Return the derivatives of the objective at a nominal point, of the motion with the least objective.
 
         They follow from the periodic orbit or, without one, from central differences of lanes. NaN: unknown.
         """
-        spec, count = self.spec, len(self.spec.varied)
-        slopes = []
-        for a in candidates:
-            slope = np.full(count, np.nan)
-            if self.has_derivatives(a):
-                _, chain = scene_parameters(spec, a.unit[None], self.centre)
-                of = (self.features[spec.maximise],)
-                orbit = orbits_at(spec, a, a.motions[0], [0]).derivatives(of, tuple(chain))
-                slope = orbit.derivatives[0, 0] @ np.concatenate([*chain.values()])
-            if not np.isfinite(slope).all() and a.motions:
-                moves = DIFFERENCE_STEP * np.concatenate([np.eye(count), -np.eye(count)])
-                x = [b.values[spec.maximise][0, a.motions[0]] for b in self.assess(a.unit + moves, self.centre)]
-                repeats = a.lanes["cycles"][0, a.motions[0]] > 0 if "cycles" in a.lanes else True
-                slope = np.where(repeats, np.subtract(x[:count], x[count:]) / (2 * DIFFERENCE_STEP), np.nan)
-            slopes.append(slope / (spec.high - spec.low))
-        return slopes
+        count = len(self.spec.bounds)
+        slope = orbit_gradient(a) if has_derivatives(a) else np.full(count, np.nan)
+        if not np.isfinite(slope).all() and a.motions:
+            moves = DIFFERENCE_STEP * np.concatenate([np.eye(count), -np.eye(count)])
+            x = [b.values[self.spec.maximise][0, a.motions[0]] for b in self.assess(a.unit + moves, self.centre)]
+            repeats = a.lanes["cycles"][0, a.motions[0]] > 0 if "cycles" in a.lanes else True
+            slope = np.where(repeats, np.subtract(x[:count], x[count:]) / (2 * DIFFERENCE_STEP), np.nan)
+        return slope / self.spec.width
+
+    def front(self, points: Sequence[Assessment], results: Sequence[Assessment]) -> list[tuple[float, Assessment]]:
+        """Return limits and best points of the design's front, each from the last optimum and the map.
+
+        The search goes from the tightest limit to the loosest.
+        """
+        spec, front = self.spec, self.spec.front
+        assert front is not None
+        limits = self._front_limits(points, results)
+        found: dict[float, Assessment] = {}
+        last: list[Assessment] = []
+        for limit in sorted(limits, reverse=front.against == "tolerance" or front.end == "least"):
+            if front.against == "tolerance":
+                changed = replace(spec, tolerances={name: limit * x for name, x in spec.tolerances.items() if limit})
+            else:
+                own_limit = Constraint(front.against, front.end, limit, MARGIN * spec.template.run.error * abs(limit))
+                changed = replace(spec, constraints=(*spec.without_front_limit, own_limit))
+            own = Search(changed, self.counts)
+            known = [Assessment(changed, a.unit, own.centre, a.nominal) for a in (*points, *results)]
+            seeds = own.assess([a.unit for a in last], own.box) + own.seeds(known)[:1]
+            checked = own.best(seeds, WARM_RADIUS)
+            if last and min(checked, key=lambda a: a.rank).rank > last[0].rank:  # what held under a tighter limit
+                checked += own.verify(own.assess([a.unit for a in last], own.box))
+            found[limit] = min(checked, key=lambda a: a.rank)
+            last = [found[limit]] if found[limit].feasible else last
+        return [(limit, found[limit]) for limit in limits]
+
+    def _front_limits(self, points: Sequence[Assessment], results: Sequence[Assessment]) -> list[float]:
+        """Return the limits of a front, by default from the least that the map reaches to that of the free optimum."""
+        front = self.spec.front
+        assert front is not None
+        if front.span is not None or front.against == "tolerance":
+            return np.linspace(*(front.span or TOLERANCE_SPAN), front.points).tolist()
+        free = replace(self.spec, constraints=self.spec.without_front_limit)
+        known = [Assessment(free, a.unit, a.offsets[:1], a.nominal) for a in points]
+        fit = [extreme(a.values[front.against], front.end) for a in known if a.fit.all()]
+        top = [extreme(a.values[front.against], front.end) for a in (min(known, key=lambda a: a.rank), results[0])]
+        low, high = (min(fit), max(top)) if front.end == "most" else (max(fit), min(top))
+        return np.linspace(low + 0.02 * (high - low), high, front.points).tolist()

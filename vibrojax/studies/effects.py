@@ -5,23 +5,21 @@ from dataclasses import dataclass
 from itertools import combinations
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
 from matplotlib import colormaps
 from matplotlib.colors import Normalize
 
 from vibrojax.errors import Place, counted, shown, suggestion
-from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.variables import STATUSES, Variable
+from vibrojax.io.variables import Variable
 from vibrojax.lanes.labels import sweep_variables
 from vibrojax.maps.bounds import VariedFile, read_bounds, read_file
 from vibrojax.maps.dataset import described_variables, parameter_attributes
 from vibrojax.maps.run import lanes_beside, run_sweep
 from vibrojax.maps.sweep import Sweep
-from vibrojax.measures.labels import EQUILIBRIUM, REGIMES, SINGLE_IMPACT
+from vibrojax.measures.labels import REGIMES, SINGLE_IMPACT
 from vibrojax.pictures.axes import margins, pretty_unit, scale, symbols_of
 from vibrojax.pictures.colours import Value
 from vibrojax.pictures.plots import FAINT, INK, Axis, Bars, Cells, Layer, Line, Plot, Sheet, Text, bars
@@ -30,7 +28,16 @@ from vibrojax.settings.fields import given, setting
 from vibrojax.settings.toml import read_source
 from vibrojax.settings.values import check_distinct
 from vibrojax.studies.analysis import PictureRule, SummaryPart
-from vibrojax.studies.effects_sampling import CONFIDENCE, REASONS, SHARE, Sampling, factorial_signs, indices
+from vibrojax.studies.effects_sampling import (
+    CONFIDENCE,
+    REASONS,
+    RULES,
+    SHARE,
+    Sampling,
+    factorial_signs,
+    indices,
+    values_of,
+)
 from vibrojax.studies.subjects import FileAnalysis
 
 MIN_SHARE = 0.05
@@ -124,20 +131,6 @@ def _why(row: xr.Dataset) -> str:
     )
 
 
-ZERO_WITHOUT_IMPACTS = (
-    *("impact_velocity", "impact_velocity_min", "impact_velocity_max", "impact_energy", "impact_power"),
-    *("blow_frequency", "rate_of_penetration", "slip_per_impact"),
-)
-"""Variables that are 0 in lanes without impacts, where a sweep leaves means over impacts undefined."""
-
-RULES = (
-    "lanes without impacts, or without a return of the bit and without contact: impact velocity, energy and power, "
-    "blows, rate and slip are 0; irregular lanes: their means over the observation, impact_power from the impacts per "
-    "return; several starts: the mean over them; lanes that failed or in which a variable has no value: for that "
-    "variable the base sample with all its points is left out"
-)
-"""How lanes without the regime are handled, for the dataset's attributes."""
-
 WIDE = 0.3
 """Half-width of a confidence interval above which the summary recommends more samples."""
 
@@ -158,33 +151,33 @@ RULED = {
 }
 """Words for the numbers of lanes, samples and corners that are treated by rule, for one and for several."""
 
-SCHEMA: dict[str, tuple[tuple[str, ...], Variable]] = {
-    "first_order": (_PARAMETER, Variable("1", "share of the variance due to the parameter alone")),
-    "first_order_conf": (_PARAMETER, Variable("1", "half-width of the confidence interval of first_order")),
-    "total_order": (_PARAMETER, Variable("1", "share of the variance due to the parameter and all its interactions")),
-    "total_order_conf": (_PARAMETER, Variable("1", "half-width of the confidence interval of total_order")),
-    "second_order": (_PAIR, Variable("1", "share of the variance due to the interaction of two parameters")),
-    "second_order_conf": (_PAIR, Variable("1", "half-width of the confidence interval of second_order")),
-    "effect": (_PARAMETER, Variable("", "mean at the high minus mean at the low level, in the variable's own unit")),
-    "interaction": (
-        _PAIR,
-        Variable("", "half the difference of an effect between the levels of the other, in the variable's own unit"),
+STUDY_VARIABLES = {
+    "first_order": Variable("1", "share of the variance due to the parameter alone", dims=_PARAMETER),
+    "first_order_conf": Variable("1", "half-width of the confidence interval of first_order", dims=_PARAMETER),
+    "total_order": Variable(
+        "1", "share of the variance due to the parameter and all its interactions", dims=_PARAMETER
     ),
-    "mean": (_OF, Variable("", "mean over the box, in the variable's own unit")),
-    "std": (_OF, Variable("", "standard deviation over the box, in the variable's own unit")),
-    "left_out": (_OF, Variable("1", "base samples that are left out", np.int32)),
-    "corners_left_out": (_OF, Variable("1", "corners of the two-level design that are left out", np.int32)),
-    "set_to_zero": (_OF, Variable("1", "lanes without impacts whose value is set to 0", np.int32)),
-    "averaged": (_OF, Variable("1", "irregular lanes, which count with their means", np.int32)),
-    "sobol_reason": (_OF, Variable("1", "why there are no Sobol indices", np.int8, REASONS)),
-    SHARE: ((), Variable("1", "share of the Sobol sample's lanes with a single impact")),
-    "regime_share": (("label",), Variable("1", "share of the Sobol sample's lanes in the regime")),
-    "low": (("parameter",), Variable("", "least value of the parameter, in its own unit")),
-    "high": (("parameter",), Variable("", "greatest value of the parameter, in its own unit")),
+    "total_order_conf": Variable("1", "half-width of the confidence interval of total_order", dims=_PARAMETER),
+    "second_order": Variable("1", "share of the variance due to the interaction of two parameters", dims=_PAIR),
+    "second_order_conf": Variable("1", "half-width of the confidence interval of second_order", dims=_PAIR),
+    "effect": Variable(
+        "", "mean at the high level minus mean at the low level, in the variable's own unit", dims=_PARAMETER
+    ),
+    "interaction": Variable(
+        "", "half the difference of an effect between the levels of the other, in the variable's own unit", dims=_PAIR
+    ),
+    "mean": Variable("", "mean over the box, in the variable's own unit", dims=_OF),
+    "std": Variable("", "standard deviation over the box, in the variable's own unit", dims=_OF),
+    "left_out": Variable("1", "base samples that are left out", np.int32, dims=_OF),
+    "corners_left_out": Variable("1", "corners of the two-level design that are left out", np.int32, dims=_OF),
+    "set_to_zero": Variable("1", "lanes without impacts whose value is set to 0", np.int32, dims=_OF),
+    "averaged": Variable("1", "irregular lanes, which count with their means", np.int32, dims=_OF),
+    "sobol_reason": Variable("1", "why there are no Sobol indices", np.int8, REASONS, dims=_OF),
+    SHARE: Variable("1", "share of the Sobol sample's lanes with a single impact"),
+    "regime_share": Variable("1", "share of the Sobol sample's lanes in the regime", dims=("label",)),
+    "low": Variable("", "least value of the parameter, in its own unit", dims=("parameter",)),
+    "high": Variable("", "greatest value of the parameter, in its own unit", dims=("parameter",)),
 }
-"""Dimensions and meaning of each variable of a study's dataset."""
-
-Lanes = Float[np.ndarray, "points starts"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,90 +271,11 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
     return Studies().run(source, progress)
 
 
-def study_of(spec: Study, lanes: xr.Dataset) -> xr.Dataset:
-    """Return the dataset of a study from the dataset of its sweep."""
-    lanes = lanes.transpose("point", ...)
-    sobol = spec.sampling.samples * spec.sampling.group
-    columns: dict[str, list[Any]] = {}
-    for name in spec.of:
-        values, zeros, averaged = values_of(lanes, name)
-        result = indices(spec.sampling, values.mean(axis=1))
-        for key, x in (result | {"set_to_zero": zeros.sum(), "averaged": averaged.sum()}).items():
-            columns.setdefault(key, []).append(x)
-    table: dict[str, Any] = {name: np.array(x) for name, x in columns.items()}
-    table["low"], table["high"] = np.array(list(spec.sampling.bounds.values())).T
-    coords: dict[str, Any] = {"of": spec.of, "parameter": spec.sampling.names, "other": spec.sampling.names}
-    if "regime" in lanes:
-        regime = lanes["regime"].values.reshape(lanes.sizes["point"], -1)[:sobol]
-        table["regime_share"] = np.array([(regime == flag).mean() for flag in range(len(REGIMES))])
-        table[SHARE] = np.asarray((regime == SINGLE_IMPACT).mean())
-        coords["label"] = list(REGIMES)
-    about = described_variables(spec.sweep) | {SHARE: SCHEMA[SHARE][1]}
-    parameters = [parameter_attributes(spec.sweep, name) for name in spec.sampling.names]
-    coords["of_unit"] = ("of", [about[name].units for name in spec.of])
-    coords["of_long_name"] = ("of", [about[name].long_name for name in spec.of])
-    coords["parameter_unit"] = ("parameter", [x["units"] for x in parameters])
-    coords["parameter_long_name"] = ("parameter", [x["long_name"] for x in parameters])
-    variables = {
-        name: (dims, table[name].astype(known.dtype), known.attributes())
-        for name, (dims, known) in SCHEMA.items()
-        if name in table
-    }
-    corners = len(factorial_signs(len(spec.sampling.bounds)))
-    fraction = "full" if corners == 2 ** len(spec.sampling.bounds) else "fraction of resolution V"
-    attributes = {
-        **dataset_attributes("study", spec.sweep.title, f"study {spec.sweep.scene}", scene=spec.sweep.scene),
-        **{name: lanes.attrs[name] for name in ("parameters", "differing", "run", "solver") if name in lanes.attrs},
-        "study": spec.text,
-        "rules": RULES,
-        "samples": spec.sampling.samples,
-        "seed": spec.sampling.seed,
-        "confidence": CONFIDENCE,
-        "design": f"{fraction}, {corners} corners",
-        "lanes": lanes.attrs["lanes"],
-        "sobol_lanes": sobol * (lanes.sizes.get("start", 1)),
-    }
-    return xr.Dataset(variables, coords, attributes)
-
-
-def values_of(lanes: xr.Dataset, name: str) -> tuple[Lanes, Bool[np.ndarray, "points starts"], Any]:
-    """Return a variable of all lanes, NaN where it has no value, and masks of lanes set to zero and averaged."""
-
-    def column(key: str) -> Lanes:
-        return lanes[key].values.reshape(lanes.sizes["point"], -1).astype(float)
-
-    done = column("status") == STATUSES.index("done")
-    none = np.zeros(done.shape, bool)
-    regime = column("regime") if "regime" in lanes else None
-    if name == SHARE:
-        assert regime is not None
-        return np.where(done, regime == SINGLE_IMPACT, np.nan), none, none
-    values = column(name)
-    if regime is None or "impacts" not in lanes:
-        return np.where(done, values, np.nan), none, none
-    impacts, irregular = column("impacts"), done & (column("cycles") == 0) & (regime != EQUILIBRIUM)
-    with np.errstate(all="ignore"):
-        if name in ("impact_power", "specific_energy"):
-            power = column("impact_energy") * impacts / column("period")  # impacts per return
-            if name == "specific_energy":
-                radius = lanes[name].attrs.get("bit_radius")
-                radius = lanes["bit_radius"].values[:, None] if radius is None else radius
-                rate = column("rate_of_penetration")
-                power = np.where(rate > 0, power / (np.pi * radius**2 * rate), np.nan)
-            values = np.where(irregular & np.isnan(values), power, values)
-    apart = (column("returns") < 2) & (column("peak_impact_force") == 0) if "peak_impact_force" in lanes else none
-    still = done & ((impacts == 0) | (regime == EQUILIBRIUM) | apart) & (name in ZERO_WITHOUT_IMPACTS)
-    zeros = still & ~(values > 0)
-    values = np.where(done, np.where(zeros, 0.0, values), np.nan)
-    values = np.where(np.isfinite(values), values, np.nan)
-    return values, zeros, irregular & ~zeros & np.isfinite(values)
-
-
 class Studies(FileAnalysis[Study]):
     """Find which parameters decide about a machine: effects, interactions and Sobol indices; FILE is a study (TOML)."""
 
     kind = "study"
-    variables: ClassVar[dict[str, Variable]] = {name: about for name, (_, about) in SCHEMA.items()}
+    variables = STUDY_VARIABLES
     pictures = (PictureRule("effects", lambda held: "first_order" in held.variables, bars_and_interactions),)
     view = "plots"
 
@@ -371,17 +285,60 @@ class Studies(FileAnalysis[Study]):
     def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Study:
         return read_study(file)
 
-    def identity(self, asked: Study) -> dict[str, object]:
-        bounds = {f"vary.{name}": list(x) for name, x in asked.sampling.bounds.items()}
-        own = {"study": True, "of": asked.of, "samples": asked.sampling.samples, "seed": asked.sampling.seed}
-        return asked.sweep.identity() | own | bounds
+    def identity(self, spec: Study) -> dict[str, object]:
+        bounds = {f"vary.{name}": list(x) for name, x in spec.sampling.bounds.items()}
+        own = {"study": True, "of": spec.of, "samples": spec.sampling.samples, "seed": spec.sampling.seed}
+        return spec.sweep.identity() | own | bounds
 
-    def compute(self, asked: Study, progress: bool = True) -> xr.Dataset:
-        return study_of(asked, run_sweep(asked.sweep, progress=progress))
+    def compute(self, spec: Study, progress: bool = True) -> xr.Dataset:
+        return self._dataset(spec, run_sweep(spec.sweep, progress=progress))
 
-    def compute_beside(self, asked: Study, out: Path, resume: bool, progress: bool) -> xr.Dataset:
-        with lanes_beside(asked.sweep, out, resume=resume, progress=progress) as lanes:
-            return study_of(asked, lanes)
+    def compute_beside(self, spec: Study, out: Path, resume: bool, progress: bool) -> xr.Dataset:
+        with lanes_beside(spec.sweep, out, resume=resume, progress=progress) as lanes:
+            return self._dataset(spec, lanes)
+
+    def _dataset(self, spec: Study, lanes: xr.Dataset) -> xr.Dataset:
+        """Return the dataset of a study from the dataset of its sweep."""
+        lanes, sampling, sweep = lanes.transpose("point", ...), spec.sampling, spec.sweep
+        rows: list[dict[str, Any]] = []
+        for name in spec.of:
+            values, zeros, averaged = values_of(lanes, name)
+            counts = {"set_to_zero": zeros.sum(), "averaged": averaged.sum()}
+            rows.append(indices(sampling, values.mean(axis=1)) | counts)
+        table: dict[str, Any] = {key: np.array([row[key] for row in rows]) for key in rows[0]}
+        table["low"], table["high"] = np.array(list(sampling.bounds.values())).T
+        coords: dict[str, Any] = {"of": spec.of, "parameter": sampling.names, "other": sampling.names}
+        sobol = sampling.samples * sampling.group
+        if "regime" in lanes:
+            regime = lanes["regime"].values.reshape(lanes.sizes["point"], -1)[:sobol]
+            table["regime_share"] = np.array([(regime == flag).mean() for flag in range(len(REGIMES))])
+            table[SHARE] = (regime == SINGLE_IMPACT).mean()
+            coords["label"] = list(REGIMES)
+        about = described_variables(sweep) | {SHARE: STUDY_VARIABLES[SHARE]}
+        parameters = [parameter_attributes(sweep, name) for name in sampling.names]
+        coords |= {
+            "of_unit": ("of", [about[name].units for name in spec.of]),
+            "of_long_name": ("of", [about[name].long_name for name in spec.of]),
+            "parameter_unit": ("parameter", [x["units"] for x in parameters]),
+            "parameter_long_name": ("parameter", [x["long_name"] for x in parameters]),
+        }
+        corners = len(factorial_signs(len(sampling.bounds)))
+        fraction = "full" if corners == 2 ** len(sampling.bounds) else "fraction of resolution V"
+        return self.dataset(
+            {name: table[name] for name in STUDY_VARIABLES if name in table},
+            coords,
+            title=sweep.title,
+            scene=sweep.scene,
+            **{name: lanes.attrs[name] for name in ("parameters", "differing", "run", "solver") if name in lanes.attrs},
+            study=spec.text,
+            rules=RULES,
+            samples=sampling.samples,
+            seed=sampling.seed,
+            confidence=CONFIDENCE,
+            design=f"{fraction}, {corners} corners",
+            lanes=lanes.attrs["lanes"],
+            sobol_lanes=sobol * lanes.sizes.get("start", 1),
+        )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return a sentence for each parameter and each important pair of parameters, and the lanes treated by rule."""

@@ -1,13 +1,18 @@
-"""Saltelli's sample with its Sobol indices, and the corners of a two-level factorial design with their effects."""
+"""Samples of a box, values that count at them, Saltelli's Sobol indices, and effects of a factorial design."""
 
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations
 from types import ModuleType
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from jaxtyping import Bool, Float
 
 from vibrojax.errors import InputError
+from vibrojax.io.variables import STATUSES
+from vibrojax.maps.bounds import corners
+from vibrojax.measures.labels import EQUILIBRIUM, SINGLE_IMPACT
 
 CONFIDENCE = 0.95
 """Level of the confidence intervals."""
@@ -34,6 +39,21 @@ _GENERATORS = {
 }
 
 Points = Float[np.ndarray, "points parameters"]
+Lanes = Float[np.ndarray, "points starts"]
+
+ZERO_WITHOUT_IMPACTS = (
+    *("impact_velocity", "impact_velocity_min", "impact_velocity_max", "impact_energy", "impact_power"),
+    *("blow_frequency", "rate_of_penetration", "slip_per_impact"),
+)
+"""Variables that are 0 in lanes without impacts, where a sweep leaves means over impacts undefined."""
+
+RULES = (
+    "lanes without impacts, or without a return of the bit and without contact: impact velocity, energy and power, "
+    "blows, rate and slip are 0; irregular lanes: their means over the observation, impact_power from the impacts per "
+    "return; several starts: the mean over them; lanes that failed or in which a variable has no value: for that "
+    "variable the base sample with all its points is left out"
+)
+"""How lanes without the regime are handled, for the dataset's attributes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +96,7 @@ class Sampling:
 def factorial_signs(parameters: int) -> Points:
     """Return the signs of a two-level design: full for up to eight parameters, else a fraction of resolution V."""
     basic = _BASIC.get(parameters, parameters)
-    signs = np.array(list(product((-1.0, 1.0), repeat=basic)))
+    signs = corners(basic)
     further = _GENERATORS[basic][: parameters - basic] if parameters > basic else ()
     return np.column_stack([signs, *(signs[:, list(word)].prod(axis=1) for word in further)])
 
@@ -93,6 +113,39 @@ def salib(part: str) -> ModuleType:
     except ImportError:
         advice = "install it with: pip install SALib"
         raise InputError(f"study: the package SALib, which computes Sobol indices, is missing; {advice}") from None
+
+
+def values_of(lanes: xr.Dataset, name: str) -> tuple[Lanes, Bool[np.ndarray, "points starts"], Any]:
+    """Return a variable of all lanes, NaN where it has no value, and masks of lanes set to zero and averaged."""
+
+    def column(key: str) -> Lanes:
+        return lanes[key].values.reshape(lanes.sizes["point"], -1).astype(float)
+
+    done = column("status") == STATUSES.index("done")
+    none = np.zeros(done.shape, bool)
+    regime = column("regime") if "regime" in lanes else None
+    if name == SHARE:
+        assert regime is not None
+        return np.where(done, regime == SINGLE_IMPACT, np.nan), none, none
+    values = column(name)
+    if regime is None or "impacts" not in lanes:
+        return np.where(done, values, np.nan), none, none
+    impacts, irregular = column("impacts"), done & (column("cycles") == 0) & (regime != EQUILIBRIUM)
+    with np.errstate(all="ignore"):
+        if name in ("impact_power", "specific_energy"):
+            power = column("impact_energy") * impacts / column("period")  # impacts per return
+            if name == "specific_energy":
+                radius = lanes[name].attrs.get("bit_radius")
+                radius = lanes["bit_radius"].values[:, None] if radius is None else radius
+                rate = column("rate_of_penetration")
+                power = np.where(rate > 0, power / (np.pi * radius**2 * rate), np.nan)
+            values = np.where(irregular & np.isnan(values), power, values)
+    apart = (column("returns") < 2) & (column("peak_impact_force") == 0) if "peak_impact_force" in lanes else none
+    still = done & ((impacts == 0) | (regime == EQUILIBRIUM) | apart) & (name in ZERO_WITHOUT_IMPACTS)
+    zeros = still & ~(values > 0)
+    values = np.where(done, np.where(zeros, 0.0, values), np.nan)
+    values = np.where(np.isfinite(values), values, np.nan)
+    return values, zeros, irregular & ~zeros & np.isfinite(values)
 
 
 Values = Float[np.ndarray, " points"]

@@ -11,7 +11,7 @@ from vibrojax.errors import Place, shown
 from vibrojax.io.variables import REGIMES
 from vibrojax.maps.machines import read_machines, several_and_single
 from vibrojax.maps.run import run_sweep
-from vibrojax.maps.sweep import Sweep, resolved
+from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.equilibria import EquilibriumContinuation
 from vibrojax.periodic.families import FamilyContinuation, in_order
@@ -25,7 +25,7 @@ from vibrojax.periodic.timed_problem import TimedProblem, has_free_phase
 from vibrojax.periodic.timed_sections import at_section
 from vibrojax.periodic.timed_starts import free_problem
 from vibrojax.physics.meanings import suggest_parameter
-from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION
+from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION, resolved
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.values import count, warn_if_far

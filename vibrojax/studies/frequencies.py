@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.compile.xla import precision
 from vibrojax.io.attributes import parameters_of
-from vibrojax.maps.sweep import resolved
 from vibrojax.measures.labels import blow_frequency
 from vibrojax.physics.modes import natural_frequencies, uncoupled_frequencies
-from vibrojax.physics.parameters import REPLACED
+from vibrojax.physics.parameters import REPLACED, resolved
 from vibrojax.pictures.axes import pretty_unit
 from vibrojax.studies.analysis import SummaryPart
 
@@ -61,10 +59,9 @@ def _computed(ds: xr.Dataset, given: dict[str, xr.DataArray]) -> dict[str, xr.Da
     if values.keys() >= set(_DRILL):
         found["bit_frequency"], found["striker_frequency"] = uncoupled_frequencies(values)
         columns = xr.broadcast(*(values[name] for name in _DRILL))
-        with precision("float64"):
-            modes = natural_frequencies({name: x.values for name, x in zip(_DRILL, columns, strict=True)})
+        modes = natural_frequencies({name: x.values for name, x in zip(_DRILL, columns, strict=True)}, np)
         for k, name in enumerate(("lower_frequency", "upper_frequency")):
-            found[name] = columns[0].copy(data=np.asarray(modes[..., k]) / (2 * pi))
+            found[name] = columns[0].copy(data=modes[..., k] / (2 * pi))
     if all(name in ds and ds[name].dtype.kind in "fiu" for name in ("impacts", "period", "cycles")):
         found["blow_frequency"] = blow_frequency(*(ds[name] for name in ("impacts", "cycles", "period")))
     if "bit_radius" in given and ("rpm" in given or "v" in values):

@@ -11,9 +11,8 @@ from jaxtyping import Float, Int
 
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.attributes import flags
-from vibrojax.io.variables import VARIABLES, orbit_name
+from vibrojax.io.variables import VARIABLES, Variable, orbit_name
 from vibrojax.lanes.inputs import Index
-from vibrojax.maps.dataset import shared_attributes
 from vibrojax.maps.machines import Machines
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep
@@ -49,7 +48,7 @@ def smallest_pushes(ds: xr.Dataset) -> Sheet:
     """
     if POINT in ds.dims and ds.sizes[POINT] == 1:
         ds = ds.isel({POINT: 0})
-    states = [str(name).removeprefix(_PUSH) for name in ds.data_vars if str(name).startswith(_PUSH)]
+    states = _pushed(ds)
     rows, several = -(-len(states) // 2), POINT in ds.dims
     plots = [(_curves if several else _sides)(ds, state) for state in states]
     plots = [replace(plot, place=divmod(k, 2)) for k, plot in enumerate(plots)]
@@ -101,25 +100,17 @@ def _sides(ds: xr.Dataset, state: str) -> Plot:
     for side, (size, flag) in enumerate(zip(push.values * factor, regime_cells(ds[f"regime_{state}"]), strict=True)):
         leaves = bool(np.isfinite(size))
         height = float(size) if leaves else bound if stable else 0.0
-        look: Look = (
-            {"colours": REGIME_COLOURS[int(flag)], "edge": _EDGE} if leaves else {"colours": "#FFFFFF"} | _RETURNS
-        )
-        layers.append(Bars([side - 0.3], [0.0], [0.6], [height], **look))
+        look: Look = {"colours": "#FFFFFF"} | _RETURNS
+        if leaves:
+            look = {"colours": REGIME_COLOURS[int(flag)], "edge": _EDGE}
         text = number(float(f"{size:.3g}")) if leaves else "returns" if stable else "no stable\ncycle"
-        layers.append(
-            Text(
-                float(side),
-                height if leaves else height / 2,
-                text,
-                baseline="bottom",
-                box=True,
-                offset=(0.0, 3.0 * leaves),
-            )
-        )
+        up = height if leaves else height / 2
+        layers.append(Bars([side - 0.3], [0.0], [0.6], [height], **look))
+        layers.append(Text(float(side), up, text, baseline="bottom", box=True, offset=(0.0, 3.0 * leaves)))
     ticks = [(float(k), _SIDES[int(sign)][2]) for k, sign in enumerate(ds["sign"].values)]
     top = 1.13 * float(np.nanmax([bound, *(push.values * factor)]))
-    up = Axis(_words(state, unit), limits=(0.0, top or 1.0), ticks=None if stable else [])
-    return Plot(layers, Axis(ticks=ticks, limits=(-0.6, len(push) - 0.4), group="over"), up, grid="")
+    size_axis = Axis(_words(state, unit), limits=(0.0, top or 1.0), ticks=None if stable else [])
+    return Plot(layers, Axis(ticks=ticks, limits=(-0.6, len(push) - 0.4), group="over"), size_axis, grid="")
 
 
 def _words(state: str, unit: str) -> str:
@@ -241,7 +232,7 @@ class Pushes(MachineAnalysis[Machines]):
         machines = super().machines(place, scene, parameters, start, run)
         system = machines.sweep.system
         missing = [name for name in system.driving_part().return_states if name not in system.start_states]
-        if system.driving_part().section is None or missing or machines.first.start is None:
+        if system.driving_part().section is None or missing or machines.sweep.starts is None:
             why = f"{', '.join(missing)} of it cannot be given as a start" if missing else "it has no drill"
             raise place.at("scene").error(f"{shown(machines.sweep.scene)} has no working cycle to push: {why}")
         for name, value in self.most.items():
@@ -251,16 +242,16 @@ class Pushes(MachineAnalysis[Machines]):
             quantity(place.at("most").at(name), value, positive(name, 1.0, "1", "greatest push", name))
         return machines
 
-    def compute(self, asked: Machines, progress: bool = True) -> xr.Dataset:
+    def compute(self, spec: Machines, progress: bool = True) -> xr.Dataset:
         """Return the smallest pushes; raise `InputError` if there is no stable cycle to push."""
-        sweep = asked.sweep
+        sweep = spec.sweep
         cycle = run_sweep(sweep, progress=progress)
         cycle = cycle.isel(start=0, drop=True) if "start" in cycle.dims else cycle
         cycle = cycle if "point" in cycle.dims else cycle.expand_dims("point")
         stable = np.flatnonzero(cycle["stable"].values == 1)
         if not len(stable):
             why = why_no_orbit(cycle.isel(point=0))
-            raise asked.place.error(f"the motion {why}: no cycle to push; give another start or point")
+            raise spec.place.error(f"the motion {why}: no cycle to push; give another start or point")
         scene, system = sweep.system.driving_part(), sweep.system
         orbits = orbits_of(scene, cycle, sweep.lane_values(0, sweep.lanes)[0], stable)
         section = {name: cycle[orbit_name(name)].values[stable] for name in scene.return_states}
@@ -302,11 +293,11 @@ class Pushes(MachineAnalysis[Machines]):
             mask = high - low > self.precision * high  # False for NaN
             if mask.any():
                 narrow(low[..., None] + (high - low)[..., None] * (np.arange(1, BRACKET_PIECES) / BRACKET_PIECES), mask)
-        return self._dataset(asked, cycle, stable, bound, low, high, regime)
+        return self._dataset(spec, cycle, stable, bound, low, high, regime)
 
     def _dataset(
         self,
-        asked: Machines,
+        spec: Machines,
         cycle: xr.Dataset,
         stable: Index,
         bound: Float[np.ndarray, "stable states"],
@@ -315,41 +306,37 @@ class Pushes(MachineAnalysis[Machines]):
         regime: Int[np.ndarray, "stable directions"],
     ) -> xr.Dataset:
         """Return the dataset of pushes; points without a stable cycle have NaN, and 0 as regime after the push."""
-        sweep = asked.sweep
-        scene, system = sweep.system.driving_part(), sweep.system
+        sweep, system = spec.sweep, spec.sweep.system
         variables: dict[str, Any] = {}
         for k, name in enumerate(system.start_states):
             state, pair = system.states[system.place(name)], slice(2 * k, 2 * k + 2)
-            push, units = f"push in the {state.long_name}, at the section", {"units": state.unit}
-            flag = VARIABLES["regime"]
-            for part, x, about, long_name in (
-                ("push", high[:, pair], units, f"smallest {push}, that leaves the working cycle"),
-                ("bracket", (high - low)[:, pair], units, f"distance to the next smaller {push}, that returns"),
-                ("bound", bound[:, k], units, f"greatest {push}, that was tried"),
-                (
-                    "regime",
-                    regime[:, pair].astype(flag.dtype),
-                    flag.attributes(),
-                    f"regime in which the motion ends after the smallest {push}",
-                ),
-            ):
-                whole = np.full((cycle.sizes["point"], *x.shape[1:]), 0 if part == "regime" else np.nan, x.dtype)
+            push = f"push in the {state.long_name}, at the section"
+            ends_in = f"regime in which the motion ends after the smallest {push}"
+            for part, x, about in (
+                (_PUSH, high[:, pair], Variable(state.unit, f"smallest {push}, that leaves the working cycle")),
+                ("bracket_", (high - low)[:, pair],
+                 Variable(state.unit, f"distance to the next smaller {push}, that returns")),
+                ("bound_", bound[:, k], Variable(state.unit, f"greatest {push}, that was tried")),
+                ("regime_", regime[:, pair], replace(VARIABLES["regime"], long_name=ends_in)),
+            ):  # fmt: skip
+                whole = np.full((cycle.sizes["point"], *x.shape[1:]), 0 if part == "regime_" else np.nan)
                 whole[stable] = x
-                variables[f"{part}_{name}"] = (("point", "sign")[: x.ndim], whole, {**about, "long_name": long_name})
-        own = ["regime", "period", *map(orbit_name, scene.return_states)]
+                variables[part + name] = about.entry(("point", "sign")[: x.ndim], whole)
+        own = ["regime", "period", *map(orbit_name, system.driving_part().return_states)]
         variables |= {name: ("point", cycle[name].values, cycle[name].attrs) for name in own}
         coordinates = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
         sign = ("sign", list(SIGNS), {"units": "1", "long_name": "side of the push: -1 less, 1 more"})
         settings = {"method": METHOD, "scan": self.scan, "precision": self.precision, "patience": PATIENCE}
-        title = f"Smallest pushes out of the working cycle: {sweep.scene}"
-        attributes = {
-            **shared_attributes(sweep, "push", title, "smallest_push"),
-            "start": json.dumps(sweep.starts[0]) if sweep.starts is not None else "",
-            "run": cycle.attrs["run"],
-            "pushes": json.dumps(settings),
-        }
-        dataset = xr.Dataset(variables, {**coordinates, "sign": sign}, attributes)
-        return dataset if asked.several else dataset.isel(point=0, drop=True)
+        dataset = self.dataset(
+            variables,
+            {**coordinates, "sign": sign},
+            of=sweep,
+            title=f"Smallest pushes out of the working cycle: {sweep.scene}",
+            start=json.dumps(sweep.starts[0]) if sweep.starts is not None else "",
+            run=cycle.attrs["run"],
+            pushes=json.dumps(settings),
+        )
+        return dataset if spec.several else dataset.isel(point=0, drop=True)
 
     def _bounds(self, system: Scene[Any], cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
         """Return the greatest push to be tried in each state variable."""
@@ -412,15 +399,17 @@ def push_lines(ds: xr.Dataset) -> list[str]:
             lines.append(f"no stable cycle ({regime})")
             continue
         lines.append(f"working cycle: {regime}, {float(machine['period']):.5g} s")
-        states = [str(name).removeprefix("push_") for name in machine.data_vars if str(name).startswith("push_")]
-        for state in states:
-            push = machine[f"push_{state}"]
-            unit = push.attrs["units"].replace(" s-1", "/s")
+        for state in _pushed(machine):
+            push, bracket, ends = (machine[f"{part}_{state}"].values for part in ("push", "bracket", "regime"))
+            unit = machine[f"{_PUSH}{state}"].attrs["units"].replace(" s-1", "/s")
             for k, sign in enumerate("-+"):
-                size, bracket = float(push[k]), float(machine[f"bracket_{state}"][k])
-                text = f"none up to {float(machine[f'bound_{state}']):.4g} {unit} leaves it"
-                if size == size:
-                    regime = meanings[int(machine[f"regime_{state}"][k])]
-                    text = f"{size:.4g} {unit} (within {bracket:.1g}): {regime}"
+                text = f"{push[k]:.4g} {unit} (within {bracket[k]:.1g}): {meanings.get(int(ends[k]))}"
+                if np.isnan(push[k]):
+                    text = f"none up to {float(machine[f'bound_{state}']):.4g} {unit} leaves it"
                 lines.append(f"  {state} {sign}  {text}")
     return lines
+
+
+def _pushed(ds: xr.Dataset) -> list[str]:
+    """Return the state variables whose pushes a dataset holds."""
+    return [str(name).removeprefix(_PUSH) for name in ds.data_vars if str(name).startswith(_PUSH)]

@@ -14,11 +14,11 @@ from vibrojax.maps.machines import Machines, read_machines
 from vibrojax.settings.fields import settings_of
 from vibrojax.studies.analysis import Analysis, checked_result
 
-Asked = TypeVar("Asked")
-"""Class of what was checked, and is computed: `Machines`, or the analysis's own."""
+Spec = TypeVar("Spec")
+"""Class of the checked input: `Machines`, or a class of the analysis."""
 
 
-class CheckedAnalysis(Analysis, Generic[Asked]):
+class CheckedAnalysis(Analysis, Generic[Spec]):
     """An analysis whose input is checked before it is computed.
 
     A subclass provides `kind`, `identity` and `compute`.
@@ -30,29 +30,29 @@ class CheckedAnalysis(Analysis, Generic[Asked]):
     numbered: ClassVar[bool] = False
     """Whether files of different results, if no name is given, get numbers instead of an error."""
 
-    def identity(self, asked: Asked) -> dict[str, object]:
+    def identity(self, spec: Spec) -> dict[str, object]:
         """Return all settings on which the result depends, as flat JSON values."""
         raise NotImplementedError(f"{type(self).__name__}.identity")
 
-    def facts(self, ds: xr.Dataset, asked: Asked) -> Mapping[str, object] | None:
+    def facts(self, ds: xr.Dataset, spec: Spec) -> Mapping[str, object] | None:
         """Return what `--json` prints; None for the facts of the summary."""
         return None
 
-    def compute(self, asked: Asked, progress: bool = True) -> xr.Dataset:
+    def compute(self, spec: Spec, progress: bool = True) -> xr.Dataset:
         """Return the result; raise `InputError` if there is none."""
         raise NotImplementedError(f"{type(self).__name__}.compute")
 
-    def compute_beside(self, asked: Asked, out: Path, resume: bool, progress: bool) -> xr.Dataset:
+    def compute_beside(self, spec: Spec, out: Path, resume: bool, progress: bool) -> xr.Dataset:
         """Return the result; an analysis with chunks of lanes keeps finished ones beside `out` until it is written."""
-        return self.compute(asked, progress)
+        return self.compute(spec, progress)
 
     def run(self, source: Any, progress: bool = True) -> xr.Dataset:
         """Return the dataset of the analysis of what was checked."""
         return self.compute(source, progress)
 
 
-class MachineAnalysis(CheckedAnalysis[Asked]):
-    """An analysis of machines, whose settings, start and run settings stand beside the parameters.
+class MachineAnalysis(CheckedAnalysis[Spec]):
+    """An analysis of machines, whose settings, start and run settings are given together with the parameters.
 
     A subclass provides `kind` and `compute`. It overrides `machines` to check them, or to read them otherwise.
     """
@@ -84,11 +84,11 @@ class MachineAnalysis(CheckedAnalysis[Asked]):
 
     @classmethod
     def of_words(cls, values: dict[str, Any]) -> dict[str, Any]:
-        """Return the values for `asked` from those of the words of the command line."""
+        """Return the values for `asked` from the values of the command line."""
         return values
 
     @classmethod
-    def asked(cls, scene: object, values: Mapping[str, object], parameters: Mapping[str, object]) -> tuple[Self, Asked]:
+    def asked(cls, scene: object, values: Mapping[str, object], parameters: Mapping[str, object]) -> tuple[Self, Spec]:
         """Return the analysis with its settings, and the checked machines.
 
         **Arguments:** `values`: settings, `start` and settings of the run by name, None for a default.
@@ -102,26 +102,26 @@ class MachineAnalysis(CheckedAnalysis[Asked]):
 
     def machines(
         self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
-    ) -> Asked:
+    ) -> Spec:
         """Return the checked machines, the argument of `compute`."""
         machines: Any = read_machines(place, scene, parameters, start, run)
         return machines
 
-    def identity(self, asked: Asked) -> dict[str, object]:
+    def identity(self, spec: Spec) -> dict[str, object]:
         """Return all settings on which the result depends, as flat JSON values."""
-        assert isinstance(asked, Machines)  # else the analysis has its own
-        identity = asked.sweep.identity()
+        assert isinstance(spec, Machines)  # else the analysis has its own
+        identity = spec.sweep.identity()
         for name, value in self.described().items():
             identity |= {f"{name}_{key}": x for key, x in value.items()} if isinstance(value, dict) else {name: value}
         return identity
 
-    def file_name(self, asked: Asked) -> str:
+    def file_name(self, spec: Spec) -> str:
         """Return the name of the command's file."""
-        assert isinstance(asked, Machines)
-        return f"{asked.sweep.scene}-{self.kind}.nc"
+        assert isinstance(spec, Machines)
+        return f"{spec.sweep.scene}-{self.kind}.nc"
 
 
-class FileAnalysis(CheckedAnalysis[Asked]):
+class FileAnalysis(CheckedAnalysis[Spec]):
     """An analysis of a file of the user's: a TOML file, or a bundled name.
 
     A subclass provides `kind`, `about`, `asked`, `identity` and `compute`.
@@ -138,7 +138,7 @@ class FileAnalysis(CheckedAnalysis[Asked]):
     chunks: ClassVar[bool] = False
     """Whether finished chunks of its lanes are kept beside the file of the result until that is written."""
 
-    def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Asked:
+    def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Spec:
         """Return the checked content of the file; raise `InputError` at the first error."""
         raise NotImplementedError(f"{type(self).__name__}.asked")
 

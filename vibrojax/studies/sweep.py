@@ -1,16 +1,14 @@
 """The analysis `sweep`: pictures and summary of datasets over a parameter space."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 
 from vibrojax.errors import counted
 from vibrojax.io.attributes import flag_counts, flags, parameters_of, run_of, table_of
 from vibrojax.io.kinds import kind_of
-from vibrojax.maps.run import run_sweep
 from vibrojax.physics.rock import ROCKS
 from vibrojax.pictures.contents import Contents
 from vibrojax.pictures.lines import regime_lines
@@ -22,6 +20,9 @@ from vibrojax.pictures.returns import bifurcation, hysteresis
 from vibrojax.pictures.starts import many_starts
 from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart
 from vibrojax.studies.frequencies import frequency_part
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Sweeps(Analysis):
@@ -40,13 +41,15 @@ class Sweeps(Analysis):
     )
 
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
+        from vibrojax.maps.run import run_sweep
+
         return run_sweep(source, progress=progress)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the rate of penetration of a sweep with rock, or the reason why there is none, and the frequencies."""
         return [_rates(ds), frequency_part(ds)]
 
-    def plots(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Picture | Figure:
+    def plots(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Picture | Figure":
         """Return the plots of a sweep; `over`: borders or curves on its map, or families on its section crossings."""
         if not over:
             return super().plots(ds)

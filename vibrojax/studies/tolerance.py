@@ -1,7 +1,7 @@
 """The analysis `tolerance`: a machine at samples of the box of its parameter tolerances."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from scipy.stats import qmc
 
 from vibrojax.errors import Place, counted, shown
 from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.variables import VARIABLES, Variable
-from vibrojax.maps.bounds import MAX_TOLERANCES
+from vibrojax.io.variables import VARIABLES, Variable, described
+from vibrojax.maps.bounds import MAX_TOLERANCES, corners, draws
 from vibrojax.maps.dataset import attributes, certified
 from vibrojax.maps.read import read_point, read_sweep
 from vibrojax.maps.run import run_sweep
@@ -79,36 +78,36 @@ def refine(
     extremes depend on the time of observation.
     """
     first, parts = len(units), [ds]
-    steps: dict[tuple[str, int, float], tuple[int, float]] = {}
+    best, steps = np.array(-1), np.array(FIRST_STEP)
     for _ in range(MAX_ROUNDS):
-        points = np.zeros((0, units.shape[1]))
-        for name in (name for name in QUANTITIES if name in ds):
-            periodic = (part[name].where(part["cycles"] > 0).transpose("point", ...).values for part in parts)
-            values = np.concatenate([x.reshape(len(x), -1) for x in periodic])
-            for start, sign in product(range(values.shape[1]), (1.0, -1.0)):
-                y = sign * values[:, start]
-                if not np.isfinite(y).any():
-                    continue
-                best = int(np.nanargmax(y))
-                before, step = steps.get((name, start, sign), (best, FIRST_STEP))
-                step *= SHRINKAGE if (name, start, sign) in steps and before == best else 1.0
-                steps[name, start, sign] = best, step
-                if step >= LEAST_STEP:
-                    points = np.concatenate([points, _proposals(units, y, best, step)])
-        points = np.unique(np.round(points, 12), axis=0)
+        goals = np.concatenate([_goals(part) for part in parts], axis=1)
+        known = ~np.isnan(goals).all(axis=1)
+        greatest = np.where(known, np.where(np.isnan(goals), -np.inf, goals).argmax(axis=1), -1)
+        steps = np.where(known & (greatest == best), SHRINKAGE * steps, steps)
+        best = greatest
+        active = np.flatnonzero(known & (steps >= LEAST_STEP))
+        proposals = [_proposals(units, goals[k], int(best[k]), float(steps[k])) for k in active]
+        points = np.unique(np.round(np.concatenate([units[:0], *proposals]), 12), axis=0)
         apart = np.abs(points[:, None] - units[None]).max(axis=2).min(axis=1, initial=np.inf)
         points = points[apart > SAME_POINT]
         if len(points):
             parts.append(simulate(points))
             units = np.concatenate([units, points])
-        elif all(step < LEAST_STEP for _, step in steps.values()):
+        elif not len(active):
             break
-    added, tried = sorted({best for best, _ in steps.values() if best >= first}), len(units) - first
-    if not added:
+    added, tried = np.unique(best[best >= first]), len(units) - first
+    if not len(added):
         return ds, units[:first], tried
-    kept = [*range(first), *added]
+    kept = [*range(first), *added.tolist()]
     whole = xr.concat(parts, "point", data_vars="minimal", join="override", combine_attrs="override")
     return whole.isel(point=kept), units[kept], tried
+
+
+def _goals(ds: xr.Dataset) -> Float[np.ndarray, "searches samples"]:
+    """Return what each search maximises: each quantity from each start, and its negative; NaN unless periodic."""
+    periodic = [ds[name].where(ds["cycles"] > 0).transpose("point", ...) for name in QUANTITIES if name in ds]
+    columns = np.concatenate([x.values.reshape(ds.sizes["point"], -1) for x in periodic], axis=1)
+    return np.concatenate([columns, -columns], axis=1).T
 
 
 def _proposals(
@@ -183,17 +182,14 @@ SAMPLE_VARIABLES = {
 
 @dataclass(frozen=True, eq=False)
 class ToleranceBox:
-    """A checked specification.
+    """A checked box.
 
     - `tables`: tables of a sweep, without its points; `nominal`, `half_widths`: nominal values and half-widths by name.
-    - `units`: the samples in half-widths from the nominal point; `places`: the place of each.
     """
 
     tables: dict[str, Any]
     nominal: dict[str, float]
     half_widths: dict[str, float]
-    units: Units
-    places: np.ndarray
 
     def points(self, units: Units) -> dict[str, np.ndarray]:
         """Return the parameters of points by name; `units`: in half-widths from the nominal point."""
@@ -206,24 +202,28 @@ class ToleranceBox:
 
     @cached_property
     def sweep(self) -> Sweep:
-        """The sweep over the samples."""
-        return self.sweep_over(self.units)
+        """The sweep over the samples of `sample_box`."""
+        return self.sweep_over(sample_box(len(self.nominal))[0])
 
 
-def tolerance_variables(names: Iterable[str]) -> dict[str, Variable]:
+def sample_box(dimensions: int) -> tuple[Float[np.ndarray, "samples dimensions"], np.ndarray]:
+    """Return the samples of the box [-1, 1]^dimensions and the place of each, an index into `PLACES`."""
+    ends = corners(dimensions - 1)
+    edges = [np.insert(ends, k, 0.0, axis=1) for k in range(dimensions) if dimensions > 1]
+    groups = [np.zeros((1, dimensions)), corners(dimensions), np.concatenate([np.zeros((0, dimensions)), *edges])]
+    groups.append(draws(dimensions, INTERIOR_SAMPLES, seed=0))
+    return np.concatenate(groups), np.repeat(np.arange(len(groups)), [len(group) for group in groups])
+
+
+def tolerance_variables(names: Container[str]) -> dict[str, Variable]:
     """Return the variables that are added to `names`, the variables of the lanes."""
-    held = [name for name in QUANTITIES if name in names]
-    extremes = [_extreme(name, word) for name in held for word in _WORDS]
-    return SAMPLE_VARIABLES | {name: about for pair in extremes for name, about in pair.items()}
-
-
-def _extreme(name: str, word: str) -> dict[str, Variable]:
-    """Return the schema of the least or greatest value of a quantity, and of the sample that has it."""
-    long_name = VARIABLES[name].long_name.removeprefix(f"{_WORDS[word]} ")
-    return {
-        f"{name}_{word}": Variable(VARIABLES[name].units, f"{_WORDS[word]} {long_name} of the samples"),
-        f"{name}_{word}_sample": Variable("1", f"sample with {name}_{word}; -1: the quantity exists nowhere", np.int32),
-    }
+    variables = dict(SAMPLE_VARIABLES)
+    for name, (word, text) in product((name for name in QUANTITIES if name in names), _WORDS.items()):
+        meaning = f"{text} {VARIABLES[name].long_name.removeprefix(f'{text} ')} of the samples"
+        where = f"sample with {name}_{word}; -1: the quantity exists nowhere"
+        variables[f"{name}_{word}"] = Variable(VARIABLES[name].units, meaning)
+        variables[f"{name}_{word}_sample"] = Variable("1", where, np.int32)
+    return variables
 
 
 def tolerance(
@@ -302,151 +302,129 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
             )
         if len(pairs) > MAX_TOLERANCES:
             raise place.error(f"{len(pairs)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
-        nominal, half_widths = {}, {}
         for name, pair in pairs.items():
             for x in pair:
                 check_untraced(place.at(name).error, x)
             numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in pair)
             if len(pair) != 2 or not numbers or not (np.isfinite(pair[1]) and pair[1] > 0):
                 raise place.at(name).error(f"{shown(pair)} is not a nominal value and a half-width above zero")
-            nominal[name], half_widths[name] = float(pair[0]), float(pair[1])
+        nominal, half_widths = ({name: float(pair[k]) for name, pair in pairs.items()} for k in (0, 1))
         fixed = {name: x for name, x in parameters.items() if name not in pairs}
         for end in (-1.0, 1.0):  # errors name the parameter, not a row of the points
             read_point(place, scene, fixed | {name: x + end * half_widths[name] for name, x in nominal.items()})
-        tables: dict[str, Any] = {
-            "scene": scene,
-            "parameters": fixed,
-            "run": {name: x for name, x in run.items() if x is not None},
-            "unusual": True,
-        }
-        tables["title"] = "Behaviour over the tolerances"
+        tables: dict[str, Any] = {"scene": scene, "title": "Behaviour over the tolerances", "parameters": fixed}
+        tables |= {"run": {name: x for name, x in run.items() if x is not None}, "unusual": True}
         if start is not None:
             several = isinstance(start, (list, tuple)) and any(isinstance(item, (str, list, tuple)) for item in start)
             tables["starts"] = start if several else [start]
-        box = ToleranceBox(tables, nominal, half_widths, *sample_box(len(pairs)))
+        box = ToleranceBox(tables, nominal, half_widths)
         if box.sweep.system.section is None:
             raise place.at("scene").error(f"{shown(box.sweep.scene)} has no section, so its motions have no regimes")
         return box
 
-    def file_name(self, asked: ToleranceBox) -> str:
-        return f"{asked.sweep.scene}-tolerance.nc"
+    def identity(self, spec: ToleranceBox) -> dict[str, object]:
+        widths = {f"tolerance_{name}": width for name, width in spec.half_widths.items()}
+        return spec.sweep.identity() | widths
 
-    def identity(self, asked: ToleranceBox) -> dict[str, object]:
-        widths = {f"tolerance_{name}": width for name, width in asked.half_widths.items()}
-        return asked.sweep.identity() | widths
+    def file_name(self, spec: ToleranceBox) -> str:
+        return f"{spec.sweep.scene}-tolerance.nc"
 
-    def compute(self, asked: ToleranceBox, progress: bool = True) -> xr.Dataset:
+    def compute(self, spec: ToleranceBox, progress: bool = True) -> xr.Dataset:
         """Run all samples from all starts, and return the dataset of [vibrojax.studies.tolerance.tolerance][]."""
-        sampled = run_sweep(asked.sweep, progress=progress)
+        units, places = sample_box(len(spec.nominal))
+        drawn = len(units)
+        sampled = run_sweep(spec.sweep, progress=progress)
         ds, units, tried = refine(
-            asked.units,
+            units,
             sampled,
-            lambda units: run_sweep(replace(asked.sweep, points=asked.points(units)), progress=False),
+            lambda units: run_sweep(replace(spec.sweep, points=spec.points(units)), progress=False),
         )
         if ds is not sampled:
-            sweep = asked.sweep_over(units)
+            sweep = spec.sweep_over(units)
             counts = certified(sweep, {str(name): x.values for name, x in ds.data_vars.items()})
             ds = ds.assign_attrs(attributes(sweep, json.loads(ds.attrs["solver"]), counts, ds.attrs["wall_time_s"]))
         ds = ds.rename(point="sample")
-        places = np.concatenate([asked.places, np.full(len(units) - len(asked.units), REFINED)])
-        ds["place"] = ("sample", places.astype(np.int8), SAMPLE_VARIABLES["place"].attributes())
         regime = ds["regime"].transpose("sample", ...)
-        drawn, rest = regime.values[: len(asked.places)], regime.dims[1:]
-        shares = np.stack([(drawn == flag).mean(axis=0) for flag in range(len(REGIMES))])
-        ds = ds.assign_coords(label=list(REGIMES))
-        unbounded = shares[list(UNBOUNDED)].sum(axis=0)
-        table = {
+        rest, regimes = regime.dims[1:], regime.values[:drawn]
+        shares = np.stack([(regimes == flag).mean(axis=0) for flag in range(len(REGIMES))])
+        irregular = shares[list(UNBOUNDED)].sum(axis=0)
+        table: dict[str, Any] = {
+            "place": ("sample", np.append(places, np.full(len(units) - drawn, REFINED))),
             "regime_share": (("label", *rest), shares),
-            "regime_kept": (rest, (drawn == drawn[0]).mean(axis=0)),
-            "irregular_share": (rest, unbounded),
+            "regime_kept": (rest, (regimes == regimes[0]).mean(axis=0)),
+            "irregular_share": (rest, irregular),
         }
-        for name, (dims, values) in table.items():
-            ds[name] = (dims, values, SAMPLE_VARIABLES[name].attributes())
         for name in (name for name in QUANTITIES if name in ds):
             x = ds[name].transpose("sample", ...).values
             unknown = np.isnan(x).all(axis=0)
             for word, worst, choose in (("least", np.inf, np.argmin), ("most", -np.inf, np.argmax)):
                 index = choose(np.where(np.isnan(x), worst, x), axis=0)
                 extreme = np.where(unknown, np.nan, np.take_along_axis(x, index[None], axis=0)[0])
-                sample = np.where(unknown, -1, index).astype(np.int32)
-                for (variable, known), values in zip(_extreme(name, word).items(), (extreme, sample), strict=True):
-                    unit = {"units": ds[name].attrs["units"]} if variable == f"{name}_{word}" else {}
-                    ds[variable] = (rest, values, known.attributes() | unit)
-        about = dataset_attributes("tolerance", str(ds.attrs["title"]), f"tolerance {asked.sweep.scene}")
-        about |= {f"tolerance_{name}": width for name, width in asked.half_widths.items()}
-        obtained = (
-            f"{len(drawn)} samples of the box, and {tried} points of a search from the extreme ones by sensitivities"
-        )
-        bounds = "they are not bounds of the box" + ", in which motions are irregular" * bool(unbounded.any())
+                table[f"{name}_{word}"] = rest, extreme
+                table[f"{name}_{word}_sample"] = rest, np.where(unknown, -1, index)
+        names = [str(name) for name in ds]
+        ds = ds.assign(described(table, tolerance_variables(names))).assign_coords(label=list(REGIMES))
+        for name, word in product(QUANTITIES, _WORDS):
+            if name in ds:  # an own system may measure it in another unit
+                ds[f"{name}_{word}"].attrs["units"] = ds[name].attrs["units"]
+        about = dataset_attributes("tolerance", str(ds.attrs["title"]), f"tolerance {spec.sweep.scene}")
+        about |= {f"tolerance_{name}": width for name, width in spec.half_widths.items()}
+        obtained = f"{drawn} samples of the box, and {tried} points of a search from the extreme ones by sensitivities"
+        bounds = "they are not bounds of the box" + ", in which motions are irregular" * bool(irregular.any())
         return ds.assign_attrs({**about, "extremes": f"extremes of {obtained}; {bounds}"})
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the nominal behaviour, the regimes and the extremes, for each start."""
         lanes = ds if "start" in ds.dims else ds.expand_dims("start")
-        facts, lines = {}, list[str]()
+        starts = [str(start) for start in lanes["start"].values] if "start" in lanes.coords else [""]
         shares = lanes["irregular_share"].values if "irregular_share" in lanes else np.zeros(1)
+        facts, lines = {}, list[str]()
         if (shares > 0).any():
-            starts = [f" from {start}" for start in lanes["start"].values] if "start" in lanes.coords else [""]
-            where = (f"{100 * x:.2g} % of the samples{start}" for x, start in zip(shares, starts, strict=True))
+            where = [
+                f"{100 * x:.2g} % of the samples" + f" from {start}" * bool(start)
+                for x, start in zip(shares, starts, strict=True)
+            ]
             lines.append(
                 f"irregular motions in the box ({', '.join(where)}): extremes depend on the time of observation, and "
                 "other points of the box may be far beyond them"
             )
-        for k in range(lanes.sizes["start"]):
-            lane = lanes.isel(start=k)
-            start = str(lane["start"].values) if "start" in lane.coords else ""
-            facts[start], text = _start_summary(ds, lane)
+        for k, start in enumerate(starts):
+            facts[start], text = _start_summary(ds, lanes.isel(start=k))
             lines += [f"from {start}:"] * bool(start) + [f"  {line}" if start else line for line in text]
         lines += [str(ds.attrs["extremes"])] * ("extremes" in ds.attrs)
         return [SummaryPart("tolerance", lines, {"tolerance": facts})]
 
 
-def sample_box(dimensions: int) -> tuple[Float[np.ndarray, "samples dimensions"], np.ndarray]:
-    """Return the samples of the box [-1, 1]^dimensions and the place of each, an index into `PLACES`."""
-    corners = np.array(list(product((-1.0, 1.0), repeat=dimensions)))
-    ends = np.array(list(product((-1.0, 1.0), repeat=dimensions - 1)))
-    edges = [np.insert(ends, k, 0.0, axis=1) for k in range(dimensions)] if dimensions > 1 else []
-    interior = 2 * qmc.Sobol(dimensions, seed=0).random(INTERIOR_SAMPLES) - 1
-    groups = [np.zeros((1, dimensions)), corners, np.concatenate(edges) if edges else corners[:0], interior]
-    return np.concatenate(groups), np.repeat(np.arange(len(groups)), [len(group) for group in groups])
-
-
 def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object], list[str]]:
     """Return the behaviour from one start, as facts and as lines of text."""
+
+    def place(sample: int) -> dict[str, float]:
+        return {name: float(ds[name][sample]) for name in toleranced(ds)}
+
+    def place_text(sample: int) -> str:
+        return ", ".join(f"{name} = {value:.6g}" for name, value in place(sample).items())
+
     meanings, drawn = flags(ds["regime"]), lane["place"].values != REFINED
     samples, regimes = int(drawn.sum()), lane["regime"].values[drawn]
     nominal = meanings[int(regimes[0])]
     counts = {meanings[flag]: int((regimes == flag).sum()) for flag in np.unique(regimes).tolist()}
     others = [f"{name} at {count}" for name, count in counts.items() if name != nominal]
-    line = f"{nominal} at {counts[nominal]} of {counted(samples, 'sample')}"
+    lines = [f"{nominal} at {counts[nominal]} of {counted(samples, 'sample')}"]
     if others:
-        first = int(np.flatnonzero(regimes != regimes[0])[0])
-        line += f"; {', '.join(others)}, such as {_place_text(ds, first)}"
+        lines[0] += f"; {', '.join(others)}, such as {place_text(int(np.flatnonzero(regimes != regimes[0])[0]))}"
     facts: dict[str, object] = {"nominal": nominal, "samples": samples, "regimes": counts}
-    lines = [line]
     for name in (name for name in QUANTITIES if f"{name}_least" in lane):
-        ends = {word: float(lane[f"{name}_{word}"]) for word in ("least", "most")}
+        ends = {word: float(lane[f"{name}_{word}"]) for word in _WORDS}
         if not np.isfinite(ends["least"]):
             continue
-        where = {word: int(lane[f"{name}_{word}_sample"]) for word in ends}
+        where = {word: int(lane[f"{name}_{word}_sample"]) for word in _WORDS}
         factor, unit = scale(ds[f"{name}_most"])
-        known = int(lane[name].notnull().values[drawn].sum())
-        low, high = (f"{ends[word] * factor:.4g}" for word in ends)
+        low, high, middle = (f"{x * factor:.4g}" for x in (*ends.values(), float(lane[name][0])))
         worst = "most" if name == "peak_impact_force" else "least"
-        text = (
-            f"{name.replace('_', ' ')} {low} to {high} {pretty_unit(unit)}, nominal {float(lane[name][0]) * factor:.4g}"
-        )
-        text += f"; {worst} at {_place_text(ds, where[worst])}"
-        lines.append(
-            text + (f" ({counted(samples - known, 'sample has', 'samples have')} none)" if known < samples else "")
-        )
-        facts[name] = {**ends, **{f"{word}_at": _place(ds, index) for word, index in where.items()}, "samples": known}
+        known = int(lane[name].notnull().values[drawn].sum())
+        text = f"{name.replace('_', ' ')} {low} to {high} {pretty_unit(unit)}, nominal {middle}; "
+        text += f"{worst} at {place_text(where[worst])}"
+        text += f" ({counted(samples - known, 'sample has', 'samples have')} none)" * (known < samples)
+        lines.append(text)
+        facts[name] = {**ends, **{f"{word}_at": place(sample) for word, sample in where.items()}, "samples": known}
     return facts, lines
-
-
-def _place(ds: xr.Dataset, sample: int) -> dict[str, float]:
-    return {name: float(ds[name][sample]) for name in toleranced(ds)}
-
-
-def _place_text(ds: xr.Dataset, sample: int) -> str:
-    return ", ".join(f"{name} = {value:.6g}" for name, value in _place(ds, sample).items())

@@ -14,7 +14,6 @@ from jaxtyping import Float
 from vibrojax.compile.xla import precision
 from vibrojax.errors import Place, counted, shown
 from vibrojax.io.attributes import attribute_of, flags, parameters_of, run_of
-from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import Variable
 from vibrojax.lanes.record import (
     KINDS,
@@ -158,15 +157,67 @@ class Trajectories(MachineAnalysis[Point]):
         """Return the settings that were given."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
-    def identity(self, asked: Point) -> dict[str, object]:
-        return {**asked.identity(), **self.arguments(), **code_identity(asked.system, asked.options)}
+    def identity(self, point: Point) -> dict[str, object]:
+        return {**point.identity(), **self.arguments(), **code_identity(point.system, point.options)}
 
-    def file_name(self, asked: Point) -> str:
-        return f"{asked.scene}.nc"
+    def file_name(self, point: Point) -> str:
+        return f"{point.scene}.nc"
 
-    def compute(self, asked: Point, progress: bool = True) -> xr.Dataset:
+    def compute(self, point: Point, progress: bool = True) -> xr.Dataset:
         """Return the trajectory; raise `InputError` if settings contradict one another or take too many steps."""
-        place, system = Place("simulate"), asked.system
+        place, system = Place("simulate"), point.system
+        stepper, wanted = self._resolution(place, system)
+        duration = sum(system.usual_times) * (5 / 12) if self.duration is None else self.duration
+        if duration < np.finfo(float).tiny:  # the clock rounds it to zero
+            raise place.at("duration").error(f"{duration:g} s is too short; give a longer one")
+        solver: dict[str, object] = {"method": stepper.name if stepper else "diffrax"}
+        about: dict[str, Any] = dict(point.options)
+        with precision("float64"):
+            constants = constants_at(place, point, stepper)
+            times = self._times(place, system, constants, duration)
+            accuracy = (stepper or Smoothed()).accuracy(wanted, system)
+            most_steps = check_size(place, system, constants, duration, accuracy, stepper, len(times))
+            if stepper is None:
+                state = system.start(constants, point.start, (1,))
+                rest = accuracy, self.solver or "Tsit5", 1e-3 * wanted.error
+                motion, count, kind = adaptive(system, constants, state, times, *rest)
+                solver |= {"steps": count, **accuracy.described(), "solver": kind}
+                variables: dict[str, Any] = states_shown(system, motion, None, None)
+            else:
+                bar = Progress(duration, "s simulated", progress and sys.stderr.isatty(), pace=False)
+                steps, found = recorded(point, stepper, constants, accuracy, duration, bar.reach, most_steps, progress)
+                states, modes, step_of = sample(steps, times)
+                motion = SampledMotion(times, states, modes)
+                solver |= {"steps": len(steps.dt), **accuracy.described()}
+                moments, kinds = events(system, constants, steps)
+                variables = dict(states_shown(system, motion, steps, step_of))
+                begin, observe = window(system, duration)
+                about |= {"run": json.dumps({"settle": begin, "observe": observe})} if found else {}
+            smooth = stepper is None or stepper.smooths
+            variables |= forces(system, constants, motion, accuracy.smoothing if smooth else None)
+        LOG.info("chosen: %s, %d samples", json.dumps(solver), len(times))
+        if isinstance(system, HasFriction):
+            stuck = (motion.modes[system.mode_place("slip")] == 0).astype(np.int8)
+            variables["stuck"] = along_time(stuck, "1", "whether the bit sticks to the rock", ("slides", "sticks"))
+        if stepper is not None:
+            variables["event_time"] = Variable("s", "time of the event").entry("event", moments)
+            variables["event_kind"] = Variable("1", "what happened", np.int8, KINDS).entry("event", kinds)
+            variables |= found
+        if point.start is not None:
+            about["start"] = point.start if isinstance(point.start, str) else json.dumps(list(point.start))
+        return self.dataset(
+            variables,
+            {"time": ("time", motion.times, {"units": "s", "long_name": "time"})},
+            title=f"{point.scene}: trajectory",
+            scene=point.scene,
+            parameters=json.dumps(point.parameters),
+            differing=json.dumps(differing(system.parameters(), point.parameters)),
+            solver=json.dumps(solver),
+            **about,
+        )
+
+    def _resolution(self, place: Place, system: Scene[Any]) -> tuple[Stepper | None, AccuracyRequest]:
+        """Return the stepper, None for diffrax, and the requested accuracy; raise `InputError` if they do not fit."""
         method = self.method or ("diffrax" if self.solver is not None else "located")
         if not isinstance(method, Stepper) and method not in (*STEPPERS, "diffrax"):
             choices = ", ".join((*STEPPERS, "diffrax"))
@@ -178,65 +229,15 @@ class Trajectories(MachineAnalysis[Point]):
             raise place.at("smoothing").error(
                 f'has no use with method "{stepper.name}"; leave it out, or set method = "smoothed"'
             )
-        duration = sum(system.usual_times) * (5 / 12) if self.duration is None else self.duration
-        error = 1e-4 if self.error is None else self.error
-        wanted = AccuracyRequest(error, self.step, self.smoothing)
+        wanted = AccuracyRequest(1e-4 if self.error is None else self.error, self.step, self.smoothing)
         if stepper is not None or self.smoothing is None:
             least_error = (stepper or Smoothed()).least_error(wanted)
         else:
             least_error = LEAST_TOLERANCE[wanted.precision]  # as measured with diffrax's Tsit5 at a width of 1 cm/s
         check_error(place.at("error"), stepper.name if stepper else "diffrax", wanted, least_error)
-        if duration < np.finfo(float).tiny:  # the clock rounds it to zero
-            raise place.at("duration").error(f"{duration:g} s is too short; give a longer one")
         if stepper is None and isinstance(system, HasRock):
             raise place.at("method").error('"diffrax" supports no rock that yields; choose from located, smoothed')
-        with precision("float64"):
-            constants = constants_at(place, asked, stepper)
-            times = self._times(place, system, constants, duration)
-            accuracy = (stepper or Smoothed()).accuracy(wanted, system)
-            most_steps = check_size(place, system, constants, duration, accuracy, stepper, len(times))
-            solver: dict[str, object] = {"method": stepper.name if stepper else "diffrax"}
-            event_list = steps = step_of = None
-            found: dict[str, Any] = {}
-            if stepper is None:
-                state = system.start(constants, asked.start, (1,))
-                tolerance = 1e-3 * error
-                motion, count, kind = adaptive(
-                    system, constants, state, times, accuracy, self.solver or "Tsit5", tolerance
-                )
-                solver |= {"steps": count, **accuracy.described(), "solver": kind}
-            else:
-                bar = Progress(duration, "s simulated", progress and sys.stderr.isatty(), pace=False)
-                steps, found = recorded(asked, stepper, constants, accuracy, duration, bar.reach, most_steps, progress)
-                states, modes, step_of = sample(steps, times)
-                motion = SampledMotion(times, states, modes)
-                event_list = events(system, constants, steps)
-                solver |= {"steps": len(steps.dt), **accuracy.described()}
-            variables: dict[str, Any] = states_shown(system, motion, steps, step_of)
-            smooth = stepper is None or stepper.smooths
-            variables |= forces(system, constants, motion, accuracy.smoothing if smooth else None)
-        LOG.info("chosen: %s, %d samples", json.dumps(solver), len(times))
-        if isinstance(system, HasFriction):
-            stuck = (motion.modes[system.mode_place("slip")] == 0).astype(np.int8)
-            variables["stuck"] = along_time(stuck, "1", "whether the bit sticks to the rock", ("slides", "sticks"))
-        if event_list is not None:
-            about = Variable("s", "time of the event"), Variable("1", "what happened", flags=KINDS)
-            for name, x, of_events in zip(("event_time", "event_kind"), event_list, about, strict=True):
-                variables[name] = xr.Variable("event", x, of_events.attributes())
-        title, written = f"{asked.scene}: trajectory", {} if asked.start is None else {"start": asked.start}
-        attributes = {
-            **dataset_attributes("trajectory", title, f"simulate {asked.scene}", scene=asked.scene),
-            "parameters": json.dumps(asked.parameters),
-            "differing": json.dumps(differing(system.parameters(), asked.parameters)),
-            **asked.options,
-            **{name: x if isinstance(x, str) else json.dumps(list(x)) for name, x in written.items()},
-            "solver": json.dumps(solver),
-        }
-        if found:
-            begin, observe = window(system, duration)
-            attributes["run"] = json.dumps({"settle": begin, "observe": observe})
-        along = {"time": ("time", motion.times, {"units": "s", "long_name": "time"})}
-        return xr.Dataset(variables, along, attributes).assign(found)
+        return stepper, wanted
 
     def _times(self, place: Place, scene: Scene[Any], constants: Any, duration: float) -> Float[np.ndarray, " samples"]:
         """Return the times of the samples [s], evenly spaced from 0 to `duration`."""
@@ -253,13 +254,13 @@ class Trajectories(MachineAnalysis[Point]):
         count = round(intervals)
         return np.arange(count + 1) * (duration / count)
 
-    def facts(self, ds: xr.Dataset, asked: Point) -> Mapping[str, object]:
+    def facts(self, ds: xr.Dataset, point: Point) -> Mapping[str, object]:
         return {
-            "scene": asked.scene,
-            **asked.options,
-            "start": asked.start,
-            "parameters": asked.parameters,
-            **({"bit_radius": asked.hole_radius} if isinstance(asked.system, HasRock) else {}),
+            "scene": point.scene,
+            **point.options,
+            "start": point.start,
+            "parameters": point.parameters,
+            **({"bit_radius": point.hole_radius} if isinstance(point.system, HasRock) else {}),
             "duration": float(ds["time"][-1]),
             "run": attribute_of(ds, "run"),
             "found": features(ds),

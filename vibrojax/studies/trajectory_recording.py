@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -12,11 +10,12 @@ from vibrojax.compile.xla import precision
 from vibrojax.errors import Place, shown
 from vibrojax.io.variables import VARIABLES
 from vibrojax.lanes.agreement import recorder_of
-from vibrojax.lanes.certificate import drift
 from vibrojax.lanes.compiler import lane_function
+from vibrojax.lanes.drift import drift
 from vibrojax.lanes.labels import measured_besides, regime_variables, regimes, unresolved, with_radius
 from vibrojax.lanes.programs import LaneArguments
 from vibrojax.lanes.record import RECORD_MAX_STEPS, Record, SampledMotion, record, window
+from vibrojax.lazy import jax, jnp
 from vibrojax.maps.read import Point
 from vibrojax.measures.labels import derived
 from vibrojax.measures.recorder import Features
@@ -169,6 +168,6 @@ def labelled_features(
     for name, variable in known.items():
         if name in features and features[name].ndim == 1:
             value = features[name][0]
-            value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value
-            numbers[name] = ((), np.asarray(value, variable.dtype), variable.attributes())
+            whole = np.issubdtype(variable.dtype, np.integer)
+            numbers[name] = variable.entry((), np.nan_to_num(value) if whole else value)
     return numbers

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from inspect import Parameter as Parameters
 from inspect import signature
-from typing import Any
+from typing import Any, ClassVar
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.parameters import Parameter
 from vibrojax.systems.kinks import positive_part
@@ -53,11 +52,17 @@ class Impact:
     restitution: float | Callable[[Mapping[str, Any]], Any] = 1.0
     reset: Callable[..., Mapping[str, Any]] | None = None
     direction: int | None = None
+    noun: ClassVar[str] = "gap"
 
     @property
     def surface(self) -> OfMotion:
         """The function that is zero on the surface of the event."""
         return self.gap
+
+    @property
+    def acts_on(self) -> str | None:
+        """Name of the state that the event changes; None if a reset does."""
+        return self.velocity
 
     def happens(self, mode: Any) -> Any:
         """Return a mask of the lanes in which a zero of the gap is the event; `mode`: mode before."""
@@ -89,6 +94,8 @@ class Switch:
     name: str
     function: OfMotion
     impact: bool = False
+    noun: ClassVar[str] = "function"
+    acts_on: ClassVar[None] = None
 
     @property
     def surface(self) -> OfMotion:
@@ -128,6 +135,7 @@ class Friction:
     mass: Callable[[Mapping[str, Any]], Any] | float = 1.0
     static: float | Callable[[Mapping[str, Any]], Any] | None = None
     lift_off: bool = False
+    noun: ClassVar[str] = "relative"
 
     def __post_init__(self) -> None:
         if isinstance(self.law, str) and self.law in FRICTION_LAWS:

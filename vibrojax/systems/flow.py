@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes.declared import Values
 from vibrojax.systems.events import Event, Friction, Impact, Switch
@@ -200,10 +199,7 @@ class Flow:
         value = self.surface(c, mode, index, t, y)
         slopes = {key: self.slope(c, mode, index, t, y, {key: 1.0}, 0.0) for key in names}
         sizes = {key: c.typical[key] if len(names) > 1 else 1.0 for key in names}
-        weights = {key: slope * sizes[key] * sizes[key] for key, slope in slopes.items()}
-        total = sum(weights[key] * slope for key, slope in slopes.items())
-        share = jnp.where(total == 0, 0.0, value / jnp.where(total == 0, 1.0, total))
-        return {key: y[key] - weights[key] * share for key in names}
+        return onto_zero(value, slopes, {key: slope * sizes[key] * sizes[key] for key, slope in slopes.items()}, y)
 
     def at(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Motion:
         """Return the motion in a mode, at a state or at the series of a step."""
@@ -216,7 +212,7 @@ class Flow:
                 low, high = (self._mixed(c, mode, t, y, corners, {index: other})[0] for other in (-1.0, 1.0))
                 along = {name: 0.5 * (high[name] - low[name]) for name in rates}
             else:
-                along = {event.acts_on if isinstance(event, Friction) else event.velocity: 1.0}
+                along = {event.acts_on: 1.0}
             if None not in along:  # a reset cannot hold the motion
                 drift = self._effect(c, mode, index, t, y, rates)
                 gain = self._effect(c, mode, index, t, y, along, 0.0)
@@ -318,7 +314,7 @@ class Flow:
         # On a surface, the sides are both.
         for other in (-1.0, 1.0) if switches else (1.0,):
             sides = [jnp.where(mode[index] == 0, other, jnp.sign(mode[index])) for index, _ in switches]
-            present = {event.name: side for (_, event), side in zip(switches, sides, strict=True)}
+            present = self._named(sides)
 
             def field(t: Any, y: States, sides: Any = sides, present: Any = present) -> Rates:
                 rates = self.field(c, mode, t, y, sides)
@@ -355,6 +351,13 @@ class Flow:
         bends = [sum(jacobian[i][k] * first[k] for k in n) / jnp.abs(x) for i, x in enumerate(y.values())]
         fall = jnp.sqrt(sum(jnp.where(jnp.isfinite(bend), bend, 0.0) for bend in bends))
         return jnp.where(radius > 0, radius, jnp.where(fall > 0, fall, 1.0))
+
+
+def onto_zero(value: Any, slopes: Mapping[str, Any], weights: Mapping[str, Any], y: States) -> Rates:
+    """Return the states, moved in proportion to `weights`, at which a function with this value and slopes is zero."""
+    total = sum(weights[key] * slope for key, slope in slopes.items())
+    share = jnp.where(total == 0, 0.0, value / jnp.where(total == 0, 1.0, total))
+    return {key: y[key] - weight * share for key, weight in weights.items()}
 
 
 def solved(

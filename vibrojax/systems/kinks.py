@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
+from vibrojax.lazy import jnp
 from vibrojax.physics import elementary
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes.declared import Values

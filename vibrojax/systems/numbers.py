@@ -7,9 +7,9 @@ They work for every equation that is written with +, -, *, /, integer powers and
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from vibrojax.lazy import jnp
 from vibrojax.physics import elementary
 
 Equation = Callable[[Any, Mapping[str, Any]], Any]

@@ -4,10 +4,10 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import jax
 import numpy as np
 
-from vibrojax.errors import CANNOT_EXPAND, InputError, shown, suggestion
+from vibrojax.errors import CANNOT_EXPAND, InputError, asked, shown, suggestion
+from vibrojax.lazy import jax
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.parameters import Parameter
@@ -144,10 +144,9 @@ class Probe:
             directed = isinstance(event, Impact) and event.direction is not None
             if directed and (event.direction not in (-1, 1) or event.reset is None):
                 raise self._refuse(f"event {event.name}: direction= is -1 or 1, together with reset=")
-            name = event.velocity if isinstance(event, Impact) else getattr(event, "acts_on", None)
-            if name is not None and name not in self._states:
+            if event.acts_on is not None and event.acts_on not in self._states:
                 raise self._refuse(
-                    f"event {event.name}: {shown(name)} is not a state; choose from {', '.join(self._states)}"
+                    f"event {event.name}: {shown(event.acts_on)} is not a state; choose from {', '.join(self._states)}"
                 )
             if isinstance(event, Friction) and isinstance(event.law, int | float) and event.law < 0:
                 raise self._refuse(f"event {event.name}: law is {event.law:g}; a coefficient is at least 0")
@@ -165,23 +164,9 @@ class Probe:
     # What the functions give
 
     def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        try:
-            with np.errstate(all="ignore"):
-                return function(*arguments)
-        except KeyError as error:
-            known, sides = ", ".join([*self._states, *self.parameters]), ", ".join(self._sides) or "none"
-            raise self._refuse(
-                f"{what} asks for {error.args[0]!r}; states and parameters are {known}, switches {sides}"
-            ) from None
-        except InputError:
-            raise
-        except Exception as error:
-            text = str(error).strip().split("\n")[0]
-            if "truth value" in text:
-                raise self._refuse(f"{what} decides by a value (if, max or min); write a vj.Switch instead") from None
-            if "scalar arrays" in text or "Python scalars" in text:
-                raise self._refuse(f"{what} {CANNOT_EXPAND}") from None
-            raise self._refuse(f"{what} fails with {type(error).__name__}: {text}") from None
+        with np.errstate(all="ignore"):
+            known = [*self._states, *self.parameters, *self._sides]
+            return asked(f"system {self._name}: {what}", function, *arguments, known=known)
 
     def _number(self, what: str, value: Any) -> Any:
         """Return a number per lane as an array; anything else is refused."""
@@ -216,8 +201,7 @@ class Probe:
         return {key: self._number(f"field, {key},", rates[key]) if number else rates[key] for key in self._states}
 
     def _surface(self, event: Event) -> tuple[str, Any]:
-        kind = {Impact: "gap", Switch: "function", Friction: "relative"}[type(event)]
-        return f"event {event.name}: {kind}", getattr(event, kind)
+        return f"event {event.name}: {event.noun}", event.surface
 
     def _check_functions(self) -> None:
         for key, rate in self.rates(self._t, self._y).items():
@@ -312,7 +296,7 @@ class Probe:
 
     def _same(self, first: Any, second: Any) -> bool:
         """Return whether the field and the events are the same at two times."""
-        functions = [self._surface(event)[1] for event in self._events]
+        functions = [event.surface for event in self._events]
 
         def values(t: Any) -> list[Any]:
             return [*self.rates(t, self._y).values(), *(f(t, self._y, self._p) + 0.0 * t for f in functions)]

@@ -7,8 +7,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jax import lax
 
+from vibrojax.lazy import lax
 from vibrojax.systems.events import Event, Friction, Impact, Switch, required_arguments
 from vibrojax.systems.flow import Dependences
 from vibrojax.systems.kinks import Function, Kink
@@ -98,7 +98,7 @@ class Structure(Probe):
         return not self._same(self._t, self._t + 0.37)
 
     def _value(self, event: Event) -> Any:
-        return self._surface(event)[1](self._t, self._y, self._p)
+        return event.surface(self._t, self._y, self._p)
 
     def surfaces(self) -> set[str]:
         """Return the states whose zeros are those of an event."""
@@ -139,23 +139,19 @@ class Structure(Probe):
 
     def _kept(self, event: Event, y: Mapping[str, Any]) -> Any:
         """Return what the constraint of an event keeps at zero: its function, of a stop with its rate."""
-        value = self._surface(event)[1](self._t, y, self._p)
+        value = event.surface(self._t, y, self._p)
         if not isinstance(event, Impact):
             return value
         rates = self.rates(self._t, y)
-        function = self._surface(event)[1]
-        rate = slope_along(lambda t, y: function(t, y, self._p), self._t, y, [rates[name] for name in y])
+        rate = slope_along(lambda t, y: event.surface(t, y, self._p), self._t, y, [rates[name] for name in y])
         return np.concatenate([np.ravel(value + 0.0 * self._t), np.ravel(rate + 0.0 * self._t)])
 
     def _moves(self, event: Event) -> set[str]:
         """Return the states that the constraint of an event changes."""
-        if isinstance(event, Friction):
-            return {event.acts_on}
-        if isinstance(event, Impact):
-            return {event.velocity} if event.velocity is not None else set()
-        high, low = (self._rates_at({event.name: side}) for side in (1.0, -1.0))
-        sided = {other.acts_on for other in self._events if isinstance(other, Friction) and other.takes_sides}
-        return sided | {name for name in self._y if not equal(high[name], low[name])}
+        moved = {name for name, x in self._direction(event).items() if not equal(x, 0.0)}
+        if isinstance(event, Switch):
+            moved |= {other.acts_on for other in self._events if isinstance(other, Friction) and other.takes_sides}
+        return moved
 
     def _are_parallel(self, first: Event, second: Event) -> bool:
         """Return whether the constraints of two events act along the same direction at all random states."""
@@ -168,8 +164,7 @@ class Structure(Probe):
         if isinstance(event, Switch):
             high, low = (self._rates_at({event.name: side}) for side in (1.0, -1.0))
             return {name: high[name] - low[name] for name in self._y}
-        acts_on = event.acts_on if isinstance(event, Friction) else event.velocity
-        return {name: float(name == acts_on) + 0.0 * x for name, x in self._y.items()}
+        return {name: float(name == event.acts_on) + 0.0 * x for name, x in self._y.items()}
 
     def _jumped(self, event: Event) -> set[str]:
         """Return the states that the jump of an event changes."""

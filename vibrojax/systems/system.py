@@ -11,19 +11,19 @@ from importlib import import_module
 from typing import Any
 from weakref import WeakValueDictionary
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.errors import InputError
+from vibrojax.lazy import jax, jnp
 from vibrojax.physics.parameters import Parameter
 from vibrojax.scenes.capabilities import HasImpacts
 from vibrojax.scenes.declared import Marker, Mode, Section, State, Swing, Values
-from vibrojax.systems.equations import APPROACH, SECTION, TIME, SystemEquations
+from vibrojax.systems.equations import APPROACH, SECTION, TIME
 from vibrojax.systems.events import Event, Impact, Switch
 from vibrojax.systems.flow import Flow, SystemConstants
 from vibrojax.systems.kinks import Kink
 from vibrojax.systems.numbers import Plain, slope_along
+from vibrojax.systems.scales import SystemScales
 from vibrojax.systems.structure import Structure
 from vibrojax.systems.transitions import free_modes
 
@@ -39,7 +39,7 @@ DEFINED: "WeakValueDictionary[str, System]" = WeakValueDictionary()
 """The systems of this process by name, for the pages of their datasets. A later system replaces an earlier one."""
 
 
-class System(SystemEquations):
+class System(SystemScales):
     """A hybrid dynamical system written as plain functions; it can be used wherever a scene can.
 
     The functions take the time `t` [s], the states `y` and the parameters `p` by name, and use + - * / ** and

@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from functools import reduce
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
+from vibrojax.lazy import jnp
 from vibrojax.scenes.declared import Values
 from vibrojax.systems.events import Event, Friction, Impact, Switch
 from vibrojax.systems.flow import Flow, States, SystemConstants

@@ -1,4 +1,4 @@
-"""The command `sweep`, and its options for workers."""
+"""The command `sweep`, and the executors that `--workers` names."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -6,12 +6,14 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vibrojax.cli.command import Options, argument, command, either, flag
-from vibrojax.cli.output import ZARR, draw, output, stored_line, stored_result
+from vibrojax.cli.arguments import Options, argument, command, either, flag
+from vibrojax.cli.output import ZARR, output, result
 from vibrojax.errors import InputError, counted, shown
 from vibrojax.io.files import size_text, time_text
 
 if TYPE_CHECKING:
+    import xarray
+
     from vibrojax.maps.executor import Executor
     from vibrojax.maps.sweep import Sweep
 
@@ -51,37 +53,40 @@ DEFAULT_JOBS = 10
 )
 def sweep(options: Options) -> None:
     """Run a sweep file: write a dataset with the regime of each lane, and a picture."""
+    from vibrojax.io.dataset import check_zarr
     from vibrojax.maps.read import read_sweep
     from vibrojax.maps.run import run_to_file
 
     engine = _read_workers(options.workers)
     plan = read_sweep(options.sweep, options.changes)
-    out = output(options.out or f"{plan.name}.nc", (".nc", ZARR), drawn=True)
-    if out.suffix == ZARR:
-        from vibrojax.io.dataset import check_zarr
-
-        check_zarr(out)
+    default, endings, progress = f"{plan.name}.nc", (".nc", ZARR), not options.quiet
+    if (options.out or "").endswith(ZARR):
+        check_zarr(Path(options.out))
     if options.dry_run:
-        _print_cost(plan, out)
+        _print_cost(plan, output(options.out or default, endings, drawn=True))
         return
-    stored = stored_result(options, out, plan.identity())
-    if stored is not None:
-        line = stored_line(options, stored, out)
-        if not options.quiet:
-            print(line)
-        return
-    words = [word for change in options.changes for word in ("--set", change)]
-    by = ["--workers", options.workers] if options.workers else []
-    options.advise("finished chunks are kept; to go on", "sweep", options.sweep, *words, "-o", str(out), *by)
-    progress = not options.quiet
-    with engine(out) as executor:
-        # Stepping releases the interpreter lock.
-        threading.Thread(target=_prepare_output, daemon=True).start()
-        dataset = run_to_file(plan, out, resume=not options.fresh, progress=progress, executor=executor)
-    drawn = draw(options, dataset, out)
-    if progress:
-        each = "a point from one start each" if plan.starts is not None or plan.point_vectors else "a point each"
-        print(f"{out}: {counted(plan.lanes, 'lane')} ({each}){drawn}")
+
+    @contextmanager
+    def computed(out: Path) -> "Iterator[xarray.Dataset]":
+        again = [word for change in options.changes for word in ("--set", change)] + ["-o", str(out)]
+        again += ["--workers", options.workers] if options.workers else []
+        options.advise("finished chunks are kept; to go on", "sweep", options.sweep, *again)
+        with engine(out) as executor:
+            # Stepping releases the interpreter lock.
+            threading.Thread(target=_prepare_output, daemon=True).start()
+            dataset = run_to_file(plan, out, resume=not options.fresh, progress=progress, executor=executor)
+        yield dataset
+
+    each = "a point from one start each" if plan.starts is not None else "a point each"
+    result(
+        options,
+        default,
+        plan.identity(),
+        computed,
+        endings=endings,
+        written=True,
+        counted=lambda _: f": {counted(plan.lanes, 'lane')} ({each})",
+    ).print(options, lines=())
 
 
 def _prepare_output() -> None:
@@ -90,7 +95,7 @@ def _prepare_output() -> None:
 
     import xarray as xr
 
-    from vibrojax.pictures.style import new_figure
+    from vibrojax.pictures.draw import new_figure
     from vibrojax.studies import choose as pictures  # noqa: F401
 
     with suppress(Exception):  # an error would be reported when it matters

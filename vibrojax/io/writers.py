@@ -1,8 +1,10 @@
-"""Destinations to which a dataset is written region by region: a netCDF file, a Zarr store, or memory.
+"""Datasets that are written: complete or not at all, in one piece or region by region, as netCDF or Zarr.
 
-A dataset in a file may be larger than the available memory.
+Region by region, a dataset may be larger than the available memory.
 """
 
+import errno
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,8 +18,93 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write
-from vibrojax.io.dataset import COMPRESSED, LEVEL, check_zarr, write_failed
+from vibrojax.io.dataset import check_zarr, first_line
 from vibrojax.io.seal import seal
+
+COMPRESSED = 4096
+"""Number of values above which a variable is compressed."""
+
+COMPRESSION = {"zlib": True, "complevel": 1, "shuffle": True}
+"""Filters of netCDF: higher levels take several times as long, and save only 1 % more of floating-point results."""
+
+_PROBE = 1 << 20
+"""Number of bytes per write when testing whether the disk is full."""
+
+
+def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
+    """Write a netCDF-4 file or a Zarr store under a temporary name, then rename it.
+
+    It appears complete or not at all.
+
+    **Arguments:**
+
+    - `dataset`: the dataset to write.
+    - `path`: path of the file; a file that this package wrote is replaced. A name that ends in `.zarr` selects Zarr.
+
+    **Raises:** `OSError` if the disk is full or the folder is not writable; `InputError` if zarr is not installed,
+    or `path` is a file that this package has not written.
+
+    **Example:**
+
+    >>> speeds = {"scene": "rotary", "grid": {"v": [1.0, 1.5]}}
+    >>> vj.write_dataset(vj.run_sweep(speeds, progress=False), "speeds.nc")
+    >>> vj.open_dataset("speeds.nc").attrs["Conventions"]
+    'CF-1.11'
+    """
+    path = Path(path)
+    # No fill values: xarray reads integer flags with a fill value as floats, and NaN in floats needs none.
+    encoding: dict[object, dict[str, object]] = {name: {"_FillValue": None} for name in dataset.variables}
+    with _sealed(path) as part:
+        part.size = dataset.nbytes
+        if path.suffix == ZARR:
+            plain = dataset.drop_encoding()  # Zarr has other compressors than netCDF, from which it may come
+            plain.to_zarr(part.path, mode="w", encoding=encoding, zarr_format=2, consolidated=True)
+        else:
+            for name, variable in dataset.data_vars.items():
+                encoding[name] |= COMPRESSION if variable.size > COMPRESSED and variable.dtype.kind in "fi" else {}
+            dataset.to_netcdf(part.path, engine="netcdf4", format="NETCDF4", encoding=encoding)
+
+
+@dataclass
+class _Part:
+    """A temporary file or folder that becomes a dataset of `size` bytes."""
+
+    path: Path
+    size: int = 0
+
+
+@contextmanager
+def _sealed(path: Path) -> Iterator[_Part]:
+    """Yield a temporary file or folder, which is sealed and renamed to `path` when the `with` block ends."""
+    if path.suffix == ZARR:
+        check_zarr(path)
+        with atomic_folder(path) as folder:
+            yield _Part(folder)
+            seal(folder)
+        return
+    with atomic_write(path) as file:
+        part = _Part(file)
+        try:
+            yield part
+            seal(file)
+        except (RuntimeError, OSError) as error:
+            raise _write_failed(part, path, error) from None
+
+
+def _write_failed(part: _Part, path: Path, error: Exception) -> OSError:
+    """Return an error that states why a dataset could not be written.
+
+    The netCDF library reports only "HDF error".
+    """
+    try:
+        with open(part.path, "ab", buffering=0) as file:
+            for _ in range(2 + 2 * part.size // _PROBE):  # a partial write raises nothing, but the next write does
+                file.write(bytes(_PROBE))
+            os.fsync(file.fileno())
+    except OSError as reason:
+        return OSError(reason.errno, reason.strerror, str(path))
+    return OSError(errno.EIO, f"cannot be written ({first_line(error)})", str(path))
+
 
 Box = tuple[slice, ...]
 """Slices along a sweep's dimensions."""
@@ -89,20 +176,19 @@ class InMemory:
 
 
 class _Netcdf:
-    def __init__(self, file: Any) -> None:
-        self._file = file
+    def __init__(self, file: Any, part: _Part) -> None:
+        self._file, self._part = file, part
         self._file.set_auto_maskandscale(False)
-        self.nbytes = 0
 
     def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
-        self.nbytes = template.nbytes
+        self._part.size = template.nbytes
         for dimension, size in template.sizes.items():
             self._file.createDimension(dimension, size)
         for name, data in template.data_vars.items():
             large = data.size > COMPRESSED
             layout: dict[str, Any] = {"chunksizes": _chunks(data, chunk)} if large else {"contiguous": True}
             if large and name not in plain:
-                layout |= {"zlib": True, "complevel": LEVEL, "shuffle": True}
+                layout |= COMPRESSION
             variable = self._create(name, data.dtype, data.dims, _attributes(template, data), layout)
             if large:  # chunks are written in one piece: a cache would waste memory (0 means 64 MB)
                 variable.set_var_chunk_cache(size=1, nelems=1, preemption=1.0)
@@ -161,24 +247,12 @@ def file_target(path: Path) -> Iterator[Target]:
 
     **Raises:** `OSError` if the disk is full or the folder is not writable; `InputError` if zarr is not installed.
     """
-    if path.suffix == ZARR:
-        check_zarr(path)
-        with atomic_folder(path) as part:
-            yield _Zarr(part)
-            seal(part)
-        return
-    with atomic_write(path) as part:
-        size = 0
-        try:
-            with netCDF4.Dataset(part, "w", format="NETCDF4") as file:
-                target = _Netcdf(file)
-                try:
-                    yield target
-                finally:
-                    size = target.nbytes
-            seal(part)
-        except (RuntimeError, OSError) as error:
-            raise write_failed(part, path, size, error) from None
+    with _sealed(path) as part:
+        if path.suffix == ZARR:
+            yield _Zarr(part.path)
+        else:
+            with netCDF4.Dataset(part.path, "w", format="NETCDF4") as file:
+                yield _Netcdf(file, part)
 
 
 def _chunks(data: xr.DataArray, chunk: tuple[int, ...]) -> tuple[int, ...]:

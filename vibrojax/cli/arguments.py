@@ -1,6 +1,7 @@
-"""Commands and their arguments: SCENE, NAME=VALUE, FILE and options."""
+"""Commands, their arguments, and the words SCENE NAME=VALUE."""
 
 import json
+import re
 import shlex
 from argparse import Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Collection
@@ -9,12 +10,16 @@ from typing import Any, NamedTuple
 from vibrojax.errors import Place, shown
 from vibrojax.studies import glossary
 
-AddArguments = Callable[[Any], None]
+AddArguments = Callable[[Any], object]
 """Function that adds arguments to a parser, or to a group of arguments of a parser."""
 
+MANY: dict[str, Any] = {"action": "extend", "nargs": "+"}
+"""Settings of an option that accepts several values, and may be repeated."""
 
 SWEEP = "a sweep: a bundled name, like regime-map, or the path of a TOML file; or "
 """Beginning of the help of FILE where it may be a sweep."""
+
+_HALF_WIDTH = re.compile(r"\+-|±|\+/-")
 
 
 class Options(Namespace):
@@ -25,6 +30,7 @@ class Options(Namespace):
     quiet: bool = False
     verbose: bool = False
     json: bool = False
+    fresh: bool = False
     how_to_resume: str = ""
     """Advice printed after an interrupt; a command changes it as it proceeds."""
 
@@ -70,63 +76,61 @@ def either(*arguments: AddArguments) -> AddArguments:
     return add
 
 
-def explained(*words: str) -> AddArguments:
+def words(about: str) -> AddArguments:
+    """Declare NAME=VALUE, any number of them."""
+    # Without a default, argparse before Python 3.13 requires the values.
+    return argument("values", "NAME=VALUE", about, nargs="*", default=[])
+
+
+def explained(*terms: str) -> AddArguments:
     """Add the definitions of terms to `--help`."""
 
     def add(parser: Any) -> None:
         parser.formatter_class = RawDescriptionHelpFormatter
-        parser.epilog = f"words used in the output:\n{glossary(*words)}"
+        parser.epilog = f"words used in the output:\n{glossary(*terms)}"
 
     return add
 
 
-def output_options(default: str) -> AddArguments:
-    """Declare `-o` and `--fresh`; `default` describes the default file name, in the current folder."""
-
-    def add(parser: Any) -> None:
-        argument("-o", "OUT.nc", f"where to write ({default} in this folder)", dest="out")(parser)
-        flag("--fresh", "compute again, and replace OUT, whatever result of vibrojax it holds")(parser)
-
-    return add
+def result_options(default: str) -> tuple[AddArguments, ...]:
+    """Declare the options of a command that writes a result; `default` describes the default name of its file."""
+    return (
+        argument("-o", "OUT.nc", f"where to write ({default} in this folder)", dest="out"),
+        flag("--fresh", "compute again, and replace OUT, whatever result of vibrojax it holds"),
+        JSON,
+    )
 
 
 JSON = flag("--json", "print one JSON object on stdout, and nothing else there; a number that is not finite is null")
 
 
-def point_arguments(
-    about: str,
-    scenes: str = "rotary, vibro-impact, penetration, drilling or coupled-drilling",
-) -> AddArguments:
-    """Declare SCENE, with the help string `scenes`, and NAME=VALUE, with the help string `about`."""
-
-    def add(parser: Any) -> None:
-        argument("scene", "SCENE", scenes)(parser)
-        # Without a default, argparse before Python 3.13 requires the values.
-        argument("values", "NAME=VALUE", about, nargs="*", default=[])(parser)
-
-    return add
-
-
 def named_values(
-    place: Place, words: list[str], settings: Collection[str], lists: bool
-) -> tuple[dict[str, object], dict[str, object]]:
+    place: Place, given: Collection[str], settings: Collection[str] = (), lists: bool = False, tolerances: bool = False
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the values of `settings` and the values of parameters, each keyed by name.
 
-    **Arguments:** `lists`: whether a parameter may have several values.
+    **Arguments:** `given`: words NAME=VALUE; `lists`: whether a parameter may have several values; `tolerances`:
+    whether it may be written VALUE+-HALF_WIDTH, which gives a pair.
 
     **Raises:** `InputError` if a word is not NAME=VALUE, or a name occurs twice.
     """
-    chosen: dict[str, object] = {}
-    parameters: dict[str, object] = {}
-    for word in words:
+    chosen: dict[str, Any] = {}
+    parameters: dict[str, Any] = {}
+    for word in given:
         name, equals, text = (part.strip() for part in word.partition("="))
         if not equals or not name:
             raise place.error(f"{shown(word)} is not NAME=VALUE; write one, like beta=0.4")
-        listed = lists and name not in settings
+        is_setting = name in settings
         if name in chosen or name in parameters:
-            several = f", or a list like {name}=0.3,0.4" if listed else ""
+            several = f", or a list like {name}=0.3,0.4" if lists and not is_setting else ""
             raise place.at(name).error(f"{shown(text)} is a second value; give one{several}")
-        (chosen if name in settings else parameters)[name] = _value(place.at(name), text, listed)
+        if is_setting:
+            value = _value(place.at(name), text, listed=False)
+            chosen[name] = int(value) if isinstance(value, float) and value.is_integer() else value
+        elif tolerances and _HALF_WIDTH.search(text):
+            parameters[name] = _pair(place, word, text)
+        else:
+            parameters[name] = _value(place.at(name), text, lists)
     return chosen, parameters
 
 
@@ -143,14 +147,20 @@ def _value(place: Place, text: str, listed: bool) -> object:
     return number_or_name(text)
 
 
+def _pair(place: Place, word: str, text: str) -> tuple[float, float]:
+    """Return the nominal value and the half-width in VALUE+-HALF_WIDTH, which may end in %."""
+    value, width = _HALF_WIDTH.split(text, maxsplit=1)
+    try:
+        nominal, half = float(value), float(width.strip().removesuffix("%"))
+    except ValueError:
+        expected = "write NAME=VALUE+-HALF_WIDTH, like delta=0.005+-0.001 or gamma=0.64+-1%"
+        raise place.error(f"{shown(word)} is not a tolerance; {expected}") from None
+    return nominal, abs(nominal) * half / 100 if width.rstrip().endswith("%") else half
+
+
 def number_or_name(text: str) -> float | str:
     """Return a number if `text` is one, else `text`."""
     try:
         return float(text)
     except ValueError:
         return text
-
-
-def whole(value: object) -> object:
-    """Return a float with an integer value as int, and any other value unchanged."""
-    return int(value) if isinstance(value, float) and value.is_integer() else value
