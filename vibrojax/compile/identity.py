@@ -63,7 +63,12 @@ _SKIPPED = (
 )
 """Attributes of classes that do not decide a trace."""
 
-_DESCRIPTORS = (MemberDescriptorType, GetSetDescriptorType, type(NamedTuple("_Pair", [("first", int)]).first))
+
+class _Field(NamedTuple):
+    value: int
+
+
+_DESCRIPTORS = (MemberDescriptorType, GetSetDescriptorType, type(vars(_Field)["value"]))
 """Types of the attributes of classes that read a field."""
 
 _HEAP_TYPE = 1 << 9

@@ -153,12 +153,13 @@ class Kernel:
         """Return the kernel whose description is cached under this name, or None."""
         with suppress(pickle.UnpicklingError, AttributeError, ImportError):
             content = store.read(name)
-            description = None if content is None else pickle.loads(content)
-            code = None if description is None else store.read(description.key)
-            if code is not None:
-                kernel = cls.__new__(cls)
-                kernel._load(description, code)
-                return kernel
+            if content is not None:
+                description: Description = pickle.loads(content)
+                code = store.read(description.key)
+                if code is not None:
+                    kernel = cls.__new__(cls)
+                    kernel._load(description, code)
+                    return kernel
         return None
 
     def enter(self, name: str) -> None:
@@ -263,7 +264,7 @@ def _described(function: Callable[..., Any], *examples: Any, registers: int) -> 
     inner = traced.jaxpr.jaxpr
     arguments, results = (tuple(Array.of(var.aval) for var in some) for some in (inner.invars, inner.outvars))
     refuse_if(not any(kind.varies for kind in arguments), "no argument has lanes")
-    structure = jax.tree.structure(traced.out_info)
+    structure: Any = jax.tree.structure(traced.out_info)
     widest = max((kind.dtype.itemsize for kind in arguments if kind.dtype.kind == "f"), default=8)
     width = registers * vector_bytes() // widest
     text = kernel_text(traced.jaxpr, width)
