@@ -233,8 +233,8 @@ class ContinuedBorders:
         widths = []  # of the cell: distances of the grid points on both sides of the middle
         for axis, value in zip(self._grid.values, middle, strict=True):
             ordered = np.sort(axis)
-            k = int(np.clip(np.searchsorted(ordered, value), 1, len(ordered) - 1))
-            widths.append(float(ordered[k] - ordered[k - 1]))
+            above = int(np.clip(np.searchsorted(ordered, value), 1, len(ordered) - 1))
+            widths.append(float(ordered[above] - ordered[above - 1]))
         cell = np.array(widths)
         if here is not None and there is not None:
             return self._meeting(here, there, middle, cell) or (None, None)

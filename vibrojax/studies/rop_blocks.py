@@ -234,7 +234,8 @@ def find_founder(relief: Lanes, weight: Lanes, rate: Lanes, row: LaneBlocks) -> 
         return Founder(correlation=rho)
     error = np.abs(bends[against <= _LIKELY] - bends[k]).max() / 2
     fall = best.fall[k] * (best.fall[k] > _LEAST_FALL)
-    return Founder(*(float(x) for x in (bends[k] * top, error * top, fall * scale, best.fall_stderr[k] * scale)), rho)
+    weight_stderr, fall_stderr = float(error * top), float(best.fall_stderr[k] * scale)
+    return Founder(float(bends[k] * top), weight_stderr, float(fall * scale), fall_stderr, rho)
 
 
 def _profile(model: Model, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, " bends"], decay: Lanes) -> _Profile:

@@ -308,7 +308,8 @@ def _fit_forms(
         if k in minima:
             fit |= _coefficients(minima[k], rate, block)
         else:
-            reason = found.get(k, Reason.UNKNOWN_THRESHOLD)
+            failed = found.get(k)
+            reason = failed if isinstance(failed, Reason) else Reason.UNKNOWN_THRESHOLD
             fit |= {"reason": reason, "r_squared_reason": reason}
         fits.append(fit)
     if block is not None:
