@@ -42,7 +42,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 PACKAGE = Path(__file__).parents[1] / "vibrojax"
 UNCHECKED = re.compile(
     r"(compile/(?!agreement|trust|xla)|maps/(run|read|joining|bounds|starts|rerun)|settings/(toml|values|code_identity)"
-    r"|studies/(\w+_run|(accuracy|attractors|borders|trajectory)\.|catalogue)).*"
+    r"|studies/((accuracy|attractors|borders|curves|family|trajectory)\.|catalogue)).*"
 )
 CHECKED = [
     f"vibrojax.{file.removesuffix('.py').replace('/', '.')}"
@@ -52,10 +52,15 @@ CHECKED = [
 install_import_hook(CHECKED, "beartype.beartype")
 jaxtyping.jaxtyped = checked  # the import hook writes this decorator into the modules
 
+from vibrojax.compile import native, trust  # noqa: E402
+
 LONGEST = (
+    "test_follow_autonomous.py",
+    "test_systems_events.py",
     "test_trust.py",
+    "test_orbits_elsewhere.py",
     "test_systems.py",
-    "test_sweep_against_simulate.py",
+    "test_follow_shrinking.py",
     "test_calibration.py",
     "test_attractors.py",
     "test_hostile.py",
@@ -67,6 +72,28 @@ LONGEST = (
 
 def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.path.name not in LONGEST)
+
+
+def pytest_addoption(parser):
+    parser.addoption("--vector-bytes", type=int, help="width of the kernels' vectors, in place of the processor's")
+
+
+def pytest_configure(config):
+    if width := config.getoption("--vector-bytes"):
+        native.vector_bytes = lambda: width
+
+
+COMPARED = ("test_trust.py", "test_own_objects.py", "test_random_systems.py")
+"""Files whose own systems, scenes and laws are compared with XLA before kernels run them, as those of users are."""
+
+OWN_PACKAGES = trust.OWN_PACKAGES
+TEST_MODULES = tuple(name for path in Path(__file__).parent.rglob("*.py") for name in (path.stem, path.parent.name))
+
+
+def pytest_runtest_setup(item):
+    """Trust kernels of the tests' own code elsewhere: a comparison takes half of the time of a test of a system."""
+    compared = item.path.name in COMPARED or item.get_closest_marker("compared")
+    trust.OWN_PACKAGES = OWN_PACKAGES if compared else OWN_PACKAGES + TEST_MODULES
 
 
 def pytest_terminal_summary(terminalreporter):
@@ -89,10 +116,16 @@ def few_mappings():
         jax.clear_caches()
 
 
+@pytest.fixture(autouse=True, scope="session")
+def traced_kernels():
+    """Trace every kernel of this process: tests replace functions of the package, which its files do not show."""
+    from vibrojax.compile import native
+
+    native.DESCRIBED = False
+
+
 @pytest.fixture(params=[16, 32, 64])
 def width(request, monkeypatch):
     """Force the bytes of a vector: SSE2 or NEON, AVX2, AVX-512. LLVM splits vectors that the processor lacks."""
-    from vibrojax.compile import native
-
     monkeypatch.setattr(native, "vector_bytes", lambda: request.param)
     return request.param

@@ -1,5 +1,6 @@
 """Systems written as plain functions with public names only, and their closed forms."""
 
+from inspect import signature
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,40 @@ import vibrojax as vj
 
 positive, table = vj.parameters.positive, vj.parameters.table
 cos, sin = vj.elementary.cos, vj.elementary.sin
+
+
+def mass(rate, *events, parameters=None, **options):
+    """Return a system of one mass; `rate` gives its acceleration, as a field does. The period is 1 s by default."""
+    fields = {
+        3: lambda t, y, p: {"x": y["v"], "v": rate(t, y, p)},
+        4: lambda t, y, p, s: {"x": y["v"], "v": rate(t, y, p, s)},
+    }
+    return vj.System(
+        "mass",
+        states={"x": "m", "v": "m s-1"},
+        parameters=parameters or {"q": 1.0},
+        field=fields[len(signature(rate).parameters)],
+        events=events,
+        **(options or {"period": 1.0}),
+    )
+
+
+def ends(system, start, duration, **options):
+    """Return the states at the end of a trajectory."""
+    motion = vj.simulate(system, start=start, duration=duration, progress=False, **options)
+    return [float(motion[name][-1]) for name in system.start_states]
+
+
+def events_of(motion, kind):
+    """Return the times [s] of a motion's events of this kind."""
+    flag = motion.event_kind.attrs["flag_meanings"].split().index(kind)
+    return motion.event_time.values[motion.event_kind.values == flag]
+
+
+def names_of(ds, variable="regime"):
+    """Return the names of a variable's flags by lane."""
+    return np.array(ds[variable].attrs["flag_meanings"].split())[ds[variable].values.ravel()].tolist()
+
 
 IMPACT_OSCILLATOR = vj.System(
     "impact-oscillator",

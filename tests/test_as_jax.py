@@ -1,6 +1,7 @@
 """Test the function of `as_jax` in a notebook: reasons, pickling, Ctrl-C, settings of jax and sharded arrays."""
 
 import pickle
+import signal
 import time
 
 import jax
@@ -86,10 +87,12 @@ def test_interrupt_is_raised_as_such(monkeypatch):
     def interrupted(self, x):
         raise KeyboardInterrupt
 
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(branch.Branch, "evaluate", interrupted)
         call(x)
-        time.sleep(5)  # which the interrupt ends
+        time.sleep(60)  # which the interrupt ends
+    signal.signal(signal.SIGINT, before)
     np.testing.assert_array_equal(call(x), expected)
 
 

@@ -125,6 +125,19 @@ def test_continued_borders_do_not_depend_on_the_grid():
     assert "grid of 4 x 4" in origins[0] and "grid of 5 x 5" in origins[1]
 
 
+def test_wedge_between_points_of_the_grid_is_closed():
+    """At beta = 0.4 the wedge between the torus of one orbit and the stick of another is 0.008 wide in gamma.
+
+    The grid's nearest point in the wedge is at beta = 0.46.
+    """
+    grid = {"beta": [0.34, 0.4, 0.46], "gamma": [0.55, 0.6, 0.65, 0.7]}
+    ds = vj.borders(SWEEP | {"parameters": {"delta": 0.005}, "grid": grid}, at={"beta": 0.4}, progress=False)
+    crossed = ds.crossing_curve.values
+    own = ds.start.values[crossed] == "any"
+    found = dict(zip(kinds(ds)[crossed[own]].tolist(), ds.crossing_gamma.values[own].tolist(), strict=True))
+    assert found == {"torus": pytest.approx(0.61473, abs=1e-5), "stick": pytest.approx(0.62294, abs=1e-5)}
+
+
 def test_circle():
     x, y = np.linspace(-1.0, 1.0, 41), np.linspace(-1.5, 1.5, 61)
     inside = x[:, None] ** 2 + y**2 < 0.64

@@ -13,7 +13,8 @@ from vibrojax.studies import calibrate as run
 from vibrojax.studies.analysis import analysis_of
 from vibrojax.studies.calibration_estimate import REASONS
 from vibrojax.studies.calibration_file import read_calibration
-from vibrojax.studies.calibration_model import History, Model, Prediction
+from vibrojax.studies.calibration_history import History
+from vibrojax.studies.calibration_model import Model, Prediction
 
 SPEEDS = np.linspace(1.1, 2.0, 6)
 TRUE_VALUES = {"mu": 0.4, "v_cr": 3.0}

@@ -15,8 +15,7 @@ from vibrojax.explorer.views import sweep_of
 from vibrojax.maps.rerun import holds_orbits, sweep_of_dataset
 from vibrojax.pictures.selection import select
 from vibrojax.studies.attractors import Attractors
-from vibrojax.studies.curve_run import problem_of
-from vibrojax.studies.curve_spec import read_curves
+from vibrojax.studies.curves import problem_of, read_curves
 
 RUN = {"settle": 1.0, "observe": 1.0}
 GRID = {"beta": [0.3, 0.35, 0.4], "gamma": [0.65, 0.7]}

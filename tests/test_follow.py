@@ -13,9 +13,6 @@ from scipy.optimize import brentq
 import vibrojax as vj
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import SPECIAL_KINDS
-from vibrojax.periodic.families import FamilyContinuation
-from vibrojax.periodic.segments import Segment
-from vibrojax.studies.family_run import family_spec, problem_of
 
 ENDS = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["ends_of_families"]
 STATES = ("orbit_x1", "orbit_x2", "orbit_v2")
@@ -157,20 +154,6 @@ def test_branch_that_doubles_at_both_ends_is_listed_once():
     ends = {float(branch.gamma[0]), float(branch.gamma[-1])}
     # The branch begins and ends at the doublings themselves, and nowhere near them.
     assert ends == set(doublings.tolist()) and end in ends
-
-
-@pytest.mark.parametrize("error", [0.0, 3e-16, -3e-16])
-def test_doubled_branch_stops_at_its_origin_whatever_the_rounding(family, error):
-    """On the original branch, both halves of a doubled orbit are equal up to rounding errors."""
-    settings = {"along": "gamma", "at": 0.75, "span": (0.3, 1.6), "begin": {"start": "stuck"}, "cycles": 2}
-    spec = family_spec("vibro-impact", **settings, settle=None, observe=None, parameters={"beta": 0.4})
-    problem, number, [u] = problem_of(spec, vj.run_sweep(spec.sweep, progress=False))
-    half = u[:-1]
-    departure = np.r_[1.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0] / np.sqrt(2)
-    begin = problem.evaluate(number, np.r_[half, u][None])._replace(tangent=departure[None])
-    stop = FamilyContinuation(problem, cycles=2).stop([Segment(0, 1, 1, begin, departure=departure)])
-    away, back = (begin._replace(u=begin.u + distance * departure) for distance in (0.02, error))
-    assert [bool(stop(np.zeros(1, int), now)[0]) for now in (away, back)] == [False, True]
 
 
 def test_multipliers_at_fold_follow_root_of_distance():

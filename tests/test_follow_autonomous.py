@@ -288,9 +288,9 @@ def test_wrong_beginnings_are_refused(more, words):
         vj.follow(SUBCRITICAL, **settings)
 
 
-def rests(states, field, at, span, parameters=(), **more):
-    """Return the equilibria of a system along m, from the one at 0."""
-    start = [0.0] * len(states)
+def rests(states, field, at, span, parameters=(), start=(), **more):
+    """Return a system and its equilibria along m, from the one near `start`, by default 0."""
+    start = list(start) or [0.0] * len(states)
     system = vj.System(
         "rests", states=states, parameters={"m": 0.0, **dict(parameters)}, field=field, section="x", **more
     )
@@ -380,3 +380,46 @@ def test_orbits_begin_at_the_hopf_points_of_mirrored_equilibria():
     assert sorted(circles.orbit_z.values[last]) == pytest.approx([-(1.5**0.5), 1.5**0.5], abs=1e-8)
     with pytest.raises(vj.InputError, match="outside the span"):
         vj.follow(system, from_hopf=family, span=(0.2, 0.5), progress=False)
+
+
+def test_equilibria_turn_back_at_a_kink():
+    """The branches x = m and x = -m of x' = m - |x| meet at m = 0, where the derivative jumps from -1 to 1."""
+    _, family = rests({"x": "1"}, lambda t, y, p: {"x": p["m"] - E.absolute(y["x"])}, 1.0, (-1.0, 2.0), start=[0.9])
+    assert kinds(family) == {"grazing", "end"} and points(family, "grazing") == [(0, pytest.approx(0.0, abs=1e-8))]
+    assert np.abs(family.orbit_x.values) == pytest.approx(family.m.values, abs=1e-9)
+    assert sorted(family.orbit_x.values)[0] == -2.0 and sorted(family.orbit_x.values)[-1] == 2.0
+    assert "kink" in str(family.special_note.values[family.special_value.values < 1.0][0])
+
+
+def test_equilibria_end_at_the_edge_of_the_domain():
+    """The equilibrium x = m² of x' = m - √x ends at m = 0: the root of no number is negative."""
+    _, family = rests({"x": "1"}, lambda t, y, p: {"x": p["m"] - E.sqrt(y["x"])}, 1.0, (-1.0, 2.0), start=[0.9])
+    assert kinds(family) == {"end"} and family.sizes["point"] < 100
+    assert family.m.values.min() == pytest.approx(0.0, abs=1e-5)
+    assert "edge of its domain" in str(family.special_note.values[family.special_value.values < 1.0][0])
+
+
+def test_family_that_begins_at_a_bound_lists_it_once():
+    _, family = rests({"x": "1"}, lambda t, y, p: {"x": p["m"] - y["x"]}, 1.0, (-1.0, 1.0), start=[0.9])
+    assert (family.m.values == 1.0).sum() == 1 and np.diff(family.m.values).min() > 0
+    assert [value for _, value in points(family, "end")] == [-1.0, 1.0]
+
+
+def test_double_zero_eigenvalue_is_a_fold():
+    """Bogdanov and Takens: at m = 0 both eigenvalues vanish, and no pair turns."""
+    field = lambda t, y, p: {"x": y["y"], "y": p["m"] - y["x"] ** 2 + y["x"] * y["y"]}  # noqa: E731
+    _, family = rests({"x": "1", "y": "1"}, field, 1.0, (-1.0, 2.0), start=[1.0, 0.0])
+    assert kinds(family) == {"fold", "end"} and points(family, "fold") == [(0, pytest.approx(0.0, abs=1e-9))]
+
+
+def test_families_without_an_equilibrium_do_not_stop_others():
+    """Of x' = m + a - x², only a = 1 has equilibria at m = 0."""
+    system = vj.System(
+        "several", states={"x": "1"}, parameters={"m": 0.0, "a": 1.0},
+        field=lambda t, y, p: {"x": p["m"] + p["a"] - y["x"] ** 2}, section="x",
+    )  # fmt: skip
+    settings = {"along": "m", "at": 0.0, "span": (-0.5, 1.0), "start": [0.9], "cycles": 0, "progress": False}
+    family = vj.follow(system, a=[-1.0, 1.0], **settings)
+    assert set(family.point_family.values.tolist()) == {1}
+    with pytest.raises(vj.InputError, match="no isolated equilibrium"):
+        vj.follow(system, a=-1.0, **settings)

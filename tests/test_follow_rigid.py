@@ -100,3 +100,21 @@ def test_family_continues_where_impact_passes_section():
     assert {0.9, 1.2} <= set(family.w.values[main].tolist())
     for w, x in zip(family.w.values[main][::4], family.orbit_x.values[main][::4], strict=True):
         assert min(abs(x - orbit.section[0]) for orbit in oscillator_orbits(R=R, w=w, **fixed)) < 1e-8
+
+
+@pytest.mark.long
+def test_rotations_of_a_pendulum_whose_angle_jumps_back():
+    """The angle returns to -pi at pi. Rotations at the torque 1.5 lose their period at a homoclinic orbit.
+
+    Distances shrink by exp(-c t) (Liouville), all of them across the flow.
+    """
+    turn = vj.Impact("turn", lambda t, y, p: np.pi - y["phi"], reset=lambda t, y, p: {"phi": y["phi"] - 2 * np.pi})
+    pendulum = vj.System(
+        "pendulum", states={"phi": "rad", "w": "rad s-1"}, parameters={"torque": 1.5, "c": 0.5},
+        field=lambda t, y, p: {"phi": y["w"], "w": p["torque"] - p["c"] * y["w"] - vj.elementary.sin(y["phi"])},
+        section="phi", events=[turn],
+    )  # fmt: skip
+    family = vj.follow(pendulum, along="torque", at=1.5, span=(0.2, 3.0), start=[0.0, 3.0], cycles=1, progress=False)
+    assert family.torque.values.min() == pytest.approx(0.597383, abs=1e-5) and family.torque.values.max() == 3.0
+    assert family.period.values[family.torque.values.argmin()] > 30
+    np.testing.assert_allclose(family.multiplier_abs[:, 0], np.exp(-0.5 * family.period), rtol=1e-6, atol=1e-9)

@@ -5,11 +5,6 @@ import pytest
 from systems import IMPACT_OSCILLATOR
 
 import vibrojax as vj
-from vibrojax.periodic.curve_branching import condition_at
-from vibrojax.periodic.hopf import hopf_point
-from vibrojax.periodic.problem import Points
-from vibrojax.studies.curve_run import problem_through
-from vibrojax.studies.family_run import family_spec, problem_of
 
 e = vj.elementary
 
@@ -119,22 +114,10 @@ def test_small_forced_motion_goes_on():
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
 
 
-def test_hopf_point_is_located_from_orbit_of_no_amplitude():
-    settings = START | {"settle": None, "observe": None, "parameters": {}}
-    spec = family_spec(NORMAL_FORM, begin={"start": settings.pop("start")}, **settings)
-    problem, number, _ = problem_of(spec, vj.run_sweep(spec.sweep, progress=False))
-    values = np.array([1e-4, 1e-20]) + 1
-    states = np.array([1e-2, 1e-10])[:, None, None]
-    points = [
-        problem.evaluate(number, problem.unknowns(number, x[None], np.array([[m]])))
-        for x, m in zip(states, values, strict=True)
-    ]
-    hopf = hopf_point(problem, Points.join(points))
-    assert hopf is not None and problem.values(number, hopf.u)[0, 0] == pytest.approx(1.0, abs=1e-12)
-
-
-def test_system_without_events_has_no_condition_of_events():
-    values = {"A": np.ones(1), "B": np.full(1, 2.0)}
-    bounds = {"B": (1.5, 2.5), "A": (0.9, 1.1)}
-    problem, [u] = problem_through(BRUSSELATOR, bounds, values, np.array(["hopf"]), [(1, np.zeros(1))])
-    assert condition_at(problem, 0, u).shape == (0,)
+def test_hopf_points_of_a_system_without_events_are_continued():
+    """The Brusselator's Hopf points are at B = 1 + A²."""
+    family = follow(BRUSSELATOR, along="B", at=2.5, span=(1.5, 3.0), start=[0.3, 0.0], A=1.0)
+    curves = vj.curves(family, by="A", span=(0.8, 1.2), at={"A": 0.9}, progress=False)
+    np.testing.assert_allclose(curves.B, 1 + curves.A**2, atol=1e-9)
+    assert curves.A.values.min() == 0.8 and curves.A.values.max() == 1.2
+    assert curves.crossing_B.values == pytest.approx([1.81], abs=1e-10)

@@ -1,14 +1,13 @@
 """Tests of the guide: its commands run as written. The build of the site executes its Python."""
 
-import os
 import re
-import subprocess
-import sys
+import shlex
 from pathlib import Path
 
 import pytest
 
 import vibrojax as vj
+from vibrojax.cli import main
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = ROOT / "notebooks"
@@ -18,48 +17,35 @@ FENCE = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<text>.*?)^```$", re.MULTILINE | 
 START = {match["info"]: match["text"] for match in FENCE.finditer((NOTEBOOKS / "start.md").read_text())}
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Return a folder with the files of the first page, and the command."""
-    path = tmp_path_factory.mktemp("start")
-    (path / "map.toml").write_text(START["toml file=map.toml"])
-    (path / "vibrojax").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m vibrojax "$@"\n')
-    (path / "vibrojax").chmod(0o755)
-    return path
+def run(block) -> list[int]:
+    """Run the commands of a block, and return their exit statuses."""
+    lines = [shlex.split(line) for line in START[block].splitlines()]
+    assert all(line[0] == "vibrojax" for line in lines)
+    return [main(line[1:]) for line in lines]
 
 
-def run(folder, block) -> subprocess.CompletedProcess:
-    variables = os.environ | {"PYTHONPATH": str(ROOT), "PATH": f"{folder}:{os.environ['PATH']}"}
-    return subprocess.run(["bash", "-ec", START[block]], cwd=folder, env=variables, capture_output=True, text=True)
-
-
-def test_first_motion(folder):
-    process = run(folder, "sh run=motion")
-    assert process.returncode == 0, process.stderr
-    assert process.stdout.splitlines()[0] == START[""].strip()
-    assert (folder / "vibro-impact.nc").is_file() and (folder / "vibro-impact.png").is_file()
-
-
-def test_wrong_name(folder):
-    process = run(folder, "sh run=wrong status=2")
-    assert process.returncode == 2 and process.stdout == ""
-    (line,) = process.stderr.splitlines()
+def test_first_motion(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run("sh run=motion") == [0]
+    assert capsys.readouterr().out.splitlines()[0] == START[""].strip()
+    assert Path("vibro-impact.nc").is_file() and Path("vibro-impact.png").is_file()
+    assert run("sh run=wrong status=2") == [2]
+    (line,) = capsys.readouterr().err.splitlines()
     assert 'did you mean "gamma"?' in line
 
 
-def test_first_map(folder):
-    process = run(folder, "sh run=map")
-    assert process.returncode == 0, process.stderr
-    assert [line.split()[0] for line in process.stdout.splitlines()[:4]] == ["lanes", "memory", "disk", "time"]
-    assert (folder / "map.png").is_file()
-    ds = vj.open_dataset(folder / "map.nc")
-    assert dict(ds.sizes) | {"beta": 24, "gamma": 24, "start": 2} == dict(ds.sizes)
-    process = run(folder, "sh run=plot")
-    assert process.returncode == 0, process.stderr
-    assert (folder / "stick.png").is_file()
-    process = run(folder, "sh run=explore")
-    assert process.returncode == 0, process.stderr
-    assert (folder / "map.html").read_text().startswith("<!doctype html>")
+def test_first_map(tmp_path, monkeypatch, capsys):
+    """With a coarser grid."""
+    monkeypatch.chdir(tmp_path)
+    Path("map.toml").write_text(START["toml file=map.toml"].replace("num = 24", "num = 4"))
+    assert run("sh run=map") == [0, 0, 0]
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[:4]] == ["lanes", "memory", "disk", "time"]
+    ds = vj.open_dataset("map.nc")
+    assert dict(ds.sizes) | {"beta": 4, "gamma": 4, "start": 2} == dict(ds.sizes)
+    assert run("sh run=plot") == [0] and run("sh run=explore") == [0]
+    assert Path("map.png").is_file() and Path("stick.png").is_file()
+    assert Path("map.html").read_text().startswith("<!doctype html>")
 
 
 @pytest.mark.parametrize("page", PAGES)

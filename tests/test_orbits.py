@@ -12,9 +12,7 @@ from random_orbits import in_upper_half
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.io.dataset import open_dataset
-from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
-from vibrojax.periodic.orbit_stages import OrbitStage
 
 CASES = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["orbits"]
 ORBITS = {"orbits": True}
@@ -117,39 +115,10 @@ def test_coupled_rock_matches_exact_motion():
 # Replaced features, and refused orbits
 
 
-class KeepReturns:
-    """A stage that adds nothing, so that the last section crossings stay among the features."""
-
-    attribute, described = "kept", {}
-
-    def __call__(self, inputs, features):
-        return {}
-
-
 def chosen():
     cases = [CASES[0], CASES[4], CASES[8]]
     points = {name: [case["point"][name] for case in cases] for name in CASES[0]["point"]}
     return read_sweep({"scene": "vibro-impact", "points": points, "run": ORBITS})
-
-
-@pytest.fixture(scope="module")
-def lanes():
-    """Return lanes that repeat after one and two returns, and their features, which tests damage."""
-    sweep = chosen()
-    inputs = sweep.inputs()
-    return inputs, LaneRun(inputs, sweep.plan, stages=[KeepReturns()]).chunk(inputs).features
-
-
-def find_orbits(lanes, **damage):
-    inputs, features = lanes
-    stage = OrbitStage(inputs.scene, inputs.run, inputs.start_names)
-    return stage(inputs, {name: x.copy() for name, x in features.items()} | damage)
-
-
-def test_orbits_match_lanes(lanes):
-    orbits = find_orbits(lanes)
-    assert (orbits["orbit_reason"] == FOUND).all()
-    np.testing.assert_allclose(orbits["period"], lanes[1]["period"], rtol=1e-6)
 
 
 def test_irregular_and_failed_lanes_have_no_orbit():

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq, fsolve
+from systems import events_of
 
 import vibrojax as vj
 
@@ -15,18 +16,6 @@ PRECISE = {"rtol": 1e-12, "atol": 1e-14, "method": "DOP853"}
 
 def sweep(system, grid, start, **run):
     return vj.run_sweep({"scene": system, "grid": grid, "starts": [start], "run": run}, progress=False)
-
-
-def events_of(motion, kind):
-    flag = motion.event_kind.attrs["flag_meanings"].split().index(kind)
-    return motion.event_time.values[motion.event_kind.values == flag]
-
-
-def specials(family):
-    """Return kind and parameter value of the special points, in the order of the values."""
-    names = family.special_kind.attrs["flag_meanings"].split()
-    values = family.special_value.values
-    return [(names[int(family.special_kind[k])], float(values[k])) for k in np.argsort(values)]
 
 
 # The simplest walker: Garcia, Chatterjee, Ruina and Coleman, Journal of Biomechanical Engineering 120 (1998), 281.
@@ -143,6 +132,7 @@ def buck_orbit(supply):
     return first(at), np.linalg.eigvals(on @ jump @ off)
 
 
+@pytest.mark.long
 def test_buck_converter_doubles_its_period():
     """The first period doubling, where an eigenvalue passes -1, lies between 24.4 V and 24.6 V."""
     doubling = brentq(lambda supply: buck_orbit(supply)[1].real.min() + 1, 24.0, 25.0)
@@ -161,7 +151,8 @@ def test_place_of_period_doubling_of_buck_converter():
     family = vj.follow(
         BUCK, along="E", at=24.4, span=(24.2, 24.8), start=[12.0, 0.55], cycles=1, settle=0.4, progress=False
     )
-    places = [value for kind, value in specials(family) if kind == "period-doubling"]
+    kinds = family.special_kind.attrs["flag_meanings"].split()
+    places = family.special_value.values[family.special_kind.values == kinds.index("period-doubling")]
     assert places == pytest.approx([doubling], abs=1e-8)
 
 
@@ -250,20 +241,6 @@ def test_trajectory_of_two_blocks_on_a_belt():
     assert events_of(motion, "slip") == pytest.approx(slips, abs=1e-7)
 
 
-def test_cycle_of_two_blocks_on_a_belt():
-    """Two returns of the first block make one period. At both speeds it also overtakes the belt.
-
-    With an error of 1e-4 at 0.3 m/s, the steps of both runs happen to change the period almost equally.
-    """
-    sweeps = [sweep(BLOCKS, {"belt": [0.2, 0.3]}, [0.0] * 4, error=error) for error in (1e-4, 1e-6)]
-    assert [ds.cycles.values.ravel().tolist() for ds in sweeps] == [[2, 2]] * 2
-    for number, belt in enumerate((0.2, 0.3)):
-        overtakes = [t for t, block, slip in blocks_by_scipy(belt, 400.0)[1] if (block, slip) == (0, 1)]
-        for ds in sweeps:
-            error = abs(2 * float(ds.period[number, 0]) / (overtakes[-1] - overtakes[-2]) - 1)
-            assert error < float(ds.error_estimate[number, 0]) < 1e-5
-
-
 # Van der Pol's oscillator
 
 VAN_DER_POL = vj.System(
@@ -290,93 +267,3 @@ def test_periods_and_multiplier_of_van_der_pol():
     exponent = solve_ivp(rates, (0.0, AT_ONE), [*settled, 0.0], **PRECISE).y[2, -1]
     assert exponent == pytest.approx(-7.0589, abs=1e-3)
     assert float(ds.multiplier_abs[1, 0, 0]) == pytest.approx(np.exp(exponent), rel=1e-6)
-
-
-# Systems that users of simulators have reported as difficult
-
-
-def test_block_meets_wall_and_stops_at_known_times():
-    """Friction 0.2 from v = 1: it arrives after 5 (1 - sqrt(0.6)) s, rebounds with half its speed, and stops."""
-    block = vj.System(
-        "timed-block",
-        states={"x": "m", "v": "m s-1"},
-        parameters={"r": 0.5},
-        field=lambda t, y, p: {"x": y["v"], "v": 0.0},
-        period=1.0,
-        events=[
-            vj.Impact("wall", gap=lambda t, y, p: 1.0 - y["x"], velocity="v", restitution=lambda p: p["r"]),
-            vj.Friction("rub", lambda t, y, p: y["v"], lambda t, y, p: 1.0, law=0.2, acts_on="v"),
-        ],
-    )
-    motion = vj.simulate(block, start=[0.0, 1.0], duration=4.0, progress=False)
-    arrives = 5 * (1 - np.sqrt(0.6))
-    assert events_of(motion, "impact") == pytest.approx([arrives], abs=1e-8)
-    assert events_of(motion, "stick") == pytest.approx([arrives + 2.5 * np.sqrt(0.6)], abs=1e-8)
-    assert float(motion.x[-1]) == pytest.approx(0.625, abs=1e-8)
-
-
-# Families that end at a Hopf point: B = 1 + A² for the Brusselator (Prigogine and Lefever, 1968), with the period
-# 2 pi/A; zero for the normal form
-
-
-def normal_form(t, y, p):
-    growth = p["m"] - (y["x"] ** 2 + y["y"] ** 2)
-    return {"x": growth * y["x"] - y["y"], "y": y["x"] + growth * y["y"]}
-
-
-def reaction(u, w, p):
-    return {"u": p["A"] + u**2 * w - (p["B"] + 1) * u, "w": p["B"] * u - u**2 * w}
-
-
-def about_equilibrium(t, y, p):
-    return reaction(p["A"] + y["u"], p["B"] / p["A"] + y["w"], p)
-
-
-def planar(name, states, parameters, field, section):
-    return vj.System(name, states=dict.fromkeys(states, "1"), parameters=parameters, field=field, section=section)
-
-
-OF_REACTION = {"A": 1.0, "B": 3.0}
-NORMAL_FORM = planar("normal-form", ("x", "y"), {"m": 0.25}, normal_form, "y")
-CONCENTRATIONS = planar("brusselator", ("u", "w"), OF_REACTION, lambda t, y, p: reaction(*y.values(), p), ("u", 1.0))
-ABOUT_EQUILIBRIUM = planar("brusselator-about-equilibrium", ("u", "w"), OF_REACTION, about_equilibrium, "u")
-
-
-@pytest.mark.parametrize(
-    "system, settings, hopf, last, period",
-    [
-        pytest.param(
-            NORMAL_FORM,
-            {"along": "m", "at": 0.25, "span": (-0.5, 1.0), "start": [0.4, 0.0]},
-            0.0,
-            1.0,
-            2 * np.pi,
-            id="m",
-        ),
-        pytest.param(
-            CONCENTRATIONS,
-            {"along": "B", "at": 3.0, "span": (1.5, 3.5), "start": [1.3, 3.0]},
-            2.0,
-            3.5,
-            2 * np.pi,
-            id="B",
-        ),
-        pytest.param(
-            ABOUT_EQUILIBRIUM,
-            {"along": "A", "at": 1.4, "span": (0.9, 2.2), "start": [0.3, 0.0], "B": 4.0},
-            np.sqrt(3),
-            0.9,
-            2 * np.pi / np.sqrt(3),
-            id="A",
-            marks=pytest.mark.long,
-        ),
-    ],
-)
-def test_families_end_at_hopf_points(system, settings, hopf, last, period):
-    family = vj.follow(system, cycles=1, progress=False, **settings)
-    assert sorted(kind for kind, _ in specials(family)) == ["end", "hopf"]
-    places = dict(specials(family))
-    assert places["hopf"] == pytest.approx(hopf, abs=1e-9) and places["end"] == pytest.approx(last, abs=1e-9)
-    values = family[settings["along"]].values
-    assert values.min() >= min(hopf, last) - 1e-9 and values.max() <= max(hopf, last) + 1e-9
-    assert float(family.period[np.abs(values - hopf).argmin()]) == pytest.approx(period, rel=1e-6)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from systems import names_of
 
 import vibrojax as vj
 
@@ -41,7 +42,7 @@ def test_states_that_stand_still_or_decay_do_not_decide():
     starts = [[1.0, 3 / 7, 0.0, 0.0, 0.0], [1.0, 0.0, 0.5, 0.3, 1.0], [0.0] * 5]
     sweep = {"scene": BESIDE, "grid": {"q": [0.3]}, "starts": starts, "run": {"orbits": True, "lyapunov": True}}
     ds = vj.run_sweep(sweep, progress=False)
-    assert ds.cycles.values.ravel().tolist() == [1, 1, 1] and regimes_of(ds) == {"periodic"}
+    assert ds.cycles.values.ravel().tolist() == [1, 1, 1] and set(names_of(ds)) == {"periodic"}
     assert (ds.error_estimate < 2e-6).all() and (ds.orbit_reason == 0).all() and (ds.stable == 1).all()
     own = np.exp(-PERIOD * np.array([DECAY, DAMPING / 2, DAMPING / 2, RATE, np.inf]))
     np.testing.assert_allclose(ds.multiplier_abs.values[0], np.tile(own, (3, 1)), atol=1e-9)
@@ -49,18 +50,20 @@ def test_states_that_stand_still_or_decay_do_not_decide():
     np.testing.assert_allclose(ds.orbit_w, 3 / 7, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_mass_that_friction_holds_does_not_decide():
     """Every position of the held mass belongs to an orbit, so that one multiplier is 1."""
     run = {"orbits": True}
     starts = [[0.0] * 4, [0.5, 0.0, 0.2, 0.5]]
     ds = vj.run_sweep({"scene": HELD, "grid": {"N": [1.0]}, "starts": starts, "run": run}, progress=False)
-    assert ds.cycles.values.ravel().tolist() == [1, 1] and regimes_of(ds) == {"periodic"}
+    assert ds.cycles.values.ravel().tolist() == [1, 1] and set(names_of(ds)) == {"periodic"}
     assert (ds.orbit_reason == 0).all() and (ds.stable == 1).all()
     own = [1.0, *np.exp(-PERIOD * np.array([DAMPING / 2, DAMPING / 2, np.inf]))]
     np.testing.assert_allclose(ds.multiplier_abs.values[0], np.tile(own, (2, 1)), atol=1e-9)
     assert len(np.unique(ds.orbit_x2)) == 2
 
 
+@pytest.mark.long
 def test_motions_on_standing_states_match_one_attractor():
     rates = lambda t, y, p: {"x": y["v"], "v": (1 - y["x"] * y["x"]) * y["v"] - y["x"], "z": p["q"] - RATE * y["z"]}  # noqa: E731
     scene = vj.System("relaxes", states=OSCILLATOR | {"z": "1"}, parameters={"q": 0.3}, field=rates, section="x")
@@ -84,7 +87,7 @@ def test_large_swing_on_stiff_contact_is_no_equilibrium():
     run = {"settle": 5.0, "observe": 20.0}
     ds = vj.run_sweep({"scene": ball, "grid": {"k": [k]}, "starts": [[height, 0.0]], "run": run}, progress=False)
     speed = (2 * g * height) ** 0.5
-    assert regimes_of(ds) == {"single-impact"}
+    assert set(names_of(ds)) == {"single-impact"}
     assert ds.impact_velocity.item() == pytest.approx(speed, rel=1e-6)
     # Half of a period of the contact, longer by the static deflection.
     contact = (np.pi + 2 * np.arctan(g / k**0.5 / speed)) / k**0.5
@@ -116,8 +119,3 @@ def pendulum(name, *events):
 )
 def test_impact_velocity_has_unit_of_rate_of_gap(unit, events):
     assert pendulum("unit", *events).impact_unit == unit
-
-
-def regimes_of(ds):
-    names = ds.regime.attrs["flag_meanings"].split()
-    return {names[flag] for flag in ds.regime.values.ravel()}

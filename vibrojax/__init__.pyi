@@ -50,10 +50,10 @@ from vibrojax.studies.catalogue import list_settings as list_settings
 from vibrojax.studies.catalogue import list_variables as list_variables
 from vibrojax.studies.choose import picture as picture
 from vibrojax.studies.choose import save_picture as save_picture
-from vibrojax.studies.curve_run import curves as curves
+from vibrojax.studies.curves import curves as curves
 from vibrojax.studies.design import design as design
 from vibrojax.studies.effects import study as study
-from vibrojax.studies.family_run import follow as follow
+from vibrojax.studies.family import follow as follow
 from vibrojax.studies.frequencies import frequencies as frequencies
 from vibrojax.studies.push import smallest_push as smallest_push
 from vibrojax.studies.rig_analysis import rig as rig

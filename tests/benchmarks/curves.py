@@ -15,8 +15,7 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax.periodic.curve_following import crossings, follow_curves
 from vibrojax.pictures.branches import kind_names
-from vibrojax.studies.curve_run import problem_of
-from vibrojax.studies.curve_spec import read_curves
+from vibrojax.studies.curves import problem_of, read_curves
 
 NEARBY = 1e-5
 """Distance, relative to the range of the parameter, within which special points of one kind are compared."""

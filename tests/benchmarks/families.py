@@ -12,7 +12,8 @@ import numpy as np
 import vibrojax as vj
 from vibrojax.periodic.families import FamilyContinuation
 from vibrojax.periodic.problem import Problem
-from vibrojax.studies.family_run import family_spec, problem_of
+from vibrojax.studies.family import problem_of
+from vibrojax.studies.family_spec import family_spec
 
 SPAN = (0.3, 1.6)
 

@@ -70,7 +70,7 @@ def operations(instructions: list[tuple[str, str]]) -> Counter:
 
 def per_step(kernel: native.Kernel, steps: int) -> Counter:
     """Return the operations of a group's step, with its share of the outer loop and all of Newton's iterations."""
-    (_, outer), (_, step), (_, newton), *_ = loops(native._object_code(kernel.text.text))
+    (_, outer), (_, step), (_, newton), *_ = loops(native._object_code(kernel.description.text.text))
     counts = [operations(part) for part in (outer, step, newton)]
 
     def total(name: str) -> float:
@@ -115,7 +115,7 @@ def kernels() -> None:
     by_function = {key[0]: kernel for key, kernel in native.kernels.items()}
     for name, function, turn in (("settle", settle_lanes, STEPS_PER_PASS), ("observe", observe_lanes, STEPS_PER_TURN)):
         kernel = by_function[function]
-        counts, width = per_step(kernel, turn), kernel.width
+        counts, width = per_step(kernel, turn), kernel.description.width
         vectors = sum(counts[kind] for kind in KINDS)
         divisions = counts["divisions and roots"] * DIVISION[native.vector_bytes()]
         seconds, steps, idle = (statistics.median(x) for x in zip(*rows[name], strict=True))
@@ -125,7 +125,8 @@ def kernels() -> None:
         print(f"  {'memory accesses':<30}{counts['accesses'] / width:>8.1f}")
         ports = vectors / VECTOR_PORTS
         print(f"  bound by vector ports {ports / width:.0f} cycles, by divisions {divisions / width:.0f}")
-        print(f"  workspace {kernel.text.fixed / 1024:.0f} KiB and {kernel.text.per_lane} bytes per lane of a call")
+        memory = kernel.description.text
+        print(f"  workspace {memory.fixed / 1024:.0f} KiB and {memory.per_lane} bytes per lane of a call")
         print(f"  measured {1e9 * seconds / steps:.1f} ns per lane-step, {idle:.0%} of it waiting for the group\n")
 
 

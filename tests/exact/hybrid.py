@@ -136,29 +136,14 @@ class Hybrid:
             return f, {}, {}, {}
         slopes = self.slopes(t, y) if slopes is None else slopes
         rows = np.array([slopes[len(self.events) + i] for i in held])
-        tied: dict[int, tuple[int, float]] = {}
-        for a, b in itertools.combinations(range(len(held)), 2):
-            # Switches on one surface have opposite or equal sides next to it, and so have their shares.
-            both = all(isinstance(self.events[held[k]], Surface) for k in (a, b))
-            cosine = rows[a] @ rows[b] / np.sqrt((rows[a] @ rows[a]) * (rows[b] @ rows[b])) if both else 0.0
-            if abs(cosine) > 1 - 1e-12 and a not in tied and b not in tied:
-                tied[b] = a, np.sign(cosine)
-                columns[a] = columns[a] + tied[b][1] * columns[b]
-        free = [k for k in range(len(held)) if k not in tied]
-        B, R = np.array([columns[k] for k in free]).T, rows[free]
-        z, slack = _multipliers(R[:, 1:] @ B, -(R[:, 0] + R[:, 1:] @ f), [bounds[k] for k in free], B)
+        B = np.array(columns).T
+        z, slack = _multipliers(rows[:, 1:] @ B, -(rows[:, 0] + rows[:, 1:] @ f), bounds, B)
         f = f + B @ z
-        numbers, slacks, stable = {}, {}, {}
-        for place, k in enumerate(free):
-            numbers[held[k]], slacks[held[k]] = z[place], slack[place]
-            is_switch = isinstance(self.events[held[k]], Surface)
-            stable[held[k]] = -float(R[place, 1:] @ B[:, place]) if is_switch and B[:, place].any() else np.inf
-        for b, (a, sign) in tied.items():
-            numbers[held[b]], slacks[held[b]], stable[held[b]] = (
-                sign * numbers[held[a]],
-                slacks[held[a]],
-                stable[held[a]],
-            )
+        numbers, slacks = dict(zip(held, z, strict=True)), dict(zip(held, slack, strict=True))
+        stable = {
+            i: -float(rows[k, 1:] @ B[:, k]) if isinstance(self.events[i], Surface) and B[:, k].any() else np.inf
+            for k, i in enumerate(held)
+        }
         return f, numbers, slacks, stable
 
     def _unit(self, name: str) -> np.ndarray:

@@ -25,10 +25,6 @@ def dataset(times, **parameters):
     )
 
 
-def settled(k):
-    return 0.0 * k
-
-
 @pytest.mark.parametrize("times", [1.0, 2.0])
 def test_undamped_lane_is_not_certified(times):
     """In the first second, no pulse breaks the rock. Later, the rate is 0.05 m/s."""

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-import xarray as xr
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -37,14 +36,6 @@ def test_summary_lists_range_maximum_and_lanes_without_rate(tmp_path, capsys):
     vj.write_dataset(ds, tmp_path / "pen.nc")
     assert main(["info", str(tmp_path / "pen.nc"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rates"]["lanes"] == 2
-
-
-def drilling(rate, peak, **more):
-    variables = {"rate_of_penetration": (("v", "rock"), rate), "peak_impact_force": (("v", "rock"), peak)}
-    axes = {"v": [1.0, 2.0], "rock": ["sandstone", "granite"]}
-    return xr.Dataset(
-        variables, axes | more, {"source": "vibrojax 0", "kind": "sweep", "title": "t", "parameters": "{}"}
-    )
 
 
 def test_motion_without_rate_compares_rock_force_with_threshold():

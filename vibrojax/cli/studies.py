@@ -260,8 +260,7 @@ def curves(options: Options) -> None:
     """Continue the special points of a family in a second parameter: curves, and the points where several meet."""
     from vibrojax.io.dataset import open_dataset
     from vibrojax.studies.curve_analysis import curves_facts
-    from vibrojax.studies.curve_run import continue_curves
-    from vibrojax.studies.curve_spec import read_curves
+    from vibrojax.studies.curves import continue_curves, read_curves
 
     place, file = Place("curves"), Path(str(options.file))
     settings, others = named_values(place, options.values, ("by", "from", "to", "special"))

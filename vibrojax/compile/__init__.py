@@ -12,7 +12,7 @@ on scenes. The caller's `policy` decides which calls depend on foreign code (cod
 foreign code are compared with XLA before the first of them runs.
 
 - `translation.py`, `assembly.py`, `native.py` and others: translation of jax's trace to LLVM's intermediate
-  representation (IR), compilation; `cache.py`: the disk cache.
+  representation (IR), compilation; `cache.py`: the disk cache; `identity.py`: what decides a trace.
 - `xla.py`: XLA's options, functions that run block by block, devices, threads, precision.
 - `agreement.py`, `trust.py`: comparison of a kernel with XLA and of elementary functions with numpy; the decision which
   compiler runs.

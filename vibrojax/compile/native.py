@@ -1,11 +1,16 @@
-"""Kernels: functions of lanes that jax traces and LLVM compiles to native code, each once per process."""
+"""Kernels: functions of lanes that jax traces and LLVM compiles to native code, each once per process.
+
+The disk cache holds the object code of each kernel, under the hash of its IR text, and its description, under a digest
+of what decides the trace (`identity.py`). A process that finds the description neither traces nor translates.
+"""
 
 import ctypes
 import gc
+import pickle
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from itertools import count
@@ -18,7 +23,8 @@ from jaxtyping import Int
 
 from vibrojax.compile import cache as store
 from vibrojax.compile.assembly import LANES, Untranslatable, dtype_of, refuse_if, varies
-from vibrojax.compile.translation import kernel_text
+from vibrojax.compile.identity import digest
+from vibrojax.compile.translation import KernelText, kernel_text
 from vibrojax.lazy import jax, jnp
 
 PASSES = ("sroa", "aggressive_dce")
@@ -83,6 +89,37 @@ def _jit() -> llvm.LLJIT:
 
 _number = count()
 
+DESCRIBED = True
+"""Whether kernels are found by their descriptions. Tests trace them, because they replace functions of this package."""
+
+
+class Array(NamedTuple):
+    """Type of an argument or result: `shape` without the lanes, if it `varies` between lanes."""
+
+    dtype: np.dtype
+    shape: tuple[int, ...]
+    varies: bool
+
+    @classmethod
+    def of(cls, aval: Any) -> "Array":
+        return cls(dtype_of(aval), aval.shape[:-1] if varies(aval) else aval.shape, varies(aval))
+
+
+class Description(NamedTuple):
+    """What a call of a kernel needs besides the object code.
+
+    - `key`: hash of the IR text, the processor and the version of llvmlite, under which the object code is cached.
+    - `arguments`, `results`: types of the leaves; `tree`: the results, with their numbers as leaves.
+    - `width`: number of lanes of a group; `text`: memory of the workspace, and the IR text if the kernel was traced.
+    """
+
+    key: str
+    arguments: tuple[Array, ...]
+    results: tuple[Array, ...]
+    tree: Any
+    width: int
+    text: KernelText
+
 
 class Kernel:
     """A jax function of arrays whose last axis is the lane axis, compiled as one native function.
@@ -98,29 +135,42 @@ class Kernel:
       last axis of arrays is the lane axis, which may have any length.
     - `registers`: number of vector registers that hold one value of a group.
 
-    Attributes: `key`, the hash of the kernel's IR text, the processor and the version of llvmlite; `text`, this text
-    and the size of the workspace; `code`, the native function.
+    Attributes: `description`; `key`, the hash of the text; `code`, the native function.
 
     **Raises:** `Untranslatable` if the function has a construct that no kernel can express.
     """
 
     def __init__(self, function: Callable[..., Any], *examples: Any, registers: int = 1) -> None:
-        traced = trace(function, *examples)
-        inner = traced.jaxpr.jaxpr
-        self._arguments = [(dtype_of(var.aval), varies(var.aval)) for var in inner.invars]
-        self._shapes = [(len(var.aval.shape), var.aval.shape[:-1]) for var in inner.invars]
-        self._results = [(dtype_of(var.aval), var.aval.shape, varies(var.aval)) for var in inner.outvars]
-        refuse_if(not any(varying for _, varying in self._arguments), "no argument has lanes")
-        self._tree = jax.tree.structure(traced.out_info)
-        widest = max((dtype.itemsize for dtype, _ in self._arguments if dtype.kind == "f"), default=8)
-        self.width = registers * vector_bytes() // widest
-        self.text = kernel_text(traced.jaxpr, self.width)
-        parts = (llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values(), self.text.text)
-        self.key = sha256("\n".join(parts).encode()).hexdigest()
-        code = store.read(self.key)
+        description = _described(function, *examples, registers=registers)
+        code = store.read(description.key)
         if code is None:
-            code = _object_code(self.text.text)
-            store.write(self.key, code)
+            code = _object_code(description.text.text)
+            store.write(description.key, code)
+        self._load(description, code)
+
+    @classmethod
+    def found(cls, name: str) -> "Kernel | None":
+        """Return the kernel whose description is cached under this name, or None."""
+        with suppress(pickle.UnpicklingError, AttributeError, ImportError):
+            content = store.read(name)
+            if content is not None:
+                description: Description = pickle.loads(content)
+                code = store.read(description.key)
+                if code is not None:
+                    kernel = cls.__new__(cls)
+                    kernel._load(description, code)
+                    return kernel
+        return None
+
+    def enter(self, name: str) -> None:
+        """Cache the description under this name, unless the results have types that other processes cannot import."""
+        text = self.description.text._replace(text="")
+        with suppress(pickle.PicklingError, AttributeError, TypeError):
+            store.write(name, pickle.dumps(self.description._replace(text=text)))
+
+    def _load(self, description: Description, code: bytes) -> None:
+        self.description, self.key = description, description.key
+        self._tree = jax.tree.structure(description.tree)
         builder = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("lanes").add_current_process()
         self._library = builder.link(_jit(), f"kernel {next(_number)}")  # keeps the code in memory
         kinds = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
@@ -136,17 +186,20 @@ class Kernel:
 
     def bind_leaves(self, leaves: list[Any]) -> "BoundKernel":
         """Return the kernel bound to the leaves of arguments; see `bind`."""
+        kinds = self.description.arguments
         arrays = [
-            np.ascontiguousarray(leaf, dtype) if varying else np.asarray(leaf, dtype)
-            for leaf, (dtype, varying) in zip(leaves, self._arguments, strict=True)
+            np.ascontiguousarray(leaf, kind.dtype) if kind.varies else np.asarray(leaf, kind.dtype)
+            for leaf, kind in zip(leaves, kinds, strict=True)
         ]
-        lengths = {x.shape[-1] for x, (_, varying) in zip(arrays, self._arguments, strict=True) if varying}
+        lengths = {x.shape[-1] for x, kind in zip(arrays, kinds, strict=True) if kind.varies}
         shapes = [(x.ndim, x.shape[:-1]) for x in arrays]
-        if len(lengths) != 1 or shapes != self._shapes:
-            raise ValueError(f"arrays of {sorted(lengths)} lanes and shapes {shapes}, not {self._shapes}")
+        expected = [(len(kind.shape) + kind.varies, kind.shape) for kind in kinds]
+        if len(lengths) != 1 or shapes != expected:
+            raise ValueError(f"arrays of {sorted(lengths)} lanes and shapes {shapes}, not {expected}")
         [lanes] = lengths
         results = [
-            np.empty((*shape[:-1], lanes) if varying else shape, dtype) for dtype, shape, varying in self._results
+            np.empty((*kind.shape, lanes) if kind.varies else kind.shape, kind.dtype)
+            for kind in self.description.results
         ]
         return BoundKernel(self, lanes, [*arrays, *results], jax.tree.unflatten(self._tree, results))
 
@@ -180,8 +233,8 @@ class BoundKernel:
         if lanes.min() < 0 or lanes.max() >= self.lanes:
             raise IndexError(f"lanes {lanes.min()} to {lanes.max()} of arrays with {self.lanes} lanes")
         # The last group is filled with copies of a lane, whose results are equal.
-        kernel, text = self._kernel, self._kernel.text
-        index = np.concatenate([lanes, np.full(-len(lanes) % kernel.width, lanes[-1])]).astype(np.int64, copy=False)
+        kernel, (*_, width, text) = self._kernel, self._kernel.description
+        index = np.concatenate([lanes, np.full(-len(lanes) % width, lanes[-1])]).astype(np.int64, copy=False)
         start = _workspace(text.fixed + text.per_lane * len(index), text.alignment)
         kernel.code(self._pointers.ctypes.data, start, index.ctypes.data, len(index), self.lanes)
 
@@ -203,6 +256,26 @@ def _workspace(size: int, alignment: int) -> int:
     if memory is None or len(memory) < size + alignment:
         memory = _thread.workspace = np.empty(size + alignment, np.uint8)
     return -(-int(memory.ctypes.data) // alignment) * alignment
+
+
+def _described(function: Callable[..., Any], *examples: Any, registers: int) -> Description:
+    """Trace a function and translate the trace."""
+    traced = trace(function, *examples)
+    inner = traced.jaxpr.jaxpr
+    arguments, results = (tuple(Array.of(var.aval) for var in some) for some in (inner.invars, inner.outvars))
+    refuse_if(not any(kind.varies for kind in arguments), "no argument has lanes")
+    structure: Any = jax.tree.structure(traced.out_info)
+    widest = max((kind.dtype.itemsize for kind in arguments if kind.dtype.kind == "f"), default=8)
+    width = registers * vector_bytes() // widest
+    text = kernel_text(traced.jaxpr, width)
+    key = sha256("\n".join((*_compiler(), text.text)).encode()).hexdigest()
+    tree = jax.tree.unflatten(structure, range(structure.num_leaves))
+    return Description(key, arguments, results, tree, width, text)
+
+
+def _compiler() -> tuple[str, ...]:
+    """Return what decides about the object code of a text."""
+    return llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values()
 
 
 def trace(function: Callable[..., Any], *examples: Any) -> Any:
@@ -238,8 +311,16 @@ def kernel_for(
         lock = _locks[key]
     with lock:
         if key not in kernels:
-            with _uncollected():
-                kernels[key] = Kernel(lambda *dynamic: function(*static, *dynamic), *examples, registers=registers)
+            types = jax.tree.unflatten(tree, [str(kind) for kind in types_of(leaves)])
+            settings = registers, vector_bytes(), jnp.result_type(float).name, _compiler()
+            name = digest(function, static, types, settings) if DESCRIBED else None
+            kernel = None if name is None else Kernel.found(name)
+            if kernel is None:
+                with _uncollected():
+                    kernel = Kernel(lambda *dynamic: function(*static, *dynamic), *examples, registers=registers)
+                if name is not None:
+                    kernel.enter(name)
+            kernels[key] = kernel
     return kernels[key]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from vibrojax import compile as compilation
 from vibrojax.compile import native, trusted_kernel
 from vibrojax.compile.agreement import check
-from vibrojax.compile.native import BoundKernel, Kernel
+from vibrojax.compile.native import BoundKernel, Kernel, kernel_for
 from vibrojax.compile.xla import BoundProgram, compiler_options, evaluation
 from vibrojax.lanes.agreement import scene_subject
 from vibrojax.lanes.programs import ProgramKey, settle_lanes
@@ -100,4 +100,4 @@ class Programs:
 
 
 def _evaluate_by_kernel(function: Callable[..., Any], *x: Any) -> Any:
-    return Kernel(function, *x)(*x)
+    return kernel_for(function, (), *x)(*x)

@@ -149,15 +149,16 @@ class _ActiveBranches:
         self._prior_u, self._prior_tangent = np.full((2, *begin.u.shape), np.nan)
         self._around_equilibrium: dict[int, bool] = {}
         self.accepted, self.accepted_lanes = [begin], [np.arange(lanes)]
-        self.active = np.arange(lanes)
+        # A branch that begins at a bound and leads out of the range has no other point.
+        _, room = self._to_bound(np.arange(lanes))
+        self.status[room <= 0] = ENDED
+        self.active = np.flatnonzero(room > 0)
 
     def predict(self, lanes: Index) -> None:
         """Compute the predictors, on the plane ahead or on the parameter's bound if the bound is nearer."""
-        problem, family = self._problem, self._last.family[lanes]
-        u, t, h = self._last.u[lanes], self._last.tangent[lanes], self._step[lanes]
-        ahead = np.where(t[:, -1] > 0, problem.last[family, -1], problem.first[family, -1]) / problem.unit[family, -1]
-        room = (ahead - u[:, -1]) / t[:, -1]
-        short = (t[:, -1] != 0) & (room < 1.0001 * h)
+        t, h = self._last.tangent[lanes], self._step[lanes]
+        ahead, room = self._to_bound(lanes)
+        short = room < 1.0001 * h
         self._bound[lanes] = np.where(short, ahead, np.nan)
         predictor = self._extrapolate(lanes, np.where(short, np.maximum(room, 0), h))
         predictor[short, -1] = ahead[short]
@@ -165,6 +166,13 @@ class _ActiveBranches:
         self._level[lanes] = np.where(short, ahead, np.einsum("ij,ij->i", t, predictor))
         self._iterations[lanes] = 0
         self._before[lanes] = np.inf
+
+    def _to_bound(self, lanes: Index) -> tuple[PerLane, PerLane]:
+        """Return the scaled bound of the parameter ahead, and the distance to it along the tangent."""
+        problem, family, t = self._problem, self._last.family[lanes], self._last.tangent[lanes, -1]
+        ahead = np.where(t > 0, problem.last[family, -1], problem.first[family, -1]) / problem.unit[family, -1]
+        with np.errstate(all="ignore"):
+            return ahead, np.where(t != 0, (ahead - self._last.u[lanes, -1]) / t, np.inf)
 
     def _extrapolate(self, lanes: Index, h: PerLane) -> Unknowns:
         """Extrapolate by a cubic polynomial, or along the tangent if the cubic polynomial is unreliable.

@@ -16,16 +16,14 @@ as long as the Jacobian, and a difference of two Jacobians twice as long, but th
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from vibrojax.compile.xla import workers
+from vibrojax.periodic.equilibria import equilibrium_near, section_product
 from vibrojax.periodic.event_map import conditions_of, event_mapped
-from vibrojax.periodic.flow_map import moving_names
-from vibrojax.periodic.hopf import Field, section_product
 from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix, solve
 from vibrojax.periodic.problem import FAMILY_ACCURACY, Index, PerLane, Points, Problem, Unknowns
 from vibrojax.periodic.return_map import in_calls
@@ -156,16 +154,12 @@ class CurveProblem(Problem):
 
     def _equilibrium(self, curve: Index, u: Unknowns) -> Points:
         number, rows, modes = int(curve[0]), self.rows, max(len(self.scene.modes), 1)
-        if number not in self._fields:
-            states = dict(zip(self.scene.return_states, self.states(curve, u)[0, 0], strict=True))
-            begin = np.array([states.get(name, 0.0) for name in moving_names(self.scene)])
-            parameters = {name: x[number] for name, x in self.parameters.items()}
-            self._fields[number] = Field(self.scene, parameters, begin, float(self.scales[number].max()))
-        values = self.values(curve, u)[0]
-        here, period, product = self._critical(number, values)
+        guess, values = np.zeros(len(self.moving)), self.values(curve, u)[0]
+        guess[self.places] = self.states(curve, u)[0, 0]
+        here, period, product = self._critical(number, guess, values)
         slopes = []
         for step in HOPF_STEP * np.diag(self.unit[number]):
-            ahead, behind = (self._critical(number, values + sign * step)[0] for sign in (1.0, -1.0))
+            ahead, behind = (self._critical(number, guess, values + sign * step)[0] for sign in (1.0, -1.0))
             slopes.append((ahead - behind) / (2 * HOPF_STEP))
         return Points(
             family=curve,
@@ -181,24 +175,21 @@ class CurveProblem(Problem):
             swing=np.ones(1),
         )
 
-    def _critical(self, number: int, values: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    def _critical(self, number: int, guess: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
         """Return states and negative growth rate of an equilibrium, period, and derivative of the return map.
 
         States are scaled, and the growth rate is relative to the frequency; NaN without an oscillating equilibrium.
         """
         rows, scale = self.rows, self.scales[number]
-        known = self._fields[number].equilibrium(dict(zip(self.along, values.tolist(), strict=True)))
-        pair = None if known is None else known.nearest_pair()
+        parameters = {name: float(x[number]) for name, x in self.parameters.items()}
+        parameters |= dict(zip(self.along, values.tolist(), strict=True))
+        known = equilibrium_near(self.scene, parameters, guess, float(scale.max()))
+        pair = None if known is None else known.pair()
         if known is None or pair is None:
             return np.full(rows + 1, np.nan), np.inf, np.full((rows, rows), np.nan)
         product = section_product(self.scene, known, *pair, scale)
-        names = moving_names(self.scene)
-        states = known.states[[names.index(name) for name in self.scene.return_states]] / scale
-        return np.append(states, -pair[0].real / pair[0].imag), 2 * np.pi / pair[0].imag, product
-
-    @cached_property
-    def _fields(self) -> dict[int, Field]:
-        return {}
+        growth = -pair[0].real / pair[0].imag
+        return np.append(known.states[self.places] / scale, growth), 2 * np.pi / pair[0].imag, product
 
     def _along(self, curve: Index, u: Unknowns, direction: Float[np.ndarray, "lanes cycles states"]) -> np.ndarray:
         """Return the derivative of the scaled Jacobian along directions of the scaled states, by forward mode twice."""

@@ -1,49 +1,32 @@
-"""Families of equilibria of autonomous systems: folds, branch points and hopf points.
+"""Equilibria of autonomous scenes: the field and its derivative, Newton's method, and pairs of eigenvalues.
 
-The unknowns are the scaled states and the scaled parameter, and the equations require that the rates vanish. The
-derivative of one step of Euler's method, 1 + A/rate, takes the place of the return map's derivative, where A is the
-derivative of the field: a multiplier 1 is an eigenvalue 0, and all that finds folds and branch points of orbits finds
-those of equilibria.
+An equilibrium is described by the states that move: those that drift or follow from others are left out.
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import warnings
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Complex, Float
-from scipy.optimize import root
+from jaxtyping import Float
+from scipy.linalg import expm
+from scipy.optimize import newton, root
 
 from vibrojax.compile.xla import precision
-from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.lazy import jax, jnp
-from vibrojax.periodic.arclength import STOPPED, Stop
-from vibrojax.periodic.brackets import Brackets, TestFunction
-from vibrojax.periodic.branch_points import FamilyLocator
-from vibrojax.periodic.families import FamilyContinuation
 from vibrojax.periodic.flow_map import moving_names
-from vibrojax.periodic.location import TEST_FUNCTIONS, Test
-from vibrojax.periodic.newton import multipliers
-from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, Unknowns
-from vibrojax.periodic.segments import ENDINGS, Segment
+from vibrojax.periodic.newton import PerLane
 from vibrojax.scenes import Scene
-
-HOPF = SPECIAL_KINDS.index("hopf")
 
 SOLVED = 1e-9
 """Largest rate of a scaled state, relative to the greatest derivative of the field, at an equilibrium."""
 
-LARGEST_STATES = 50.0
-"""Scaled states at which a family ends."""
+EQUILIBRIUM_LAST_STEPS = 3
+"""Newton steps after the search for an equilibrium, which leave nothing but rounding errors."""
 
-FAR_NOTE, NONE_NOTE = (
-    f"the states are over {LARGEST_STATES:g} times their scales",
-    "no equilibrium is found any further",
-)
-
-SEPARATED = 1e-3
-"""Scaled distance up to which special points next to each other are located one by one."""
+IMAGINARY = 1e-9
+"""Largest real part of the eigenvalues at a Hopf point, relative to the frequency."""
 
 DISPLACEMENTS = 10.0 ** np.arange(-12, 13)
 """Displacements of a state among which is its scale, if the equilibrium does not show it."""
@@ -51,195 +34,156 @@ DISPLACEMENTS = 10.0 ** np.arange(-12, 13)
 FEWEST_LANES = 4
 """Smallest number of points that are evaluated together."""
 
-LEAST_PRODUCT, ROUNDED = 1e-200, 1e-10
-"""Value of a product of sums that is zero, and sum of two eigenvalues that may be a rounding error, relative to the
-largest."""
 
-TURNING = 1e-6
-"""Imaginary part of an eigenvalue, relative to its modulus, above which a pair turns instead of being real."""
+class FieldValues(NamedTuple):
+    """The field of a scene at states; the first axis is the lane, unknowns are the states and the varied parameters.
+
+    - `rates`, `jacobian`: of the states, NaN where no equilibrium is isolated, and their derivatives.
+    - `normal`: gradient of the section's velocity. `modes`: mode of the motion.
+    - `guards`, `guard_slopes`: values of the guards, and their derivatives.
+    """
+
+    rates: Float[np.ndarray, "lanes states"]
+    jacobian: Float[np.ndarray, "lanes states unknowns"]
+    normal: Float[np.ndarray, "lanes unknowns"]
+    modes: Float[np.ndarray, "lanes modes"]
+    guards: Float[np.ndarray, "lanes guards"]
+    guard_slopes: Float[np.ndarray, "lanes guards unknowns"]
 
 
 class EquilibriumField:
-    """Rates of a scene's moving states, and their derivatives, at many points at once; `along`: varied parameters."""
+    """The field at many points at once; `along`: varied parameters."""
 
     def __init__(self, scene: Scene[Any], along: tuple[str, ...]) -> None:
         names = moving_names(scene)
+        self._count = len(names)
 
-        def rates(x: Any, p: Any) -> Any:
+        def values(x: Any, p: Any) -> tuple[Any, Any]:
             known = dict(zip(names, x[: len(names)], strict=True))
             whole = tuple(known.get(name, jnp.zeros_like(x[0])) for name in scene.state_names)
             c = scene.constants(dict(p) | dict(zip(along, x[len(names) :], strict=True)))
             c = scene.scaled(c, jax.lax.stop_gradient(whole))
             mode = jax.lax.stop_gradient(scene.mode_at(c, whole))
             by_name = dict(zip(scene.state_names, scene.field(c, mode, whole), strict=True))
-            moves = jnp.stack([jnp.broadcast_to(by_name[name], x[0].shape) for name in names])
-            return jnp.where(scene.has_no_field(c, mode, whole), jnp.nan, moves)
+            none = scene.has_no_field(c, mode, whole)
+            rates = [jnp.where(none, jnp.nan, by_name[name]) for name in names]
+            velocity = scene.section.velocity if scene.section is not None else names[0]
+            # The rate of a section's function is its gradient times the field.
+            section = known[velocity] if velocity in known else by_name[velocity]
+            every = [*rates, section, *scene.guard_values(c, mode, whole)]
+            return jnp.stack([jnp.broadcast_to(x, whole[0].shape) for x in every]), jnp.stack(mode)
 
-        self._both = jax.jit(jax.vmap(lambda x, p: (rates(x, p), jax.jacfwd(rates)(x, p))))
+        def both(x: Any, p: Any) -> tuple[Any, Any, Any]:
+            every, mode = values(x, p)
+            return every, jax.jacfwd(lambda x: values(x, p)[0])(x), mode
 
-    def __call__(
-        self, x: Float[np.ndarray, "lanes unknowns"], parameters: Mapping[str, PerLane]
-    ) -> tuple[Float[np.ndarray, "lanes states"], Float[np.ndarray, "lanes states unknowns"]]:
-        """Return the rates and their derivatives; `x`: states and varied parameters."""
+        self._both = jax.jit(jax.vmap(both))
+
+    def __call__(self, x: Float[np.ndarray, "lanes unknowns"], parameters: Mapping[str, PerLane]) -> FieldValues:
+        """Return the field; `x`: states and varied parameters."""
         # Each number of lanes would be compiled: they are padded to a power of two.
         padded = np.resize(np.arange(len(x)), max(FEWEST_LANES, 1 << (len(x) - 1).bit_length()))
         with precision("float64"):
-            both = self._both(x[padded], {name: np.asarray(value)[padded] for name, value in parameters.items()})
-        rates, jacobian = (np.asarray(part)[: len(x)] for part in both)
-        return rates, jacobian
+            known = self._both(x[padded], {name: np.asarray(value)[padded] for name, value in parameters.items()})
+        (values, slopes, modes), count = (np.asarray(part)[: len(x)] for part in known), self._count
+        others = count + 1
+        return FieldValues(
+            values[:, :count], slopes[:, :count], slopes[:, count], modes, values[:, others:], slopes[:, others:]
+        )
 
 
-@lru_cache(maxsize=64)
-def field_of(scene: Scene[Any], along: tuple[str, ...]) -> EquilibriumField:
-    """Return the field of a scene; it is compiled once in a process."""
-    return EquilibriumField(scene, along)
+field_of = lru_cache(maxsize=64)(EquilibriumField)
+"""The field of a scene, which is compiled once in a process."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class EquilibriumProblem(Problem):
-    """Families of equilibria; `rate` (families,) [1/s]: the unit of the eigenvalues."""
+class Equilibrium(NamedTuple):
+    """An equilibrium: its states, and the derivatives of the field and of the section's velocity (`normal`)."""
 
-    at_section: ClassVar[bool] = False
-    most_growth: ClassVar[float] = np.inf
-    rate: PerLane
+    states: Float[np.ndarray, " states"]
+    jacobian: Float[np.ndarray, "states states"]
+    normal: Float[np.ndarray, " states"]
 
-    def eigenvalues(self, points: Points) -> Complex[np.ndarray, "lanes states"]:
-        """Return the eigenvalues [1/s] of the field's derivative, in order of falling real part."""
-        values = (multipliers(points.product) - 1) * self.rate[points.family, None]
-        return np.take_along_axis(values, np.argsort(-values.real, axis=1, kind="stable"), axis=1)
+    def pair(self, frequency: float | None = None) -> tuple[complex, np.ndarray] | None:
+        """Return the eigenvalue nearest to i `frequency` [1/s], and its eigenvector.
 
-    def halves(self, points: Points) -> Unknowns:
-        return points.u
-
-    def left_branch(self, last: Points, now: Points) -> Flags:
-        """Return a mask of points on another branch, or behind special points that a shorter step may resolve.
-
-        Several special points hide one another. Where a real eigenvalue changes sign, a step may also have led across a
-        gap between two branches that nearly meet.
+        Without a frequency, return the complex one next to the imaginary axis, or None if all are real.
         """
-        grows, turns = [], []
-        for points in (last, now):
-            values = multipliers(points.product) - 1
-            grows.append((values.real > 0).sum(axis=1))
-            turns.append(((values.real > 0) & (values.imag != 0)).sum(axis=1))
-        more, turning = (np.abs(ends[1] - ends[0]) for ends in (grows, turns))
-        several = (more > 2) | ((more > 0) & (turning == 0))
-        several &= np.linalg.norm(now.u - last.u, axis=1) > SEPARATED
-        return super().left_branch(last, now) | several
-
-    def evaluate(self, family: Index, u: Unknowns) -> Points:
-        scale = np.column_stack([self.scales[family], self.unit[family]])
-        rates, jacobian = field_of(self.scene, self.along)(
-            u * scale, {name: x[family] for name, x in self.parameters.items()}
-        )
-        unit = self.rate[family, None] * self.scales[family]
-        matrix = jacobian * scale[:, None] / unit[..., None]
-        lanes, states = len(u), self.rows
-        return Points(
-            family=family,
-            u=u.copy(),
-            tangent=np.full_like(u, np.nan),
-            off=rates / unit,
-            matrix=matrix,
-            times=np.ones((lanes, 1)),
-            product=np.eye(states) + matrix[..., :states],
-            impacts=np.zeros(lanes),
-            mode_changes=np.zeros((lanes, len(self.scene.modes), 3)),
-            margin=np.full(lanes, np.inf),
-            swing=np.ones(lanes),
-        )
-
-
-def sums_of_pairs(points: Points, _: Points) -> PerLane:
-    """Return the product of the sums of all pairs of eigenvalues, which changes sign at hopf points.
-
-    Zero counts as positive, so that a family that begins at a hopf point has it. See Kuznetsov, *Elements of Applied
-    Bifurcation Theory*, section 10.2.
-    """
-    values = multipliers(points.product) - 1
-    first, second = np.triu_indices(values.shape[1], 1)
-    product = np.prod(values[:, first] + values[:, second], axis=1).real
-    return np.asarray(np.where(product == 0, LEAST_PRODUCT, product))
-
-
-def critical_pair(points: Points) -> tuple[PerLane, PerLane]:
-    """Return size and imaginary part of the two eigenvalues whose sum is smallest, relative to the largest modulus.
-
-    The size is that of the sum.
-    """
-    values = multipliers(points.product) - 1
-    first, second = np.triu_indices(values.shape[1], 1)
-    sums, size = np.abs(values[:, first] + values[:, second]), np.abs(values).max(axis=1)
-    lanes, nearest = np.arange(len(values)), sums.argmin(axis=1)
-    return sums[lanes, nearest] / size, np.abs(values[lanes, first[nearest]].imag) / size
-
-
-class EquilibriumLocator(FamilyLocator):
-    """Location of the special points of equilibria."""
-
-    def tests(self, family: Index) -> Iterable[tuple[int, Flags, Test]]:
-        every = np.ones(len(family), bool)
-        return [
-            (SPECIAL_KINDS.index("fold"), every, TEST_FUNCTIONS["fold"]),
-            (HOPF, every, sums_of_pairs),
-        ]
-
-    def accepted(self, brackets: Brackets, shrunk: Brackets, test: TestFunction, lanes: Index) -> Brackets:
-        """Return folds, and hopf points; two real eigenvalues of equal size and opposite sign are no special point."""
-        hopf = shrunk.kind[lanes] == HOPF
-        own = lanes[hopf]
-        turns = np.zeros(len(own), bool)
-        if len(own):
-            # In conservative systems, the sums are rounding errors all along.
-            ends = (critical_pair(x.of(own))[0] for x in (brackets.near, brackets.far))
-            turns = (critical_pair(shrunk.near.of(own))[1] > TURNING) & (np.maximum(*ends) > ROUNDED)
-        return Brackets.join([super().accepted(brackets, shrunk, test, lanes[~hopf]), shrunk.of(own[turns])])
-
-
-class EquilibriumContinuation(FamilyContinuation):
-    """Continuation of families of equilibria."""
-
-    def __init__(self, problem: EquilibriumProblem) -> None:
-        super().__init__(problem, cycles=1)
-        self._locator = EquilibriumLocator(problem)
-
-    def stop(self, segments: list[Segment]) -> Stop:
-        return lambda lanes, now: np.abs(now.u[:, :-1]).max(axis=1) > LARGEST_STATES
-
-    def finish(self, segments: list[Segment]) -> list[Segment]:
-        following = super().finish(segments)
-        for segment in segments:
-            segment.marks = [x._replace(note=FAR_NOTE) if x.note == ENDINGS[STOPPED] else x for x in segment.marks]
-        return following
-
-    def _pass_stalls(self, segments: list[Segment]) -> list[Segment]:
-        for segment in segments:
-            segment.mark("end", NONE_NOTE)
-        return []
+        values, vectors = np.linalg.eig(self.jacobian)
+        if frequency is None:
+            off = np.where(values.imag > 0, np.abs(values.real), np.inf)
+        else:
+            off = np.abs(values - 1j * frequency)
+        nearest = int(off.argmin())
+        return (complex(values[nearest]), vectors[:, nearest]) if np.isfinite(off[nearest]) else None
 
 
 def equilibrium_near(
-    scene: Scene[Any], parameters: Mapping[str, float], guess: Float[np.ndarray, " states"]
-) -> tuple[Float[np.ndarray, " states"], Float[np.ndarray, "states states"]] | None:
-    """Return an equilibrium of the moving states near `guess` and the derivative of the field there, or None."""
-    field = field_of(scene, ())
-    own = {name: np.array([x]) for name, x in parameters.items()}
+    scene: Scene[Any], parameters: Mapping[str, float], guess: Float[np.ndarray, " states"], scale: float = 0.0
+) -> Equilibrium | None:
+    """Return an isolated equilibrium near `guess`, or None; `scale`: of the states, which may be zero there."""
+    field, own = field_of(scene, ()), {name: np.array([x]) for name, x in parameters.items()}
 
-    def both(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        rates, jacobian = field(x[None], own)
-        return rates[0], jacobian[0]
+    def rates(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        here = field(x[None], own)
+        return here.rates[0], here.jacobian[0]
 
     with np.errstate(all="ignore"):
-        found = root(both, guess, jac=True, method="hybr", tol=1e-13)
-        states = np.asarray(found.x)
-        for _ in range(3):
-            rates, jacobian = both(states)
+        states = np.asarray(root(rates, guess, jac=True, method="hybr", tol=1e-13).x)
+        for _ in range(EQUILIBRIUM_LAST_STEPS):
+            rate, jacobian = rates(states)
             if not np.isfinite(jacobian).all() or np.linalg.matrix_rank(jacobian) < len(states):
                 return None
-            states = states - np.linalg.solve(jacobian, rates)
-        rates, jacobian = both(states)
-    size = np.abs(jacobian).max() * max(np.abs(states).max(), np.abs(guess).max(), 1e-300)
-    return (states, jacobian) if np.abs(rates).max() <= SOLVED * size else None
+            states = states - np.linalg.solve(jacobian, rate)
+        here = field(states[None], own)
+    jacobian, normal = here.jacobian[0], here.normal[0]
+    if scene.section is not None and scene.section.velocity not in moving_names(scene):
+        normal = np.linalg.solve(jacobian.T, normal)  # the field is zero here
+    size = np.abs(jacobian).max() * max(np.abs(states).max(), np.abs(guess).max(), scale, 1e-300)
+    return Equilibrium(states, jacobian, normal) if np.abs(here.rates).max() <= SOLVED * size else None
+
+
+def hopf_near(
+    scene: Scene[Any],
+    along: str,
+    parameters: Mapping[str, float],
+    guess: Float[np.ndarray, " states"],
+    scale: float,
+    frequency: float,
+    values: tuple[float, float],
+    tolerance: float,
+) -> tuple[float, Equilibrium, complex, np.ndarray] | None:
+    """Return a Hopf point: value of the parameter `along`, equilibrium, eigenvalue and eigenvector; None without one.
+
+    **Arguments:** `guess`: states near the equilibrium, and their `scale`; `frequency` [1/s]: of the pair of
+    eigenvalues; `values`: two different ones of the parameter, with which the secant method begins; `tolerance`: of the
+    value.
+    """
+
+    def at(value: float) -> Any:
+        known = equilibrium_near(scene, {**parameters, along: value}, guess, scale) if np.isfinite(value) else None
+        return None if known is None else (known, *known.pair(frequency))  # type: ignore[misc]  # not None here
+
+    def growth(value: float) -> float:
+        found = at(value)
+        return np.nan if found is None else found[1].real
+
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of the secant method, for a growth that is constant
+        value = float(newton(growth, values[0], x1=values[1], tol=tolerance, full_output=True, disp=False)[0])
+        found = at(value)
+    return None if found is None or abs(found[1].real) > IMAGINARY * frequency else (value, *found)
+
+
+def section_product(
+    scene: Scene[Any], known: Equilibrium, eigenvalue: complex, vector: np.ndarray, scale: np.ndarray
+) -> Float[np.ndarray, "states states"]:
+    """Return the derivative of the return map to the section in the limit of zero amplitude, in scaled states."""
+    names = moving_names(scene)
+    rows, normal = [names.index(name) for name in scene.return_states], known.normal
+    away = (vector / (normal @ vector) * 1j).real  # on the section: its velocity is zero
+    flow, whole = known.jacobian @ away, expm(known.jacobian * (2 * np.pi / eigenvalue.imag))
+    product = whole - np.outer(flow / (normal @ flow), normal @ whole)
+    return np.asarray(product[np.ix_(rows, rows)] * scale / scale[:, None])
 
 
 def scales_at(
@@ -259,7 +203,7 @@ def scales_at(
     values = np.append([parameters[along], *bounds], np.full(len(displaced), parameters[along]))
     unknowns = np.column_stack([np.concatenate([np.tile(states, (3, 1)), displaced]), values])
     known = {name: np.full(len(values), x) for name, x in parameters.items()}
-    jacobian = field_of(scene, (along,))(unknowns, known)[1][..., :size]
+    jacobian = field_of(scene, (along,))(unknowns, known).jacobian[..., :size]
     finite = np.isfinite(jacobian).all(axis=(1, 2))
     every = np.linalg.eigvals(np.where(finite[:, None, None], jacobian, jacobian[0]))
     change = np.abs(every[:, :, None] - every[0]).min(axis=1)

@@ -25,13 +25,7 @@ from vibrojax.periodic.segments import (
     Segment,
     Tracing,
 )
-from vibrojax.periodic.special_points import (
-    branch_distance,
-    cross_impact,
-    doubled_branch,
-    reindex_returns,
-    turn_corner,
-)
+from vibrojax.periodic.special_points import branch_distance, cross_impact, reindex_returns, turn_corner
 from vibrojax.scenes import Scene
 
 POINT_SPACING = 0.02
@@ -47,6 +41,9 @@ MAX_BRANCHES = 32
 SAME_CROSSING = 1e-4
 """Largest difference of the scaled parameter, the logarithm of the period, the amplitude and the multipliers between
 two descriptions of one branch point."""
+
+NEAR_HOPF = 1e-6
+"""Scaled distance of the parameter from a Hopf point within which rounding errors decide whether it turns."""
 
 FREE_PHASE_REACH = 0.05
 """Scaled distance in the parameter and the period within which a branch without a section joins another one."""
@@ -99,9 +96,11 @@ class FamilyContinuation(Tracing):
         """Enter special points and ends of segments; return the segments beyond stalls, and doubled branches."""
         stalled: list[Segment] = []
         for segment in segments:
+            hopf = self.hopf(segment) if segment.status == VANISHED else None
             status, special, reached = segment.status, segment.special, segment.points
+            note = ENDINGS.get(status, "")
             if status == STOPPED:
-                segment.points = reached.of(slice(0, -1))
+                note, segment.points = self.stop_note(segment), reached.of(slice(0, -1))
                 beyond = float(np.abs(reached.u[-1] - segment.points.u[-1]).max())
                 segment.reach = max(segment.reach, beyond)
             inside = special.place < len(segment.points.u) - 1
@@ -109,15 +108,15 @@ class FamilyContinuation(Tracing):
                 rejoined = inside & (np.abs(special.near.u - segment.origin).max(axis=1) < REJOIN_DISTANCE)
                 if rejoined.any():
                     last = int(special.place[rejoined].min()) + 1
-                    status, segment.points = STOPPED, segment.points.of(slice(0, last))
+                    status, note, segment.points = STOPPED, ENDINGS[STOPPED], segment.points.of(slice(0, last))
                     inside &= special.place < last - 1
             self._add_marks(segment, special.of(inside))
             if status == STALLED and segment.number < MAX_SEGMENTS:
                 stalled.append(segment)
                 continue
-            if status == VANISHED and self._mark_hopf(segment, "the amplitude is zero"):
+            if hopf is not None:
+                _end_at_hopf(segment, hopf, "the amplitude is zero")
                 continue
-            note = ENDINGS.get(status, "")
             if status == ENDED:
                 value = self._problem.values(segment.points.family[-1:], segment.points.u[-1:])[0, 0]
                 low, high = (bound[segment.family, 0] for bound in (self._problem.first, self._problem.last))
@@ -126,6 +125,14 @@ class FamilyContinuation(Tracing):
             segment.mark("end", note)
         following = self._pass_stalls(stalled) if stalled else []
         return following + self._doubled_branches(segments) + self._crossing_branches(segments)
+
+    def hopf(self, segment: Segment) -> Points | None:
+        """Return the Hopf point to which the end of a segment leads, or None."""
+        return hopf_point(self._problem, segment.points)
+
+    def stop_note(self, segment: Segment) -> str:
+        """Return why a segment ends at its last point, at which the condition of `stop` holds."""
+        return ENDINGS[STOPPED]
 
     def _end_at_doublings(self, segments: list[Segment]) -> None:
         """Move the ends of doubled branches that join another branch to the period doublings at which they join it.
@@ -150,25 +157,13 @@ class FamilyContinuation(Tracing):
                 segment.marks = [mark for mark in segment.marks if mark.note != ENDINGS[STOPPED]]
                 segment.mark("end", ENDINGS[STOPPED])
 
-    def _mark_hopf(self, segment: Segment, note: str) -> bool:
-        """Add the Hopf point to which the end of a segment leads; return whether there is one."""
-        hopf = hopf_point(self._problem, segment.points) if self._problem.at_section else None
-        if hopf is not None:
-            segment.marks.append(Mark(hopf, "hopf", note, len(segment.points.u) - 1))
-        return hopf is not None
-
     def _add_marks(self, segment: Segment, special: Brackets) -> None:
         """Add special points to a segment, without the branch point at which it begins: the parameter may turn."""
         here = np.abs(special.near.u[:, -1] - segment.begin.u[0, -1]) < SAME_POINT
         special = special.of(~((segment.crossing is not None) & here & (special.place == 0)))
         for k, place in enumerate(special.place.tolist()):
-            kind, orbit, note, beyond = SPECIAL_KINDS[special.kind[k]], special.near.of([k]), "", special.far.of([k])
-            if kind == "grazing" and orbit.impacts[0] == beyond.impacts[0]:
-                changed = (orbit.mode_changes[0] != beyond.mode_changes[0]).any(axis=1)
-                modes = zip(self._problem.scene.modes, changed, strict=True)
-                names = ", ".join(mode.name for mode, differs in modes if differs)
-                note = f"no impact: another order of events of {names}"
-            event = own_event(self._problem.scene, kind, orbit, beyond)
+            kind, orbit, beyond = SPECIAL_KINDS[special.kind[k]], special.near.of([k]), special.far.of([k])
+            event, note = change_of(self._problem.scene, kind, orbit, beyond)
             segment.marks.append(Mark(orbit, kind, note, place, event=event))
         u = segment.points.u
         segment.marks.sort(key=lambda mark: (mark.place, np.abs(mark.orbit.u[0] - u[mark.place]).max()))
@@ -178,29 +173,35 @@ class FamilyContinuation(Tracing):
 
         These points are marked. Segments that cannot be continued get a mark at their end.
         """
-        turned, corners = turn_corner(self._problem, [segment.points for segment in segments])
+        problem, following = self._problem, []
+        turned, corners = turn_corner(problem, [segment.points for segment in segments])
         changed = corners.changes_events
-        following: list[Segment] = []
         for k, segment in enumerate(segments):
             end, departure = segment.points.of([-1]), segment.departure
             kinds: list[str] = []
-            value = self._problem.values(end.family, end.u)[0, 0]
-            note = f"the amplitude is zero; from {value:.9g} on, it is too small for the section"
-            if not changed[k] and self._mark_hopf(segment, note):
+            hopf = self.hopf(segment) if problem.at_section and not changed[k] else None
+            if hopf is not None:
+                value = problem.values(end.family, end.u)[0, 0]
+                _end_at_hopf(
+                    segment, hopf, f"the amplitude is zero; from {value:.9g} on, it is too small for the section"
+                )
                 continue
             # At a rigid stop no mode changes: only the margin shows that an event begins.
             if changed[k] or end.margin[0] < GRAZED_MARGIN:
-                flags = classify_event_changes(self._problem, corners.of([k])).kind
+                flags = classify_event_changes(problem, corners.of([k])).kind
                 kinds = [SPECIAL_KINDS[flag] for flag in flags]
-            crossed = cross_impact(self._problem, end)
+            crossed = cross_impact(problem, end) if problem.at_section else None
             if crossed is not None:
                 segment.mark("section", "an impact passes the time of the section")
                 following.append(segment.onward(crossed))
                 continue
-            beyond, note = (corners.far.of([k]), "") if turned[k] else (reindex_returns(self._problem, end), "")
+            beyond, note = corners.far.of([k]) if turned[k] else None, ""
+            if beyond is None and problem.at_section:
+                beyond = reindex_returns(problem, end)
             if beyond is None and not kinds:
                 distance = np.inf if departure is None else abs(branch_distance(end.u, departure[None])[0])
-                stalled = f"{ENDINGS[STALLED]}; grazing margin {end.margin[0]:.1e}"
+                stalled = f"no {problem.noun} is found any further"
+                stalled += f"; grazing margin {end.margin[0]:.1e}" * problem.at_section
                 segment.mark("end", ENDINGS[STOPPED] if distance < SAME_POINT else stalled)
                 continue
             if beyond is None:
@@ -209,8 +210,8 @@ class FamilyContinuation(Tracing):
             elif not turned[k]:
                 kinds, departure, note = ["section"], None, f"{beyond.times.shape[1]} returns from here"
             for kind in kinds:
-                near, far = (x.of([k]) for x in (corners.near, corners.far))
-                segment.mark(kind, note, own_event(self._problem.scene, kind, near, far))
+                event, change = change_of(problem.scene, kind, corners.near.of([k]), corners.far.of([k]))
+                segment.mark(kind, note or change * (not problem.at_section), event)
             if beyond is not None:
                 following.append(segment.onward(beyond, departure))
         return following
@@ -225,7 +226,7 @@ class FamilyContinuation(Tracing):
                 branch = self._branches[segment.family]
                 if branch >= MAX_BRANCHES:
                     continue
-                u, tangent = doubled_branch(self._problem, mark.orbit)
+                u, tangent = self._problem.doubled(mark.orbit)
                 begin = self._problem.evaluate(mark.orbit.family, u)._replace(tangent=tangent)
                 self._branches[segment.family] += 1
                 more = {"parent": segment, "departure": tangent[0], "origin": u[0]}
@@ -255,16 +256,24 @@ class FamilyContinuation(Tracing):
         return crossing
 
 
-def own_event(scene: Scene[Any], kind: str, near: Points, far: Points) -> str:
-    """Return the name of the event of a system that changes at a point of the kind grazing or stick; else "".
+def _end_at_hopf(segment: Segment, hopf: Points, note: str) -> None:
+    """Add the Hopf point to which the end of a segment leads; next to it, rounding errors decide about folds."""
+    away = [m for m in segment.marks if m.kind != "fold" or np.abs(m.orbit.u[0, -1] - hopf.u[0, -1]) >= NEAR_HOPF]
+    segment.marks = [*away, Mark(hopf, "hopf", note, len(segment.points.u) - 1)]
 
-    Impacts and sticks of friction have these kinds; other events are named, such as a switch at which nothing sticks.
+
+def change_of(scene: Scene[Any], kind: str, near: Points, far: Points) -> tuple[str, str]:
+    """Return the name of the system's event that changes at a special point, or "", and a note about it.
+
+    Impacts and sticks of friction have kinds of their own; other events are named, such as a switch at which nothing
+    sticks.
     """
     if kind not in ("grazing", "stick") or (kind == "grazing" and near.impacts[0] != far.impacts[0]):
-        return ""
+        return "", ""
     changed = (near.mode_changes[0] != far.mode_changes[0]).any(axis=1)
-    names = [mode.name for mode, differs in zip(scene.modes, changed, strict=True) if differs]
-    return next((name for name in names if name in scene.named_events), "")
+    names = [mode.name for mode, differs in zip(scene.modes, changed, strict=False) if differs]
+    event = next((name for name in names if name in scene.named_events), "")
+    return event, f"no impact: another order of events of {', '.join(names)}" if kind == "grazing" and not event else ""
 
 
 def invariants(problem: Problem, orbit: Points) -> np.ndarray:

@@ -1,32 +1,21 @@
-"""Hopf points: a branch ends where the amplitude of its orbits shrinks to zero at an equilibrium.
+"""Hopf points: where the amplitude of orbits shrinks to zero at an equilibrium, and small orbits next to them.
 
-Orbits with very small amplitudes do not re-arm the section, so the continuation stalls before the Hopf point. The point
+Orbits with very small amplitudes do not re-arm a section, so the continuation stalls before the Hopf point. The point
 itself is located by the linear stability of the equilibrium: there, a pair of eigenvalues crosses the imaginary axis.
 The branch leads to that point if the squares of its last amplitudes extrapolate to it (Kuznetsov, *Elements of Applied
-Bifurcation Theory*, section 3.4).
+Bifurcation Theory*, section 3.4). Without a section, orbits are continued through zero amplitude instead.
 """
 
-import warnings
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm
-from scipy.optimize import newton
 
-from vibrojax.compile.xla import precision
-from vibrojax.lazy import jax, jnp
 from vibrojax.periodic.brackets import LOCATED_WITHIN
-from vibrojax.periodic.flow_map import moving_names
+from vibrojax.periodic.equilibria import Equilibrium, equilibrium_near, hopf_near, section_product
 from vibrojax.periodic.problem import Points, Problem
-from vibrojax.scenes import Scene
-
-EQUILIBRIUM_MAX_ITERATIONS = 20
-"""Largest number of Newton iterations for an equilibrium."""
-
-EQUILIBRIUM_STEP = 1e-13
-"""Newton step, relative to the largest state or scale, below which an equilibrium has converged."""
+from vibrojax.periodic.timed_problem import TimedProblem, transverse
 
 SMALLEST_SWING = 3e-3
 """Amplitude, relative to the family's first orbit, at which a branch ends if it shrinks into an equilibrium. Its
@@ -51,29 +40,14 @@ within rounding errors. The curvature of the branch contributes a few percent.""
 SAME_FREQUENCY = 0.05
 """Largest relative difference between the frequencies of the last orbit and of the eigenvalues at the Hopf point."""
 
+HOPF_PARTS = 16
+"""Number of parts of orbits that begin at a Hopf point and still change much."""
 
-class Equilibrium(NamedTuple):
-    """An equilibrium: its states, and the derivatives of the field and of the section's velocity (`normal`).
+AMPLITUDES = (2e-2, 5e-3, 1e-3)
+"""Scaled amplitudes that are tried for the first orbit near a Hopf point."""
 
-    Drifting and redundant states are left out.
-    """
-
-    states: Float[np.ndarray, " states"]
-    jacobian: Float[np.ndarray, "states states"]
-    normal: Float[np.ndarray, " states"]
-
-    def pair(self, frequency: float) -> tuple[complex, np.ndarray]:
-        """Return the eigenvalue nearest to i `frequency` [1/s], and its eigenvector."""
-        values, vectors = np.linalg.eig(self.jacobian)
-        nearest = int(np.abs(values - 1j * frequency).argmin())
-        return complex(values[nearest]), vectors[:, nearest]
-
-    def nearest_pair(self) -> tuple[complex, np.ndarray] | None:
-        """Return the complex eigenvalue next to the imaginary axis, and its eigenvector; None if all are real."""
-        values, vectors = np.linalg.eig(self.jacobian)
-        turning = np.flatnonzero(values.imag > 0)
-        nearest = turning[np.abs(values[turning].real).argmin()] if len(turning) else None
-        return None if nearest is None else (complex(values[nearest]), vectors[:, nearest])
+GROWN, MOST_GROWN = 1.5, 40
+"""Ratio of the amplitudes of successive orbits that grow from a Hopf point, and their largest number."""
 
 
 def hopf_point(problem: Problem, points: Points) -> Points | None:
@@ -85,36 +59,49 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
     if scene.section is None or last.times.shape[1] > 1 or last.signature.any() or not np.isfinite(last.times).all():
         return None
     family, [along] = last.family, problem.along
-    field, rows = _field_near(problem, last)
-    value, frequency = float(problem.values(family, last.u)[0, 0]), 2 * np.pi / float(last.times[0, 0])
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of the secant method, for a growth that is constant
-        extrapolated = _extrapolated(problem, points, field, rows)
-        if extrapolated is None:
-            return None
-        predicted, base = extrapolated
-
-        def growth(at: float) -> float:
-            known = field.equilibrium({along: at})
-            return np.nan if known is None else known.pair(frequency)[0].real
-
-        tolerance = LOCATED_WITHIN * problem.unit[family[0], 0]
-        # The secant method needs two different values.
-        other = predicted if abs(predicted - value) > tolerance else value + 2 * tolerance
-        located, report = newton(growth, value, x1=other, tol=tolerance, full_output=True, disp=False)
-        known = field.equilibrium({along: located}) if report.converged else None
-    if known is None or not problem.first[family[0], 0] <= located <= problem.last[family[0], 0]:
+    extrapolated = _extrapolated(problem, points)
+    if extrapolated is None:
         return None
-    eigenvalue, vector = known.pair(frequency)
+    (predicted, base), (guess, scale, parameters) = extrapolated, _surroundings(problem, last)
+    value, frequency = float(problem.values(family, last.u)[0, 0]), 2 * np.pi / float(last.times[0, 0])
+    tolerance = LOCATED_WITHIN * float(problem.unit[family[0], 0])
+    other = predicted if abs(predicted - value) > tolerance else value + 2 * tolerance
+    found = hopf_near(scene, along, parameters, guess, scale, frequency, (value, other), tolerance)
+    if found is None or not problem.first[family[0], 0] <= found[0] <= problem.last[family[0], 0]:
+        return None
+    located, known, eigenvalue, vector = found
     near = abs(located - predicted) < EXTRAPOLATION_ERROR * max(abs(located - value), base)
     if not near or abs(eigenvalue.imag / frequency - 1) > SAME_FREQUENCY:
         return None
-    period = 2 * np.pi / eigenvalue.imag
     product = section_product(scene, known, eigenvalue, vector, problem.scales[family[0]])
-    u = problem.unknowns(family, known.states[rows][None, None], np.array([[located]]))
-    zero = np.zeros_like(last.margin)
-    times = np.full_like(last.times, period)
-    return last._replace(u=u, off=np.zeros_like(last.off), times=times, product=product[None], margin=zero)
+    u = problem.unknowns(family, known.states[problem.places][None, None], np.array([[located]]))
+    times = np.full_like(last.times, 2 * np.pi / eigenvalue.imag)
+    off, margin = np.zeros_like(last.off), np.zeros_like(last.margin)
+    return last._replace(u=u, off=off, times=times, product=product[None], margin=margin)
+
+
+def timed_hopf_point(problem: TimedProblem, pair: Points) -> Points | None:
+    """Return the Hopf point between two orbits on opposite sides of an equilibrium, or None."""
+    last, [along] = pair.of([0]), problem.along
+    family, number, unit = last.family, int(last.family[0]), float(problem.unit[last.family[0], 0])
+    first, second = problem.values(pair.family, pair.u)[:, 0].tolist()
+    if abs(first - second) < 1e-9 * unit:
+        second = first + 1e-6 * unit
+    multiple = last.times.shape[1]
+    guess, size, parameters = _surroundings(problem, last)
+    frequency = 2 * np.pi * multiple / float(pair.period.mean())
+    found = hopf_near(problem.scene, along, parameters, guess, size, frequency, (first, second), 1e-14 * unit)
+    if found is None or abs(found[0] - (first + second) / 2) > 0.5 * unit:
+        return None
+    located, known, eigenvalue, vector = found
+    period = multiple * 2 * np.pi / eigenvalue.imag
+    states = np.repeat(known.states[None, None], problem.cycles(pair.u), axis=1)
+    u = problem.timed_unknowns(family, states, np.array([period]), np.array([[located]]))
+    scale = problem.scales[number]
+    whole = expm(known.jacobian * period) * scale / scale[:, None]
+    product = transverse(whole[None, None], (vector.real / scale)[None, None])
+    times = np.full_like(last.times, period / multiple)
+    return last._replace(u=u, off=np.zeros_like(last.off), times=times, product=product)
 
 
 def surrounds_equilibrium(problem: Problem, point: Points) -> bool:
@@ -122,99 +109,86 @@ def surrounds_equilibrium(problem: Problem, point: Points) -> bool:
 
     A forced motion has no equilibrium: it may be small, but its amplitude does not vanish along a family.
     """
-    if problem.scene.section is None:
-        return False
-    (field, rows), value = _field_near(problem, point), problem.values(point.family, point.u)[0]
-    known = field.equilibrium(dict(zip(problem.along, value.tolist(), strict=True)))
+    known = None if problem.scene.section is None else _equilibrium_inside(problem, point)
     if known is None:
         return False
-    distance = np.abs(known.states[rows] - problem.states(point.family, point.u)[0]) / problem.scales[point.family]
-    return bool(distance.max() < ENCLOSED * SMALLEST_SWING)
+    distance = np.abs(known.states[problem.places] - problem.states(point.family, point.u)[0])
+    return bool((distance / problem.scales[point.family]).max() < ENCLOSED * SMALLEST_SWING)
 
 
-def _field_near(problem: Problem, point: Points) -> tuple["Field", list[int]]:
-    """Return the field in the mode of an orbit, and the places of the return map's states among its states."""
-    scene, names = problem.scene, moving_names(problem.scene)
-    section = dict(zip(scene.return_states, problem.states(point.family, point.u)[0, 0], strict=True))
-    begin = np.array([section.get(name, 0.0) for name in names])
-    parameters = {name: x[point.family[0]] for name, x in problem.parameters.items()}
-    field = Field(scene, parameters, begin, float(problem.scales[point.family[0]].max()))
-    return field, [names.index(name) for name in scene.return_states]
+def _surroundings(problem: Problem, point: Points) -> tuple[Float[np.ndarray, " states"], float, dict[str, float]]:
+    """Return the mean of the states of an orbit, as moving states, their largest scale, and all parameters."""
+    guess, parameters = np.zeros(len(problem.moving)), problem.parameters_at(point.family, point.u)
+    guess[problem.places] = problem.states(point.family, point.u)[0].mean(axis=0)
+    return guess, float(problem.scales[point.family].max()), {name: float(x[0]) for name, x in parameters.items()}
 
 
-def section_product(
-    scene: Scene[Any], known: Equilibrium, eigenvalue: complex, vector: np.ndarray, scale: np.ndarray
-) -> Float[np.ndarray, "states states"]:
-    """Return the derivative of the return map to the section in the limit of zero amplitude, in scaled states."""
-    assert scene.section is not None
-    names = moving_names(scene)
-    rows, normal = [names.index(name) for name in scene.return_states], known.normal
-    away = (vector / (normal @ vector) * 1j).real  # on the section: its velocity is zero
-    flow, whole = known.jacobian @ away, expm(known.jacobian * (2 * np.pi / eigenvalue.imag))
-    product = whole - np.outer(flow / (normal @ flow), normal @ whole)
-    return np.asarray(product[np.ix_(rows, rows)] * scale / scale[:, None])
+def _equilibrium_inside(problem: Problem, point: Points) -> Equilibrium | None:
+    guess, scale, parameters = _surroundings(problem, point)
+    return equilibrium_near(problem.scene, parameters, guess, scale)
 
 
-class Field:
-    """Equilibria in the mode of an orbit without events; `begin`: its states without drifting ones.
-
-    `scale`: largest scale of a state. At an equilibrium, all states may be zero.
-    """
-
-    def __init__(
-        self, scene: Scene[Any], parameters: Mapping[str, Any], begin: Float[np.ndarray, " states"], scale: float
-    ) -> None:
-        self._begin, self._scale, names = begin, scale, moving_names(scene)
-        assert scene.section is not None
-        velocity = scene.section.velocity
-        beside = () if velocity in names else (velocity,)
-        self._normal = None if beside else np.eye(len(names))[names.index(velocity)]
-
-        def whole(states: Any) -> tuple[Any, ...]:
-            known = dict(zip(names, states, strict=True))
-            return tuple(known.get(name, jnp.zeros_like(states[0])) for name in scene.state_names)
-
-        def field(states: Any, at: Any) -> tuple[Any, Any]:
-            c, y = scene.constants(dict(parameters) | at), whole(states)
-            mode = scene.mode_at(c, whole(jnp.asarray(self._begin)))
-            rates = dict(zip(scene.state_names, scene.field(c, mode, y), strict=True))
-            inside = [jnp.ravel(value > 0).all() for value in scene.guard_values(c, mode, y)]
-            return jnp.stack([rates[name] for name in (*names, *beside)]), jnp.stack([jnp.asarray(True), *inside]).all()
-
-        self._rates = jax.jit(lambda states, at: (*field(states, at), jax.jacfwd(lambda x: field(x, at)[0])(states)))
-
-    def equilibrium(self, at: Mapping[str, float]) -> Equilibrium | None:
-        """Return the equilibrium at parameters `at`, by name; None without one in the mode of the orbit."""
-        states, values = self._begin, {name: np.float64(x) for name, x in at.items()}
-        for _ in range(EQUILIBRIUM_MAX_ITERATIONS):
-            with precision("float64"):
-                rates, inside, jacobian = map(np.asarray, self._rates(states, values))
-            rates, jacobian, beside = rates[: len(states)], jacobian[: len(states)], jacobian[len(states) :]
-            if not np.isfinite(jacobian).all() or np.linalg.matrix_rank(jacobian) < len(states):
-                return None
-            step = np.linalg.solve(jacobian, -rates)
-            states = states + step
-            if np.abs(step).max() <= EQUILIBRIUM_STEP * max(np.abs(states).max(), self._scale):
-                # The rate of a section's function is its gradient times the field, which is zero here.
-                normal = self._normal if self._normal is not None else np.linalg.solve(jacobian.T, beside[0])
-                return Equilibrium(states, jacobian, normal) if inside else None
-        return None
-
-
-def _extrapolated(problem: Problem, points: Points, field: Field, rows: list[int]) -> tuple[float, float] | None:
+def _extrapolated(problem: Problem, points: Points) -> tuple[float, float] | None:
     """Return the parameter value at which the squares of the last amplitudes extrapolate to zero, or None.
 
     The second result is the distance between the two values from which it is extrapolated.
     """
     squares: list[float] = []
-    values, [along] = problem.values(points.family, points.u)[:, 0], problem.along
+    values = problem.values(points.family, points.u)[:, 0]
     for k in range(len(values) - 1, -1, -1):
-        known = field.equilibrium({along: float(values[k])})
-        if known is None or (points.signature[k] != points.signature[-1]).any():
+        point = points.of([k])
+        known = _equilibrium_inside(problem, point)
+        if known is None or (point.signature != points.signature[-1]).any():
             return None
-        states = problem.states(points.family[[k]], points.u[[k]])[0, 0]
-        squares.append(float((((states - known.states[rows]) / problem.scales[points.family[k]]) ** 2).sum()))
+        apart = (problem.states(point.family, point.u)[0, 0] - known.states[problem.places]) / problem.scales[
+            point.family
+        ]
+        squares.append(float((apart**2).sum()))
         if squares[-1] > SHRINKING**2 * squares[0]:
             change = float(values[-1] - values[k])
             return float(values[-1]) + squares[0] * change / (squares[-1] - squares[0]), abs(change)
     return None
+
+
+def orbit_at_hopf(
+    problem: Problem, known: Equilibrium, scales: Float[np.ndarray, " states"], value: float
+) -> tuple[TimedProblem, np.ndarray] | None:
+    """Return the equations and the unknowns of a small orbit around an equilibrium at a Hopf point, or None.
+
+    The orbit begins as an ellipse in the plane of the critical eigenvector (Kuznetsov, *Elements of Applied Bifurcation
+    Theory*, section 3.4), and the parameter follows from it.
+    """
+    pair = known.pair()
+    if pair is None:
+        return None
+    (eigenvalue, vector), family = pair, np.zeros(1, int)
+    period, vector = np.array([2 * np.pi / eigenvalue.imag]), vector / np.abs(vector / scales).max()
+    timed = TimedProblem.of(problem, family, scales[None], period, HOPF_PARTS)
+    ellipse = (vector * np.exp(2j * np.pi * np.arange(HOPF_PARTS) / HOPF_PARTS)[:, None]).real
+    states = np.stack([np.broadcast_to(known.states, ellipse.shape), known.states + ellipse])[:, None]
+    centre, orbit = (timed.timed_unknowns(family, x, period, np.array([[value]])) for x in states)
+    for amplitude in AMPLITUDES:
+        at = _away_from(timed, centre, orbit, amplitude)
+        if at is not None and at.swing[0] > amplitude / 10:
+            return timed, at.u[0]
+    return None
+
+
+def larger_orbits(timed: TimedProblem, u: np.ndarray) -> Iterator[Points]:
+    """Yield orbits of the family that begins at a Hopf point, each larger than the one before; first that of `u`."""
+    now: Points | None = timed.evaluate(np.zeros(1, int), u[None])
+    for _ in range(MOST_GROWN):
+        if now is None:
+            return
+        yield now
+        states, values = timed.states(now.family, now.u), timed.values(now.family, now.u)
+        mean = np.broadcast_to(states.mean(axis=1, keepdims=True), states.shape)
+        now = _away_from(timed, timed.timed_unknowns(now.family, mean, now.period, values), now.u, GROWN)
+
+
+def _away_from(timed: TimedProblem, centre: np.ndarray, orbit: np.ndarray, share: float) -> Points | None:
+    """Return the orbit at a distance from the centre, `share` times that of another orbit; None without one."""
+    guess = centre + share * (orbit - centre)
+    row = (guess - centre) / np.linalg.norm(guess - centre)
+    now, converged = timed.correct(np.zeros(1, int), guess, row, np.einsum("ij,ij->i", row, guess))
+    return now if converged[0] else None

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrojax.periodic.flow_map import moving_names
 from vibrojax.periodic.newton import chain, images_by_lane, multipliers, shooting_matrix, solve
 from vibrojax.periodic.return_map import Segments
 from vibrojax.scenes import Scene
@@ -129,6 +130,7 @@ class Problem:
     - `most_steps`: step limit between two section crossings, above which a motion counts as not returning.
     - `at_section`: whether an orbit is described by its states at the section.
     - `closes`: whether equal orbits have equal unknowns, so that a branch can be seen to be back where it began.
+    - `noun`: word for a solution in notes; `weight`: factor of the scaled states among the unknowns.
     - `most_growth`: modulus of a multiplier beyond which a branch ends; `impossible`: kinds of special points that the
       motions cannot have.
     """
@@ -136,6 +138,7 @@ class Problem:
     at_section: ClassVar[bool] = True
     closes: ClassVar[bool] = True
     most_growth: ClassVar[float] = MAX_MULTIPLIER
+    noun: ClassVar[str] = "orbit"
     impossible: tuple[str, ...] = ()
     scene: Scene[Any]
     along: tuple[str, ...]
@@ -153,6 +156,25 @@ class Problem:
     @property
     def rows(self) -> int:
         return self.scales.shape[1]
+
+    @property
+    def weight(self) -> float:
+        return 1.0
+
+    @cached_property
+    def moving(self) -> list[str]:
+        """Names of the states that move."""
+        return moving_names(self.scene)
+
+    @property
+    def state_names(self) -> Sequence[str]:
+        """Names of the states in the equations."""
+        return self.scene.return_states if self.at_section else self.moving
+
+    @property
+    def places(self) -> list[int]:
+        """Indices of the equations' states among those that move."""
+        return [self.moving.index(name) for name in self.state_names]
 
     def cycles(self, u: Unknowns) -> int:
         """Return the number of section crossings per period that belongs to the number of unknowns."""
@@ -197,6 +219,27 @@ class Problem:
         half, odd = divmod(self.cycles(points.u), 2)
         half *= self.rows
         return points.u if odd else points.u[:, :half] - points.u[:, half : 2 * half]
+
+    def doubled(self, points: Points) -> tuple[Unknowns, Unknowns]:
+        """Return the unknowns of orbits gone round twice, and the tangents of the branches of twice the period.
+
+        The tangent is the eigenvector of the multiplier -1: after one period of the original orbit, a neighbouring
+        state is on the opposite side of that orbit.
+        """
+        parts, rows = self.cycles(points.u), self.rows
+        size = parts * rows
+        blocks = points.matrix[:, :size, :size].reshape(len(points.u), parts, rows, parts, rows) * self.weight
+        own = np.stack([blocks[:, k, :, k] for k in range(parts)], axis=1)
+        values, vectors = np.linalg.eig(points.product if self.at_section else chain(own))
+        nearest = np.abs(values + 1).argmin(axis=1)
+        steps = [np.take_along_axis(vectors, nearest[:, None, None], axis=2)[..., 0].real]
+        for k in range(parts - 1):
+            steps.append(np.einsum("ijk,ik->ij", own[:, k], steps[-1]))
+        half, others = np.concatenate(steps, axis=1), points.u[:, size:].copy()
+        others[:, : -len(self.along)] *= 2  # the period, if it is among the unknowns
+        u = np.concatenate([points.u[:, :size], points.u[:, :size], others], axis=1)
+        tangent = np.concatenate([half, -half, np.zeros_like(others)], axis=1)
+        return u, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
 
     def shift(self, points: Points) -> Unknowns:
         """Return the direction along which orbits are the same but for their phase: none at a section."""

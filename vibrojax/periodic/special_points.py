@@ -1,8 +1,8 @@
-"""Passage of branches through special points: corners, tangencies with the section, and period doublings.
+"""Passage of branches through special points: corners and tangencies with the section.
 
 Where an event begins or vanishes, the return map has a kink. The branch has a corner there, which may be so sharp that
 the branch turns back. Where the motion becomes tangent to the section, the branch continues with another number of
-section crossings per period. At a period doubling, a branch with twice the period begins.
+section crossings per period.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,6 @@ from vibrojax.periodic.arclength import SHORTEST_STEP
 from vibrojax.periodic.brackets import EVENT_CHANGE, Brackets
 from vibrojax.periodic.location import SAME_TIME
 from vibrojax.periodic.problem import Flags, PerLane, Points, Problem, Unknowns, towards
-from vibrojax.periodic.timed_problem import TimedProblem
 
 BEFORE_CORNER = 100 * SHORTEST_STEP
 """Scaled distance before a corner at which a point certainly has the events of the side before the corner."""
@@ -121,28 +120,6 @@ def cross_impact(problem: Problem, last: Points) -> Points | None:
                 if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
                     return now.along(towards(guess, sign))
     return None
-
-
-def doubled_branch(problem: Problem, points: Points) -> tuple[Unknowns, Unknowns]:
-    """Return the doubled unknowns at period doublings, and the tangents of the doubled branches.
-
-    The tangent is the eigenvector of the multiplier -1: after one period of the original orbit, a neighbouring state is
-    on the opposite side of that orbit.
-    """
-    if isinstance(problem, TimedProblem):
-        return problem.doubled(points)
-    lanes, rows = len(points.u), problem.rows
-    cycles = points.times.shape[1]
-    values, vectors = np.linalg.eig(points.product)
-    nearest = np.abs(values + 1).argmin(axis=1)
-    parts = [np.take_along_axis(vectors, nearest[:, None, None], axis=2)[..., 0].real]
-    blocks = points.matrix[..., :-1].reshape(lanes, cycles, rows, cycles, rows)
-    for k in range(cycles - 1):
-        parts.append(np.einsum("ijk,ik->ij", blocks[:, k, :, k], parts[-1]))
-    half = np.concatenate(parts, axis=1)
-    u = np.concatenate([points.u[:, :-1], points.u], axis=1)
-    tangent = np.concatenate([half, -half, np.zeros((lanes, 1))], axis=1)
-    return u, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
 
 
 def branch_distance(u: Unknowns, departure: Unknowns) -> PerLane:

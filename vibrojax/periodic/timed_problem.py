@@ -53,24 +53,39 @@ class TimedProblem(Problem):
         return (u.shape[1] - 1 - len(self.along)) // self.rows
 
     @property
-    def _weight(self) -> float:
+    def weight(self) -> float:
         """Factor of the unknown states, so that the norm of a change does not grow with the number of parts."""
         return float(self.parts) ** -0.5
 
-    def unknowns_of(
+    @classmethod
+    def of(
+        cls, problem: Problem, families: Index, scales: Float[np.ndarray, "orbits states"], period: PerLane, parts: int
+    ) -> "TimedProblem":
+        """Return the equations without a section; `scales`, `period`: of one orbit for each of `families`."""
+        count = len(problem.scales)
+        every, unit = np.ones((count, scales.shape[1])), np.ones(count)
+        every[families], unit[families] = scales, period
+        return cls(
+            scene=problem.scene, along=problem.along, parameters=problem.parameters, scales=every, unit=problem.unit,
+            first=problem.first, last=problem.last, most_steps=problem.most_steps, period_unit=unit, parts=parts,
+            # In the plane, orbits do not cross.
+            impossible=("period-doubling", "torus") if scales.shape[1] == 2 else (),
+        )  # fmt: skip
+
+    def timed_unknowns(
         self,
         family: Index,
         states: Float[np.ndarray, "lanes parts states"],
         period: PerLane,
         values: Float[np.ndarray, "lanes varied"],
     ) -> Unknowns:
-        scaled = states / self.scales[family][:, None] * self._weight
+        scaled = states / self.scales[family][:, None] * self.weight
         periods = period / self.period_unit[family]
         return np.column_stack([scaled.reshape(len(family), -1), periods, values / self.unit[family]])
 
     def states(self, family: Index, u: Unknowns) -> Float[np.ndarray, "lanes parts states"]:
         own = u[:, : -1 - len(self.along)].reshape(len(u), self.cycles(u), self.rows)
-        return own * self.scales[family][:, None] / self._weight
+        return own * self.scales[family][:, None] / self.weight
 
     def period(self, family: Index, u: Unknowns) -> PerLane:
         return np.asarray(u[:, -1 - len(self.along)] * self.period_unit[family])
@@ -80,22 +95,6 @@ class TimedProblem(Problem):
 
     def shift(self, points: Points) -> Unknowns:
         return points.matrix[:, -1]
-
-    def doubled(self, points: Points) -> tuple[Unknowns, Unknowns]:
-        """Return the unknowns of orbits gone round twice, and the tangents of the branches of twice the period."""
-        parts, rows = self.cycles(points.u), self.rows
-        size = parts * rows
-        blocks = points.matrix[:, :size, :size].reshape(len(points.u), parts, rows, parts, rows) * self._weight
-        own = np.stack([blocks[:, k, :, k] for k in range(parts)], axis=1)
-        values, vectors = np.linalg.eig(chain(own))
-        nearest = np.abs(values + 1).argmin(axis=1)
-        steps = [np.take_along_axis(vectors, nearest[:, None, None], axis=2)[..., 0].real]
-        for k in range(parts - 1):
-            steps.append(np.einsum("ijk,ik->ij", own[:, k], steps[-1]))
-        half, others = np.concatenate(steps, axis=1), points.u[:, size:]
-        u = np.concatenate([points.u[:, :size], points.u[:, :size], 2 * others[:, :1], others[:, 1:]], axis=1)
-        tangent = np.concatenate([half, -half, np.zeros_like(others)], axis=1)
-        return u, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
 
     def evaluate(self, family: Index, u: Unknowns) -> Points:
         states, parts = self.states(family, u), self.cycles(u)
@@ -108,7 +107,7 @@ class TimedProblem(Problem):
     def timed_orbit(self, family: Index, u: Unknowns, states: Any, period: PerLane, images: Flowed) -> Points:
         """Return the points with the equations of the orbits."""
         lanes, parts, rows = states.shape
-        scale, weight = self.scales[family], self._weight
+        scale, weight = self.scales[family], self.weight
         off = (images.state - np.roll(states, -1, axis=1)) / scale[:, None]
         jacobian = images.jacobian / scale[:, None, :, None]
         by_states = jacobian[..., :rows] * scale[:, None, None, :]

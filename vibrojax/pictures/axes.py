@@ -89,7 +89,7 @@ def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
 def broken(text: str, letters: int) -> str:
     """Return a text in lines of at most `letters` characters, none of which begins with a unit."""
     unbroken = " ".join(text.split()).replace(" [", "\u00a0[")
-    return fill(unbroken, max(letters, 8)).replace("\u00a0", " ")
+    return fill(unbroken, max(letters, 8), break_long_words=False).replace("\u00a0", " ")
 
 
 def with_unit(text: str, unit: str) -> str:

@@ -10,7 +10,7 @@ from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 from vibrojax.errors import InputError
 from vibrojax.lazy import colors, ticker
 from vibrojax.measures.labels import REGIMES
-from vibrojax.pictures.axes import axis, edges, margins, number, pretty_unit, scale, values_along, with_unit
+from vibrojax.pictures.axes import axis, edges, margins, number, pretty_unit, scale, value_text, values_along, with_unit
 from vibrojax.pictures.contents import POINT, REGIME, START, axes_of_map, lane_dims, without_single
 from vibrojax.pictures.maps import contours, region
 from vibrojax.pictures.plots import INK, Cells, Dash, Layer, Plot, Sheet, dots, patch
@@ -108,7 +108,7 @@ def _best(ds: xr.Dataset, robust: np.ndarray, names: list[list[str]]) -> tuple[i
 
 
 def _best_text(ds: xr.Dataset, axes: tuple[str, str], best: tuple[int, int], names: list[list[str]]) -> str:
-    place = ", ".join(f"{name} = {number(float(ds[name][k]))}" for name, k in zip(axes, best[::-1], strict=True))
+    place = ", ".join(value_text(ds[name], float(ds[name][k])) for name, k in zip(axes, best[::-1], strict=True))
     words = []
     for name in (name for group in names for name in group):
         factor, unit = scale(ds[name])

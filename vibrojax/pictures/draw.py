@@ -43,13 +43,15 @@ from vibrojax.pictures.style import NO_VALUE, plain, settings
 
 _TITLE_SIZE, _NOTE_SIZE = 11.0, 8.0
 _ROUND_STEPS = [1, 2, 5, 10]
-_BAR_INTERVALS = 6  # greatest number between the ticks of a colour bar: more labels would touch each other
+# Greatest number of intervals between the ticks of a colour bar, also of a narrow one: more labels would touch.
+_BAR_INTERVALS, _FEW_INTERVALS = 6, 3
 _BAR_ASPECT = 24.0  # length over width of a colour bar below one panel
 _FEW_DECADES = 1e3  # ratio of the ends of a logarithmic axis below which 1, 2 and 5 have labels, as plain numbers
 _DASHED_LENGTH = 2.8  # length of a dashed line in the legend, in units of the font size: two dashes or more
 _NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
 _TITLE_LINES, _NOTE_LINES = 3, 6  # at most
 _LINE_HEIGHT = 1.6  # line spacing in units of the font size
+_FOOTER, _PADDING = 0.4, 0.08  # room of the note's first line, and around the note [inch]
 _TEXT_SHARE = 0.92  # share of the width for texts, whose letters are wider at other resolutions
 _BELOW_EDGE = 0.95  # height of markers at the upper edge, as a fraction of the panel
 _MANY_POINTS = 1_000  # from which on points are pixels in a PDF or SVG file; of a line 20 times as many
@@ -110,7 +112,7 @@ def _draw_plots(figure: Figure, whole: SubplotSpec, sheet: Sheet) -> None:
     for value in {id(plot.scale): plot.scale for plot in plots if plot.scale is not None}.values():
         below = [axes for axes, plot in zip(panels, plots, strict=True) if plot.scale is value]
         wide = len({plot.place[1] for plot in plots if plot.scale is value})
-        _draw_scale(figure, below, value, _BAR_ASPECT * wide)
+        _draw_scale(figure, below, value, _BAR_ASPECT * wide, _BAR_INTERVALS if sheet.beside else _FEW_INTERVALS)
 
 
 def _draw_plot(axes: Axes, plot: Plot, plots: Sequence[Plot]) -> None:
@@ -256,7 +258,7 @@ def _draw_legend(figure: Figure, sheet: Sheet) -> None:
         legend.remove()
 
 
-def _draw_scale(figure: Figure, above: list[Axes], value: Any, aspect: float) -> None:
+def _draw_scale(figure: Figure, above: list[Axes], value: Any, aspect: float, intervals: int) -> None:
     look: dict[str, Any] = {"extend": value.extend, "label": plain(value.label), "aspect": aspect}
     mappable = ScalarMappable(value.norm, value.colour_map)
     bar = figure.colorbar(mappable, ax=above, location="bottom", extendfrac=1.0 / aspect, **look)
@@ -268,7 +270,7 @@ def _draw_scale(figure: Figure, above: list[Axes], value: Any, aspect: float) ->
     elif not value.has_values:
         bar.set_ticks([])
     elif not isinstance(value.norm, LogNorm):
-        bar.set_ticks(MaxNLocator(_BAR_INTERVALS, steps=_ROUND_STEPS))
+        bar.set_ticks(MaxNLocator(intervals, steps=_ROUND_STEPS))
 
 
 def _write_margins(figure: Figure, sheet: Sheet) -> None:
@@ -291,17 +293,16 @@ def _write_margins(figure: Figure, sheet: Sheet) -> None:
     note = wrapped(sheet.note, FontProperties(size=_NOTE_SIZE), 0.0, _NOTE_LINES)
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontproperties=bold)
-    if note:
-        figure.supxlabel(note, x=0.01, ha="left", fontsize=_NOTE_SIZE, color="0.3")
+    footer = figure.supxlabel(note, x=0.01, ha="left", fontsize=_NOTE_SIZE, color="0.3") if note else None
     more = _LINE_HEIGHT / 72.0 * (_TITLE_SIZE * title.count("\n") + _NOTE_SIZE * note.count("\n"))
     height, legend = figure.get_figheight() + more, tall / figure.dpi
     if sheet.beside:
-        figure.set_figheight(max(height, legend + 0.3 * bool(note) + more))
+        figure.set_figheight(max(height, legend + _FOOTER * bool(note) + more))
     else:
         height += legend
         figure.set_figheight(height)
-        lines = _LINE_HEIGHT / 72.0 * _NOTE_SIZE * (note.count("\n") + 1) if note else 0.0
+        below = footer.get_window_extent(renderer).height / figure.dpi + _PADDING if footer else 0.0
         for each in figure.legends:
-            each.set_bbox_to_anchor((0.0, lines / height, 1.0, 1.0), figure.transFigure)
+            each.set_bbox_to_anchor((0.0, below / height, 1.0, 1.0), figure.transFigure)
         engine: Any = figure.get_layout_engine()
         engine.set(rect=(0.0, legend / height, 1.0, 1.0 - legend / height))

@@ -26,7 +26,7 @@ SMALL: Mapping[str, float] = {
 
 _INCHES = {"mm": 1 / 25.4, "cm": 1 / 2.54, "in": 1.0}
 _NARROWEST, _WIDEST = 1.5, 40.0  # [inch]
-_LEAST_PANEL = 1.25  # least width [inch] of a panel with its labels
+_LEAST_PANEL, _LEAST_SHARED = 1.25, 1.1  # least width [inch] of a panel with its labels, and with those of its row
 _KEYS_PANEL = 3.6  # width [inch] from which a panel keeps a legend of its own
 _MOST_ACROSS = 6
 _LETTERS = 14.5  # of small type along an inch
@@ -62,7 +62,8 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
         starts.setdefault((plot.span[2] > 1, plot.place[0]), []).append(plot)
     rows: list[tuple[list[Plot], float, float]] = []  # with the width and height of the panels
     for row in starts.values():
-        most = min(len(row), max(1, int(width / _LEAST_PANEL)), _MOST_ACROSS)
+        least = _LEAST_SHARED if row[0].y.group else _LEAST_PANEL
+        most = min(len(row), max(1, int(width / least)), _MOST_ACROSS)
         across = -(-len(row) // ceil(len(row) / most))  # rows of equal lengths
         first, column, deep, spanned = row[0].span
         height = inch[0] * sum(sheet.heights[first : first + deep])
@@ -93,7 +94,8 @@ def _narrowed(plot: Plot, width: float, height: float) -> Plot:
     """Return a panel whose texts are broken, and whose ticks are fewer, in a width and height [inch]."""
 
     def axis(of: Axis, length: float) -> Axis:
-        intervals = of.intervals or (4 if length < 2.2 else 0)
+        few = 3 if length < 1.0 else 4
+        intervals = min(of.intervals or few, few) if length < 2.2 else of.intervals
         texts = [text for _, text in of.ticks or ()]
         crowded = sum(len(text) + 2 for text in texts) > 1.2 * _LETTERS * length and max(map(len, texts)) > 4
         rotated = of.rotated or (of is plot.x and crowded)
@@ -101,5 +103,5 @@ def _narrowed(plot: Plot, width: float, height: float) -> Plot:
 
     # A legend of the plot's own would be as wide as the plot.
     keys = "" if width < _KEYS_PANEL else plot.keys
-    title = fill(plot.title, max(int(_LETTERS * (width - 0.3)), 10))
+    title = fill(plot.title, max(int(_LETTERS * (width - 0.2)), 10))
     return replace(plot, title=title, x=axis(plot.x, width - 0.3), y=axis(plot.y, height), keys=keys)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.path import Path
 
 from vibrojax.periodic.arclength import CLOSED
 from vibrojax.periodic.codim2 import CONTINUED
@@ -19,7 +20,7 @@ from vibrojax.periodic.curve_following import Curve, crossings, follow_curves
 from vibrojax.periodic.segments import ENDINGS
 from vibrojax.progress import Progress
 from vibrojax.studies.border_grid import OrbitGrid, OrbitLoss, Vertex
-from vibrojax.studies.curve_run import problem_through
+from vibrojax.studies.curves import problem_through
 
 ON_CURVE = 1e-2
 """Largest scaled distance of a vertex from the chords of its curve. Curves of one kind are farther apart."""
@@ -27,6 +28,12 @@ ON_CURVE = 1e-2
 MEETS = 2e-3
 """Largest scaled distance in the plane between the end of a curve, or a point of codimension two, and another curve on
 which the point lies, too."""
+
+GAP_CELLS = 0.2
+"""Width of the open tip of a wedge between two curves, the first of which ends there, in cells of the grid."""
+
+WEDGE_CELLS = 2.0
+"""Largest distance of the tip of a wedge between two curves from its last vertices, in cells of the grid."""
 
 MOST_ROUNDS = 3
 """Rounds of new curves; each starts from vertices that no curve covers yet."""
@@ -83,6 +90,15 @@ class Line:
         return ENDINGS[CLOSED] in self.curve.notes
 
     @property
+    def ends(self) -> list[float]:
+        """Places of the first and the last point; none of a closed curve."""
+        return [] if self.closed else [0.0, len(self.u) - 1.0]
+
+    def near(self, point: Point, cell: Point) -> list[float]:
+        """Return the places of the curve's points that are at most `GAP_CELLS` from another point."""
+        return [float(k) for k in np.flatnonzero((np.abs(self.values - point) < GAP_CELLS * cell).all(axis=1))]
+
+    @property
     def values(self) -> Plane:
         """The two parameters at each point."""
         return np.asarray(self.u[:, -2:] * self.problem.unit[self.curve.number])
@@ -92,6 +108,13 @@ class Line:
         steps = np.linalg.norm(np.diff(self.u[:, -2:], axis=0), axis=1)
         length = np.concatenate([[0.0], np.cumsum(steps)])
         return float(abs(np.diff(np.interp([first, second], np.arange(len(length)), length))[0]))
+
+    def between(self, first: float, last: float) -> Plane:
+        """Return the points of the curve from one place to another, without the places themselves."""
+        low, high = sorted((first, last))
+        inside = np.arange(np.floor(low) + 1, np.ceil(high), dtype=int)
+        values = self.values[inside % (len(self.u) - 1) if self.closed else inside]
+        return values if first <= last else values[::-1]
 
     def at(self, place: float) -> Point:
         """Return the two parameters at a place."""
@@ -197,11 +220,9 @@ class ContinuedBorders:
             if end is not None and end[1] is not None:
                 places.insert(position, end[1])
                 points.insert(position, end[0])
-        period = len(line.u) - 1
-        along = np.unwrap(places, period=period) if line.closed else np.array(places)
+        along = np.unwrap(places, period=len(line.u) - 1) if line.closed else np.array(places)
         low, high = int(along.argmin()), int(along.argmax())
-        inside = np.arange(np.floor(along[low]) + 1, np.ceil(along[high]), dtype=int)
-        between = line.values[inside % period if line.closed else inside]
+        between = line.between(along[low], along[high])
         parts = [points[low][None], between, points[high][None]] if high != low else [points[low][None]]
         return Border(run[0].kind, np.concatenate(parts), line, (float(along[low]), float(along[high])))
 
@@ -212,21 +233,67 @@ class ContinuedBorders:
         widths = []  # of the cell: distances of the grid points on both sides of the middle
         for axis, value in zip(self._grid.values, middle, strict=True):
             ordered = np.sort(axis)
-            k = int(np.clip(np.searchsorted(ordered, value), 1, len(ordered) - 1))
-            widths.append(float(ordered[k] - ordered[k - 1]))
+            above = int(np.clip(np.searchsorted(ordered, value), 1, len(ordered) - 1))
+            widths.append(float(ordered[above] - ordered[above - 1]))
         cell = np.array(widths)
         if here is not None and there is not None:
-            return _meeting(here, there, middle, cell) or (None, None)
+            return self._meeting(here, there, middle, cell) or (None, None)
         known = here or there
         if known is None:
             return (middle, None), (middle, None)
         (line, place), vertex = known, first if here is not None else second
         own: End = np.array([vertex.x, vertex.y]), place
-        ends = [] if line.closed else [0, len(line.u) - 1]
-        off, k = min(((float((np.abs(line.values[k] - middle) / cell).max()), k) for k in ends), default=(np.inf, 0))
+        off, k = min(((float((np.abs(line.at(k) - middle) / cell).max()), k) for k in line.ends), default=(np.inf, 0.0))
         if off <= 1:
-            own = line.values[k], float(k)
+            own = line.values[int(k)], k
         return (own, (own[0], None)) if here is not None else ((own[0], None), own)
+
+    def _meeting(
+        self, first: tuple[Line, float], second: tuple[Line, float], middle: Point, cell: Point
+    ) -> tuple[End, End] | None:
+        """Return the ends of two curves where they meet nearest to two vertices, or where one ends next to the other.
+
+        They meet at most a cell away from the middle of the vertices. A wedge may be longer: its tip is up to
+        `WEDGE_CELLS` cells away, if no point of the grid is between the two curves. The tip is open if one curve ends
+        within `GAP_CELLS` of the other, which then is followed to that distance.
+
+        **Arguments:** `first`, `second`: the two curves, and the places of the vertices on them.
+        """
+        (one, first_place), (another, second_place) = first, second
+        grid = np.stack(np.meshgrid(*self._grid.values), axis=-1).reshape(-1, 2)
+
+        def nearest(meetings: list[tuple[Point, float, Point, float]], tips: bool = False) -> tuple[End, End] | None:
+            """Return the nearest of meetings, or the farthest of tips, given by points and places on both curves."""
+            known: list[tuple[float, End, End]] = []
+            for p, here, q, there in meetings:
+                cells = float((np.abs(p - middle) / cell).max())
+                sides = one.between(first_place, here), p[None], q[None], another.between(there, second_place)
+                wedge = Path(np.concatenate([one.at(first_place)[None], *sides, another.at(second_place)[None]]))
+                is_wedge = cells <= WEDGE_CELLS and not wedge.contains_points(grid).any()
+                if is_wedge or (cells <= 1 and not tips):
+                    way = one.distance(here, first_place) + another.distance(there, second_place)
+                    known.append((way, (p, here), (q, there)))
+            return (max if tips else min)(known, key=lambda x: x[0])[1:] if known else None
+
+        meet: list[tuple[Point, float, Point, float]] = []
+        for k in one.corners:
+            place, off = nearest_place(another.u[:, -2:], one.u[k, -2:])
+            meet += [(one.values[k], float(k), one.values[k], place)] * (off < MEETS)
+        for k in another.corners:
+            place, off = nearest_place(one.u[:, -2:], another.u[k, -2:])
+            meet += [(another.values[k], place, another.values[k], float(k))] * (off < MEETS)
+        a, b = np.diff(one.values, axis=0)[:, None], np.diff(another.values, axis=0)[None]
+        between = another.values[None, :-1] - one.values[:-1, None]
+        with np.errstate(all="ignore"):
+            area = _cross(a, b)
+            s, t = _cross(between, b) / area, _cross(between, a) / area
+        crossing = []
+        for i, j in np.argwhere((s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)).tolist():
+            p = one.at(i + s[i, j])
+            crossing.append((p, i + float(s[i, j]), p, j + float(t[i, j])))
+        tips = [(one.at(k), k, another.at(j), j) for k in one.ends for j in another.near(one.at(k), cell)]
+        tips += [(one.at(j), j, another.at(k), k) for k in another.ends for j in one.near(another.at(k), cell)]
+        return nearest(meet) or nearest(crossing) or nearest(tips, tips=True)
 
 
 def crossings_of(border: Border, which: int, value: float) -> list[np.ndarray]:
@@ -252,41 +319,6 @@ def nearest_place(curve: np.ndarray, point: np.ndarray) -> tuple[float, float]:
     off = np.linalg.norm(begin + share[:, None] * chord - point, axis=1)
     k = int(np.nan_to_num(off, nan=np.inf).argmin())
     return k + float(share[k]), float(off[k])
-
-
-def _meeting(
-    first: tuple[Line, float], second: tuple[Line, float], middle: Point, cell: Point
-) -> tuple[End, End] | None:
-    """Return the ends of two curves where they meet nearest to two vertices, at most a cell away from their middle.
-
-    **Arguments:** `first`, `second`: the two curves, and the places of the vertices on them.
-    """
-    (one, first_place), (another, second_place) = first, second
-    meetings: list[tuple[Point, float, float]] = []  # points, and their places on both curves
-    for k in one.corners:
-        place, off = nearest_place(another.u[:, -2:], one.u[k, -2:])
-        meetings += [(one.values[k], float(k), place)] * (off < MEETS)
-    for k in another.corners:
-        place, off = nearest_place(one.u[:, -2:], another.u[k, -2:])
-        meetings += [(another.values[k], place, float(k))] * (off < MEETS)
-    meetings = [meeting for meeting in meetings if (np.abs(meeting[0] - middle) <= cell).all()]
-    if not meetings:
-        p, q = one.values, another.values
-        a, b = np.diff(p, axis=0)[:, None], np.diff(q, axis=0)[None]
-        between = q[None, :-1] - p[:-1, None]
-        with np.errstate(all="ignore"):
-            area = _cross(a, b)
-            s, t = _cross(between, b) / area, _cross(between, a) / area
-        for i, j in np.argwhere((s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)).tolist():
-            point = one.at(i + s[i, j])
-            if (np.abs(point - middle) <= cell).all():
-                meetings.append((point, i + float(s[i, j]), j + float(t[i, j])))
-    if not meetings:
-        return None
-    point, here, there = min(
-        meetings, key=lambda meeting: one.distance(meeting[1], first_place) + another.distance(meeting[2], second_place)
-    )
-    return (point, here), (point, there)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

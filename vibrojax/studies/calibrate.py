@@ -19,7 +19,8 @@ from vibrojax.progress import Progress
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.calibration_estimate import CALIBRATION_VARIABLES, VAGUE, estimated
 from vibrojax.studies.calibration_file import LAW, Calibration, read_calibration
-from vibrojax.studies.calibration_model import CONSTANT, SCREENED, VELOCITY, Fit, Model, fit_from, starts
+from vibrojax.studies.calibration_history import VELOCITY
+from vibrojax.studies.calibration_model import CONSTANT, SCREENED, Fit, Model, fit_from, starts
 from vibrojax.studies.subjects import FileAnalysis
 
 MIN_EXPONENT = 0.1

@@ -26,7 +26,8 @@ from vibrojax.settings.fields import Settings, given, setting, settings_of
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import Source, plain, read_source
 from vibrojax.settings.values import as_table, choice, read_pair, require_number
-from vibrojax.studies.calibration_model import CONSTANT, RATE, RELIEF, VELOCITY, History, Problem
+from vibrojax.studies.calibration_history import VELOCITY, History
+from vibrojax.studies.calibration_model import CONSTANT, RATE, RELIEF, Problem
 
 LAW = Parameter(
     CONSTANT, 1e-3, "m s-1", "coefficient of the law, rate = C ln(P/D)", CONSTANT, lowest=0.0, open_below=True

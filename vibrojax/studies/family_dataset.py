@@ -13,7 +13,7 @@ from vibrojax.io.variables import VARIABLES, Variable, described, orbit_name
 from vibrojax.lanes.labels import measured_besides, of_orbits
 from vibrojax.maps.dataset import parameter_attributes, shared_attributes
 from vibrojax.maps.sweep import Sweep
-from vibrojax.periodic.equilibria import EquilibriumProblem
+from vibrojax.periodic.equilibrium_families import EquilibriumProblem
 from vibrojax.periodic.flow_map import moving_names
 from vibrojax.periodic.margin import HOW
 from vibrojax.periodic.measuring import Measuring

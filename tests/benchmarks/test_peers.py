@@ -1,14 +1,8 @@
 """Test the peers of the benchmark against the exact reference, and the race's choice of settings."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from exact import measure, run
-
-sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
-
 from peers._peer import Points, Returns
 from peers.diffrax_events import DiffraxEvents
 from peers.diffrax_events import Tolerance as EventTolerance

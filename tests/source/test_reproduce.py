@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+
 from source.computations import SourceAnswers, Unanswered
 from source.page import write_reproduction
 from source.reproduction import FINDINGS, GROUPS, READINGS, Entry, judged, run_reproduction
 from source.rules import AGREES, DIFFERS, IN_TREND, VERDICTS, number, printed, trend, within_range
 
-SOURCE = Path(__file__).parent / "source"
+SOURCE = Path(__file__).parent
 ENTRIES = {entry.id: entry for group in GROUPS for entry in group.entries}
 
 EXPECTED = {  # from an independent event-exact integrator (model, section 5): leading number of `here`, and tolerance

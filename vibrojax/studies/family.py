@@ -1,0 +1,343 @@
+"""Continuation of families of periodic orbits and equilibria along one parameter: `follow`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.compile.xla import precision
+from vibrojax.errors import Place
+from vibrojax.io.variables import REGIMES
+from vibrojax.maps.run import run_sweep
+from vibrojax.measures.ledger import MOST_CYCLES
+from vibrojax.periodic.equilibria import Equilibrium, equilibrium_near
+from vibrojax.periodic.equilibrium_families import EquilibriumContinuation, EquilibriumProblem
+from vibrojax.periodic.families import FamilyContinuation, in_order
+from vibrojax.periodic.flow_map import Flow
+from vibrojax.periodic.hopf import orbit_at_hopf
+from vibrojax.periodic.orbit_stages import why_no_orbit
+from vibrojax.periodic.orbits import Orbits, orbits_of
+from vibrojax.periodic.problem import UNITS_PER_SPAN, Problem, towards
+from vibrojax.periodic.return_map import MOST_STEPS
+from vibrojax.periodic.segments import Mark
+from vibrojax.periodic.timed_families import TimedContinuation
+from vibrojax.periodic.timed_orbits import at_section, free_problem, returning_orbit, through
+from vibrojax.periodic.timed_problem import TimedProblem, has_free_phase
+from vibrojax.scenes import Scene
+from vibrojax.studies.family_dataset import families_dataset
+from vibrojax.studies.family_spec import SAME_HOPF, FamilySpec, family_spec
+
+SAME_CENTRE = 1e-3
+"""Difference of the states, relative to their scales, up to which two Hopf points at one value are the same."""
+
+GIVEN_DISTANCE = 0.3
+"""Largest scaled distance of the orbit that is found from the one that is given."""
+
+ANOTHER = "the next orbit that Newton's method finds is another one, of period {:.6g} s"
+
+
+def follow(
+    scene: str | Scene[Any],
+    *,
+    along: str | None = None,
+    at: float | None = None,
+    span: tuple[float, float] | None = None,
+    start: str | Sequence[float] | None = None,
+    orbit: Mapping[str, Any] | None = None,
+    from_hopf: xr.Dataset | str | PathLike[str] | None = None,
+    settle: float | None = None,
+    observe: float | None = None,
+    cycles: int = MOST_CYCLES,
+    progress: bool = True,
+    **parameters: Any,
+) -> xr.Dataset:
+    """Continue a family of stable and unstable periodic orbits along one parameter, and locate its special points.
+
+        fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
+
+    The family begins with the orbit on which the motion at `along` = `at` settles, with an `orbit` that is given, or at
+    the hopf points of a family of equilibria. If the motion settles at an equilibrium, the family is one of equilibria.
+    Pseudo-arclength continuation follows the family in both directions. It passes folds, and corners where an impact or
+    a stick phase begins or vanishes. At period doublings it also follows the branches with twice the period.
+    Changes in the order of events are handled automatically.
+
+    **Arguments:**
+
+    - `scene`: name of a scene, or a scene; `parameters`: any of its parameters (SI), as in `simulate`. One or several
+      may be sequences of the same length; then one family per element is continued, along the dimension `family`.
+    - `along`: name of the continuation parameter; `at`: its value at the first orbit; `span`: its lower and upper
+      bound, which enclose `at`.
+    - `start`: initial condition of the motion that settles on the first orbit, by default the scene's first.
+    - `orbit`: `{"states": [...], "period": ...}`, an orbit at `at`, stable or not: states on it, ordered as in `start`
+      (of a forced system at the beginning of a forcing period), and its period [s]. Newton's method corrects them.
+    - `from_hopf`: a family of equilibria, or its file. One branch begins at each of its hopf points, if no other branch
+      has led there. The parameters are those of the family, `along` and `span` as well, unless they are given; `at` is
+      not needed.
+    - `settle` [s]: settling time; `observe` [s]: duration of the observation, which must cover nine section crossings.
+      The defaults are the scene's, as in a sweep.
+    - `cycles`: largest number of section crossings per period of doubled branches, 1 to 8; 1 excludes such branches. 0:
+      follow equilibria; Newton's method finds the first, stable or not, from the states of `start`.
+    - `progress`: True to report progress on stderr.
+
+    **Returns:** a dataset.
+
+    - Along `point`: the parameter, `branch` (0 is the first branch), `stable`, `multiplier_abs` and `multiplier_arg`
+      [rad] along `multiplier`, and `grazing_margin`. `cycles` is the number of section crossings per period of the
+      motion, `period` [s] the mean time between crossings, and `impacts` the number of impacts per period of the
+      motion. Further variables are the state at the section (`orbit_x1` and so on) and the scene's measures.
+    - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf, branch-point, end,
+      or the name of a system's switch), `special_value` (the parameter's value), `special_branch`, and `special_note`.
+
+    At a *grazing* point, an impact or another event that is not a stick begins or vanishes. For other events than
+    impacts, the note contains the name of the mode that changes, for example where rock begins to yield. Multipliers at
+    a special point are those on the side from which the point was reached, or of the side without the impact where only
+    that side has orbits next to it; next to a grazing impact they are valid over a very small distance only. At a
+    *hopf* point the amplitude is zero: the branch ends at an equilibrium, whose linear stability locates the point. A
+    doubled branch that connects two period doublings is listed once.
+
+    Families of autonomous systems without events do not depend on the section: they are solved over parts of the period
+    (multiple shooting), with a phase condition that moves along. At a *branch-point* two families cross; the other one
+    is followed in both directions, as the next `branch`. Mirror images of orbits are orbits of their own. An orbit that
+    does not cross the section has NaN for its state there.
+
+    A family of equilibria has `cycles` 0, NaN as `period`, the states of the equilibrium in place of those at the
+    section, and instead of multipliers the eigenvalues of the field's derivative, `eigenvalue_re` and `eigenvalue_im`
+    [1/s] along `eigenvalue`, by falling real part. Its special points are fold, branch-point, hopf and end, and where
+    the formula of the field changes *grazing* or the name of the switch; there the family may turn back. Of several
+    families, those without a first equilibrium have no point.
+
+    **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
+
+    **Example:**
+
+    >>> point = {"beta": 0.4, "delta": 0.005, "start": "stuck"}
+    >>> fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.7, 0.9), **point, progress=False)
+    >>> kinds = fam.special_kind.attrs["flag_meanings"].split()
+    >>> [(kinds[int(kind)], round(float(value), 3)) for kind, value in zip(fam.special_kind, fam.special_value)]
+    [('end', 0.7), ('end', 0.9)]
+    >>> bool((fam.stable == 1).all())
+    True
+    """
+    begin = {"start": start, "orbit": orbit, "from_hopf": from_hopf}
+    return continue_families(family_spec(scene, along, at, span, begin, settle, observe, cycles, parameters), progress)
+
+
+def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
+    """Return the families of a specification, as `follow` does; raise `InputError` if there is no initial orbit."""
+    section = section_problem(spec)
+    if spec.cycles == 0:
+        return _equilibria(spec, section, None)
+    if spec.hopf:
+        return _from_hopf(spec, section)
+    if spec.orbit is not None and has_free_phase(section.scene):
+        return _free(spec, section, *_given_orbit(section, *spec.orbit))
+    if not section.scene.return_states:
+        place = Place("follow").at("cycles")
+        raise place.error("a motion of one state has no orbits; for its equilibria give cycles=0")
+    dataset = run_sweep(spec.sweep, progress=progress)
+    stands = bool(section.scene.autonomous) and bool((dataset["regime"] == REGIMES.index("equilibrium")).all())
+    if spec.orbit is None and stands:
+        return _equilibria(spec, section, spec.sweep.run.settle)
+    if has_free_phase(section.scene):
+        return _free(spec, section, *free_problem(section, _first_orbits(spec, section, dataset)))
+    problem, families, first = problem_of(spec, dataset)
+    segments = FamilyContinuation(problem, cycles=spec.cycles)(families, first)
+    return families_dataset(spec.sweep, problem, *in_order(segments))
+
+
+def section_problem(spec: FamilySpec) -> Problem:
+    """Return the equations of orbits by their states at the section, with scales of 1."""
+    sweep, system = spec.sweep, spec.sweep.system.driving_part()
+    values, _ = sweep.lane_values(0, sweep.lanes)
+    bounds = (spec.high - spec.low) / UNITS_PER_SPAN, spec.low, spec.high
+    unit, first, last = (np.full((sweep.lanes, 1), x) for x in bounds)
+    return Problem(
+        scene=system,
+        along=(spec.along,),
+        parameters={name: values[name].astype(float) for name in system.parameters()},
+        scales=np.ones((sweep.lanes, len(system.return_states))),
+        unit=unit,
+        first=first,
+        last=last,
+        most_steps=float(MOST_STEPS),
+    )
+
+
+def _equilibria(spec: FamilySpec, section: Problem, settle: float | None) -> xr.Dataset:
+    """Return the families of equilibria; `settle`: time [s] of motion before Newton's method, None: it begins at once.
+
+    **Raises:** `InputError` if a scene has no equilibria, or Newton's method finds none.
+    """
+    place, scene, sweep, [along] = Place("follow"), section.scene, spec.sweep, section.along
+    if not scene.autonomous or not section.moving:
+        raise place.at("cycles").error(f"{scene.name} is forced, it has no equilibria; give cycles of 1 and more")
+    guesses, known = [], dict[int, Equilibrium]()
+    for number in range(sweep.lanes):
+        own = {name: x[[number]] for name, x in section.parameters.items()}
+        guess = np.zeros((len(section.moving), 1))
+        if sweep.starts is not None:
+            with precision("float64"):
+                whole = dict(
+                    zip(scene.state_names, scene.start(scene.constants(own), sweep.starts[0], (1,)), strict=True)
+                )
+            guess = np.array([np.broadcast_to(whole[name], 1) for name in section.moving], float)
+        if settle:
+            guess = np.asarray(Flow(scene)(own, guess, np.array([settle])).state)
+        guesses.append(guess[:, 0])
+        found = equilibrium_near(scene, {name: float(x[0]) for name, x in own.items()}, guess[:, 0])
+        known |= {} if found is None else {number: found}
+    if not known:
+        raise place.at("start").error(
+            f"Newton's method finds no isolated equilibrium from {guesses[0].tolist()} at {along} = "
+            f"{section.parameters[along][0]:g}; "
+            "give states nearer to one (where friction holds a body, none is isolated)"
+        )
+    problem, first = EquilibriumProblem.through(section, known)
+    segments = EquilibriumContinuation(problem)(np.array([*known]), first)
+    return families_dataset(sweep, problem, *in_order(segments))
+
+
+def _free(
+    spec: FamilySpec, section: Problem, timed: TimedProblem, families: np.ndarray, first: list[np.ndarray]
+) -> xr.Dataset:
+    return families_dataset(spec.sweep, section, *_free_marks(spec, section, timed, families, first))
+
+
+def _free_marks(
+    spec: FamilySpec, section: Problem, timed: TimedProblem, families: np.ndarray, first: list[np.ndarray]
+) -> tuple[list[Mark], list[Mark]]:
+    """Return the points of families without a section, and their special points, by their states at the section."""
+    points, special = in_order(TimedContinuation(timed, cycles=spec.cycles)(families, first))
+    return at_section(timed, section, points), at_section(timed, section, special)
+
+
+def _from_hopf(spec: FamilySpec, section: Problem) -> xr.Dataset:
+    """Return the families from all Hopf points to which no branch from an earlier one has led.
+
+    **Raises:** `InputError` if no orbit is found next to a Hopf point.
+    """
+    points: list[Mark] = []
+    special: list[Mark] = []
+    branches, reached, family = 0, list[tuple[float, np.ndarray]](), np.zeros(1, int)
+    place = Place("follow").at("from_hopf")
+    for point in spec.hopf:
+        near = (centre for value, centre in reached if abs(value - point.value) < SAME_HOPF * (spec.high - spec.low))
+        states, scales = np.array(point.states)[section.places], np.array(point.scales)[section.places]
+        if any((np.abs(centre - states) < SAME_CENTRE * scales).all() for centre in near):
+            continue
+        parameters = {name: float(x[0]) for name, x in section.parameters.items()} | {spec.along: point.value}
+        known = equilibrium_near(section.scene, parameters, np.array(point.states))
+        begun = known and orbit_at_hopf(section, known, np.array(point.scales), point.value)
+        if not begun:
+            raise place.error(f"no small orbit is found around the equilibrium at {spec.along} = {point.value:.9g}")
+        timed, u = begun
+        if has_free_phase(section.scene):
+            marks = _free_marks(spec, section, timed, family, [u])
+        else:
+            orbit = returning_orbit(section, timed, u)
+            if orbit is None:
+                raise place.error("no orbit near the hopf point returns to the section; give start or orbit")
+            # The dataset has the scales of one problem.
+            problem = _with_scales(section, [orbit])
+            section = problem if not points else replace(problem, scales=section.scales)
+            u = section.unknowns(family, orbit.states, orbit.parameters[spec.along][:, None])[0]
+            marks = in_order(FamilyContinuation(section, cycles=spec.cycles)(family, [u]))
+        for end in (mark.orbit for mark in marks[1] if mark.kind == "hopf"):
+            value, centre = section.values(end.family, end.u)[0, 0], section.states(end.family, end.u)[0, 0]
+            reached.append((float(value), centre))
+        for found, own in zip((points, special), marks, strict=True):
+            found += [mark._replace(branch=mark.branch + branches) for mark in own]
+        branches = 1 + max(mark.branch for mark in points)
+    return families_dataset(spec.sweep, section, points, special)
+
+
+def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
+    """Return the equations, the indices of families with an initial orbit, and the unknowns of these orbits.
+
+    **Arguments:** `dataset`: result of the specified sweep.
+
+    **Raises:** `InputError` if no family has an initial orbit.
+    """
+    section = section_problem(spec)
+    known = _first_orbits(spec, section, dataset)
+    problem, unknowns = _with_scales(section, known), dict[int, np.ndarray]()
+    for orbits in known:
+        own = problem.unknowns(orbits.lane, orbits.states, orbits.parameters[spec.along][:, None])
+        unknowns |= dict(zip(orbits.lane.tolist(), own, strict=True))
+    families = sorted(unknowns)
+    return problem, np.array(families), [unknowns[family] for family in families]
+
+
+def _first_orbits(spec: FamilySpec, section: Problem, dataset: xr.Dataset) -> list[Orbits]:
+    """Return the first orbits of families, whose `lane` is the number of the family.
+
+    **Raises:** `InputError` if no family has an initial orbit.
+    """
+    dataset = dataset.isel(start=0) if "start" in dataset.dims else dataset
+    lane = dataset.isel(point=0)
+    if spec.orbit is not None:
+        return [_traced_orbit(section, spec.orbit[1], lane)]
+    known = orbits_of(section.scene, dataset, section.parameters)
+    if not known:
+        why, where = why_no_orbit(lane), f"{spec.along} = {float(lane[spec.along]):g}"
+        instead = "begin where it does" if why.startswith("does not repeat") else "begin elsewhere"
+        raise Place("follow").at("at").error(f"the motion at {where} {why}; {instead}")
+    return known
+
+
+def _with_scales(section: Problem, known: list[Orbits]) -> Problem:
+    """Return the equations with the scales of the first orbits of families, and a limit of the steps."""
+    scales = section.scales.copy()
+    for orbits in known:
+        scales[orbits.lane] = orbits.scales
+    return replace(section, scales=scales, most_steps=max(orbits.most_steps for orbits in known))
+
+
+def _given_orbit(
+    section: Problem, states: list[float], period: float
+) -> tuple[TimedProblem, np.ndarray, list[np.ndarray]]:
+    """Return the equations without a section, the number of the family, and the unknowns of the orbit near a given one.
+
+    **Raises:** `InputError` if Newton's method finds none.
+    """
+    place, [along], family = Place("follow").at("orbit"), section.along, np.zeros(1, int)
+    own = dict(zip(section.scene.start_states, states, strict=True))
+    value = section.parameters[along][:1]
+    begin = np.array([[own[name] for name in section.moving]])
+    timed, [u] = through(section, family, begin, np.array([period]), value)
+    found, converged = timed.correct(family, u[None], towards(u[None], 1.0), u[None, -1])
+    if not converged[0]:
+        raise place.error(
+            f"Newton's method finds no periodic orbit near these states at {along} = {value[0]:g} "
+            f"(residual {found.residual[0]:.1e}); give states on an orbit, and its period"
+        )
+    if np.abs(found.u[0] - u).max() > GIVEN_DISTANCE * np.abs(u).max():
+        raise place.error(ANOTHER.format(float(found.period[0])))
+    return timed, family, [found.u[0]]
+
+
+def _traced_orbit(section: Problem, period: float, lane: xr.Dataset) -> Orbits:
+    """Return the orbit near a given one, by its states at the section.
+
+    **Arguments:** `lane`: the motion from the given states, with its last returns.
+
+    **Raises:** `InputError` if Newton's method finds none.
+    """
+    place, scene = Place("follow").at("orbit"), section.scene
+    times = lane["return_time"].values.ravel()
+    known = np.isfinite(times)
+    if known.sum() < 2:
+        raise place.error("the motion from these states does not return to the section; give states on the orbit")
+    cycles = int(np.clip(round(period / np.diff(times[known]).mean()), 1, MOST_CYCLES))
+    begin = np.array([[lane[f"return_{name}"].values.ravel()[known][0] for name in scene.return_states]])
+    guess = Orbits.trace(scene, section.parameters, begin, cycles)
+    found = Orbits.find(scene, section.parameters, guess.states, scales=guess.scales)
+    if not found.converged[0]:
+        residual = f"residual {found.residual[0]:.1e}"
+        raise place.error(f"Newton's method finds no periodic orbit near these states ({residual})")
+    if abs(found.times.sum() - period) > GIVEN_DISTANCE * period:
+        raise place.error(ANOTHER.format(float(found.times.sum())))
+    return found

@@ -1,0 +1,215 @@
+"""The specification of `follow`: a scene, a parameter with its bounds, and where families begin."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.errors import Place, shown
+from vibrojax.io.attributes import parameters_of, text_of
+from vibrojax.io.dataset import open_dataset
+from vibrojax.io.kinds import kind_of
+from vibrojax.maps.machines import read_machines, several_and_single
+from vibrojax.maps.sweep import Sweep
+from vibrojax.measures.ledger import MOST_CYCLES
+from vibrojax.physics.meanings import suggest_parameter
+from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION, resolved
+from vibrojax.settings.names import Names, read_names
+from vibrojax.settings.values import count, warn_if_far
+
+TRACED_PERIODS = 2.5
+"""Duration of the motion in which an orbit that is given is traced to the section, in its periods."""
+
+SAME_HOPF = 1e-6
+"""Difference of the parameter, relative to its span, up to which Hopf points are at the same value."""
+
+
+class HopfPoint(NamedTuple):
+    """A Hopf point of a family of equilibria: the parameter's `value`, the `states` there, and their `scales`."""
+
+    value: float
+    states: tuple[float, ...]
+    scales: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FamilySpec:
+    """Families of one scene.
+
+    - `sweep`: sweep with one initial parameter point for each family.
+    - `along`: name of the continuation parameter; `low`, `high`: its bounds.
+    - `cycles`: largest number of section crossings per period of doubled branches; 0 for equilibria.
+    - `orbit`: states on the first orbit, in the order of a start, and its period [s]; None: it is not given.
+    - `hopf`: points at which branches begin, if they are given.
+    """
+
+    sweep: Sweep
+    along: str
+    low: float
+    high: float
+    cycles: int
+    orbit: tuple[list[float], float] | None = None
+    hopf: tuple[HopfPoint, ...] = ()
+
+    def identity(self) -> dict[str, object]:
+        """Return all settings on which the result depends, as flat JSON values."""
+        bounds: dict[str, object] = {"along": self.along, "from": self.low, "to": self.high, "cycles": self.cycles}
+        if self.orbit is not None:
+            bounds |= {"orbit": self.orbit[0], "orbit_period": self.orbit[1]}
+        if self.hopf:
+            bounds["from_hopf"] = [x for point in self.hopf for x in (point.value, *point.states)]
+        return self.sweep.identity() | bounds
+
+
+def family_spec(
+    scene: object,
+    along: object,
+    at: object,
+    span: object,
+    begin: Mapping[str, object],
+    settle: object,
+    observe: object,
+    cycles: object,
+    parameters: Mapping[str, object],
+) -> FamilySpec:
+    """Check the arguments of `follow` and return the specification; `begin`: `start`, `orbit` and `from_hopf`.
+
+    **Raises:** `InputError` with a one-line message at the first invalid argument.
+    """
+    place, start = Place("follow"), begin.get("start")
+    hopf: tuple[HopfPoint, ...] = ()
+    ways = [name for name in ("start", "orbit", "from_hopf") if begin.get(name) is not None]
+    if len(ways) > 1:
+        raise place.at(ways[1]).error(f"and {ways[0]} both say where the family begins; give one of them")
+    if ways == ["from_hopf"]:
+        family, points = read_hopf(place.at("from_hopf"), begin["from_hopf"])
+        hopf, own = tuple(points), family_arguments(place.at("from_hopf"), family, scene, parameters)
+        parameters, along = own | dict(parameters), family.attrs["along"] if along is None else along
+        if along != family.attrs["along"]:
+            raise place.at("along").error(f"{shown(along)} is not {family.attrs['along']}, along which the family is")
+        span = family.attrs["span"] if span is None else span
+    for name, value in (("along", along), ("at", at), ("span", span)):
+        if value is None and not (hopf and name == "at"):
+            raise place.error(f"{name} is missing")
+    fixed = several_and_single(parameters)[1]
+    names = read_names(place.at("scene"), scene, dict(fixed), place)
+    if not isinstance(along, str) or along not in names.parameters:
+        instead = suggest_parameter(str(along), names.parameters)
+        if along in names.writable:  # rpm, bit_radius or a frequency
+            given, replaced = "rpm and bit_radius" if along in ROTATION else along, REPLACED[along]
+            instead = f"{replaced} follows from {given}: give {replaced}, and follow along {replaced}"
+            if along in FREQUENCIES and isinstance(at, (int, float)):
+                values = {name: parameter.default for name, parameter in names.parameters.items()}
+                values |= {name: x for name, x in fixed.items() if isinstance(x, (int, float))}
+                values = resolved(resolved(values) | {along: at})
+                instead += f"; {at:g} Hz is {replaced}={values[replaced]:.6g}"
+        raise place.at("along").error(f"{shown(along)} is not a parameter of the scene; {instead}")
+    if along in parameters:
+        hint = f"say where it begins by at={shown(fixed.get(along, 'VALUE'))}"
+        raise place.at(along).error(f"is the parameter of the continuation; {hint}")
+    for name in (name for name in FREQUENCIES if name in parameters and name not in names.parameters):
+        if along in ("m1", "k1"):
+            fault = f"fixes {REPLACED[name]} only at one {along}, and {along} varies along the family"
+            raise place.at(name).error(f"{fault}; give {REPLACED[name]}")
+    low, high = read_span(place, names, along, span)
+    if hopf:
+        near = SAME_HOPF * (high - low)
+        inside = tuple(point for point in hopf if low - near <= point.value <= high + near)
+        if not inside:
+            known = ", ".join(f"{point.value:.9g}" for point in hopf)
+            raise place.at("from_hopf").error(f"the hopf points, at {along} = {known}, are outside the span")
+        hopf, at = inside, float(np.clip(inside[0].value, low, high))
+    first = names.quantity(place.at("at"), along, at)
+    if not low <= first <= high:
+        raise place.at("at").error(f"{first:g} is not between from = {low:g} and to = {high:g}")
+    warn_if_far(place.at("at"), names.writable[along], first)
+    most = count(place.at("cycles"), cycles, 0, MOST_CYCLES)
+    has_orbits = most > 0 and bool(names.system.driving_part().return_states)
+    run: dict[str, object] = {"orbits": has_orbits, "settle": settle, "observe": observe}
+    orbit = read_orbit(place.at("orbit"), names, begin["orbit"]) if ways == ["orbit"] else None
+    if orbit is not None:
+        start, period = orbit
+        run |= {"settle": 0.0, "observe": TRACED_PERIODS * period, "keep_returns": MOST_CYCLES}
+    if ways in (["orbit"], ["from_hopf"]):
+        if most == 0:
+            raise place.at("cycles").error(f"0 stands for equilibria, which {ways[0]} does not begin; give start")
+        if several_and_single(parameters)[0]:
+            raise place.at(ways[0]).error("begins one family; give single values")
+    machines = read_machines(place, scene, parameters, start, run, {along: first})
+    return FamilySpec(machines.sweep, along, low, high, most, orbit, hopf)
+
+
+def read_span(place: Place, names: Names, name: str, span: object) -> tuple[float, float]:
+    """Return the lower and the upper bound of a parameter, in order."""
+    if not isinstance(span, Sequence | np.ndarray) or isinstance(span, str) or len(span) != 2:
+        raise place.at("span").error(f"{shown(span)} is not a pair of numbers; give the bounds of {name}")
+    low, high = sorted(names.quantity(place.at(end), name, x) for end, x in zip(("from", "to"), span, strict=True))
+    if not low < high:
+        raise place.at("to").error(f"{high:g} is the same as from; give the two bounds of {name}")
+    return low, high
+
+
+def read_orbit(place: Place, names: Names, orbit: object) -> tuple[list[float], float]:
+    """Check the argument `orbit` of `follow`; return states and period."""
+    if not isinstance(orbit, Mapping) or set(orbit) != {"states", "period"}:
+        raise place.error(f'{shown(orbit)} is not {{"states": [...], "period": ...}}')
+    order, given = list(names.system.start_states), orbit["states"]
+    if isinstance(given, Mapping):
+        if set(given) != set(order):
+            raise place.at("states").error(f"names {', '.join(map(str, given))}; the states are {', '.join(order)}")
+        given = [given[name] for name in order]
+    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or len(given) != len(order):
+        raise place.at("states").error(f"{shown(given)} is not {len(order)} numbers: {', '.join(order)}")
+    numbers = []
+    places = [place.at("states").item(k) for k in range(len(order))] + [place.at("period")]
+    for where, value in zip(places, [*given, orbit["period"]], strict=True):
+        if not isinstance(value, int | float | np.number) or isinstance(value, bool) or not np.isfinite(value):
+            raise where.error(f"{shown(value)} is not a finite number")
+        numbers.append(float(value))
+    if not numbers[-1] > 0:
+        raise place.at("period").error(f"{numbers[-1]:g} is not above 0 s")
+    return numbers[:-1], numbers[-1]
+
+
+def read_hopf(place: Place, family: object) -> tuple[xr.Dataset, list[HopfPoint]]:
+    """Check the argument `from_hopf` of `follow`; return the family of equilibria, and its Hopf points."""
+    if isinstance(family, str | Path):
+        family = open_dataset(Path(family))
+    if not isinstance(family, xr.Dataset) or kind_of(family) != "family" or "eigenvalue_re" not in family:
+        raise place.error("is not a family of equilibria; give what follow(..., cycles=0) has made")
+    if "family" in family.dims:
+        raise place.error("holds several families; select one with isel(family=...)")
+    along = text_of(family, "along")
+    states = [str(name) for name in family.data_vars if str(name).startswith("orbit_")]
+    columns = np.column_stack([family[name].values for name in states])
+    size = np.maximum(np.abs(columns).max(axis=0), np.ptp(columns, axis=0))
+    size = np.where(size > 1e-3 * size.max(), size, size.max() or 1.0)
+    kinds = str(family["special_kind"].attrs["flag_meanings"]).split()
+    hopf = family["special_kind"].values == kinds.index("hopf") if "hopf" in kinds else np.zeros(0, bool)
+    eigenvalues = family["eigenvalue_re"].values + 1j * family["eigenvalue_im"].values
+    growth = np.where(eigenvalues.imag > 0, np.abs(eigenvalues.real), np.inf).min(axis=1)
+    points, taken = [], np.zeros(len(growth), bool)
+    for value, branch in zip(family["special_value"].values[hopf], family["special_branch"].values[hopf], strict=True):
+        off = np.where((family["branch"].values == branch) & ~taken, np.abs(family[along].values - value), np.inf)
+        # Mirror images have hopf points at the same value.
+        nearest = min(np.flatnonzero(off == off.min()).tolist(), key=growth.__getitem__)
+        taken[nearest] = True
+        points.append(HopfPoint(float(value), tuple(columns[nearest].tolist()), tuple(size.tolist())))
+    if not points:
+        raise place.error("the family has no hopf point; follow it further")
+    return family, points
+
+
+def family_arguments(place: Place, family: xr.Dataset, scene: object, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of `follow` that a family of equilibria fixes: the parameters, `along` and `span`."""
+    name = scene if isinstance(scene, str) else getattr(scene, "name", scene)
+    if name != text_of(family, "scene"):
+        raise place.error(f"is a family of {text_of(family, 'scene')}, not of {name}")
+    fixed = dict(parameters_of(family))
+    for parameter, value in given.items():
+        if parameter in fixed and value != fixed[parameter]:
+            raise place.at(parameter).error(f"the family is at {fixed[parameter]:g}, not {value}; leave it out")
+    return fixed
