@@ -214,7 +214,7 @@ def read_study(source: str | PathLike[str] | Mapping[str, object]) -> Study:
     """
     origin = read_source(source, "study")
     file, place, names = read_file(StudyFile, origin)
-    bounds = read_bounds(place.at("vary"), file.vary, names, file.parameters, file.unusual)
+    bounds = read_bounds(place.at("vary"), file.vary, names, file.parameters)
     known = sweep_variables(names.system)
     allowed = [name for name, about in known.items() if not (about.flags or about.along)]
     allowed += [SHARE] * ("impacts" in allowed and "regime" in known)
