@@ -459,7 +459,7 @@ def test_states_of_systems_are_drawn_in_the_units_of_their_axes():
 
 
 def test_star_of_chart_is_robust_within_the_map():
-    """Of a map that is a single impact everywhere, edge cells are not known to be robust; the greatest energy is there."""
+    """Everywhere is a single impact, strongest at the edge, where cells are not known to be robust."""
     grid = np.linspace(0.3, 0.7, 5)
     energy = 100 + 10 * np.add.outer(grid, grid)
     table = {

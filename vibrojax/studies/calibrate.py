@@ -13,7 +13,7 @@ from vibrojax.errors import InputError, counted
 from vibrojax.io.attributes import flags, text_of
 from vibrojax.io.variables import VARIABLES
 from vibrojax.pictures.axes import margins, pretty_unit, scale, symbols_of, with_unit
-from vibrojax.pictures.plots import FAINT, Axis, Bars, Layer, Line, Plot, Sheet, dots, level, upright
+from vibrojax.pictures.plots import FAINT, Axis, Bars, Layer, Line, Look, Plot, Sheet, dots, level, upright
 from vibrojax.pictures.style import BIT, IMPACT, other_colour
 from vibrojax.progress import Progress
 from vibrojax.studies.analysis import PictureRule, SummaryPart
@@ -57,7 +57,7 @@ def calibration_picture(ds: xr.Dataset) -> Sheet:
     compared: list[Layer] = [Line([-1e3, 1e3], [-1e3, 1e3], FAINT, 0.8, label="measured = model", order=1.0)]
     for k, name in enumerate(str(x) for x in ds["of"].values):
         observed, model, values = (ds[key].values[:, k] for key in ("observed", "predicted", "residual"))
-        look = {"marker": _MARKS[k % len(_MARKS)], "colour": other_colour(k), "label": name.replace("_", " ")}
+        look: Look = {"marker": _MARKS[k % len(_MARKS)], "colour": other_colour(k), "label": name.replace("_", " ")}
         look |= {"size": 2.0} if len(values) > _MANY_ROWS else {}
         layers.append(dots(np.arange(1, len(values) + 1), values, **look))
         mean = float(np.nanmean(np.abs(observed))) or 1.0
