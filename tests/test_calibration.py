@@ -91,6 +91,14 @@ def test_estimate_at_a_bound_is_flagged(motion):
     assert "at its bound" in lines[0] and "the data suggest values beyond a bound" in "\n".join(lines)
 
 
+def test_law_without_a_rate_at_any_observation_is_refused():
+    """Blows whose mean force stays below the threshold penetrate, but C ln(P/D) is negative there."""
+    data = {"v (m/s)": [1.3, 1.7], "beta": [0.5, 0.5], "rate_of_penetration (mm/s)": [0.4, 1.6]}
+    about = {"scene": "drilling", "start": "stuck", "parameters": {"rock": "sandstone"}, "data": data}
+    with pytest.raises(vj.InputError, match=r"the law C ln\(P/D\) gives no rate up to P/D = 1"):
+        vj.calibrate(about | {"unknown": {"C": [1e-4, 0.1]}, "error": {"rate_of_penetration": 1e-4}}, progress=False)
+
+
 class PowerLaw(Model):
     """Stand-in for the model: the period is mu v**v_cr, with orbits at speeds up to `most`."""
 

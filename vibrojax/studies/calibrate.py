@@ -20,7 +20,7 @@ from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.calibration_estimate import CALIBRATION_VARIABLES, VAGUE, estimated
 from vibrojax.studies.calibration_file import LAW, Calibration, read_calibration
 from vibrojax.studies.calibration_history import VELOCITY
-from vibrojax.studies.calibration_model import CONSTANT, SCREENED, Fit, Model, fit_from, starts
+from vibrojax.studies.calibration_model import CONSTANT, RATE, SCREENED, Fit, Model, fit_from, starts
 from vibrojax.studies.subjects import FileAnalysis
 
 MIN_EXPONENT = 0.1
@@ -201,6 +201,13 @@ class Calibrations(FileAnalysis[Calibration]):
         given, count, freedom = problem.errors is not None, problem.parameters, fit.freedom
         names = problem.names[:count]
         table = estimated(spec.origin.file, problem, model, fit, spec.file.draws)
+        if CONSTANT in names:
+            rate = table["predicted"][:, problem.of.index(RATE)]
+            if not (rate > 0).any():
+                raise InputError(
+                    f"{spec.origin.file}: the law C ln(P/D) gives no rate up to P/D = 1, and P/D is below at every "
+                    "observation; vibrojax fit has forms with an onset"
+                )
         system = problem.point.system
         parameters = {**system.parameters(), CONSTANT: LAW}
         units = {name: about.units for name, about in VARIABLES.items()} | {VELOCITY: "m s-1"}
