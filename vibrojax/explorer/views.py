@@ -130,7 +130,8 @@ def _picture_document(ds: xr.Dataset, document: Document) -> Document | None:
         LOG.info("explore: no picture: %s", error)
         return None
     # The legend of the map has these.
-    known = {"stable", "unstable", *BORDER_MEANINGS} if document["kind"] == "family" else set(REGIME_MEANINGS)
+    known = set(REGIME_MEANINGS) if drawn == ["regime"] else set()
+    known = {"stable", "unstable", *BORDER_MEANINGS} if document["kind"] == "family" else known
     figure["keys"] = [key for key in figure["keys"] if key["text"].split(" ")[0] not in known]
     return figure if figure["plots"] or figure["images"] else None
 

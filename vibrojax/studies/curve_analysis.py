@@ -14,7 +14,7 @@ from vibrojax.pictures.overlays import axes_of, codim2_layers, curve_layers
 from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 
-_MOST_NOTES = 12  # lines of the summary for single curves
+_MOST_NOTES = 4  # lines of the summary for single curves
 _DIGITS = 9  # crossings and points of codimension two are located to nine digits
 
 

@@ -64,7 +64,7 @@ def smallest_pushes(ds: xr.Dataset) -> Sheet:
             ends |= {flag: names[flag] for flag in flags_here if flag > 0}
         keys += [patch(REGIME_COLOURS[flag], ends[flag]) for flag in sorted(ends)]
     if returning:
-        hollow = dots(label="every push tried returns", colour="#4D4D4D", face="none")
+        hollow = dots(label="every push tried returns", marker=_SIDES[1][1], face="none")  # of either side
         keys.append(hollow if several else patch("#FFFFFF", hollow.label, **_RETURNS))
     keys.append(key("greatest push tried", **_BOUND))
     none_leaves = "No push up to the greatest tried leaves the working cycle"
