@@ -64,15 +64,20 @@ def vector_bytes() -> int:
     return 64 if "+avx512f" in features else 32 if "+avx2" in features else 16
 
 
-def _machine() -> llvm.TargetMachine:
+FAST_CODE, FAST_COMPILATION = 2, 0
+"""LLVM's optimization levels of instruction selection. At level 0, compilation takes a third of the time, and the code
+has the same instructions of arithmetic, but twice as many others."""
+
+
+def _machine(level: int = FAST_CODE) -> llvm.TargetMachine:
     target = llvm.Target.from_triple(processor().triple)
-    return target.create_target_machine(cpu=processor().name, features=processor().features, opt=2, **REFERENCES)
+    return target.create_target_machine(cpu=processor().name, features=processor().features, opt=level, **REFERENCES)
 
 
-def _object_code(text: str) -> bytes:
+def _object_code(text: str, level: int) -> bytes:
     """Return the object code of a kernel, or raise `Untranslatable` if LLVM rejects its IR text."""
     try:
-        module, machine = llvm.parse_assembly(text), _machine()
+        module, machine = llvm.parse_assembly(text), _machine(level)
     except RuntimeError as error:
         raise Untranslatable(f"a text that LLVM refuses: {str(error).strip()}") from error
     passes = llvm.create_new_module_pass_manager()
@@ -134,17 +139,20 @@ class Kernel:
     - `examples`: example arguments, or `jax.ShapeDtypeStruct` with their types. Scalars are the same for all lanes. The
       last axis of arrays is the lane axis, which may have any length.
     - `registers`: number of vector registers that hold one value of a group.
+    - `level`: `FAST_CODE`, or `FAST_COMPILATION` for code that runs a few times only.
 
     Attributes: `description`; `key`, the hash of the text; `code`, the native function.
 
     **Raises:** `Untranslatable` if the function has a construct that no kernel can express.
     """
 
-    def __init__(self, function: Callable[..., Any], *examples: Any, registers: int = 1) -> None:
-        description = _described(function, *examples, registers=registers)
+    def __init__(
+        self, function: Callable[..., Any], *examples: Any, registers: int = 1, level: int = FAST_CODE
+    ) -> None:
+        description = _described(function, *examples, registers=registers, level=level)
         code = store.read(description.key)
         if code is None:
-            code = _object_code(description.text.text)
+            code = _object_code(description.text.text, level)
             store.write(description.key, code)
         self._load(description, code)
 
@@ -258,7 +266,7 @@ def _workspace(size: int, alignment: int) -> int:
     return -(-int(memory.ctypes.data) // alignment) * alignment
 
 
-def _described(function: Callable[..., Any], *examples: Any, registers: int) -> Description:
+def _described(function: Callable[..., Any], *examples: Any, registers: int, level: int) -> Description:
     """Trace a function and translate the trace."""
     traced = trace(function, *examples)
     inner = traced.jaxpr.jaxpr
@@ -268,14 +276,14 @@ def _described(function: Callable[..., Any], *examples: Any, registers: int) -> 
     widest = max((kind.dtype.itemsize for kind in arguments if kind.dtype.kind == "f"), default=8)
     width = registers * vector_bytes() // widest
     text = kernel_text(traced.jaxpr, width)
-    key = sha256("\n".join((*_compiler(), text.text)).encode()).hexdigest()
+    key = sha256("\n".join((*_compiler(level), text.text)).encode()).hexdigest()
     tree = jax.tree.unflatten(structure, range(structure.num_leaves))
     return Description(key, arguments, results, tree, width, text)
 
 
-def _compiler() -> tuple[str, ...]:
+def _compiler(level: int = FAST_CODE) -> tuple[str, ...]:
     """Return what decides about the object code of a text."""
-    return llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values()
+    return llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values(), *[f"level {level}"] * (level != FAST_CODE)
 
 
 def trace(function: Callable[..., Any], *examples: Any) -> Any:
