@@ -200,7 +200,7 @@ def _spectrum(motion: Run) -> Plot:
     named: list[tuple[float, float]] = []
     layers: list[Layer] = []
     end, top, lobe = 0.0, _LEAST_AMPLITUDE, 0.0
-    for name, x, colour in (("bit x₁", "x1", BIT), ("striker x₂", "x2", STRIKER)):
+    for name, x, colour in (("bit", "x1", BIT), ("striker", "x2", STRIKER)):
         frequencies, amplitudes = _amplitude_spectrum(np.interp(late, motion.time, 1e3 * motion[x]), late[1] - late[0])
         maxima = _peaks(amplitudes)
         end = end or (_SPECTRUM_SPAN * float(frequencies[maxima[0]]) if maxima.size else 0.0)
@@ -354,6 +354,8 @@ def states_over_time(ds: xr.Dataset) -> Sheet:
     if not names:
         raise InputError("no trajectory to draw: the dataset has no state along time")
     motion, end = read_run(ds, *names), float(ds[TIME].values[-1])
+    # In the units of the axes, which are mm for small lengths.
+    motion = replace(motion, series=dict(motion.series) | {name: scale(ds[name])[0] * motion[name] for name in names})
     period = float(ds["period"]) if "period" in ds and ds["period"].ndim == 0 else np.nan
     length, part = (10 * period, "the last ten periods") if np.isfinite(period) else (end / 10, "the last tenth")
     start, part = (end - length, part) if length < end else (0.0, "the whole motion")
