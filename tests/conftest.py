@@ -116,14 +116,6 @@ def few_mappings():
         jax.clear_caches()
 
 
-@pytest.fixture(autouse=True, scope="session")
-def traced_kernels():
-    """Trace every kernel of this process: tests replace functions of the package, which its files do not show."""
-    from vibrojax.compile import native
-
-    native.DESCRIBED = False
-
-
 @pytest.fixture(params=[16, 32, 64])
 def width(request, monkeypatch):
     """Force the bytes of a vector: SSE2 or NEON, AVX2, AVX-512. LLVM splits vectors that the processor lacks."""
