@@ -31,6 +31,10 @@ PASSES = ("sroa", "aggressive_dce")
 """LLVM's optimization passes before instruction selection. With all other passes as well, compilation takes ten times
 as long and a time step is no faster, because jax's equations are plain arithmetic already."""
 
+CODE_LEVEL = 2
+"""LLVM's level of code generation, 0 to 3. Most tests use 0: compilation takes a third of the time, and the code is
+slower."""
+
 REFERENCES = {"codemodel": "large", "reloc": "static"}
 """Code refers to its constants and to external functions by 64-bit addresses. The sections of an object file may be
 loaded farther apart than shorter references can reach, in which case LLVM aborts the process. The cost of full
@@ -66,7 +70,8 @@ def vector_bytes() -> int:
 
 def _machine() -> llvm.TargetMachine:
     target = llvm.Target.from_triple(processor().triple)
-    return target.create_target_machine(cpu=processor().name, features=processor().features, opt=2, **REFERENCES)
+    cpu, features = processor().name, processor().features
+    return target.create_target_machine(cpu=cpu, features=features, opt=CODE_LEVEL, **REFERENCES)
 
 
 def _object_code(text: str) -> bytes:
@@ -88,9 +93,6 @@ def _jit() -> llvm.LLJIT:
 
 
 _number = count()
-
-DESCRIBED = True
-"""Whether kernels are found by their descriptions. Tests trace them, because they replace functions of this package."""
 
 
 class Array(NamedTuple):
@@ -275,7 +277,7 @@ def _described(function: Callable[..., Any], *examples: Any, registers: int) -> 
 
 def _compiler() -> tuple[str, ...]:
     """Return what decides about the object code of a text."""
-    return llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values()
+    return llvmlite.__version__, *processor(), *PASSES, str(CODE_LEVEL), *REFERENCES.values()
 
 
 def trace(function: Callable[..., Any], *examples: Any) -> Any:
@@ -313,7 +315,7 @@ def kernel_for(
         if key not in kernels:
             types = jax.tree.unflatten(tree, [str(kind) for kind in types_of(leaves)])
             settings = registers, vector_bytes(), jnp.result_type(float).name, _compiler()
-            name = digest(function, static, types, settings) if DESCRIBED else None
+            name = digest(function, static, types, settings)
             kernel = None if name is None else Kernel.found(name)
             if kernel is None:
                 with _uncollected():
