@@ -181,7 +181,7 @@ def scene_subject(static: tuple[Hashable, ...], arguments: tuple[Any, ...], deri
         if scene is None:
             return None
         stepper = next((x for x in static if isinstance(x, Stepper)), Located())
-        kind = ProgramKey(scene, stepper, recorder_of(scene), scene.starts)
+        kind = ProgramKey(scene, stepper, recorder_of(scene))
     return Subject(
         owner=kind.scene,
         label=f'scene "{kind.scene.name}"',
@@ -221,8 +221,8 @@ def lanes_of(kind: ProgramKey, arguments: tuple[Any, ...]) -> LaneArguments:
         values = {name: np.resize(np.asarray(known[name]), COMPARED_LANES) for name in parameters}
     values = {name: x.astype(dtype) for name, x in values.items()}
     if not rests:
-        return LaneArguments(values, (lanes % max(len(kind.starts), 1)).astype(np.int32))
+        return LaneArguments(values, (lanes % max(len(scene.starts), 1)).astype(np.int32))
     # At its named initial condition, a system may be at rest, where rounding errors decide what it does.
     numbers = 1 + np.arange(len(scene.start_states))
     states = tuple((0.1 * k * (-1.0) ** (k * lanes)).astype(dtype) for k in numbers)
-    return LaneArguments(values, np.full(COMPARED_LANES, len(kind.starts), np.int32), states)
+    return LaneArguments(values, np.full(COMPARED_LANES, len(scene.starts), np.int32), states)
