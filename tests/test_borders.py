@@ -125,6 +125,7 @@ def test_continued_borders_do_not_depend_on_the_grid():
     assert "grid of 4 x 4" in origins[0] and "grid of 5 x 5" in origins[1]
 
 
+@pytest.mark.long
 def test_wedge_between_points_of_the_grid_is_closed():
     """At beta = 0.4 the wedge between the torus of one orbit and the stick of another is 0.008 wide in gamma.
 
