@@ -70,7 +70,7 @@ def operations(instructions: list[tuple[str, str]]) -> Counter:
 
 def per_step(kernel: native.Kernel, steps: int) -> Counter:
     """Return the operations of a group's step, with its share of the outer loop and all of Newton's iterations."""
-    (_, outer), (_, step), (_, newton), *_ = loops(native._object_code(kernel.description.text.text, native.FAST_CODE))
+    (_, outer), (_, step), (_, newton), *_ = loops(native._object_code(kernel.description.text.text))
     counts = [operations(part) for part in (outer, step, newton)]
 
     def total(name: str) -> float:

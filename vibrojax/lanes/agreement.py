@@ -21,7 +21,7 @@ import numpy as np
 from vibrojax.compile import Subject
 from vibrojax.compile.agreement import Difference, first_difference, take_lanes
 from vibrojax.compile.assembly import LANES
-from vibrojax.compile.native import FAST_CODE, FAST_COMPILATION, Kernel
+from vibrojax.compile.native import QUICK_LEVEL, Kernel
 from vibrojax.compile.trust import newer_than_tested
 from vibrojax.errors import InputError
 from vibrojax.lanes.programs import LaneArguments, ProgramKey, constants_of, state_of
@@ -138,7 +138,7 @@ class Comparison:
         self._given, self._accuracy = take_lanes(given, lanes), Accuracy(*(np.asarray(x, dtype) for x in accuracy))
         self._begin, self._step, self._read = partial(begin, kind), partial(step, kind, derives), partial(read, kind)
         # The comparison is of the translation. LLVM is compared too where its version is new.
-        level = FAST_CODE if newer_than_tested() else FAST_COMPILATION
+        level = None if newer_than_tested() else QUICK_LEVEL
         self._begin_kernel = Kernel(self._begin, self._given, level=level)
         self._start: Beginning = self._begin_kernel(self._given)
         # Lane by lane and step by step, the events come in turn.
@@ -184,7 +184,7 @@ def scene_subject(static: tuple[Hashable, ...], arguments: tuple[Any, ...], deri
         if scene is None:
             return None
         stepper = next((x for x in static if isinstance(x, Stepper)), Located())
-        kind = ProgramKey(scene, stepper, recorder_of(scene), scene.starts)
+        kind = ProgramKey(scene, stepper, recorder_of(scene))
     return Subject(
         owner=kind.scene,
         label=f'scene "{kind.scene.name}"',
@@ -225,8 +225,8 @@ def lanes_of(kind: ProgramKey, arguments: tuple[Any, ...]) -> LaneArguments:
         values = {name: np.resize(np.asarray(known[name]), COMPARED_LANES) for name in parameters}
     values = {name: x.astype(dtype) for name, x in values.items()}
     if not rests:
-        return LaneArguments(values, (lanes % max(len(kind.starts), 1)).astype(np.int32))
+        return LaneArguments(values, (lanes % max(len(scene.starts), 1)).astype(np.int32))
     # At its named initial condition, a system may be at rest, where rounding errors decide what it does.
     numbers = 1 + np.arange(len(scene.start_states))
     states = tuple((0.1 * k * (-1.0) ** (k * lanes)).astype(dtype) for k in numbers)
-    return LaneArguments(values, np.full(COMPARED_LANES, len(kind.starts), np.int32), states)
+    return LaneArguments(values, np.full(COMPARED_LANES, len(scene.starts), np.int32), states)
