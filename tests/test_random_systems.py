@@ -5,6 +5,7 @@ import pytest
 from exact.described import Described, Rub, Stop, Surface
 from exact.hybrid import Hybrid
 from exact.random_systems import draw, structure
+from random_families import family_of, faults
 from random_systems import built, compare, compare_sweep
 
 FREE = {"x": ((1.0, "v"),), "v": ((-1.0, "g"),)}
@@ -130,3 +131,11 @@ def test_sweeps_of_random_systems(seed):
     points = [{name: x + 0.3 * name.startswith("c_") for name, x in p.items()} for p in draws]
     outcomes = compare_sweep(described, points, [0.1, 0.2, -0.15, 0.05][: len(described.states)], settle=150.0)
     assert [verdict for verdict in outcomes if verdict.kind == "WRONG"] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [301, 302, 304, 305, 309])
+def test_families_of_random_systems(seed):
+    """States, impacts and multipliers along a parameter, and stability that changes at special points only."""
+    compared, found = faults(*family_of(seed, 0))
+    assert found == [] and compared >= 3
