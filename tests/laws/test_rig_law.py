@@ -12,8 +12,8 @@ from trials import CASES, FORMATIONS, FOUNDER, rig_logs, rows, trials
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.studies.rop_blocks import STANDINGS, Standing, find_founder, predictions_without
 from vibrojax.studies.rop_forms import FORMS, search, whiten
+from vibrojax.studies.rop_group import STANDINGS, Standing, find_founder, predictions_without
 from vibrojax.studies.rop_law import fit_rop
 from vibrojax.studies.rop_results import verdict
 
@@ -60,7 +60,7 @@ def test_leaving_out_a_block_is_exact_for_linear_forms():
     rng = np.random.default_rng(5)
     relief, rate = np.exp(rng.uniform(0, 1, 120)), 1 + 0.2 * rng.standard_normal(120)
     block, decay = np.arange(120) // 20, np.array([0.0, *[0.6] * 119])
-    minimum = search(FORMS[2], relief, rate, "squares", decay)
+    minimum = search(FORMS[2], relief, rate, False, decay)
     residual, x = predictions_without(minimum, rate / rate.max(), block), minimum.model.columns(relief)
     for index in range(6):
         kept = block != index
@@ -112,9 +112,9 @@ def test_concave_law_has_no_founder(exponent):
     rate = np.log(weight / 30e3) if exponent is None else weight**exponent
     for noise in (0.0, 0.02):
         noisy = rate * (1 + noise * np.random.default_rng(2).standard_normal(400))
-        assert np.isnan(find_founder(weight / 1e5, weight, noisy, np.arange(400)).weight)
+        assert not find_founder(weight / 1e5, weight, noisy, np.arange(400))[0].is_known
     bent = np.minimum(rate, rate[np.argmin(abs(weight - 12e4))])
-    founder = find_founder(weight / 1e5, weight, bent, np.arange(400))
+    founder, _ = find_founder(weight / 1e5, weight, bent, np.arange(400))
     assert founder.weight == pytest.approx(12e4, rel=0.01) and not founder.falls
 
 

@@ -10,8 +10,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.io.log_filters import read_conditions
-from vibrojax.io.riglog import log_lines, read_log, to_dataset
+from vibrojax.io.riglog import log_lines, read_conditions, read_log, to_dataset
 from vibrojax.io.tables import decimal_mark
 
 sys.path.insert(0, str(Path(__file__).parent))
