@@ -237,8 +237,9 @@ def test_failed_and_irregular_lanes_are_omitted_and_counted():
     rate[11], rate[12] = np.nan, -1.0
     relief = RELIEF.copy()
     relief[13], relief[14] = 0.0, np.inf
-    fit = fitted(rate, relief, "onset", regime=regime)
-    assert fit.used.item() == RELIEF.size - 7 and fit.left_out.item() == 7
+    rate[16], status = 1.0, (np.arange(RELIEF.size) == 16).astype(np.int8)
+    fit = fitted(rate, relief, "onset", regime=regime, status=status)
+    assert fit.used.item() == RELIEF.size - 8 and fit.left_out.item() == 8
     assert fit.C.item() == pytest.approx(C, rel=1e-10)
 
 

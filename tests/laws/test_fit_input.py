@@ -48,15 +48,6 @@ def refused(data, *arguments, **named) -> str:
 # datasets
 
 
-def test_failed_lanes_are_omitted():
-    data = sweep()
-    data["rate_of_penetration"][0, 2] = 1.0
-    data["status"][0, 2] = 1
-    fit = fit_rop(data, progress=False).sel(form="onset")
-    assert list(fit.left_out.values) == [1, 0] and list(fit.used.values) == [7, 8]
-    assert fit.C.values[0] == pytest.approx(C)
-
-
 @pytest.mark.parametrize(
     ("data", "named", "line"),
     [

@@ -156,16 +156,22 @@ def read_needed(
     unusual = _to_si(place, chosen, values, is_needed, notes)
     names = [(recognise(cell)[0] or "", cell) for cell in header]
     is_rig = RELIEF not in chosen and any(name in RIG or (name and not cell.startswith(name)) for name, cell in names)
-    everything = {cell: rows.iloc[:, index] for index, cell in enumerate(header)}
-    met = {each.text: _meets(place, each, everything, chosen, values) for each in conditions}
-    free = {quantity for quantity, _ in met.values()}
-    masks = [("no numbers", empty), *((f"not {each}", ~mask) for each, (_, mask) in met.items())]
-    masks += _no_drilling(values, free) if is_rig else []
+    table: dict[str, np.ndarray] = {**values, LINE: lines}
+    taken = {column.index for column in chosen.values()}
+    for index, cell in enumerate(header):
+        if index not in taken and cell not in ("", "row", *table):
+            found, wrong = to_numbers(rows.iloc[:, index], mark, missing)
+            table[cell] = rows.iloc[:, index].fillna("").str.strip().to_numpy(object) if wrong.any() else found
+    data = pd.DataFrame(table)
+    met = {each.text: _meets(place, each, data, chosen) for each in conditions}
+    free = {name for name, _ in met.values()}
     for key in sorted({"torque", "pressure"} & set(values) - free):
-        if (large := values[key] > LIMITS[key]).any():
-            values[key] = np.where(large, np.nan, values[key])
+        if (large := data[key] > LIMITS[key]).any():
+            data[key] = data[key].mask(large)
             limit = f"{LIMITS[key]:g} {UNITS[KNOWN[key].unit][0]}"
             notes.append(f"{key}: {counted(large.sum(), 'value')} above {limit} taken as missing")
+    masks = [("no numbers", empty), *((f"not {each}", ~mask) for each, (_, mask) in met.items())]
+    masks += _no_drilling(values, free) if is_rig else []
     kept, dropped = np.ones(len(rows), bool), {}
     for reason, mask in masks:
         dropped[reason] = mask & kept
@@ -178,13 +184,7 @@ def read_needed(
         texts = ", ".join(f"{reason} {mask.sum()}" for reason, mask in dropped.items())
         hint = f"; is a unit wrong? {unusual[0][3]}" if unusual else ""
         raise place.at(f"line {lines[0]} to {lines[-1]}").error(f"no row is left of {len(rows)}: {texts}{hint}")
-    table: dict[str, np.ndarray] = {**values, LINE: lines}
-    taken = {column.index for column in chosen.values()}
-    for index, cell in enumerate(header):
-        if index not in taken and cell not in ("", "row", *table):
-            found, wrong = to_numbers(rows.iloc[:, index], mark, missing)
-            table[cell] = rows.iloc[:, index].fillna("").str.strip().to_numpy(object) if wrong.any() else found
-    data = pd.DataFrame(table)[kept].reset_index(drop=True)
+    data = data[kept].reset_index(drop=True)
     data.attrs = {
         "title": Path(place.file).name,
         "rig": is_rig,
@@ -325,43 +325,36 @@ def read_conditions(where: Where) -> list[Condition]:
     return conditions
 
 
-def _meets(
-    place: Place,
-    condition: Condition,
-    columns: Mapping[str, pd.Series],
-    chosen: Mapping[str, Column],
-    values: Mapping[str, Rows],
-) -> tuple[str | None, Mask]:
-    """Return the quantity that a condition is on, None for another one of the `columns`, and where it holds.
+def _meets(place: Place, condition: Condition, data: pd.DataFrame, chosen: Mapping[str, Column]) -> tuple[str, Mask]:
+    """Return the column of `data` that a condition is on, and where it holds.
 
     **Raises:** `InputError` if there is no such column, or the value does not suit it.
     """
-    here, name = place.at(f"where {condition.text}"), normalised(condition.name)
-    number, unit = NUMBER.fullmatch(condition.value), condition.unit
-    headers = {key: chosen[key].header for key in values}
-    names = {normalised(t): key for key, cell in headers.items() for t in (cell, split_unit(cell)[0], key)}
-    key = names.get(name, recognise(condition.name)[0])
-    if key in values and key is not None:
-        unit = unit or (number[2] if number else None)
+    here, own = place.at(f"where {condition.text}"), [name for name in chosen if name in data]
+    names = {normalised(str(name)): str(name) for name in data}
+    for text in (lambda name: chosen[name].header, lambda name: split_unit(chosen[name].header)[0]):
+        names |= {normalised(text(name)): name for name in own}
+    key = names.get(normalised(condition.name), recognise(condition.name)[0])
+    if key is None or key not in data:
+        hint = suggestion(condition.name, [*own, *(chosen[name].header for name in own), *map(str, data)])
+        raise here.error(f"the file has no column {shown(condition.name)}; {hint}")
+    number = NUMBER.fullmatch(condition.value)
+    if key in own:
+        unit = condition.unit or (number[2] if number else None)
         scale = factor(unit, KNOWN[key].unit) if unit else chosen[key].factor
         if number is None or scale is None:
             units = ", ".join(UNITS[KNOWN[key].unit])
             raise here.error(f"{shown(condition.value)} does not suit {key}; write a number with a unit of {units}")
-        return key, condition.holds(values[key], float(number[1]) * scale)
-    column = next((cells for header, cells in columns.items() if normalised(header) == name), None)
-    if column is None:
-        hint = suggestion(condition.name, [*values, *filter(None, columns)])
-        raise here.error(f"the file has no column {shown(condition.name)}; {hint}")
-    found, wrong = to_numbers(column, ".", ())
-    if number is not None and not number[2] and not wrong.any():
-        return None, condition.holds(found, float(number[1]))
+        return key, condition.holds(data[key], float(number[1]) * scale)
+    if number is not None and not number[2] and data[key].dtype.kind in "fi":
+        return key, condition.holds(data[key], float(number[1]))
     if condition.operator not in ("=", "==", "!="):
         raise here.error("texts are only compared by = or !=")
-    equal = (column.fillna("").str.strip() == condition.value).to_numpy(bool)
-    return None, ~equal if condition.operator == "!=" else equal
+    equal = (data[key].astype(str) == condition.value).to_numpy(bool)
+    return key, ~equal if condition.operator == "!=" else equal
 
 
-def _no_drilling(values: Mapping[str, Rows], free: Collection[str | None]) -> list[tuple[str, Mask]]:
+def _no_drilling(values: Mapping[str, Rows], free: Collection[str]) -> list[tuple[str, Mask]]:
     """Return masks of the rows that are no drilling, by reason; `free`: quantities without a limit of reason."""
     none = np.full(len(next(iter(values.values()))), np.nan)
     rate, weight, speed, depth, bit = (

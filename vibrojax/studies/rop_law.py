@@ -335,9 +335,8 @@ def _grouped(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[st
 
 def _grouped_rows(lanes: xr.Dataset, keys: list[str], row: str, along: str) -> xr.Dataset:
     """Return the rows of a table in groups of equal values in the columns `keys`; those of a log from top to bottom."""
-    depth = lanes.coords.get(DEPTH)
     table = pd.DataFrame({name: lanes[name].values for name in keys}, index=range(lanes.sizes[row]))
-    grouped = table.groupby(keys or np.zeros(len(table)), sort=depth is None, dropna=False)
+    grouped = table.groupby(keys or np.zeros(len(table)), sort=DEPTH not in lanes.coords, dropna=False)
     group, lane = grouped.ngroup().to_numpy(), grouped.cumcount().to_numpy()
     first = np.flatnonzero(lane == 0)
     first = first[np.argsort(group[first])]
@@ -347,11 +346,6 @@ def _grouped_rows(lanes: xr.Dataset, keys: list[str], row: str, along: str) -> x
         padded[group, lane] = x.values
         variables[str(name)] = (("group", "lane"), padded)
     coordinates = {name: xr.Variable("group", lanes[name].values[first], lanes[name].attrs) for name in keys}
-    if depth is not None and DEPTH not in (*keys, along) and depth.dtype.kind == "f":
-        ends = pd.Series(depth.values).groupby(group).agg(["min", "max"])
-        about = {"units": "m", "long_name": "depth of the group"}
-        for name, end in (("depth_from", "min"), ("depth_to", "max")):
-            coordinates[name] = xr.Variable("group", ends[end].to_numpy(), about)
     return xr.Dataset(variables, coordinates, {"along": along})
 
 

@@ -65,7 +65,7 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     C is that of the forms that the data do not reject. Without an axis, the panels of the data say C, and the evidence
     is drawn over the forms.
     """
-    fit = _law_of(fit.drop_vars(["depth_from", "depth_to"], errors="ignore"))
+    fit = _law_of(fit)
     if "reference_force" in fit.attrs:  # the threshold is unknown: some forms are the same curve as another one
         fit = fit.sel({FORM: [name for name in _names(fit) if name not in SAME_AS_ONSET]})
     by_blocks = "cv_error" in fit and bool(fit["cv_error"].notnull().any())

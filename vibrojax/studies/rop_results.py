@@ -22,7 +22,6 @@ from vibrojax.studies.rop_group import COEFFICIENTS, LEAST_DEGREES_OF_FREEDOM, F
 _ONSET_STANDARD_ERRORS = 2.0  # by which an onset is below 1 before the verdict says so
 _GROUPS_LISTED = 12
 _PER_HOUR, _PER_STEP = 3600.0, 10e3  # the fall of the rate in m/h per 10 kN
-_DEPTHS = ("depth_from", "depth_to")  # coordinates of groups that follow from the others
 _KEPT = ("undecided", "contains-chosen", "chosen")
 
 
@@ -36,7 +35,7 @@ def groups_of(fit: xr.Dataset) -> Iterator[tuple[str, pd.DataFrame]]:
     names = [name for name in table if name in dims or (name in fit.coords and name != "form" and fit[name].dims)]
     # A dimension without values of its own has a name only if nothing else distinguishes its groups.
     named = {dim for name in names if name in fit.coords for dim in fit[name].dims}
-    names = [name for name in names if (name in fit.coords or name not in named) and name not in _DEPTHS]
+    names = [name for name in names if name in fit.coords or name not in named]
     for _, part in table.groupby(np.arange(len(table)) // fit.sizes["form"]):
         first = part.iloc[0]
         texts = [f"{name}={_text(fit, name, first[name])}" for name in names]
