@@ -39,7 +39,7 @@ KEPT = [
     ("attractors", "10,400 starts per second", BENCHMARKS, ["10,400 starts a second", "3,900 starts a second"]),
     ("rig_log", "above 500 ft/h, 180 klbf or 500 rpm", "vibrojax/io/riglog.py",
      ["500 * 0.3048 / 3600", "500 * RPM"]),
-    ("rig_log", "is rejected above 5.4", "vibrojax/studies/rop_group.py", ["BLOCK_LIMIT = 5.4"]),
+    ("rig_log", "is rejected above 5.4", "vibrojax/studies/rop_forms.py", ["BLOCK_LIMIT = 5.4"]),
     ("large_sweeps", "(6 s, and 1 s per 20 MB)", "vibrojax/io/untrusted.py", ["PROCESSOR_SECONDS, SLOWEST = 6.0, 2e7"]),
     ("large_sweeps", "kills a sweep two hundred times; no chunk has been lost", HARD,
      ["Seen: 200 kills", "no chunk lost"]),

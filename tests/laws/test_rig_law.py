@@ -12,19 +12,8 @@ from trials import CASES, FORMATIONS, FOUNDER, rig_logs, rows, trials
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.studies.rop_forms import FORMS, search, whiten
-from vibrojax.studies.rop_group import (
-    BLOCK_LIMIT,
-    FAR_RATE,
-    NAMES,
-    STANDINGS,
-    Standing,
-    clean,
-    find_founder,
-    predictions_without,
-    standings,
-    supported,
-)
+from vibrojax.studies.rop_forms import BLOCK_LIMIT, FORMS, STANDINGS, Standing, search, standings, supported, whiten
+from vibrojax.studies.rop_group import FAR_RATE, NAMES, clean, find_founder, predictions_without
 from vibrojax.studies.rop_law import fit_rop
 from vibrojax.studies.rop_results import verdict
 
@@ -141,12 +130,13 @@ def test_wrong_rates_are_found_about_the_law_that_ends_at_the_founder():
 
 @pytest.mark.parametrize(("groups", "expected"), [(1, "onset"), (2, "none"), (8, "none")])
 def test_special_case_needs_more_evidence_against_it_in_one_of_several_groups(groups, expected):
-    """An evidence of 6 against `literal` is beyond chance in one group, but not in one of two."""
+    """An evidence of 9 against `literal` is beyond chance in one group, but not in one of two."""
     evidence = np.full((groups, 6), 100.0)
     evidence[:, NAMES.index("literal")], evidence[:, NAMES.index("onset")] = 0.1, 0.0
-    evidence[0, NAMES.index("literal")] = 6.0
+    evidence[0, NAMES.index("literal")] = 9.0
     standing = np.array([standings(row, NAMES, BLOCK_LIMIT) for row in evidence])
     assert supported(standing, evidence, NAMES, BLOCK_LIMIT) == expected
+    assert standings(np.array([8.0, 100, 0, 100, 100, 100]), NAMES, BLOCK_LIMIT).tolist() == [2, 1, 4, 1, 1, 1]
 
 
 @pytest.mark.parametrize("spike", [400.0, 1000.0, 9999.0, 1e20, 0.4])

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from unchecked import unchecked
 
-from vibrojax.studies.rop_group import BLOCK_LIMIT, NAMES, fit_lanes, supported
+from vibrojax.studies.rop_forms import BLOCK_LIMIT, supported
+from vibrojax.studies.rop_group import NAMES, fit_lanes
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "notebooks"))
 import rig_logs

@@ -213,15 +213,14 @@ def _to_si(
     for key, numbers in list(values.items()):
         known = np.abs(numbers[np.isfinite(numbers) & (numbers != 0)])
         median, column = float(np.median(known)) if known.size else np.nan, chosen[key]
+        low, high = KNOWN[key].usual or (0.0, np.inf)
         if key == ROTATION_SPEED and column.assumed and not is_own(column.header, key):
-            low, high = KNOWN[key].usual or (0.0, np.inf)  # the name is of some rotary speed, in rpm more often
-            for unit, scale in {"rev/s": 60 * RPM, "rpm": RPM}.items():
+            for unit, scale in {"rev/s": 60 * RPM, "rpm": RPM}.items():  # the last that fits
                 if low <= median * scale <= high:
                     chosen[key] = column = Column(column.header, column.index, unit, scale, assumed=True)
         values[key] = column.factor * numbers
         if not known.size or (word := likely_words(key, column, median)) is None:
             continue
-        low, high = KNOWN[key].usual or (0.0, 0.0)
         fault = f"{key} {median:.6g} {column.unit} ({low:g} to {high:g} {UNITS[KNOWN[key].unit][0]})"
         if not column.assumed:
             unusual.append((column.header, key, median * column.factor, f"likely --columns {word}"))
@@ -262,8 +261,7 @@ def _times(header: list[str], column: Column, rows: pd.DataFrame) -> tuple[Rows,
     """
     cells = rows.iloc[:, column.index or 0].fillna("").str.strip()
     date = next((k for k, cell in enumerate(header) if recognise(cell)[0] == DATE and k != column.index), None)
-    empty = (cells == "").to_numpy()
-    scale = column.factor
+    empty, scale = (cells == "").to_numpy(), column.factor
     if date is None and all(is_number(cell) or not cell for cell in cells):
         values, scale = pd.to_numeric(cells).to_numpy(float), 1.0
     elif date is None and cells[~empty].str.fullmatch(_CLOCK).mean() > 0.5:
@@ -332,11 +330,11 @@ def _meets(place: Place, condition: Condition, data: pd.DataFrame, chosen: Mappi
     """
     here, own = place.at(f"where {condition.text}"), [name for name in chosen if name in data]
     names = {normalised(str(name)): str(name) for name in data}
-    for text in (lambda name: chosen[name].header, lambda name: split_unit(chosen[name].header)[0]):
-        names |= {normalised(text(name)): name for name in own}
+    headers = {name: chosen[name].header for name in own}
+    names |= {normalised(text): name for name, cell in headers.items() for text in (cell, split_unit(cell)[0])}
     key = names.get(normalised(condition.name), recognise(condition.name)[0])
     if key is None or key not in data:
-        hint = suggestion(condition.name, [*own, *(chosen[name].header for name in own), *map(str, data)])
+        hint = suggestion(condition.name, [*own, *headers.values(), *map(str, data)])
         raise here.error(f"the file has no column {shown(condition.name)}; {hint}")
     number = NUMBER.fullmatch(condition.value)
     if key in own:
@@ -356,20 +354,20 @@ def _meets(place: Place, condition: Condition, data: pd.DataFrame, chosen: Mappi
 
 def _no_drilling(values: Mapping[str, Rows], free: Collection[str]) -> list[tuple[str, Mask]]:
     """Return masks of the rows that are no drilling, by reason; `free`: quantities without a limit of reason."""
-    none = np.full(len(next(iter(values.values()))), np.nan)
-    rate, weight, speed, depth, bit = (
-        values.get(name, none) for name in (RATE, WEIGHT, ROTATION_SPEED, DEPTH, BIT_DEPTH)
-    )
-    masks = [
-        (RATE, "missing rate", np.isnan(rate)),
-        (WEIGHT, "missing weight", ~(weight > 0)),
-        (ROTATION_SPEED, "no rotation", ~(speed >= SLOWEST_ROTATION)),
+    depth = values.get(DEPTH, np.nan)
+    tests: list[tuple[str, str, Callable[[Rows], Any]]] = [
+        (RATE, "missing rate", np.isnan),
+        (WEIGHT, "missing weight", lambda x: ~(x > 0)),
+        (ROTATION_SPEED, "no rotation", lambda x: ~(x >= SLOWEST_ROTATION)),
+        (DEPTH, "missing depth", np.isnan),
+        (BIT_DEPTH, "off bottom", lambda x: x < depth - OFF_BOTTOM),
     ]
-    for name, word, found in ((RATE, "rate", rate), (WEIGHT, "weight", weight), (ROTATION_SPEED, "rotation", speed)):
-        limit = np.inf if name in free else LIMITS[name]
-        masks.append((name, f"{word} beyond reason", (found < 0) | (found > limit)))
-    masks += [(DEPTH, "missing depth", np.isnan(depth)), (BIT_DEPTH, "off bottom", bit < depth - OFF_BOTTOM)]
-    return [(reason, mask) for name, reason, mask in masks if name in values]
+    found = [(reason, np.asarray(is_so(values[name]))) for name, reason, is_so in tests if name in values]
+    for name, word in ((RATE, "rate"), (WEIGHT, "weight"), (ROTATION_SPEED, "rotation")):
+        if name in values:
+            limit = np.inf if name in free else LIMITS[name]
+            found.append((f"{word} beyond reason", (values[name] < 0) | (values[name] > limit)))
+    return found
 
 
 def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines: Int[np.ndarray, " rows"]) -> Mask:

@@ -193,27 +193,21 @@ def rig_picture(ds: xr.Dataset) -> Sheet:
 def _axis(ds: xr.Dataset, name: str, text: str = "", intervals: int = 3) -> Axis:
     """Return an axis on which no spike flattens the other values; its label says how many are beyond."""
     values, unit = _drawn(ds, name)
-    low, high, is_log, beyond = _limits(values, "energy" in name)
-    label = " ".join(filter(None, (text, f"[{unit}]" if unit else "", f"\n{beyond} beyond" if beyond else "")))
-    return Axis(label, name, (low, high), log=is_log, intervals=intervals)
-
-
-def _limits(values: Rows, is_energy: bool = False) -> tuple[float, float, bool, int]:
-    """Return limits and scale of an axis on which no spike flattens the other values, and how many are beyond."""
     known = values[np.isfinite(values)]
     near, far = np.percentile(known, _TRIM)
+    is_log = "energy" in name and near > 0 and known.max() > _LOG_SPAN * near
     low, high = max(known.min(), 2 * near - far), min(known.max(), 2 * far - near)
-    if is_energy and near > 0 and known.max() > _LOG_SPAN * near:
-        return near / 2, known.max() * 1.3, True, int((known < near / 2).sum())
     margin = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
-    return low - margin, high + margin, False, int(((known < low) | (known > high)).sum())
+    limits = (near / 2, known.max() * 1.3) if is_log else (low - margin, high + margin)
+    beyond = int(((known < limits[0]) | (known > limits[1])).sum())
+    label = " ".join(filter(None, (text, f"[{unit}]" if unit else "", f"\n{beyond} beyond" if beyond else "")))
+    return Axis(label, name, limits, log=bool(is_log), intervals=intervals)
 
 
 def _unit(ds: xr.Dataset, unit: str) -> tuple[float, str]:
     """Return factor and name of the unit in which values in an SI unit are drawn and printed."""
-    return (
-        (1.0, pretty_unit(unit)) if ds.attrs.get("drawn_in") == "si" else _DRILLERS.get(unit, (1.0, pretty_unit(unit)))
-    )
+    drillers = {} if ds.attrs.get("drawn_in") == "si" else _DRILLERS
+    return drillers.get(unit, (1.0, pretty_unit(unit)))
 
 
 def _drawn(ds: xr.Dataset, name: str) -> tuple[Rows, str]:
@@ -245,7 +239,7 @@ class Rigs(Analysis):
             values, unit = _drawn(ds, name)
             if known := np.isfinite(values).any():
                 low, middle, high = np.nanquantile(values, [0.1, 0.5, 0.9])
-                about = f"median {middle:.3g}, 80 % from {low:.3g} to {high:.3g} {unit}"
+                about = f"median {middle:.4g}, 80 % from {low:.4g} to {high:.4g} {unit}"
                 lines.append(f"{name.replace('_', ' ')}: {about}".rstrip())
             facts[name] = float(np.nanmedian(ds[name].values)) if known else None
         unknown = [part for part in text_of(ds, "notes").split("; ") if " is not known: " in part]

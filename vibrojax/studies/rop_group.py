@@ -1,21 +1,20 @@
-"""Fit of one group of lanes: wrong rows, the founder weight, every form, and the comparison of the forms.
+"""Fit of one group of lanes: wrong rows, the founder weight, and every form.
 
 The rows of a log are in order of depth. Neighbours are correlated, so that rows are neither drawn nor left out one by
 one, but in blocks that are longer than the correlation.
 """
 
-from collections.abc import Sequence
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
 from vibrojax.studies.rop_forms import (
-    CONTAINED,
+    AIC_LIMIT,
+    BLOCK_LIMIT,
     FORMS,
     LEAST_SPREAD,
     SAME_AS_ONSET,
@@ -25,10 +24,12 @@ from vibrojax.studies.rop_forms import (
     Minimum,
     Model,
     Reason,
+    Standing,
     linear_problem,
     moves_without,
     search,
     spread_of,
+    standings,
     whiten,
 )
 
@@ -41,17 +42,6 @@ LEAST_ROWS = 50
 
 LEAST_CLEANED = 30
 """Least number of rows from which wrong rows and a founder weight are sought."""
-
-AIC_LIMIT = 2.0
-"""Difference in AIC above which a form is rejected (Burnham and Anderson's rule of thumb)."""
-
-BLOCK_LIMIT = 5.4
-"""Evidence by blocks of rows above which a form is rejected.
-
-Of two forms with as many coefficients, the right one has evidence above 5.4 against it with a probability below 1 %,
-however much they differ: twice the logarithm of a likelihood ratio with the mean d has the variance 4 d. Against a
-right special case of another form, it exceeds 5.4 in 0.7 % of groups: chi-squared above 7.4, since a coefficient costs
-2."""
 
 _MOST_BLOCKS, _ROWS_PER_BLOCK = 20, 10
 # Two standard errors, and the probability up to them: 98.5 % between both ends instead of 95.4 %, since the correlation
@@ -91,19 +81,6 @@ FAR_WEIGHT, FAR_RATE = "weight far from all others", "rate far from the law"
 
 COEFFICIENTS = ("C", "eta0", "exponent")
 NAMES = [form.name for form in FORMS]
-
-
-class Standing(IntEnum):
-    """Result of the comparison for a form."""
-
-    NOT_COMPARED = 0
-    REJECTED = 1
-    UNDECIDED = 2
-    CONTAINS_CHOSEN = 3
-    CHOSEN = 4
-
-
-STANDINGS = tuple(standing.name.lower().replace("_", "-") for standing in Standing)
 
 
 class Founder(NamedTuple):
@@ -210,8 +187,10 @@ def _wrong_rates(residual: Lanes, weight: Lanes) -> LaneFlags:
     """
     order, local = np.argsort(weight, kind="stable"), np.empty(residual.size)
     local[order] = median_filter(residual[order], _WINDOW, mode="mirror")  # "nearest" repeats the row at an end
-    far = [np.abs(r) > _OUTLIER * max(spread_of(r), _LEAST_OUTLIER) for r in (residual, residual - local)]
-    wrong = np.all(far, axis=0)
+    wrong = np.ones(residual.size, bool)
+    for r in (residual, residual - local):
+        spread = max(spread_of(half) for half in np.array_split(r[order], 2))  # noise may grow with the weight
+        wrong &= np.abs(r) > _OUTLIER * max(spread, _LEAST_OUTLIER)
     return wrong & (wrong.mean() <= _MOST_OUTLIERS)
 
 
@@ -398,52 +377,3 @@ def _coefficients(minimum: Minimum, rate: Lanes, block: LaneBlocks | None) -> di
         "aic": rate.size * (np.log(max(squares / rate.size, _EPSILON**2)) + 2 * np.log(unit)) + 2 * size,
         "degrees_of_freedom": int(minimum.active.sum()) - size,
     }
-
-
-# The comparison of the forms
-
-
-def standings(evidence: Float[np.ndarray, " forms"], names: Sequence[str], limit: float) -> Int[np.ndarray, " forms"]:
-    """Return the `Standing` of each form by the evidence against it: beyond `limit`, it is rejected.
-
-    Of the others, that with the fewest coefficients and then the least evidence against it is chosen. The rest are
-    undecided, unless they contain the chosen form.
-    """
-    if not np.isfinite(evidence).any():
-        return np.full(len(names), Standing.NOT_COMPARED)
-    # The constant of percent is a convention: it is not preferred to onset, of which it is a special case.
-    size, above = {form.name: form.size for form in FORMS} | {"percent": 2}, evidence - np.nanmin(evidence)
-    kept = above <= limit
-    chosen = min(np.flatnonzero(kept).tolist(), key=lambda form: (size[names[form]], above[form]))
-    standing = np.where(kept, Standing.UNDECIDED, np.where(np.isfinite(evidence), Standing.REJECTED, 0))
-    for form in np.flatnonzero(kept).tolist():
-        if names[form] in CONTAINED.get(names[chosen], ()):
-            standing[form] = Standing.CONTAINS_CHOSEN
-    standing[chosen] = Standing.CHOSEN
-    return standing
-
-
-def supported(
-    standing: Int[np.ndarray, "groups forms"],
-    evidence: Float[np.ndarray, "groups forms"],
-    names: Sequence[str],
-    limit: float,
-) -> str:
-    """Return the form that the data of all groups support, or "none".
-
-    It is the form that the sum of the evidence chooses, if it leaves no rival and no group rejects it.
-    """
-    compared = (standing > 0).any(axis=1)
-    if not compared.any():
-        return "none"
-    standing, evidence = standing[compared], evidence[compared]
-    joint = standings(evidence.sum(axis=0), names, limit)
-    chosen = int(np.argmax(joint))
-    # A special case of the chosen form is a rival, since it has fewer coefficients in each group, unless a group
-    # rejects it. One of several groups does so by chance more often than a single one: hence 2 ln(groups).
-    special = [names.index(name) for name, wider in CONTAINED.items() if name in names and names[chosen] in wider]
-    special = [form for form in special if standing[:, form].any()]
-    above = (evidence - np.nanmin(evidence, axis=1, keepdims=True))[:, special]
-    is_rejected = (above > limit + 2 * np.log(len(evidence))).any(axis=0)
-    has_rival = (joint == Standing.UNDECIDED).any() or not is_rejected.all()
-    return "none" if has_rival or (standing[:, chosen] == Standing.REJECTED).any() else names[chosen]

@@ -41,8 +41,8 @@ from vibrojax.physics.meanings import suggest_coordinate
 from vibrojax.physics.units import UNITS, factor
 from vibrojax.progress import LOG
 from vibrojax.settings.values import choice, warn_if_far
-from vibrojax.studies.rop_forms import FORMS, REASONS
-from vibrojax.studies.rop_group import AIC_LIMIT, BLOCK_LIMIT, NAMES, STANDINGS, fit_lanes, supported
+from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, REASONS, STANDINGS, supported
+from vibrojax.studies.rop_group import NAMES, fit_lanes
 
 if TYPE_CHECKING:
     Data: TypeAlias = xr.Dataset | str | PathLike[str] | pd.DataFrame

@@ -31,8 +31,7 @@ from vibrojax.pictures.plots import (
 from vibrojax.pictures.sheet import Facets, at, facets
 from vibrojax.pictures.style import IMPACT
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.studies.rop_forms import FORMS, SAME_AS_ONSET
-from vibrojax.studies.rop_group import AIC_LIMIT, BLOCK_LIMIT, Standing
+from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, SAME_AS_ONSET, Standing
 from vibrojax.studies.rop_results import formulas_of, verdict
 
 _MARKS = dict(zip(("onset", "literal", "percent", "line", "power", "constant"), "os^DvP", strict=True))
