@@ -10,6 +10,10 @@ from beartype import beartype
 
 CONTEXT = jaxtyping.jaxtyped("context")
 
+FULLY_CHECKED_CALLS, CALLS_PER_CHECK = 8, 50
+"""The first calls of a function are checked, and then one in so many: checks of every call take a third of the time of
+the tests, and a wrong annotation is wrong at one of the first calls."""
+
 
 def checked(thing=None, *, typechecker=None):
     """Return a function or dataclass that checks all its annotations in one pass at each call.
@@ -33,11 +37,13 @@ def checked(thing=None, *, typechecker=None):
     if "<locals>" in thing.__qualname__ or inspect.isgeneratorfunction(thing):
         return thing
     strict = None  # built at the first call, because a process calls few of the functions
+    calls = 0
 
     @functools.wraps(thing)
     def call(*args, **kwargs):
-        nonlocal strict
-        if jaxtyping.config.jaxtyping_disable:
+        nonlocal strict, calls
+        calls += 1
+        if (calls > FULLY_CHECKED_CALLS and calls % CALLS_PER_CHECK) or jaxtyping.config.jaxtyping_disable:
             return thing(*args, **kwargs)
         if strict is None:
             strict = beartype(thing) if annotations_are_known(thing) else thing

@@ -76,6 +76,7 @@ def pytest_collection_modifyitems(items):
 
 def pytest_addoption(parser):
     parser.addoption("--vector-bytes", type=int, help="width of the kernels' vectors, in place of the processor's")
+    parser.addoption("--code-level", type=int, default=0, help="LLVM's level of code generation; users' kernels have 2")
 
 
 def pytest_configure(config):
@@ -91,9 +92,14 @@ TEST_MODULES = tuple(name for path in Path(__file__).parent.rglob("*.py") for na
 
 
 def pytest_runtest_setup(item):
-    """Trust kernels of the tests' own code elsewhere: a comparison takes half of the time of a test of a system."""
+    """Trust kernels of the tests' own code elsewhere: a comparison takes half of the time of a test of a system.
+
+    Kernels are compiled with optimization where they are what is tested.
+    """
     compared = item.path.name in COMPARED or item.get_closest_marker("compared")
     trust.OWN_PACKAGES = OWN_PACKAGES if compared else OWN_PACKAGES + TEST_MODULES
+    of_kernels = compared or item.path.parent.name == "kernels"
+    native.CODE_LEVEL = 2 if of_kernels else item.config.getoption("--code-level")
 
 
 def pytest_terminal_summary(terminalreporter):
@@ -114,14 +120,6 @@ def few_mappings():
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > 30_000:
         jax.clear_caches()
-
-
-@pytest.fixture(autouse=True, scope="session")
-def traced_kernels():
-    """Trace every kernel of this process: tests replace functions of the package, which its files do not show."""
-    from vibrojax.compile import native
-
-    native.DESCRIBED = False
 
 
 @pytest.fixture(params=[16, 32, 64])

@@ -48,6 +48,7 @@ def test_true_parameters_are_recovered_without_noise(motion):
     assert fit.attrs["kind"] == "calibration"
 
 
+@pytest.mark.long
 def test_standard_errors_cover_true_parameters(motion):
     """In standard errors, the squared distance from the truth is chi-squared with two degrees of freedom."""
     noise, distances = 2e-3, []
@@ -142,6 +143,7 @@ def test_rows_without_orbit_are_left_out_and_named_so(use_model):
         _calibrated({"v": speeds, "period": observed})
 
 
+@pytest.mark.long
 def test_search_finds_orbits_in_wide_bounds(motion):
     """At most points of these bounds, the drill has no periodic motion with an impact."""
     rows = {name: x[:5] for name, x in _runs(motion).items() if name in ("v", "period")}

@@ -87,6 +87,7 @@ def test_error_of_exponents_of_flows(name):
     assert 0.9 <= inside <= 0.98
 
 
+@pytest.mark.long
 def test_longer_observation_has_smaller_error():
     errors = []
     for observe in (50.0, 500.0):

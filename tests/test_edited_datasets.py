@@ -1,5 +1,6 @@
 """Tests of analyses of edited datasets: the lanes that they run are those of the coordinates, as a new sweep has."""
 
+import json
 import tomllib
 
 import numpy as np
@@ -12,10 +13,13 @@ import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.explorer.views import sweep_of
+from vibrojax.io.attributes import table_of
 from vibrojax.maps.rerun import holds_orbits, sweep_of_dataset
+from vibrojax.pictures.axes import certified_text
 from vibrojax.pictures.selection import select
 from vibrojax.studies.attractors import Attractors
 from vibrojax.studies.curves import problem_of, read_curves
+from vibrojax.studies.summary import summary_facts
 
 RUN = {"settle": 1.0, "observe": 1.0}
 GRID = {"beta": [0.3, 0.35, 0.4], "gamma": [0.65, 0.7]}
@@ -115,6 +119,24 @@ def test_values_are_those_of_a_new_sweep(datasets, tmp_path):
     vj.write_dataset(ds, tmp_path / "edited.nc")
     assert main(["orbits", str(tmp_path / "edited.nc"), "-o", str(tmp_path / "out.nc"), "--quiet"]) == 0
     xr.testing.assert_equal(vj.open_dataset(tmp_path / "out.nc"), expected)
+
+
+def test_combined_datasets_are_one_sweep(datasets):
+    """`xr.combine_by_coords` of neighbouring grids: lanes, counts and orbits are those of both, claims of neither."""
+    low = datasets["names"]
+    low = low.assign_attrs(certified=json.dumps(table_of(low, "certified") | {"estimated": 2, "within": 1}))
+    high = vj.run_sweep(tables() | {"grid": GRID | {"beta": [0.45, 0.5]}}, progress=False)
+    both = xr.combine_by_coords([high, low], combine_attrs="override")
+    assert both.beta.values.tolist() == [0.3, 0.35, 0.4, 0.45, 0.5] and both.regime.attrs == low.regime.attrs
+    facts = summary_facts(both, "")
+    assert facts["lanes"] == both.regime.size == low.regime.size + high.regime.size and facts["certified"] is None
+    assert summary_facts(low, "")["certified"]["lanes"] == low.regime.size
+    assert "that repeat" in certified_text(low) and "that repeat" not in certified_text(both)
+    assert "that repeat" not in certified_text(low.isel(beta=[0]))
+    fresh = vj.orbits(tables() | {"grid": GRID | {"beta": both.beta.values}}, progress=False)
+    xr.testing.assert_equal(vj.orbits(both, progress=False), fresh)
+    with pytest.raises(InputError, match='no attribute sweep; combine_attrs="override" keeps'):
+        vj.orbits(xr.combine_by_coords([high, low], combine_attrs="drop_conflicts"))
 
 
 def test_orbits_are_not_those_of_other_lanes(datasets):

@@ -92,10 +92,10 @@ def test_no_request_and_nothing_on_the_console(browser: Any, files: dict[str, Pa
             assert opened.heard == []
 
 
-def test_numbers_of_thousand_cells_match_dataset(browser: Any, files: dict[str, Path], many: xr.Dataset) -> None:
+def test_numbers_of_cells_match_dataset(browser: Any, files: dict[str, Path], many: xr.Dataset) -> None:
     random = np.random.default_rng(0)
     dims = ("beta", "gamma", "delta", "start")
-    picked = [{name: int(random.integers(many.sizes[name])) for name in dims} for _ in range(1000)]
+    picked = [{name: int(random.integers(many.sizes[name])) for name in dims} for _ in range(300)]
     rows = """cells => cells.map(cell => {
         vibrojax.cell = cell;
         return [...vibrojax.numbers(null).querySelectorAll("td")].map(td => [td.dataset.name, td.textContent]);
@@ -122,7 +122,7 @@ def test_numbers_of_thousand_cells_match_dataset(browser: Any, files: dict[str, 
                 rel = 0.06 if text[0] == "≈" else 5e-4
                 assert number == pytest.approx(value * factors[name], rel=rel, abs=1e-300), (name, cell)
                 compared += 1
-    assert compared > 10_000
+    assert compared > 3_000
 
 
 def test_click_selects_cell_and_hovering_shows_its_value(

@@ -52,6 +52,7 @@ def specials(family):
     return [(names[int(family.special_kind[k])], float(values[k])) for k in np.argsort(values)]
 
 
+@pytest.mark.long
 def test_normal_form_ends_at_zero_amplitude():
     family = follow(NORMAL_FORM, **START)
     (first, place), last = specials(family)
@@ -64,9 +65,9 @@ def test_normal_form_ends_at_zero_amplitude():
 
 def test_planar_flows_have_no_invented_points():
     """The Brusselator's Hopf points are at B = 1 + A². Multipliers of planar flows are positive."""
-    family = follow(BRUSSELATOR, along="B", at=3.0, span=(1.5, 3.5), start=[0.3, 0.0], A=[0.9, 1.0, 1.1])
-    assert len(specials(family)) == 6
-    for number, a in enumerate((0.9, 1.0, 1.1)):
+    family = follow(BRUSSELATOR, along="B", at=3.0, span=(1.5, 3.5), start=[0.3, 0.0], A=[0.9, 1.1])
+    assert len(specials(family)) == 4
+    for number, a in enumerate((0.9, 1.1)):
         (first, place), last = specials(family.isel(special=family.special_family.values == number))
         assert (first, last) == ("hopf", ("end", 3.5)) and place == pytest.approx(1 + a * a, abs=1e-9)
     assert (family.multiplier_arg.values == 0).all() and (

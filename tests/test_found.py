@@ -62,6 +62,20 @@ def test_undecided_motion_names_a_sufficient_duration():
     assert longer["returns"] >= 9
 
 
+def test_short_motion_that_repeats_has_its_period():
+    """12 cycles of a damped, driven oscillator: too few returns for a regime, enough for the period."""
+    oscillator = vj.System(
+        "driven",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"zeta": 0.5},
+        field=lambda t, y, p: {"x": y["v"], "v": vj.elementary.cos(2 * t) - 2 * p["zeta"] * y["v"] - y["x"]},
+        period=lambda p: np.pi,
+    )
+    motion = vj.simulate(oscillator, duration=12 * np.pi, progress=False)
+    assert int(motion.cycles) == 1 and float(motion.period) == pytest.approx(np.pi, rel=1e-12)
+    assert "so far it repeats in each period of 3.1416 s; give duration=" in feature_lines(motion)[0]
+
+
 def test_diffrax_solver_gives_only_the_motion():
     motion = vj.simulate("rotary", duration=0.2, solver="Tsit5", error=1e-2, progress=False)
     assert "regime" not in motion and feature_lines(motion) == []

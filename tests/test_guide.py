@@ -37,12 +37,12 @@ def test_first_motion(tmp_path, monkeypatch, capsys):
 def test_first_map(tmp_path, monkeypatch, capsys):
     """With a coarser grid."""
     monkeypatch.chdir(tmp_path)
-    Path("map.toml").write_text(START["toml file=map.toml"].replace("num = 24", "num = 4"))
+    Path("map.toml").write_text(START["toml file=map.toml"].replace("num = 24", "num = 2"))
     assert run("sh run=map") == [0, 0, 0]
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[:4]] == ["lanes", "memory", "disk", "time"]
     ds = vj.open_dataset("map.nc")
-    assert dict(ds.sizes) | {"beta": 4, "gamma": 4, "start": 2} == dict(ds.sizes)
+    assert dict(ds.sizes) | {"beta": 2, "gamma": 2, "start": 2} == dict(ds.sizes)
     assert run("sh run=plot") == [0] and run("sh run=explore") == [0]
     assert Path("map.png").is_file() and Path("stick.png").is_file()
     assert Path("map.html").read_text().startswith("<!doctype html>")

@@ -41,6 +41,7 @@ from matplotlib.figure import Figure
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import STRUCTURES
 from vibrojax.io.variables import REGIMES
+from vibrojax.measures.labels import SINGLE_IMPACT
 from vibrojax.pictures.axes import label, scale, value_text
 from vibrojax.pictures.branches import branches, places, stability, stable_intervals
 from vibrojax.pictures.chart import chart
@@ -438,7 +439,7 @@ def test_studies_show_their_numbers():
         labels(sheet_of(BEST))
     )
     texts_shown = [layer.text for layer in sheet_of(SLOPES).plots[0].layers[1:]]
-    assert texts_shown == ["0.20", "−0.70"]
+    assert texts_shown == ["0.2", "−0.7"]
     drive, any_start = sheet_of(BORDERS).plots
     assert drive.title == "start drive: 40 % of the plane" and labels(sheet_of(BORDERS)) == ["basin"]
     assert any_start.layers[0].text.replace("\n", " ") == "no border: a single impact is stable everywhere"
@@ -447,6 +448,29 @@ def test_studies_show_their_numbers():
     assert tops == [pytest.approx([70.0, 100.0]), pytest.approx([100.0, 100.0])]
     with pytest.raises(InputError, match="chart: the dataset holds no impacts over a grid"):
         chart(ATTRACTORS)
+
+
+def test_states_of_systems_are_drawn_in_the_units_of_their_axes():
+    ds = OSCILLATION.assign(x=(0.2 * OSCILLATION["x"]).assign_attrs(units="m", long_name="x"))
+    over_time, _, portrait = sheet_of(ds).plots
+    assert over_time.y.label == portrait.x.label == "x [mm]"
+    np.testing.assert_allclose(portrait.layers[0].x, 200 * OSCILLATION["x"].values)
+    np.testing.assert_allclose(over_time.layers[0].y, 200 * OSCILLATION["x"].values[-len(over_time.layers[0].y) :])
+
+
+def test_star_of_chart_is_robust_within_the_map():
+    """Everywhere is a single impact, strongest at the edge, where cells are not known to be robust."""
+    grid = np.linspace(0.3, 0.7, 5)
+    energy = 100 + 10 * np.add.outer(grid, grid)
+    table = {
+        "regime": (("beta", "gamma"), np.full((5, 5), SINGLE_IMPACT)),
+        "impact_energy": (("beta", "gamma"), energy),
+    }
+    table["blow_frequency"] = (("beta", "gamma"), 0 * energy + 260.0)
+    sheet = chart(xr.Dataset(table, {"beta": grid, "gamma": grid}))
+    assert np.argwhere(sheet.plots[0].layers[0].values == 2).tolist() == [[i, j] for i in (1, 2, 3) for j in (1, 2, 3)]
+    assert "Best robust cell: gamma = 0.6, beta = 0.6" in sheet.note
+    assert "robust: also within\ngamma ± 0.1,\nbeta ± 0.1" in [layer.label for layer in sheet.keys[0]]
 
 
 # Words of axes and notes.

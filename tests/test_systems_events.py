@@ -35,14 +35,14 @@ def test_block_rebounds_against_friction(jump):
     assert [float(motion.x[-1]), float(motion.v[-1])] == pytest.approx([0.625, 0.0], abs=1e-8)
 
 
-@pytest.mark.parametrize("pushes", [0.2, 0.0])
-def test_switch_follows_velocity_through_impact(pushes):
+def test_switch_follows_velocity_through_impact():
     turns = vj.Switch("dir", lambda t, y, p: y["v"])
-    block = mass(lambda t, y, p, s: -p["push"] * s["dir"], WALL, turns, parameters={"push": pushes})
-    right = [0.625, 0.0] if pushes else [0.5, -0.5]
-    assert ends(block, [0.0, 1.0], 4.0 if pushes else 2.0) == pytest.approx(right, abs=1e-8)
+    block = mass(lambda t, y, p, s: -p["push"] * s["dir"], WALL, turns, parameters={"push": 0.2})
+    assert ends(block, [0.0, 1.0], 4.0) == pytest.approx([0.625, 0.0], abs=1e-8)
+    assert ends(block, [0.0, 1.0], 2.0, push=0.0) == pytest.approx([0.5, -0.5], abs=1e-8)
 
 
+@pytest.mark.long
 def test_shaken_block_with_stop_and_friction():
     """By SciPy: the impact velocity of the periodic motion is 3.54601 m/s."""
     block = mass(
@@ -129,7 +129,7 @@ def test_kinks_are_located(rate, events, right):
 
 
 def test_square_wave_is_a_forcing():
-    """x' = -x + square wave: the amplitude is tanh(T/4), the multiplier exp(-T)."""
+    """x' = -x + square wave: the amplitude is tanh(T/4)."""
     system = vj.System(
         "square",
         states={"x": "m"},
@@ -137,12 +137,9 @@ def test_square_wave_is_a_forcing():
         period=lambda p: p["T"],
         field=lambda t, y, p: {"x": -y["x"] + E.square(t / p["T"])},
     )
-    ds = vj.run_sweep(
-        {"scene": system, "starts": [[0.0]], "grid": {"T": [2.0, 3.0]}, "run": {"orbits": True}}, progress=False
-    )
+    ds = vj.run_sweep({"scene": system, "starts": [[0.0]], "grid": {"T": [2.0, 3.0]}}, progress=False)
     assert ds.cycles.values.ravel().tolist() == [1, 1]
     assert ds.x_amplitude.values.ravel() == pytest.approx(np.tanh([0.5, 0.75]), abs=1e-8)
-    assert ds.multiplier_abs.values.ravel() == pytest.approx(np.exp([-2.0, -3.0]), abs=1e-8)
 
 
 def test_floor_of_a_state_is_refused():
@@ -164,15 +161,6 @@ def test_negative_normal_force_ends_the_motion_or_lifts_off():
     system = rubbed(lambda t, y, p: cos(t))
     ds = vj.run_sweep({"scene": system, "starts": [[0.0, 0.0]], "grid": {"n": [0.5]}}, progress=False)
     assert names_of(ds, "reason") == ["negative-normal-force"]
-    unmeasured = vj.System(
-        "block",
-        states={"x": "m"},
-        parameters={"push": 1.0},
-        field=lambda t, y, p: {"x": p["push"] + 0.0 * y["x"]},
-        events=[vj.Friction("rub", lambda t, y, p: y["x"], lambda t, y, p: 1.0 - y["x"], law=0.2, acts_on="x")],
-    )
-    with pytest.raises(vj.InputError, match="negative normal force"):
-        vj.simulate(unmeasured, start=[0.5], duration=6.0, progress=False)
     lifted = rubbed(lambda t, y, p: cos(t), lift_off=True)
     assert ends(lifted, [0.0, 0.0], 4 * np.pi)[1] == pytest.approx(0.7396757961189339, abs=1e-7)
     with pytest.raises(vj.InputError, match="normal force of rub is -1"):
@@ -433,8 +421,6 @@ def test_thermostat_with_discrete_state():
             vj.Impact("on", gap=lambda t, y, p: y["T"] - 18, reset=lambda t, y, p, s: {"heating": 1}),
         ],
     )
-    motion = vj.simulate(thermostat, start=[20.0], duration=5.0, progress=False)
-    assert set(np.unique(motion.heating)) == {0.0, 1.0}
     ds = vj.run_sweep({"scene": thermostat, "starts": [[20.0]], "grid": {"k": [1.0]}}, progress=False)
     assert float(ds.period[0, 0]) == pytest.approx(np.log(7 / 3) + np.log(1.5), rel=1e-8)
 
@@ -470,6 +456,7 @@ def test_hysteresis_of_a_second_order_plant_by_directions():
             switched, on = [*switched, t], 1 - on
     motion = vj.simulate(plant, start=[0.0, 0.0], duration=20.0, progress=False)
     assert events_of(motion, "impact") == pytest.approx(switched, abs=1e-6)
+    assert set(np.unique(motion.h)) == {0.0, 1.0}
     assert float(motion.x[-1]) == pytest.approx(y[0], abs=1e-6)
 
 

@@ -103,7 +103,7 @@ FAULTY = {
 
 
 def compare_kernel(scene, derives=False):
-    kind = ProgramKey(scene, vj.Located(), recorder_for(scene), scene.starts)
+    kind = ProgramKey(scene, vj.Located(), recorder_for(scene))
     return Comparison(kind, lanes_of(kind, ()), derives).difference()
 
 
@@ -165,7 +165,7 @@ def test_tolerances_and_versions():
 )
 def test_foreign_code_is_recognised(scene, foreign):
     """Scenes, laws and gauges from outside the package are foreign."""
-    assert is_foreign(ProgramKey(scene, vj.Located(), recorder_for(scene), scene.starts)) == foreign
+    assert is_foreign(ProgramKey(scene, vj.Located(), recorder_for(scene))) == foreign
 
 
 SOUND_SCENES = [

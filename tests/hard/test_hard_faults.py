@@ -205,7 +205,11 @@ def test_two_processes_on_one_output(folder, whole):
 
 
 @pytest.mark.parametrize(
-    ("sent", "status", "word"), [(signal.SIGINT, 130, "interrupted; "), (signal.SIGTERM, 143, "terminated; ")]
+    ("sent", "status", "word"),
+    [
+        (signal.SIGINT, 130, "interrupted; "),
+        pytest.param(signal.SIGTERM, 143, "terminated; ", marks=pytest.mark.long),
+    ],
 )
 def test_ctrl_c_is_answered_at_once(folder, whole, sent, status, word):
     """Ctrl-C and SIGTERM are answered with how to continue, which works.

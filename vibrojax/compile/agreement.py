@@ -66,14 +66,18 @@ def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: A
     by_kernel = jax.tree_util.tree_flatten_with_path(kernel(*arguments))[0]
     random = np.random.default_rng(0)
     changes = [np.zeros(value.shape) for _, value in by_kernel]
-    for number in range(PERTURBED_COPIES + COPIES_WITH_ZEROS):
-        zeros = number >= PERTURBED_COPIES
-        perturbed = jax.tree.map(lambda x, zeros=zeros: _perturb(x, random, zeros), arguments)
-        copy = jax.tree.leaves(kernel(*perturbed))
-        for k, (path, value) in enumerate(by_kernel):
+    for zeros, copies in ((False, PERTURBED_COPIES), (True, COPIES_WITH_ZEROS)):
+        perturbed = jax.tree.map(
+            lambda x, zeros=zeros, copies=copies: _perturb(np.tile(x, copies) if np.ndim(x) else x, random, zeros),
+            arguments,
+        )
+        results = jax.tree.leaves(kernel(*perturbed))
+        for k, ((path, value), result) in enumerate(zip(by_kernel, results, strict=True)):
             # At a zero, a derivative is that of one side.
             if not zeros or DERIVATIVE not in jax.tree_util.keystr(path):
-                changes[k] = np.asarray(np.maximum(changes[k], _distance(value, copy[k])))
+                each = result if result.shape == value.shape else result.reshape(*value.shape[:-1], copies, LANES)
+                change = _distance(value, result) if each is result else _distance(value[..., None, :], each).max(-2)
+                changes[k] = np.asarray(np.maximum(changes[k], change))
     traced = trace(function, *arguments).jaxpr
     variables = traced.jaxpr.invars
     leaves = [np.asarray(x, var.aval.dtype) for x, var in zip(jax.tree.leaves(arguments), variables, strict=True)]

@@ -86,8 +86,10 @@ def build(shape: tuple[int, ...], entry: Callable[[tuple[int, ...]], Entry]) -> 
 
 def each(function: Callable[..., Entry], *values: Value) -> Value:
     """Return `function` of the elements of arrays, which are broadcast against each other, in row-major order."""
-    spread = np.broadcast_arrays(*values)
-    return build(spread[0].shape, lambda index: function(*(value.item(index) for value in spread)))
+    if any(value.shape != values[0].shape for value in values):
+        values = np.broadcast_arrays(*values)
+    entries = zip(*(value.ravel().tolist() for value in values), strict=True)
+    return np.fromiter((function(*some) for some in entries), object, values[0].size).reshape(values[0].shape)
 
 
 def element(dtype: np.dtype) -> str:

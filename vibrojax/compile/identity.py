@@ -112,7 +112,7 @@ def _versions() -> str | None:
 
 def _is_patched() -> bool:
     """Return whether a function or class of this package was replaced by the user's. Other values are not noticed."""
-    modules = [module for name, module in list(sys.modules.items()) if _top(name) == _PACKAGE]
+    modules = [module for name, module in sys.modules.copy().items() if _top(name) == _PACKAGE]
     return any(_is_replaced(value) for module in modules for value in list(vars(module).values()))
 
 

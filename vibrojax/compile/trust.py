@@ -14,7 +14,8 @@ import types
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from functools import cache, partial, wraps
 from hashlib import sha256
 from importlib.metadata import version
@@ -50,6 +51,7 @@ class Subject(NamedTuple):
     - `label`: name of the owner in messages.
     - `code`: objects that the kernel calls, to be searched for foreign code.
     - `variant`: variant of the code. There is one comparison per owner, variant and precision.
+    - `covers`: further variants that the comparison covers.
     - `compare`: function that makes the comparison, or raises `Untranslatable`. The comparison's `key` is the hash of
       the kernels that it compares with XLA. Its method `difference()` returns the first `Difference`, or None.
     """
@@ -59,6 +61,7 @@ class Subject(NamedTuple):
     code: Hashable
     variant: Hashable
     compare: Callable[[], Any]
+    covers: tuple[Hashable, ...] = ()
 
 
 Policy = Callable[[tuple[Hashable, ...], tuple[Any, ...], bool], Subject | None]
@@ -70,6 +73,19 @@ _refused: dict[Hashable, str] = {}
 
 _trusted: set[Hashable] = set()
 """Keys of trusted kernels; owner, variant and precision of code that agrees with XLA."""
+
+_DERIVATIVES = ContextVar("derivatives", default=False)
+
+
+@contextmanager
+def comparing_derivatives() -> Iterator[None]:
+    """Compare derivatives, too, where foreign code is first used: the work in this context needs them later."""
+    before = _DERIVATIVES.set(True)
+    try:
+        yield
+    finally:
+        _DERIVATIVES.reset(before)
+
 
 _locks: defaultdict[Hashable, threading.Lock] = defaultdict(threading.Lock)
 _lock = threading.Lock()
@@ -93,7 +109,7 @@ def trusted_kernel(
 
     **Raises:** `Untranslatable` if no kernel can be made, or if kernels of the same owner differ from XLA.
     """
-    subject = policy(static, arguments, derives)
+    subject = policy(static, arguments, derives or _DERIVATIVES.get())
     if subject is None or not (is_foreign(subject.code) or newer_than_tested()):
         return kernel_for(function, static, *arguments, registers=registers)
     if subject.owner in _refused:
@@ -115,7 +131,8 @@ def _verify(key: str, subject: Subject) -> None:
     owner = subject.owner
     if owner in _refused:
         raise Untranslatable(_refused[owner])
-    compared = (owner, subject.variant, jnp.result_type(float).name)
+    precision = jnp.result_type(float).name
+    compared = owner, subject.variant, precision
     if compared not in _trusted and store.read(_verdict_name(key)) != AGREES:
         try:
             verdict = _verdict(subject)
@@ -126,7 +143,7 @@ def _verify(key: str, subject: Subject) -> None:
             _refused[owner] = verdict.decode()
             warnings.warn(_refused[owner], KernelRefused, stacklevel=2)
             raise Untranslatable(_refused[owner])
-        _trusted.add(compared)
+        _trusted.update((owner, variant, precision) for variant in (subject.variant, *subject.covers))
     if compared in _trusted:
         store.write(_verdict_name(key), AGREES)
     _trusted.add(key)

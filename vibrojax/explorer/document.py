@@ -14,7 +14,16 @@ from matplotlib.colors import LogNorm, to_hex
 
 from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.explorer.encoding import pack
-from vibrojax.io.attributes import LONGEST_TEXT, differing_of, flags, parameters_of, run_of, table_of, text_of, title_of
+from vibrojax.io.attributes import (
+    LONGEST_TEXT,
+    certified_of,
+    differing_of,
+    flags,
+    parameters_of,
+    run_of,
+    text_of,
+    title_of,
+)
 from vibrojax.maps.sweep import Sweep
 from vibrojax.pictures.axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol, typeset
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
@@ -69,7 +78,7 @@ BORDER_MEANINGS = {
 
 def reading_text(ds: xr.Dataset) -> str:
     """Return how many motions of a sweep repeat, and how many of these are not known to the error tolerance."""
-    counts, lanes = table_of(ds, "certified"), int(ds["regime"].size) if "regime" in ds else 0
+    counts, lanes = certified_of(ds), int(ds["regime"].size) if "regime" in ds else 0
     if not counts.get("estimated") or not {"within", "error"} <= set(counts):
         return certified_text(ds)
     estimated, beyond = round(counts["estimated"]), round(counts["estimated"] - counts["within"])

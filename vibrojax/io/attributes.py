@@ -94,6 +94,17 @@ def table_of(ds: xr.Dataset, name: str) -> dict[str, Any]:
     return table
 
 
+def lane_count(ds: xr.Dataset) -> int | None:
+    """Return the number of lanes in a dataset, which a selection or a union of datasets changes; None without lanes."""
+    return ds["status"].size if "status" in ds and "lanes" in ds.attrs else attribute_of(ds, "lanes")
+
+
+def certified_of(ds: xr.Dataset) -> dict[str, Any]:
+    """Return the counts over the lanes that were computed together, empty if the dataset holds others."""
+    counts = table_of(ds, "certified")
+    return counts if counts.get("lanes") in (None, lane_count(ds)) else {}
+
+
 def _read(ds: xr.Dataset, name: str, otherwise: Any) -> Any:
     if name not in ds.attrs:
         return otherwise

@@ -21,7 +21,8 @@ import numpy as np
 from vibrojax.compile import Subject
 from vibrojax.compile.agreement import Difference, first_difference, take_lanes
 from vibrojax.compile.assembly import LANES
-from vibrojax.compile.native import Kernel
+from vibrojax.compile.native import QUICK_LEVEL, Kernel
+from vibrojax.compile.trust import newer_than_tested
 from vibrojax.errors import InputError
 from vibrojax.lanes.programs import LaneArguments, ProgramKey, constants_of, state_of
 from vibrojax.lazy import jax, jnp
@@ -136,13 +137,15 @@ class Comparison:
         lanes = np.resize(np.arange(min(COMPARED_LANES, len(given.start))), COMPARED_LANES)
         self._given, self._accuracy = take_lanes(given, lanes), Accuracy(*(np.asarray(x, dtype) for x in accuracy))
         self._begin, self._step, self._read = partial(begin, kind), partial(step, kind, derives), partial(read, kind)
-        self._begin_kernel = Kernel(self._begin, self._given)
+        # The comparison is of the translation. LLVM is compared too where its version is new.
+        level = None if newer_than_tested() else QUICK_LEVEL
+        self._begin_kernel = Kernel(self._begin, self._given, level=level)
         self._start: Beginning = self._begin_kernel(self._given)
         # Lane by lane and step by step, the events come in turn.
         events = max(len(kind.scene.guard_names), 1)
         self._events = np.add.outer(np.arange(COMPARED_STEPS), np.arange(COMPARED_LANES)).astype(dtype) % events
         arguments = self._given, *self._start, self._accuracy, self._events[0]
-        self._step_kernel = Kernel(self._step, *arguments)
+        self._step_kernel = Kernel(self._step, *arguments, level=level)
         observed = self._start.way.observed
         self._read_kernel = None if kind.recorder is None else Kernel(self._read, self._start.constants, observed)
 
@@ -181,12 +184,13 @@ def scene_subject(static: tuple[Hashable, ...], arguments: tuple[Any, ...], deri
         if scene is None:
             return None
         stepper = next((x for x in static if isinstance(x, Stepper)), Located())
-        kind = ProgramKey(scene, stepper, recorder_of(scene), scene.starts)
+        kind = ProgramKey(scene, stepper, recorder_of(scene))
     return Subject(
         owner=kind.scene,
         label=f'scene "{kind.scene.name}"',
         code=kind,
         variant=(kind.stepper, derives),
+        covers=((kind.stepper, False),) if derives else (),
         compare=lambda: Comparison(kind, lanes_of(kind, arguments), derives),
     )
 
@@ -221,8 +225,8 @@ def lanes_of(kind: ProgramKey, arguments: tuple[Any, ...]) -> LaneArguments:
         values = {name: np.resize(np.asarray(known[name]), COMPARED_LANES) for name in parameters}
     values = {name: x.astype(dtype) for name, x in values.items()}
     if not rests:
-        return LaneArguments(values, (lanes % max(len(kind.starts), 1)).astype(np.int32))
+        return LaneArguments(values, (lanes % max(len(scene.starts), 1)).astype(np.int32))
     # At its named initial condition, a system may be at rest, where rounding errors decide what it does.
     numbers = 1 + np.arange(len(scene.start_states))
     states = tuple((0.1 * k * (-1.0) ** (k * lanes)).astype(dtype) for k in numbers)
-    return LaneArguments(values, np.full(COMPARED_LANES, len(kind.starts), np.int32), states)
+    return LaneArguments(values, np.full(COMPARED_LANES, len(scene.starts), np.int32), states)

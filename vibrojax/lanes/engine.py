@@ -109,14 +109,16 @@ class Engine:
         self.accelerated = workers[0].platform != "cpu"
         self.most_steps = LANE_MAX_STEPS
         self._dtype = np.dtype(run.precision)
-        kind = ProgramKey(scene, stepper, recorder, start_names, run.carry is not None)
+        # Programs number the names of the scene, so that lanes with other names need no other program.
+        self._starts = np.array([*map(scene.starts.index, start_names), len(scene.starts)], np.int32)
+        kind = ProgramKey(scene, stepper, recorder, run.carry is not None)
         self.programs = Programs(kind, self._dtype, workers[0].platform if self.accelerated else None)
 
     def given(self, inputs: LaneInputs) -> LaneArguments:
         """Return parameters and initial conditions of lanes, in the precision of the run."""
         parameters: dict[str, Array] = {name: x.astype(self._dtype) for name, x in inputs.parameters.items()}
         states = tuple(x.astype(self._dtype) for x in inputs.states)
-        return LaneArguments(parameters, inputs.start.astype(np.int32), states)
+        return LaneArguments(parameters, self._starts[inputs.start], states)
 
     def start(self, inputs: LaneInputs, accuracy: Accuracy) -> Batch:
         """Return lanes at t = 0."""

@@ -21,7 +21,7 @@ from vibrojax.stepping import Lane, Stepper, lane_at
 
 
 class ProgramKey(NamedTuple):
-    """The static arguments of programs: `starts` are names of initial conditions.
+    """The static arguments of programs.
 
     `tells_end`: True if the final states of observed lanes are returned as a feature.
     """
@@ -29,7 +29,6 @@ class ProgramKey(NamedTuple):
     scene: Scene[Any]
     stepper: Stepper
     recorder: Records
-    starts: tuple[str, ...]
     tells_end: bool = False
 
 
@@ -43,8 +42,8 @@ END = "end_state"
 class LaneArguments(NamedTuple):
     """Parameters and initial condition of each lane, arrays (lanes,).
 
-    `start`: index of the initial condition in the names, the number of names for `states`, or `CARRIED` for `carried`,
-    the final state of another lane.
+    `start`: index of the initial condition in the names of the scene, the number of these names for `states`, or
+    `CARRIED` for `carried`, the final state of another lane.
     """
 
     parameters: dict[str, Lanes]
@@ -99,7 +98,7 @@ def constants_of(kind: ProgramKey, given: LaneArguments) -> Any:
 def state_of(kind: ProgramKey, constants: Any, given: LaneArguments) -> Values:
     """Return the state of each lane at t = 0. A scene without named initial conditions has a default state."""
     start = given.start
-    starts = (*kind.starts, *((given.states,) if given.states else ())) or (None,)
+    starts = (*kind.scene.starts, *((given.states,) if given.states else ())) or (None,)
     state, *others = [kind.scene.start(constants, name, start.shape) for name in starts]
     numbered = [*enumerate(others, start=1), *([(CARRIED, given.carried)] if given.carried else [])]
     for number, other in numbered:

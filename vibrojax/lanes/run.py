@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vibrojax.compile.trust import comparing_derivatives
 from vibrojax.compile.xla import workers
 from vibrojax.lanes.certificate import (
     ERROR_FLOOR,
@@ -66,7 +68,7 @@ class LaneRun:
     def compile(self, inputs: LaneInputs) -> None:
         """Compile the programs at the first call."""
         if not self._compiled:
-            with timed("compile"):
+            with timed("compile"), comparing_derivatives() if self.stages else nullcontext():
                 self.engine.compile(inputs, self.accuracy)
             self._compiled = True
 

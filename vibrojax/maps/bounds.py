@@ -17,7 +17,7 @@ from vibrojax.physics.parameters import Parameter
 from vibrojax.settings.fields import Settings, given, setting
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.toml import Source, plain_table, render
-from vibrojax.settings.values import as_table, read_pair, warn_if_far
+from vibrojax.settings.values import as_table, read_pair
 
 MAX_VARIED = 12
 """Largest number of varied parameters: a dozen, as many as a person chooses by hand."""
@@ -51,7 +51,7 @@ class VariedFile(SceneFile):
         if "carry" in self.run:
             raise Place(file, "run.carry").error("points have no axis along which lanes continue; leave it out")
         tables = {name: getattr(self, name) for name in ("scene", "title", "parameters", "run", "starts")}
-        tables |= {"points": points, "unusual": True} | changes
+        tables |= {"points": points, "unusual": self.unusual} | changes
         tables = plain_table(Place(file), {name: value for name, value in tables.items() if value is not None})
         return sweep_of(Source("sweep", file, Path(), render(tables), tables), "vary")
 
@@ -71,12 +71,11 @@ def read_bounds(
     value: object,
     names: Names,
     fixed: Mapping[str, object],
-    unusual: bool = False,
     further: Mapping[str, Parameter] | None = None,
 ) -> dict[str, tuple[float, float]]:
     """Return the bounds of each varied parameter.
 
-    `fixed`: values of the others; `unusual`: True to warn of nothing; `further`: parameters that the scene has not.
+    `fixed`: values of the others; `further`: parameters that the scene has not.
     """
     table = as_table(place, {} if value is None else value)
     if not table:
@@ -94,8 +93,6 @@ def read_bounds(
             why = "the least value comes first" if low > high else "move one value to [parameters]"
             raise here.error(f"{shown(ends)} is no interval; {why}")
         bounds[name] = (low, high)
-        if not unusual:
-            warn_if_far(here, parameter, np.array(bounds[name]), meant="; unusual = true says that it is meant")
     places = {name: Place(place.file, f"parameters.{name}") for name in fixed}
     names.check_substitutes(places | {name: place.at(name) for name in bounds})
     return bounds

@@ -36,6 +36,8 @@ POINTS = "points."
 
 _PLACE = Place("dataset")
 
+_NO_SWEEP = 'it has no attribute sweep; combine_attrs="override" keeps that of joined datasets'
+
 RERUN_LANE_MAX_STEPS = 2e6
 """Estimated steps of a lane above which a dataset's sweep is not run again; a dataset may come from any source. The
 hardest bundled lanes take 1e6 steps."""
@@ -137,7 +139,11 @@ def _lanes_of_dataset(dataset: xr.Dataset, orbits: bool) -> tuple[Sweep, bool]:
         tables = tomllib.loads(str(dataset.attrs["sweep"]))
     except (KeyError, ValueError, RecursionError):
         kind = kind_of(dataset)
-        why = f"its kind is {kind}" if kind and kind != "sweep" else "it has no attribute sweep"
+        why = (
+            f"its kind is {kind}"
+            if kind and kind != "sweep"
+            else 'it has no attribute sweep; combine_attrs="override" keeps that of joined datasets'
+        )
         raise InputError(f"not the dataset of a sweep ({why}); give one, or a sweep") from None
     before = dict(table_of(dataset, IDENTITY))
     for name in ("attractors", "borders", "sensitivity"):  # these entries belong to derived results, not to the sweep

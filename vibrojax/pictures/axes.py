@@ -10,7 +10,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.errors import counted, printable
-from vibrojax.io.attributes import differing_of, flag_counts, parameters_of, table_of, text_of
+from vibrojax.io.attributes import certified_of, differing_of, flag_counts, parameters_of, text_of
 from vibrojax.pictures.plots import Axis
 from vibrojax.scenes import SCENES
 
@@ -182,7 +182,7 @@ def point_text(ds: xr.Dataset) -> str:
 
 def certified_text(ds: xr.Dataset) -> str:
     """Return how many periodic lanes meet the error tolerance or still settle, and why lanes failed; "" if unknown."""
-    counts, parts = table_of(ds, "certified"), []
+    counts, parts = certified_of(ds), []
     if counts.get("estimated") and {"within", "still_settling", "error"} <= set(counts):
         within, estimated, still = (round(counts[name]) for name in ("within", "estimated", "still_settling"))
         lanes = f"of {estimated} lanes that repeat" if estimated > 1 else "of 1 lane that repeats"

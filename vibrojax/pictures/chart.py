@@ -10,7 +10,19 @@ from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 from vibrojax.errors import InputError
 from vibrojax.lazy import colors, ticker
 from vibrojax.measures.labels import REGIMES
-from vibrojax.pictures.axes import axis, edges, margins, number, pretty_unit, scale, value_text, values_along, with_unit
+from vibrojax.pictures.axes import (
+    axis,
+    edges,
+    margins,
+    number,
+    pretty_unit,
+    quantity_text,
+    scale,
+    symbol,
+    value_text,
+    values_along,
+    with_unit,
+)
 from vibrojax.pictures.contents import POINT, REGIME, START, axes_of_map, lane_dims, without_single
 from vibrojax.pictures.maps import contours, region
 from vibrojax.pictures.plots import INK, Cells, Dash, Layer, Plot, Sheet, dots, patch
@@ -23,11 +35,7 @@ CLIFF = 0.4
 """Difference of the impact energy between neighbouring cells, relative to the chart's greatest, from which another
 motion begins between them."""
 
-_REGIONS = {
-    "#FFFFFF": "robust: the cells\naround as well",
-    "#FFF3C9": "the same single impact\nfrom every start",
-    "#D9D9D9": "other motions",
-}
+_ROBUST, _SINGLE, _OTHER = "#FFFFFF", "#FFF3C9", "#D9D9D9"
 _PANELS = ("impact_energy", "peak_impact_force"), ("rate_of_penetration", "impact_power", "blow_frequency")
 _LINES = {
     "impact_energy": ("impact energy", "#9A3B00"),
@@ -44,9 +52,10 @@ _LEVELS = 9  # approximate number of lines of a quantity
 def chart(ds: xr.Dataset) -> Sheet:
     """Draw the designer's chart of a sweep over two parameters: values are the worst over the starts.
 
-    White cells are robust: every start leads to the same stable single impact, and so do the cells around. Lines are
-    the impact energy, the peak force, the rate of penetration or the impact power, and the blows per minute. The star
-    is the robust cell with the greatest rate of penetration, else power, else energy.
+    White cells are robust: every start leads to the same stable single impact, and so it does within a tolerance of one
+    cell in both parameters. At the edge of the map, that is not known. Lines are the impact energy, the peak force, the
+    rate of penetration or the impact power, and the blows per minute. The star is the robust cell with the greatest
+    rate of penetration, else power, else energy.
 
     **Raises:** `InputError` if the dataset has no single impacts over two axes.
     """
@@ -61,7 +70,7 @@ def chart(ds: xr.Dataset) -> Sheet:
     energy = np.nan_to_num(np.where(single, _worst(ds, "impact_energy"), np.nan))
     box = np.ones((3, 3), bool)
     cliff = maximum_filter(energy, footprint=box) - minimum_filter(energy, footprint=box) > CLIFF * energy.max()
-    robust = binary_erosion(single, box, border_value=1) & ~cliff
+    robust = binary_erosion(single, box) & ~cliff
     names = [[name for name in group if name in ds and bool((ds[name] > 0).any())] for group in _PANELS]
     names[1] = list(dict.fromkeys((*names[1][:1], *names[1][-1:])))  # of rate and power only the first
     best = _best(ds, robust, names)
@@ -70,14 +79,22 @@ def chart(ds: xr.Dataset) -> Sheet:
         place = [[float(values_along(ds[name])[k])] for name, k in zip((x, y), best[::-1], strict=True)]
         star = {"marker": "*", "size": 14.0, "colour": IMPACT, "edge": "white", "clip": False, "order": 5.0}
         marks.append(dots(*place, label="best robust cell", **star))
-    keys: list[Layer] = [patch(colour, words, edge=INK) for colour, words in _REGIONS.items()]
+    tolerance = ",\n".join(f"{symbol(ds[name])} ± {_step(ds[name])}" for name in (x, y))
+    regions = {_ROBUST: f"robust: also within\n{tolerance}", _SINGLE: "the same single impact\nfrom every start"}
+    regions[_OTHER] = "other motions"
+    keys: list[Layer] = [patch(colour, words, edge=INK) for colour, words in regions.items()]
     keys += [replace(mark, x=(), y=()) for mark in marks]
     extra = [replace(mark, label="") for mark in marks]
     plots = [_panel(ds, (x, y), single.astype(int) + robust, group) for group in names]
     plots = [replace(plot, layers=[*plot.layers, *extra], place=(0, k)) for k, plot in enumerate(plots)]
-    note = "" if best is None else _best_text(ds, (x, y), best, names)
+    note = "No cell is robust" if best is None else _best_text(ds, (x, y), best, names)
     about = margins(ds, "Values are the worst over the starts" if START in ds.dims else "", note)
     return Sheet(plots, (14.2, 5.2), keys=[keys], **about)
+
+
+def _step(data: xr.DataArray) -> str:
+    """Return the least distance of neighbouring cells along an axis, with its unit."""
+    return quantity_text(float(np.diff(data.values).min(initial=np.inf)), data, 2)
 
 
 def _single(ds: xr.Dataset) -> Bool[np.ndarray, "y x"]:
@@ -118,7 +135,7 @@ def _best_text(ds: xr.Dataset, axes: tuple[str, str], best: tuple[int, int], nam
 
 def _panel(ds: xr.Dataset, over: tuple[str, str], kinds: np.ndarray, names: list[str]) -> Plot:
     x, y = (values_along(ds[name]) for name in over)
-    colours = colors.ListedColormap([*_REGIONS][::-1])
+    colours = colors.ListedColormap([_OTHER, _SINGLE, _ROBUST])
     layers: list[Layer] = [Cells(edges(x), edges(y), kinds.astype(float), colours, colors.Normalize(0.0, 2.0))]
     taken: list[np.ndarray] = []
     for name, dash in zip(names, _DASHES, strict=False):

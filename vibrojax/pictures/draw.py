@@ -253,7 +253,7 @@ def _draw_legend(figure: Figure, sheet: Sheet) -> None:
     renderer = FigureCanvasAgg(figure).get_renderer()
     for columns in range(min(len(handles), 6), 0, -1):
         legend = figure.legend(handles=handles, loc="lower left", ncols=columns, columnspacing=1.2)
-        if columns == 1 or legend.get_window_extent(renderer).width < figure.bbox.width:
+        if columns == 1 or legend.get_window_extent(renderer).width < _TEXT_SHARE * figure.bbox.width:
             return
         legend.remove()
 
@@ -295,7 +295,7 @@ def _write_margins(figure: Figure, sheet: Sheet) -> None:
         figure.suptitle(title, x=0.01, ha="left", fontproperties=bold)
     footer = figure.supxlabel(note, x=0.01, ha="left", fontsize=_NOTE_SIZE, color="0.3") if note else None
     more = _LINE_HEIGHT / 72.0 * (_TITLE_SIZE * title.count("\n") + _NOTE_SIZE * note.count("\n"))
-    height, legend = figure.get_figheight() + more, tall / figure.dpi
+    height, legend = figure.get_figheight() + more, tall / figure.dpi + _PADDING * bool(boxes)
     if sheet.beside:
         figure.set_figheight(max(height, legend + _FOOTER * bool(note) + more))
     else:

@@ -30,6 +30,8 @@ _LEAST_PANEL, _LEAST_SHARED = 1.25, 1.1  # least width [inch] of a panel with it
 _KEYS_PANEL = 3.6  # width [inch] from which a panel keeps a legend of its own
 _MOST_ACROSS = 6
 _LETTERS = 14.5  # of small type along an inch
+_MOST_SQUARE = 3.5  # greatest height [inch] of a square panel
+_MAP_ASPECT = 1.2  # height of a narrow map above its label and colour bar, in units of its width with labels
 _LEAST_SHARE, _LOW = 0.75, 0.7  # by which a panel gets lower at most, and height [inch] below which it stays
 
 
@@ -63,14 +65,17 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
     rows: list[tuple[list[Plot], float, float]] = []  # with the width and height of the panels
     for row in starts.values():
         least = _LEAST_SHARED if row[0].y.group else _LEAST_PANEL
-        most = min(len(row), max(1, int(width / least)), _MOST_ACROSS)
-        across = -(-len(row) // ceil(len(row) / most))  # rows of equal lengths
+        # Maps of one axis have equal widths, also in a row that is not full.
+        longest = max(len(other) for other in starts.values() if other[0].x.group == row[0].x.group)
+        count = longest if row[0].x.group else len(row)
+        most = min(count, max(1, int(width / least)), _MOST_ACROSS)
+        across = -(-count // ceil(count / most))  # rows of equal lengths
         first, column, deep, spanned = row[0].span
         height = inch[0] * sum(sheet.heights[first : first + deep])
         if height >= _LOW:
             share = width / across / (inch[1] * sum(sheet.widths[column : column + spanned]))
             height *= min(1.0, max(share, _LEAST_SHARE))
-        height = min(height, width / across) if row[0].square else height
+        height = min(height, width / across, _MOST_SQUARE) if row[0].square else height
         for part in (row[k : k + across] for k in range(0, len(row), across)):
             rows.append((part, width / (across if row[0].x.group else len(part)), height))  # no gap beside the last one
     columns = lcm(*(round(width / wide) for _, wide, _ in rows))
@@ -104,4 +109,5 @@ def _narrowed(plot: Plot, width: float, height: float) -> Plot:
     # A legend of the plot's own would be as wide as the plot.
     keys = "" if width < _KEYS_PANEL else plot.keys
     title = fill(plot.title, max(int(_LETTERS * (width - 0.2)), 10))
-    return replace(plot, title=title, x=axis(plot.x, width - 0.3), y=axis(plot.y, height), keys=keys)
+    inside = min(height, _MAP_ASPECT * width) if plot.has_cells else height
+    return replace(plot, title=title, x=axis(plot.x, width - 0.3), y=axis(plot.y, inside), keys=keys)

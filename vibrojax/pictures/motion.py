@@ -196,18 +196,13 @@ def _portrait(motion: Run, start: float, x: str, speed: str, label: str) -> Plot
 
 def _spectrum(motion: Run) -> Plot:
     """Draw the amplitude spectra of both displacements, and label the peaks with their frequencies."""
-    from scipy.signal import find_peaks, periodogram  # slow to import, and no other picture needs it
-
     late = np.linspace((motion.time[0] + motion.time[-1]) / 2, motion.time[-1], max(motion.time.size // 2, 8))
     named: list[tuple[float, float]] = []
     layers: list[Layer] = []
     end, top, lobe = 0.0, _LEAST_AMPLITUDE, 0.0
-    for name, x, colour in (("bit x₁", "x1", BIT), ("striker x₂", "x2", STRIKER)):
-        signal, rate = np.interp(late, motion.time, 1e3 * motion[x]), 1.0 / (late[1] - late[0])
-        frequencies, power = periodogram(signal, rate, "hann", _PADDED * late.size, scaling="spectrum")
-        amplitudes = np.sqrt(2.0 * power)  # of a sine: its amplitude
-        maxima, _ = find_peaks(amplitudes, max(_LEAST_PEAK * amplitudes.max(), _LEAST_AMPLITUDE), distance=_LOBE_BINS)
-        maxima = maxima[np.argsort(-amplitudes[maxima])][:_MOST_PEAKS]
+    for name, x, colour in (("bit", "x1", BIT), ("striker", "x2", STRIKER)):
+        frequencies, amplitudes = _amplitude_spectrum(np.interp(late, motion.time, 1e3 * motion[x]), late[1] - late[0])
+        maxima = _peaks(amplitudes)
         end = end or (_SPECTRUM_SPAN * float(frequencies[maxima[0]]) if maxima.size else 0.0)
         lobe, top = float(frequencies[_LOBE_BINS]), max(top, float(amplitudes.max()))
         shown = frequencies < (end or _SPECTRUM_AT_REST)
@@ -224,6 +219,26 @@ def _spectrum(motion: Run) -> Plot:
     up = Axis("amplitude [mm]", limits=(0.0, 1.12 * top))  # room for the text at the highest peak
     title = "spectrum, second half of the run"
     return Plot([*layers, *texts], Axis("frequency [Hz]", limits=(0.0, end)), up, title, keys="upper right")
+
+
+def _amplitude_spectrum(signal: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequencies [Hz] and the amplitudes of a signal's sines there, by a Hann window; `step`: of time [s]."""
+    window = 1.0 - np.cos(2.0 * np.pi * np.arange(signal.size) / signal.size)
+    size = _PADDED * signal.size
+    spectrum = np.fft.rfft(window * (signal - signal.mean()), size)
+    return np.fft.rfftfreq(size, step), 2.0 * np.abs(spectrum) / window.sum()
+
+
+def _peaks(amplitudes: np.ndarray) -> np.ndarray:
+    """Return the indices of the highest peaks, highest first, at least the width of a window's main lobe apart."""
+    inner = amplitudes[1:-1]
+    maxima = 1 + np.flatnonzero((inner > amplitudes[:-2]) & (inner >= amplitudes[2:]))
+    maxima = maxima[amplitudes[maxima] >= max(_LEAST_PEAK * amplitudes.max(), _LEAST_AMPLITUDE)]
+    peaks: list[int] = []
+    for index in maxima[np.argsort(-amplitudes[maxima], kind="stable")]:
+        if len(peaks) < _MOST_PEAKS and all(abs(index - peak) >= _LOBE_BINS for peak in peaks):
+            peaks.append(int(index))
+    return np.array(peaks, int)
 
 
 def hole_plot(hole: Run, start: float, end: float, group: str) -> Plot:
@@ -339,6 +354,8 @@ def states_over_time(ds: xr.Dataset) -> Sheet:
     if not names:
         raise InputError("no trajectory to draw: the dataset has no state along time")
     motion, end = read_run(ds, *names), float(ds[TIME].values[-1])
+    # In the units of the axes, which are mm for small lengths.
+    motion = replace(motion, series=dict(motion.series) | {name: scale(ds[name])[0] * motion[name] for name in names})
     period = float(ds["period"]) if "period" in ds and ds["period"].ndim == 0 else np.nan
     length, part = (10 * period, "the last ten periods") if np.isfinite(period) else (end / 10, "the last tenth")
     start, part = (end - length, part) if length < end else (0.0, "the whole motion")

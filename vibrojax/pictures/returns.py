@@ -128,7 +128,7 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = Non
         if any(jumps(line, along)[k].size for line in lines):
             mark: Look = {"marker": _MARKERS.get(way.name, "o"), "size": 6.0, "dash": "--", "width": 1.0}
             marks.append(key(f"jump on the way {way.name}", colour=way.colour, **mark))
-    about = "Each lane starts from where its neighbour ended; where the two ways differ, two motions coexist"
+    about = "Where the two ways differ, two motions coexist"
     of_families = overlays.over_text(ds, layers, at_returns or IMPACTS_OF_RETURNS)
     note = ". ".join(filter(None, (about, of_families, _jumps_text(ds, along, layers))))
     height = 3.4 if len(values) < 2 else 1.9

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.lazy import jax
 from vibrojax.measures import GAUGES
 from vibrojax.physics.parameters import Parameter
 from vibrojax.scenes import Scene
@@ -26,6 +25,9 @@ _KNOWN = {_PACKAGE, "jax", "jaxlib", "numpy", "scipy", *sys.stdlib_module_names}
 _INSTALLED = tuple({str(Path(get_paths()[name])) for name in ("purelib", "platlib")})
 _GENERATED = "<string>"
 """File name of the methods that `dataclass` generates."""
+
+_ARRAYS = ("jax", "jaxlib")
+"""Packages whose objects with `__array__` are arrays; jax itself need not be imported to recognise them."""
 
 _CODE = "code."
 
@@ -83,7 +85,7 @@ class _Walk:
         if id(x) in self._seen:
             return
         self._seen[id(x)] = x
-        if isinstance(x, (np.ndarray, np.generic, jax.Array)):
+        if isinstance(x, (np.ndarray, np.generic)) or (_top(type(x).__module__) in _ARRAYS and hasattr(x, "__array__")):
             array = np.ascontiguousarray(x)
             self.parts.append(f"{array.dtype.str} {array.shape} {hashlib.sha256(array.tobytes()).hexdigest()}")
         elif isinstance(x, FunctionType):

@@ -13,7 +13,7 @@ from vibrojax.errors import InputError, counted
 from vibrojax.io.attributes import flags, text_of
 from vibrojax.io.variables import VARIABLES
 from vibrojax.pictures.axes import margins, pretty_unit, scale, symbols_of, with_unit
-from vibrojax.pictures.plots import FAINT, Axis, Bars, Layer, Line, Plot, Sheet, dots, level, upright
+from vibrojax.pictures.plots import FAINT, Axis, Bars, Layer, Line, Look, Plot, Sheet, dots, level, upright
 from vibrojax.pictures.style import BIT, IMPACT, other_colour
 from vibrojax.progress import Progress
 from vibrojax.studies.analysis import PictureRule, SummaryPart
@@ -45,6 +45,9 @@ ERROR_MODELS = {
 """Error models without standard errors of the observations, for a history and for rows, and with them."""
 
 
+_MOST_ROW_TICKS, _MANY_ROWS = 8, 40  # observations that each have a tick, and from which on marks are small
+
+
 def calibration_picture(ds: xr.Dataset) -> Sheet:
     """Draw what was measured over the model, the residuals, the posterior of the first two parameters, combinations.
 
@@ -54,7 +57,8 @@ def calibration_picture(ds: xr.Dataset) -> Sheet:
     compared: list[Layer] = [Line([-1e3, 1e3], [-1e3, 1e3], FAINT, 0.8, label="measured = model", order=1.0)]
     for k, name in enumerate(str(x) for x in ds["of"].values):
         observed, model, values = (ds[key].values[:, k] for key in ("observed", "predicted", "residual"))
-        look = {"marker": _MARKS[k % len(_MARKS)], "colour": other_colour(k), "label": name.replace("_", " ")}
+        look: Look = {"marker": _MARKS[k % len(_MARKS)], "colour": other_colour(k), "label": name.replace("_", " ")}
+        look |= {"size": 2.0} if len(values) > _MANY_ROWS else {}
         layers.append(dots(np.arange(1, len(values) + 1), values, **look))
         mean = float(np.nanmean(np.abs(observed))) or 1.0
         compared.append(dots(100 * (model / mean - 1), 100 * (observed / mean - 1), **look))
@@ -63,10 +67,12 @@ def calibration_picture(ds: xr.Dataset) -> Sheet:
     ends = float(np.nanmin(found)) - room, float(np.nanmax(found)) + room
     across, up = (Axis(f"{word} [% from the mean]", limits=ends, intervals=5) for word in ("model", "measured"))
     count = ds.sizes["observation"]
-    steps = [(float(k), str(k)) for k in range(1, count + 1, max(1, -(-count // 8)))]
+    rows = Axis("observation", intervals=4)
+    if count <= _MOST_ROW_TICKS:
+        rows = Axis("observation", ticks=[(float(k), str(k)) for k in range(1, count + 1)])
     plots = [
         Plot(compared, across, up, "measured and model"),
-        Plot(layers, Axis("observation", ticks=steps), Axis("residual [standard errors]"), "residuals"),
+        Plot(layers, rows, Axis("residual [standard errors]"), "residuals"),
         _posterior_plot(ds),
         *([_combination_plot(ds)] if ds.sizes["parameter"] > 1 else []),
     ]

@@ -103,7 +103,7 @@ def read_calibration(
             fault = f"is not a parameter of the scene itself; choose from {', '.join(names.parameters)}"
             raise place.at("unknown").at(name).error(fault)
     unknown = dict(sorted(unknown.items(), key=lambda item: item[0] == CONSTANT))
-    bounds = read_bounds(place.at("unknown"), unknown or None, names, fixed, True, further={CONSTANT: LAW})
+    bounds = read_bounds(place.at("unknown"), unknown or None, names, fixed, further={CONSTANT: LAW})
     variables = [name for name in orbit_variables(names.system) if name in VARIABLES]
     if CONSTANT in bounds and RELIEF not in variables:
         why = f"scene {shown(names.scene)} has no relief; choose drilling, coupled-drilling or penetration"

@@ -368,7 +368,8 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve])
         "tolerance": FAMILY_ACCURACY.tolerance,
         "accepted_residual": CORRECTOR_RESIDUAL,
     }
-    title = f"Curves of special points of {scene} over {spec.along} and {spec.by}"
+    symbols = " and ".join(_parameter(problem, name)["symbol"] for name in (spec.along, spec.by))
+    title = f"Curves of special points of {scene} over {symbols}"
     attributes = {
         **dataset_attributes("curves", title, "curves", scene=scene),
         **spec.options,
@@ -407,4 +408,4 @@ def _crossings(problem: CurveProblem, curve: Curve, at: tuple[str, float]) -> li
 
 def _parameter(problem: CurveProblem, name: str) -> dict[str, str]:
     parameter = problem.scene.parameters()[name]
-    return {"units": parameter.unit, "long_name": parameter.long_name}
+    return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}

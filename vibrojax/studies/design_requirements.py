@@ -215,7 +215,7 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
     """Read and check a design; raise `InputError` with a one-line message at the first problem."""
     origin = read_source(source, "design")
     file, place, names = read_file(DesignFile, origin)
-    bounds = read_bounds(place.at("vary"), file.vary, names, file.parameters, file.unusual)
+    bounds = read_bounds(place.at("vary"), file.vary, names, file.parameters)
     options = {name: x for name, x in file.parameters.items() if name in names.options}
     numbers = {name: x for name, x in file.parameters.items() if name not in options}
     parameters: dict[str, Any] = read_parameters(place.at("parameters"), numbers, names)

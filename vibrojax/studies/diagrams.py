@@ -19,6 +19,8 @@ _MOTIONS = {"return_frequency": "o", "blows_per_second": "x"}
 _MOTION_NAMES = {"return_frequency": "returns of the bit", "blows_per_second": "blows"}
 _ORDERS = 6  # most multiples of the rotation that are drawn
 _CURVE_POINTS = 200
+_RAY_LABEL = 0.06  # room of the label of a ray, as a fraction of the axis
+_MOST_ONSETS = 6  # greatest number of lines whose onset is named and shaded
 _FORCE = "mean_force"
 
 
@@ -61,11 +63,13 @@ def campbell(ds: xr.Dataset) -> Sheet:
             for name, marker in _MOTIONS.items():
                 if name in line.lanes:
                     layers.append(dots(along, line.lanes[name].values, colour=line.colour, **_marks(marker)))
+        free = np.inf  # right of it, rays have their labels
         for order in range(1, _ORDERS + 1) if turns else ():
             layers.append(Line([0.0, 2 * high], [0.0, 2 * high * order / 60], FAINT, 0.6, order=1.0))
             end = 0.98 * min(high, 60 * top / order)
-            if end > low:
-                layers.append(Text(end, order * end / 60, f"{order}n", "right", "top", size=8.0))
+            if low + _RAY_LABEL * (high - low) < end < free:
+                layers.append(Text(end, order * end / 60, f"{order}n", "right", "top", size=8.0, halo=1.0))
+                free = end - _RAY_LABEL * (high - low) if end < 0.98 * high else free
         return Plot(layers, across, Axis("frequency [Hz]", limits=(0.0, top), group="frequency"))
 
     keys: list[Layer] = [key(name, colour=FAINT, dash=dash) for dash, name in _MODE_NAMES.items()]
@@ -99,6 +103,7 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
     across = Axis(with_unit("mean force P", force_unit), _FORCE, (0.0, None), group="force")
     up = Axis(with_unit("rate of penetration", unit), RATE, (lowest, None), group="rate")
     onsets: list[Layer] = []
+    few = ds.sizes.get(by, 1) <= _MOST_ONSETS
 
     def draw(lines: list[Series]) -> Plot:
         layers: list[Layer] = []
@@ -117,6 +122,7 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
                 text = f"onset below {above:.4g} {force_unit}"
             else:
                 text = f"onset at {below:.4g} to {above:.4g} {force_unit}"
+            if few and np.isfinite(below):
                 layers.append(Area([below, above], [-np.inf] * 2, [np.inf] * 2, line.colour, 0.15))
             for mask, face in ((rate > 0, line.colour), (rate == 0, "white")):
                 layers.append(dots(of_force * force[mask], factor * rate[mask], colour=line.colour, face=face))
@@ -124,11 +130,11 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
                 along = np.geomspace(onset, float(np.nanmax(force)), _CURVE_POINTS)
                 values = law(along / threshold, float(group["C"]), float(group["eta0"]), np.nan)
                 layers.append(Line(of_force * along, factor * values, line.colour))
-            onsets.append(key("\n".join(filter(None, (line.name, text))), colour=line.colour, marker="o"))
+            onsets.append(key("\n".join(filter(None, (line.name, text * few))), colour=line.colour, marker="o"))
         return Plot(layers, across, up)
 
     hollow = [dots(label="no penetration", face="white")] if bool((ds[RATE] == 0).any()) else []
-    note = "Shaded: the onset. Lines: the fitted law C ln(P/P0)"
+    note = "Shaded: the onset. " * few + "Lines: the fitted law C ln(P/P0)"
     return row_per_facet(ds, x, by, [draw], [onsets, hollow], note)
 
 

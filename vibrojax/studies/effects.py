@@ -21,7 +21,6 @@ from vibrojax.maps.run import lanes_beside, run_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import REGIMES, SINGLE_IMPACT
 from vibrojax.pictures.axes import margins, pretty_unit, scale, symbols_of
-from vibrojax.pictures.colours import Value
 from vibrojax.pictures.plots import FAINT, INK, Axis, Bars, Cells, Layer, Line, Plot, Sheet, Text, bars
 from vibrojax.pictures.style import BIT
 from vibrojax.settings.fields import given, setting
@@ -55,15 +54,12 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     of = [str(name) for name in ds["of"].values][:_MAX_ROWS]
     size = 9.0, len(of) * max(1.9, 0.8 + 0.26 * ds.sizes["parameter"]) + 0.8
     greatest = 100 * min(float(np.nanmax(ds["second_order"].values, initial=MIN_SHARE)), 1.0)
-    blues = colormaps["Blues"]
-    value = Value(
-        "second_order", "interaction of a pair [% of the variation]", 100.0, Normalize(0.0, greatest), "neither", blues
-    )
+    norm = Normalize(0.0, greatest)
     plots = []
     for k, name in enumerate(of):
         row = ds.sel(of=name)
         plots.append(_share_plot(row, k, "share of the variance" if name == of[-1] else ""))
-        plots.append(_pair_plot(row, k, value))
+        plots.append(_pair_plot(row, k, norm))
     rest = ds.sizes["of"] - len(of)
     further = counted(rest, "further variable is", "further variables are") + " not drawn" if rest else ""
     level = f"{100 * float(ds.attrs.get('confidence', 0.95)):.0f} %"
@@ -95,20 +91,20 @@ def _symbols(row: xr.Dataset) -> list[str]:
     return [signs.get(str(name), str(name)) for name in row["parameter"].values]
 
 
-def _pair_plot(row: xr.Dataset, k: int, value: Value) -> Plot:
+def _pair_plot(row: xr.Dataset, k: int, norm: Normalize) -> Plot:
     """Draw the lower triangle of second-order indices; those within their confidence interval of 0 are in brackets."""
     names = _symbols(row)
     values, errors = (100 * row[key].values for key in ("second_order", "second_order_conf"))
     lower = np.where(np.tri(len(names), k=-1, dtype=bool), np.maximum(values, 0.0), np.nan)
     ends = np.arange(len(names) + 1) - 0.5
-    layers: list[Layer] = [Cells(ends, ends, lower, value.colour_map, value.norm, hatched=False)]
+    layers: list[Layer] = [Cells(ends, ends, lower, colormaps["Blues"], norm, hatched=False)]
     for i, j in zip(*np.nonzero(np.isfinite(lower)), strict=True):
-        colour = "#FFFFFF" if value.norm(lower[i, j]) > 0.6 else INK
+        colour = "#FFFFFF" if norm(lower[i, j]) > 0.6 else INK
         text = f"{lower[i, j]:.0f}" if values[i, j] > errors[i, j] else f"({lower[i, j]:.0f})"
         layers.append(Text(float(j), float(i), text, colour=colour, size=7.5))
     ticks = [(float(place), name) for place, name in enumerate(names)]
     across, up = Axis(ticks=ticks, group="other"), Axis(ticks=ticks, reversed=True)
-    return Plot(layers, across, up, "interactions of pairs", (k, 1), scale=value)
+    return Plot(layers, across, up, "interactions of pairs [%]", (k, 1), grid="")
 
 
 def _title(row: xr.Dataset) -> str:
@@ -214,7 +210,7 @@ def read_study(source: str | PathLike[str] | Mapping[str, object]) -> Study:
     """
     origin = read_source(source, "study")
     file, place, names = read_file(StudyFile, origin)
-    bounds = read_bounds(place.at("vary"), file.vary, names, file.parameters, file.unusual)
+    bounds = read_bounds(place.at("vary"), file.vary, names, file.parameters)
     known = sweep_variables(names.system)
     allowed = [name for name, about in known.items() if not (about.flags or about.along)]
     allowed += [SHARE] * ("impacts" in allowed and "regime" in known)

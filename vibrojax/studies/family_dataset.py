@@ -124,7 +124,7 @@ def families_dataset(sweep: Sweep, problem: Problem, points: list[Mark], special
     }
     about_orbits |= {"accepted_residual": CORRECTOR_RESIDUAL, "grazing_margin": HOW}
     what = "equilibria" if standing else "periodic orbits"
-    title = f"Families of {what} of {sweep.scene} over {along}"
+    title = f"Families of {what} of {sweep.scene} over {about.get('symbol', along)}"
     attributes = {
         **shared_attributes(sweep, "family", title, "follow"),
         "along": along,

@@ -255,7 +255,7 @@ def read_names(place: Place, value: str | Sequence[str], known: Collection[str])
     return names
 
 
-SMALLEST_DRAWN = 5e-3
+SMALLEST_DRAWN = 0.05
 """Elasticity below which a cell shows no number."""
 
 
@@ -284,7 +284,7 @@ def elasticities(ds: xr.Dataset) -> Sheet:
     layers: list[Layer] = [Cells(across, up, np.clip(table, -1.5, 1.5), colormaps["RdBu_r"], norm, hatched=False)]
     for (i, j), value in np.ndenumerate(table):
         if abs(value) >= SMALLEST_DRAWN:
-            layers.append(Text(float(j), float(i), f"{value:.2f}".replace("-", "−"), colour="#000000", size=7.0))
+            layers.append(Text(float(j), float(i), f"{value:.1f}".replace("-", "−"), colour="#000000", size=6.0))
     signs = symbols_of(ds)
     ticks = [[(float(k), signs.get(x, x)) for k, x in enumerate(texts)] for texts in (by, list(rows))]
     plot = Plot(layers, Axis(ticks=ticks[0]), Axis(ticks=ticks[1], reversed=True))

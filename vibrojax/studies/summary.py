@@ -5,7 +5,17 @@ from typing import Any
 import xarray as xr
 
 from vibrojax.errors import printable
-from vibrojax.io.attributes import attribute_of, differing_of, history_of, parameters_of, run_of, text_of, title_of
+from vibrojax.io.attributes import (
+    attribute_of,
+    certified_of,
+    differing_of,
+    history_of,
+    lane_count,
+    parameters_of,
+    run_of,
+    text_of,
+    title_of,
+)
 from vibrojax.io.kinds import kind_of
 from vibrojax.studies import WORDS
 from vibrojax.studies.analysis import SummaryPart, analysis_of
@@ -18,7 +28,7 @@ LONGEST_FACT = 300
 """Greatest number of characters of a unit, a meaning or a name in JSON."""
 
 _TEXTS = ("title", "scene", "friction", "pulse_shape", "source", "jax", "along")
-_VALUES = ("parameters", "differing", "run", "solver", "columns", "certified", "lanes", "wall_time_s")
+_VALUES = ("parameters", "differing", "run", "solver", "columns", "wall_time_s")
 _EMPTY = ("regimes", "orbits", "natures", "families", "attractors", "failures", "found")
 """JSON keys that every summary has; they hold an empty object if they do not apply."""
 
@@ -39,7 +49,7 @@ def summarise(ds: xr.Dataset) -> list[SummaryPart]:
         SummaryPart("title", [title_of(ds)] if title_of(ds) else []),
         SummaryPart("scene", [scene, *filter(None, [_COMPARED.get(scene)])] if scene else []),
         SummaryPart("grid", [_dimension(ds, str(name))[0] for name in ds.sizes]),
-        SummaryPart("lanes", [f"{attribute_of(ds, 'lanes')} (a lane: {WORDS['lane']})"] if "lanes" in ds.attrs else []),
+        SummaryPart("lanes", [f"{lane_count(ds)} (a lane: {WORDS['lane']})"] if "lanes" in ds.attrs else []),
         SummaryPart("friction", [text_of(ds, "friction")] if "friction" in ds.attrs else []),
         SummaryPart("fixed", _fixed_lines(ds)),
         SummaryPart("run", [f"settled for {run['settle']:g} s, observed for {run['observe']:g} s"] if times else []),
@@ -82,6 +92,8 @@ def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:
         "history": history_of(ds),
         "dimensions": {str(name): _dimension(ds, str(name))[1] for name in ds.sizes},
         **{name: attribute_of(ds, name) for name in _VALUES},
+        "certified": certified_of(ds) or None,
+        "lanes": lane_count(ds),
         **{name: {} for name in _EMPTY},
     }
     variables: dict[str, Any] = {}

@@ -22,7 +22,7 @@ from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import REGIMES, UNBOUNDED
 from vibrojax.physics.arrays import check_untraced
-from vibrojax.pictures.axes import axis, margins, pretty_unit, scale, values_along
+from vibrojax.pictures.axes import axis, margins, pretty_unit, quantity_text, scale, value_text, values_along
 from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_keys
 from vibrojax.pictures.plots import Layer, Look, Plot, Points, Sheet, dots, key, level
 from vibrojax.pictures.style import IMPACT
@@ -167,8 +167,12 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
     keys += [replace(_NOMINAL_POINT, label="nominal point"), key("nominal value", **_NOMINAL)]
     missing = int(lanes[rows[0]].isnull().sum()) if rows[0] != "period" else 0
     note = counted(missing, "lane without impact is", "lanes without impact are") + " not drawn" if missing else ""
+    box = ", ".join(
+        f"{value_text(ds[name], float(ds[name][0]))} ± {quantity_text(float(ds.attrs[f'tolerance_{name}']), ds[name])}"
+        for name in names
+    )
     size = 1.8 + 2.6 * len(names), 0.9 + 2.2 * len(rows)
-    return Sheet(plots, size, (1.0,) * len(names), (1.0,) * len(rows), [keys], **margins(ds, note))
+    return Sheet(plots, size, (1.0,) * len(names), (1.0,) * len(rows), [keys], **margins(ds, box, note))
 
 
 SAMPLE_VARIABLES = {

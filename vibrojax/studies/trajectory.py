@@ -316,7 +316,9 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
         count = (
             f"{returns} returns to the section are" if returns > 1 else ("one return is", "no return is")[not returns]
         )
-        return f"undecided: {count} too few to judge by, {FEWEST_RETURNS} are needed; {advice}"
+        cycles = int(values["cycles"])
+        repeats = f"so far it repeats in each period of {cycles * period:.5g} s; " if cycles else ""
+        return f"undecided: {count} too few to judge by, {FEWEST_RETURNS} are needed; {repeats}{advice}"
     if regime == "undecided":
         return "undecided: the swing steadily grows or decays; a longer duration shows what it ends in"
     if regime == "failed":
