@@ -85,7 +85,7 @@ _OF_FORMS = {
     "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2"),
     "cv_error": Variable("m s-1", "error of rates predicted from the other blocks of rows of a log"),
     "evidence_against": Variable(
-        "1", "n ln(e/least e), e the error of predicted rates, or by AIC; rejected above 5.4 (a special case: 8.8), of a sweep 2"
+        "1", "n ln(e/least e) of predicted rates, or by AIC; rejected above 5.4 (a special case: 8.8), of a sweep 2"
     ),
     "degrees_of_freedom": Variable("1", "lanes with a residual less coefficients", np.int32),
     "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32),
