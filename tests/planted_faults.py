@@ -103,6 +103,9 @@ a saltation is left out | stepping/polynomial.py | test_orbits.py -k test_refere
 the onset is a factor | studies/rop_forms.py | laws/test_fit.py laws/test_rig_law.py
 - eta0 = np.exp(onset) if
 + eta0 = np.exp(-onset) if
+a wrong rate at the greatest weight is its own neighbour | studies/rop_group.py | laws/test_rig_law.py -k wrong_rates
+- mode="mirror")
++ mode="nearest")
 # results and files
 chunks of another sweep are taken | maps/store.py | test_store.py
 - return f"{self._digest} {index}".encode()

@@ -157,7 +157,6 @@ EXPECTED = {
     "hysteresis": carried,
     "work_precision": lambda: STUDY,
     "bifurcation": lambda: returns({"gamma": np.linspace(0.3, 1.2, 20), "delta": [-0.005, 0.005]}),
-    "law_map": lambda: law({"force": np.linspace(2e5, 3e5, 9), "k3": np.linspace(1e8, 5e8, 9), "zeta": [0.5, 1.0]}),
     "law_lines": lambda: law({"k3": [1e8, 3e8], "force": [2e5, 2.5e5, 3e5]}),
     "many_starts": lambda: basin(sample(), LONG),
     "rates": lambda: rock({"k3": [1e8, 3e8], "force": np.linspace(1e5, 3e5, 7), "frequency": np.linspace(10, 40, 9)}),
@@ -180,6 +179,7 @@ OTHERS = {
     "rock-points": rock_points,
     "rock-of-one": lambda: rock({}),
     "law-of-one": lambda: law({}),
+    "law-of-many": lambda: law({"force": np.linspace(2e5, 3e5, 9), "k3": np.linspace(1e8, 5e8, 9), "zeta": [0.5, 1.0]}),
     "families": several_families,
 }
 

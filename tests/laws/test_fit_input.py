@@ -11,7 +11,7 @@ from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.writers import write_dataset
 from vibrojax.studies.rop_law import fit_rop
-from vibrojax.studies.rop_results import law_facts, law_table
+from vibrojax.studies.rop_results import tables
 
 C, ETA0 = 1.3e-3, 0.21
 RELIEF = np.linspace(0.25, 1.5, 8)
@@ -46,15 +46,6 @@ def refused(data, *arguments, **named) -> str:
 
 
 # datasets
-
-
-def test_failed_lanes_are_omitted():
-    data = sweep()
-    data["rate_of_penetration"][0, 2] = 1.0
-    data["status"][0, 2] = 1
-    fit = fit_rop(data, progress=False).sel(form="onset")
-    assert list(fit.left_out.values) == [1, 0] and list(fit.used.values) == [7, 8]
-    assert fit.C.values[0] == pytest.approx(C)
 
 
 @pytest.mark.parametrize(
@@ -103,8 +94,7 @@ def test_columns_define_groups(tmp_path):
         assert fit.C.sizes == {"group": 2} and list(fit.rock.values) == ["chalk", "granite"]
         assert list(fit.used.values) == [6, 8] and list(fit.left_out.values) == [0, 1]
         np.testing.assert_allclose(fit.C, [2 * C, C], rtol=1e-10)
-    facts = law_facts(fit_rop(path, "frequency", progress=False))
-    assert "rock=chalk, force=200000" in "\n".join(law_table(facts))
+    assert "rock=chalk, force=200000" in "\n".join(tables(fit_rop(path, "frequency", progress=False)))
     assert fit_rop(path, progress=False).sel(form="onset").used.item() == 14
     assert 'by: "rok" is not a column of the data; did you mean "rock"?' in refused(path, by="rok")
     assert 'by: "force" is not a column of the data: the data are not a table' in refused(sweep(), by="force")
@@ -116,7 +106,7 @@ def test_columns_define_groups(tmp_path):
         ("relief,rate_of_penetration\n", "rig.csv: no rows; add a line for each measurement"),
         (
             "relief,rate_of_penetraton\n1,2\n",
-            'rig.csv: line 1: column rate_of_penetration [m/s] is missing; if "rate_of_penetraton" is it',
+            'rig.csv: column rate_of_penetration [m/s] is missing; if "rate_of_penetraton" is it',
         ),
         ("relief,rate_of_penetration\n1\n", "rig.csv: line 2 has 1 cell; 2 are needed"),
         ("relief,rate_of_penetration\n1,2\n\nx,1\n", 'rig.csv: line 4, column relief: "x" is not a number'),
@@ -139,7 +129,8 @@ def test_command_prints_tables_and_writes_fit(tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "force=200000 N: 8 lanes along frequency"
     assert printed[1].split() == ["form", "C", "[m/s]", "eta0", "exponent", "R2", "AIC"]
-    assert printed[4].startswith("  onset    0.0013 ± ") and printed[9] == "force=300000 N: 8 lanes along frequency"
+    assert printed[4].startswith("  onset") and "0.0013 ± " in printed[4]
+    assert printed[9] == "force=300000 N: 8 lanes along frequency"
     assert "all groups together: the data support onset" in printed and "the log law holds in 2 of 2:" in printed
     assert printed[-3] == "  force=200000 N: C = 0.0013 m/s (0.0013 to 0.0013), onset"
     assert printed[-1] == "map-fit.nc; picture map-fit.png"

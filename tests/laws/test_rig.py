@@ -10,7 +10,7 @@ from drawn import sheet_of
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.studies.rig_analysis import FOUNDER_REASONS, _limits, founder_point, torque_stick_slip
+from vibrojax.studies.rig_analysis import FOUNDER_REASONS, founder_point, torque_stick_slip
 
 sys.path.insert(0, str(Path(__file__).parent))
 from exports import rig_logs
@@ -83,10 +83,12 @@ def test_command_draws_tracks_and_tells_the_planted_founder_point(tmp_path, caps
 
 def test_spikes_do_not_flatten_tracks(log):
     ds = vj.rig(log[0], columns={"bit_diameter": "8.5 in"})
-    *_, is_log, beyond = _limits(ds.specific_energy.values / 1e6, True)
-    assert not is_log and not beyond
-    spiked = ds.specific_energy.values / 1e6
-    spiked[50] = 30_000
-    assert _limits(spiked, True)[2] and _limits(spiked, True)[1] > 30_000
-    _, high, is_log, beyond = _limits(spiked)
-    assert high < 3000 and beyond == 1 and not is_log
+    for name, spike, is_log in (("specific_energy", 3e10, True), ("torque", 9e5, False)):
+        (before,) = (plot.x for plot in sheet_of(ds).plots if plot.x.name == name)
+        ds[name] = ds[name].where(np.arange(ds.sizes["row"]) != 50, spike)
+        (after,) = (plot.x for plot in sheet_of(ds).plots if plot.x.name == name)
+        assert not before.log and after.log == is_log
+        if is_log:
+            assert after.limits[1] > spike / 1e6
+        else:
+            assert after.limits[1] < 2 * before.limits[1] and "1 beyond" in after.label

@@ -10,9 +10,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.io.log_filters import read_conditions
-from vibrojax.io.riglog import log_lines, read_log, to_dataset
-from vibrojax.io.tables import decimal_mark
+from vibrojax.io.riglog import log_lines, read_conditions, read_log, to_dataset
 
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[2] / "notebooks"))
@@ -140,6 +138,7 @@ REFUSED = {
     "numbers.csv": ("1,2\n3,4\n", 'line 1: "1, 2" are numbers; the first line names the columns'),
     "cells.csv": ("DEPTH (m),ROP (m/h)\n1,2,3\n2,3\n4\n", "line 2 has 3 cells; line 4 has 1 cell; 2 are needed"),
     "thousands.csv": ("WOB (kN);ROP (m/h)\n1,500;2,500\n", "commas are ambiguous: commas may separate thousands"),
+    "both.csv": ("WOB (kN);ROP (m/h)\n1,25;2.5\n", "commas are ambiguous: the file has decimal points too"),
     "falling.csv": (
         csv(METRIC, columns=(DEPTH[::-1], *FOUR[1:])),
         r"line 3, column DEPTH \(m\): the depth falls in most rows",
@@ -272,22 +271,6 @@ def test_conditions_choose_rows(tmp_path, capsys):
 # units and numbers
 
 
-@pytest.mark.parametrize("text", ["8.5"])
-def test_bit_diameter_without_a_unit_is_refused(logs, text):
-    with pytest.raises(InputError, match=f'no unit is given, .* bit_diameter {text} m .* bit_diameter="{text} '):
-        read_log(logs["pason"], columns={"bit_diameter": text})
-
-
-@pytest.mark.parametrize(
-    ("cells", "mark"),
-    [
-        (["1.5", "2"], "."),
-        (["1,5", "2"], ","),
-        (["1.234,5", "2"], ","),
-        (["1,234", "2.5"], "."),
-        (["1,234", "2"], ""),
-        (["1,25", "2.5"], "both"),
-    ],
-)
-def test_decimal_mark(cells, mark):
-    assert decimal_mark([pd.Series(cells)]) == mark
+def test_bit_diameter_without_a_unit_is_refused(logs):
+    with pytest.raises(InputError, match=r'no unit is given, .* bit_diameter 8.5 m .* bit_diameter="8.5 '):
+        read_log(logs["pason"], columns={"bit_diameter": "8.5"})

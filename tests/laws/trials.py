@@ -10,14 +10,12 @@ from pathlib import Path
 import numpy as np
 from unchecked import unchecked
 
-from vibrojax.studies.rop_blocks import BLOCK_LIMIT, supported
-from vibrojax.studies.rop_forms import FORMS
-from vibrojax.studies.rop_law import fit_lanes
+from vibrojax.studies.rop_forms import BLOCK_LIMIT, supported
+from vibrojax.studies.rop_group import NAMES, fit_lanes
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "notebooks"))
 import rig_logs
 
-NAMES = [form.name for form in FORMS]
 FORMATIONS = (15 / 3600, 40e3), (8 / 3600, 60e3)  # C [m/s], D [N]
 FOUNDER, ETA0, EXPONENT = 160e3, 0.75, 2.0
 
@@ -41,12 +39,12 @@ def trial(rng, law="literal", founder=FOUNDER, unknown=False, **about):
     for C, D in FORMATIONS:
         weight, rate = rows(rng, C, D, law, founder, **about)
         relief = weight / (np.median(weight) if unknown else D)
-        fit = fit_lanes(relief, weight, rate, "soft-l1", measured=True, unknown=unknown)
-        standing.append([form["standing"] for form in fit.forms])
-        evidence.append([form["evidence_against"] for form in fit.forms])
-        form = fit.forms[NAMES.index(name)]
+        fit = fit_lanes(relief, weight, rate, unknown=unknown)
+        standing.append(fit.forms["standing"])
+        evidence.append(fit.forms["evidence_against"])
+        form = fit.forms.loc[name]
         of_c.append(abs(form["C"] - C) <= 2 * form["C_stderr"])
-        of_founder.append(np.isfinite(fit.founder.weight) == (founder is not None))
+        of_founder.append(fit.founder.is_known == (founder is not None))
     return supported(np.array(standing), np.array(evidence), NAMES, BLOCK_LIMIT), of_c, of_founder
 
 

@@ -43,7 +43,7 @@ from vibrojax.threads import on_leaving
 def plot(options: Options) -> None:
     """Draw the picture that suits what a dataset holds, or specified variables, at specified values of its axes."""
     from vibrojax.io.dataset import open_dataset
-    from vibrojax.io.log_filters import read_conditions
+    from vibrojax.io.riglog import read_conditions
     from vibrojax.settings.values import check_distinct
     from vibrojax.studies.choose import save_picture
 

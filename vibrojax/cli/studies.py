@@ -323,12 +323,11 @@ def fit(options: Options) -> None:
     from vibrojax.io.log_columns import read_columns
     from vibrojax.io.riglog import log_lines
     from vibrojax.studies.rop_law import fit_groups, read_groups
-    from vibrojax.studies.rop_results import law_facts, law_table
+    from vibrojax.studies.rop_results import law_facts, tables
 
     file, columns, by = Path(options.file), read_columns(given), options.by or []
     reading = {"where": options.where, "nulls": options.nulls}
-    data = read_groups(options.file, options.along, by, columns, **reading)
-    groups = data[-1]
+    groups = read_groups(options.file, options.along, by, columns, **reading)
     if groups["valid"].any() and not (groups["valid"] & (groups["rate"] > 0)).any():
         lanes = counted(int(groups["is_lane"].sum()), "lane")
         more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
@@ -336,14 +335,14 @@ def fit(options: Options) -> None:
     identity = {"data": _digest(file), "along": options.along, "by": ", ".join(by), **_given(reading), "fit": True}
     identity |= {f"columns.{name}": text for name, text in columns.items()}
     with timed("fit"):
-        law = fit_groups(*data)
+        law = fit_groups(groups)
     found = result(options, f"{file.stem}-fit.nc", identity, lambda _: nullcontext(law), reused=False)
     facts = law_facts(law)
     sources = log_lines(law)
     lane = "a row of the CSV" if "columns" in law.attrs else WORDS["lane"]
     lines = [
         *([*sources, ""] if sources and not options.quiet else []),
-        *law_table(facts),
+        *tables(law),
         "",
         f"forms of the rate of penetration: {law.attrs['formulas']}",
         f"eta: the relief P/D, {WORDS['relief P/D']}; eta0: where it begins; a lane: {lane}",

@@ -9,8 +9,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from vibrojax.errors import InputError, Place, nearest, shell_assignment, shown, suggestion
 from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT, ROTATION, Parameter, not_negative, table
 from vibrojax.physics.rock import ROCK, ROCKS
@@ -106,8 +104,7 @@ def read_columns(words: list[str]) -> dict[str, str]:
     for word in words:
         name, equals, text = (part.strip() for part in word.partition("="))
         if not equals or not name or not text:
-            example = f'{RATE}="ROP (m/h)"'
-            raise InputError(f"--columns: {shown(word)} is not NAME=COLUMN; write, for example, {example}")
+            raise InputError(f'--columns: {shown(word)} is not NAME=COLUMN; write one, like {RATE}="ROP (m/h)"')
         if name in columns:
             raise InputError(f"--columns: {name}: {shown(text)} is a second column; give one")
         columns[name] = text
@@ -127,8 +124,7 @@ def checked_columns(columns: object) -> dict[str, str]:
             hint += f"choose from {', '.join(choices)}, or a parameter of the scenes"
             raise here.error(f"is not a quantity of rig data; {hint}")
         if not isinstance(text, str) or not text.strip():
-            fault = f"{shown(text)} is not a column; write one with its unit, like"
-            raise here.error(f'{fault} {name}="ROP (m/h)"')
+            raise here.error(f'{shown(text)} is not a column; write one with its unit, like {name}="ROP (m/h)"')
     if "rock" in columns:
         place, rock = Place("columns", "rock"), columns.pop("rock").strip()
         if rock not in ROCKS:
@@ -186,36 +182,24 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
     found = [(*recognise(cell), index, cell) for index, cell in enumerate(header) if cell and index not in taken]
     known = [item for item in found if item[0] in KNOWN and (item[1] is not None or item[0] in (*LAW, *RIG))]
     # A column with its quantity's name comes first, then those that name a unit.
-    for quantity, unit, index, cell in sorted(known, key=lambda item: (not _is_own(item[3], item[0]), item[1] is None)):
-        key = str(quantity)
-        here = Place(place.file, f"{place.key}, column {cell}")
-        si, other = KNOWN[key].unit, chosen.get(key)
-        if other is None and unit and factor(unit, si) is None and key not in (*LAW, WEIGHT, DEPTH):
-            notes.append(f"{key}: column {shown(cell)} is in {shown(unit)}, not a unit of {key}, and is left out")
-        elif other is None:
-            assumed = unit is None and key != TIME and si != "1"  # times of the day have no unit
+    for quantity, unit, index, cell in sorted(known, key=lambda item: (not is_own(item[3], item[0]), item[1] is None)):
+        name = str(quantity)
+        si = KNOWN[name].unit
+        if name in chosen:
+            if name not in columns:
+                notes.append(f"{name}: column {shown(cell)} is another one, and is left out")
+        elif unit and factor(unit, si) is None and name not in (*LAW, WEIGHT, DEPTH):
+            notes.append(f"{name}: column {shown(cell)} is in {shown(unit)}, not a unit of {name}, and is left out")
+        else:
             default = _FIELD_UNITS.get(si, UNITS[si][0]) if is_field else UNITS[si][0]
-            chosen[key] = replace(_column(here, key, cell, index, unit or default), assumed=assumed)
-        elif _is_own(cell, key) and other.index is not None:
-            raise here.error(f"is another column {key}; rename one of them")
-        elif key not in columns:
-            notes.append(f"{key}: column {shown(cell)} is another one, and is left out")
+            column = _column(Place(place.file, f"{place.key}, column {cell}"), name, cell, index, unit or default)
+            chosen[name] = replace(column, assumed=unit is None and name != TIME and si != "1")
     return chosen, notes
 
 
-def _is_own(cell: str, name: str | None) -> bool:
+def is_own(cell: str, name: str | None) -> bool:
     """Return whether a column has the name that the quantity has here."""
     return split_unit(cell)[0] == name
-
-
-def in_unit_of_rigs(name: str, column: Column, median: float) -> Column:
-    """Return the column of a rotary speed whose name has no unit in revolutions per minute or second, if one fits."""
-    low, high = KNOWN[ROTATION_SPEED].usual or (0.0, np.inf)
-    scales = {unit: factor(unit, "rad s-1") or 1.0 for unit in ("rpm", "rev/s")}
-    fitting = [unit for unit, scale in scales.items() if low <= median * scale <= high]
-    if not fitting or name != ROTATION_SPEED or not column.assumed or _is_own(column.header, name):
-        return column
-    return replace(column, unit=fitting[0], factor=scales[fitting[0]])
 
 
 def likely_words(name: str, column: Column, median: float) -> str | None:
@@ -234,36 +218,6 @@ def likely_words(name: str, column: Column, median: float) -> str | None:
     return shell_assignment(name, right)
 
 
-def required_names(
-    place: Place, header: list[str], chosen: Mapping[str, Column], columns: Mapping[str, str]
-) -> list[str]:
-    """Return the names of the quantities required by the law: the rate, and either the relief or force and threshold.
-
-    A relief in the file is ignored if the user specifies the force or the threshold but not the relief.
-
-    **Raises:** `InputError` if a quantity is missing. The message suggests the column that is likely meant.
-    """
-    by_force = RELIEF not in chosen or (RELIEF not in columns and bool({FORCE, THRESHOLD} & set(columns)))
-    names = [RATE, FORCE, THRESHOLD] if by_force else [RATE, RELIEF]
-    missing = [name for name in names if name not in chosen]
-    if not missing:
-        return names
-    free = [cell for index, cell in enumerate(header) if cell and index not in {c.index for c in chosen.values()}]
-    wanted = RELIEF if len(missing) == 2 and nearest(RELIEF, free) else missing[0]
-    likely = [cell for cell in free if (unit := split_unit(cell)[1]) and factor(unit, KNOWN[wanted].unit) is not None]
-    hint = f"the file has {', '.join(cell or 'a column without a name' for cell in header)}"
-    if like := likely[0] if likely else nearest(wanted, free):
-        unit = "" if split_unit(like)[1] or wanted == RELIEF else f" ({UNITS[KNOWN[wanted].unit][0]})"
-        hint = f"if {shown(like)} is it, rename it, or name it: --columns {shell_assignment(wanted, like + unit)}"
-    if missing == [THRESHOLD]:
-        hint += f', or for all rows: --columns {THRESHOLD}="150 kN", rock=granite or {THRESHOLD}=unknown'
-    if RATE in missing:
-        raise place.error(f"column {RATE} [m/s] is missing; {hint}")
-    if len(missing) == 2:
-        raise place.error(f"column {RELIEF} is missing, or {FORCE} and {THRESHOLD}; {hint}")
-    raise place.error(f"column {missing[0]} [N] is missing, or {RELIEF}; {hint}")
-
-
 def _user_column(place: Place, header: list[str], name: str, text: str) -> Column:
     """Return the column or the constant value that the user's `text` specifies for the quantity `name`."""
     base, unit = split_unit(text)
@@ -280,20 +234,19 @@ def _user_column(place: Place, header: list[str], name: str, text: str) -> Colum
         return _column(place, name, cell, matches[0], unit or own)
     if number := NUMBER.fullmatch(text):
         if number[2].startswith(","):
-            raise place.error(
-                f"{shown(text)} has a decimal comma; write a point, like {shown(text.replace(',', '.', 1))}"
-            )
-        column = _column(place, name, text.strip(), 0, number[2] or None)
+            right = shown(text.replace(",", ".", 1))
+            raise place.error(f"{shown(text)} has a decimal comma; write a point, like {right}")
+        column = _column(place, name, text.strip(), None, number[2] or None)
         value = float(number[1]) * column.factor
         if (problem := KNOWN[name].problem(value)) is not None:
             raise place.error(problem)
-        return replace(column, index=None, value=value)
+        return replace(column, value=value)
     like = nearest(base, header)
     hint = f"did you mean {shown(like)}?" if like else f"the file has {', '.join(map(shown, header))}"
     raise place.error(f"the file has no column {shown(text)}; {hint}")
 
 
-def _column(place: Place, name: str, header: str, index: int, unit: str | None) -> Column:
+def _column(place: Place, name: str, header: str, index: int | None, unit: str | None) -> Column:
     """Return a column whose numbers are in `unit`, or in the SI unit if `unit` is None."""
     si = KNOWN[name].unit
     if unit is None:

@@ -7,24 +7,21 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float
 
 from vibrojax.errors import Place, counted, shown
 from vibrojax.io.files import read_regular
 from vibrojax.io.log_columns import recognise
-from vibrojax.io.tables import Rows, csv_rows, is_number, read_text, with_points
+from vibrojax.io.tables import csv_rows, is_number, read_text
 from vibrojax.physics.units import is_unit
 
-NULLS = frozenset(
-    ("-999.25", "-999", "-9999", "-9999.25", "null", "(null)", "none", "nan", "na", "n/a", "#n/a", "-", "--")
-)
-"""Numbers and texts in small letters that stand for a missing value in every file, as an empty cell does."""
+MOST_LISTED = 10
+"""Number of faults that a message lists."""
 
 _HEAD = 200
 """Number of rows in which names, units and the first numbers are sought."""
 
-_MOST_LISTED = 10
 _NO_ROWS = "no rows; add a line for each measurement"
+_LAS_SECTIONS = {"V": "~Version", "C": "~Curve", "A": "~ASCII"}
 _LAS_DELIMITERS = {"COMMA": ",", "TAB": "\t"}
 
 
@@ -43,9 +40,10 @@ class Cells:
 
 
 def read_cells(place: Place, path: Path) -> Cells:
-    """Return the cells of a file, whose kind is recognised by its content or its ending; raise `InputError`.
+    """Return the cells of a file, whose kind is recognised by its content or its ending.
 
-    A row of another width than the header is an error, unless its further cells are empty.
+    **Raises:** `InputError` if the file cannot be read, or a row has another width than the header (further cells may
+    be empty).
     """
     if path.suffix.lower() in (".xlsx", ".xlsm", ".xls"):
         cells = _below_names(place, _read_xlsx(place, path))
@@ -59,14 +57,26 @@ def read_cells(place: Place, path: Path) -> Cells:
     width, rows = len(cells.header), cells.rows
     counts = rows.iloc[:, :width].notna().sum(axis=1) + (rows.iloc[:, width:].fillna("") != "").sum(axis=1)
     if (wrong := counts[counts != width].astype(int)).size:
-        listed = [f"line {line} has {counted(count, 'cell')}" for line, count in wrong.iloc[:_MOST_LISTED].items()]
-        more = f"; and {len(wrong) - _MOST_LISTED} more" if len(wrong) > _MOST_LISTED else ""
+        listed = [f"line {line} has {counted(count, 'cell')}" for line, count in wrong.iloc[:MOST_LISTED].items()]
+        more = f"; and {len(wrong) - MOST_LISTED} more" if len(wrong) > MOST_LISTED else ""
         raise place.error(f"{'; '.join(listed)}{more}; {width} are needed, one a column")
     return replace(cells, rows=rows.iloc[:, :width])
 
 
+def cells_of(place: Place, table: pd.DataFrame) -> Cells:
+    """Return the cells of a DataFrame; in one that `read_log` returned, the quantities are in SI units."""
+    units = table.attrs["units"] if "sources" in table.attrs else {}
+    table = table.reset_index() if any(table.index.names) else table
+    lines = table["line"] if units and "line" in table else range(2, len(table) + 2)
+    table = table.drop(columns="line", errors="ignore") if units else table
+    if table.empty:
+        raise place.error(_NO_ROWS)
+    names = [f"{name} ({units[name]})" if name in units else str(name) for name in table.columns]
+    rows = table.astype(object).where(table.notna(), "").map(str)
+    return Cells(names, 1, rows.set_axis(range(len(names)), axis=1).set_axis(lines))
+
+
 def _read_delimited(place: Place, text: str) -> pd.DataFrame:
-    """Return the rows of a text that are not empty."""
     lines = [line for line in text.splitlines() if line.strip()][:_HEAD]
     if not lines:
         raise place.error("empty; a line of column names and a line for each measurement are needed")
@@ -74,7 +84,7 @@ def _read_delimited(place: Place, text: str) -> pd.DataFrame:
     return _table(list(csv_rows(place, text, separator)))
 
 
-def _table(rows: Rows) -> pd.DataFrame:
+def _table(rows: list[tuple[int, list[str]]]) -> pd.DataFrame:
     """Return rows, each with its line, as a table indexed by line, in which short rows end in None."""
     width = max(len(cells) for _, cells in rows)
     padded = [cells + [None] * (width - len(cells)) for _, cells in rows]
@@ -103,7 +113,7 @@ def _below_names(place: Place, table: pd.DataFrame) -> Cells:
     numbers = head.map(lambda cell: bool(cell) and is_number(cell.replace(",", "."))).sum(axis=1).to_numpy()
     typical = float(np.median(numbers[numbers > 0])) if numbers.any() else np.inf
     above = int(np.argmax(numbers >= typical / 2)) if numbers.any() else min(len(head), 2)
-    texts = [list(row) for row in head.iloc[:above].itertuples(index=False)]
+    texts = head.iloc[:above].to_numpy().tolist()
     if not texts:
         first = shown(", ".join(filter(None, head.iloc[0])))
         advice = "the first line names the columns, like relief,rate_of_penetration"
@@ -120,7 +130,7 @@ def _below_names(place: Place, table: pd.DataFrame) -> Cells:
     while not header[-1] and (table.iloc[above:, len(header) - 1].fillna("") == "").all():
         header.pop()
     if above == len(table):
-        raise place.error(f"{_NO_ROWS} below the {'column names' if below is None else 'units'}")
+        raise place.error(_NO_ROWS)
     return Cells(header, int(table.index[names]), table.iloc[above:], notes=tuple(notes))
 
 
@@ -156,11 +166,12 @@ def _read_witsml(place: Place, text: str) -> Cells:
 
 
 def _read_las(place: Place, text: str) -> Cells:
-    """Return the rows of a LAS file of version 1.2, 2.0 (wrapped, too) or 3.0 with one log; raise `InputError`."""
+    """Return the rows of a LAS file of version 1.2, 2.0 (wrapped, too) or 3.0 with one log."""
     try:
         import lasio
     except ImportError:
         raise place.error('LAS files need lasio, which is not installed; pip install "vibrojax[las]"') from None
+    # lasio reads the header only: its rows have no lines, and it takes neither small letters nor sections of LAS 3.
     sections: dict[str, list[tuple[int, str]]] = {"": []}
     begins: dict[str, int] = {}
     key = ""
@@ -174,17 +185,16 @@ def _read_las(place: Place, text: str) -> Cells:
             begins.setdefault(key, number)
         elif line.strip() and not line.lstrip().startswith("#"):
             sections[key].append((number, line))
-    for letter, name in (("V", "~Version"), ("C", "~Curve"), ("A", "~ASCII")):
-        if letter not in begins:
-            raise place.error(f"not LAS: it has no section {name}; export the log again, with its data, or as CSV")
+    if missing := [name for letter, name in _LAS_SECTIONS.items() if letter not in begins]:
+        raise place.error(f"not LAS: it has no section {missing[0]}; export the log again, with its data, or as CSV")
     head = [line for key in "VWC" for line in (f"~{key}", *(line for _, line in sections.get(key, [])))]
     try:
         las = lasio.read(io.StringIO("\n".join([*head, "~A"])), ignore_data=True)
         is_wrapped = str(las.version.WRAP.value).strip().upper() == "YES"
         delimiter = _LAS_DELIMITERS.get(str(las.version["DLM"].value).upper()) if "DLM" in las.version else None
     except Exception:  # lasio has no error of its own for a malformed header
-        fault = "not LAS: its header cannot be read; it needs VERS and WRAP in ~Version, and a curve on each line"
-        raise place.at(f"line {begins['V']}").error(f"{fault} of ~Curve; or export as CSV") from None
+        fault = "not LAS: VERS and WRAP in ~Version, and a curve on each line of ~Curve, are needed"
+        raise place.at(f"line {begins['V']}").error(f"{fault}; or export as CSV") from None
     header = [_with_unit(str(curve.original_mnemonic), str(curve.unit or "")) for curve in las.curves]
     rows = [(number, [cell.strip() for cell in line.split(delimiter)]) for number, line in sections["A"]]
     if is_wrapped:
@@ -192,25 +202,6 @@ def _read_las(place: Place, text: str) -> Cells:
         groups = [every[k : k + width] for k in range(0, len(every), width)]
         rows = [(group[0][0], [cell for _, cell in group]) for group in groups]
     if not rows:
-        raise place.at(f"line {begins['A']}").error(f"{_NO_ROWS} below ~ASCII")
-    null = str(las.well["NULL"].value) if "NULL" in las.well else ""
-    return Cells(header, begins["C"], _table(rows), frozenset((null,)))
-
-
-def to_numbers(
-    cells: pd.Series, mark: str, nulls: frozenset[str]
-) -> tuple[Float[np.ndarray, " rows"], Bool[np.ndarray, " rows"]]:
-    """Return the numbers in text cells, NaN where there is none, and where a cell is neither a number nor a null.
-
-    `mark`: the decimal mark, as `decimal_mark` returns it; `nulls`: what stands for a missing value, in small letters.
-    """
-    cells = cells.fillna("").str.strip()
-    cells = with_points(cells, mark) if mark in (",", ".") else cells
-    missing = ((cells == "") | cells.str.casefold().isin(nulls)).to_numpy(bool)
-    listed = cells.mask(missing, "nan").to_list()
-    try:
-        values = np.array(listed, dtype=float)
-    except ValueError:
-        values = np.array([float(cell) if is_number(cell) else np.nan for cell in listed])
-    bad = ~np.isfinite(values) & ~missing
-    return np.where(np.isin(values, [float(null) for null in nulls if is_number(null)]) | bad, np.nan, values), bad
+        raise place.at(f"line {begins['A']}").error(_NO_ROWS)
+    nulls = {str(las.well["NULL"].value)} if "NULL" in las.well else set[str]()
+    return Cells(header, begins["C"], _table(rows), frozenset(nulls))

@@ -1,25 +1,30 @@
-"""Reading of rig logs into tables in SI units, with the rows that are no drilling dropped and counted."""
+"""Rig logs as tables in SI units, of the rows that a user's conditions choose and that are drilling."""
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+import re
+from bisect import bisect_right
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from vibrojax.errors import InputError, Place, counted, shown
+from vibrojax.errors import InputError, Place, counted, shown, suggestion
 from vibrojax.io.attributes import attribute_of, table_of, text_of
 from vibrojax.io.log_columns import (
+    BIT_DEPTH,
     DATE,
     DEPTH,
     KNOWN,
-    LAW,
     LINE,
+    NUMBER,
+    RATE,
     RELIEF,
     RIG,
     ROTATION_SPEED,
@@ -28,15 +33,20 @@ from vibrojax.io.log_columns import (
     Column,
     checked_columns,
     choose_columns,
-    in_unit_of_rigs,
+    is_own,
     likely_words,
+    normalised,
     recognise,
+    split_unit,
 )
-from vibrojax.io.log_files import NULLS, Cells, read_cells, to_numbers
-from vibrojax.io.log_filters import LIMITS, Where, line_ranges, meets, no_drilling, not_monotonic, read_conditions
-from vibrojax.io.tables import ambiguous_commas, decimal_mark, is_number
-from vibrojax.physics.parameters import Parameter
-from vibrojax.physics.units import UNITS
+from vibrojax.io.log_files import MOST_LISTED, cells_of, read_cells
+from vibrojax.io.tables import ambiguous_commas, decimal_mark, is_number, to_numbers
+from vibrojax.physics.units import UNITS, factor
+
+NULLS = frozenset(
+    ("-999.25", "-999", "-9999", "-9999.25", "null", "(null)", "none", "nan", "na", "n/a", "#n/a", "-", "--")
+)
+"""Numbers and texts in small letters that stand for a missing value in every file, as an empty cell does."""
 
 LIMITS_OF_LOGS = (
     "Rotary rig data are not percussive data: they can inform the friction at the bit and C of the law, "
@@ -44,33 +54,25 @@ LIMITS_OF_LOGS = (
 )
 """What summaries and pictures of a log say about it."""
 
-FOR_LAW = frozenset((*LAW, WEIGHT, ROTATION_SPEED))
-"""Quantities that a fit of the law needs; faults in others do not stop it."""
+RPM = 2 * np.pi / 60
+SLOWEST_ROTATION = 1 * RPM
+"""Rotary speed [rad/s] below which the string does not rotate."""
 
-LOG_ENDINGS = (".csv", ".txt", ".tsv", ".las", ".xml", ".xlsx", ".xlsm", ".xls")
-"""Endings of the files that a fit takes for logs."""
+OFF_BOTTOM = 0.5
+"""Distance [m] of the bit from the hole's end above which it does not drill; depths are rounded to 0.3 m or less."""
+
+LIMITS = {RATE: 500 * 0.3048 / 3600, WEIGHT: 800e3, ROTATION_SPEED: 500 * RPM, "torque": 200e3, "pressure": 150e6}
+"""Greatest values [SI] within reason: 500 ft/h, 180 klbf, 500 rpm. Connections, slips and faults leave larger ones."""
 
 _DAY = 86400.0
-_MOST_LISTED = 10
 _CLOCK = r"\d{1,2}:\d\d(:\d\d(\.\d*)?)?"
+_MOST_LINES_LISTED = 12
+
 Source: TypeAlias = str | PathLike[str] | pd.DataFrame
-Nulls = Sequence[str | float] | None
-Values = dict[str, Float[np.ndarray, " rows"]]
-
-
-@dataclass(frozen=True)
-class Log:
-    """A rig log: `data` as `read_log` returns it, the names of all columns, and those that are taken for quantities.
-
-    `unusual`: place, quantity, median and advice of each column whose values are far from those of rigs in its unit.
-    """
-
-    place: Place
-    line: int
-    header: list[str]
-    chosen: Mapping[str, Column]
-    data: pd.DataFrame
-    unusual: list[tuple[Place, Parameter, float, str]]
+Where: TypeAlias = str | Sequence[str] | Mapping[str, object] | None
+Nulls: TypeAlias = Sequence[str | float] | None
+Rows: TypeAlias = Float[np.ndarray, " rows"]
+Mask: TypeAlias = Bool[np.ndarray, " rows"]
 
 
 def read_log(
@@ -94,7 +96,8 @@ def read_log(
     [m/s], `rotary_speed` [rad/s], `torque` [N m], `flow` [m3/s], `pressure` [Pa], `bit_diameter` [m] and
     `stick_slip_index` (as given), where the file has them; then `line`, the number of a row's line in the file, and the
     other columns. `attrs`: `units` and `sources` by quantity, `dropped` (number of rows by reason), `lines` (of them),
-    `rows_read`, `notes`, `title`, and `rig` (whether it is the log of a rig).
+    `rows_read`, `notes`, `title`, `rig` (whether it is the log of a rig), and `unusual` (name of the column, quantity,
+    median [SI] and advice, where a given unit makes values far from those of rigs).
 
     **Raises:** `InputError` that names column and line; all bad cells are listed at once.
 
@@ -106,21 +109,21 @@ def read_log(
     >>> log.rate_of_penetration.round(5).tolist(), log.attrs["dropped"]
     ([0.00508, 0.00508], {'missing weight': 1})
     """
-    return open_log(path, columns, where, nulls).data
+    return read_needed(path, columns, where, nulls)
 
 
-def open_log(
+def read_needed(
     path: Source,
     columns: Mapping[str, str] | None = None,
     where: Where = None,
     nulls: Nulls = None,
-    needed: Collection[str] | None = None,
+    needed: Collection[str] = tuple(KNOWN),
     name: str = "read_log",
-) -> Log:
-    """Read a rig log as `read_log` does; return it with the names of all columns.
+) -> pd.DataFrame:
+    """Read a rig log as `read_log` does.
 
-    `needed`: quantities in which a bad cell or an unlikely unit is an error, by default all; faults of others are only
-    noted. `name`: what stands for the file in messages about a DataFrame.
+    `needed`: quantities in which a bad cell or an unlikely unit is an error; faults of others are only noted. `name`:
+    what stands for the file in messages about a DataFrame.
     """
     columns, conditions = checked_columns(columns), read_conditions(where)
     if nulls is not None and (isinstance(nulls, str) or not isinstance(nulls, Sequence)):
@@ -128,71 +131,60 @@ def open_log(
     if not isinstance(path, (str, PathLike, pd.DataFrame)):
         raise InputError(f"{name}: {shown(path)} is no log; give a path or a DataFrame")
     place = Place(name if isinstance(path, pd.DataFrame) else str(path))
-    cells = _cells_of(place, path) if isinstance(path, pd.DataFrame) else read_cells(place, Path(path))
+    cells = cells_of(place, path) if isinstance(path, pd.DataFrame) else read_cells(place, Path(path))
     header, rows, lines = cells.header, cells.rows, cells.rows.index.to_numpy()
     here = place.at(f"line {cells.line}")
     chosen, notes = choose_columns(here, header, columns)
     missing = NULLS | cells.nulls | {str(null).strip().casefold() for null in nulls or ()}
     text = {key: rows.iloc[:, column.index] for key, column in chosen.items() if column.index is not None}
-    is_needed = {key: needed is None or key in needed or key in columns for key in chosen}
+    is_needed = {key: key in needed or key in columns for key in chosen}
     mark = decimal_mark(text[key] for key in text if is_needed[key]) or decimal_mark(text.values())
     notes += ["commas are decimal marks"] * (mark == ",")
-    values: Values = {}
-    bad: dict[str, np.ndarray] = {}
-    for key, column in chosen.items():
-        if key == TIME and column.index is not None:
-            values[key], bad[key] = _times(header, column, rows)
-        elif column.index is not None:
-            values[key], bad[key] = to_numbers(text[key], mark, missing)
-        else:
-            values[key] = np.full(len(rows), (column.value or 0.0) / column.factor)
+    values = {key: np.full(len(rows), (column.value or 0.0) / column.factor) for key, column in chosen.items()}
+    bad: dict[str, Mask] = {}
+    for key in text:
+        numbers = _times(header, chosen[key], rows) if key == TIME else to_numbers(text[key], mark, missing)
+        values[key], bad[key] = numbers
     empty = np.all([np.isnan(values[key]) for key in text], axis=0) if text else np.zeros(len(rows), bool)
     empty &= empty.mean() < 0.5  # repeated names and remarks
     for key in [key for key in bad if not is_needed[key] or key == TIME]:
         if (wrong := bad.pop(key) & ~empty).any():
-            fault = (
-                f"{counted(wrong.sum(), 'cell')} taken as missing, such as {shown(text[key].iloc[np.argmax(wrong)])}"
-            )
-            notes.append(f"{key}: {fault} in line {lines[np.argmax(wrong)]}")
+            first, cells_wrong = int(np.argmax(wrong)), counted(wrong.sum(), "cell")
+            fault = f"{cells_wrong} taken as missing, such as {shown(text[key].iloc[first])} in line {lines[first]}"
+            notes.append(f"{key}: {fault}")
     _check_cells(place, {key: mask & ~empty for key, mask in bad.items()}, chosen, text, mark)
-    unusual = _to_si(here, chosen, values, is_needed, notes)
+    unusual = _to_si(place, chosen, values, is_needed, notes)
     names = [(recognise(cell)[0] or "", cell) for cell in header]
     is_rig = RELIEF not in chosen and any(name in RIG or (name and not cell.startswith(name)) for name, cell in names)
-    masks: list[tuple[str, np.ndarray]] = [("no numbers", empty)]
-    free = set()
-    everything = {cell: rows.iloc[:, index] for index, cell in enumerate(header)}
-    for condition in conditions:
-        quantity, mask = meets(place, condition, everything, chosen, values)
-        masks.append((f"not {condition.text}", ~mask))
-        free.add(quantity)
-    if is_rig:
-        masks += no_drilling(values, free)
+    table: dict[str, np.ndarray] = {**values, LINE: lines}
+    taken = {column.index for column in chosen.values()}
+    for index, cell in enumerate(header):
+        if index not in taken and cell not in ("", "row", *table):
+            found, wrong = to_numbers(rows.iloc[:, index], mark, missing)
+            table[cell] = rows.iloc[:, index].fillna("").str.strip().to_numpy(object) if wrong.any() else found
+    data = pd.DataFrame(table)
+    met = {each.text: _meets(place, each, data, chosen) for each in conditions}
+    free = {name for name, _ in met.values()}
     for key in sorted({"torque", "pressure"} & set(values) - free):
-        if (large := values[key] > LIMITS[key]).any():
-            values[key] = np.where(large, np.nan, values[key])
+        if (large := data[key] > LIMITS[key]).any():
+            data[key] = data[key].mask(large)
             limit = f"{LIMITS[key]:g} {UNITS[KNOWN[key].unit][0]}"
             notes.append(f"{key}: {counted(large.sum(), 'value')} above {limit} taken as missing")
+    masks = [("no numbers", empty), *((f"not {each}", ~mask) for each, (_, mask) in met.items())]
+    masks += _no_drilling(values, free) if is_rig else []
     kept, dropped = np.ones(len(rows), bool), {}
     for reason, mask in masks:
         dropped[reason] = mask & kept
         kept &= ~mask
     if is_rig and DEPTH in values:
-        dropped["depth not monotonic"] = not_monotonic(place, chosen[DEPTH], values[DEPTH], kept, lines)
+        dropped["depth not monotonic"] = _not_monotonic(place, chosen[DEPTH], values[DEPTH], kept, lines)
         kept &= ~dropped["depth not monotonic"]
     dropped = {reason: mask for reason, mask in dropped.items() if mask.any()}
     if not kept.any():
         texts = ", ".join(f"{reason} {mask.sum()}" for reason, mask in dropped.items())
         hint = f"; is a unit wrong? {unusual[0][3]}" if unusual else ""
         raise place.at(f"line {lines[0]} to {lines[-1]}").error(f"no row is left of {len(rows)}: {texts}{hint}")
-    table: dict[str, np.ndarray] = {key: numbers[kept] for key, numbers in values.items()} | {LINE: lines[kept]}
-    taken = {column.index for column in chosen.values()}
-    for index, cell in enumerate(header):
-        if index not in taken and cell not in ("", "row", *table):
-            found, wrong = to_numbers(rows.iloc[:, index], mark, missing)
-            table[cell] = (
-                rows.iloc[:, index].fillna("").str.strip().to_numpy(object)[kept] if wrong.any() else found[kept]
-            )
-    data = pd.DataFrame(table)
+    data = data[kept].reset_index(drop=True)
     data.attrs = {
         "title": Path(place.file).name,
         "rig": is_rig,
@@ -202,8 +194,215 @@ def open_log(
         "dropped": {reason: int(mask.sum()) for reason, mask in dropped.items()},
         "lines": {reason: line_ranges(lines[mask]) for reason, mask in dropped.items()},
         "notes": [*cells.notes, *notes],
+        "unusual": unusual,
     }
-    return Log(place, cells.line, header, {key: chosen[key] for key in values}, data, unusual)
+    return data
+
+
+# Numbers
+
+
+def _to_si(
+    place: Place, chosen: dict[str, Column], values: dict[str, Rows], is_needed: Mapping[str, bool], notes: list[str]
+) -> list[tuple[str, str, float, str]]:
+    """Convert the values to SI units; return name, quantity, median and advice of columns far from those of rigs.
+
+    **Raises:** `InputError` with all columns whose unit is only assumed and unlikely; those not needed are left out.
+    """
+    unusual, faults, words = [], [], []
+    for key, numbers in list(values.items()):
+        known = np.abs(numbers[np.isfinite(numbers) & (numbers != 0)])
+        median, column = float(np.median(known)) if known.size else np.nan, chosen[key]
+        low, high = KNOWN[key].usual or (0.0, np.inf)
+        if key == ROTATION_SPEED and column.assumed and not is_own(column.header, key):
+            for unit, scale in {"rev/s": 60 * RPM, "rpm": RPM}.items():  # the last that fits
+                if low <= median * scale <= high:
+                    chosen[key] = column = Column(column.header, column.index, unit, scale, assumed=True)
+        values[key] = column.factor * numbers
+        if not known.size or (word := likely_words(key, column, median)) is None:
+            continue
+        fault = f"{key} {median:.6g} {column.unit} ({low:g} to {high:g} {UNITS[KNOWN[key].unit][0]})"
+        if not column.assumed:
+            unusual.append((column.header, key, median * column.factor, f"likely --columns {word}"))
+        elif is_needed[key]:
+            faults.append(fault)
+            words.append(word)
+        else:
+            notes.append(f"{fault} is far outside what rigs have and left out: no unit is given; likely {word}")
+            del values[key]
+    if faults:
+        fault = f"no unit is given, and the median is far outside what rigs have: {', '.join(faults)}"
+        choice = " (choose one unit)" * any(" or " in word for word in words)
+        raise place.error(f"{fault}; likely --columns {' '.join(words)}{choice}")
+    return unusual
+
+
+def _check_cells(
+    place: Place, bad: Mapping[str, Mask], chosen: Mapping[str, Column], text: Mapping[str, pd.Series], mark: str
+) -> None:
+    """Raise `InputError` that lists the first cells that are neither numbers nor stand for a missing value."""
+    faults = sorted((int(row), key) for key, mask in bad.items() for row in np.flatnonzero(mask))
+    if not faults:
+        return
+    cells = [(text[key].index[row], chosen[key].header, str(text[key].iloc[row]).strip()) for row, key in faults]
+    listed = "; ".join(f"line {line}, column {header}: {shown(cell)}" for line, header, cell in cells[:MOST_LISTED])
+    more = f"; and {len(faults) - MOST_LISTED} more" if len(faults) > MOST_LISTED else ""
+    verb = "is not a number" if len(faults) == 1 else f"are not numbers ({len(faults)} cells)"
+    right = f"correct them, or say that they stand for missing values: --nulls {shown(cells[0][2])}"
+    if "," in cells[0][2] and mark != ".":
+        right = f"commas are ambiguous: {ambiguous_commas(mark)}; write decimal points"
+    raise place.error(f"{listed}{more} {verb}; {right}")
+
+
+def _times(header: list[str], column: Column, rows: pd.DataFrame) -> tuple[Rows, Mask]:
+    """Return the times since the first row in the column's unit, and where a cell is not a time.
+
+    Cells hold numbers, dates with times, times of the day that may pass midnight, or days and times in two columns.
+    """
+    cells = rows.iloc[:, column.index or 0].fillna("").str.strip()
+    date = next((k for k, cell in enumerate(header) if recognise(cell)[0] == DATE and k != column.index), None)
+    empty, scale = (cells == "").to_numpy(), column.factor
+    if date is None and all(is_number(cell) or not cell for cell in cells):
+        values, scale = pd.to_numeric(cells).to_numpy(float), 1.0
+    elif date is None and cells[~empty].str.fullmatch(_CLOCK).mean() > 0.5:
+        clock = cells.where(cells.str.fullmatch(_CLOCK)).where(cells.str.count(":") != 1, cells + ":00")
+        values = pd.to_timedelta(clock, errors="coerce").dt.total_seconds().to_numpy(float, copy=True)
+        known = np.isfinite(values)
+        values[known] += _DAY * np.cumsum(np.diff(values[known], prepend=values[known][:1]) < -_DAY / 2)
+    else:
+        day = rows.iloc[:, date].fillna("").str.strip() + " " if date is not None else ""
+        stamps = pd.to_datetime((day + cells).str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
+        values = (stamps - stamps.min()).dt.total_seconds().to_numpy(float)
+    return (values - values[np.isfinite(values)][:1].sum()) / scale, np.isnan(values) & ~empty
+
+
+# Rows
+
+
+_same = partial(np.isclose, rtol=1e-4, atol=0.0)  # about as many digits as a picture prints
+_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
+    "<=": np.less_equal,
+    ">=": np.greater_equal,
+    "!=": lambda x, y: ~_same(x, y),
+    "==": _same,
+    "=": _same,
+    "<": np.less,
+    ">": np.greater,
+}
+_CONDITION = re.compile(
+    rf"\s*([^<>=!]+?)\s*(?:[(\[]([^()\[\]<>=!]+)[)\]]\s*)?({'|'.join(_OPERATORS)})\s*([^<>=!]+?)\s*"
+)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A comparison of a column or an axis with a value: `name`, `unit` (None if not given), `operator`, `value`."""
+
+    name: str
+    unit: str | None
+    operator: str
+    value: str
+
+    @property
+    def text(self) -> str:
+        return f"{self.name}{f' ({self.unit})' if self.unit else ''} {self.operator} {self.value}"
+
+    def holds(self, values: Any, value: float) -> Mask:
+        return np.asarray(_OPERATORS[self.operator](values, value), bool)
+
+
+def read_conditions(where: Where) -> list[Condition]:
+    """Return conditions such as `"WOB (klb) < 35"` or `"Formation=shale"`; raise `InputError` for other texts."""
+    if isinstance(where, Mapping):
+        where = [f"{name}={value}" for name, value in where.items()]
+    conditions = []
+    for word in [where] if isinstance(where, str) else where or ():
+        if (parts := _CONDITION.fullmatch(str(word))) is None:
+            raise InputError(f'where: {shown(word)} is no condition; write one, like "WOB (klb) < 35" or delta=0.005')
+        conditions.append(Condition(*parts.groups()))
+    return conditions
+
+
+def _meets(place: Place, condition: Condition, data: pd.DataFrame, chosen: Mapping[str, Column]) -> tuple[str, Mask]:
+    """Return the column of `data` that a condition is on, and where it holds.
+
+    **Raises:** `InputError` if there is no such column, or the value does not suit it.
+    """
+    here, own = place.at(f"where {condition.text}"), [name for name in chosen if name in data]
+    names = {normalised(str(name)): str(name) for name in data}
+    headers = {name: chosen[name].header for name in own}
+    names |= {normalised(text): name for name, cell in headers.items() for text in (cell, split_unit(cell)[0])}
+    key = names.get(normalised(condition.name), recognise(condition.name)[0])
+    if key is None or key not in data:
+        hint = suggestion(condition.name, [*own, *headers.values(), *map(str, data)])
+        raise here.error(f"the file has no column {shown(condition.name)}; {hint}")
+    number = NUMBER.fullmatch(condition.value)
+    if key in own:
+        unit = condition.unit or (number[2] if number else None)
+        scale = factor(unit, KNOWN[key].unit) if unit else chosen[key].factor
+        if number is None or scale is None:
+            units = ", ".join(UNITS[KNOWN[key].unit])
+            raise here.error(f"{shown(condition.value)} does not suit {key}; write a number with a unit of {units}")
+        return key, condition.holds(data[key], float(number[1]) * scale)
+    if number is not None and not number[2] and data[key].dtype.kind in "fi":
+        return key, condition.holds(data[key], float(number[1]))
+    if condition.operator not in ("=", "==", "!="):
+        raise here.error("texts are only compared by = or !=")
+    equal = (data[key].astype(str) == condition.value).to_numpy(bool)
+    return key, ~equal if condition.operator == "!=" else equal
+
+
+def _no_drilling(values: Mapping[str, Rows], free: Collection[str]) -> list[tuple[str, Mask]]:
+    """Return masks of the rows that are no drilling, by reason; `free`: quantities without a limit of reason."""
+    depth = values.get(DEPTH, np.nan)
+    tests: list[tuple[str, str, Callable[[Rows], Any]]] = [
+        (RATE, "missing rate", np.isnan),
+        (WEIGHT, "missing weight", lambda x: ~(x > 0)),
+        (ROTATION_SPEED, "no rotation", lambda x: ~(x >= SLOWEST_ROTATION)),
+        (DEPTH, "missing depth", np.isnan),
+        (BIT_DEPTH, "off bottom", lambda x: x < depth - OFF_BOTTOM),
+    ]
+    found = [(reason, np.asarray(is_so(values[name]))) for name, reason, is_so in tests if name in values]
+    for name, word in ((RATE, "rate"), (WEIGHT, "weight"), (ROTATION_SPEED, "rotation")):
+        if name in values:
+            limit = np.inf if name in free else LIMITS[name]
+            found.append((f"{word} beyond reason", (values[name] < 0) | (values[name] > limit)))
+    return found
+
+
+def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines: Int[np.ndarray, " rows"]) -> Mask:
+    """Return a mask of the `kept` rows outside the longest sequence whose depth does not fall.
+
+    **Raises:** `InputError` if that sequence holds less than half of the rows.
+    """
+    rows = np.flatnonzero(kept)
+    ends: list[float] = []  # least end of a sequence of each length (patience sorting)
+    last: list[int] = []
+    previous = np.full(rows.size, -1)
+    for position, value in enumerate(depth[rows].tolist()):
+        length = bisect_right(ends, value)
+        previous[position] = last[length - 1] if length else -1
+        ends[length : length + 1] = [value]
+        last[length : length + 1] = [position]
+    if 2 * len(ends) < rows.size:
+        here = place.at(f"line {lines[rows[int(np.argmax(np.diff(depth[rows]) < 0)) + 1]]}, column {column.header}")
+        raise here.error(f"the depth falls in most rows (only {len(ends)} of {rows.size} in order); sort them by depth")
+    dropped, position = kept.copy(), last[-1] if last else -1
+    while position >= 0:
+        dropped[rows[position]] = False
+        position = int(previous[position])
+    return dropped
+
+
+def line_ranges(lines: Int[np.ndarray, " lines"]) -> str:
+    """Return line numbers as text such as "3, 7-9", at most a dozen ranges."""
+    parts = np.split(lines, np.flatnonzero(np.diff(lines) > 1) + 1)
+    texts = [f"{part[0]}" if part.size == 1 else f"{part[0]}-{part[-1]}" for part in parts]
+    more = f" and {len(texts) - _MOST_LINES_LISTED} ranges more" if len(texts) > _MOST_LINES_LISTED else ""
+    return ", ".join(texts[:_MOST_LINES_LISTED]) + more
+
+
+# Datasets
 
 
 def to_dataset(log: pd.DataFrame, dim: str = "row") -> xr.Dataset:
@@ -215,12 +414,8 @@ def to_dataset(log: pd.DataFrame, dim: str = "row") -> xr.Dataset:
     about = {name: {"units": KNOWN[name].unit, "long_name": KNOWN[name].long_name} for name in log.attrs["units"]}
     about[LINE] = {"units": "1", "long_name": "line in the file"}
     variables = {
-        name: (
-            dim,
-            column.to_numpy() if column.dtype.kind in "fiu" else np.array(list(column), str),
-            about.get(name, {}),
-        )
-        for name, column in log.items()
+        name: (dim, x.to_numpy() if x.dtype.kind in "fiu" else np.array(list(x), str), about.get(name, {}))
+        for name, x in log.items()
     }
     lines = log.attrs["lines"]
     attributes = {
@@ -243,8 +438,8 @@ def log_lines(data: xr.Dataset) -> list[str]:
     """Return lines of text: the source and unit of each quantity, and what was dropped and why."""
     lines = []
     for name, source in table_of(data, "columns").items():
-        written_in = source.get("unit", source.get("given_in"))
-        unit = f", taken as {written_in}, since it names no unit" if source["assumed"] else f", in {written_in}"
+        unit = source.get("unit", source.get("given_in"))
+        unit = f", taken as {unit}, since it names no unit" if source["assumed"] else f", in {unit}"
         si = UNITS[KNOWN[name].unit][0] if name in KNOWN else ""
         value = f"{source['value']:g} {si} for all rows" if "value" in source else f"column {shown(source['column'])}"
         lines.append(f"{name}: {value}{unit if source['assumed'] or 'value' not in source else ''}")
@@ -253,92 +448,3 @@ def log_lines(data: xr.Dataset) -> list[str]:
         lines.append(f"dropped {total} of {counted(read, 'row')}:")
         lines += [f"  {reason}: {about['rows']} (line {about['lines']})" for reason, about in dropped.items()]
     return lines + [part for part in text_of(data, "notes").split("; ") if part]
-
-
-def _cells_of(place: Place, table: pd.DataFrame) -> Cells:
-    """Return the cells of a DataFrame; in one that `read_log` returned, the quantities are in SI units."""
-    units = table.attrs["units"] if "sources" in table.attrs else {}
-    table = table.reset_index() if any(table.index.names) else table
-    lines = table[LINE] if units and LINE in table else range(2, len(table) + 2)
-    table = table.drop(columns=LINE, errors="ignore") if units else table
-    if table.empty:
-        raise place.error("has no rows; give a row for each measurement")
-    names = [f"{name} ({units[name]})" if name in units else str(name) for name in table.columns]
-    rows = table.astype(object).where(table.notna(), "").map(str)
-    return Cells(names, 1, rows.set_axis(range(len(names)), axis=1).set_axis(lines))
-
-
-def _to_si(
-    place: Place, chosen: dict[str, Column], values: Values, is_needed: Mapping[str, bool], notes: list[str]
-) -> list[tuple[Place, Parameter, float, str]]:
-    """Convert the values to SI units; return the columns with a given unit in which they are far from those of rigs.
-
-    **Raises:** `InputError` with all columns whose unit is only assumed and unlikely; those not needed are left out.
-    """
-    unusual, faults, words = [], [], []
-    for key, numbers in list(values.items()):
-        known = np.abs(numbers[np.isfinite(numbers) & (numbers != 0)])
-        median = float(np.median(known)) if known.size else np.nan
-        chosen[key] = column = in_unit_of_rigs(key, chosen[key], median)
-        values[key] = column.factor * numbers
-        if not known.size or (word := likely_words(key, column, median)) is None:
-            continue
-        low, high = KNOWN[key].usual or (0.0, 0.0)
-        fault = f"{key} {median:.6g} {column.unit} ({low:g} to {high:g} {UNITS[KNOWN[key].unit][0]})"
-        if not column.assumed:
-            here, advice = place.at(f"{column.header}, the median of its column"), f"likely --columns {word}"
-            unusual.append((here, KNOWN[key], median * column.factor, advice))
-        elif is_needed[key]:
-            faults.append(fault)
-            words.append(word)
-        else:
-            notes.append(f"{fault} is far outside what rigs have and left out: no unit is given; likely {word}")
-            del values[key]
-    if faults:
-        fault = f"no unit is given, and the median is far outside what rigs have: {', '.join(faults)}"
-        choice = " (choose one unit)" * any(" or " in word for word in words)
-        raise place.error(f"{fault}; likely --columns {' '.join(words)}{choice}")
-    return unusual
-
-
-def _check_cells(
-    place: Place, bad: Mapping[str, np.ndarray], chosen: Mapping[str, Column], text: Mapping[str, pd.Series], mark: str
-) -> None:
-    """Raise `InputError` that lists the first cells that are neither numbers nor stand for a missing value."""
-    faults = sorted((int(row), key) for key, mask in bad.items() for row in np.flatnonzero(mask))
-    if not faults:
-        return
-    cells = [(text[key].index[row], chosen[key].header, str(text[key].iloc[row]).strip()) for row, key in faults]
-    listed = "; ".join(f"line {line}, column {header}: {shown(cell)}" for line, header, cell in cells[:_MOST_LISTED])
-    right = (
-        f"write a number, leave the cell empty, or say that it stands for a missing value: --nulls {shown(cells[0][2])}"
-    )
-    if "," in cells[0][2] and mark != ".":
-        right = f"commas are ambiguous: {ambiguous_commas(mark)}; write decimal points"
-    more = f"; and {len(faults) - _MOST_LISTED} more" if len(faults) > _MOST_LISTED else ""
-    verb = "is not a number" if len(faults) == 1 else f"are not numbers ({len(faults)} cells)"
-    raise place.error(f"{listed}{more} {verb}; {right}")
-
-
-def _times(header: list[str], column: Column, rows: pd.DataFrame) -> tuple[Float[np.ndarray, " rows"], np.ndarray]:
-    """Return the times since the first row in the column's unit, and where a cell is not a time.
-
-    Cells hold numbers, dates with times, times of the day that may pass midnight, or days and times in two columns.
-    """
-    cells = rows.iloc[:, column.index or 0].fillna("").str.strip()
-    date = next((k for k, cell in enumerate(header) if recognise(cell)[0] == DATE and k != column.index), None)
-    empty = (cells == "").to_numpy()
-    if date is None and all(is_number(cell) or not cell for cell in cells):
-        values = np.array([float(cell) if cell else np.nan for cell in cells])
-        return values - values[np.isfinite(values)][:1].sum(), np.zeros(len(rows), bool)
-    if date is None and cells[~empty].str.fullmatch(_CLOCK).mean() > 0.5:
-        clock = cells.where(cells.str.fullmatch(_CLOCK)).where(cells.str.count(":") != 1, cells + ":00")
-        values = pd.to_timedelta(clock, errors="coerce").dt.total_seconds().to_numpy(float, copy=True)
-        known = np.isfinite(values)
-        values[known] += _DAY * np.cumsum(np.diff(values[known], prepend=values[known][:1]) < -_DAY / 2)
-    else:
-        day = rows.iloc[:, date].fillna("").str.strip() + " " if date is not None else ""
-        stamps = pd.to_datetime((day + cells).str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
-        values = (stamps - stamps.min()).dt.total_seconds().to_numpy(float)
-    seconds = (values - values[np.isfinite(values)][:1].sum()) / column.factor
-    return seconds, np.isnan(values) & ~empty

@@ -4,11 +4,11 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from vibrojax.errors import InputError, Place, nearest, shown
 from vibrojax.io.files import read_regular
@@ -127,6 +127,21 @@ def with_points(cells: "pd.Series", mark: str) -> "pd.Series":
     other = "," if mark == "." else "."
     cells = cells.where(~cells.str.fullmatch(_THOUSANDS[other]), cells.str.replace(other, "", regex=False))
     return cells.where(~(cells.str.fullmatch(_NUMBERS[","]) & (mark == ",")), cells.str.replace(",", ".", regex=False))
+
+
+def to_numbers(
+    cells: "pd.Series", mark: str, nulls: Collection[str]
+) -> tuple[Float[np.ndarray, " rows"], Bool[np.ndarray, " rows"]]:
+    """Return the numbers in text cells, NaN where there is none, and where a cell is neither a number nor a null.
+
+    `mark`: the decimal mark, as `decimal_mark` returns it; `nulls`: what stands for a missing value, in small letters.
+    """
+    cells = cells.fillna("").str.strip()
+    cells = with_points(cells, mark) if mark in (",", ".") else cells
+    missing = ((cells == "") | cells.str.casefold().isin(nulls)).to_numpy(bool)
+    values = np.array([float(cell) if is_number(cell) else np.nan for cell in cells.mask(missing, "nan")])
+    bad = ~np.isfinite(values) & ~missing
+    return np.where(np.isin(values, [float(null) for null in nulls if is_number(null)]) | bad, np.nan, values), bad
 
 
 def _read_csv(place: Place, text: str) -> Iterator[tuple[int, list[str]]]:

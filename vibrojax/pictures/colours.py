@@ -55,10 +55,9 @@ _WORDS = {
     "lyapunov": "greatest Lyapunov exponent",
     "stick_fraction": "share of stick",
     "reverse_fraction": "share of slip backwards",
-    "C_relative_error": "standard error of C",
 }
 _COLOUR_MAPS = {"rate_of_penetration": "plasma", "bit_amplitude": "plasma"}
-_COLOUR_MAPS |= dict.fromkeys(("period", "mean_force", "relief", "C_relative_error"), "cividis")
+_COLOUR_MAPS |= dict.fromkeys(("period", "mean_force", "relief"), "cividis")
 _STABILITY_COLOURS = {-1: "#BBBBBB", 0: "#D55E00", 1: "#0072B2"}
 _OF_DRILL = ("impact_velocity", "period", "bit_amplitude")
 _OF_ROCK = (RATE, "slip_per_impact", RELIEF, "mean_force")
@@ -261,7 +260,7 @@ def _varies(values: Cells) -> bool:
 
 
 def _norm(name: str, finite: Cells) -> "colors.Normalize":
-    """Return the colour scale: robust against outliers, from zero for the error of C, logarithmic over decades."""
+    """Return the colour scale: robust against outliers, logarithmic over decades."""
     low, high = robust = tuple(float(limit) for limit in np.percentile(finite, ROBUST))
     if name not in _OF_DRILL:
         beyond = _OUTLIER_RANGE * (high - low)
@@ -271,4 +270,4 @@ def _norm(name: str, finite: Cells) -> "colors.Normalize":
         return colors.LogNorm(robust[0], high)
     if high - low <= 1e-6 * abs(high):  # one value everywhere: a bar with room on both sides
         low, high = low - 0.05 * abs(low) - 1e-12, high + 0.05 * abs(high) + 1e-12
-    return colors.Normalize(0.0 if name == "C_relative_error" else low, high)
+    return colors.Normalize(low, high)

@@ -10,7 +10,7 @@ from jaxtyping import Int
 
 from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.io.kinds import kind_of
-from vibrojax.io.log_filters import read_conditions
+from vibrojax.io.riglog import read_conditions
 from vibrojax.io.tables import is_number
 from vibrojax.physics.meanings import suggest_coordinate
 from vibrojax.physics.units import factor

@@ -10,9 +10,8 @@ from jaxtyping import Float
 
 from vibrojax.errors import InputError, Place
 from vibrojax.io.attributes import text_of
-from vibrojax.io.log_columns import LINE, RATE, ROTATION_SPEED, WEIGHT
-from vibrojax.io.log_filters import Where
-from vibrojax.io.riglog import LIMITS_OF_LOGS, Nulls, Source, log_lines, open_log, to_dataset
+from vibrojax.io.log_columns import KNOWN, LINE, RATE, ROTATION_SPEED, WEIGHT
+from vibrojax.io.riglog import LIMITS_OF_LOGS, Nulls, Source, Where, log_lines, read_needed, to_dataset
 from vibrojax.io.variables import Variable
 from vibrojax.pictures.axes import margins, pretty_unit
 from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Sheet, dots, upright
@@ -20,16 +19,13 @@ from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.settings.values import choice, warn_if_far
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.studies.analysis import Source as AnalysisSource
-from vibrojax.studies.rop_blocks import find_founder, wrong_rows
+from vibrojax.studies.rop_group import LEAST_CLEANED, clean
 
 WINDOW = 30.0
 """Length [s] of the windows of the stick-slip index from torque: several periods of a drill string's torsion."""
 
 SLOWEST_SAMPLING = 2.0
 """Longest time [s] between rows for that index. Rarer rows miss the torque's extremes within a period."""
-
-MIN_ROWS = 30
-"""Least number of rows from which a founder point is sought."""
 
 FOUNDER_REASONS = ("found", "no-bend", "too-few-rows", "no-weight")
 _NEEDED = {
@@ -110,10 +106,10 @@ def rig(
     >>> (log.specific_energy / 1e6).values.round().tolist()  # MPa
     [346.0, 312.0]
     """
-    read = open_log(source, columns, where, nulls, name="rig")
-    for place, quantity, median, likely in read.unusual:
-        warn_if_far(place, quantity, median, likely)
-    log = to_dataset(read.data)
+    table = read_needed(source, columns, where, nulls, name="rig")
+    for header, name, median, likely in table.attrs["unusual"]:
+        warn_if_far(Place(table.attrs["title"], f"column {header}"), KNOWN[name], median, likely)
+    log = to_dataset(table)
     # Names of other columns may hold what a netCDF file does not accept.
     log = log.drop_vars([name for name in log.coords if name != LINE])
     if RATE not in log:
@@ -135,9 +131,9 @@ def rig(
             notes.append(f"{name} is not known: the log has no {' and no '.join(missing)}{hint}")
         elif name == "torque_stick_slip" and not np.isfinite(values[name]).any():
             notes.append(f"{name} is not known: rows are more than {SLOWEST_SAMPLING:g} s apart")
-    table: dict[str, Any] = {name: ("row", value) for name, value in values.items()}
-    table |= {name: ((), value) for name, value in founder_point(weight, rate).items()}
-    own = Rigs().dataset(table, {}, title=log.attrs["title"])
+    measures: dict[str, Any] = {name: ("row", value) for name, value in values.items()}
+    measures |= {name: ((), value) for name, value in founder_point(weight, rate).items()}
+    own = Rigs().dataset(measures, {}, title=log.attrs["title"])
     more = {"notes": "; ".join(notes), "drawn_in": choice(Place("rig", "units"), units, UNITS)}
     return log.assign(own.data_vars).assign_attrs(own.attrs | more)
 
@@ -145,17 +141,15 @@ def rig(
 def founder_point(weight: Rows, rate: Rows) -> dict[str, float]:
     """Return the founder weight [N], the slopes below and above it, and why there is none; rows in order of depth."""
     known = np.isfinite(weight) & np.isfinite(rate) & (weight > 0)
-    result = dict.fromkeys(("founder_weight", "slope_below", "slope_above"), np.nan) | {"founder_reason": 3}
-    if known.sum() < MIN_ROWS or np.ptp(weight[known]) == 0:
-        return result | {"founder_reason": FOUNDER_REASONS.index("too-few-rows" if known.any() else "no-weight")}
+    result = dict.fromkeys(("founder_weight", "slope_below", "slope_above"), np.nan)
     x, y = weight[known], rate[known]
-    right = ~np.any([*wrong_rows(x / np.median(x), x, y, "soft-l1").values()], axis=0)
-    x, y = x[right], y[right]
-    founder = find_founder(x / np.median(x), x, y, np.flatnonzero(right))
-    below = ~(x > founder.weight)
+    if x.size < LEAST_CLEANED or np.ptp(x) == 0:
+        return result | {"founder_reason": FOUNDER_REASONS.index("too-few-rows" if x.size else "no-weight")}
+    founder, wrong = clean(x / np.median(x), x, y)
+    below = ~np.any([*wrong.values(), x > founder.weight], axis=0)
     slope = np.polyfit(x[below] / x.max(), y[below], 1)[0] / x.max()
-    reason = FOUNDER_REASONS.index("found" if np.isfinite(founder.weight) else "no-bend")
-    return dict(zip(result, (founder.weight, slope, -founder.fall, reason), strict=True))
+    reason = FOUNDER_REASONS.index("found" if founder.is_known else "no-bend")
+    return dict(zip([*result, "founder_reason"], (founder.weight, slope, -founder.fall, reason), strict=True))
 
 
 def torque_stick_slip(time: Rows, torque: Rows) -> Rows:
@@ -199,27 +193,21 @@ def rig_picture(ds: xr.Dataset) -> Sheet:
 def _axis(ds: xr.Dataset, name: str, text: str = "", intervals: int = 3) -> Axis:
     """Return an axis on which no spike flattens the other values; its label says how many are beyond."""
     values, unit = _drawn(ds, name)
-    low, high, is_log, beyond = _limits(values, "energy" in name)
-    label = " ".join(filter(None, (text, f"[{unit}]" if unit else "", f"\n{beyond} beyond" if beyond else "")))
-    return Axis(label, name, (low, high), log=is_log, intervals=intervals)
-
-
-def _limits(values: Rows, is_energy: bool = False) -> tuple[float, float, bool, int]:
-    """Return limits and scale of an axis on which no spike flattens the other values, and how many are beyond."""
     known = values[np.isfinite(values)]
     near, far = np.percentile(known, _TRIM)
+    is_log = "energy" in name and near > 0 and known.max() > _LOG_SPAN * near
     low, high = max(known.min(), 2 * near - far), min(known.max(), 2 * far - near)
-    if is_energy and near > 0 and known.max() > _LOG_SPAN * near:
-        return near / 2, known.max() * 1.3, True, int((known < near / 2).sum())
     margin = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
-    return low - margin, high + margin, False, int(((known < low) | (known > high)).sum())
+    limits = (near / 2, known.max() * 1.3) if is_log else (low - margin, high + margin)
+    beyond = int(((known < limits[0]) | (known > limits[1])).sum())
+    label = " ".join(filter(None, (text, f"[{unit}]" if unit else "", f"\n{beyond} beyond" if beyond else "")))
+    return Axis(label, name, limits, log=bool(is_log), intervals=intervals)
 
 
 def _unit(ds: xr.Dataset, unit: str) -> tuple[float, str]:
     """Return factor and name of the unit in which values in an SI unit are drawn and printed."""
-    return (
-        (1.0, pretty_unit(unit)) if ds.attrs.get("drawn_in") == "si" else _DRILLERS.get(unit, (1.0, pretty_unit(unit)))
-    )
+    drillers = {} if ds.attrs.get("drawn_in") == "si" else _DRILLERS
+    return drillers.get(unit, (1.0, pretty_unit(unit)))
 
 
 def _drawn(ds: xr.Dataset, name: str) -> tuple[Rows, str]:
@@ -251,7 +239,7 @@ class Rigs(Analysis):
             values, unit = _drawn(ds, name)
             if known := np.isfinite(values).any():
                 low, middle, high = np.nanquantile(values, [0.1, 0.5, 0.9])
-                about = f"median {middle:.3g}, 80 % from {low:.3g} to {high:.3g} {unit}"
+                about = f"median {middle:.4g}, 80 % from {low:.4g} to {high:.4g} {unit}"
                 lines.append(f"{name.replace('_', ' ')}: {about}".rstrip())
             facts[name] = float(np.nanmedian(ds[name].values)) if known else None
         unknown = [part for part in text_of(ds, "notes").split("; ") if " is not known: " in part]

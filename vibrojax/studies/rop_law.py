@@ -1,73 +1,69 @@
-"""Fits of every form of the rate-of-penetration law to every group of lanes (a lane: one relief and its rate)."""
+"""Fits of every form of the rate-of-penetration law to every group of lanes of a sweep, or of rows of a rig log.
+
+A *lane* is one pair of relief and rate of penetration: a lane of a sweep, or a row of a log. Lanes of a *group* have a
+law of their own.
+"""
 
 import json
 import sys
 import time
-import warnings
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
-from vibrojax.errors import Place, counted
+from vibrojax.errors import InputError, Place, counted, nearest, shell_assignment, shown, suggestion
 from vibrojax.io.attributes import title_of
 from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.log_columns import FORCE
-from vibrojax.io.log_filters import Where, line_ranges
-from vibrojax.io.riglog import Nulls, log_lines
+from vibrojax.io.log_columns import (
+    DEPTH,
+    FORCE,
+    KNOWN,
+    LAW,
+    LINE,
+    RATE,
+    RELIEF,
+    RIG,
+    ROTATION_SPEED,
+    THRESHOLD,
+    WEIGHT,
+    checked_columns,
+    split_unit,
+)
+from vibrojax.io.riglog import Nulls, Where, line_ranges, log_lines, read_needed, to_dataset
 from vibrojax.io.variables import Variable, described
+from vibrojax.measures.labels import FAILED, IRREGULAR
+from vibrojax.physics.meanings import suggest_coordinate
+from vibrojax.physics.units import UNITS, factor
 from vibrojax.progress import LOG
-from vibrojax.settings.values import choice
-from vibrojax.studies.rop_blocks import (
-    AIC_LIMIT,
-    BLOCK_LIMIT,
-    LEAST_CLEANED,
-    LEAST_ROWS,
-    STANDINGS,
-    Founder,
-    block_covariance,
-    blocks_of,
-    correlation,
-    decay_of,
-    find_founder,
-    predictions_without,
-    standings,
-    supported,
-    wrong_rows,
-)
-from vibrojax.studies.rop_data import LANE_VARIABLES, Columns, Data, group_lanes, is_measured, open_data, usable_lanes
-from vibrojax.studies.rop_forms import (
-    FORMS,
-    LEAST_SPREAD,
-    LOSSES,
-    REASONS,
-    SAME_AS_ONSET,
-    LaneBlocks,
-    LaneFlags,
-    Lanes,
-    Minimum,
-    Reason,
-    moves_without,
-    search,
-    whiten,
-)
+from vibrojax.settings.values import choice, warn_if_far
+from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, REASONS, STANDINGS, supported
+from vibrojax.studies.rop_group import NAMES, fit_lanes
 
-LEAST_DEGREES_OF_FREEDOM = 2
-"""Degrees of freedom below which forms are not compared: the correction of AIC for small samples, 2k(k + 1)/(n - k - 1)
-for k = 2 coefficients, is finite from n = 4 lanes on."""
+if TYPE_CHECKING:
+    Data: TypeAlias = xr.Dataset | str | PathLike[str] | pd.DataFrame
+    Columns = Mapping[str, str] | None
+else:
+    Data = Columns = object  # at run time `read_groups` checks the user's argument, with a one-line error message
+
+LOG_ENDINGS = (".csv", ".txt", ".tsv", ".las", ".xml", ".xlsx", ".xlsm", ".xls")
+"""Endings of the files that a fit takes for logs."""
+
+DEFAULT_AXES = ("frequency", "v", "point")
+"""Default axes to fit along; the first of them that exists in the data is used."""
+
+LOSSES = ("soft-l1", "squares")
+"""Losses of a residual: SciPy's "soft_l1", scaled by the median absolute deviation, or its square."""
 
 USES = ("no-lane", "fitted", "censored", "left-out", "above-founder")
 """Flags of the variable `data_use`."""
 
-_LEAST_SLOPE = 1e-10
-"""Slope theta_1 of rate/greatest rate below which there is no onset, since the slope is a rounding error."""
-
-_LEAST_SLOPE_IN_ERRORS = 2.0
-"""Slope theta_1 in standard errors below which there is no onset: its Fieller confidence interval is unbounded."""
-
-_EPSILON = float(np.finfo(float).eps)
+NO_VALUES = "without values, or with a negative rate"
+_FOR_LAW = frozenset((*LAW, WEIGHT, ROTATION_SPEED))  # faults in other columns do not stop a fit
 _SAME = 1e-6  # relative difference of thresholds of a group that are one
 _KEPT = (
     *("scene", "sweep", "parameters", "columns"),
@@ -75,7 +71,10 @@ _KEPT = (
 )
 """Attributes of the data that a fit keeps."""
 
-_SCHEMA = {
+_LANES = ("relief", "rate", "weight", "number", "valid")
+"""Variables of lanes: `weight` is the mean force where it is known, else the relief; `number` is the line of a row."""
+
+_OF_FORMS = {
     "C": Variable("m s-1", "coefficient of the rate-of-penetration law"),
     "C_stderr": Variable("m s-1", "standard error of C"),
     "eta0": Variable("1", "relief at the onset"),
@@ -86,7 +85,7 @@ _SCHEMA = {
     "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2"),
     "cv_error": Variable("m s-1", "error of rates predicted from the other blocks of rows of a log"),
     "evidence_against": Variable(
-        "1", "n ln(e/least e), e the error of predicted rates, or by AIC; rejected above 5.4, of a sweep above 2"
+        "1", "n ln(e/least e) of predicted rates, or by AIC; rejected above 5.4 (a special case: 8.8), of a sweep 2"
     ),
     "degrees_of_freedom": Variable("1", "lanes with a residual less coefficients", np.int32),
     "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32),
@@ -95,7 +94,7 @@ _SCHEMA = {
     "r_squared_reason": Variable("1", "why r_squared is not a number", np.int8, REASONS),
     "standing": Variable("1", "result of the comparison of the forms", np.int8, STANDINGS),
 }
-_GROUP_SCHEMA = {
+_OF_GROUPS = {
     "founder_weight": Variable("N", "mean force above which the rate does not rise"),
     "founder_weight_stderr": Variable("N", "standard error of the founder weight"),
     "founder_fall": Variable("m s-1 N-1", "fall of the rate per mean force above the founder weight"),
@@ -103,7 +102,7 @@ _GROUP_SCHEMA = {
     "noise_correlation": Variable("1", "correlation of the noise of neighbouring rows"),
     "data_threshold": Variable("N", "mean force at a relief of 1"),
 }
-_DATA_SCHEMA = {
+_OF_LANES = {
     "data_relief": Variable("1", "relief of the lanes that were fitted"),
     "data_rate_of_penetration": Variable("m s-1", "rate of penetration of the lanes that were fitted"),
     "data_use": Variable("1", "what became of a lane", np.int8, USES),
@@ -146,8 +145,8 @@ def fit_rop(
       on the other axes is a group.
     - `by`: columns of a table (a CSV, or a sweep of points) whose values distinguish the groups. If `along` is a
       column, the default is all columns except `along` and mean_force.
-    - `robust`: the loss, "soft-l1", "huber" or "squares", scaled by the median absolute deviation; by default soft-l1
-      for rows of a log and squares for a sweep. R² and AIC are computed from the plain residuals.
+    - `robust`: the loss, "soft-l1", scaled by the median absolute deviation, or "squares"; by default soft-l1 for rows
+      of a log and squares for a sweep. R² and AIC are computed from the plain residuals.
     - `progress`: whether to report on stderr when the fit is done.
     - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
@@ -172,194 +171,251 @@ def fit_rop(
     >>> fit.exponent.sel(form="power").round(3).values.tolist()  # along frequency the rate is in proportion to P/D
     [1.0, 1.0]
     """
-    place, data, groups = read_groups(data, along, by, columns, where=where, nulls=nulls)
+    groups = read_groups(data, along, by, columns, where, nulls)
     if robust is not None:
-        choice(place.at("robust"), robust, LOSSES)
-    return fit_groups(place, data, groups, robust, progress)
+        choice(Place(groups.attrs["file"], "robust"), robust, LOSSES)
+    return fit_groups(groups, robust, progress)
+
+
+# Data
 
 
 def read_groups(
-    data: Data, along: str | None, by: str | Sequence[str], columns: Columns, **reading: Any
-) -> tuple[Place, xr.Dataset, xr.Dataset]:
-    """Return the data of a fit and their groups, and the `Place` for messages; the arguments are those of `fit_rop`.
+    data: Data,
+    along: str | None = None,
+    by: str | Sequence[str] = (),
+    columns: Columns = None,
+    where: Where = None,
+    nulls: Nulls = None,
+) -> xr.Dataset:
+    """Return the lanes of a fit over groups and `lane`; the arguments are those of `fit_rop`.
+
+    **Returns:** `_LANES` and `is_lane`, False where a group has fewer lanes than others. The attributes are those of
+    the data, `file` (its name in messages), `along`, and `has_force` (whether `weight` is the mean force).
 
     **Raises:** `InputError`.
     """
-    place, data = open_data(data, columns, **reading)
-    return place, data, group_lanes(place, usable_lanes(data), along, (by,) if isinstance(by, str) else tuple(by))
+    if not isinstance(data, (xr.Dataset, pd.DataFrame, str, PathLike)):
+        raise InputError(f"fit_rop: {shown(data)} is not data; give a dataset or a path")
+    path = Path("fit_rop") if isinstance(data, (xr.Dataset, pd.DataFrame)) else Path(data)
+    place, suffix = Place(str(path)), path.suffix.lower()
+    if columns and (isinstance(data, xr.Dataset) or suffix == ".nc"):
+        raise place.error("has its names and units already; `columns` is for a CSV")
+    if isinstance(data, pd.DataFrame) or suffix in LOG_ENDINGS:
+        data = _read_rows(data if isinstance(data, pd.DataFrame) else path, columns, where, nulls)
+    elif suffix == ".nc":
+        from vibrojax.io.dataset import open_dataset
+
+        data = open_dataset(path)
+    elif not isinstance(data, xr.Dataset):
+        raise place.error(
+            "ends in neither .nc nor .csv nor .las; give a sweep's dataset or a rig log (also .txt, .xml, .xlsx)"
+        )
+    lanes = _usable_lanes(place, data)
+    groups = _grouped(place, lanes, along, (by,) if isinstance(by, str) else tuple(by))
+    has_force = "dialect" in data.attrs and FORCE in data.coords
+    about = {"title": title_of(data, place.file), "file": place.file, "has_force": has_force}
+    return groups.assign_attrs(data.attrs | groups.attrs | about)
 
 
-class _GroupFit(NamedTuple):
-    """Fit of a group: values by form, the founder, and masks of the lanes that were left out, by reason."""
+def _read_rows(source: Path | pd.DataFrame, columns: Columns, where: Where, nulls: Nulls) -> xr.Dataset:
+    """Read a rig log into a dataset with rate_of_penetration [m/s] and relief [1] along `point`, the rows.
 
-    forms: list[dict[str, float | int]]
-    founder: Founder
-    left_out: Mapping[str, LaneFlags]
-    above: LaneFlags
+    Without a relief, the relief is mean_force/threshold; a weight on bit is a mean force. If the threshold is
+    "unknown", or not given with a log of a rig, the relief is mean_force over its median, the attribute
+    `reference_force` [N].
+    """
+    columns = checked_columns(columns)
+    is_unknown = columns.get(THRESHOLD, "").strip() == "unknown"
+    columns = {name: text for name, text in columns.items() if not (is_unknown and name == THRESHOLD)}
+    log = read_needed(source, columns, where, nulls, _FOR_LAW, "fit_rop")
+    place = Place("fit_rop" if isinstance(source, pd.DataFrame) else str(source))
+    for header, name, median, likely in log.attrs["unusual"]:
+        warn_if_far(place.at(f"column {header}"), KNOWN[name], median, likely)
+    if FORCE not in log and WEIGHT in log:
+        log = log.rename(columns={WEIGHT: FORCE})
+        for about in (log.attrs["units"], log.attrs["sources"]):
+            about[FORCE] = about.pop(WEIGHT)
+    is_given = bool({THRESHOLD, RELIEF} & set(log.attrs["units"]))
+    if is_unknown and is_given:
+        raise Place("columns", THRESHOLD).error(f"is unknown, but {place.file} has a threshold or relief; give one")
+    is_unknown |= log.attrs["rig"] and not is_given
+    by_force = RELIEF not in log or (RELIEF not in columns and bool({FORCE, THRESHOLD} & set(columns)))
+    needed = (RATE, FORCE, *([] if is_unknown else [THRESHOLD])) if by_force else (RATE, RELIEF)
+    if missing := [name for name in needed if name not in log]:
+        raise _missing(place, log, missing)
+    data = to_dataset(log, "point")
+    if by_force:
+        reference = float(np.nanmedian(data[FORCE])) or 1.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            data[RELIEF] = data[FORCE] / (reference if is_unknown else data[THRESHOLD])
+        data[RELIEF].attrs = {"units": KNOWN[RELIEF].unit, "long_name": KNOWN[RELIEF].long_name}
+        data.attrs |= {"reference_force": reference} if is_unknown else {}
+    number = ("point", np.arange(data.sizes["point"]), {"units": "1", "long_name": "number of the row"})
+    return data.assign_coords(point=number).set_coords([str(name) for name in data if name not in (RATE, RELIEF)])
 
 
-NO_VALUES = "without values, or with a negative rate"
+def _missing(place: Place, log: pd.DataFrame, missing: list[str]) -> InputError:
+    """Return the error about quantities that a log lacks; it suggests the column that is likely meant."""
+    free = [str(name) for name in log if name not in (*log.attrs["units"], LINE)]
+    wanted = RELIEF if len(missing) == 2 and nearest(RELIEF, free) else missing[0]
+    likely = [cell for cell in free if (unit := split_unit(cell)[1]) and factor(unit, KNOWN[wanted].unit) is not None]
+    hint = f"the file has {', '.join(free) or 'no others'}"
+    if like := likely[0] if likely else nearest(wanted, free):
+        unit = "" if split_unit(like)[1] or wanted == RELIEF else f" ({UNITS[KNOWN[wanted].unit][0]})"
+        hint = f"if {shown(like)} is it, rename it, or name it: --columns {shell_assignment(wanted, like + unit)}"
+    if missing == [THRESHOLD]:
+        hint += f', or for all rows: --columns {THRESHOLD}="150 kN", rock=granite or {THRESHOLD}=unknown'
+    instead = "" if RATE in missing else f", or {RELIEF}"
+    names = " and ".join(f"{name} [{UNITS[KNOWN[name].unit][0]}]" for name in missing)
+    return place.error(f"column {names} is missing{instead}; {hint}")
 
 
-def fit_groups(
-    place: Place, data: xr.Dataset, groups: xr.Dataset, robust: str | None = None, progress: bool = False
-) -> xr.Dataset:
-    """Fit every form to every group; return the dataset that `fit_rop` describes."""
-    along, dims = groups.attrs["along"], groups["rate"].dims[:-1]
+def _usable_lanes(place: Place, data: xr.Dataset) -> xr.Dataset:
+    """Return `_LANES`, broadcast, with all their coordinates.
+
+    A lane is valid unless it failed or is irregular, a value is not finite, its relief is not positive, or its rate is
+    negative (a hole does not get shallower).
+    """
+    for name in (RATE, RELIEF):
+        if name not in data:
+            names = ", ".join(str(name) for name in data.data_vars) or "nothing"
+            raise place.at(name).error(f"missing; a sweep of a scene with rock has it, this holds {names}")
+        if data[name].dtype.kind not in "fiu":
+            raise place.at(name).error("does not hold numbers; the data of a sweep are needed")
+    relief, rate = xr.broadcast(data[RELIEF], data[RATE])
+    valid = (relief > 0) & (relief < np.inf) & (rate >= 0) & (rate < np.inf)
+    if "regime" in data:
+        valid = valid & ~data["regime"].isin([FAILED, IRREGULAR])
+    if "status" in data:
+        valid = valid & (data["status"] == 0)
+    weight = data[FORCE] if "dialect" in data.attrs and FORCE in data.coords else relief
+    number = data[LINE] if LINE in data.coords else xr.zeros_like(relief)
+    parts = xr.broadcast(relief, rate, weight, number, valid)
+    lanes = {name: x.variable.astype(bool if name == "valid" else float) for name, x in zip(_LANES, parts, strict=True)}
+    # Broadcasting adds the dimensions of the other variable, but not its non-index coordinates.
+    return xr.Dataset(lanes, {**rate.coords, **relief.coords}).assign(is_lane=xr.ones_like(parts[-1], bool).variable)
+
+
+def _grouped(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str]) -> xr.Dataset:
+    """Return lanes in groups: one per combination of values on the axes other than `along`.
+
+    Rows of a table (data with one dimension) are grouped by the columns `by`, or if `along` is a column, by all other
+    columns except the mean force.
+    """
+    dims = [str(dim) for dim in lanes["rate"].dims]
+    if not dims:
+        raise place.at("along").error("there is one lane only; a law needs an axis of several")
+    for dim in dims:
+        if not lanes.sizes[dim]:
+            raise place.at(dim).error("has no values, so there are no lanes; give at least one")
+    row = dims[0]
+    columns = [str(name) for name, x in lanes.coords.items() if len(dims) == 1 and x.dims == (row,) != (name,)]
+    if by or along in columns:
+        for name in (*by, *({along} - {None, row})):
+            if name not in columns:
+                own = [column for column in columns if not lanes[column].attrs] or columns  # not the quantities
+                hint = f"; {suggestion(str(name), own)}" if own else ": the data are not a table with columns"
+                fault = f"{shown(name)} is not a column of the data{hint}"
+                raise place.at("by" if name in by else "along").error(fault)
+        keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *RIG)]
+        return _grouped_rows(lanes, keys, row, str(along or row))
+    if along is None:
+        along = next((name for name in DEFAULT_AXES if name in dims), row if len(dims) == 1 else None)
+        if along is None:
+            raise place.at("along").error(f"missing; choose the axis to fit along from {', '.join(dims)}")
+    if along not in dims:
+        hint = suggest_coordinate(str(along), {dim: lanes[dim].attrs for dim in dims})
+        raise place.at("along").error(f"{shown(along)} is not an axis of the data; {hint}")
+    others = [dim for dim in dims if dim != along]
+    variables = {str(name): ((*others, "lane"), x.transpose(*others, along).values) for name, x in lanes.items()}
+    coordinates = {str(name): values for name, values in lanes.coords.items() if set(values.dims) <= set(others)}
+    return xr.Dataset(variables, coordinates, {"along": along})
+
+
+def _grouped_rows(lanes: xr.Dataset, keys: list[str], row: str, along: str) -> xr.Dataset:
+    """Return the rows of a table in groups of equal values in the columns `keys`; those of a log from top to bottom."""
+    table = pd.DataFrame({name: lanes[name].values for name in keys}, index=range(lanes.sizes[row]))
+    grouped = table.groupby(keys or np.zeros(len(table)), sort=DEPTH not in lanes.coords, dropna=False)
+    group, lane = grouped.ngroup().to_numpy(), grouped.cumcount().to_numpy()
+    first = np.flatnonzero(lane == 0)
+    first = first[np.argsort(group[first])]
+    variables = {}
+    for name, x in lanes.items():
+        padded = np.zeros((first.size, lane.max() + 1), x.dtype)
+        padded[group, lane] = x.values
+        variables[str(name)] = (("group", "lane"), padded)
+    coordinates = {name: xr.Variable("group", lanes[name].values[first], lanes[name].attrs) for name in keys}
+    return xr.Dataset(variables, coordinates, {"along": along})
+
+
+# Fits
+
+
+def fit_groups(groups: xr.Dataset, robust: str | None = None, progress: bool = False) -> xr.Dataset:
+    """Fit every form to every group that `read_groups` returned; return the dataset that `fit_rop` describes."""
+    along, dims, about = groups.attrs["along"], groups["rate"].dims[:-1], groups.attrs
     sizes, counts = [groups.sizes[dim] for dim in dims], groups["is_lane"].sum("lane").values.ravel()
-    measured, unknown = is_measured(data), "reference_force" in data.attrs
-    has_force = measured and FORCE in data.coords
+    measured, unknown = "dialect" in about, "reference_force" in about
     loss = robust or ("soft-l1" if measured else "squares")
     LOG.info("chosen: along %s, %d groups, loss %s", along, counts.size, loss)
     start = time.monotonic()
-    flat = {name: groups[name].values.reshape(counts.size, -1) for name in LANE_VARIABLES}
-    valid, is_lane = flat["valid"], flat["is_lane"]
-    use = np.select([~is_lane, valid & (flat["rate"] > 0), valid], [0, 1, 2], USES.index("left-out"))
-    fits: list[_GroupFit] = []
-    left_out: defaultdict[str, list[int]] = defaultdict(list)
+    lanes = {str(name): x.values.reshape(counts.size, -1) for name, x in groups.items()}
+    valid, is_lane = lanes["valid"], lanes["is_lane"]
+    use = np.select([~is_lane, valid & (lanes["rate"] > 0), valid], [0, 1, 2], USES.index("left-out"))
+    fits, left_out = [], [(NO_VALUES, is_lane & ~valid)]
     for group in range(counts.size):
-        rows, line = np.flatnonzero(valid[group]), flat["number"][group].astype(int)
-        relief, weight, rate = (flat[name][group, rows] for name in ("relief", "weight", "rate"))
-        fits.append(fit_lanes(relief, weight, rate, loss, measured, unknown, has_force))
-        for reason, mask in fits[-1].left_out.items():
+        rows = np.flatnonzero(valid[group])
+        relief, weight, rate = (lanes[name][group, rows] for name in ("relief", "weight", "rate"))
+        fits.append(fit_lanes(relief, weight, rate, loss != "squares", measured, unknown, about["has_force"]))
+        for reason, mask in fits[-1].wrong.items():
+            left_out.append((reason, np.zeros_like(valid)))
+            left_out[-1][1][group, rows[mask]] = True
             use[group, rows[mask]] = USES.index("left-out")
-            left_out[reason] += line[rows[mask]].tolist()
-        left_out[NO_VALUES] += line[is_lane[group] & ~valid[group] & measured].tolist()
         use[group, rows[fits[-1].above]] = USES.index("above-founder")
     if progress:
         fitted = f"{counted(counts.size, 'group')} of {counted(counts.max(), 'lane')} along {along} fitted"
-        print("\n".join([*log_lines(data), f"{fitted} in {time.monotonic() - start:.1f} s"]), file=sys.stderr)
-    values = {name: np.array([[form[name] for form in fit.forms] for fit in fits]) for name in fits[0].forms[0]}
-    values["left_out"] = counts[:, None] - values["used"]
-    ratio = np.where(valid, flat["weight"], np.nan) / np.where(valid, flat["relief"], 1.0)
-    with warnings.catch_warnings(action="ignore"):  # groups without valid lanes
-        is_one = np.nanmax(ratio, 1) - np.nanmin(ratio, 1) <= _SAME * np.nanmax(ratio, 1)
-        threshold = np.where(is_one & has_force, np.nanmedian(ratio, 1), np.nan)
-    of_groups = dict(zip(_GROUP_SCHEMA, [*zip(*(fit.founder for fit in fits), strict=True), threshold], strict=True))
-    of_lanes = *(np.where(is_lane, flat[name], np.nan) for name in ("relief", "rate")), use
-    variables: dict[str, Any] = {name: ((*dims, "form"), np.reshape(x, (*sizes, -1))) for name, x in values.items()}
-    variables |= {name: (dims, np.array(x).reshape(sizes)) for name, x in of_groups.items()}
-    variables |= {
-        name: ((*dims, "lane"), x.reshape(*sizes, -1)) for name, x in zip(_DATA_SCHEMA, of_lanes, strict=True)
-    }
-    names = [form.name for form in FORMS]
-    form = ("form", names, {"units": "1", "long_name": "form of the law"})
+        print("\n".join([*log_lines(groups), f"{fitted} in {time.monotonic() - start:.1f} s"]), file=sys.stderr)
+    of_forms = {name: np.array([fit.forms[name] for fit in fits]) for name in fits[0].forms}
+    of_forms["left_out"] = counts[:, None] - of_forms["used"]
+    of_groups = dict(zip(_OF_GROUPS, [*np.array([fit.founder for fit in fits]).T, _thresholds(lanes)], strict=True))
+    if not about["has_force"]:
+        of_groups["data_threshold"] = np.full(counts.size, np.nan)
+    relief, rate = (np.where(is_lane, lanes[name], np.nan) for name in ("relief", "rate"))
+    of_lanes = dict(zip(_OF_LANES, (relief, rate, use), strict=True))
+    variables: dict[str, Any] = {}
+    for more, part in ((("form",), of_forms), ((), of_groups), (("lane",), of_lanes)):
+        shape = [*sizes, *[-1] * len(more)]
+        variables |= {name: ((*dims, *more), np.reshape(x, shape)) for name, x in part.items()}
     attributes = dataset_attributes(
         "fit",
-        f"rate-of-penetration law: {title_of(data, place.file)}",
-        "\n".join(filter(None, (f"fit {place.file}", str(data.attrs.get("history", ""))))),
-        **{name: data.attrs[name] for name in _KEPT if name in data.attrs},
+        f"rate-of-penetration law: {about['title']}",
+        "\n".join(filter(None, (f"fit {about['file']}", str(about.get("history", ""))))),
+        **{name: about[name] for name in _KEPT if name in about},
         along=along,
         formulas="; ".join(f"{form.name}: {form.formula}" for form in FORMS),
         verdict=supported(
-            values["standing"], values["evidence_against"], names, BLOCK_LIMIT if measured else AIC_LIMIT
+            of_forms["standing"], of_forms["evidence_against"], NAMES, BLOCK_LIMIT if measured else AIC_LIMIT
         ),
         robust=loss,
     )
-    if lines := {reason: np.unique(lines) for reason, lines in left_out.items() if lines}:
-        about = {reason: {"rows": x.size, "lines": line_ranges(x)} for reason, x in lines.items()}
-        attributes["left_out_rows"] = json.dumps(about)
-    schema = _SCHEMA | _GROUP_SCHEMA | _DATA_SCHEMA
+    lines: dict[str, list[int]] = {}
+    for reason, mask in left_out if measured else ():
+        lines.setdefault(reason, []).extend(lanes["number"][mask].astype(int).tolist())
+    if listed := {reason: np.unique(numbers) for reason, numbers in lines.items() if numbers}:
+        rows_left_out = {reason: {"rows": x.size, "lines": line_ranges(x)} for reason, x in listed.items()}
+        attributes["left_out_rows"] = json.dumps(rows_left_out)
+    form = ("form", NAMES, {"units": "1", "long_name": "form of the law"})
+    schema = _OF_FORMS | _OF_GROUPS | _OF_LANES
     fit = xr.Dataset(described(variables, schema), {**groups.coords, "form": form}, attributes)
     for name, text in (("", ""), ("_stderr", "standard error of ")) if unknown else ():
         onset = {"units": "N", "long_name": f"{text}the force at the onset, eta0 D"}
-        fit[f"onset_force{name}"] = (data.attrs["reference_force"] * fit[f"eta0{name}"]).assign_attrs(onset)
+        fit[f"onset_force{name}"] = (about["reference_force"] * fit[f"eta0{name}"]).assign_attrs(onset)
     return fit
 
 
-def fit_lanes(
-    relief: Lanes, weight: Lanes, rate: Lanes, loss: str, measured: bool, unknown: bool, has_force: bool = True
-) -> _GroupFit:
-    """Fit every form to the lanes of a group.
-
-    `measured`: whether they are rows of a log, in order of depth; `unknown`: whether the threshold is unknown;
-    `has_force`: whether `weight` is the mean force, without which no founder weight is sought.
-    """
-    above, founder, left_out = np.zeros(rate.size, bool), Founder(), {}
-    if measured and rate.size >= LEAST_CLEANED and (rate > 0).any():
-        left_out = wrong_rows(relief, weight, rate, loss)
-    keep = ~np.any([above, *left_out.values()], axis=0)
-    if left_out and has_force:
-        founder = find_founder(relief[keep], weight[keep], rate[keep], np.flatnonzero(keep))
-        above = keep & (weight > founder.end)  # none, if that is NaN
-    fitted = keep & ~above
-    row = np.flatnonzero(fitted) if measured else None
-    return _GroupFit(_fit_forms(relief[fitted], rate[fitted], loss, unknown, row), founder, left_out, above)
-
-
-def _fit_forms(
-    relief: Lanes, rate: Lanes, loss: str, unknown: bool, row: LaneBlocks | None
-) -> list[dict[str, float | int]]:
-    """Return the values of `_SCHEMA` of every form, and compare the forms; `row`: the number of each row of a log."""
-    forms = {k: form for k, form in enumerate(FORMS) if not (unknown and form.name in SAME_AS_ONSET)}
-
-    found = {k: search(form, relief, rate, loss) for k, form in forms.items()}
-    minima, rho, block = {k: x for k, x in found.items() if isinstance(x, Minimum)}, 0.0, None
-    if row is not None and minima:
-        rho = correlation(min((minimum.residual for minimum in minima.values()), key=np.linalg.norm), row)
-        if rate.size >= LEAST_ROWS and np.ptp(relief) > 0:
-            block, decay = blocks_of(rate.size), decay_of(rho, row)
-            found = {k: search(form, relief, rate, loss, decay) for k, form in forms.items()}
-            minima = {k: x for k, x in found.items() if isinstance(x, Minimum)}
-    fits: list[dict[str, float | int]] = []
-    for k in range(len(FORMS)):
-        fit: dict[str, float | int] = {name: np.nan for name, about in _SCHEMA.items() if about.dtype is np.float64}
-        fit |= {"degrees_of_freedom": 0, "used": rate.size, "standing": 0}
-        if k in minima:
-            fit |= _coefficients(minima[k], rate, block)
-        else:
-            failed = found.get(k)
-            reason = failed if isinstance(failed, Reason) else Reason.UNKNOWN_THRESHOLD
-            fit |= {"reason": reason, "r_squared_reason": reason}
-        fits.append(fit)
-    if block is not None:
-        evidence, limit = np.full(len(FORMS), np.nan), BLOCK_LIMIT
-        for k, minimum in minima.items():
-            residual = predictions_without(minimum, rate / rate.max(), block)
-            fits[k]["cv_error"] = float(rate.max() * np.sqrt(np.mean(residual**2)))
-            evidence[k] = rate.size * np.log(max(np.mean(whiten(residual, decay) ** 2), _EPSILON**2))
-    else:
-        least = min((fits[k]["degrees_of_freedom"] for k in minima), default=0)
-        if len(minima) < len(forms) or least < LEAST_DEGREES_OF_FREEDOM:
-            return fits
-        size = np.array([2 * form.size for form in FORMS])
-        exact = rate.size * 2 * np.log(LEAST_SPREAD * rate.max())  # below it, forms are equally exact
-        independent = (1 - rho) / (1 + rho)  # correlated rows count as fewer independent ones
-        evidence = independent * np.maximum([fit["aic"] for fit in fits] - size, exact) + size
-        limit = AIC_LIMIT if row is None else BLOCK_LIMIT
-    standing = standings(evidence, [form.name for form in FORMS], limit)
-    for fit, value, against in zip(fits, standing.tolist(), (evidence - np.nanmin(evidence)).tolist(), strict=True):
-        fit |= {"standing": value, "evidence_against": against}
-    return fits
-
-
-def _coefficients(minimum: Minimum, rate: Lanes, block: LaneBlocks | None) -> dict[str, float | int]:
-    """Return the coefficients of a form with standard errors, R², AIC, and degrees of freedom.
-
-    R² is NaN if the rates do not vary. RSS/n has a lower bound, the squared rounding error of the greatest rate, so
-    that the AIC of exact data is finite.
-    """
-    unit = float(rate.max())
-    if block is None:
-        moves = moves_without(minimum, np.arange(rate.size))
-        square = moves.T @ moves
-    else:
-        square = block_covariance(minimum, block)
-    values, slopes = minimum.model.coefficients(minimum.theta)
-    errors = np.sqrt(np.einsum("ci,ij,cj->c", slopes, square, slopes))
-    fit: dict[str, float | int] = {"reason": Reason.IDENTIFIED}
-    if minimum.model.form.size == 2 and minimum.model.form.name != "power":
-        # A horizontal line has C close to zero, and no onset.
-        least = max(_LEAST_SLOPE, _LEAST_SLOPE_IN_ERRORS * float(np.sqrt(square[1, 1])))
-        if abs(minimum.theta[1]) <= least or not np.isfinite(values[1]):
-            values[1], fit["reason"] = np.nan, Reason.NO_SLOPE
-    errors[np.isnan(values)] = np.nan
-    for name, scale, value, error in zip(("C", "eta0", "exponent"), (unit, 1.0, 1.0), values, errors, strict=True):
-        fit[name], fit[f"{name}_stderr"] = scale * value, scale * error
-    y, size = rate / unit, minimum.theta.size
-    squares, about_mean = float(np.sum(minimum.residual**2)), float(np.sum((y - y.mean()) ** 2))
-    varies = about_mean > rate.size * LEAST_SPREAD**2
-    fit["r_squared"] = 1 - squares / about_mean if varies else np.nan
-    fit["r_squared_reason"] = Reason.IDENTIFIED if varies else Reason.CONSTANT_RATES
-    fit["aic"] = rate.size * (np.log(max(squares / rate.size, _EPSILON**2)) + 2 * np.log(unit)) + 2 * size
-    return fit | {"degrees_of_freedom": int(minimum.active.sum()) - size}
+def _thresholds(lanes: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the mean force at a relief of 1 of each group; NaN where it varies, or there are no valid lanes."""
+    ratio = pd.DataFrame(lanes["weight"] / np.where(lanes["valid"], lanes["relief"], np.nan))
+    low, high = ratio.min(axis=1), ratio.max(axis=1)
+    return ratio.median(axis=1).where(high - low <= _SAME * high).to_numpy()

@@ -1,18 +1,16 @@
-"""The analysis `fit`: pictures of the law with its data, C and the comparison of the forms, as curves or maps."""
+"""The analysis `fit`: a picture of the law with its data, of C, and of the comparison of the forms."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from matplotlib.colors import ListedColormap
 
 from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log, log_lines
 from vibrojax.pictures.axes import margins, pretty_unit, scale, with_unit
-from vibrojax.pictures.colours import Value, form_colour, value_of
-from vibrojax.pictures.contents import FORM, POINT, Contents, law_in, long_axes
+from vibrojax.pictures.colours import form_colour
+from vibrojax.pictures.contents import FORM, POINT, Contents, law_in
 from vibrojax.pictures.lines import MOST_ROWS, longest_axis, rows_of
-from vibrojax.pictures.maps import map_sheet
 from vibrojax.pictures.plots import (
     FAINT,
     Area,
@@ -21,7 +19,6 @@ from vibrojax.pictures.plots import (
     Layer,
     Line,
     Look,
-    Picture,
     Plot,
     Sheet,
     bars,
@@ -31,17 +28,17 @@ from vibrojax.pictures.plots import (
     patch,
     upright,
 )
-from vibrojax.pictures.sheet import LEGEND_WIDTH, Facets, at, facets
+from vibrojax.pictures.sheet import Facets, at, facets
 from vibrojax.pictures.style import IMPACT
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.studies.rop_blocks import AIC_LIMIT, BLOCK_LIMIT, Standing
-from vibrojax.studies.rop_forms import FORMS, LOGARITHMIC, SAME_AS_ONSET
-from vibrojax.studies.rop_results import formulas_of, founders, verdict
+from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, SAME_AS_ONSET, Standing
+from vibrojax.studies.rop_results import formulas_of, verdict
 
 _MARKS = dict(zip(("onset", "literal", "percent", "line", "power", "constant"), "os^DvP", strict=True))
 # The power law often coincides with the straight line, the literal form with the onset form: dashed and on top, they
 # leave the colour of the other form visible.
 _DASHES: dict[str, Dash] = {"power": (0.0, (2.5, 2.0)), "literal": (0.0, (1.5, 2.5))}
+_RATES = {form.name: form.rate for form in FORMS}
 _USES: dict[str, tuple[str, Look]] = {
     "fitted": ("data", {"edge_width": 0.0}),
     "censored": ("no penetration (censored)", {"face": "white", "edge_width": 0.9}),
@@ -49,9 +46,8 @@ _USES: dict[str, tuple[str, Look]] = {
     "left-out": ("left out of the fit", {"marker": "x", "colour": IMPACT, "edge_width": 1.2, "size": 5.0}),
 }
 _RELIEF, _RATE, _USE, _THRESHOLD = "data_relief", "data_rate_of_penetration", "data_use", "data_threshold"
-_RATES = {form.name: form.rate for form in FORMS}
 _MOST_GROUPS, _MOST_COLUMNS = 6, 3
-_ROW_HEIGHT, _ONE_HEIGHT, _FORMS_HEIGHT = 2.4, 3.6, 1.8  # of rows of groups, of a single group, of forms [inch]
+_ROW_HEIGHT, _ONE_HEIGHT, _FORMS_HEIGHT = 2.6, 3.6, 1.8  # of rows of groups, of a single group, of forms [inch]
 _LEAST_WIDTH = 8.5
 _MANY_LANES, _CLOUD = 60, 300  # lanes from which on the markers are small, and a faint cloud below the curves
 _CURVE_POINTS = 200
@@ -59,6 +55,7 @@ _SHIFT = 0.012  # between forms at the same abscissa, as a fraction of the axis
 _MOST_EVIDENCE = 30  # against a form, up to which it is drawn
 _CHOSEN_SIZE = 7.0
 _PER_HOUR = 3600.0
+_Limits = tuple[float | None, float | None]
 
 
 def law_lines(fit: xr.Dataset) -> Sheet:
@@ -67,17 +64,13 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     C is that of the forms that the data do not reject. Without an axis, the panels of the data say C, and the evidence
     is drawn over the forms.
     """
-    fit = _law_of(fit.drop_vars(["depth_from", "depth_to"], errors="ignore"))
+    fit = _law_of(fit)
     if "reference_force" in fit.attrs:  # the threshold is unknown: some forms are the same curve as another one
         fit = fit.sel({FORM: [name for name in _names(fit) if name not in SAME_AS_ONSET]})
     by_blocks = "cv_error" in fit and bool(fit["cv_error"].notnull().any())
     x, names, limit = longest_axis(fit), _names(fit), BLOCK_LIMIT if by_blocks else AIC_LIMIT
     fit = fit.sortby(x.name) if x.is_number else fit
-    groups, panels, (factor, unit) = (
-        _groups_to_show(fit),
-        facets(fit, (POINT, x.name), MOST_ROWS),
-        _rate_scale(fit, "C"),
-    )
+    panels, (factor, unit) = facets(fit, (POINT, x.name), MOST_ROWS), _rate_scale(fit, "C")
     known = factor * fit["C"].where(fit["standing"] != Standing.REJECTED).values
     low, high = (float(end(known[np.isfinite(known)], initial=0.0)) for end in (np.min, np.max))
     room = 0.15 * (high - low) or 1.0  # error bars do not count for the limits: they are huge for a failed fit
@@ -88,7 +81,7 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     over_forms = Axis(ticks=[(float(k), name) for k, name in enumerate(names)], limits=(-0.5, len(names) - 0.5))
     across = x.axis(fit) if x.name else replace(over_forms, group="across")
     plots = []
-    for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+    for row, (title, facet) in enumerate(panels):
         of_c_layers: list[Layer] = [level(0.0, colour=FAINT, width=0.8)]
         layers: list[Layer] = [Area([-np.inf, np.inf], [0.0] * 2, [limit] * 2, FAINT, 0.25)]
         kept = facet[["C", "C_stderr"]].where(facet["standing"] != Standing.REJECTED)
@@ -106,54 +99,18 @@ def law_lines(fit: xr.Dataset) -> Sheet:
             layers.append(dots(places[chosen], evidence[chosen], **_form_mark(name) | {"size": _CHOSEN_SIZE}))
         plots += [Plot(of_c_layers, across, of_c, title, (row, 0), at(facet))] if x.name else []
         plots.append(Plot(layers, across, of_evidence, "" if x.name else title, (row, int(bool(x.name))), at(facet)))
+    groups = _groups_to_show(fit)
+    along = fit.attrs.get("along")
+    count, way = fit["C"].size // fit.sizes[FORM], "over the rows of the table" if along == POINT else f"along {along}"
+    notes = [panels.note, f"Data and curves of {len(groups)} of {count} groups" * (0 < len(groups) < count)]
+    notes += [f"Fitted {way}; bars and bands of one standard error of C" * bool(along), LIMITS_OF_LOGS * is_log(fit)]
+    rows = rows_of(panels, 1 + bool(x.name))
     keys: list[Layer] = [patch(FAINT, f"not rejected: up to {limit:g}", alpha=0.25, edge="")]
     keys.append(dots(label="chosen form", size=_CHOSEN_SIZE))
-    along = f"{_along_text(fit)}; bars of one standard error, bands of that of C" if "along" in fit.attrs else ""
-    notes = panels.note, _data_text(groups, fit), along, LIMITS_OF_LOGS * is_log(fit)
-    rows = rows_of(panels, 1 + bool(x.name))
-    rows["size"] = rows["size"] if x.name else (rows["size"][0], _FORMS_HEIGHT * len(panels) + 0.8)
-    sheet = Sheet(plots, keys=[_form_keys(fit), keys, _use_keys(groups)], **rows, **margins(fit, *notes))
-    return _below(groups, sheet, with_c=not x.name)
-
-
-def law_map(fit: xr.Dataset) -> Sheet:
-    """Draw maps over the two longest axes: the chosen form of each group, C, and the relative error of C.
-
-    C is that of the form that all groups support or, if there is none, of a reading of the logarithmic law.
-    """
-    fit = _law_of(fit)
-    names, (x, y) = _names(fit), long_axes(fit)[:2]
-    likely = str(fit.attrs.get("verdict")), *LOGARITHMIC[::-1], names[0]
-    name = next(name for name in likely if name in names)
-    is_chosen = fit["standing"] == Standing.CHOSEN
-    chosen = is_chosen.argmax(FORM).where(is_chosen.any(FORM))
-    chosen.attrs = {"flag_values": np.arange(len(names)), "flag_meanings": " ".join(names)}
-    shown = fit[["C", "C_stderr"]].sel({FORM: name}, drop=True).assign(best_form=chosen)
-    error = 100.0 * shown["C_stderr"] / np.abs(shown["C"])
-    shown["C_relative_error"] = error.where(np.isfinite(error)).assign_attrs(units="%")
-    first = value_of(shown["best_form"])
-    colours = ListedColormap([form_colour(form) for form in first.names.values()], name="forms")
-    values: list[Value] = [replace(first, colour_map=colours.with_extremes(bad="#FFFFFF00"))]
-    values += [value_of(shown[of]) for of in ("C", "C_relative_error") if shown[of].notnull().any()]
-    groups = _groups_to_show(fit)
-    notes = _data_text(groups, fit), _along_text(fit), f"C of the form {name}"
-    sheet = map_sheet(shown.assign_attrs(fit.attrs), x, y, tuple(values), *notes)
-    return _below(groups, sheet, [_form_keys(fit), _use_keys(groups)])
-
-
-def residuals(fit: xr.Dataset) -> Sheet:
-    """Draw the residuals of the forms that the data do not reject over the force or relief, of all groups together."""
-    groups = _groups_to_show(_law_of(fit))
-    layers: list[Layer] = [level(0.0, colour=FAINT, width=0.8)]
-    unit = text = ""
-    for group in groups.data:
-        (factor, unit), (across, text) = _rate_scale(group, _RATE), _force_scale(group)
-        relief, rate = (group[name].values[_use_masks(group).get("fitted", slice(0))] for name in (_RELIEF, _RATE))
-        for name, _, curve in _curves(group, relief):
-            layers.append(dots(across * relief, factor * (rate - curve), **_form_mark(name) | {"size": 3.5}))
-    title = "residuals of all groups" if len(groups) > 1 else "residuals"
-    plots = [Plot(layers, Axis(text), Axis(with_unit("measured less the form", unit)), title)]
-    return Sheet(plots if len(groups) else [], (8.0, 2.6))
+    if not x.is_number:
+        rows["size"] = rows["size"][0], _FORMS_HEIGHT * len(panels) + (1.2 if x.name else 0.8)
+    sheet = Sheet(plots, keys=[_form_keys(fit), keys], **rows, **margins(fit, *notes))
+    return _below(groups, sheet, with_c=not x.name) if len(groups) else sheet
 
 
 def _is_law(held: Contents) -> bool:
@@ -164,16 +121,10 @@ class Fits(Analysis):
     """The fit of the rate-of-penetration law to a sweep's dataset or to rig data."""
 
     kind = "fit"
-    pictures = (
-        PictureRule("law", lambda held: _is_law(held) and len(held.long) > 1, law_map),
-        PictureRule("law", _is_law, law_lines),
-    )
+    pictures = (PictureRule("law", _is_law, law_lines),)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("columns", log_lines(ds))]
-
-    def page_figures(self, ds: xr.Dataset) -> Sequence[Picture]:
-        return [self.plots(ds), residuals(ds)]  # type: ignore[list-item]
 
     def page_text(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("forms of the law", verdict(ds)), *self.summary(ds)]
@@ -198,21 +149,6 @@ def _rate_scale(fit: xr.Dataset, name: str) -> tuple[float, str]:
     return (_PER_HOUR, "m/h") if is_log(fit) else scale(fit[name])
 
 
-def _force_scale(group: xr.Dataset) -> tuple[float, str]:
-    """Return the factor from the relief to the abscissa, and its label: the mean force in kN where it is known."""
-    threshold = float(group[_THRESHOLD]) if _THRESHOLD in group else np.nan
-    return (threshold / 1e3, "mean force [kN]") if np.isfinite(threshold) else (1.0, "relief P/D")
-
-
-def _curves(group: xr.Dataset, relief: np.ndarray, rejected: bool = False) -> Iterator[tuple[str, bool, np.ndarray]]:
-    """Yield name, whether it is kept, and rates [m/s] of each fitted form; with `rejected`, also of rejected ones."""
-    for name, kept in zip(_names(group), group["standing"].values != Standing.REJECTED, strict=True):
-        form = group.sel({FORM: name})
-        values = [float(form[part]) if part in form else np.nan for part in ("C", "eta0", "exponent")]
-        if name in _RATES and np.isfinite(values[0]) and (kept or rejected):
-            yield name, kept, _RATES[name](relief, *values)
-
-
 def _form_mark(name: str) -> Look:
     return {"colour": form_colour(name), "marker": _MARKS.get(name, "P")}
 
@@ -228,36 +164,32 @@ def _form_keys(fit: xr.Dataset) -> list[Layer]:
     return keys
 
 
+# The data of each group
+
+
 def _groups_to_show(fit: xr.Dataset) -> Facets:
     """Return one facet per group, of at most six groups; no facets if the fit does not contain its data."""
     return facets(fit, (), _MOST_GROUPS) if {_RELIEF, _RATE, _USE} <= set(fit.data_vars) else Facets((), ())
 
 
-def _along_text(fit: xr.Dataset) -> str:
-    along = fit.attrs.get("along")
-    return "Fitted over the rows of the table" if along == POINT else f"Fitted along {along}" if along else ""
-
-
-def _data_text(groups: Facets, fit: xr.Dataset) -> str:
-    """Return the note on how many groups are drawn, or an empty string if none or all of them are."""
-    count = fit["C"].size // fit.sizes[FORM]
-    return f"Data and curves of {len(groups)} of {count} groups" if 0 < len(groups) < count else ""
-
-
-def _below(groups: Facets, sheet: Sheet, keys: Sequence[Sequence[Layer]] = (), with_c: bool = False) -> Sheet:
+def _below(groups: Facets, sheet: Sheet, with_c: bool) -> Sheet:
     """Return the sheet below a panel for each group, with the data and the fitted curve of each form.
 
     `with_c`: whether the titles say C of the form that the data support, if it has no rival.
     """
-    if not len(groups):
-        return sheet
     wide = min(len(groups), _MOST_COLUMNS)
     deep = -(-len(groups) // wide)
+    most = max(int(sum(mask.sum() for mask in _use_masks(group).values())) for group in groups.data)
+    is_cloud, size = most >= _CLOUD, 4.2 if most < _MANY_LANES else 2.2 if most < _CLOUD else 1.6
+    looks: dict[str, Look] = {use: {"size": size, "order": 3.0} | look for use, (_, look) in _USES.items()}
+    if is_cloud:  # below the curves
+        looks = {use: look | {"order": 1.5} for use, look in looks.items()}
+        looks["fitted"] |= {"colour": FAINT}
     plots = []
     for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
         (factor, unit), (_, text) = _rate_scale(group, _RATE), _force_scale(group)
-        layers, right, top = _group_layers(group, factor)
-        across = Axis(text if k + wide >= len(groups) else "", limits=right)
+        layers, right, top = _group_layers(group, factor, looks)
+        across = Axis(text if k + wide >= len(groups) else "", limits=right, group="force" if layers else "")
         up = Axis(with_unit("rate of penetration", unit) if k % wide == 0 else "", limits=top, zero="no penetration")
         standing = group["standing"].values
         if with_c and Standing.CHOSEN in standing and Standing.UNDECIDED not in standing:
@@ -265,16 +197,15 @@ def _below(groups: Facets, sheet: Sheet, keys: Sequence[Sequence[Layer]] = (), w
             c, error = (factor * float(form[name]) for name in ("C", "C_stderr"))
             title = "\n".join(filter(None, (title, f"C = {c:.3g} ± {error:.1g} {pretty_unit(unit)}")))
         plots.append(Plot(layers, across, up, title, divmod(k, wide), at(group)))
-    width = max(sheet.size[0] + LEGEND_WIDTH * bool(keys), _LEAST_WIDTH)
+    shown = {use for group in groups.data for use in _use_masks(group)}
+    keys = [dots(label=text, **looks[use] | {"size": 4.5}) for use, (text, _) in _USES.items() if use in shown]
     height = (_ROW_HEIGHT if len(groups) > 1 else _ONE_HEIGHT) * deep
-    above = Sheet(plots, (6.4, height), (1.0,) * wide, (1.0,) * deep, keys)
-    return replace(sheet, above=above, size=(width, sheet.size[1] + height))
+    above = Sheet(plots, (6.4, height), (1.0,) * wide, (1.0,) * deep)
+    size_of_all = max(sheet.size[0], _LEAST_WIDTH), sheet.size[1] + height
+    return replace(sheet, above=above, size=size_of_all, keys=[*sheet.keys, keys])
 
 
-_Limits = tuple[float | None, float | None]
-
-
-def _group_layers(group: xr.Dataset, factor: float) -> tuple[list[Layer], _Limits, _Limits]:
+def _group_layers(group: xr.Dataset, factor: float, looks: dict[str, Look]) -> tuple[list[Layer], _Limits, _Limits]:
     """Return the lanes of a group and the curve of each form up to the founder weight and above it, and the limits."""
     across, relief, rate = _force_scale(group)[0], group[_RELIEF].values, factor * group[_RATE].values
     masks = _use_masks(group)
@@ -282,10 +213,10 @@ def _group_layers(group: xr.Dataset, factor: float) -> tuple[list[Layer], _Limit
     if not (seen & (relief > 0)).any():
         return [], (None, None), (None, None)
     low, high = relief[seen & (relief > 0)].min(), relief[seen].max()
-    founder = founders(group)[0] if "founder_fall" in group and across != 1.0 else None
-    end = min(high, founder.weight / (1e3 * across)) if founder and founder.is_known else high
+    founder = float(group["founder_weight"]) if "founder_fall" in group and across != 1.0 else np.nan
+    end = min(high, founder / (1e3 * across)) if np.isfinite(founder) else high
     eta, layers = np.linspace(low, end, _CURVE_POINTS), list[Layer]()
-    for name, kept, curve in _curves(group, eta, rejected=True):
+    for name, kept, curve in _curves(group, eta):
         dash, order = _DASHES.get(name, "-"), 2.5 if name in _DASHES else 2.0
         look: Look = {"colour": form_colour(name), "width": 1.4, "dash": dash, "order": order}
         layers.append(Line(across * eta, factor * curve, **look))
@@ -293,27 +224,31 @@ def _group_layers(group: xr.Dataset, factor: float) -> tuple[list[Layer], _Limit
         if kept:  # every form is proportional to its C
             error = factor * curve * float(form["C_stderr"] / form["C"])
             layers.append(Area(across * eta, factor * curve - error, factor * curve + error, form_colour(name), 0.15))
-        if kept and founder and end < high:
-            fall = factor * founder.fall * 1e3 * across * (high - end)
+        if kept and end < high:
+            fall = factor * float(group["founder_fall"]) * 1e3 * across * (high - end)
             layers.append(Line([across * end, across * high], factor * curve[-1] - np.array([0.0, fall]), **look))
     if end < high:
         layers.append(upright(across * end, dash=":", width=1.0, label="founder weight"))
-    is_cloud = seen.sum() >= _CLOUD
-    size = 4.2 if seen.sum() < _MANY_LANES else 1.6 if is_cloud else 2.2
-    for use, mask in masks.items():
-        mark: Look = {"size": size, "order": 1.5 if is_cloud else 3.0} | _USES[use][1]
-        mark |= {"colour": FAINT} if is_cloud and use == "fitted" else {}
-        layers.append(dots(across * relief[mask], rate[mask], **mark))
+    layers += [dots(across * relief[mask], rate[mask], **looks[use]) for use, mask in masks.items()]
     room, top = 0.04 * (high - low or high), float(rate[seen].max())
     right = across * (low - room), across * (high + room)  # without weights beyond reason
     # The limits clip the curve of a form far from the data.
     return layers, right, (-0.06 * top, 1.1 * top) if top > 0 else (None, None)
 
 
-def _use_keys(groups: Facets) -> list[Layer]:
-    """Return the legend entries of the uses of lanes that occur."""
-    shown = {use for group in groups.data for use in _use_masks(group)}
-    return [dots(label=text, **{"size": 4.5} | mark) for use, (text, mark) in _USES.items() if use in shown]
+def _force_scale(group: xr.Dataset) -> tuple[float, str]:
+    """Return the factor from the relief to the abscissa, and its label: the mean force in kN where it is known."""
+    threshold = float(group[_THRESHOLD]) if _THRESHOLD in group else np.nan
+    return (threshold / 1e3, "mean force [kN]") if np.isfinite(threshold) else (1.0, "relief P/D")
+
+
+def _curves(group: xr.Dataset, relief: np.ndarray) -> Iterator[tuple[str, bool, np.ndarray]]:
+    """Yield name, whether it is kept, and rates [m/s] of each fitted form."""
+    for name, kept in zip(_names(group), group["standing"].values != Standing.REJECTED, strict=True):
+        form = group.sel({FORM: name})
+        values = [float(form[part]) if part in form else np.nan for part in ("C", "eta0", "exponent")]
+        if name in _RATES and np.isfinite(values[0]):
+            yield name, kept, _RATES[name](relief, *values)
 
 
 def _use_masks(group: xr.Dataset) -> dict[str, np.ndarray]:

@@ -1,0 +1,379 @@
+"""Fit of one group of lanes: wrong rows, the founder weight, and every form.
+
+The rows of a log are in order of depth. Neighbours are correlated, so that rows are neither drawn nor left out one by
+one, but in blocks that are longer than the correlation.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from scipy.ndimage import median_filter
+from scipy.special import stdtrit
+
+from vibrojax.studies.rop_forms import (
+    AIC_LIMIT,
+    BLOCK_LIMIT,
+    FORMS,
+    LEAST_SPREAD,
+    SAME_AS_ONSET,
+    LaneBlocks,
+    LaneFlags,
+    Lanes,
+    Minimum,
+    Model,
+    Reason,
+    Standing,
+    linear_problem,
+    moves_without,
+    search,
+    spread_of,
+    standings,
+    whiten,
+)
+
+LEAST_DEGREES_OF_FREEDOM = 2
+"""Degrees of freedom below which forms are not compared: the correction of AIC for small samples, 2k(k + 1)/(n - k - 1)
+for k = 2 coefficients, is finite from n = 4 lanes on."""
+
+LEAST_ROWS = 50
+"""Least number of rows for blocks: five blocks of ten rows."""
+
+LEAST_CLEANED = 30
+"""Least number of rows from which wrong rows and a founder weight are sought."""
+
+_MOST_BLOCKS, _ROWS_PER_BLOCK = 20, 10
+# Two standard errors, and the probability up to them: 98.5 % between both ends instead of 95.4 %, since the correlation
+# and the founder weight follow from the data, and an interval that is too short is the worse fault.
+_TWO_ERRORS = 2.0, 0.9925
+_LARGEST_CORRELATION = 0.97
+_TINY = 1e-30  # sum of squares of an exact fit
+_EPSILON = float(np.finfo(float).eps)
+
+_FAR = 3.0  # interquartile ranges beyond the quartiles from which a weight is far from the others
+_LEAST_RANGE = 0.05  # of the quartiles, relative to them, for weights that hardly vary
+_LONGEST_SPIKE = 2  # rows in succession; longer excursions are drilling
+_MOST_SPIKES = 0.03  # share of rows above which weights far from the others are not errors
+_OUTLIER = 5.0  # standard deviations from the law, and from the rows of nearly the same weight
+_WINDOW = 15  # number of rows of nearly the same weight
+_LEAST_OUTLIER = 1e-3  # standard deviation, relative to the greatest rate, below which no row is an outlier
+_MOST_OUTLIERS = 0.2  # share of rows above which the noise has heavy tails, and no row is an outlier
+
+_BENDS, _ZOOMS = 40, 5  # founder weights that are tried, first between the ends and then near the best one
+_LIKELY = 6.0  # evidence against founder weights up to two standard errors away: 98.5 % of the chi-squared distribution
+_LEAST_BESIDE = 8  # rows below the founder weight, and above it
+_LEAST_SHARE = 0.04  # of rows on either side
+_FOUNDER = 9.0  # evidence against all laws without a founder: exceeded by chance in 1 % of logs
+_MOST_MARGIN = 0.08  # of the founder weight, below it
+_LARGEST_LOG_RATE = 5.0  # of a power law, in units of the greatest rate: a worse guess is no law
+_LEAST_FALL = 1e-6  # greatest rates per greatest weight: rounding errors are smaller
+_ERRORS_OF_FALL = 2.0  # standard errors above which the rate falls above the founder weight
+
+_LEAST_SLOPE = 1e-10
+"""Slope theta_1 of rate/greatest rate below which there is no onset, since the slope is a rounding error."""
+
+_LEAST_SLOPE_IN_ERRORS = 2.0
+"""Slope theta_1 in standard errors below which there is no onset: its Fieller confidence interval is unbounded."""
+
+FAR_WEIGHT, FAR_RATE = "weight far from all others", "rate far from the law"
+"""Reasons why rows are wrong."""
+
+COEFFICIENTS = ("C", "eta0", "exponent")
+NAMES = [form.name for form in FORMS]
+
+
+class Founder(NamedTuple):
+    """Weight above which the rate does not rise, and the fall of the rate per weight above it; NaN without one.
+
+    The units are those of the data; `correlation` is that of the noise of neighbouring rows.
+    """
+
+    weight: float = np.nan
+    weight_stderr: float = np.nan
+    fall: float = np.nan
+    fall_stderr: float = np.nan
+    correlation: float = 0.0
+
+    @property
+    def end(self) -> float:
+        """The weight up to which rows are below the founder weight, whose error they would carry into the law."""
+        return self.weight - min(2 * self.weight_stderr, _MOST_MARGIN * self.weight)
+
+    @property
+    def is_known(self) -> bool:
+        return bool(np.isfinite(self.weight))
+
+    @property
+    def falls(self) -> bool:
+        return bool(self.fall > _ERRORS_OF_FALL * self.fall_stderr)
+
+
+class GroupFit(NamedTuple):
+    """Fit of a group: a table with a row per form, the founder, and masks of the lanes that were left out."""
+
+    forms: pd.DataFrame
+    founder: Founder
+    wrong: dict[str, LaneFlags]
+    above: LaneFlags
+
+
+def fit_lanes(
+    relief: Lanes,
+    weight: Lanes,
+    rate: Lanes,
+    robust: bool = True,
+    measured: bool = True,
+    unknown: bool = False,
+    has_force: bool = True,
+) -> GroupFit:
+    """Fit every form to the lanes of a group.
+
+    `measured`: whether they are rows of a log, in order of depth; `unknown`: whether the threshold is unknown;
+    `has_force`: whether `weight` is the mean force, without which no founder weight is sought.
+    """
+    founder, wrong = Founder(), dict[str, LaneFlags]()
+    if measured and rate.size >= LEAST_CLEANED and (rate > 0).any():
+        founder, wrong = clean(relief, weight, rate, robust, has_force)
+    keep = ~np.any([np.zeros(rate.size, bool), *wrong.values()], axis=0)
+    above = keep & (weight > founder.end)  # none, if that is NaN
+    fitted = keep & ~above
+    row = np.flatnonzero(fitted) if measured else None
+    return GroupFit(_fit_forms(relief[fitted], rate[fitted], robust, unknown, row), founder, wrong, above)
+
+
+# Wrong rows, and the founder weight
+
+
+def clean(
+    relief: Lanes, weight: Lanes, rate: Lanes, robust: bool = True, has_force: bool = True
+) -> tuple[Founder, dict[str, LaneFlags]]:
+    """Return the founder weight of rows in order of depth, and masks of the wrong rows by reason.
+
+    A weight that is far from all others for one or two rows in succession decides a fit by its leverage. Longer
+    excursions, or many of them, are drilling and stay.
+
+    Wrong rates are sought twice. A law without a founder does not describe rows above it, so that small outliers do not
+    stand out from its residuals: the second search is about the law that ends at the founder weight.
+    """
+    far = np.zeros(weight.size, bool)
+    for values, sign in ((weight, 1.0), (np.log(weight), -1.0)):
+        low, high = np.quantile(sign * values, (0.25, 0.75))
+        far |= sign * values > high + _FAR * max(high - low, _LEAST_RANGE * (abs(high) if sign > 0 else 1.0))
+    starts = np.flatnonzero(np.diff(far, prepend=False) & far)
+    ends = np.flatnonzero(np.diff(far, append=False) & far) + 1
+    for start, end in zip(starts, ends, strict=True):
+        far[start:end] = end - start <= _LONGEST_SPIKE
+    far &= far.sum() <= 1 + _MOST_SPIKES * weight.size
+    keep, founder = ~far, Founder()
+    found = [search(form, relief[keep], rate[keep], robust) for form in FORMS if form.size == 2]
+    residuals = [minimum.residual for minimum in found if isinstance(minimum, Minimum)]
+    residual = min(residuals, key=spread_of, default=None)
+    for turn in range(2):
+        wrong = _wrong_rates(residual, weight[keep]) if robust and residual is not None else np.zeros(keep.sum(), bool)
+        if turn and not wrong.any():
+            break
+        keep[keep] = ~wrong
+        if not has_force:
+            break
+        founder, residual = find_founder(relief[keep], weight[keep], rate[keep], np.flatnonzero(keep))
+    return founder, {FAR_WEIGHT: far, FAR_RATE: ~keep & ~far}
+
+
+def _wrong_rates(residual: Lanes, weight: Lanes) -> LaneFlags:
+    """Return the rows whose rate is far from the law, and from the rates at nearly the same weight.
+
+    The second condition makes a law that describes the data badly harmless: all rows of a weight then miss it alike.
+    """
+    order, local = np.argsort(weight, kind="stable"), np.empty(residual.size)
+    local[order] = median_filter(residual[order], _WINDOW, mode="mirror")  # "nearest" repeats the row at an end
+    wrong = np.ones(residual.size, bool)
+    for r in (residual, residual - local):
+        spread = max(spread_of(half) for half in np.array_split(r[order], 2))  # noise may grow with the weight
+        wrong &= np.abs(r) > _OUTLIER * max(spread, _LEAST_OUTLIER)
+    return wrong & (wrong.mean() <= _MOST_OUTLIERS)
+
+
+class _Profile(NamedTuple):
+    """Fits of a form for several founder weights: sums of squares, slope and fall, and residuals."""
+
+    model: Model
+    squares: Float[np.ndarray, " bends"]
+    slope: Float[np.ndarray, " bends"]
+    fall: Float[np.ndarray, " bends"]
+    fall_stderr: Float[np.ndarray, " bends"]
+    residual: Float[np.ndarray, "rows bends"]
+
+    def against(self, rows: int) -> Float[np.ndarray, " bends"]:
+        """Return the evidence against each founder weight."""
+        return rows * np.log(self.squares / self.squares.min())
+
+
+def find_founder(relief: Lanes, weight: Lanes, rate: Lanes, row: LaneBlocks) -> tuple[Founder, Lanes | None]:
+    """Return the founder weight of rows in order of depth, and the residuals of the law; `row`: their numbers.
+
+    Up to the founder weight, the rate follows a form of the law; above it, it stays or falls linearly. The profile of
+    the likelihood over the founder weight gives its estimate and its standard error. The forms with a founder weight
+    are compared with those without: the concave ones among these bend as well.
+    """
+    seen, unit, top = rate > 0, float(rate.max(initial=0.0)), float(weight.max(initial=0.0))
+    order = np.sort(weight[seen])
+    beside = max(_LEAST_BESIDE, int(np.ceil(_LEAST_SHARE * order.size)))
+    if weight.size < LEAST_CLEANED or order.size <= 2 * beside or order[beside] >= order[-beside - 1]:
+        return Founder(), None
+    x, y = weight / top, rate / unit
+    low, high = order[beside] / top, order[-beside - 1] / top
+    bends = np.unique(np.quantile(x[seen & (x >= low) & (x <= high)], np.linspace(0, 1, _BENDS)))
+    models = [Model.of(form, relief, seen) for form in FORMS if form.size == 2]
+    rho = 0.0
+    for _ in range(2):  # the second time with the correlation of the first residuals
+        decay = decay_of(rho, row)
+        straight, best = (
+            min((_profile(model, x, y, at, decay) for model in models), key=lambda profile: profile.squares.min())
+            for at in (np.array([np.inf]), bends)
+        )
+        rho = correlation(best.residual[:, np.argmin(best.squares)], row)
+    for _ in range(_ZOOMS):
+        near = np.flatnonzero(best.against(rate.size) <= _LIKELY)
+        bends = np.linspace(bends[max(near[0] - 1, 0)], bends[min(near[-1] + 1, bends.size - 1)], _BENDS)
+        best = _profile(best.model, x, y, bends, decay)
+    against, k, scale = best.against(rate.size), int(np.argmin(best.squares)), unit / top
+    if best.slope[k] <= 0 or rate.size * np.log(straight.squares[0] / best.squares[k]) < _FOUNDER:
+        return Founder(correlation=rho), straight.residual[:, 0]
+    error = np.abs(bends[against <= _LIKELY] - bends[k]).max() / 2
+    fall = best.fall[k] * (best.fall[k] > _LEAST_FALL)
+    weight_stderr, fall_stderr = float(error * top), float(best.fall_stderr[k] * scale)
+    return Founder(float(bends[k] * top), weight_stderr, float(fall * scale), fall_stderr, rho), best.residual[:, k]
+
+
+def _profile(model: Model, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, " bends"], decay: Lanes) -> _Profile:
+    """Fit the law up to each founder weight of `bends`, and a linear fall above it, by linear least squares."""
+    weight, rate, is_power = weight[:, None], rate[:, None], model.form.name == "power"
+    excess = np.maximum(weight - bends, 0.0)
+    columns, law = model.columns(model.relief[:, None] * np.minimum(1.0, bends / weight)), rate
+    for _ in range(1 + is_power):
+        slopes, target = linear_problem(model.form, columns, rate, law)
+        slopes = np.concatenate([slopes, -(excess * (rate > 0))[..., None]], axis=-1)
+        slopes, target = whiten(slopes, decay), whiten(target, decay)
+        normal, right = np.einsum("rbi,rbj->bij", slopes, slopes), np.einsum("rbi,rb->bi", slopes, target + 0 * excess)
+        inverse = np.linalg.pinv(normal, hermitian=True)
+        theta = np.einsum("bij,bj->bi", inverse, right)
+        level = np.einsum("bij,bj->bi", np.linalg.inv(normal[:, :2, :2]), right[:, :2])
+        theta = np.where(theta[:, 2:] >= 0, theta, np.pad(level, ((0, 0), (0, 1))))  # the rate never rises there
+        law = np.einsum("rbi,bi->rb", columns, theta[:, :2])
+        law = np.exp(np.minimum(law, _LARGEST_LOG_RATE)) if is_power else law
+    residual = np.where(rate > 0, law - theta[:, 2] * excess - rate, 0.0)
+    squares = np.maximum(np.sum(whiten(residual, decay) ** 2, axis=0), _TINY)
+    errors = np.sqrt(inverse[:, 2, 2] * squares / max(rate.size - 4, 1))
+    return _Profile(model, squares, theta[:, 1], theta[:, 2], errors, residual)
+
+
+# Correlated rows
+
+
+def correlation(residual: Lanes, row: LaneBlocks) -> float:
+    """Return the correlation of residuals in neighbouring rows, at least 0, without its bias in short logs.
+
+    The bias is that of a fit with two coefficients (Kendall 1954).
+    """
+    pairs = np.flatnonzero(np.diff(row) == 1)
+    variance = float(np.mean(residual**2)) if pairs.size else 0.0
+    rho = float(np.mean(residual[pairs] * residual[pairs + 1])) / variance if variance > 0 else 0.0
+    return min(rho + (2 + 4 * rho) / pairs.size, _LARGEST_CORRELATION) if rho > 0 else 0.0
+
+
+def decay_of(rho: float, row: LaneBlocks) -> Lanes:
+    """Return the correlation of each row with the preceding one, if neighbours have the correlation rho."""
+    return np.concatenate([np.zeros(1), rho ** np.diff(row).astype(float)])[: row.size]
+
+
+def predictions_without(minimum: Minimum, rate: Lanes, block: LaneBlocks) -> Lanes:
+    """Return the residuals of each block of rows, predicted from the fit to the rows of all other blocks."""
+    moved = minimum.theta + moves_without(minimum, block)
+    return np.concatenate([minimum.model.residuals(theta, rate)[0][block == k] for k, theta in enumerate(moved)])
+
+
+# The forms
+
+
+def _fit_forms(relief: Lanes, rate: Lanes, robust: bool, unknown: bool, row: LaneBlocks | None) -> pd.DataFrame:
+    """Return the values of every form, and compare the forms; `row`: the number of each row of a log."""
+    forms = {form.name: form for form in FORMS if not (unknown and form.name in SAME_AS_ONSET)}
+    found = {name: search(form, relief, rate, robust) for name, form in forms.items()}
+    minima = {name: x for name, x in found.items() if isinstance(x, Minimum)}
+    rho, block, decay = 0.0, None, np.zeros(rate.size)
+    if row is not None and minima:
+        rho = correlation(min((minimum.residual for minimum in minima.values()), key=np.linalg.norm), row)
+        if rate.size >= LEAST_ROWS and np.ptp(relief) > 0:
+            # The rows are whitened, so that blocks need not exceed the length of correlation.
+            block = np.arange(rate.size) * int(np.clip(rate.size // _ROWS_PER_BLOCK, 1, _MOST_BLOCKS)) // rate.size
+            decay = decay_of(rho, row)
+            found = {name: search(form, relief, rate, robust, decay) for name, form in forms.items()}
+            minima = {name: x for name, x in found.items() if isinstance(x, Minimum)}
+    fits: dict[str, dict[str, float | int]] = {}
+    for form in FORMS:
+        result = found.get(form.name, Reason.UNKNOWN_THRESHOLD)
+        if isinstance(result, Minimum):
+            fits[form.name] = _coefficients(result, rate, block)
+        else:
+            fits[form.name] = {"reason": result, "r_squared_reason": result, "degrees_of_freedom": 0}
+    columns = [*COEFFICIENTS, *(f"{name}_stderr" for name in COEFFICIENTS), "r_squared", "aic", "cv_error"]
+    table = pd.DataFrame.from_dict(fits, orient="index").reindex(
+        columns=[*columns, "evidence_against", "degrees_of_freedom", "used", "standing", "reason", "r_squared_reason"]
+    )
+    table["used"], table["standing"] = rate.size, int(Standing.NOT_COMPARED)
+    if block is not None:
+        against, limit = pd.Series(np.nan, table.index), BLOCK_LIMIT
+        for name, minimum in minima.items():
+            residual = predictions_without(minimum, rate / rate.max(), block)
+            table.loc[name, "cv_error"] = rate.max() * np.sqrt(np.mean(residual**2))
+            against[name] = rate.size * np.log(max(np.mean(whiten(residual, decay) ** 2), _EPSILON**2))
+    else:
+        least = table["degrees_of_freedom"][list(minima)].min() if minima else 0
+        if len(minima) < len(forms) or least < LEAST_DEGREES_OF_FREEDOM:
+            return table
+        costs = np.array([2 * form.size for form in FORMS])
+        exact = rate.size * 2 * np.log(LEAST_SPREAD * rate.max())  # below it, forms are equally exact
+        independent = (1 - rho) / (1 + rho)  # correlated rows count as fewer independent ones
+        against = independent * np.maximum(table["aic"] - costs, exact) + costs
+        limit = AIC_LIMIT if row is None else BLOCK_LIMIT
+    table["evidence_against"] = against - against.min()
+    table["standing"] = standings(table["evidence_against"].to_numpy(), NAMES, limit)
+    return table
+
+
+def _coefficients(minimum: Minimum, rate: Lanes, block: LaneBlocks | None) -> dict[str, float | int]:
+    """Return the coefficients of a form with standard errors, R², AIC, and degrees of freedom.
+
+    Standard errors are HC3 or, with blocks, those of their jackknife: Student's quantile for the number of blocks makes
+    two standard errors hold the truth as often as they should.
+
+    R² is NaN if the rates do not vary. RSS/n has a lower bound, the squared rounding error of the greatest rate, so
+    that the AIC of exact data is finite.
+    """
+    unit, size = float(rate.max()), minimum.theta.size
+    moves = moves_without(minimum, np.arange(rate.size) if block is None else block)
+    square = moves.T @ moves
+    if block is not None:
+        student = float(stdtrit(len(moves) - size, _TWO_ERRORS[1])) / _TWO_ERRORS[0]
+        square *= (len(moves) - 1) / len(moves) * student**2
+    values, slopes = minimum.model.coefficients(minimum.theta)
+    errors = np.sqrt(np.einsum("ci,ij,cj->c", slopes, square, slopes))
+    fit: dict[str, float | int] = {"reason": Reason.IDENTIFIED}
+    if size == 2 and minimum.model.form.name != "power":
+        # A horizontal line has C close to zero, and no onset.
+        least = max(_LEAST_SLOPE, _LEAST_SLOPE_IN_ERRORS * float(np.sqrt(square[1, 1])))
+        if abs(minimum.theta[1]) <= least or not np.isfinite(values[1]):
+            values[1], fit["reason"] = np.nan, Reason.NO_SLOPE
+    errors[np.isnan(values)] = np.nan
+    for name, scale, value, error in zip(COEFFICIENTS, (unit, 1.0, 1.0), values, errors, strict=True):
+        fit |= {name: scale * value, f"{name}_stderr": scale * error}
+    y = rate / unit
+    squares, about_mean = float(np.sum(minimum.residual**2)), float(np.sum((y - y.mean()) ** 2))
+    varies = about_mean > rate.size * LEAST_SPREAD**2
+    return fit | {
+        "r_squared": 1 - squares / about_mean if varies else np.nan,
+        "r_squared_reason": Reason.IDENTIFIED if varies else Reason.CONSTANT_RATES,
+        "aic": rate.size * (np.log(max(squares / rate.size, _EPSILON**2)) + 2 * np.log(unit)) + 2 * size,
+        "degrees_of_freedom": int(minimum.active.sum()) - size,
+    }
