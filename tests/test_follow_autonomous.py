@@ -205,10 +205,7 @@ def gear():
         parameters={"om": 1.5, "fa": 0.2},
         field=lambda t, y, p, s: {
             "x": y["v"],
-            "v": 0.2
-            + p["fa"] * E.cos(p["om"] * t)
-            - 0.1 * y["v"]
-            - 0.5 * (s["right"] + 1) * (y["x"] - 1),
+            "v": 0.2 + p["fa"] * E.cos(p["om"] * t) - 0.1 * y["v"] - 0.5 * (s["right"] + 1) * (y["x"] - 1),
         },
         period=lambda p: 2 * np.pi / p["om"],
         events=[vj.Switch("right", lambda t, y, p: y["x"] - 1)],
@@ -218,7 +215,15 @@ def gear():
 def test_points_bear_the_names_of_switches():
     """Teeth of a gear touch on one side, and part: nothing sticks."""
     family = vj.follow(
-        gear(), along="om", at=1.43, span=(1.4, 1.44), start=[1.2, 0.0], settle=150.0, observe=30.0, cycles=1, progress=False
+        gear(),
+        along="om",
+        at=1.43,
+        span=(1.4, 1.44),
+        start=[1.2, 0.0],
+        settle=150.0,
+        observe=30.0,
+        cycles=1,
+        progress=False,
     )
     assert kinds(family) == {"right", "end"}
     assert family.special_kind.attrs["flag_values"].dtype == family.special_kind.dtype  # CF: flags
