@@ -55,17 +55,19 @@ jaxtyping.jaxtyped = checked  # the import hook writes this decorator into the m
 from vibrojax.compile import native, trust  # noqa: E402
 
 LONGEST = (
-    "test_follow_autonomous.py",
     "test_systems_events.py",
-    "test_trust.py",
-    "test_orbits_elsewhere.py",
+    "test_follow_autonomous.py",
+    "test_follow.py",
     "test_systems.py",
-    "test_follow_shrinking.py",
+    "test_hard_faults.py",
     "test_calibration.py",
-    "test_attractors.py",
-    "test_hostile.py",
-    "test_guide.py",
+    "test_curves.py",
     "test_borders.py",
+    "test_kernel.py",
+    "test_follow_shrinking.py",
+    "test_chaos.py",
+    "test_trust.py",
+    "test_hostile.py",
 )
 """Slowest files. They start first, so that no process is left alone with one of them at the end."""
 
@@ -98,7 +100,7 @@ def pytest_runtest_setup(item):
     """
     compared = item.path.name in COMPARED or item.get_closest_marker("compared")
     trust.OWN_PACKAGES = OWN_PACKAGES if compared else OWN_PACKAGES + TEST_MODULES
-    of_kernels = compared or item.path.parent.name == "kernels"
+    of_kernels = item.path.name == "test_trust.py" or item.path.parent.name == "kernels"
     native.CODE_LEVEL = 2 if of_kernels else item.config.getoption("--code-level")
 
 

@@ -34,7 +34,11 @@ def sweep(scene="vibro-impact", lanes=LANES, **run):
 
 @pytest.mark.parametrize(
     "scene, precision, lanes",
-    [("vibro-impact", "float64", LANES), ("vibro-impact", "float32", LANES), ("coupled-drilling", "float64", 128)],
+    [
+        ("vibro-impact", "float64", LANES),
+        ("vibro-impact", "float32", LANES),
+        pytest.param("coupled-drilling", "float64", 128, marks=pytest.mark.long),
+    ],
 )
 def test_labels_and_values_match_full_run(scene, precision, lanes):
     """Labels, counts and settling times agree, values within the accepted error. Lanes that end early save steps."""

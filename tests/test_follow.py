@@ -220,7 +220,12 @@ def random_lines(seed, count):
         yield fixed, along, begin, wide[along]
 
 
-@pytest.mark.parametrize("line", list(random_lines(11, 5)), ids=lambda line: line[1])
+LINES = [
+    pytest.param(line, marks=[pytest.mark.long] * (k > 1), id=line[1]) for k, line in enumerate(random_lines(11, 5))
+]
+
+
+@pytest.mark.parametrize("line", LINES)
 def test_lanes_near_orbits_stay_only_if_orbits_are_stable(line):
     """The sweeps along random lines know nothing of multipliers or special points."""
     fixed, along, begin, span = line

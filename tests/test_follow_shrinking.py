@@ -115,6 +115,7 @@ def test_small_forced_motion_goes_on():
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
 
 
+@pytest.mark.long
 def test_hopf_points_of_a_system_without_events_are_continued():
     """The Brusselator's Hopf points are at B = 1 + A²."""
     family = follow(BRUSSELATOR, along="B", at=2.5, span=(1.5, 3.0), start=[0.3, 0.0], A=1.0)
