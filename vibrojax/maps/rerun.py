@@ -139,11 +139,7 @@ def _lanes_of_dataset(dataset: xr.Dataset, orbits: bool) -> tuple[Sweep, bool]:
         tables = tomllib.loads(str(dataset.attrs["sweep"]))
     except (KeyError, ValueError, RecursionError):
         kind = kind_of(dataset)
-        why = (
-            f"its kind is {kind}"
-            if kind and kind != "sweep"
-            else 'it has no attribute sweep; combine_attrs="override" keeps that of joined datasets'
-        )
+        why = f"its kind is {kind}" if kind and kind != "sweep" else _NO_SWEEP
         raise InputError(f"not the dataset of a sweep ({why}); give one, or a sweep") from None
     before = dict(table_of(dataset, IDENTITY))
     for name in ("attractors", "borders", "sensitivity"):  # these entries belong to derived results, not to the sweep

@@ -14,7 +14,7 @@ from typing import Any
 
 FAR_FACTOR = 4.0
 """Ratio to the usual values beyond which a value counts as far from them. Mistaken units differ by a greater ratio,
-mostly a thousand; a bit of 20 kg, a fifth of the lightest, is told as well."""
+mostly a thousand; a bit of 20 kg, a fifth of the lightest, is reported as well."""
 
 
 @dataclass(frozen=True)
