@@ -67,17 +67,13 @@ def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: A
     random = np.random.default_rng(0)
     changes = [np.zeros(value.shape) for _, value in by_kernel]
     for zeros, copies in ((False, PERTURBED_COPIES), (True, COPIES_WITH_ZEROS)):
-        perturbed = jax.tree.map(
-            lambda x, zeros=zeros, copies=copies: _perturb(np.tile(x, copies) if np.ndim(x) else x, random, zeros),
-            arguments,
-        )
+        tiled = jax.tree.map(lambda x, copies=copies: np.tile(x, copies) if np.ndim(x) else x, arguments)
+        perturbed = jax.tree.map(lambda x, zeros=zeros: _perturb(x, random, zeros), tiled)
         results = jax.tree.leaves(kernel(*perturbed))
         for k, ((path, value), result) in enumerate(zip(by_kernel, results, strict=True)):
             # At a zero, a derivative is that of one side.
             if not zeros or DERIVATIVE not in jax.tree_util.keystr(path):
-                each = result if result.shape == value.shape else result.reshape(*value.shape[:-1], copies, LANES)
-                change = _distance(value, result) if each is result else _distance(value[..., None, :], each).max(-2)
-                changes[k] = np.asarray(np.maximum(changes[k], change))
+                changes[k] = np.asarray(np.maximum(changes[k], _greatest_distance(value, result, copies)))
     traced = trace(function, *arguments).jaxpr
     variables = traced.jaxpr.invars
     leaves = [np.asarray(x, var.aval.dtype) for x, var in zip(jax.tree.leaves(arguments), variables, strict=True)]
@@ -88,6 +84,14 @@ def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: A
         if relative > 0:
             return Difference(jax.tree_util.keystr(path).strip("."), relative)
     return None
+
+
+def _greatest_distance(value: np.ndarray, result: np.ndarray, copies: int) -> np.ndarray:
+    """Return the greatest |result - value| in copies of the lanes, which follow one another in `result`."""
+    if result.shape == value.shape:  # the same for all lanes
+        return _distance(value, result)
+    each = result.reshape(*value.shape[:-1], copies, value.shape[-1])
+    return np.asarray(_distance(value[..., None, :], each).max(axis=-2))
 
 
 def _perturb(x: Any, random: np.random.Generator, zeros: bool) -> Any:
