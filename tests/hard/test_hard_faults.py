@@ -9,16 +9,15 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+from commands import ROOT, end_of, start, wait_for
 
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.writers import write_dataset
 
-ROOT = Path(__file__).parents[2]
 CHUNKS = 12
 SWEEP = f"""
 scene = "penetration"
@@ -34,30 +33,11 @@ step = 1e-4
 
 
 def start_command(folder, *arguments, before="", **environment) -> subprocess.Popen:
-    """Start `vibrojax ARGUMENTS` in `folder`, in a process of its own that first runs the program `before`.
-
-    `before` does not run as a `preexec_fn`: that would run in a fork of this process, which has threads of jax.
-    """
-    first = "import os, signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    then = "os.execv(sys.executable, [sys.executable, '-m', 'vibrojax', *sys.argv[1:]])"
-    return subprocess.Popen(
-        [sys.executable, "-c", "\n".join([first, before, then]), *arguments],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
-def wait_for_end(process) -> tuple[int, str]:
-    """Return the status and the text on stderr."""
-    _, errors = process.communicate(timeout=120)
-    return process.returncode, errors
+    return start(*arguments, before=before, environment=environment, cwd=folder)
 
 
 def run(folder, *arguments, **options) -> tuple[int, str]:
-    return wait_for_end(start_command(folder, *arguments, **options))
+    return end_of(start_command(folder, *arguments, **options))
 
 
 def one_line(text: str) -> str:
@@ -67,15 +47,6 @@ def one_line(text: str) -> str:
 
 def chunks(folder) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in (folder / "map.nc.chunks").glob("*.zip")}
-
-
-def wait_for(condition, process) -> None:
-    for _ in range(12000):
-        if condition():
-            return
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.01)
-    raise AssertionError("it never came to that")
 
 
 @pytest.fixture
@@ -176,7 +147,7 @@ def test_chunks_closed_deleted_truncated_and_flipped(folder, whole):
     wait_for(lambda: len(chunks(folder)) >= 3, process)
     closed = folder / "map.nc.chunks"
     closed.chmod(0o555)
-    status, errors = wait_for_end(process)
+    status, errors = end_of(process)
     closed.chmod(0o755)
     assert status == 1 and "Permission denied; finished chunks are kept; to go on" in one_line(errors)
     paths = sorted(closed.glob("*.zip"))
@@ -196,7 +167,7 @@ def test_chunks_closed_deleted_truncated_and_flipped(folder, whole):
 def test_two_processes_on_one_output(folder, whole):
     """One process computes and the other is refused; both never compute at once. Fresh processes give the same bits."""
     processes = [start_command(folder, "sweep", "map.toml", "--quiet") for _ in range(2)]
-    results = sorted(wait_for_end(process) for process in processes)
+    results = sorted(end_of(process) for process in processes)
     assert results[0] == (0, "")
     status, errors = results[1]
     if status:  # otherwise it came after the other one had ended
@@ -220,7 +191,7 @@ def test_ctrl_c_is_answered_at_once(folder, whole, sent, status, word):
     wait_for(lambda: chunks(folder), process)
     began = time.monotonic()
     process.send_signal(sent)
-    ended, errors = wait_for_end(process)
+    ended, errors = end_of(process)
     took = time.monotonic() - began
     assert ended == status and word in one_line(errors) and "to go on: vibrojax sweep map.toml" in errors
     began = time.monotonic()

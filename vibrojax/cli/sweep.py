@@ -1,6 +1,5 @@
 """The command `sweep`, and the executors that `--workers` names."""
 
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -72,9 +71,7 @@ def sweep(options: Options) -> None:
         again += ["--workers", options.workers] if options.workers else []
         options.advise("finished chunks are kept; to go on", "sweep", options.sweep, *again)
         with engine(out) as executor:
-            # Stepping releases the interpreter lock.
-            threading.Thread(target=_prepare_output, daemon=True).start()
-            dataset = run_to_file(plan, out, resume=not options.fresh, progress=progress, executor=executor)
+            dataset = run_to_file(plan, out, not options.fresh, progress, executor, meanwhile=_prepare_output)
         yield dataset
 
     each = "a point from one start each" if plan.starts is not None else "a point each"
@@ -90,7 +87,10 @@ def sweep(options: Options) -> None:
 
 
 def _prepare_output() -> None:
-    """Import what writing and drawing need, including what xarray and matplotlib import or read at their first use."""
+    """Import what writing and drawing need, including what xarray and matplotlib import or read at their first use.
+
+    This runs while lanes are stepped, which releases the interpreter lock.
+    """
     from io import BytesIO
 
     import xarray as xr

@@ -71,13 +71,16 @@ def compute(
     indices: Sequence[int],
     report: Report = unreported,
     executor: Executor | None = None,
+    compiled: Callable[[], object] = lambda: None,
 ) -> Iterator[tuple[int, Features]]:
     """Compute chunks, and yield (index, arrays to store) as soon as each is finished, in any order.
 
     Each of as many threads as there are cores computes a chunk of its own. `report` is called with the number of lanes
     finished since its last call. `executor`: see `run_sweep`; this process computes what the executor fails to deliver.
+    `compiled` is called once before lanes are stepped, when all modules that this takes are imported.
     """
     if executor is not None:
+        compiled()
         indices = yield from _by_executor(sweep, executor, indices, report)
     if not indices:
         return
@@ -86,6 +89,8 @@ def compute(
     at_once = min(cores, len(indices))  # these chunks share the cores
     with quiet():
         run.compile(parts[0]())
+        if executor is None:
+            compiled()
         for place, result in by_drivers(partial(run.chunk, report=report), parts, cores):
             yield indices[place], stored(result, result.seconds / at_once)
 

@@ -5,6 +5,7 @@ programs, which step the scene and measure its motion inside the time loop. `map
 chunks. `io` writes the dataset completely or not at all, and `maps.store` keeps the finished chunks until then.
 """
 
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -81,12 +82,13 @@ def run_to_file(
     resume: bool = True,
     progress: bool = True,
     executor: Executor | None = None,
+    meanwhile: Callable[[], object] = lambda: None,
 ) -> xr.Dataset:
     """Run a sweep and write its dataset to the file `out`, netCDF or Zarr.
 
     Finished chunks are kept next to `out` until the dataset is complete. With `resume`, existing chunks are continued;
     otherwise the run starts over and replaces `out`, whatever result of the package it holds. `executor`: see
-    `run_sweep`.
+    `run_sweep`. `meanwhile` is called in a thread of its own while lanes are stepped.
 
     **Returns:** the dataset that was written.
 
@@ -98,7 +100,7 @@ def run_to_file(
     check_ours(out)
     check_size(sweep, out, to_file=True)
     with (
-        _computed(sweep, out, resume, progress, executor) as write,
+        _computed(sweep, out, resume, progress, executor, meanwhile) as write,
         timed("write"),
         file_target(out) as target,
     ):
@@ -129,6 +131,7 @@ def _computed(
     resume: bool,
     progress: bool,
     executor: Executor | None = None,
+    meanwhile: Callable[[], object] = lambda: None,
 ) -> Iterator[Callable[[Target], None]]:
     """Compute the missing chunks next to `out`, and yield a function that writes the dataset to a target.
 
@@ -136,6 +139,7 @@ def _computed(
     """
     began = time.monotonic()
     run = lane_run(sweep.inputs(0, 1), sweep.plan)
+    aside = threading.Thread(target=meanwhile, daemon=True)
     manifest = sweep.identity() | provenance() | {"chunk size": sweep.plan.chunk}
     with open_store(out.with_name(out.name + CHUNKS), manifest, resume) as store:
         with Progress(sweep.lanes, "lanes", progress) as bar:
@@ -143,7 +147,7 @@ def _computed(
             bar.resume(sum(end - first for first, end in map(sweep.chunk, finished)))
             missing = sorted(set(range(sweep.chunks)) - finished)
             with timed("compile and step"):
-                for index, arrays in compute(sweep, run, missing, bar.add, executor):
+                for index, arrays in compute(sweep, run, missing, bar.add, executor, aside.start):
                     store.write(index, arrays)
 
         def read(index: int) -> Features:
