@@ -106,9 +106,7 @@ def test_dry_run_only_prints_estimate(here, capsys):
         (["sweep", "map.toml", "-o", "no/map.nc"], '-o: "no/map.nc": "no" does not exist; give a file in a folder'),
         (["sweep", "map.toml", "-o", "taken.nc"], '-o: "taken.png" is a folder'),
         (["simulate", "rotary", "delta=1"], 'simulate: delta: scene "rotary" has no delta; it has m1'),
-        (["simulate", "rotary", "bta=1"], 'simulate: bta: scene "rotary" has no such parameter; did you mean "beta"?'),
         (["simulate", "rotary", "beta=1", "beta=2"], 'simulate: beta: "2" is a second value'),
-        (["simulate", "rotary", "beta=0"], "simulate: beta: is 0; it must be above 0"),
         (["simulate", "rotary", "beta=0,4"], 'simulate: beta: "0,4" is text; write 0.4, with a point'),
         (["simulate"], "simulate: the following arguments are required: SCENE; see vibrojax simulate --help"),
         (["simulate", "rotary", "start=[0,0"], 'simulate: start: "[0,0" is not a vector'),
@@ -182,9 +180,8 @@ def test_info_reports_uncertain_lanes():
     assert "1 of 6 regimes differ at the check run's coarser resolution" in text
 
 
-@pytest.mark.parametrize("dropped", ["regime"])
-def test_info_accepts_missing_variables(dropped):
-    dataset = labelled().drop_vars(dropped)
+def test_info_accepts_missing_variables():
+    dataset = labelled().drop_vars("regime")
     dataset.attrs = {}
     assert summary_lines(summarise(dataset))
     assert summary_lines(summarise(xr.Dataset({"x1": ("time", [0.0, 1.0])}, coords={"time": [0.0, 1.0]})))

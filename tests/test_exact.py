@@ -1,17 +1,15 @@
 """Tests of the exact reference (tests/exact) by itself, and of the package against it."""
 
 import json
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from exact import friction, measure, run
+from exact import measure, run
 from exact.check import deviations, found_for
 from exact.measures import label, total
 from exact.parameters import parameters
 from exact.polynomials import COEFFICIENTS, X, falls
-from scipy.integrate import solve_ivp
 
 import vibrojax as vj
 
@@ -68,29 +66,6 @@ def test_hard_cases(index):
     assert max(deviations(case["expected"], measured).values()) < HARD_BOUND
 
 
-@pytest.mark.parametrize("law", friction.LAWS)
-def test_slips_match_runge_kutta(law):
-    """DOP853 reproduces every forward slip between two switches, from equations written out here."""
-    motion = run("vibro-impact", gamma=0.6, v=0.8, friction=law, start="stuck", observe=0.6)
-    p = motion.scene.p
-
-    def rates(t, y, touching):
-        x1, v1, x2, v2 = y
-        J = touching * (p.k0 * (x2 - p.delta) + p.c0 * v2)
-        pull = p.k1 * x1 + p.k2 * (x1 - x2)
-        F = friction.force(max(v1 + p.v, 0.0), J, p)
-        return [v1, (-pull - F) / p.m1, v2, (-p.c2 * v2 + p.k2 * (x1 - x2) - J) / p.m2]
-
-    slips = 0
-    for first, last in pairwise(motion.events):
-        if first.after.bit == 1 and last.time - first.time > 1e-6:
-            settings = {"rtol": 1e-12, "atol": 1e-14, "max_step": 1e-3, "args": (first.after.striker == "touching",)}
-            again = solve_ivp(rates, (first.time, last.time), first.state[:4], "DOP853", **settings)
-            np.testing.assert_allclose(again.y[:, -1], last.state[:4], rtol=1e-11, atol=1e-11)
-            slips += 1
-    assert slips >= 4
-
-
 @pytest.mark.parametrize("scene", DRILLS)
 def test_energy_ledger(scene):
     """F v = F u + c2 x2'^2 + J x2' + change of energy; on the rock J x3' = N x3' + c3 x3'^2 + change of energy."""
@@ -133,28 +108,6 @@ def test_coupled_drilling_on_rigid_rock_is_vibro_impact():
         errors.append(np.abs(on_rock.column("x2", times) - rigid.column("x2", times)).max())
     assert errors[0] < 1e-3
     assert errors[1] < 0.4 * errors[0]  # c3 falls only with the root of k3
-
-
-class RecordedImpacts:
-    """The impact force of a drilling motion as a prescribed force."""
-
-    def __init__(self, motion):
-        self.motion, self.ends = motion, np.array([piece.end for piece in motion.pieces])
-
-    def since(self, t):
-        piece = self.motion.pieces[min(np.searchsorted(self.ends, t, side="right"), len(self.ends) - 1)]
-        J = self.motion.scene.J(piece.phase)
-        return lambda times: piece.states(times) @ J, piece.end if t < piece.end else np.inf
-
-
-def test_drilling_is_penetration_driven_by_its_impacts():
-    drilling = run("drilling", **DRILLS["drilling"], observe=1.0)
-    rock = {name: getattr(drilling.scene.p, name) for name in ("threshold", "k3", "zeta")}
-    driven = run("penetration", **rock, pulses=RecordedImpacts(drilling), observe=1.0)
-    times = np.linspace(0.0, 1.0, 500)
-    assert drilling.column("x4", times)[-1] > 1e-3
-    for name in ("x3", "x4"):
-        np.testing.assert_allclose(driven.column(name, times), drilling.column(name, times), rtol=0, atol=1e-14)
 
 
 def test_falls_finds_every_downward_crossing():

@@ -62,7 +62,7 @@ def return_map(parameters, section):
     return motion.at(sections(motion)[:1])[0][[0, 2, 3]]
 
 
-@pytest.mark.parametrize("gamma", [0.33, 0.37, 1.5])
+@pytest.mark.parametrize("gamma", [0.33, 1.5])
 def test_unstable_orbits_match_exact_motion(family, gamma):
     branch = branch_of(family, 0)
     point = branch.isel(point=np.abs(branch.gamma.values - gamma).argmin())
@@ -107,7 +107,6 @@ def eigenvalue(gamma, beta, v, m1=250.0, k1=156250.0, c2=250.0, g=9.81, mu=0.4, 
     ("along", "at", "span", "fixed"),
     [
         ("gamma", 0.90, (0.89, 1.0), {"beta": 0.4, "v": 1.5}),
-        ("gamma", 0.81, (0.80, 1.0), {"beta": 0.4, "v": 2.0}),
         ("beta", 0.45, (0.2, 0.5), {"gamma": 0.9, "v": 1.5}),  # in the negative direction
     ],
 )
@@ -178,20 +177,11 @@ def test_stick_points_of_family(family):
     assert len(specials(family, "stick")) == 10
 
 
+@pytest.mark.long
 def test_family_does_not_depend_on_initial_value(family):
     other = follow_drill(along="gamma", at=0.68, span=(0.3, 1.6), start="stuck", beta=0.4, cycles=1)
     for kind in ("period-doubling", "stick"):
         np.testing.assert_allclose(specials(other, kind), specials(family, kind), atol=1e-9)
-
-
-def test_several_families_equal_single_ones():
-    families = follow_drill(along="gamma", at=0.72, span=(0.6, 0.8), start="stuck", beta=[0.35, 0.5], cycles=1)
-    assert families.beta.dims == ("family",)
-    for number, beta in enumerate((0.35, 0.5)):
-        single = follow_drill(along="gamma", at=0.72, span=(0.6, 0.8), start="stuck", beta=beta, cycles=1)
-        part = families.isel(special=families.special_family.values == number)
-        np.testing.assert_array_equal(part.special_kind, single.special_kind)
-        np.testing.assert_allclose(part.special_value, single.special_value, atol=1e-9)
 
 
 @pytest.mark.long
@@ -221,7 +211,7 @@ def random_lines(seed, count):
 
 
 LINES = [
-    pytest.param(line, marks=[pytest.mark.long] * (k > 1), id=line[1]) for k, line in enumerate(random_lines(11, 5))
+    pytest.param(line, marks=[pytest.mark.long] * (k > 0), id=line[1]) for k, line in enumerate(random_lines(11, 5))
 ]
 
 
@@ -251,19 +241,10 @@ def test_lanes_near_orbits_stay_only_if_orbits_are_stable(line):
 
 @pytest.mark.parametrize(
     ("more", "says"),
-    [
-        ({"gamma": 0.7}, "gamma"),
-        ({"at": 2.0}, "not between"),
-        ({"along": "gama"}, "gamma"),
-        ({"span": (0.5, 0.5)}, "same"),
-        ({"span": 0.5}, "span"),
-        ({"cycles": 9}, "cycles"),
-        ({"beta": [0.4, 0.5], "v": [1.0]}, "different lengths"),
-        ({"beta": []}, "empty"),
-        ({"beta": 0.3, "at": 0.3}, "irregular"),
-    ],
+    [({"span": 0.5}, "span"), ({"beta": []}, "empty"), ({"beta": 0.3, "at": 0.3}, "irregular")],
 )
 def test_wrong_input_is_refused(more, says):
+    """The command (`test_follow_cli.py`) refuses the rest."""
     with pytest.raises(InputError, match=says) as error:
         follow_drill(**({"along": "gamma", "at": 0.75, "span": (0.3, 1.6)} | more))
     assert "\n" not in str(error.value)

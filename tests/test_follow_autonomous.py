@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from systems import mass
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -18,30 +19,6 @@ def points(family, kind):
 
 def kinds(family):
     return set(np.array(family.special_kind.attrs["flag_meanings"].split())[family.special_kind.values])
-
-
-@pytest.mark.long
-def test_circles_cross_at_a_branch_point():
-    """Two limit cycles, the circles r = a and r = 2 with the period 1, cross at a = 2."""
-
-    def field(t, y, p):
-        square = y["x"] ** 2 + y["y"] ** 2
-        pull = square - (p["a"] + 2.0) * E.sqrt(square) + 2.0 * p["a"]
-        return {"x": -y["x"] * pull - 2 * np.pi * y["y"], "y": -y["y"] * pull + 2 * np.pi * y["x"]}
-
-    circles = vj.System("circles", states={"x": "1", "y": "1"}, parameters={"a": 1.0}, field=field, section="y")
-    family = vj.follow(
-        circles, along="a", at=1.0, span=(0.5, 3.0), start=[2.1, 0.0], settle=50.0, observe=15.0, cycles=1,
-        progress=False,
-    )  # fmt: skip
-    assert kinds(family) == {"branch-point", "end"}
-    assert points(family, "branch-point") == [(0, pytest.approx(2.0, abs=1e-9))]
-    for branch in (0, 1):
-        own = family.branch.values == branch
-        radius = np.abs(family.orbit_x.values[own])
-        circle = 2.0 if np.ptp(radius) < 1e-6 else family.a.values[own]
-        assert radius == pytest.approx(circle, abs=1e-8)
-        assert family.period.values[own] == pytest.approx(1.0, abs=1e-9)
 
 
 @pytest.mark.long
@@ -105,13 +82,12 @@ def test_equilibria_have_hopf_and_branch_points(standing):
     assert standing.eigenvalue_re.values == pytest.approx(expected, abs=1e-7)
     assert np.abs(standing.eigenvalue_im.values).max(axis=1) == pytest.approx(1.5, abs=1e-12)
     assert np.array_equal(standing.stable.values == 1, (expected < 0).all(axis=1))
+    with pytest.raises(vj.InputError, match="holds equilibria"):
+        vj.curves(standing, by="w", span=(1.0, 2.0), progress=False)
 
 
 def test_equilibria_turn_back_at_a_fold():
-    fold = vj.System(
-        "fold", states={"x": "1"}, parameters={"m": 1.0}, field=lambda t, y, p: {"x": p["m"] - y["x"] ** 2}, section="x"
-    )
-    family = vj.follow(fold, along="m", at=1.0, span=(-1.0, 2.0), start=[0.8], cycles=0, progress=False)
+    family = roots(1.0, (-1.0, 2.0), start=0.8, cm=1.0, c2=-1.0)
     assert kinds(family) == {"fold", "end"} and points(family, "fold") == [(0, pytest.approx(0.0, abs=1e-9))]
     assert family.orbit_x.values**2 == pytest.approx(family.m.values, abs=1e-9)
     assert family.eigenvalue_re.values[:, 0] == pytest.approx(-2 * family.orbit_x.values, abs=1e-8)
@@ -132,10 +108,9 @@ def test_unstable_orbits_begin_at_a_hopf_point(standing, tmp_path):
     assert family.multiplier_abs.values[away, 0] == pytest.approx(np.maximum(largest, across)[away], rel=1e-6)
 
 
-def test_command_follows_onset_of_self_excited_vibration(standing, tmp_path, monkeypatch):
+@pytest.mark.long
+def test_command_follows_onset_of_self_excited_vibration(tmp_path, monkeypatch):
     """Steady sliding of the bit loses its stability at a drive speed; from there, orbits grow until the bit sticks."""
-    with pytest.raises(vj.InputError, match="holds equilibria"):
-        vj.curves(standing, by="w", span=(1.0, 2.0), progress=False)
     monkeypatch.chdir(tmp_path)
     span = ["along=v", "at=3.0", "from=1.0", "to=3.2"]
     assert main(["follow", "rotary", *span, "cycles=0", "start=drive", "-o", "still.nc"]) == 0
@@ -160,24 +135,6 @@ def test_family_begins_at_a_given_orbit():
     assert {"hopf", "fold", "end"} == kinds(family)
     with pytest.raises(vj.InputError, match="no periodic orbit near these states"):
         vj.follow(SUBCRITICAL, orbit={"states": [0.0, 3.0, 1.0], "period": 1.0}, **settings)
-
-
-@pytest.mark.long
-def test_given_orbit_of_a_scene_with_events():
-    """An unstable orbit of a family begins the same family."""
-    point = {"along": "gamma", "span": (0.6, 1.3), "beta": 0.4, "delta": 0.005, "cycles": 1, "progress": False}
-    family = vj.follow("vibro-impact", at=0.75, start="stuck", **point)
-    unstable = np.flatnonzero(family.stable.values == 0)
-    orbit = family.isel(point=int(unstable[np.abs(family.gamma.values[unstable] - 0.95).argmin()]))
-    states = [float(orbit.orbit_x1), 0.0, float(orbit.orbit_x2), float(orbit.orbit_v2)]
-    begun = vj.follow(
-        "vibro-impact", at=float(orbit.gamma), orbit={"states": states, "period": float(orbit.period)}, **point
-    )
-    assert np.abs(begun.gamma.values - float(orbit.gamma)).min() < 1e-12
-    assert kinds(begun) == kinds(family)
-    for kind in ("stick", "fold"):
-        expected = sorted(value for _, value in points(family, kind))
-        assert sorted(value for _, value in points(begun, kind)) == pytest.approx(expected, abs=1e-8)
 
 
 def test_forced_branches_cross():
@@ -212,6 +169,7 @@ def gear():
     )
 
 
+@pytest.mark.long
 def test_points_bear_the_names_of_switches():
     """Teeth of a gear touch on one side, and part: nothing sticks."""
     family = vj.follow(
@@ -226,13 +184,13 @@ def test_points_bear_the_names_of_switches():
         progress=False,
     )
     assert kinds(family) == {"right", "end"}
-    assert family.special_kind.attrs["flag_values"].dtype == family.special_kind.dtype  # CF: flags
     linear = 1.2 - 0.2 / np.hypot(1 - 1.41067**2, 0.141067)  # the teeth just part at the amplitude 0.2
     assert points(family, "right") == [(0, pytest.approx(1.41067, abs=1e-5))] and linear == pytest.approx(1.0, abs=1e-5)
-    assert vj.picture(family) is not None
+
+
+def test_switch_with_the_name_of_a_special_point_is_refused():
     with pytest.raises(vj.InputError, match="that is a kind of special points"):
-        vj.System("s", states={"x": "1"}, parameters={"a": 1.0}, field=lambda t, y, p, s: {"x": y["x"]}, section="x",
-                  events=[vj.Switch("fold", lambda t, y, p: y["x"])])  # fmt: skip
+        mass(lambda t, y, p, s: s["fold"], vj.Switch("fold", lambda t, y, p: y["x"]))
 
 
 @pytest.mark.long
@@ -274,6 +232,24 @@ def test_wrong_beginnings_are_refused(more, words):
         vj.follow(SUBCRITICAL, **settings)
 
 
+POLYNOMIAL = vj.System(
+    "polynomial",
+    states={"x": "m"},
+    parameters={"m": 0.0, "c0": 0.0, "cm": 0.0, "c1": 0.0, "c1m": 0.0, "c2": 0.0, "c3": 0.0},
+    field=lambda t, y, p: {
+        "x": p["c0"] + p["cm"] * p["m"] + (p["c1"] + p["c1m"] * p["m"] + (p["c2"] + p["c3"] * y["x"]) * y["x"]) * y["x"]
+    },
+    section="x",
+)
+"""x' = c0 + cm m + (c1 + c1m m) x + c2 x² + c3 x³, for folds and pitchforks that share one kernel."""
+
+
+def roots(at, span, start=0.0, **coefficients):
+    """Return the equilibria of `POLYNOMIAL` along m."""
+    more = {"start": [start], "cycles": 0, "progress": False}
+    return vj.follow(POLYNOMIAL, along="m", at=at, span=span, **more, **coefficients)
+
+
 def rests(states, field, at, span, parameters=(), start=(), **more):
     """Return a system and its equilibria along m, from the one near `start`, by default 0."""
     start = list(start) or [0.0] * len(states)
@@ -286,7 +262,7 @@ def rests(states, field, at, span, parameters=(), start=(), **more):
 @pytest.mark.parametrize("cubic", [1e6, 1e-8])
 def test_equilibria_at_zero_show_their_scale_by_the_field(cubic):
     """The branches x² = m/cubic of a pitchfork are long and short, and both lead to the end."""
-    _, family = rests({"x": "m"}, lambda t, y, p: {"x": p["m"] * y["x"] - cubic * y["x"] ** 3}, -1.0, (-1.0, 1.0))
+    family = roots(-1.0, (-1.0, 1.0), c1m=1.0, c3=-cubic)
     assert points(family, "branch-point") == [(0, pytest.approx(0.0, abs=1e-9))]
     own = family.branch.values == 1
     assert family.m.values[own].max() == 1.0
@@ -294,7 +270,7 @@ def test_equilibria_at_zero_show_their_scale_by_the_field(cubic):
 
 
 def test_branches_that_nearly_meet_do_not_cross():
-    _, family = rests({"x": "1"}, lambda t, y, p: {"x": 1e-6 + p["m"] * y["x"] - y["x"] ** 3}, -1.0, (-1.0, 1.0))
+    family = roots(-1.0, (-1.0, 1.0), c0=1e-6, c1m=1.0, c3=-1.0)
     assert kinds(family) == {"end"} and family.stable.values.all()
     assert family.orbit_x.values.max() == pytest.approx(1.0, abs=1e-6)
 
@@ -337,36 +313,25 @@ def test_real_eigenvalues_of_opposite_sign_are_no_hopf_point():
     assert kinds(family) == {"end"}
 
 
-def test_equilibria_end_at_a_stop():
-    """A spring is loaded with m; at m = d it rests on the stop, and beyond that the field has no equilibrium."""
+def test_equilibria_meet_a_switch_and_end_at_a_stop():
+    """A spring under the load m stiffens at x = 0.3, a point that bears the name of the switch, and rests on the stop
+    at x = d from m = 2 d - 0.3 on: beyond that the field has no equilibrium."""
+    second = vj.Switch("second", lambda t, y, p: y["x"] - 0.3)
     stop = vj.Impact("stop", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: 0.7)
+
+    def field(t, y, p, s):
+        return {"x": y["v"], "v": p["m"] - y["x"] - 0.5 * (s["second"] + 1) * (y["x"] - 0.3) - 0.2 * y["v"]}
+
     system, family = rests(
-        {"x": "m", "v": "m s-1"}, lambda t, y, p: {"x": y["v"], "v": p["m"] - y["x"] - 0.2 * y["v"]}, 0.1, (0.0, 1.0),
-        {"d": 0.5}, events=[stop],
+        {"x": "m", "v": "m s-1"}, field, 0.1, (0.0, 1.0), {"d": 0.5}, events=[second, stop]
     )  # fmt: skip
-    assert family.m.values.max() == pytest.approx(0.5, abs=1e-8) and family.m.values.max() <= 0.5
+    assert points(family, "second") == [(0, pytest.approx(0.3, abs=1e-9))]
+    assert family.special_kind.attrs["flag_values"].dtype == family.special_kind.dtype  # CF: flags
+    assert family.m.values.max() == pytest.approx(0.7, abs=1e-8) and family.m.values.max() <= 0.7
     assert family.orbit_v.attrs == {"units": "m s-1", "long_name": "v, at the equilibrium"}
+    assert vj.picture(family) is not None
     with pytest.raises(vj.InputError, match="no isolated equilibrium"):
         vj.follow(system, along="m", at=0.8, span=(0.0, 1.0), start=[0.0, 0.0], cycles=0, progress=False)
-
-
-@pytest.mark.long
-def test_orbits_begin_at_the_hopf_points_of_mirrored_equilibria():
-    """Circles r² = m around both equilibria z² = 1 + m."""
-
-    def field(t, y, p):
-        growth = y["z"] ** 2 - 1 - y["x"] ** 2 - y["y"] ** 2
-        z = (p["m"] + 1) * y["z"] - y["z"] ** 3
-        return {"x": growth * y["x"] - y["y"], "y": growth * y["y"] + y["x"], "z": z}
-
-    system, family = rests(dict.fromkeys("xyz", "1"), field, -1.5, (-2.0, 1.0))
-    assert [value for _, value in points(family, "hopf")] == pytest.approx([0.0, 0.0], abs=1e-9)
-    assert family.special_note.values[family.special_value.values > 0.9].tolist() == ["the last value is reached"] * 3
-    circles = vj.follow(system, from_hopf=family, cycles=1, span=(-0.1, 0.5), progress=False)
-    last = circles.m.values == 0.5
-    assert sorted(circles.orbit_z.values[last]) == pytest.approx([-(1.5**0.5), 1.5**0.5], abs=1e-8)
-    with pytest.raises(vj.InputError, match="outside the span"):
-        vj.follow(system, from_hopf=family, span=(0.2, 0.5), progress=False)
 
 
 def test_equilibria_turn_back_at_a_kink():
@@ -387,7 +352,7 @@ def test_equilibria_end_at_the_edge_of_the_domain():
 
 
 def test_family_that_begins_at_a_bound_lists_it_once():
-    _, family = rests({"x": "1"}, lambda t, y, p: {"x": p["m"] - y["x"]}, 1.0, (-1.0, 1.0), start=[0.9])
+    family = roots(1.0, (-1.0, 1.0), start=0.9, cm=1.0, c1=-1.0)
     assert (family.m.values == 1.0).sum() == 1 and np.diff(family.m.values).min() > 0
     assert [value for _, value in points(family, "end")] == [-1.0, 1.0]
 
@@ -400,13 +365,8 @@ def test_double_zero_eigenvalue_is_a_fold():
 
 
 def test_families_without_an_equilibrium_do_not_stop_others():
-    """Of x' = m + a - x², only a = 1 has equilibria at m = 0."""
-    system = vj.System(
-        "several", states={"x": "1"}, parameters={"m": 0.0, "a": 1.0},
-        field=lambda t, y, p: {"x": p["m"] + p["a"] - y["x"] ** 2}, section="x",
-    )  # fmt: skip
-    settings = {"along": "m", "at": 0.0, "span": (-0.5, 1.0), "start": [0.9], "cycles": 0, "progress": False}
-    family = vj.follow(system, a=[-1.0, 1.0], **settings)
+    """Of x' = m + c0 - x², only c0 = 1 has equilibria at m = 0."""
+    family = roots(0.0, (-0.5, 1.0), start=0.9, cm=1.0, c2=-1.0, c0=[-1.0, 1.0])
     assert set(family.point_family.values.tolist()) == {1}
     with pytest.raises(vj.InputError, match="no isolated equilibrium"):
-        vj.follow(system, a=-1.0, **settings)
+        roots(0.0, (-0.5, 1.0), start=0.9, cm=1.0, c2=-1.0, c0=-1.0)

@@ -46,12 +46,6 @@ def test_page_shows_every_script_with_its_picture():
     assert len(re.findall(r'^    alt: "[^"]+"$', PAGE, re.MULTILINE)) == len(names)
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
-def test_script_is_short(script):
-    lines = script.read_text().splitlines()
-    assert len(lines) <= 15 and max(map(len, lines)) <= 120
-
-
 @pytest.mark.parametrize("script", RUN, ids=lambda script: script.stem)
 @pytest.mark.long
 def test_script_saves_one_picture(script, output):

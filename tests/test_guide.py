@@ -48,14 +48,6 @@ def test_first_map(tmp_path, monkeypatch, capsys):
     assert Path("map.html").read_text().startswith("<!doctype html>")
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_page_first_states_what_it_teaches(page):
-    text = re.sub(r"\A---\n.*?^---\n", "", (NOTEBOOKS / f"{page}.md").read_text(), flags=re.MULTILINE | re.DOTALL)
-    title, first, *_ = text.strip().split("\n\n")
-    assert title.startswith("# ") and "\n" not in title
-    assert first.startswith("After this page you ")
-
-
 @pytest.mark.parametrize("page", [page for page in PAGES if page != "large_sweeps"])
 def test_all_code_of_page_is_run(page):
     """Python is executed. Commands and files are run here, except the installation and a table of another project.

@@ -6,7 +6,6 @@ import vibrojax as vj
 from vibrojax.errors import InputError
 
 SPEEDS = "v (drive speed [m/s]), v_cr (Stribeck speed [m/s]) or rpm (rotation speed of the drive [1/min])"
-STIFFNESSES = "k1 (main spring stiffness [N/m]) or k0 (contact stiffness [N/m])"
 FREQUENCIES = (
     "bit_frequency (natural frequency of the bit alone [Hz]), striker_frequency (natural frequency of the striker "
     "alone [Hz]) or gamma (frequency ratio w2/w1)"

@@ -16,7 +16,7 @@ from vibrojax.maps.read import read_sweep
 
 CASES = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["orbits"]
 ORBITS = {"orbits": True}
-FOUND, NOT_REPEATING, NOT_CONVERGED, NEAR_GRAZING, ANOTHER, REFUSED = range(6)
+FOUND, NOT_REPEATING, REFUSED = 0, 1, 5
 MEASURED = {"impact_velocity": 1e-8, "stick_fraction": 1e-7, "reverse_fraction": 1e-8}
 SMALL = {"scene": "vibro-impact", "grid": {"beta": [0.3, 0.4, 0.5], "gamma": [0.7, 0.75]}}
 SOON = {"settle": 2.0, "observe": 0.5}
@@ -129,21 +129,6 @@ def test_irregular_and_failed_lanes_have_no_orbit():
     stiff = SMALL | {"parameters": {"k0": 1e30}, "run": ORBITS | SOON, "unusual": True}
     refused = vj.run_sweep(stiff, progress=False)
     assert (refused.status != 0).all() and (refused.orbit_reason == REFUSED).all() and (refused.stable == -1).all()
-
-
-def test_margin_is_bounded_by_slowest_impact(cases):
-    """An impact that just touches is a graze: its velocity, relative to a typical one, bounds the margin."""
-    sweep = read_sweep({"scene": "vibro-impact", "points": {"beta": [case["point"]["beta"] for case in CASES]}})
-    typical = []
-    for index in range(len(CASES)):
-        p = {name: float(parameter.default) for name, parameter in sweep.system.parameters().items()}
-        p |= {name: x for name, x in CASES[index]["point"].items() if name in p}
-        c = sweep.system.constants({name: np.array([x]) for name, x in p.items()})
-        rate = sweep.system.flight_rate(c)
-        typical.append(float((sweep.system.speed_scale(c) * c.drill.period * rate)[0]))
-    bound = cases.impact_velocity_min.values / np.array(typical)
-    assert (cases.grazing_margin.values <= bound * (1 + 1e-3)).all()
-    assert (cases.grazing_margin.values > 0).all()
 
 
 # Commands and files

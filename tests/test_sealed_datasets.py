@@ -139,20 +139,6 @@ def test_looping_file_leaves_no_lock(rates, tmp_path, monkeypatch):
     assert time.monotonic() - began < 20
 
 
-@pytest.mark.long
-def test_blocks_of_zeros_leave_no_lock(rates, tmp_path):
-    content, path = RATES.read_bytes(), tmp_path / "damaged.nc"
-    for size in (16, 64, 512):
-        for position in np.linspace(0, len(content) - size, 100).astype(int):
-            path.write_bytes(content[:position] + bytes(size) + content[position + size :])
-            try:
-                vj.open_dataset(path)
-            except vj.InputError as error:
-                assert "\n" not in str(error)
-    xr.testing.assert_identical(vj.open_dataset(RATES), rates)
-    vj.write_dataset(rates, tmp_path / "whole.nc")
-
-
 @pytest.mark.parametrize("kind", ["storage", "link", "virtual"])
 def test_other_files_are_not_read(kind, tmp_path, monkeypatch):
     """Values of `period` are those of `secret.bin` or `other.h5`; see `tests/data/README.md`."""

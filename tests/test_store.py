@@ -146,12 +146,11 @@ def test_changed_manifest_is_refused(store):
         assert opened.finished() == set()
 
 
-@pytest.mark.parametrize("damage", [b"{"])
-def test_chunks_are_checked_individually_without_valid_manifest(store, damage):
-    (store.folder / "manifest.json").write_bytes(damage)
+def test_chunks_are_checked_individually_without_valid_manifest(store):
+    (store.folder / "manifest.json").write_bytes(b"{")
     with reopen(store) as opened:
         assert opened.finished() == {0, 2}
-    (store.folder / "manifest.json").write_bytes(damage)
+    (store.folder / "manifest.json").write_bytes(b"{")
     with reopen(store, chunk=8) as opened:
         assert opened.finished() == set()
 

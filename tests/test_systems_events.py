@@ -22,41 +22,13 @@ WALL = vj.Impact("wall", gap=lambda t, y, p: 1.0 - y["x"], velocity="v", restitu
 RUB = vj.Friction("rub", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")
 
 
-JUMPS = {"velocity": {"velocity": "v", "restitution": 0.5}, "reset": {"reset": lambda t, y, p: {"v": -0.5 * y["v"]}}}
-
-
-@pytest.mark.parametrize("jump", JUMPS)
-def test_block_rebounds_against_friction(jump):
+def test_block_rebounds_against_friction():
     """It arrives with vi² = v0² - 2 mu L after (v0 - vi)/mu, and stops at L - (r vi)²/(2 mu) = 0.625."""
-    block = mass(lambda t, y, p: 0.0, vj.Impact("wall", gap=lambda t, y, p: 1.0 - y["x"], **JUMPS[jump]), RUB)
+    block = mass(lambda t, y, p: 0.0, WALL, RUB)
     motion, arrives = vj.simulate(block, start=[0.0, 1.0], duration=4.0, progress=False), 5 * (1 - np.sqrt(0.6))
     assert events_of(motion, "impact") == pytest.approx([arrives], abs=1e-8)
     assert events_of(motion, "stick") == pytest.approx([arrives + 2.5 * np.sqrt(0.6)], abs=1e-8)
     assert [float(motion.x[-1]), float(motion.v[-1])] == pytest.approx([0.625, 0.0], abs=1e-8)
-
-
-def test_switch_follows_velocity_through_impact():
-    turns = vj.Switch("dir", lambda t, y, p: y["v"])
-    block = mass(lambda t, y, p, s: -p["push"] * s["dir"], WALL, turns, parameters={"push": 0.2})
-    assert ends(block, [0.0, 1.0], 4.0) == pytest.approx([0.625, 0.0], abs=1e-8)
-    assert ends(block, [0.0, 1.0], 2.0, push=0.0) == pytest.approx([0.5, -0.5], abs=1e-8)
-
-
-@pytest.mark.long
-def test_shaken_block_with_stop_and_friction():
-    """By SciPy: the impact velocity of the periodic motion is 3.54601 m/s."""
-    block = mass(
-        lambda t, y, p: p["a"] * cos(2 * np.pi * t) - 10.0 * y["x"],
-        vj.Impact("stop", gap=lambda t, y, p: 0.05 - y["x"], velocity="v", restitution=0.7),
-        RUB,
-        parameters={"a": 3.0},
-    )
-    ds = vj.run_sweep(
-        {"scene": block, "starts": [[0.0, 0.0]], "grid": {"a": [3.0]}, "run": {"settle": 50.0, "observe": 20.0}},
-        progress=False,
-    )
-    assert float(ds.impact_velocity[0, 0]) == pytest.approx(3.54601, abs=1e-5) and int(ds.impacts[0, 0]) == 1
-    assert float(ds.error_estimate[0, 0]) < 1e-4
 
 
 def test_start_on_the_surface_of_a_reset():
@@ -119,7 +91,7 @@ RUBBED_BY_SURPLUS = vj.Friction(
     "rate, events, right",
     [
         pytest.param(lambda t: abs(cos(t)), [], 8.0, id="abs"),
-        pytest.param(lambda t: 0.2, [RUBBED_BY_SURPLUS], 0.7396757961189339, id="friction"),
+        pytest.param(lambda t: 0.2, [RUBBED_BY_SURPLUS], 0.7396757961189339, id="friction", marks=pytest.mark.long),
     ],
 )
 def test_kinks_are_located(rate, events, right):
@@ -233,27 +205,12 @@ def test_events_without_end_are_refused():
         vj.simulate(system, start=[0.0, 0.0], duration=3.0, progress=False)
 
 
-@pytest.mark.parametrize(
-    ("rate", "events", "message"),
-    [
-        # Each flight lasts half as long as the last one, from 2 s to the first bounce on: 2 + 2 + 1 + ... = 6 s.
-        (
-            lambda t, y, p: -p["g"],
-            [vj.Impact("floor", lambda t, y, p: y["x"], reset=lambda t, y, p: {"v": -0.5 * y["v"]})],
-            "at 6 s, events follow one another without end: floor; .* only stops with velocity=",
-        ),
-        # The speed at x = 0 is sqrt(0.4) after sqrt(10) s, and then halves in 3.75 s/m of it: 1.25^2 sqrt(10) + ... s.
-        (
-            lambda t, y, p, s: -p["g"] * s["pull"] - 0.3 * s["drag"],
-            [vj.Switch("pull", lambda t, y, p: y["x"]), vj.Switch("drag", lambda t, y, p: y["v"])],
-            "at 7.90569 s, events follow one another without end: pull; a reset must",
-        ),
-    ],
-)
-def test_accumulating_events_are_named(rate, events, message):
-    system = mass(rate, *events, parameters={"g": 0.5}, section="v")
-    with pytest.raises(vj.InputError, match=message):
-        vj.simulate(system, start=[1.0, 0.0], duration=20.0, progress=False)
+def test_accumulating_events_are_named():
+    """Each flight lasts half as long as the last one, from 2 s to the first bounce on: 2 + 2 + 1 + ... = 6 s."""
+    floor = vj.Impact("floor", lambda t, y, p: y["x"], reset=lambda t, y, p: {"v": -0.5 * y["v"]})
+    ball = mass(lambda t, y, p: -p["g"], floor, parameters={"g": 0.5}, section="v")
+    with pytest.raises(vj.InputError, match=r"at 6 s, .* without end: floor; .* only stops with velocity="):
+        vj.simulate(ball, start=[1.0, 0.0], duration=20.0, progress=False)
 
 
 def test_friction_holds_a_body_at_a_stop():
@@ -341,6 +298,7 @@ def test_rate_where_the_zero_state_has_no_derivative():
 # Systems that run
 
 
+@pytest.mark.long
 def test_integrate_and_fire():
     """One autonomous state: x' = I - x, fires at 1. The period is ln(I/(I - 1))."""
     neuron = vj.System(
@@ -461,27 +419,22 @@ def test_hysteresis_of_a_second_order_plant_by_directions():
 
 
 def test_argument_with_default_is_not_a_side():
-    systems = [
-        vj.System(
-            "loop",
-            states={"x": "m"},
-            parameters={"k": 1.0},
-            period=1.0,
-            field=lambda t, y, p, rate=rate: {"x": -rate * y["x"]},
-        )
-        for rate in (1.0, 2.0)
-    ]
-    assert [ends(system, [1.0], 1.0)[0] for system in systems] == pytest.approx(np.exp([-1.0, -2.0]), abs=1e-7)
+    loop = vj.System(
+        "loop",
+        states={"x": "m"},
+        parameters={"k": 1.0},
+        period=1.0,
+        field=lambda t, y, p, rate=2.0: {"x": -rate * y["x"]},
+    )
+    assert ends(loop, [1.0], 1.0) == pytest.approx([np.exp(-2.0)], abs=1e-7)
 
 
-@pytest.mark.compared
-def test_motion_that_begins_on_a_sliding_surface(recwarn):
-    """On x + y = 0, x decays as exp(-t). The kernel agrees with XLA: no warning."""
-    for x in (0.5, 0.3):
-        assert ends(RELAY, [x, -x], 2.0)[0] == pytest.approx(x * np.exp(-2.0), abs=1e-7)
-    assert not [warning for warning in recwarn if "kernel" in str(warning.message)]
+def test_motion_that_begins_on_a_sliding_surface():
+    """On x + y = 0, x decays as exp(-t)."""
+    assert ends(RELAY, [0.3, -0.3], 2.0)[0] == pytest.approx(0.3 * np.exp(-2.0), abs=1e-7)
 
 
+@pytest.mark.long
 @pytest.mark.compared
 def test_kernel_is_compared_with_xla_on_the_motion_asked_for(recwarn):
     """At zero, sliding balances the load: kernel and XLA differ by their rounding errors alone, and these decide.
@@ -518,7 +471,6 @@ def test_switch_on_the_first_state_of_a_system_without_section():
 
 
 CIRCLE = {"x": "1", "y": "1"}
-TURNS = {"straight": lambda t, y, p: y["y"] - p["k"] * y["x"], "hyperbola": lambda t, y, p: y["x"] * y["y"] - p["k"]}
 
 
 def circle(t, y, p):
@@ -527,20 +479,15 @@ def circle(t, y, p):
     return {"x": growth * y["x"] - 1.4 * y["y"], "y": 1.4 * y["x"] + growth * y["y"]}
 
 
-@pytest.mark.parametrize("turn", ["straight", pytest.param("hyperbola", marks=pytest.mark.long)])
-def test_section_is_a_function(turn):
-    """On a circle, y - k x rises through zero once a turn, and x y - k twice. One of the multipliers is zero."""
-    system = vj.System("circle", states=CIRCLE, parameters={"k": 0.3}, field=circle, section=TURNS[turn])
-    ds = vj.run_sweep(
-        {"scene": system, "starts": [[0.5, 0.0]], "grid": {"k": [0.3]}, "run": {"orbits": True}}, progress=False
-    )
-    returns = 1 if turn == "straight" else 2
-    assert int(ds.cycles[0, 0]) == returns and float(ds.error_estimate[0, 0]) < 1e-6
-    assert returns * float(ds.period[0, 0]) == pytest.approx(2 * np.pi / 1.4, rel=1e-8)
-    assert ds.multiplier_abs.values.ravel() == pytest.approx([np.exp(-4 * np.pi / 1.4), 0.0], abs=1e-9)
-    x, y = float(ds.orbit_x[0, 0]), float(ds.orbit_y[0, 0])
-    assert x * x + y * y == pytest.approx(1.0, abs=1e-9)
-    assert TURNS[turn](0.0, {"x": x, "y": y}, {"k": 0.3}) == pytest.approx(0.0, abs=1e-9)
+def test_section_is_a_function():
+    """On a circle, y - k x rises through zero once a turn. One of the multipliers is zero."""
+    section = lambda t, y, p: y["y"] - p["k"] * y["x"]  # noqa: E731
+    system = vj.System("circle", states=CIRCLE, parameters={"k": 0.3}, field=circle, section=section)
+    ds = vj.run_sweep({"scene": system, "starts": [[0.5, 0.0]], "run": {"orbits": True}}, progress=False).squeeze()
+    assert ds.cycles == 1 and ds.error_estimate < 1e-6
+    assert float(ds.period) == pytest.approx(2 * np.pi / 1.4, rel=1e-8)
+    assert ds.multiplier_abs.values == pytest.approx([np.exp(-4 * np.pi / 1.4), 0.0], abs=1e-9)
+    assert [float(ds.orbit_x), float(ds.orbit_y)] == pytest.approx(np.array([1.0, 0.3]) / np.hypot(1.0, 0.3), abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,6 @@ from vibrojax.scenes.penetration import PULSE_SHAPES
 from vibrojax.scenes.vibro_impact import VibroImpact
 
 STRIBECK = FRICTION_LAWS["stribeck"]
-ROTARY = vj.SCENES["rotary"]
 
 
 def forget():
@@ -108,21 +107,26 @@ def compare_kernel(scene, derives=False):
 
 
 def test_sweep_with_a_fault_runs_on_xla(translation_fault):
-    """The results are right, and one warning explains the change."""
-    grid = {"gamma": [0.65, 0.7]}
-    run = {"settle": 6.0, "observe": 6.0}
-    right = vj.run_sweep({"scene": "rotary", "grid": grid, "run": run}, progress=False)
+    """The results are right, and one warning explains the change: x' = cos(w t) - x swings by 1/sqrt(1 + w²)."""
+    lag = vj.System(
+        "lag",
+        states={"x": "1"},
+        parameters={"w": 1.0},
+        field=lambda t, y, p: {"x": vj.elementary.cos(p["w"] * t) - y["x"]},
+        period=lambda p: 2 * np.pi / p["w"] * (1 + zero_unless_faulty(p["w"])),
+    )
     with pytest.warns(KernelRefused) as caught:
-        own = vj.run_sweep({"scene": ROTARY(friction=WRONG), "grid": grid, "run": run}, progress=False)
+        ds = vj.run_sweep({"scene": lag, "grid": {"w": [1.0, 2.0]}}, progress=False)
     [line] = refusal_messages(caught)
-    assert line.startswith('scene "rotary": its kernel and XLA differ by ') and "\n" not in line
+    assert line.startswith('scene "lag": its kernel and XLA differ by ') and "\n" not in line
     assert line.endswith("; XLA runs its lanes, which takes longer")
-    assert [json.loads(ds.attrs["solver"])["compiler"] for ds in (own, right)] == ["xla", "llvm"]
-    np.testing.assert_array_equal(own.regime, right.regime)
-    np.testing.assert_allclose(own.bit_amplitude, right.bit_amplitude, rtol=1e-8)
+    assert json.loads(ds.attrs["solver"])["compiler"] == "xla"
+    np.testing.assert_allclose(ds.x_amplitude.values.ravel(), [0.5**0.5, 0.2**0.5], rtol=1e-6)
 
 
-@pytest.mark.parametrize("where", FAULTY)
+@pytest.mark.parametrize(
+    "where", ["guard", "gauge", *(pytest.param(name, marks=pytest.mark.long) for name in ("constants", "law"))]
+)
 def test_comparison_names_differing_quantity(where, translation_fault):
     scene, quantity = FAULTY[where]
     differs = compare_kernel(scene)
@@ -175,7 +179,7 @@ SOUND_SCENES = [
 ]
 
 
-IN_CI = ("coupled-drilling-stribeck", "penetration-rectangular")
+IN_CI = ("coupled-drilling-stribeck",)
 
 
 def scene_id(scene):

@@ -85,7 +85,6 @@ def traced():
     native.CODE_LEVEL = 0  # the traces are the same, and compile faster
     for scene, grid, seconds in (
         ("vibro-impact", {"v": [1.0, 1.5]}, 2.0),
-        ("penetration", {"force": [10e3, 300e3]}, 0.2),
         (oscillator(), {"omega": [1.8, 2.0]}, 9.0),
     ):
         vj.run_sweep({"scene": scene, "grid": grid, "run": {"settle": seconds, "observe": seconds}}, progress=False)

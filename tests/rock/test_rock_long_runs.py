@@ -46,7 +46,7 @@ def run_default_lane(name, began):
 def test_blows_repeat_exactly(name):
     """From the third blow on, each blow takes the same steps as the one before, to the last bit.
 
-    With the test above, all later blows do too. In float32 the slip agrees with float64 to 1e-6.
+    In float32 the slip agrees with float64 to 1e-6.
     """
     _, after, begins, _ = run_default_lane(name, 0.0)
     starts = np.flatnonzero(begins) + 1

@@ -104,6 +104,7 @@ def test_own_amplitude(stiff_string):
     assert 0 < stiff_string["string_amplitude"][0] < 4e-3 * stiff_string["bit_amplitude"][0]
 
 
+@pytest.mark.long
 def test_smoothed_stepper():
     features = run(DrillWithString(), Smoothed(), 0.03, m0=500.0, k4=4e6, delta=0.005)
     assert bool(features["finite"][0]) and bool(features["finished"][0])
