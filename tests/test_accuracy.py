@@ -5,7 +5,7 @@ import pytest
 
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.studies.accuracy import STATUSES, compared, pareto, run_accuracy, table
+from vibrojax.studies.accuracy import STATUSES, pareto, run_accuracy, table
 
 
 @pytest.fixture(scope="module")
@@ -66,16 +66,3 @@ def test_pareto_front():
     assert pareto(time, error).tolist() == [True, True, False, False, False, True, False, False]
     assert pareto([1.0, 1.0], [1.0, 1.0]).tolist() == [True, True]  # neither beats the other
     assert pareto([], []).size == 0
-
-
-def test_status_of_each_lane():
-    """Check lanes that match the reference, impact twice as often, have another period, diverge, or do not finish."""
-    reference = {"period": np.ones(5), "impact_velocity": np.ones(5), "impacts": np.ones(5), "cycles": np.ones(5)}
-    features = {name: x.copy() for name, x in reference.items()}
-    features["period"][0], features["period"][2], features["period"][3] = 1 + 1e-6, 2.0, np.nan
-    features["impacts"][1] = 2
-    features |= {"finite": np.arange(5) != 3, "finished": np.arange(5) != 4}
-    status, error = compared(features, reference)
-    np.testing.assert_allclose(error[0], 1e-6, rtol=1e-6)
-    expected = ["done", "other-regime", "other-regime", "not-finite", "out-of-steps"]
-    assert [[*STATUSES][number] for number in status] == expected

@@ -7,7 +7,6 @@ import vibrojax as vj
 from vibrojax.maps.dataset import SECONDS
 from vibrojax.maps.executor import compute
 from vibrojax.maps.read import read_sweep
-from vibrojax.periodic import lane_stages
 from vibrojax.periodic.lane_stages import lane_run
 
 BOX = {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
@@ -58,19 +57,3 @@ def test_shares_stay_when_tolerance_is_halved():
     moved = np.abs(coarse.share - finer.share)
     assert (moved <= np.maximum(coarse.share_stderr, 1 / 256)).all()
     assert ((coarse.share > 0.05) & (coarse.share < 0.95)).any()  # otherwise no share could change
-
-
-def test_thresholds_of_sharing():
-    def is_shared(count, **run):
-        spec = read_sweep(sweep(count, **run))
-        rule = lane_stages.stop_rule(spec.inputs(0, 1), spec.plan)
-        return rule and rule.shared
-
-    assert lane_stages.SHARING_MIN_STARTS == 16 and lane_stages.SHARING_MIN_SECONDS == 1.5e6
-    assert (
-        is_shared(lane_stages.SHARING_MIN_STARTS, orbits=True) is True
-        and is_shared(lane_stages.SHARING_MIN_STARTS) is None
-    )
-    assert is_shared(lane_stages.SHARING_MIN_STARTS - 1, orbits=True) is None
-    assert is_shared(4096, settle=100.0) is True
-    assert is_shared(4096, settle=100.0, method="smoothed") is None

@@ -46,14 +46,20 @@ SCENES = DRILLS | {"penetration": {"zeta": 0.5, "force": 250e3, "pulse_shape": "
 # The reference by itself
 
 
+CASES = {name: json.loads((DATA / f"{name}.json").read_text()) for name in ("vibro_impact_cases", "penetration_cases")}
+SOON = {"vibro_impact_cases": (10, 45), "penetration_cases": (2, 6, 11, 19)}
+
+
 @pytest.mark.parametrize(
     ("name", "index"),
-    [("vibro_impact_cases", 10), ("vibro_impact_cases", 45), ("penetration_cases", 2)]
-    + [("penetration_cases", 6), ("penetration_cases", 11), ("penetration_cases", 19)],
+    [
+        pytest.param(name, index, marks=[pytest.mark.long] * (index not in SOON[name]))
+        for name, cases in CASES.items()
+        for index in range(len(cases))
+    ],
 )
 def test_reference_cases(name, index):
-    """`tests/exact/check.py` runs all of them, and the hard ones."""
-    case = json.loads((DATA / f"{name}.json").read_text())[index]
+    case = CASES[name][index]
     for quantity, deviation in deviations(case["expected"], found_for(name, case)).items():
         assert deviation <= BOUNDS.get(quantity, 1e-5), quantity
 

@@ -28,12 +28,3 @@ def test_version_is_installed_version():
 def test_citation_has_same_version():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert f"\nversion: {project['version']}\n" in (ROOT / "CITATION.cff").read_text()
-
-
-def test_imports_are_lazy():
-    heavy = "{'jax', 'numpy', 'xarray', 'matplotlib', 'scipy', 'diffrax', 'tqdm', 'filelock'}"
-    code = (
-        f"import sys, vibrojax as vj; vj.__version__, dir(vj), vj.InputError; print(sorted({heavy} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert done.stdout == "[]\n", done.stdout + done.stderr

@@ -18,7 +18,7 @@ from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.return_map import Segments
 from vibrojax.scenes import SCENES
 
-BY = ("gamma", "v")
+BY = ("beta", "gamma")  # as `as_jax` below
 STEP = 1e-6
 MOTIONS = {  # by name: beta, gamma, v, delta, start, cycles
     "single impact": (0.4, 0.75, 1.5, 0.005, "stuck", 1),
@@ -32,7 +32,7 @@ MOTIONS = {  # by name: beta, gamma, v, delta, start, cycles
 def map_of_motions():
     """Return the sweep and sensitivities of the motions and of copies with a parameter changed: (change, motion)."""
     moves = [np.array([0.0, 0.0, 0.0, 0.0])]
-    moves += [sign * STEP * (np.arange(4) == 1 + place) for place in range(len(BY)) for sign in (1, -1)]
+    moves += [sign * STEP * (np.arange(4) == place) for place in range(len(BY)) for sign in (1, -1)]
     rows = [np.array(motion[:4]) * (1 + move) for move in moves for motion in MOTIONS.values()]
     points = dict(zip(("beta", "gamma", "v", "delta"), np.transpose(rows).tolist(), strict=True))
     points["start"] = [motion[4] for _ in moves for motion in MOTIONS.values()]
@@ -156,14 +156,16 @@ def impact_speed(**point):
 
 def test_own_system_agrees_with_closed_form():
     point, step = {"a": 1.0, "w": 0.9, "damping": 0.1, "stop": 1.0, "r": 0.7}, 1e-6
-    s = at_point(IMPACT_OSCILLATOR, of=["impact_velocity", "period"], by=[*point], **point)
+    s = at_point(IMPACT_OSCILLATOR, of=["impact_velocity", "period"], by=["w", "r"], **point)
     assert s["valid"] == 1 and s.impact_velocity == pytest.approx(impact_speed(**point), rel=1e-8)
-    for name, x in point.items():
+    for name in ("w", "r"):
+        x = point[name]
         up, down = (impact_speed(**point | {name: x + sign * step}) for sign in (1, -1))
         assert s.d_impact_velocity.sel(parameter=name) == pytest.approx((up - down) / (2 * step), rel=1e-7)
-    assert s.d_period.values == pytest.approx([0, -2 * np.pi / point["w"] ** 2, 0, 0, 0], abs=1e-9)
+    assert s.d_period.values == pytest.approx([-2 * np.pi / point["w"] ** 2, 0], abs=1e-9)
 
 
+@pytest.mark.long
 def test_rate_of_penetration_at_a_point():
     """With constant stiffness, scaling force and threshold together scales all lengths."""
     s = at_point("penetration", of="rate_of_penetration", by=["force", "threshold"], rock="granite", force=5e5)

@@ -5,7 +5,7 @@ from contextvars import ContextVar
 
 import pytest
 
-from vibrojax.threads import by_drivers, in_own_thread, in_parallel
+from vibrojax.threads import by_drivers, in_parallel
 
 SETTING: ContextVar[int] = ContextVar("SETTING", default=0)
 
@@ -38,9 +38,3 @@ def test_no_call_begins_after_an_error():
         list(by_drivers(work, range(100), 1))
     time.sleep(0.1)
     assert 3 <= len(calls) < 100
-
-
-def test_own_thread_returns_or_raises():
-    assert in_own_thread(lambda: 3) == 3
-    with pytest.raises(KeyError, match="missing"):
-        in_own_thread(lambda: {}["missing"])
