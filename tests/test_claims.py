@@ -1,7 +1,13 @@
-"""Check that figures of the README and of the site are those of the code."""
+"""Check that figures of the README and of the site are those of the code and of recorded measurements.
 
+The rows of `KEPT` name a sentence, and the file that records its figures, with the text that holds them there.
+"""
+
+import json
 import re
 from pathlib import Path
+
+import pytest
 
 import vibrojax as vj
 from vibrojax import cli
@@ -21,6 +27,33 @@ def text_of(name: str) -> str:
     return " ".join(path.read_text().split())
 
 
+BENCHMARKS, HARD, SOURCE = "tests/benchmarks/README.md", "tests/hard/README.md", "tests/source/source.toml"
+KEPT = [
+    ("accuracy", "311 of 4,820 periodic lanes are sensitive", HARD,
+     ["311 of 4,820", "second runs take 9 %", "the other 4,318 certified", "3,037 lanes", "(0.6 %)"]),
+    ("regimes", "irregular or undecided | 1,556 | 588", HARD, ["599 of 4096", "11 are", "1556", "197", "194"]),
+    ("regimes", "Of 2,670 irregular lanes of the default map, 52 %", BENCHMARKS,
+     ["of 2,670 irregular lanes 52.1 % chaotic, 38.8 % not settled, 7.0 % periodic"]),
+    ("attractors", "67 % of the points have one attractor, 30 % two, and 2 %", BENCHMARKS,
+     ["(67.4 %)", "(30.3 %)", "(1.5 %)", "`drive` at 18.9 %", "`stuck` at 4.9 %"]),
+    ("attractors", "10,400 starts per second", BENCHMARKS, ["10,400 starts a second", "3,900 starts a second"]),
+    ("rig_log", "above 500 ft/h, 180 klbf or 500 rpm", "vibrojax/io/riglog.py",
+     ["500 * 0.3048 / 3600", "500 * RPM"]),
+    ("rig_log", "is rejected above 5.4", "vibrojax/studies/rop_forms.py", ["BLOCK_LIMIT = 5.4"]),
+    ("large_sweeps", "(6 s, and 1 s per 20 MB)", "vibrojax/io/untrusted.py", ["PROCESSOR_SECONDS, SLOWEST = 6.0, 2e7"]),
+    ("large_sweeps", "kills a sweep two hundred times; no chunk has been lost", HARD,
+     ["Seen: 200 kills", "no chunk lost"]),
+    ("reproduction", "with at most a third of the 470 kN", SOURCE, ["strikes with at most a third of the 470 kN"]),
+    ("reproduction", "in up to six tenths of that region", SOURCE, ["in up to six tenths of the recommended region"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("page", "sentence", "file", "held"), KEPT, ids=lambda value: str(value)[:40])
+def test_figures_are_kept(page, sentence, file, held):
+    assert sentence in text_of(page)
+    assert [part for part in held if part not in text_of(file)] == []
+
+
 def test_readme_describes_bundled_sweeps():
     readme, sweep = text_of("README.md"), vj.read_sweep("regime-map")
     seconds = sweep.run.settle + sweep.run.observe
@@ -28,6 +61,14 @@ def test_readme_describes_bundled_sweeps():
     assert sweep.axes["delta"].tolist() == [-0.005, 0.005] and len(sweep.starts) == 2
     names = readme.partition("runs a bundled sweep (")[2].partition(")")[0]
     assert sorted(re.findall(r"`([\w-]+)`", names)) == bundled_names()
+
+
+def test_counts_of_cases():
+    names = ("vibro_impact_cases.json", "penetration_cases.json")
+    drill, rock = (len(json.loads((ROOT / "tests" / "data" / name).read_text())) for name in names)
+    assert f"On the {drill} reference cases in" in text_of("README.md")
+    assert f"The {drill} reference cases in" in text_of("how_it_works")
+    assert f"On {rock} reference cases of penetration" in text_of("how_it_works")
 
 
 def test_constants():
@@ -44,3 +85,50 @@ def test_constants():
     commands = text_of("commands")
     assert f"{cli.DONE} done; {cli.BAD_INPUT} bad input" in commands
     assert f"{cli.INTERRUPTED} interrupted" in commands and f"{cli.TERMINATED} terminated" in commands
+
+
+def test_table_of_hard_cases():
+    """Compare with `tests/hard/README.md`, which `tests/hard/check.py` refreshes. Each row adds up to its lanes."""
+    page, hard = text_of("accuracy"), text_of(HARD)
+    rows = [
+        [int(x) for x in re.findall(r"\d+", cells)]
+        for cells in re.findall(r"\| drill, float\d\d \|((?: \d+ \|)+)", page)
+    ]
+    lanes, *double = rows[0]
+    assert sum(double) == lanes == sum(rows[1][1:]) == rows[1][0] == vj.read_sweep("hard-cases").lanes
+    single = ", ".join(map(str, rows[1][1:3])) + f" and {rows[1][3]}"
+    exact = f"of {lanes} lanes {double[0]} are exact, {double[1]} refused and {double[2]} flagged (float32: {single})"
+    assert exact in hard
+    rock = re.search(r"\| rock, three scenes \| (\d+) \| (\d+), and one to 2e-5 \|", page)
+    assert f"Of {rock[1]} on rock {rock[2]} are exact" in hard and int(rock[2]) == int(rock[1]) - 1
+
+
+def row(start: str) -> list[float]:
+    """Return the numbers of a row of the table of times, without their spreads: on Python 3.13, then on 3.11."""
+    line = next(line for line in (ROOT / BENCHMARKS).read_text().splitlines() if line.startswith(f"| {start}"))
+    return [float(cell.split("±")[0]) for cell in line.split("|")[2:4]]
+
+
+def test_times_match_benchmarks():
+    """Compare with the time of the default map, and with the times and ratios of the race at an error of 1e-4."""
+    cells = [
+        [cell.strip() for cell in line.split("|")]
+        for line in (ROOT / BENCHMARKS).read_text().splitlines()
+        if line.startswith("| 1e-04")
+    ]
+    peers = {row[2]: (float(row[3]), float(row[5])) for row in cells if row[3] != "–"}
+    new, old = row("`vibrojax sweep regime-map` from a fresh process")
+    early = row("the same, settled lanes ended early")[0] / (12_096 * 48.0)
+    names = {3: "three", 4: "four", 5: "five", 6: "six", 7: "seven"}
+    costs = f"{names[round(1e6 * early)]} to {names[round(peers['vibrojax'][0])]}"
+    for page in (text_of("README.md"), text_of("how_it_works")):
+        assert round(new) == round(old) and f"takes {new:.0f} s from nothing on two cores" in page
+        assert f"costs {costs} microseconds" in page
+    for name, sentence in {
+        "SciPy, solve_ivp with events": "{:.0f} times faster than SciPy with events",
+        "diffrax, smoothed, adaptive": "{:.0f} times faster than diffrax with smoothed friction",
+        "diffrax with its events": "{:.0f} times faster than diffrax with its events in a loop of ours",
+    }.items():
+        assert sentence.format(peers[name][1]) in text_of("how_it_works")
+    assert peers["numba, Dormand-Prince 5(4)"][1] == pytest.approx(1.0, abs=0.05)
+    assert f"is {1 / peers['numba, Taylor series'][1]:.1f} times faster" in text_of("how_it_works")
