@@ -95,6 +95,13 @@ a choice takes the other case | compile/elementwise.py | kernels/test_kernel.py
 rows that do not exist are zero | compile/selection.py | kernels/test_kernel.py -k missing
 -     return literal(value, dtype)
 +     return literal(0, dtype)
+# early ends
+a slow approach counts as settled | lanes/settled.py | test_end_early.py -k settled
+- & (changing <= tolerance)
++ & (newer <= tolerance)
+every nearby lane reaches the orbit | periodic/settled_on_orbit.py | test_ends_on_orbits.py -k predicted
+- return reached & (contraction < MAX_CONTRACTION) &
++ return reached | (contraction < MAX_CONTRACTION) &
 # orbits
 a saltation is left out | stepping/polynomial.py | test_orbits.py -k test_reference_cases
 - -moved / jnp.where(rate == 0, 1.0, rate))
@@ -114,8 +121,8 @@ chunks are not in their places | maps/store.py | test_store.py
 - if file.comment != self._owner(index):
 + if not file.comment:
 every seal is believed | io/seal.py | test_sealed_datasets.py -k secret
-- return _secret() is not None and hmac.compare_digest(code, own)
-+ return _secret() is not None
+- return secret is not None and hmac.compare_digest(
++ return secret is not None or hmac.compare_digest(
 other results count as the same | io/identity.py | test_finished_results.py -k 'replaced or given_file or numbered'
 - return stored is not None and not changes(stored, json.loads(identity_text(identity)))
 + return stored is not None

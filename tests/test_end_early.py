@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.lanes.settled import settled
+from vibrojax.measures.repeats import Seen
+from vibrojax.measures.section import Passed, Settling
 
 LANES, ERROR = 128, 1e-4
 IMPACT_VARIABLES = (
@@ -75,3 +78,41 @@ def test_no_lane_ends_early(run):
     early, full = early_and_full("vibro-impact", *run)
     assert steps_taken(early) == steps_taken(full)
     assert early.drop_attrs().equals(full.drop_attrs())
+
+
+RETURNS_BACK = np.arange(8.0)
+
+
+def settling_record(distances, period=0.5, last=9.9):
+    """Return the record of a lane whose last returns, newest first, lie at these relative distances from its limit."""
+    states = np.zeros((8, 3, 1))
+    states[:, 1, 0] = 0.01 * np.asarray(distances)
+    scales = tuple(np.array([x]) for x in (0.02, 0.01, 0.01 * 2 * np.pi / period))
+    times = np.where(np.isnan(states[:, 1]), np.nan, last - period * RETURNS_BACK[:, None])
+    seen = Seen(armed=None, since=None, ranges=(), states=states, times=times, settled=None, frequency=None)
+    return Settling(seen, Passed(waiting=None, state=None, time=None, scales=scales))
+
+
+@pytest.mark.parametrize(
+    "distances, close, ends",
+    [
+        (1e-8 * 2.0**RETURNS_BACK, 1e-7, True),  # halves its distance with every return
+        (1e-8 * 2.0**RETURNS_BACK, 5e-8, True),  # the differences of returns put it 1e-8 away, or up to five times that
+        (1e-8 * 2.0**RETURNS_BACK, 0.9e-8, False),
+        (1e-6 * 2.0**RETURNS_BACK, 1e-7, False),  # converges, but is not there yet
+        (1e-10 * np.cos(2.0 * RETURNS_BACK) * 1.6**RETURNS_BACK, 1e-7, True),  # spirals in
+        (1e-9 * RETURNS_BACK, 1e-7, True),
+        (1e-9 * RETURNS_BACK, 59e-9, False),  # drifts by 1e-9 with each of the sixty remaining returns
+        (1e-7 * RETURNS_BACK, 1e-7, False),  # drifts too far
+        (1e-8 * 0.5**RETURNS_BACK, 1e-7, False),  # diverges
+        (1e-3 * (-1.0) ** RETURNS_BACK, 1e-7, True),  # repeats after two returns
+        (np.where(RETURNS_BACK < 6, 1e-9, np.nan) * RETURNS_BACK, 1e-7, False),  # has too few returns
+        (0.01 * np.array([1, 5, 2, 8, 1, 7, 3, 3]), 1e-7, False),
+    ],
+)
+def test_settled(distances, close, ends):
+    """Differences of returns decide. A geometric approach is as far away as the sum of its series, or slightly more."""
+    is_settled, duration = settled(settling_record(distances), 10.0, 40.0, 8.0, close)
+    assert is_settled.tolist() == [ends]
+    if ends:
+        assert 9 * 0.5 <= duration[0] <= 8.0
