@@ -270,3 +270,13 @@ def test_rock_begins_to_yield_at_force_of_linear_response():
     assert (family.rate_of_penetration.values[family.force.values > onset + 1.0] > 0).all()
     [note] = family.special_note.values[family.special_kind.values == SPECIAL_KINDS.index("grazing")]
     assert "rock" in note
+
+
+def test_several_families_equal_single_ones():
+    families = follow_drill(along="gamma", at=0.72, span=(0.6, 0.8), start="stuck", beta=[0.35, 0.5], cycles=1)
+    assert families.beta.dims == ("family",)
+    for number, beta in enumerate((0.35, 0.5)):
+        single = follow_drill(along="gamma", at=0.72, span=(0.6, 0.8), start="stuck", beta=beta, cycles=1)
+        part = families.isel(special=families.special_family.values == number)
+        np.testing.assert_array_equal(part.special_kind, single.special_kind)
+        np.testing.assert_allclose(part.special_value, single.special_value, atol=1e-9)

@@ -370,3 +370,64 @@ def test_families_without_an_equilibrium_do_not_stop_others():
     assert set(family.point_family.values.tolist()) == {1}
     with pytest.raises(vj.InputError, match="no isolated equilibrium"):
         roots(0.0, (-0.5, 1.0), start=0.9, cm=1.0, c2=-1.0, c0=-1.0)
+
+
+@pytest.mark.long
+def test_circles_cross_at_a_branch_point():
+    """Two limit cycles, the circles r = a and r = 2 with the period 1, cross at a = 2."""
+
+    def field(t, y, p):
+        square = y["x"] ** 2 + y["y"] ** 2
+        pull = square - (p["a"] + 2.0) * E.sqrt(square) + 2.0 * p["a"]
+        return {"x": -y["x"] * pull - 2 * np.pi * y["y"], "y": -y["y"] * pull + 2 * np.pi * y["x"]}
+
+    circles = vj.System("circles", states={"x": "1", "y": "1"}, parameters={"a": 1.0}, field=field, section="y")
+    family = vj.follow(
+        circles, along="a", at=1.0, span=(0.5, 3.0), start=[2.1, 0.0], settle=50.0, observe=15.0, cycles=1,
+        progress=False,
+    )  # fmt: skip
+    assert kinds(family) == {"branch-point", "end"}
+    assert points(family, "branch-point") == [(0, pytest.approx(2.0, abs=1e-9))]
+    for branch in (0, 1):
+        own = family.branch.values == branch
+        radius = np.abs(family.orbit_x.values[own])
+        circle = 2.0 if np.ptp(radius) < 1e-6 else family.a.values[own]
+        assert radius == pytest.approx(circle, abs=1e-8)
+        assert family.period.values[own] == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.long
+def test_given_orbit_of_a_scene_with_events():
+    """An unstable orbit of a family begins the same family."""
+    point = {"along": "gamma", "span": (0.6, 1.3), "beta": 0.4, "delta": 0.005, "cycles": 1, "progress": False}
+    family = vj.follow("vibro-impact", at=0.75, start="stuck", **point)
+    unstable = np.flatnonzero(family.stable.values == 0)
+    orbit = family.isel(point=int(unstable[np.abs(family.gamma.values[unstable] - 0.95).argmin()]))
+    states = [float(orbit.orbit_x1), 0.0, float(orbit.orbit_x2), float(orbit.orbit_v2)]
+    begun = vj.follow(
+        "vibro-impact", at=float(orbit.gamma), orbit={"states": states, "period": float(orbit.period)}, **point
+    )
+    assert np.abs(begun.gamma.values - float(orbit.gamma)).min() < 1e-12
+    assert kinds(begun) == kinds(family)
+    for kind in ("stick", "fold"):
+        expected = sorted(value for _, value in points(family, kind))
+        assert sorted(value for _, value in points(begun, kind)) == pytest.approx(expected, abs=1e-8)
+
+
+@pytest.mark.long
+def test_orbits_begin_at_the_hopf_points_of_mirrored_equilibria():
+    """Circles r² = m around both equilibria z² = 1 + m."""
+
+    def field(t, y, p):
+        growth = y["z"] ** 2 - 1 - y["x"] ** 2 - y["y"] ** 2
+        z = (p["m"] + 1) * y["z"] - y["z"] ** 3
+        return {"x": growth * y["x"] - y["y"], "y": growth * y["y"] + y["x"], "z": z}
+
+    system, family = rests(dict.fromkeys("xyz", "1"), field, -1.5, (-2.0, 1.0))
+    assert [value for _, value in points(family, "hopf")] == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert family.special_note.values[family.special_value.values > 0.9].tolist() == ["the last value is reached"] * 3
+    circles = vj.follow(system, from_hopf=family, cycles=1, span=(-0.1, 0.5), progress=False)
+    last = circles.m.values == 0.5
+    assert sorted(circles.orbit_z.values[last]) == pytest.approx([-(1.5**0.5), 1.5**0.5], abs=1e-8)
+    with pytest.raises(vj.InputError, match="outside the span"):
+        vj.follow(system, from_hopf=family, span=(0.2, 0.5), progress=False)

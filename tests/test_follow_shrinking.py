@@ -115,3 +115,13 @@ def test_small_forced_motion_goes_on():
     assert (first, last) == ("end", "end") and least == pytest.approx(1e-6)
     ratio = family.orbit_x.values / family.a.values
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
+
+
+@pytest.mark.long
+def test_hopf_points_of_a_system_without_events_are_continued():
+    """The Brusselator's Hopf points are at B = 1 + A²."""
+    family = follow(BRUSSELATOR, along="B", at=2.5, span=(1.5, 3.0), start=[0.3, 0.0], A=1.0)
+    curves = vj.curves(family, by="A", span=(0.8, 1.2), at={"A": 0.9}, progress=False)
+    np.testing.assert_allclose(curves.B, 1 + curves.A**2, atol=1e-9)
+    assert curves.A.values.min() == 0.8 and curves.A.values.max() == 1.2
+    assert curves.crossing_B.values == pytest.approx([1.81], abs=1e-10)

@@ -500,3 +500,27 @@ def test_section_is_a_function():
 def test_section_functions_that_cannot_be_used(section, message):
     with pytest.raises(vj.InputError, match=message):
         vj.System("circle", states=CIRCLE, parameters={"k": 0.3}, field=circle, section=section)
+
+
+@pytest.mark.long
+def test_shaken_block_with_stop_and_friction():
+    """By SciPy: the impact velocity of the periodic motion is 3.54601 m/s."""
+    block = mass(
+        lambda t, y, p: p["a"] * cos(2 * np.pi * t) - 10.0 * y["x"],
+        vj.Impact("stop", gap=lambda t, y, p: 0.05 - y["x"], velocity="v", restitution=0.7),
+        RUB,
+        parameters={"a": 3.0},
+    )
+    ds = vj.run_sweep(
+        {"scene": block, "starts": [[0.0, 0.0]], "grid": {"a": [3.0]}, "run": {"settle": 50.0, "observe": 20.0}},
+        progress=False,
+    )
+    assert float(ds.impact_velocity[0, 0]) == pytest.approx(3.54601, abs=1e-5) and int(ds.impacts[0, 0]) == 1
+    assert float(ds.error_estimate[0, 0]) < 1e-4
+
+
+def test_switch_follows_velocity_through_impact():
+    turns = vj.Switch("dir", lambda t, y, p: y["v"])
+    block = mass(lambda t, y, p, s: -p["push"] * s["dir"], WALL, turns, parameters={"push": 0.2})
+    assert ends(block, [0.0, 1.0], 4.0) == pytest.approx([0.625, 0.0], abs=1e-8)
+    assert ends(block, [0.0, 1.0], 2.0, push=0.0) == pytest.approx([0.5, -0.5], abs=1e-8)

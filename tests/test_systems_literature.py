@@ -79,6 +79,23 @@ def test_long_gait_of_the_simplest_walker():
     assert float(ds.impact_velocity[0, 0]) == pytest.approx(speed, rel=1e-6)
 
 
+@pytest.mark.long
+def test_multipliers_of_the_simplest_walker():
+    """Both have the modulus 0.589113. The state after a heel strike depends on two values: a third one is zero."""
+    gait = long_gait()
+
+    def slopes(h):
+        changes = [step_by_scipy(gait + d)[0] - step_by_scipy(gait - d)[0] for d in np.eye(2) * h]
+        return np.transpose(changes) / (2 * h)
+
+    modulus = np.sqrt(np.linalg.det((4 * slopes(1e-5) - slopes(2e-5)) / 3))
+    assert modulus == pytest.approx(0.589113, abs=1e-6)
+    ds = sweep(WALKER, {"slope": [0.009]}, [-0.2, 0.2, -0.4, 0.016], orbits=True)
+    assert int(ds.stable[0, 0]) == 1
+    assert float(ds.period[0, 0]) == pytest.approx(step_by_scipy(gait)[2], rel=1e-9)
+    assert ds.multiplier_abs.values.ravel() == pytest.approx([modulus, modulus, 0.0], abs=1e-7)
+
+
 # A buck converter with a ramp: Fossas and Olivar, IEEE Transactions on Circuits and Systems I 43 (1996), 13.
 # L = 20 mH, C = 47 µF, R = 22 Ohm, gain 8.4, reference 11.3 V, ramp 3.8 to 8.2 V in 400 µs.
 
@@ -126,6 +143,17 @@ def test_buck_converter_doubles_its_period():
     state, multipliers = buck_orbit(24.4)
     assert [float(ds.orbit_v[0, 0]), float(ds.orbit_i[0, 0])] == pytest.approx(state, abs=1e-9)
     assert ds.multiplier_abs.values[0, 0] == pytest.approx(sorted(abs(multipliers), reverse=True), abs=1e-7)
+
+
+@pytest.mark.long
+def test_place_of_period_doubling_of_buck_converter():
+    doubling = brentq(lambda supply: buck_orbit(supply)[1].real.min() + 1, 24.0, 25.0)
+    family = vj.follow(
+        BUCK, along="E", at=24.4, span=(24.2, 24.8), start=[12.0, 0.55], cycles=1, settle=0.4, progress=False
+    )
+    kinds = family.special_kind.attrs["flag_meanings"].split()
+    places = family.special_value.values[family.special_kind.values == kinds.index("period-doubling")]
+    assert places == pytest.approx([doubling], abs=1e-8)
 
 
 # Two blocks on a belt, coupled by a spring: Galvanetto, Bishop and Briseghella, International Journal of Bifurcation
