@@ -292,6 +292,10 @@ REFUSED = [
     ({"data": {"v": [1.0], "perid": [0.2]}}, "column perid: is neither a parameter"),
     ({"data": {"v": [1.0], "period (kg)": [0.2]}}, "is in kg, not a unit of period [s]"),
     ({"data": {"v": [1.0, 1.5], "period": [0.2, np.inf]}}, "column period: has an infinite value"),
+    (
+        {"scene": "drilling", "data": {"v": [1.0, 1.5, 2.0], "rate_of_penetration": [1e-3, np.nan, -1e-3]}},
+        "rate_of_penetration: has 1 negative value, first in row 2, but no hole gets shallower; correct the cells, or",
+    ),
     ({"error": {"period": 0.0}}, "error.period: is not above 0"),
     ({}, "2 values for 2 unknown parameters and the size of the noise; add rows"),
     ({"history": {"data": {"time": [0.0, 1.0]}}}, "v1: missing; columns time [s] and v1 [m/s] are needed"),

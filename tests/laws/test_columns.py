@@ -9,7 +9,7 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.io.log_columns import split_unit
+from vibrojax.io.log_columns import KNOWN, LAW, RIG, split_unit
 from vibrojax.physics.units import factor, is_unit
 from vibrojax.studies.rop_law import fit_rop
 
@@ -65,6 +65,12 @@ def test_parameters_are_converted_and_stay_coordinates(tmp_path):
         ("ROP,WOB", {"rate_of_penetration": "RPO (m/h)"}, 'the file has no column "RPO (m/h)"; did you mean "ROP"?'),
         ("ROP,WOB", {"threshold": "20,5 klbf"}, '"20,5 klbf" has a decimal comma; write a point, like "20.5 klbf"'),
         ("ROP,WOB", {"threshold": "150 m/h"}, '"m/h" is not a unit of threshold'),
+        (
+            "ROP,WOB",
+            {"wob": "WOB"},
+            'wob: is not a quantity of rig data; did you mean "weight_on_bit"? choose from rate_of_penetration, '
+            f"relief, mean_force, threshold, rock, {', '.join([*RIG, *(x for x in KNOWN if x not in LAW | RIG)])}",
+        ),
         ("Rate (m/h),WOB", {}, 'missing; if "Rate (m/h)" is it, rename it, or name it: --columns rate_of_penetration='),
     ],
 )

@@ -163,6 +163,7 @@ def logs(tmp_path_factory):
 
 def test_unknown_threshold_keeps_determined_quantities(logs):
     known = fit_quietly(logs["rigcloud"], columns={"threshold": f"{D} N"})
+    assert known.attrs["verdict"] == "onset" and np.isnan(known.founder_weight)  # as the page on rig logs says
     for columns in ({}, {"threshold": "unknown"}):
         fit = fit_quietly(logs["rigcloud"], columns=columns)
         for name in ("literal", "percent"):

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vibrojax.errors import Place, shown, suggestion
+from vibrojax.errors import Place, counted, shown, suggestion
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.log_columns import split_unit
 from vibrojax.io.tables import column_numbers, read_table, rows_without_units
@@ -183,6 +183,10 @@ def _read_rows(
         if np.isinf(x).any() or not np.isfinite(x).any():
             fault = "an infinite value" if np.isinf(x).any() else "no number"
             raise here.error(f"has {fault}; leave a cell empty where there is no observation")
+        if name == RATE and (negative := x < 0).any():
+            first = f"{'line' if labels[0] else 'row'} {labels[int(np.argmax(negative))]}"  # rows of a table begin at 0
+            fault = f"has {counted(negative.sum(), 'negative value')}, first in {first}, but no hole gets shallower"
+            raise here.error(f"{fault}; correct the cells, or leave them empty")
     if not observed:
         raise place.error(f"holds no observation; name a column after a variable, such as {', '.join(variables[:3])}")
     if not {*bounds, *conditions} - {CONSTANT}:
