@@ -262,7 +262,6 @@ def test_standard_errors_of_a_noisy_velocity_cover_the_truth(history):
     assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 20)
 
 
-@pytest.mark.filterwarnings("ignore:.*semicolons separate the columns, commas are decimal marks")
 def test_histories_of_all_forms_are_read(history, tmp_path):
     time, v1 = history.time.values[:100], history.v1.values[:100]
     for separator, name in ((",", "a.csv"), (";", "b.csv")):

@@ -104,6 +104,8 @@ FORMS = (
     Form("constant", "C", 1, False, lambda eta, C, eta0, exponent: C * np.ones_like(eta)),
 )
 
+FORMULAS = {form.name: form.formula for form in FORMS}
+
 LOGARITHMIC = ("literal", "percent", "onset")
 """Names of the three readings of the source's law, eq. 6.4."""
 
