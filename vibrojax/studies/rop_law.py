@@ -160,11 +160,12 @@ def fit_rop(
     - `where`, `nulls`: of a rig log, as in `read_log`.
 
     **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
-    r_squared, aic, degrees_of_freedom, used, left_out, `standing` and `reason`. A coefficient is NaN if the form does
-    not have it or the lanes do not identify it. Over the groups: `founder_weight` [N] with its standard error, NaN if
-    there is none, and `founder_fall` [m/s/N], the fall above it. The attribute `verdict` is the form that the data of
-    all groups support, or "none". The dataset also contains the data, over the groups and `lane`: data_relief [1],
-    data_rate_of_penetration [m/s], and `data_use`.
+    r_squared, aic, degrees_of_freedom, used and left_out (numbers of lanes), `standing` and `reason`. A coefficient is
+    NaN if the form does not have it or the lanes do not identify it. Over the groups: `founder_weight` [N] with its
+    standard error, NaN if there is none, and `founder_fall` [m/s/N], the fall above it. The attribute `verdict` is the
+    form that the data of all groups support, or "none"; `left_out_rows` lists wrong rows of a log. Over the groups and
+    `lane`, the dataset holds the data: data_relief [1], data_rate_of_penetration [m/s], and `data_use`. The guide lists
+    all variables.
 
     **Raises:** `InputError`.
 
