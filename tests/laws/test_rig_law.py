@@ -105,9 +105,9 @@ def test_founder_is_told_by_formation():
     assert panels[0].x.limits[0] > 40 and panels[0].x.limits[1] < 250 and panels[0].x.label == "mean force [kN]"
 
 
-@pytest.mark.parametrize("exponent", [None, 0.5])
+@pytest.mark.parametrize("exponent", [None, 0.5, 1.0])
 def test_concave_law_has_no_founder(exponent):
-    """A logarithm and a root bend as well, but no form with a founder describes them better."""
+    """A logarithm and a root bend as well, but no form with a founder describes them better; a line has none."""
     weight = np.random.default_rng(1).uniform(50e3, 150e3, 400)
     rate = np.log(weight / 30e3) if exponent is None else weight**exponent
     for noise in (0.0, 0.02):
@@ -139,7 +139,7 @@ def test_special_case_needs_more_evidence_against_it_in_one_of_several_groups(gr
     assert standings(np.array([8.0, 100, 0, 100, 100, 100]), NAMES, BLOCK_LIMIT).tolist() == [2, 1, 4, 1, 1, 1]
 
 
-@pytest.mark.parametrize("spike", [400.0, 1000.0, 9999.0, 1e20, 0.4])
+@pytest.mark.parametrize("spike", [400.0, 1e20, 0.4])
 def test_one_wrong_weight_does_not_decide(spike):
     n, rng = 60, np.random.default_rng(7)
     weight = 40 + 90 * ((np.arange(n) * 7) % n) / n

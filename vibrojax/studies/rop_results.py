@@ -19,7 +19,7 @@ from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log, log_lines
 from vibrojax.physics.units import factor
 from vibrojax.pictures.axes import margins, pretty_unit, scale, with_unit
 from vibrojax.pictures.colours import form_colour
-from vibrojax.pictures.contents import FORM, POINT, Contents, law_in
+from vibrojax.pictures.contents import FORM, POINT, law_in
 from vibrojax.pictures.lines import MOST_ROWS, longest_axis, rows_of
 from vibrojax.pictures.plots import (
     FAINT,
@@ -333,15 +333,11 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     return _below(groups, sheet, with_c=not x.name) if len(groups) else sheet
 
 
-def _is_law(held: Contents) -> bool:
-    return held.law and {"aic", "C_stderr"} <= held.variables
-
-
 class Fits(Analysis):
     """The fit of the rate-of-penetration law to a sweep's dataset or to rig data."""
 
     kind = "fit"
-    pictures = (PictureRule("law", _is_law, law_lines),)
+    pictures = (PictureRule("law", lambda held: held.law and {"aic", "C_stderr"} <= held.variables, law_lines),)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("columns", log_lines(ds))]
