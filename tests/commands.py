@@ -20,8 +20,9 @@ settle = 3.0
 observe = 2.0
 chunk = 5
 """
-LONGEST_WAIT = 120.0
-"""Time [s] after which a process counts as stuck."""
+LONGEST_WAIT = 300.0
+"""Time [s] after which a process counts as stuck. Commands wait until their chunks are on the disk, which can take
+minutes while other work writes to it."""
 
 # The process that runs the tests may ignore interrupts (a background job), but the command must not. `preexec_fn` would
 # need a fork, about which jax warns if an earlier test has used jax.
