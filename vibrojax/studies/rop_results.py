@@ -432,11 +432,14 @@ def _group_layers(group: xr.Dataset, factor: float, looks: dict[str, Look]) -> t
     founder = float(group["founder_weight"]) if "founder_fall" in group and across != 1.0 else np.nan
     end = min(high, founder / (1e3 * across)) if np.isfinite(founder) else high
     eta, layers = np.linspace(low, end, _CURVE_POINTS), list[Layer]()
-    for name, kept, curve in _curves(group, eta):
-        dash, order = _DASHES.get(name, "-"), 2.5 if name in _DASHES else 2.0
-        look: Look = {"colour": form_colour(name), "width": 1.4, "dash": dash, "order": order}
+    for name, standing in zip(_names(group), group["standing"].values, strict=True):
+        form, kept = group.sel({FORM: name}), standing != Standing.REJECTED
+        values = [float(form[part]) if part in form else np.nan for part in COEFFICIENTS]
+        if name not in _RATES or not np.isfinite(values[0]):
+            continue
+        curve, dash = _RATES[name](eta, *values), _DASHES.get(name, "-")
+        look: Look = {"colour": form_colour(name), "width": 1.4, "dash": dash, "order": 2.5 if name in _DASHES else 2.0}
         layers.append(Line(across * eta, factor * curve, **look))
-        form = group.sel({FORM: name})
         if kept:  # every form is proportional to its C
             error = factor * curve * float(form["C_stderr"] / form["C"])
             layers.append(Area(across * eta, factor * curve - error, factor * curve + error, form_colour(name), 0.15))
@@ -456,15 +459,6 @@ def _force_scale(group: xr.Dataset) -> tuple[float, str]:
     """Return the factor from the relief to the abscissa, and its label: the mean force in kN where it is known."""
     threshold = float(group[_THRESHOLD]) if _THRESHOLD in group else np.nan
     return (threshold / 1e3, "mean force [kN]") if np.isfinite(threshold) else (1.0, "relief P/D")
-
-
-def _curves(group: xr.Dataset, relief: np.ndarray) -> Iterator[tuple[str, bool, np.ndarray]]:
-    """Yield name, whether it is kept, and rates [m/s] of each fitted form."""
-    for name, kept in zip(_names(group), group["standing"].values != Standing.REJECTED, strict=True):
-        form = group.sel({FORM: name})
-        values = [float(form[part]) if part in form else np.nan for part in ("C", "eta0", "exponent")]
-        if name in _RATES and np.isfinite(values[0]):
-            yield name, kept, _RATES[name](relief, *values)
 
 
 def _use_masks(group: xr.Dataset) -> dict[str, np.ndarray]:
