@@ -36,12 +36,9 @@ def test_planted_laws_are_recovered(case):
 @pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_many_planted_laws_are_recovered(case):
-    """Form and C within two standard errors are right in 92 % of formations where the noise allows to tell the form."""
+    """Form and C within two standard errors are right in 92 % of formations; 200 trials scatter by 1 %."""
     right, wrong, of_c, both, of_founder = trials(200, **CASES[case])
-    assert wrong <= 0.01 and of_c >= 0.93 and of_founder >= 0.93
-    # In two cases the noise hides some curvature. The limits hold for any seed: 200 trials scatter by 2 to 3 %.
-    least = {"line, falls": 0.8, "onset, falls": 0.84}.get(case, 0.89)
-    assert both >= least and right >= least
+    assert wrong <= 0.01 and of_c >= 0.93 and of_founder >= 0.93 and both >= 0.92 and right >= 0.92
 
 
 def test_forms_that_differ_by_less_than_noise_are_undecided():
