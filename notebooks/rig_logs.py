@@ -48,7 +48,7 @@ def weights(shape, rng, low=60e3, high=180e3):
     return values + 1e3 * rng.standard_normal(shape)
 
 
-def drilling(count=400, noise=0.05, correlation=0.7, seed=31, **planted):
+def drilling(count=400, noise=0.05, correlation=0.7, seed=12, **planted):
     """Return the columns of a log in SI units; `noise` is a fraction of the mean rate."""
     rng = np.random.default_rng(seed)
     planted = PLANTED | planted

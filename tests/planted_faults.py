@@ -76,7 +76,7 @@ impact energy without its half | measures/impacts.py | test_measure.py -k every
 impact phase in half turns | measures/impacts.py | test_measure.py -k every
 - "impact_phase": 2 * jnp.pi *
 + "impact_phase": jnp.pi *
-a foot is a yard | physics/units.py | laws/test_columns.py
+a foot is a yard | physics/units.py | laws/test_fit_input.py -k unit_factors
 - foot = 0.3048 m
 + foot = 0.9144 m
 # kernels

@@ -262,7 +262,6 @@ def test_standard_errors_of_a_noisy_velocity_cover_the_truth(history):
     assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 20)
 
 
-@pytest.mark.filterwarnings("ignore:.*semicolons separate the columns, commas are decimal marks")
 def test_histories_of_all_forms_are_read(history, tmp_path):
     time, v1 = history.time.values[:100], history.v1.values[:100]
     for separator, name in ((",", "a.csv"), (";", "b.csv")):
@@ -292,6 +291,10 @@ REFUSED = [
     ({"data": {"v": [1.0], "perid": [0.2]}}, "column perid: is neither a parameter"),
     ({"data": {"v": [1.0], "period (kg)": [0.2]}}, "is in kg, not a unit of period [s]"),
     ({"data": {"v": [1.0, 1.5], "period": [0.2, np.inf]}}, "column period: has an infinite value"),
+    (
+        {"scene": "drilling", "data": {"v": [1.0, 1.5, 2.0], "rate_of_penetration": [1e-3, np.nan, -1e-3]}},
+        "rate_of_penetration: has 1 negative value, first in row 2, but no hole gets shallower; correct the cells, or",
+    ),
     ({"error": {"period": 0.0}}, "error.period: is not above 0"),
     ({}, "2 values for 2 unknown parameters and the size of the noise; add rows"),
     ({"history": {"data": {"time": [0.0, 1.0]}}}, "v1: missing; columns time [s] and v1 [m/s] are needed"),

@@ -17,6 +17,7 @@ from vibrojax.maps.read import read_sweep
 from vibrojax.physics.rock import ROCKS
 from vibrojax.scenes import HasFriction
 from vibrojax.settings.toml import bundled_names
+from vibrojax.studies.rop_law import SCHEMA as OF_FITS
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -64,6 +65,12 @@ def flags() -> pd.DataFrame:
     )
 
 
+def fit() -> pd.DataFrame:
+    """Return the variables of a fit of the rate-of-penetration law."""
+    rows = [(name, x.units, x.along or "groups only", x.long_name, ", ".join(x.flags)) for name, x in OF_FITS.items()]
+    return pd.DataFrame(rows, columns=["variable", "units", "along", "meaning", "values"])
+
+
 def sweeps() -> pd.DataFrame:
     """Return the bundled sweeps."""
     bundled = {name: read_sweep(name) for name in bundled_names()}
@@ -93,6 +100,7 @@ TABLES: dict[str, Callable[[], pd.DataFrame]] = {
     "variables": lambda: of_all_scenes(vj.list_variables),
     "settings": lambda: vj.list_settings().reset_index(),
     "flags": flags,
+    "fit": fit,
     "laws": laws,
     "rocks": lambda: pd.DataFrame([{"rock": name} | asdict(rock) for name, rock in ROCKS.items()]),
     "sweeps": sweeps,

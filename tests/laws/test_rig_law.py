@@ -36,12 +36,9 @@ def test_planted_laws_are_recovered(case):
 @pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_many_planted_laws_are_recovered(case):
-    """Form and C within two standard errors are right in 92 % of formations where the noise allows to tell the form."""
+    """Form and C within two standard errors are right in 92 % of formations; 200 trials scatter by 1 %."""
     right, wrong, of_c, both, of_founder = trials(200, **CASES[case])
-    assert wrong <= 0.01 and of_c >= 0.93 and of_founder >= 0.93
-    # In two cases the noise hides some curvature. The limits hold for any seed: 200 trials scatter by 2 to 3 %.
-    least = {"line, falls": 0.8, "onset, falls": 0.84}.get(case, 0.89)
-    assert both >= least and right >= least
+    assert wrong <= 0.01 and of_c >= 0.93 and of_founder >= 0.93 and both >= 0.92 and right >= 0.92
 
 
 def test_forms_that_differ_by_less_than_noise_are_undecided():
@@ -105,9 +102,9 @@ def test_founder_is_told_by_formation():
     assert panels[0].x.limits[0] > 40 and panels[0].x.limits[1] < 250 and panels[0].x.label == "mean force [kN]"
 
 
-@pytest.mark.parametrize("exponent", [None, 0.5])
+@pytest.mark.parametrize("exponent", [None, 0.5, 1.0])
 def test_concave_law_has_no_founder(exponent):
-    """A logarithm and a root bend as well, but no form with a founder describes them better."""
+    """A logarithm and a root bend as well, but no form with a founder describes them better; a line has none."""
     weight = np.random.default_rng(1).uniform(50e3, 150e3, 400)
     rate = np.log(weight / 30e3) if exponent is None else weight**exponent
     for noise in (0.0, 0.02):
@@ -139,7 +136,7 @@ def test_special_case_needs_more_evidence_against_it_in_one_of_several_groups(gr
     assert standings(np.array([8.0, 100, 0, 100, 100, 100]), NAMES, BLOCK_LIMIT).tolist() == [2, 1, 4, 1, 1, 1]
 
 
-@pytest.mark.parametrize("spike", [400.0, 1000.0, 9999.0, 1e20, 0.4])
+@pytest.mark.parametrize("spike", [400.0, 1e20, 0.4])
 def test_one_wrong_weight_does_not_decide(spike):
     n, rng = 60, np.random.default_rng(7)
     weight = 40 + 90 * ((np.arange(n) * 7) % n) / n
@@ -163,6 +160,7 @@ def logs(tmp_path_factory):
 
 def test_unknown_threshold_keeps_determined_quantities(logs):
     known = fit_quietly(logs["rigcloud"], columns={"threshold": f"{D} N"})
+    assert known.attrs["verdict"] == "onset" and np.isnan(known.founder_weight)  # as the page on rig logs says
     for columns in ({}, {"threshold": "unknown"}):
         fit = fit_quietly(logs["rigcloud"], columns=columns)
         for name in ("literal", "percent"):

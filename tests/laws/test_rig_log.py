@@ -80,7 +80,6 @@ CLOTHES = {
     ),
     "klb.csv": (csv(WIDE, columns=(DEPTH / FOOT, *FIELD, *IMPERIAL)), {}),
     "named-volve.csv": (csv(VOLVE[0], columns=VOLVE[1]), {"columns": SAID}),
-    "si.csv": (csv("DMEA,WOB,SURF_RPM,ROPA", columns=(DEPTH, 1e3 * WEIGHT, SPEED / 60, RATE / 3600)), {}),
     "commas.csv": ("\n".join(["DEPTH (m);ROP (m/h);WOB (kN);RPM;Flow In (L/min)", *COMMAS]) + "\n", {}),
     "quoted.csv": (csv(METRIC, columns=(DEPTH, RATE, [f'"{x:,.9f}"' for x in WEIGHT], SPEED)), {}),
     "feet.las": (
@@ -128,6 +127,8 @@ def test_xlsx_is_read(tmp_path):
 
 
 REFUSED = {
+    "names.csv": ("DEPTH (m),ROP (m/h)\n", r"names\.csv: no rows; add a line for each measurement"),
+    "sixteen.csv": (b"\xff\xfe", r"not UTF-8 text \(byte 0\)"),
     "bare.csv": (csv(VOLVE[0], columns=VOLVE[1]), 'weight_on_bit="WOBA .kN or klbf or t." .*pressure="SPPA .kPa."'),
     "cut.xml": (witsml(LISTS, lines_of(*FOUR))[:-30], r"not XML \(.*\); export the log again, or as CSV"),
     "bomb.xml": ('<?xml version="1.0"?><!DOCTYPE x><x/>', "defines entities, which are not read"),

@@ -285,7 +285,7 @@ _READING = (
     argument(
         "--where",
         "CONDITION",
-        'of a rig log: rows to read, like "WOB (klb) < 35", "1000 <= depth (m) < 1200" or Formation=shale',
+        'of a rig log: rows to read, like "WOB (klb) < 35", "depth (m) >= 1200" or Formation=shale',
         **MANY,
     ),
     argument("--nulls", "TEXT", "of a rig log: further texts that stand for a missing value", nargs="+"),

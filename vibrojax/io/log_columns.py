@@ -117,12 +117,11 @@ def checked_columns(columns: object) -> dict[str, str]:
         raise InputError(f'columns: {shown(columns)} does not name columns; give a dict like {{"{RATE}": "ROP (m/h)"}}')
     columns = dict(columns or {})
     for name, text in columns.items():
-        here, choices = Place("columns", str(name)), (*LAW, "rock", *RIG)
-        if name not in KNOWN and name != "rock":
-            like = _QUANTITIES.get(normalised(str(name))) or nearest(str(name), (*choices, *KNOWN))
+        here, choices = Place("columns", str(name)), dict.fromkeys((*LAW, "rock", *RIG, *KNOWN))
+        if name not in choices:
+            like = _QUANTITIES.get(normalised(str(name))) or nearest(str(name), choices)
             hint = f"did you mean {shown(like)}? " if like else ""
-            hint += f"choose from {', '.join(choices)}, or a parameter of the scenes"
-            raise here.error(f"is not a quantity of rig data; {hint}")
+            raise here.error(f"is not a quantity of rig data; {hint}choose from {', '.join(choices)}")
         if not isinstance(text, str) or not text.strip():
             raise here.error(f'{shown(text)} is not a column; write one with its unit, like {name}="ROP (m/h)"')
     if "rock" in columns:

@@ -39,8 +39,15 @@ from vibrojax.io.log_columns import (
     recognise,
     split_unit,
 )
-from vibrojax.io.log_files import MOST_LISTED, cells_of, read_cells
-from vibrojax.io.tables import ambiguous_commas, decimal_mark, is_number, to_numbers
+from vibrojax.io.tables import (
+    MOST_LISTED,
+    ambiguous_commas,
+    cells_of,
+    decimal_mark,
+    is_number,
+    read_cells,
+    to_numbers,
+)
 from vibrojax.physics.units import UNITS, factor
 
 NULLS = frozenset(

@@ -1,23 +1,32 @@
-"""Tables as text: CSV files with commas or semicolons between the columns."""
+"""Tables as text: points of sweeps as CSV, and logs as delimited text, LAS, WITSML or xlsx, with their numbers."""
 
 import csv
 import io
 import re
 import warnings
 from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vibrojax.errors import InputError, Place, nearest, shown
+from vibrojax.errors import InputError, Place, counted, nearest, shown
 from vibrojax.io.files import read_regular
+from vibrojax.io.log_columns import recognise
 from vibrojax.lazy import pd
 from vibrojax.physics.units import is_unit
 
-Rows = list[tuple[int, list[str]]]
-"""The non-empty lines of a table: (line number, cells)."""
+MOST_LISTED = 10
+"""Number of faults that a message lists."""
 
+_HEAD = 200
+"""Number of rows in which names, units and the first numbers are sought."""
+
+_NO_ROWS = "no rows; add a line for each measurement"
+_LAS_SECTIONS = {"V": "~Version", "C": "~Curve", "A": "~ASCII"}
+_LAS_DELIMITERS = {"COMMA": ",", "TAB": "\t"}
 _NUMBERS = {
     ",": re.compile(r"[-+]?(\d+|\d{1,3}(\.\d{3})+),\d+([eE][-+]?\d+)?"),
     ".": re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?|[-+]?\d{1,3}(,\d{3})+\.\d+"),
@@ -56,10 +65,8 @@ def read_text(path: Path, windows: bool = False) -> str:
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
 
 
-def read_table(path: Path, row: str, none: str, example: str) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
-    """Return the header of a CSV with the number of its line, and the other rows, each with the number of its line.
-
-    `row`, `none`, `example`: name of a row, advice if there is none, and example of a header, for messages.
+def read_table(path: Path) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
+    """Return the header of a CSV with points, the number of its line, and the other rows with those of theirs.
 
     **Raises:** `InputError` if the header is no list of names or, while reading rows, if one has other columns.
     """
@@ -67,12 +74,12 @@ def read_table(path: Path, row: str, none: str, example: str) -> tuple[int, list
     rows = _read_csv(place, read_text(path))
     line, header = next(rows, (0, []))
     if not header:
-        raise place.error(f"empty; a line of column names and a line for each {row} are needed")
+        raise place.error("empty; a line of column names and a line for each point are needed")
     header, here = [cell.strip() for cell in header], place.at(f"line {line}")
     if len(header) == 1 and "\t" in header[0]:
         raise here.error(f"{shown(header[0])} is one column; separate them by commas")
     if all(map(is_number, header)):
-        raise here.error(f"{shown(', '.join(header))} are numbers; the first line names the columns, like {example}")
+        raise here.error(f"{shown(', '.join(header))} are numbers; the first line names the columns, like beta,gamma")
 
     def checked() -> Iterator[tuple[int, list[str]]]:
         last = 0
@@ -81,7 +88,7 @@ def read_table(path: Path, row: str, none: str, example: str) -> tuple[int, list
                 raise place.at(f"line {last}").error(f"has {len(cells)} cells; {len(header)} are needed, one a column")
             yield last, cells
         if not last:
-            raise place.error(f"{none} below the column names")
+            raise place.error("no points; add a line for each below the column names")
 
     return line, header, checked()
 
@@ -167,24 +174,186 @@ def _read_csv(place: Place, text: str) -> Iterator[tuple[int, list[str]]]:
     return iter([header] + [(line, [next(points) for _ in row]) for line, row in rows])
 
 
-def rows_without_units(place: Place, header: list[str], rows: Rows) -> Rows:
-    """Return the rows of a CSV; raise `InputError` if the first of them holds units."""
-    units = [cell.strip(" []()") for cell in rows[0][1]]
-    if not any(map(is_number, units)) and any(is_unit(unit) for unit in units if unit):
-        like = f"{header[0]} ({units[0]})"
-        fault = f"holds units; write them behind the names, like {like}, and leave it out"
-        raise place.at(f"line {rows[0][0]}").error(fault)
-    return rows
+# Files of logs
 
 
-def column_numbers(place: Place, name: str, index: int, rows: Rows) -> Float[np.ndarray, " rows"]:
-    """Return the numbers in a column, NaN for empty cells; raise `InputError` for other text."""
-    values = np.full(len(rows), np.nan)
-    for position, (line, row) in enumerate(rows):
-        if cell := row[index].strip():
-            try:
-                values[position] = float(cell.replace(",", "") if _NUMBERS["."].fullmatch(cell) else cell)
-            except ValueError:
-                fault = f"{shown(cell)} is not a number; write one, like 0.4, or leave it empty"
-                raise place.at(f"line {line}, column {name}").error(fault) from None
-    return values
+@dataclass(frozen=True)
+class Cells:
+    """A table of text: `header` (names with their units) at a `line`; `rows`, indexed by line, a column per name.
+
+    `nulls`: numbers that stand for a missing value in this file.
+    """
+
+    header: list[str]
+    line: int
+    rows: "pd.DataFrame"
+    nulls: frozenset[str] = frozenset()
+    notes: tuple[str, ...] = ()
+
+
+def read_cells(place: Place, path: Path) -> Cells:
+    """Return the cells of a file, whose kind is recognised by its content or its ending.
+
+    **Raises:** `InputError` if the file cannot be read, or a row has another width than the header (further cells may
+    be empty).
+    """
+    if path.suffix.lower() in (".xlsx", ".xlsm", ".xls"):
+        cells = _below_names(place, _read_xlsx(place, path))
+    else:
+        text = read_text(path, windows=True)
+        if text.lstrip().startswith("~") or path.suffix.lower() == ".las":
+            cells = _read_las(place, text)
+        else:
+            is_xml = text.lstrip().startswith("<")
+            cells = _read_witsml(place, text) if is_xml else _below_names(place, _read_delimited(place, text))
+    width, rows = len(cells.header), cells.rows
+    counts = rows.iloc[:, :width].notna().sum(axis=1) + (rows.iloc[:, width:].fillna("") != "").sum(axis=1)
+    if (wrong := counts[counts != width].astype(int)).size:
+        listed = [f"line {line} has {counted(count, 'cell')}" for line, count in wrong.iloc[:MOST_LISTED].items()]
+        more = f"; and {len(wrong) - MOST_LISTED} more" if len(wrong) > MOST_LISTED else ""
+        raise place.error(f"{'; '.join(listed)}{more}; {width} are needed, one a column")
+    return replace(cells, rows=rows.iloc[:, :width])
+
+
+def cells_of(place: Place, table: "pd.DataFrame") -> Cells:
+    """Return the cells of a DataFrame; in one that `read_log` returned, the quantities are in SI units."""
+    units = table.attrs["units"] if "sources" in table.attrs else {}
+    table = table.reset_index() if any(table.index.names) else table
+    lines = table["line"] if units and "line" in table else range(2, len(table) + 2)
+    table = table.drop(columns="line", errors="ignore") if units else table
+    if table.empty:
+        raise place.error(_NO_ROWS)
+    names = [f"{name} ({units[name]})" if name in units else str(name) for name in table.columns]
+    rows = table.astype(object).where(table.notna(), "").map(str)
+    return Cells(names, 1, rows.set_axis(range(len(names)), axis=1).set_axis(lines))
+
+
+def _read_delimited(place: Place, text: str) -> "pd.DataFrame":
+    lines = [line for line in text.splitlines() if line.strip()][:_HEAD]
+    if not lines:
+        raise place.error("empty; a line of column names and a line for each measurement are needed")
+    separator = next((mark for mark in ";\t" if 2 * sum(mark in line for line in lines) > len(lines)), ",")
+    return _table(list(csv_rows(place, text, separator)))
+
+
+def _table(rows: list[tuple[int, list[str]]]) -> "pd.DataFrame":
+    """Return rows, each with its line, as a table indexed by line, in which short rows end in None."""
+    width = max(len(cells) for _, cells in rows)
+    padded = [cells + [None] * (width - len(cells)) for _, cells in rows]
+    return pd.DataFrame(padded, index=[line for line, _ in rows], dtype=object)
+
+
+def _read_xlsx(place: Place, path: Path) -> "pd.DataFrame":
+    try:
+        content = io.BytesIO(read_regular(path))
+        table = pd.read_excel(content, header=None, dtype=str, keep_default_na=False, engine="openpyxl")
+    except ImportError:
+        fault = "needs openpyxl, which is not installed; export as CSV"
+        raise place.error(f'{fault}, or pip install "vibrojax[xlsx]"') from None
+    except Exception as error:  # openpyxl raises errors of several libraries for a damaged workbook
+        raise place.error(f"cannot be read as xlsx ({type(error).__name__}); export as CSV") from None
+    table.index = pd.RangeIndex(1, len(table) + 1)
+    return table[(table != "").any(axis=1)]
+
+
+def _below_names(place: Place, table: "pd.DataFrame") -> Cells:
+    """Return the cells below the names, which stand above the first row of numbers.
+
+    A row of units goes into the names. Of several other rows there, such as titles, that with most known names counts.
+    """
+    head = table.iloc[:_HEAD].fillna("").map(str.strip)
+    numbers = head.map(lambda cell: bool(cell) and is_number(cell.replace(",", "."))).sum(axis=1).to_numpy()
+    typical = float(np.median(numbers[numbers > 0])) if numbers.any() else np.inf
+    above = int(np.argmax(numbers >= typical / 2)) if numbers.any() else min(len(head), 2)
+    texts = head.iloc[:above].to_numpy().tolist()
+    if not texts:
+        first = shown(", ".join(filter(None, head.iloc[0])))
+        advice = "the first line names the columns, like relief,rate_of_penetration"
+        raise place.at(f"line {table.index[0]}").error(f"{first} are numbers; {advice}")
+    known = [sum(recognise(cell)[0] is not None for cell in row if cell) for row in texts]
+    units = [sum(is_unit(cell.strip(" []()")) for cell in row) for row in texts]
+    below = next((k for k in range(1, above) if units[k] > known[k]), None)
+    names = max((k for k in range(above) if k != below), key=lambda k: (known[k], sum(map(bool, texts[k])), k))
+    header, notes = texts[names][: table.iloc[names].notna().sum()], []
+    if below is not None:
+        header = [_with_unit(name, unit.strip(" []()")) for name, unit in zip(header, texts[below], strict=False)]
+        notes.append(f"line {table.index[below]} holds the units of the columns")
+    notes += [f"line {table.index[k]} holds no names and is not read" for k in range(above) if k not in (names, below)]
+    while not header[-1] and (table.iloc[above:, len(header) - 1].fillna("") == "").all():
+        header.pop()
+    if above == len(table):
+        raise place.error(_NO_ROWS)
+    return Cells(header, int(table.index[names]), table.iloc[above:], notes=tuple(notes))
+
+
+def _with_unit(name: str, unit: str) -> str:
+    """Return a name with its unit, if it is one or the name is known, and holds none: "Rotary RPM" ends in a unit."""
+    quantity, own = recognise(name)
+    is_wanted = unit.strip(" .-") and own is None and (quantity is not None or is_unit(unit))
+    return f"{name} ({unit})" if is_wanted else name
+
+
+def _read_witsml(place: Place, text: str) -> Cells:
+    """Return the rows of `logData` in WITSML 1.3 or 1.4, with the units of its list or of its `logCurveInfo`."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise place.error("defines entities, which are not read; export the log without them, or as CSV")
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise place.error(f"not XML ({error}); export the log again, or as CSV") from None
+    logs = root.findall(".//{*}logData")
+    rows = [(row.text or "").split(",") for row in root.findall(".//{*}logData/{*}data")]
+    if len(logs) != 1 or not rows:
+        fault = f"holds {counted(len(logs), 'element')} logData with {counted(len(rows), 'row')}"
+        raise place.error(f"{fault}; a file with one log of WITSML 1.3 or 1.4 is needed, or export as CSV")
+    names, units = ((logs[0].findtext("{*}" + tag) or "").split(",") for tag in ("mnemonicList", "unitList"))
+    about = {c.findtext("{*}mnemonic"): c.findtext("{*}unit") or "" for c in root.findall(".//{*}logCurveInfo")}
+    names = [name.strip() for name in names] if any(names) else list(map(str, about))
+    units = units if len(units) == len(names) else [about.get(name, "") for name in names]
+    header = [_with_unit(name, unit.strip()) for name, unit in zip(names, units, strict=True)]
+    lines = [number for number, line in enumerate(text.splitlines(), 1) if "<data>" in line]
+    index = lines if len(lines) == len(rows) else range(1, len(rows) + 1)
+    nulls = frozenset((null.text or "").strip() for null in root.findall(".//{*}nullValue"))
+    return Cells(header, max(index[0] - 1, 1), _table(list(zip(index, rows, strict=True))), nulls)
+
+
+def _read_las(place: Place, text: str) -> Cells:
+    """Return the rows of a LAS file of version 1.2, 2.0 (wrapped, too) or 3.0 with one log."""
+    try:
+        import lasio
+    except ImportError:
+        raise place.error('LAS files need lasio, which is not installed; pip install "vibrojax[las]"') from None
+    # lasio reads the header only: its rows have no lines, and it takes neither small letters nor sections of LAS 3.
+    sections: dict[str, list[tuple[int, str]]] = {"": []}
+    begins: dict[str, int] = {}
+    key = ""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.startswith("~"):
+            title = line[1:].strip().upper()
+            key = "A" if title.startswith(("A", "LOG_DATA")) else "C" if title.startswith("LOG_DEF") else title[:1]
+            if key in begins and key in "AC":
+                raise place.at(f"line {number}").error("begins a second log; write one log in a file")
+            sections.setdefault(key, [])
+            begins.setdefault(key, number)
+        elif line.strip() and not line.lstrip().startswith("#"):
+            sections[key].append((number, line))
+    if missing := [name for letter, name in _LAS_SECTIONS.items() if letter not in begins]:
+        raise place.error(f"not LAS: it has no section {missing[0]}; export the log again, with its data, or as CSV")
+    head = [line for key in "VWC" for line in (f"~{key}", *(line for _, line in sections.get(key, [])))]
+    try:
+        las = lasio.read(io.StringIO("\n".join([*head, "~A"])), ignore_data=True)
+        is_wrapped = str(las.version.WRAP.value).strip().upper() == "YES"
+        delimiter = _LAS_DELIMITERS.get(str(las.version["DLM"].value).upper()) if "DLM" in las.version else None
+    except Exception:  # lasio has no error of its own for a malformed header
+        fault = "not LAS: VERS and WRAP in ~Version, and a curve on each line of ~Curve, are needed"
+        raise place.at(f"line {begins['V']}").error(f"{fault}; or export as CSV") from None
+    header = [_with_unit(str(curve.original_mnemonic), str(curve.unit or "")) for curve in las.curves]
+    rows = [(number, [cell.strip() for cell in line.split(delimiter)]) for number, line in sections["A"]]
+    if is_wrapped:
+        width, every = len(header), [(number, cell) for number, cells in rows for cell in cells if cell]
+        groups = [every[k : k + width] for k in range(0, len(every), width)]
+        rows = [(group[0][0], [cell for _, cell in group]) for group in groups]
+    if not rows:
+        raise place.at(f"line {begins['A']}").error(_NO_ROWS)
+    nulls = {str(las.well["NULL"].value)} if "NULL" in las.well else set[str]()
+    return Cells(header, begins["C"], _table(rows), frozenset(nulls))

@@ -238,7 +238,7 @@ def read_points(place: Place, value: object, folder: Path, names: Names) -> Poin
 def _from_csv(path: Path, names: Names) -> Points:
     """Read points from a CSV file whose first line contains the column names."""
     place = Place(str(path))
-    line, header, rows = read_table(path, "point", "no points; add a line for each", "beta,gamma")
+    line, header, rows = read_table(path)
     text = ("start", *names.presets)
     lines = array("q")  # line number of each point in the file
 

@@ -13,7 +13,7 @@ HOMES = {
     "study": "effects:Studies",
     "rig": "rig_analysis:Rigs",
     "calibration": "calibrate:Calibrations",
-    "fit": "rop_picture:Fits",
+    "fit": "rop_results:Fits",
     "accuracy": "accuracy:AccuracyStudy",
     "sensitivity": "sensitivity:Sensitivity",
 }

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vibrojax.errors import Place, shown, suggestion
+from vibrojax.errors import Place, counted, shown, suggestion
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.log_columns import split_unit
-from vibrojax.io.tables import column_numbers, read_table, rows_without_units
+from vibrojax.io.tables import decimal_mark, read_cells, to_numbers
 from vibrojax.io.variables import VARIABLES
 from vibrojax.lazy import jax
 from vibrojax.maps.bounds import SceneFile, read_bounds, read_file
@@ -169,7 +169,7 @@ def _read_rows(
         raise place.at("data").error('missing; give the path of a CSV file with observations, like data = "runs.csv"')
     units = {name: parameter.unit for name, parameter in names.parameters.items()}
     units |= {f"{name}{end}": VARIABLES[name].units for end in ("_error", "") for name in variables}
-    table, labels, place = _read_table(place.at("data"), file.data, folder, units, "v,period,impact_velocity")
+    table, labels, place = _read_table(place.at("data"), file.data, folder, units)
     conditions = {name: x for name, x in table.items() if name in names.parameters}
     observed = {name: x for name, x in table.items() if name in variables}
     for name, x in (conditions | observed).items():
@@ -183,6 +183,10 @@ def _read_rows(
         if np.isinf(x).any() or not np.isfinite(x).any():
             fault = "an infinite value" if np.isinf(x).any() else "no number"
             raise here.error(f"has {fault}; leave a cell empty where there is no observation")
+        if name == RATE and (negative := x < 0).any():
+            first = f"{'line' if labels[0] else 'row'} {labels[int(np.argmax(negative))]}"  # rows of a table begin at 0
+            fault = f"has {counted(negative.sum(), 'negative value')}, first in {first}, but no hole gets shallower"
+            raise here.error(f"{fault}; correct the cells, or leave them empty")
     if not observed:
         raise place.error(f"holds no observation; name a column after a variable, such as {', '.join(variables[:3])}")
     if not {*bounds, *conditions} - {CONSTANT}:
@@ -231,7 +235,7 @@ def _read_history(
     chosen = {
         choice(place.at("columns"), name, units): str(text) for name, text in (table.columns | {**columns}).items()
     }
-    x, _, home = _read_table(place, table.data, folder, units, "time,v1", chosen)
+    x, _, home = _read_table(place, table.data, folder, units, chosen)
     for name in ("time", VELOCITY):
         if name not in x:
             fault = f"missing; columns time [s] and {VELOCITY} [m/s] are needed; `columns` may name others"
@@ -259,14 +263,9 @@ def _read_history(
 
 
 def _read_table(
-    place: Place,
-    data: Any,
-    folder: Path,
-    units: Mapping[str, str],
-    example: str,
-    chosen: Mapping[str, str] | None = None,
+    place: Place, data: Any, folder: Path, units: Mapping[str, str], chosen: Mapping[str, str] | None = None
 ) -> tuple[dict[str, np.ndarray], np.ndarray, Place]:
-    """Return the columns of a CSV file, dataset or table, the number of each row (in a file, its line), and its place.
+    """Return the columns of a file, dataset or table, the number of each row (in a text file, its line), and its place.
 
     `units`: SI units by quantity, to which the columns are converted. `chosen`: columns by quantity whose name is
     another; then, further columns may hold anything.
@@ -287,13 +286,17 @@ def _read_table(
         if path.suffix == ".nc":
             data = open_dataset(path)
         else:
-            line, header, others = read_table(path, "measurement", "no rows; add a line for each measurement", example)
-            rows = rows_without_units(place, header, list(others))
+            cells = read_cells(place, path)
+            header, rows, numbers = cells.header, cells.rows, cells.rows.index.to_numpy()
             if len({*header}) < len(header):
-                raise place.at(f"line {line}").error("has two columns of one name; give each column once")
+                raise place.at(f"line {cells.line}").error("has two columns of one name; give each column once")
             wanted = [k for k, name in enumerate(header) if chosen is None or quantity_of(name)[0]]
-            data = {header[k]: column_numbers(place, header[k], k, rows) for k in wanted}
-            numbers = np.array([number for number, _ in rows])
+            mark, data = decimal_mark(rows[k] for k in wanted), {}
+            for k in wanted:
+                data[header[k]], bad = to_numbers(rows[k], mark, ())
+                for line, cell in rows[k][bad].items():
+                    fault = f"{shown(str(cell).strip())} is not a number; write one, like 0.4, or leave it empty"
+                    raise place.at(f"line {line}, column {header[k]}").error(fault)
     if isinstance(data, xr.Dataset):
         data = {name: x.values for name, x in data.variables.items() if x.ndim == 1}
     if not isinstance(data, (Mapping, pd.DataFrame)):

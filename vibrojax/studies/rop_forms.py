@@ -63,6 +63,7 @@ SPECIAL_LIMIT = 8.8
 A right special case has evidence above 8.8 against it in 0.1 % of groups: chi-squared above 10.8, as its missing
 coefficient counts 2. The correlation and the founder weight, which follow from the data, leave this below 1 %."""
 
+_SPECIAL_LIMITS = {BLOCK_LIMIT: SPECIAL_LIMIT, AIC_LIMIT: AIC_LIMIT}
 _NORMAL_OVER_MAD = 1.4826  # standard deviation over median absolute deviation, for normal noise
 _BOUND = 2.0  # standard deviations beyond which the robust loss grows linearly: 95 % as efficient as least squares
 _LARGEST_EXPONENT = 60.0  # argument of exp, so that a poor trial step of the search does not overflow
@@ -103,6 +104,8 @@ FORMS = (
     Form("power", "C eta^exponent", 2, True, lambda eta, C, eta0, exponent: C * eta**exponent),
     Form("constant", "C", 1, False, lambda eta, C, eta0, exponent: C * np.ones_like(eta)),
 )
+
+FORMULAS = {form.name: form.formula for form in FORMS}
 
 LOGARITHMIC = ("literal", "percent", "onset")
 """Names of the three readings of the source's law, eq. 6.4."""
@@ -302,14 +305,10 @@ def standings(evidence: Float[np.ndarray, " forms"], names: Sequence[str], limit
     for form, name in enumerate(names):
         if kept[form] and name in CONTAINED.get(names[chosen], ()):
             standing[form] = Standing.CONTAINS_CHOSEN
-        elif names[chosen] in CONTAINED.get(name, ()) and above[form] <= _limit_of_special(limit):
+        elif names[chosen] in CONTAINED.get(name, ()) and above[form] <= _SPECIAL_LIMITS[limit]:
             standing[form] = Standing.UNDECIDED
     standing[chosen] = Standing.CHOSEN
     return standing
-
-
-def _limit_of_special(limit: float) -> float:
-    return SPECIAL_LIMIT if limit == BLOCK_LIMIT else limit
 
 
 def supported(
@@ -333,6 +332,6 @@ def supported(
     special = [names.index(name) for name, wider in CONTAINED.items() if name in names and names[chosen] in wider]
     special = [form for form in special if standing[:, form].any()]
     above = (evidence - np.nanmin(evidence, axis=1, keepdims=True))[:, special]
-    is_rejected = (above > _limit_of_special(limit) + 2 * np.log(len(evidence))).any(axis=0)
+    is_rejected = (above > _SPECIAL_LIMITS[limit] + 2 * np.log(len(evidence))).any(axis=0)
     has_rival = (joint == Standing.UNDECIDED).any() or not is_rejected.all()
     return "none" if has_rival or (standing[:, chosen] == Standing.REJECTED).any() else names[chosen]

@@ -41,7 +41,7 @@ from vibrojax.physics.meanings import suggest_coordinate
 from vibrojax.physics.units import UNITS, factor
 from vibrojax.progress import LOG
 from vibrojax.settings.values import choice, warn_if_far
-from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, REASONS, STANDINGS, supported
+from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMULAS, REASONS, STANDINGS, supported
 from vibrojax.studies.rop_group import NAMES, fit_lanes
 
 if TYPE_CHECKING:
@@ -74,39 +74,44 @@ _KEPT = (
 _LANES = ("relief", "rate", "weight", "number", "valid")
 """Variables of lanes: `weight` is the mean force where it is known, else the relief; `number` is the line of a row."""
 
-_OF_FORMS = {
-    "C": Variable("m s-1", "coefficient of the rate-of-penetration law"),
-    "C_stderr": Variable("m s-1", "standard error of C"),
-    "eta0": Variable("1", "relief at the onset"),
-    "eta0_stderr": Variable("1", "standard error of eta0"),
-    "exponent": Variable("1", "exponent of the relief"),
-    "exponent_stderr": Variable("1", "standard error of the exponent"),
-    "r_squared": Variable("1", "share of the rate's variance that the form explains"),
-    "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2"),
-    "cv_error": Variable("m s-1", "error of rates predicted from the other blocks of rows of a log"),
+_FORM, _LANE = "form", "lane"
+SCHEMA = {
+    "C": Variable("m s-1", "coefficient of the rate-of-penetration law", along=_FORM),
+    "C_stderr": Variable("m s-1", "standard error of C", along=_FORM),
+    "eta0": Variable("1", "relief at the onset", along=_FORM),
+    "eta0_stderr": Variable("1", "standard error of eta0", along=_FORM),
+    "exponent": Variable("1", "exponent of the relief", along=_FORM),
+    "exponent_stderr": Variable("1", "standard error of the exponent", along=_FORM),
+    "r_squared": Variable("1", "share of the rate's variance that the form explains", along=_FORM),
+    "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2", along=_FORM),
+    "cv_error": Variable("m s-1", "error of rates predicted from the other blocks of rows of a log", along=_FORM),
     "evidence_against": Variable(
-        "1", "n ln(e/least e) of predicted rates, or by AIC; rejected above 5.4 (a special case: 8.8), of a sweep 2"
+        *("1", "n ln(e/least e) of predicted rates, or by AIC; rejected above 5.4 (a special case: 8.8), of a sweep 2"),
+        along=_FORM,
     ),
-    "degrees_of_freedom": Variable("1", "lanes with a residual less coefficients", np.int32),
-    "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32),
-    "left_out": Variable("1", "lanes left out: failed, irregular, wrong, or above the founder weight", np.int32),
-    "reason": Variable("1", "why a coefficient is not a number", np.int8, REASONS),
-    "r_squared_reason": Variable("1", "why r_squared is not a number", np.int8, REASONS),
-    "standing": Variable("1", "result of the comparison of the forms", np.int8, STANDINGS),
-}
-_OF_GROUPS = {
+    "degrees_of_freedom": Variable("1", "lanes with a residual less coefficients", np.int32, along=_FORM),
+    "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32, along=_FORM),
+    "left_out": Variable(
+        *("1", "lanes left out: failed, irregular, wrong, or above the founder weight", np.int32), along=_FORM
+    ),
+    "reason": Variable("1", "why a coefficient is not a number", np.int8, REASONS, along=_FORM),
+    "r_squared_reason": Variable("1", "why r_squared is not a number", np.int8, REASONS, along=_FORM),
+    "standing": Variable("1", "result of the comparison of the forms", np.int8, STANDINGS, along=_FORM),
+    "onset_force": Variable("N", "the force at the onset, eta0 D", along=_FORM),
+    "onset_force_stderr": Variable("N", "standard error of the force at the onset, eta0 D", along=_FORM),
     "founder_weight": Variable("N", "mean force above which the rate does not rise"),
     "founder_weight_stderr": Variable("N", "standard error of the founder weight"),
     "founder_fall": Variable("m s-1 N-1", "fall of the rate per mean force above the founder weight"),
     "founder_fall_stderr": Variable("m s-1 N-1", "standard error of the fall"),
     "noise_correlation": Variable("1", "correlation of the noise of neighbouring rows"),
     "data_threshold": Variable("N", "mean force at a relief of 1"),
+    "data_relief": Variable("1", "relief of the lanes that were fitted", along=_LANE),
+    "data_rate_of_penetration": Variable("m s-1", "rate of penetration of the lanes that were fitted", along=_LANE),
+    "data_use": Variable("1", "what became of a lane", np.int8, USES, along=_LANE),
 }
-_OF_LANES = {
-    "data_relief": Variable("1", "relief of the lanes that were fitted"),
-    "data_rate_of_penetration": Variable("m s-1", "rate of penetration of the lanes that were fitted"),
-    "data_use": Variable("1", "what became of a lane", np.int8, USES),
-}
+"""Variables of a fit over its groups, and `along` its forms or lanes. `onset_force` needs an unknown threshold."""
+
+_OF_FOUNDER = ("founder_weight", "founder_weight_stderr", "founder_fall", "founder_fall_stderr", "noise_correlation")
 
 
 def fit_rop(
@@ -155,11 +160,12 @@ def fit_rop(
     - `where`, `nulls`: of a rig log, as in `read_log`.
 
     **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
-    r_squared, aic, degrees_of_freedom, used, left_out, `standing` and `reason`. A coefficient is NaN if the form does
-    not have it or the lanes do not identify it. Over the groups: `founder_weight` [N] with its standard error, NaN if
-    there is none, and `founder_fall` [m/s/N], the fall above it. The attribute `verdict` is the form that the data of
-    all groups support, or "none". The dataset also contains the data, over the groups and `lane`: data_relief [1],
-    data_rate_of_penetration [m/s], and `data_use`.
+    r_squared, aic, degrees_of_freedom, used and left_out (numbers of lanes), `standing` and `reason`. A coefficient is
+    NaN if the form does not have it or the lanes do not identify it. Over the groups: `founder_weight` [N] with its
+    standard error, NaN if there is none, and `founder_fall` [m/s/N], the fall above it. The attribute `verdict` is the
+    form that the data of all groups support, or "none"; `left_out_rows` lists wrong rows of a log. Over the groups and
+    `lane`, the dataset holds the data: data_relief [1], data_rate_of_penetration [m/s], and `data_use`. The guide lists
+    all variables.
 
     **Raises:** `InputError`.
 
@@ -226,8 +232,8 @@ def _read_rows(source: Path | pd.DataFrame, columns: Columns, where: Where, null
     `reference_force` [N].
     """
     columns = checked_columns(columns)
-    is_unknown = columns.get(THRESHOLD, "").strip() == "unknown"
-    columns = {name: text for name, text in columns.items() if not (is_unknown and name == THRESHOLD)}
+    if is_unknown := columns.get(THRESHOLD, "").strip() == "unknown":
+        del columns[THRESHOLD]
     log = read_needed(source, columns, where, nulls, _FOR_LAW, "fit_rop")
     place = Place("fit_rop" if isinstance(source, pd.DataFrame) else str(source))
     for header, name, median, likely in log.attrs["unusual"]:
@@ -316,8 +322,8 @@ def _grouped(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[st
             if name not in columns:
                 own = [column for column in columns if not lanes[column].attrs] or columns  # not the quantities
                 hint = f"; {suggestion(str(name), own)}" if own else ": the data are not a table with columns"
-                fault = f"{shown(name)} is not a column of the data{hint}"
-                raise place.at("by" if name in by else "along").error(fault)
+                here = place.at("by" if name in by else "along")
+                raise here.error(f"{shown(name)} is not a column of the data{hint}")
         keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *RIG)]
         return _grouped_rows(lanes, keys, row, str(along or row))
     if along is None:
@@ -328,7 +334,7 @@ def _grouped(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[st
         hint = suggest_coordinate(str(along), {dim: lanes[dim].attrs for dim in dims})
         raise place.at("along").error(f"{shown(along)} is not an axis of the data; {hint}")
     others = [dim for dim in dims if dim != along]
-    variables = {str(name): ((*others, "lane"), x.transpose(*others, along).values) for name, x in lanes.items()}
+    variables = {str(name): ((*others, _LANE), x.transpose(*others, along).values) for name, x in lanes.items()}
     coordinates = {str(name): values for name, values in lanes.coords.items() if set(values.dims) <= set(others)}
     return xr.Dataset(variables, coordinates, {"along": along})
 
@@ -344,7 +350,7 @@ def _grouped_rows(lanes: xr.Dataset, keys: list[str], row: str, along: str) -> x
     for name, x in lanes.items():
         padded = np.zeros((first.size, lane.max() + 1), x.dtype)
         padded[group, lane] = x.values
-        variables[str(name)] = (("group", "lane"), padded)
+        variables[str(name)] = (("group", _LANE), padded)
     coordinates = {name: xr.Variable("group", lanes[name].values[first], lanes[name].attrs) for name in keys}
     return xr.Dataset(variables, coordinates, {"along": along})
 
@@ -354,8 +360,8 @@ def _grouped_rows(lanes: xr.Dataset, keys: list[str], row: str, along: str) -> x
 
 def fit_groups(groups: xr.Dataset, robust: str | None = None, progress: bool = False) -> xr.Dataset:
     """Fit every form to every group that `read_groups` returned; return the dataset that `fit_rop` describes."""
-    along, dims, about = groups.attrs["along"], groups["rate"].dims[:-1], groups.attrs
-    sizes, counts = [groups.sizes[dim] for dim in dims], groups["is_lane"].sum("lane").values.ravel()
+    about, dims = groups.attrs, groups["rate"].dims[:-1]
+    along, counts = about["along"], groups["is_lane"].sum(_LANE).values.ravel()
     measured, unknown = "dialect" in about, "reference_force" in about
     loss = robust or ("soft-l1" if measured else "squares")
     LOG.info("chosen: along %s, %d groups, loss %s", along, counts.size, loss)
@@ -363,55 +369,48 @@ def fit_groups(groups: xr.Dataset, robust: str | None = None, progress: bool = F
     lanes = {str(name): x.values.reshape(counts.size, -1) for name, x in groups.items()}
     valid, is_lane = lanes["valid"], lanes["is_lane"]
     use = np.select([~is_lane, valid & (lanes["rate"] > 0), valid], [0, 1, 2], USES.index("left-out"))
-    fits, left_out = [], [(NO_VALUES, is_lane & ~valid)]
+    fits, left_out = [], {NO_VALUES: is_lane & ~valid}
     for group in range(counts.size):
         rows = np.flatnonzero(valid[group])
         relief, weight, rate = (lanes[name][group, rows] for name in ("relief", "weight", "rate"))
         fits.append(fit_lanes(relief, weight, rate, loss != "squares", measured, unknown, about["has_force"]))
         for reason, mask in fits[-1].wrong.items():
-            left_out.append((reason, np.zeros_like(valid)))
-            left_out[-1][1][group, rows[mask]] = True
+            left_out.setdefault(reason, np.zeros_like(valid))[group, rows[mask]] = True
             use[group, rows[mask]] = USES.index("left-out")
         use[group, rows[fits[-1].above]] = USES.index("above-founder")
     if progress:
         fitted = f"{counted(counts.size, 'group')} of {counted(counts.max(), 'lane')} along {along} fitted"
         print("\n".join([*log_lines(groups), f"{fitted} in {time.monotonic() - start:.1f} s"]), file=sys.stderr)
-    of_forms = {name: np.array([fit.forms[name] for fit in fits]) for name in fits[0].forms}
-    of_forms["left_out"] = counts[:, None] - of_forms["used"]
-    of_groups = dict(zip(_OF_GROUPS, [*np.array([fit.founder for fit in fits]).T, _thresholds(lanes)], strict=True))
-    if not about["has_force"]:
-        of_groups["data_threshold"] = np.full(counts.size, np.nan)
-    relief, rate = (np.where(is_lane, lanes[name], np.nan) for name in ("relief", "rate"))
-    of_lanes = dict(zip(_OF_LANES, (relief, rate, use), strict=True))
-    variables: dict[str, Any] = {}
-    for more, part in ((("form",), of_forms), ((), of_groups), (("lane",), of_lanes)):
-        shape = [*sizes, *[-1] * len(more)]
-        variables |= {name: ((*dims, *more), np.reshape(x, shape)) for name, x in part.items()}
+    values: dict[str, Any] = {name: np.array([fit.forms[name] for fit in fits]) for name in fits[0].forms}
+    values["left_out"] = counts[:, None] - values["used"]
+    for name in ("", "_stderr") if unknown else ():
+        values[f"onset_force{name}"] = about["reference_force"] * values[f"eta0{name}"]
+    values |= zip(_OF_FOUNDER, np.array([fit.founder for fit in fits]).T, strict=True)
+    values["data_threshold"] = _thresholds(lanes) if about["has_force"] else np.full(counts.size, np.nan)
+    for name, column in ((RELIEF, "relief"), (RATE, "rate")):
+        values[f"data_{name}"] = np.where(is_lane, lanes[column], np.nan)
+    values["data_use"] = use
+    limit = BLOCK_LIMIT if measured else AIC_LIMIT
     attributes = dataset_attributes(
         "fit",
         f"rate-of-penetration law: {about['title']}",
         "\n".join(filter(None, (f"fit {about['file']}", str(about.get("history", ""))))),
         **{name: about[name] for name in _KEPT if name in about},
         along=along,
-        formulas="; ".join(f"{form.name}: {form.formula}" for form in FORMS),
-        verdict=supported(
-            of_forms["standing"], of_forms["evidence_against"], NAMES, BLOCK_LIMIT if measured else AIC_LIMIT
-        ),
+        formulas="; ".join(f"{name}: {formula}" for name, formula in FORMULAS.items()),
+        verdict=supported(values["standing"], values["evidence_against"], NAMES, limit),
         robust=loss,
     )
-    lines: dict[str, list[int]] = {}
-    for reason, mask in left_out if measured else ():
-        lines.setdefault(reason, []).extend(lanes["number"][mask].astype(int).tolist())
-    if listed := {reason: np.unique(numbers) for reason, numbers in lines.items() if numbers}:
-        rows_left_out = {reason: {"rows": x.size, "lines": line_ranges(x)} for reason, x in listed.items()}
+    numbers = {reason: np.unique(lanes["number"][mask].astype(int)) for reason, mask in left_out.items() if mask.any()}
+    if measured and numbers:
+        rows_left_out = {reason: {"rows": x.size, "lines": line_ranges(x)} for reason, x in numbers.items()}
         attributes["left_out_rows"] = json.dumps(rows_left_out)
-    form = ("form", NAMES, {"units": "1", "long_name": "form of the law"})
-    schema = _OF_FORMS | _OF_GROUPS | _OF_LANES
-    fit = xr.Dataset(described(variables, schema), {**groups.coords, "form": form}, attributes)
-    for name, text in (("", ""), ("_stderr", "standard error of ")) if unknown else ():
-        onset = {"units": "N", "long_name": f"{text}the force at the onset, eta0 D"}
-        fit[f"onset_force{name}"] = (about["reference_force"] * fit[f"eta0{name}"]).assign_attrs(onset)
-    return fit
+    sizes, variables = [groups.sizes[dim] for dim in dims], {}
+    for name, x in values.items():
+        further = [SCHEMA[name].along] if SCHEMA[name].along else []
+        variables[name] = (*dims, *further), np.reshape(x, [*sizes, *[-1] * len(further)])
+    form = (_FORM, NAMES, {"units": "1", "long_name": "form of the law"})
+    return xr.Dataset(described(variables, SCHEMA), {**groups.coords, _FORM: form}, attributes)
 
 
 def _thresholds(lanes: Mapping[str, np.ndarray]) -> np.ndarray:
