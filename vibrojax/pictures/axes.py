@@ -99,7 +99,8 @@ def _keep_unit(unit: re.Match[str]) -> str:
 
 def broken_title(text: str, letters: int) -> str:
     """Return a title in lines of at most `letters` characters, broken between its parts if they are short enough."""
-    parts = fill(text.replace("\n", " ").replace(" ", "\u00a0").replace(",\u00a0", ", "), letters).replace("\u00a0", " ")
+    unbroken = text.replace("\n", " ").replace(" ", "\u00a0").replace(",\u00a0", ", ")
+    parts = fill(unbroken, letters).replace("\u00a0", " ")
     return parts if max(map(len, parts.splitlines()), default=0) <= letters else fill(text, letters)
 
 

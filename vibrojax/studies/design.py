@@ -70,7 +70,8 @@ def _plane(ds: xr.Dataset, names: list[str]) -> Plot:
     fit = ds["map_feasible"].values == 1
     value = replace(value_of(ds["map_objective"]), label=_objective_label(ds))
     colours = colours_of(value.of(ds).values[fit], value.colour_map, value.norm)
-    layers: list[Layer] = [Points(x[fit], y[fit], colours, 4.7, "s", label="map: feasible, without tolerances"), *_infeasible(x[~fit], y[~fit])]
+    squares = Points(x[fit], y[fit], colours, 4.7, "s", label="map: feasible, without tolerances")
+    layers: list[Layer] = [squares, *_infeasible(x[~fit], y[~fit])]
     layers += _marks(values_along(ds[across]), values_along(ds[up]))
     widths = [float(ds.attrs.get(f"tolerance_{name}", 0.0)) * scale(ds[name])[0] for name in (across, up)]
     if all(widths):
