@@ -1,16 +1,16 @@
 """Large libraries, imported when they are first used.
 
 Importing jax takes longer than showing a dataset or listing scenes. The modules of this package therefore import `jax`,
-`jnp` and `lax` from here, so that importing any of them does not import jax, and likewise pandas and matplotlib. They
-use these libraries within functions only: not in decorators, default values or tables. Annotations that name them are
-strings.
+`jnp` and `lax` from here, so that importing any of them does not import jax, and likewise pandas, matplotlib and parts
+of SciPy. They use these libraries within functions only: not in decorators, default values or tables. Annotations that
+name them are strings.
 """
 
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-__all__ = ["colors", "jax", "jnp", "lax", "pd", "ticker"]
+__all__ = ["colors", "jax", "jnp", "lax", "linalg", "optimize", "pd", "ticker"]
 
 
 class _OnFirstUse:
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from jax import lax
     from matplotlib import colors, ticker
+    from scipy import linalg, optimize
 else:
     jax, jnp, lax = map(_OnFirstUse, ("jax", "jax.numpy", "jax.lax"))
     pd, colors, ticker = map(_OnFirstUse, ("pandas", "matplotlib.colors", "matplotlib.ticker"))
+    linalg, optimize = map(_OnFirstUse, ("scipy.linalg", "scipy.optimize"))

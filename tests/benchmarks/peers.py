@@ -13,6 +13,7 @@ from pathlib import Path
 from peers._peer import CORES
 from peers.diffrax_events import DiffraxEvents
 from peers.diffrax_smoothed import DiffraxAdaptive, DiffraxFixed
+from peers.heyoka_batch import Heyoka
 from peers.lanes import judged
 from peers.numba_loop import NumbaDormandPrince, NumbaTaylor
 from peers.ours import Ours
@@ -23,7 +24,7 @@ from peers.table import table
 
 from vibrojax.studies.accuracy import machine
 
-PEERS = (NumbaTaylor, NumbaDormandPrince, Simd, DiffraxAdaptive, DiffraxFixed, DiffraxEvents, Scipy)
+PEERS = (NumbaTaylor, NumbaDormandPrince, Heyoka, Simd, DiffraxAdaptive, DiffraxFixed, DiffraxEvents, Scipy)
 
 
 def main() -> None:

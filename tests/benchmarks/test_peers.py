@@ -7,6 +7,7 @@ from peers._peer import Points, Returns
 from peers.diffrax_events import DiffraxEvents
 from peers.diffrax_events import Tolerance as EventTolerance
 from peers.diffrax_smoothed import DiffraxAdaptive, Width
+from peers.heyoka_batch import Batch, Heyoka
 from peers.numba_loop import NumbaDormandPrince, NumbaTaylor, Series, Tolerance
 from peers.scipy_events import Solver
 from peers.scipy_events import lane as scipy_lane
@@ -38,13 +39,14 @@ def known():
         (NumbaDormandPrince, Tolerance(1e-9), 1e-6),
         (DiffraxEvents, EventTolerance("Tsit5", 1e-8, 0.5), 1e-6),
         (DiffraxAdaptive, Width("Tsit5", 1e-4, 1e-6), 5e-3),
+        (Heyoka, Batch(1e-10, 4), 1e-6),
         (Simd, Steps(1e-5, 2.5, 1e-3, 1e-4), 1e-3),
     ],
 )
 def test_peers_match_exact_reference(known, peer, setting, bound):
     """Without numba, its loops run as plain Python."""
     racer = peer()
-    if peer is Simd and racer.missing():
+    if peer in (Heyoka, Simd) and racer.missing():
         pytest.skip(racer.missing())
     outcome = racer.run(POINTS, setting, SETTLE, OBSERVE, len(POINTS))
     racer.close()

@@ -150,7 +150,8 @@ def differentiated(
         broken = (reason == 0) & ~np.isfinite(slope).all(axis=1)
         reasons[:, place] = np.where(broken, DERIVATIVE_REASONS.index("failed"), reason)
         values[:, place] = np.where(whole, value, np.nan)
-        derivatives[:, place] = np.where((whole & ~neutral)[:, None], slope, np.nan)[:, :count]
+        known = whole & ~neutral & np.isfinite(value)
+        derivatives[:, place] = np.where(known[:, None], slope, np.nan)[:, :count]
     return OrbitFeatures(values, derivatives, reasons, varied.d_states[..., :count])
 
 

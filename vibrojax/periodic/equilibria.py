@@ -10,11 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import expm
-from scipy.optimize import newton, root
 
 from vibrojax.compile.xla import precision
-from vibrojax.lazy import jax, jnp
+from vibrojax.lazy import jax, jnp, linalg, optimize
 from vibrojax.periodic.flow_map import moving_names
 from vibrojax.periodic.newton import PerLane
 from vibrojax.scenes import Scene
@@ -128,7 +126,7 @@ def equilibrium_near(
         return here.rates[0], here.jacobian[0]
 
     with np.errstate(all="ignore"):
-        states = np.asarray(root(rates, guess, jac=True, method="hybr", tol=1e-13).x)
+        states = np.asarray(optimize.root(rates, guess, jac=True, method="hybr", tol=1e-13).x)
         for _ in range(EQUILIBRIUM_LAST_STEPS):
             rate, jacobian = rates(states)
             if not np.isfinite(jacobian).all() or np.linalg.matrix_rank(jacobian) < len(states):
@@ -169,7 +167,7 @@ def hopf_near(
 
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of the secant method, for a growth that is constant
-        value = float(newton(growth, values[0], x1=values[1], tol=tolerance, full_output=True, disp=False)[0])
+        value = float(optimize.newton(growth, values[0], x1=values[1], tol=tolerance, full_output=True, disp=False)[0])
         found = at(value)
     return None if found is None or abs(found[1].real) > IMAGINARY * frequency else (value, *found)
 
@@ -181,7 +179,7 @@ def section_product(
     names = moving_names(scene)
     rows, normal = [names.index(name) for name in scene.return_states], known.normal
     away = (vector / (normal @ vector) * 1j).real  # on the section: its velocity is zero
-    flow, whole = known.jacobian @ away, expm(known.jacobian * (2 * np.pi / eigenvalue.imag))
+    flow, whole = known.jacobian @ away, linalg.expm(known.jacobian * (2 * np.pi / eigenvalue.imag))
     product = whole - np.outer(flow / (normal @ flow), normal @ whole)
     return np.asarray(product[np.ix_(rows, rows)] * scale / scale[:, None])
 

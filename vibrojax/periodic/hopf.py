@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import expm
 
+from vibrojax.lazy import linalg
 from vibrojax.periodic.brackets import LOCATED_WITHIN
 from vibrojax.periodic.equilibria import Equilibrium, equilibrium_near, hopf_near, section_product
 from vibrojax.periodic.problem import Points, Problem
@@ -98,7 +98,7 @@ def timed_hopf_point(problem: TimedProblem, pair: Points) -> Points | None:
     states = np.repeat(known.states[None, None], problem.cycles(pair.u), axis=1)
     u = problem.timed_unknowns(family, states, np.array([period]), np.array([[located]]))
     scale = problem.scales[number]
-    whole = expm(known.jacobian * period) * scale / scale[:, None]
+    whole = linalg.expm(known.jacobian * period) * scale / scale[:, None]
     product = transverse(whole[None, None], (vector.real / scale)[None, None])
     times = np.full_like(last.times, period / multiple)
     return last._replace(u=u, off=np.zeros_like(last.off), times=times, product=product)
