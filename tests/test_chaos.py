@@ -112,6 +112,23 @@ def test_impact_oscillator():
         assert lanes.lyapunov.sel(damping=damping, r=r, w=w).item() == pytest.approx(expected, abs=1e-6)
 
 
+def test_exponents_of_long_periods():
+    """A motion with one impact in 12 periods is longer than labels detect; its multipliers have a closed form."""
+    lanes = {"damping": 0.01, "a": 0.5, "stop": 0.0}
+    cases = [(0.5, 0.99), (0.5, 1.02), (0.7, 0.99)]
+    for r, ratio in cases:
+        w = 24 * ratio
+        orbit = oscillator_orbits(R=r, w=w, stiffness=1.0, n=12, **lanes)[-1]
+        box = {name: [value - 1e-6, value + 1e-6] for name, value in zip("xv", orbit.section, strict=True)}
+        sweep = {"scene": IMPACT_OSCILLATOR, "parameters": lanes | {"r": r}, "grid": {"w": [w]}}
+        sweep |= {"starts": {"sample": "random", "count": 1, "seed": 0, "box": box}}
+        sweep |= {"run": {"settle": 60.0, "observe": 60.0, "lyapunov": True}}
+        lane = vj.run_sweep(sweep, progress=False).squeeze()
+        expected = np.log(np.abs(orbit.multipliers).max()) * w / (24 * np.pi)
+        assert int(lane.cycles) == 0 and NATURES[int(lane.nature)] == "periodic"
+        assert float(lane.lyapunov) == pytest.approx(expected, abs=1e-8) and float(lane.lyapunov_stderr) == 0
+
+
 def test_natures(lanes_of_each_nature):
     names = [NATURES[flag] for flag in lanes_of_each_nature.nature.values]
     assert names == ["chaotic", "quasi-periodic", "periodic", "periodic"]

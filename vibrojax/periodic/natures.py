@@ -104,7 +104,7 @@ class Natures:
 
     An object is called with the features of one chunk at a time. A periodic lane has the exponent of its orbit: the
     logarithm of the orbit's largest |multiplier| divided by the time of one period. Other lanes are continued along the
-    return map with a tangent vector, see [vibrojax.periodic.growth][].
+    return map with a tangent vector, see [vibrojax.periodic.growth][], which may find a period too long for labels.
     """
 
     attribute = "lyapunov"
@@ -174,6 +174,8 @@ class Natures:
             of_chaos = {name: x[chaos] for name, x in values.items()}
             transient = has_embedded_orbit(self._scene, of_chaos, growth.states[..., chaos], scale[:, chaos])
             flags[chaos[transient]] = nature("not-settled")
+            repeat = np.where(clear & (flags == nature("periodic")), repeat, 0)
+            exponents_of_orbits(self._scene, values, growth.states, scale, repeat, exponent, error)
             result["lyapunov"][lanes], result["lyapunov_stderr"][lanes] = exponent, error
             result["nature"][lanes], result["zero_one"][lanes[clear]] = flags, k
             lanes, needed = lanes[~clear], needed[~clear]
@@ -218,6 +220,35 @@ def classify_growth(
     ]
     conditions, names = zip(*rules, strict=True)
     return np.any(conditions, axis=0) | last, np.select(conditions, list(map(nature, names)), nature("unknown"))
+
+
+def exponents_of_orbits(
+    scene: Scene,
+    parameters: Mapping[str, Float[np.ndarray, " lanes"]],
+    states: Float[np.ndarray, "returns states lanes"],
+    scale: PerState,
+    repeat: Int[np.ndarray, " lanes"],
+    exponent: PerLane,
+    error: PerLane,
+) -> None:
+    """Replace, in place, the exponents of lanes that repeat by those of their orbits, and the errors by 0.
+
+    The scatter of a motion that repeats does not contain the error of its steps. Where Newton's method fails, the
+    difference between the exponent and that of the last period at the tighter tolerance of orbits is added instead.
+
+    **Arguments:** `states`, `scale`: see `has_embedded_orbit`; `repeat`: period in returns, 0 for other lanes.
+    """
+    segments = Segments(scene, most=MOST_STEPS)
+    for length in np.unique(repeat[repeat > 0]):
+        lanes = np.flatnonzero(repeat == length)
+        values = {name: x[lanes] for name, x in parameters.items()}
+        guess = states[-int(length) :, :, lanes].transpose(2, 0, 1)
+        with np.errstate(all="ignore"):
+            orbit = Orbits.find(scene, values, guess, scale.T[lanes], REACH, segments)
+            own = np.log(np.abs(orbit.multipliers[:, 0])) / orbit.times.sum(axis=1)
+            doubtful = np.fmax(error[lanes], error[lanes] + np.abs(own - exponent[lanes]))
+        error[lanes] = np.where(orbit.converged, 0.0, doubtful)
+        exponent[lanes] = np.where(orbit.converged, own, exponent[lanes])
 
 
 def has_embedded_orbit(

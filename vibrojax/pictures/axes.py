@@ -18,6 +18,7 @@ _HERTZ = {"s-1": "Hz", "s-2": "Hz s-1"}  # printed units of frequencies
 _FREQUENCIES = {"frequency": "f", "sweep_start": "f₀", "sweep_rate": "r"}  # the package's own: name and symbol
 _ANGULAR = re.compile(r"\bangular\b|\bomega|[ωΩ]", re.IGNORECASE)  # names of angular frequencies
 _LABEL_LETTERS = 32  # characters that fit along a panel
+_SHORT_UNIT = 7  # greatest length of a unit in brackets that is kept beside the word before it
 _GEOMETRIC = 1e-3  # relative scatter up to which ratios or differences count as constant
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Prefixed units: name, factor, and the range of greatest magnitudes for which the prefix is used.
@@ -87,9 +88,20 @@ def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
 
 
 def broken(text: str, letters: int) -> str:
-    """Return a text in lines of at most `letters` characters, none of which begins with a unit."""
-    unbroken = " ".join(text.split()).replace(" [", "\u00a0[")
+    """Return a text in lines of at most `letters` characters; none breaks a unit, or begins with a short one."""
+    unbroken = re.sub(r" (\[[^]]*\])", _keep_unit, " ".join(text.split()))
     return fill(unbroken, max(letters, 8), break_long_words=False).replace("\u00a0", " ")
+
+
+def _keep_unit(unit: re.Match[str]) -> str:
+    return (" " if len(unit[1]) > _SHORT_UNIT else "\u00a0") + unit[1].replace(" ", "\u00a0")
+
+
+def broken_title(text: str, letters: int) -> str:
+    """Return a title in lines of at most `letters` characters, broken between its parts if they are short enough."""
+    unbroken = text.replace("\n", " ").replace(" ", "\u00a0").replace(",\u00a0", ", ")
+    parts = fill(unbroken, letters).replace("\u00a0", " ")
+    return parts if max(map(len, parts.splitlines()), default=0) <= letters else fill(text, letters)
 
 
 def with_unit(text: str, unit: str) -> str:

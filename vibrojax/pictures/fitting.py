@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from contextvars import ContextVar
 from dataclasses import replace
 from math import ceil, lcm
-from textwrap import fill
 
 from vibrojax.errors import InputError, shown
-from vibrojax.pictures.axes import broken
+from vibrojax.pictures.axes import broken, broken_title
 from vibrojax.pictures.plots import Axis, Plot, Sheet, legend_of
 
 WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
@@ -80,7 +79,7 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
             rows.append((part, width / (across if row[0].x.group else len(part)), height))  # no gap beside the last one
     columns = lcm(*(round(width / wide) for _, wide, _ in rows))
     scales = {
-        id(plot.scale): plot.scale and replace(plot.scale, label=broken(plot.scale.label, int(_LETTERS * (wide - 0.4))))
+        id(plot.scale): plot.scale and replace(plot.scale, label=broken(plot.scale.label, int(_LETTERS * (wide - 0.1))))
         for row, wide, _ in rows
         for plot in row
     }
@@ -104,10 +103,16 @@ def _narrowed(plot: Plot, width: float, height: float) -> Plot:
         texts = [text for _, text in of.ticks or ()]
         crowded = sum(len(text) + 2 for text in texts) > 1.2 * _LETTERS * length and max(map(len, texts)) > 4
         rotated = of.rotated or (of is plot.x and crowded)
-        return replace(of, label=broken(of.label, int(_LETTERS * length)), intervals=intervals, rotated=rotated)
+        return replace(of, label=_axis_label(of.label, int(_LETTERS * length)), intervals=intervals, rotated=rotated)
 
     # A legend of the plot's own would be as wide as the plot.
     keys = "" if width < _KEYS_PANEL else plot.keys
-    title = fill(plot.title, max(int(_LETTERS * (width - 0.2)), 10))
+    title = broken_title(plot.title, max(int(_LETTERS * (width - 0.2)), 10))
     inside = min(height, _MAP_ASPECT * width) if plot.has_cells else height
     return replace(plot, title=title, x=axis(plot.x, width - 0.3), y=axis(plot.y, inside), keys=keys)
+
+
+def _axis_label(label: str, letters: int) -> str:
+    """Return a label in at most two lines of `letters` characters, if need be without the words before its symbol."""
+    lines = broken(label, letters)
+    return lines if lines.count("\n") < 2 else broken(label.rpartition(", ")[2], letters)

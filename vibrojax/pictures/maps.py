@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from vibrojax.pictures.colours import (
     values_of_rock,
 )
 from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, RELIEF, SENSITIVE, START, lane_dims, varied
+from vibrojax.pictures.fitting import WIDTH
 from vibrojax.pictures.overlays import check_borders, codim2_layers, over_map_text, over_panel
 from vibrojax.pictures.plots import (
     INK,
@@ -50,6 +50,7 @@ Values = Sequence[Value]
 
 _MOST_BESIDE = 3  # for up to this many facets, quantities are to the right of the regimes, else below
 _MOST_COLUMNS = 6
+_NARROW, _NARROW_COLUMNS = 4.5, 2  # width [inch] of a picture up to which many facets show one quantity, in two columns
 _SQUARE_FROM = 4  # number of quantities from which a single facet has two columns
 _MOST_RATES = {1: 4, 2: 3, 3: 3}  # quantities on maps of rates, by the number of facets; else only the rate
 _MOST_RATE_FACETS = 9
@@ -81,7 +82,7 @@ def maps_of(
     """
     count, many = len(panels), len(values)
     if blocks := count > _MOST_BESIDE:
-        of_facets = panels.places(_MOST_COLUMNS)
+        of_facets = panels.places(_NARROW_COLUMNS if _is_narrow() else _MOST_COLUMNS)
         block = 1 + max(row for row, _ in of_facets)
         places = [(row + i * block, column) for row, column in of_facets for i in range(many)]
     else:
@@ -96,13 +97,16 @@ def maps_of(
     for k, (title, facet) in enumerate(panels):
         for value, place in zip(values, places[k * many :], strict=False):
             words = ", ".join(filter(None, (title * (blocks or not place[1]), value.label * value.counted)))
-            # Lines break between the parts of a title.
-            words = fill(words.replace(" ", "\u00a0").replace(",\u00a0", ", "), int(13 * width)).replace("\u00a0", " ")
+            words = axes.broken_title(words, int(13 * width))
             layers, scale = [*layers_of(facet, value), *region(x, y)], None if value.counted else value
             plots.append(Plot(layers, right, up, words, place, at(facet), grid="both" * points, scale=scale))
     bars = sum(not value.counted for value in values) if blocks or wide < many else 1
     size = width * wide + LEGEND_WIDTH + 0.3, height * deep + 0.6 * bars + 0.6
     return Sheet(sorted(plots, key=lambda plot: plot.place), size)
+
+
+def _is_narrow() -> bool:
+    return (WIDTH.get() or np.inf) <= _NARROW
 
 
 def region(x: xr.DataArray, y: xr.DataArray) -> list[Line]:
@@ -127,6 +131,9 @@ def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over:
     points, lines = POINT in lane_dims(ds), False
     ds = ds if points else ds.sortby([x, y])
     panels = split_starts(ds) if points else facets(ds, (x, y), MOST_PANELS // (1 + (len(values) >= _MANY_VALUES)))
+    if len(panels) > _MOST_BESIDE and _is_narrow() and values[1:]:
+        names = ", ".join(value.name for value in values[1:])
+        values, notes = values[:1], (*notes, f"Room for one variable in this width; not shown: {names}")
 
     def layers_of(facet: xr.Dataset, value: Value) -> list[Layer]:
         nonlocal lines

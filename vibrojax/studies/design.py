@@ -59,7 +59,8 @@ def design_picture(ds: xr.Dataset) -> Sheet:
     plots = [replace(plot, place=divmod(k, columns)) for k, plot in enumerate(plots)]
     best = ds.isel(candidate=0)
     what = f"Best: {_best_text(ds)} at {_place_text(best, names)}"
-    about = margins(ds, point=f"{what}. Requirements: {ds.attrs.get('requirements', '')}")
+    required = str(ds.attrs.get("requirements", "")).replace(" ± ", "\u00a0±\u00a0")
+    about = margins(ds, point=f"{what}. Requirements: {required}")
     return Sheet(plots, (1.9 + 3.6 * columns, 0.9 + 3.1 * rows), (1.0,) * columns, (1.0,) * rows, **about)
 
 
@@ -69,14 +70,15 @@ def _plane(ds: xr.Dataset, names: list[str]) -> Plot:
     fit = ds["map_feasible"].values == 1
     value = replace(value_of(ds["map_objective"]), label=_objective_label(ds))
     colours = colours_of(value.of(ds).values[fit], value.colour_map, value.norm)
-    layers: list[Layer] = [Points(x[fit], y[fit], colours, 4.7, "s"), *_infeasible(x[~fit], y[~fit])]
+    squares = Points(x[fit], y[fit], colours, 4.7, "s", label="map: feasible, without tolerances")
+    layers: list[Layer] = [squares, *_infeasible(x[~fit], y[~fit])]
     layers += _marks(values_along(ds[across]), values_along(ds[up]))
     widths = [float(ds.attrs.get(f"tolerance_{name}", 0.0)) * scale(ds[name])[0] for name in (across, up)]
     if all(widths):
         centre = values_along(ds[across])[0], values_along(ds[up])[0]
         corners = [-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]
         right, top = (c + w * np.array(k) for c, w, k in zip(centre, widths, corners, strict=True))
-        layers.append(Line(right, top, IMPACT, 0.9))
+        layers.append(Line(right, top, IMPACT, 1.1, label="its tolerances", order=2.9))
     return Plot(layers, axis(_named(ds, across)), axis(_named(ds, up)), grid="", scale=value)
 
 
@@ -104,12 +106,12 @@ def _front_plot(ds: xr.Dataset) -> Plot:
 
 
 def _infeasible(x: np.ndarray, y: np.ndarray) -> list[Layer]:
-    return [dots(x, y, marker="x", colour=FAINT, size=3.0, edge_width=0.7, label="map: not feasible")] if x.size else []
+    return [dots(x, y, marker="x", colour=FAINT, size=2.4, edge_width=0.5, label="map: not feasible")] if x.size else []
 
 
 def _marks(x: np.ndarray, y: np.ndarray) -> list[Layer]:
     others: list[Layer] = [dots(x[1:], y[1:], face="none", label="other candidates")] if x.size > 1 else []
-    star = {"marker": "*", "size": 11.0, "colour": IMPACT, "edge": "white", "edge_width": 0.6, "order": 3.0}
+    star = {"marker": "*", "size": 9.0, "colour": IMPACT, "edge": "white", "edge_width": 0.6, "order": 3.0}
     return [*others, dots(x[:1], y[:1], label="best candidate", **star)]
 
 
@@ -240,7 +242,7 @@ class Designs(FileAnalysis[DesignSpec]):
                 variable = Variable("1", name) if known is None else Variable(known.unit, known.long_name)
                 column = variable.entry(dim, spec.low[k] + np.array(own)[:, k] * spec.width[k])
                 (data if prefix == "front_" else coords)[prefix + name] = column
-        title = str(sweep.title or f"Design of {sweep.scene}: most {spec.variables[spec.maximise].long_name}")
+        title = str(sweep.title or f"Design of {sweep.scene}: greatest {spec.variables[spec.maximise].long_name}")
         about |= {"scene": sweep.scene, "design": spec.text}
         about |= {"lanes": search.counts["lanes"], "orbit_solves": search.counts["orbits"]}
         return self.dataset(data, coords, title=title, **about)

@@ -159,6 +159,8 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
   over.addEventListener("click", (event) => {
     const chosen = click ?? scrub;
     clearTimeout(waiting);
+    // A finger does not hover: a tap reads the value.
+    if (event.pointerType === "touch" && over === canvas && !dragged && canvas.frame) tell(readingAt(canvas, place(event)));
     if (dragged) event.stopImmediatePropagation();
     // The first click of two that reset a zoom chooses nothing.
     else if (chosen && canvas.zoom) { if (event.detail < 2) waiting = setTimeout(() => chosen(place(event), event), DOUBLE_CLICK); } else chosen?.(place(event), event);

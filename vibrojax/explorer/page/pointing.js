@@ -32,6 +32,7 @@ export function listen(page) {
   };
   page.over.addEventListener("pointermove", (event) => hover(page, page.view.at(...place(event)), place(event)));
   page.over.addEventListener("pointerleave", () => hover(page, null));
+  page.over.addEventListener("click", (event) => { if (event.pointerType === "touch") hover(page, page.view.at(...place(event)), place(event)); });
   page.over.addEventListener("keydown", (event) => {
     const way = WAYS[event.key];
     if (!way || event.ctrlKey || event.metaKey || event.altKey) return;
