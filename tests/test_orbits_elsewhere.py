@@ -143,3 +143,17 @@ def test_departures_along_a_tangent_are_not_grazes():
     ds = vj.run_sweep({"scene": floor, "starts": [[0.0, 0.0]], "run": {"orbits": True}}, progress=False)
     assert ds.orbit_reason.attrs["flag_meanings"].split()[ds.orbit_reason.item()] == "found"
     assert ds.multiplier_abs.values.ravel()[0] == pytest.approx(0.10922531, abs=1e-7)
+
+
+def test_no_motion_grazes_a_clock():
+    """Without events, the margin is that of the section, which the forcing crosses at its own rate."""
+    lag = vj.System(
+        "lag",
+        states={"x": "1"},
+        parameters={"w": 1.0, "rate": 2.0},
+        field=lambda t, y, p: {"x": p["rate"] * (vj.elementary.cos(p["w"] * t) - y["x"])},
+        period=lambda p: 2 * np.pi / p["w"],
+    )
+    run = {"settle": 40.0, "observe": 40.0, "orbits": True}
+    ds = vj.run_sweep({"scene": lag, "grid": {"w": [1.0]}, "run": run}, progress=False).squeeze()
+    assert ds.stable == 1 and ds.grazing_margin == 1.0

@@ -29,7 +29,7 @@ from vibrojax.stepping.series import known
 HOW = (
     "the least over the orbit of: |rate of a guard| where it is reached, over (its typical value times the rate of the "
     "free motion); a guard's least value within a mode where it is not, over its typical value; what a switch begins a "
-    "mode with, over its typical value; the same of the section's velocity"
+    "mode with, over its typical value; the same of the section's velocity, which is 1 where a period sets the section"
 )
 """Definition of the margin, for dataset attributes."""
 
@@ -88,6 +88,8 @@ class Margin:
         last, series = rows[3], rows[4]
         before, after = self.scene.at_rest(step.mode), self.scene.at_rest(lane.mode)
         for guard, function, scale in zip(self.scene.guards(), functions, scales, strict=True):
+            if guard.name in self.scene.clocks:
+                continue
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins = switches if guard.is_switch else others
             hit = self.considered(guard.name, "hit", _at_hit(f, step, step.hits[guard.name], scale * pace))
@@ -127,6 +129,8 @@ class Margin:
         velocity = step.polynomials[self.scene.place(section.velocity)]
         speed = self.scene.speed_scale(self.c)
         hit = step.hits[self.scene.marker_of(section.velocity)]
+        if section.velocity in self.scene.clocks:  # it always has its typical rate
+            return [jnp.where(hit & armed, 1.0, jnp.full_like(pace, jnp.inf))]
         away = [-coefficient for coefficient in velocity] if section.rising else velocity
         near = jnp.where(armed, _near_miss(away, step, speed, jnp.zeros_like(armed)), jnp.inf)
         return [_at_hit(velocity, step, hit & armed, speed * pace), near]

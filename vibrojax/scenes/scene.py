@@ -54,6 +54,7 @@ class Scene(ABC, Generic[C]):
       registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`. Input is checked against it.
     - `choice_meanings`: meanings of the choices that set several parameters, for datasets in which they vary.
     - `autonomous`: True if the equations do not depend on time, so that a state at rest stays at rest.
+    - `clocks`: states and guards that follow from time alone, so that a motion cannot graze them.
     - `usual_times`: default times of settling and of the observation [s].
     - `ends_at_once`: True if a mode may begin with a negative guard. The mode then ends at once.
     - `fault_reasons`: reasons of `fault`, among the flags of the variable `reason`.
@@ -84,6 +85,7 @@ class Scene(ABC, Generic[C]):
     choices: ClassVar[dict[str, Mapping[str, object]]] = {}
     choice_meanings: ClassVar[Mapping[str, str]] = {}
     autonomous: ClassVar[bool] = True
+    clocks: ClassVar[tuple[str, ...]] = ()
     drifting: ClassVar[tuple[str, ...]] = ()
     redundant: ClassVar[tuple[str, ...]] = ()
     ends_at_once: ClassVar[bool] = False

@@ -40,6 +40,9 @@ ONTO_SECTION = 3
 TIME = "t"
 """Name of the hidden state with the time within a period of the forcing [s]."""
 
+TURNED = "turned"
+"""Name of the guard that sets this time back by a period."""
+
 SECTION = "section_value"
 """Name of the hidden state with the value of the function that defines the section."""
 
@@ -149,7 +152,7 @@ class SystemEquations(Scene[SystemConstants]):
             place = self.place(TIME)
             # The section is at t = 0, so the time is set back half a period later.
             remaining = lambda c, mode, state: 0.5 * c.period - state[place]  # noqa: E731
-            guards.append(Guard("turned", remaining, zero))
+            guards.append(Guard(TURNED, remaining, zero))
         return tuple(guards)
 
     def _guard_function(self, index: int) -> Callable[[Any, Values, Values], Any]:
@@ -183,11 +186,11 @@ class SystemEquations(Scene[SystemConstants]):
         if self._section_function is not None:
             hidden[SECTION] = self._section_state_after(c, state, y)
         if self._period is not None:
-            hidden[TIME] = jnp.where(hits["turned"], -0.5 * c.period, state[self.place(TIME)])
+            hidden[TIME] = jnp.where(hits[TURNED], -0.5 * c.period, state[self.place(TIME)])
             if any(kink.whole for kink in self._flow.kinks):
                 turned = first_branches(self._flow, c, modes, hidden[TIME], y)
                 kinks = len(self.events)
-                new = [jnp.where(hits["turned"], x, old) for x, old in zip(turned, modes[kinks:], strict=False)]
+                new = [jnp.where(hits[TURNED], x, old) for x, old in zip(turned, modes[kinks:], strict=False)]
                 modes = (*modes[:kinks], *new, *modes[kinks + len(new) :])
         return modes, self._ended(modes, self._with_known(state, y, **hidden))
 

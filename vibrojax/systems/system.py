@@ -18,7 +18,7 @@ from vibrojax.lazy import jax, jnp
 from vibrojax.physics.parameters import Parameter
 from vibrojax.scenes.capabilities import HasImpacts
 from vibrojax.scenes.declared import Marker, Mode, Section, State, Swing, Values
-from vibrojax.systems.equations import APPROACH, SECTION, TIME
+from vibrojax.systems.equations import APPROACH, SECTION, TIME, TURNED
 from vibrojax.systems.events import Event, Impact, Switch
 from vibrojax.systems.flow import Flow, SystemConstants
 from vibrojax.systems.kinks import Kink
@@ -123,6 +123,7 @@ class System(SystemScales):
             self._module = getattr(field, "__module__", "")
             self._parameters, self._renamed = probe.parameters, dict(regimes or {})
             self.autonomous = period is None and not probe.depends_on_time()  # type: ignore[misc]
+            self.clocks = () if period is None else (TIME, TURNED)  # type: ignore[misc]
             first = TIME if period is not None else self._own[0]
             self._section_function = section if callable(section) else None
             state = SECTION if callable(section) else section or first
