@@ -2,7 +2,7 @@
 
     python tests/benchmarks/peers.py [--quick] [-o FILE] [--only NAME ...]
 
-Nothing else should run meanwhile. It takes about eight minutes on two cores; --quick is a trial run under one minute.
+Nothing else should run meanwhile. It takes several minutes on two cores; --quick is a trial run under one minute.
 """
 
 import argparse

@@ -7,7 +7,8 @@ Guards are functions that are positive within a mode. The margin is the smallest
 - at a switch: the guard values with which the new mode begins, relative to typical values. These values vanish where a
   stick phase appears or vanishes.
 
-The section's velocity also counts as a guard while its next zero is a section crossing.
+The section's velocity also counts as a guard while its next zero is a section crossing. Guards and sections that follow
+from time alone cannot be grazed: such guards are left out, and such a section counts as 1.
 
 Of slower and slower bounces that end in rest on a stop (complete chatter), only the first counts. The map through all
 of them is smooth, although the last bounces graze: the rest erases the differences (Nordmark and Piiroinen,

@@ -59,16 +59,16 @@ class Heyoka(Peer):
         parts = [points[np.arange(core, len(points), CORES)] for core in range(CORES)]
         few = [points[np.arange(2)]] * CORES
 
-        def all_of(some, observe):
+        def all_of(some, *durations):
             began = time.perf_counter()
-            found = list(self._pool.map(lanes, some, *zip(*[(setting, settle, observe)] * CORES, strict=True)))
+            found = list(self._pool.map(lanes, some, *zip(*[(setting, *durations)] * CORES, strict=True)))
             return found, time.perf_counter() - began
 
         compiling = 0.0
         if setting not in self._known:
-            compiling = all_of(few, 0.01 - settle)[1]  # until 10 ms
+            compiling = all_of(few, 0.01, 0.01)[1]
             self._known.add(setting)
-        found, seconds = all_of(parts, observe)
+        found, seconds = all_of(parts, settle, observe)
         features = np.empty((len(points), 2))
         for core, part in enumerate(found):
             features[core::CORES] = part
