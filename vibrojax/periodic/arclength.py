@@ -49,7 +49,7 @@ CORNER, CROSSING = 2e-2, 1e-4
 
 CORNER_TURN, CROSSING_TURN = 1.0, 1.4
 """Largest angles [rad] accepted for steps up to `CORNER` and up to `CROSSING`. Sharper corners are handled in
-[vibrojax.periodic.special_points][]."""
+[vibrojax.periodic.location][]."""
 
 CORNER_GROWTH, STEP_GROWTH = 5.0, 2.0
 """Largest growth factors of the step length: for steps up to `CORNER`, and for longer steps."""

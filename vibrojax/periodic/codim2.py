@@ -12,9 +12,8 @@ from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.brackets import Brackets, TestFunction
 from vibrojax.periodic.curve_equations import EVENTS, CurveProblem
 from vibrojax.periodic.location import Locator, Test, classify_event_changes, pair_products
-from vibrojax.periodic.newton import multipliers
+from vibrojax.periodic.newton import multipliers, signed_singular
 from vibrojax.periodic.problem import Flags, Index, PerLane, Points
-from vibrojax.periodic.singular import signed_singular
 
 MAX_CURVE_EVENT_CHANGES = 3
 """Largest number of event changes that are located between two points of a curve."""

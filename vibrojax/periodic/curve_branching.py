@@ -11,9 +11,9 @@ from vibrojax.periodic.codim2 import NAMES
 from vibrojax.periodic.curve_equations import EVENTS, CurveProblem, antiperiodic
 from vibrojax.periodic.curve_following import NEAR_START, Curve, between, continue_both_ways
 from vibrojax.periodic.event_map import conditions_of
+from vibrojax.periodic.newton import signed_singular
 from vibrojax.periodic.problem import Points
 from vibrojax.periodic.segments import Mark
-from vibrojax.periodic.singular import signed_singular
 
 MAX_CURVES = 40
 """Largest number of curves that begin at points of codimension two; each of the drill takes about half a second."""

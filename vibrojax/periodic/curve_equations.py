@@ -24,10 +24,18 @@ from jaxtyping import Float
 from vibrojax.compile.xla import workers
 from vibrojax.periodic.equilibria import equilibrium_near, section_product
 from vibrojax.periodic.event_map import conditions_of, event_mapped
-from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix, solve
+from vibrojax.periodic.newton import (
+    chain,
+    compound,
+    compound_along,
+    images_by_lane,
+    segment_product,
+    shooting_matrix,
+    signed_singular,
+    solve,
+)
 from vibrojax.periodic.problem import FAMILY_ACCURACY, Index, PerLane, Points, Problem, Unknowns
 from vibrojax.periodic.return_map import in_calls
-from vibrojax.periodic.singular import compound, compound_along, segment_product, signed_singular
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, second_variation
 from vibrojax.stepping import Accuracy, Located
 

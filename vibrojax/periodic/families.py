@@ -14,7 +14,14 @@ from vibrojax.periodic.arclength import CLOSED, ENDED, STALLED, STOPPED, VANISHE
 from vibrojax.periodic.brackets import Brackets
 from vibrojax.periodic.branch_points import FamilyLocator, second_tangent
 from vibrojax.periodic.hopf import hopf_point
-from vibrojax.periodic.location import GRAZED_MARGIN, classify_event_changes
+from vibrojax.periodic.location import (
+    GRAZED_MARGIN,
+    branch_distance,
+    classify_event_changes,
+    cross_impact,
+    reindex_returns,
+    turn_corner,
+)
 from vibrojax.periodic.newton import multipliers
 from vibrojax.periodic.problem import Flags, Index, Points, Problem, towards
 from vibrojax.periodic.segments import (
@@ -25,7 +32,6 @@ from vibrojax.periodic.segments import (
     Segment,
     Tracing,
 )
-from vibrojax.periodic.special_points import branch_distance, cross_impact, reindex_returns, turn_corner
 from vibrojax.scenes import Scene
 
 POINT_SPACING = 0.02

@@ -18,12 +18,11 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.arclength import ENDED, STALLED, continue_branches
 from vibrojax.periodic.brackets import Brackets, shrink_brackets
-from vibrojax.periodic.location import TEST_FUNCTIONS, classify_event_changes
+from vibrojax.periodic.location import TEST_FUNCTIONS, classify_event_changes, turn_corner
 from vibrojax.periodic.newton import multipliers, spectral_radius
 from vibrojax.periodic.orbits import SAME_ORBIT
 from vibrojax.periodic.problem import Flags, PerLane, Points, Problem, towards
 from vibrojax.periodic.segments import STEP_AFTER_CORNER
-from vibrojax.periodic.special_points import turn_corner
 from vibrojax.scenes import Scene
 
 MAX_ORBITS_PER_POINT = 6
