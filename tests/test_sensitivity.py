@@ -105,6 +105,22 @@ def test_derivatives_near_grazing_are_marked_invalid():
         assert near.reason[0].tolist() == [DERIVATIVE_REASONS.index(reason)] * 2
 
 
+def test_derivatives_of_grazing_margin_of_own_system():
+    """The margin is a ratio, so that no unit of length or of time changes it; central differences confirm its slope."""
+    p, h = {name: parameter.default for name, parameter in IMPACT_OSCILLATOR.parameters().items()}, 1e-5
+    rows = [p, p | {"w": p["w"] + h}, p | {"w": p["w"] - h}]
+    points = {name: [row[name] for row in rows] for name in p}
+    run = {"settle": 400.0, "observe": 100.0}
+    sweep = {"scene": IMPACT_OSCILLATOR, "points": points, "starts": [[0.0, 0.0]], "run": run}
+    ds = vj.sensitivity(sweep, by=list(p), progress=False).squeeze("start")
+    margin, up, down = ds.grazing_margin.values
+    slopes = {name: ds.d_grazing_margin.sel(parameter=name).values[0] * p[name] for name in p}
+    assert margin > 0.1 and abs(slopes["a"]) > 0.1
+    assert slopes["a"] + slopes["stop"] == pytest.approx(0.0, abs=1e-8)
+    assert slopes["w"] + slopes["damping"] + 2 * (slopes["stiffness"] + slopes["a"]) == pytest.approx(0.0, abs=1e-8)
+    assert slopes["w"] / p["w"] == pytest.approx((up - down) / (2 * h), rel=1e-6)
+
+
 def test_derivatives_with_rock_agree_with_central_differences_of_orbits():
     values, by = {"beta": 0.4, "gamma": 0.6, "zeta": 0.5, "threshold": 1e5}, ("beta", "threshold")
     scene = SCENES["drilling"]()

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lazy import jax, jnp, lax
-from vibrojax.periodic.margin import DEPARTED, FLAT, Margin, typical_values
+from vibrojax.periodic.margin import DEPARTED, FLAT, Margin
 from vibrojax.periodic.return_map import Mapped, ReturnLoop, map_state
 from vibrojax.physics.arrays import Array, Flags, Lanes
 from vibrojax.scenes import Scene
@@ -71,7 +71,7 @@ class Passing(Located):
         # Where the motion passes a guard does not depend smoothly on anything, so derivatives are not propagated.
         c, own, series = lax.stop_gradient((event.constants, functions[: len(self.chosen)], polynomials))
         mode, state, reach = lax.stop_gradient((lane.mode, lane.state, reach))
-        scales = _typical(event.scene, c, mode, state)
+        scales = event.scene.typical_guard_values(c, mode, state)
         zeros = [_first_zero(f, reach) for f in own]
         lifts = []
         for k, (f, chosen, scale) in enumerate(zip(own, self.chosen, scales, strict=False)):
@@ -105,7 +105,7 @@ class EventMargin(Margin):
         states = tuple(known(polynomial) for polynomial in step.polynomials)
         order = len(step.polynomials[0]) - 1
         functions = [f.arrays(order, step.dt) for f in scene.guard_values(self.c, step.mode, states)]
-        scales = _typical(scene, self.c, step.mode, step.before)
+        scales = scene.typical_guard_values(self.c, step.mode, step.before)
         first, second, others, fallen = least[0], least[2], least[3:5], least[5:]
         for (name, place), chosen in zip(conditions_of(scene), self.chosen, strict=True):
             index = scene.guard_names.index(name)
@@ -116,7 +116,7 @@ class EventMargin(Margin):
                 margins = [_signed_minimum(f, step, scale) / scale, corner / scale]
             else:
                 held = tuple(jnp.zeros_like(m) if k == place else m for k, m in enumerate(step.mode))
-                scale = _typical(scene, self.c, held, step.after)[index]
+                scale = scene.typical_guard_values(self.c, held, step.after)[index]
                 now = scene.guards()[index].function(self.c, held, step.after) / lax.stop_gradient(scale)
                 margins = [jnp.where(step.hits[name] & (step.mode[place] != 0), now, jnp.inf)]
             for margin in margins:
@@ -180,10 +180,6 @@ def event_mapped(
     seen = flight.seen._replace(margin=jnp.concatenate([flight.seen.margin, flight.seen.reach[None]]))
     image, jacobian = map_state(scene, flight.lane), map_state(scene, moved.lane)
     return Mapped(image, flight.time, jacobian, seen), moved.seen.margin[:, 0]
-
-
-def _typical(scene: Scene[Any], c: Any, mode: tuple[Any, ...], state: tuple[Any, ...]) -> list[Array]:
-    return typical_values(scene.resolutions(c, mode, state, marked=False))
 
 
 def _turn(f: Coefficients, end: Array) -> tuple[Flags, Array]:

@@ -22,7 +22,7 @@ from typing import Any
 from vibrojax.lazy import jax, jnp, lax
 from vibrojax.physics.arrays import Array, Flags, Lanes
 from vibrojax.scenes.declared import Section
-from vibrojax.scenes.scene import ROUNDINGS, Scene
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 from vibrojax.stepping.polynomial import Coefficients, slope, value
 from vibrojax.stepping.series import known
@@ -76,7 +76,7 @@ class Margin:
             lane, step = lax.stop_gradient((lane, step))
         states = tuple(known(polynomial) for polynomial in step.polynomials)
         functions = self.scene.guard_values(self.c, step.mode, states)
-        scales = typical_values(self.scene.resolutions(self.c, step.mode, step.before, marked=False))
+        scales = self.scene.typical_guard_values(self.c, step.mode, step.before)
         # The fastest rate of the free motion [1/s].
         pace = self.scene.rate(self.c, tuple(jnp.full_like(step.dt, mode.calmest) for mode in self.scene.modes))
         turned = reduce(jnp.logical_or, [step.hits[name] for name in self._turns()], jnp.zeros_like(armed))
@@ -140,17 +140,13 @@ class Margin:
         """Return the non-zero guard values with which a mode begins after a switch, relative to typical values."""
         values = self.scene.guard_values(self.c, lane.mode, lane.state)
         small = self.scene.resolutions(self.c, lane.mode, lane.state, marked=False)
+        scales = self.scene.typical_guard_values(self.c, lane.mode, lane.state)
         places, margins = self.scene.switch_places, []
-        for guard, g, zero, scale in zip(self.scene.guards(), values, small, typical_values(small), strict=True):
+        for guard, g, zero, scale in zip(self.scene.guards(), values, small, scales, strict=True):
             if guard.is_switch:
                 begins = step.hits[guard.name] & (lane.mode[places[guard.name]] == 0) & (g > zero)
                 margins.append(self.considered(guard.name, "switch", jnp.where(begins, g / scale, jnp.inf)))
         return margins
-
-
-def typical_values(resolutions: tuple[Any, ...]) -> list[Array]:
-    """Return typical values of functions; `resolutions`: values below which the functions count as zero."""
-    return [resolution / (ROUNDINGS * jnp.finfo(resolution.dtype).eps) for resolution in resolutions]
 
 
 def _at_hit(f: Coefficients, step: Step, hit: Flags, rate: Array) -> "jax.Array":

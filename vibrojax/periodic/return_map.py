@@ -173,10 +173,14 @@ class ReturnLoop(NamedTuple):
         ended: tuple[_Flight, Any] = self.as_loop(begin).with_tangents(directions).run(unknowns)
         return ended
 
-    def begin_at(self, p: dict[str, Lanes], state: Array) -> tuple[Any, _Flight]:
-        """Return (the scene's constants, lanes at the section), for all parameters by name and the state."""
+    def begin_at(self, p: dict[str, Lanes], state: Array, like: Array | None = None) -> tuple[Any, _Flight]:
+        """Return (the scene's constants, lanes at the section), for all parameters by name and the state.
+
+        `like`: the state from which scales follow, if their derivatives count, as those of the margin do.
+        """
         scene = self.scene
-        c = scene.scaled(scene.constants(p), jax.lax.stop_gradient(at_section(scene, state)))
+        like = jax.lax.stop_gradient(state) if like is None else like
+        c = scene.scaled(scene.constants(p), at_section(scene, like))
         return c, self.begin(c, state)
 
     def as_loop(self, begin: Callable[[Any], tuple[Any, _Flight]]) -> Loop:

@@ -163,8 +163,9 @@ def second_variation(
     """
     loop = ReturnLoop(scene, stepper, accuracy, most_steps, lambda c: Margin(scene, scene.section, c, True))
     values, changes = {name: pair[0] for name, pair in p.items()}, {name: pair[1][None] for name, pair in p.items()}
-    once = loop.as_loop(lambda x: loop.begin_at(*x)).with_tangents((dict.fromkeys(p), first[None]))
-    (flight, moved), (slopes, d_moved) = once.with_tangents((changes, second[None])).run((values, state))
+    once = loop.as_loop(lambda x: loop.begin_at(*x)).with_tangents((dict.fromkeys(p), first[None], None))
+    twice = once.with_tangents((changes, second[None], second[None]))
+    (flight, moved), (slopes, d_moved) = twice.run((values, state, state))
 
     def results(flight: Any, moved: Any) -> tuple[Array, ...]:
         return map_state(scene, flight.lane), flight.time, map_state(scene, moved.lane), flight.seen.margin

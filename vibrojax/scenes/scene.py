@@ -309,6 +309,11 @@ class Scene(ABC, Generic[C]):
         speed = self.velocity_resolution(c)
         return (*(guard.resolution(c, mode) for guard in self.guards()), *(speed for _ in self.markers if marked))
 
+    def typical_guard_values(self, c: C, mode: Values, state: Values) -> Values:
+        """Return, for each guard, the magnitude to which grazing margins are relative."""
+        small = self.resolutions(c, mode, state, marked=False)
+        return tuple(x / (ROUNDINGS * jnp.finfo(x.dtype).eps) for x in small)
+
     def slope_resolutions(self, c: C, mode: Values, state: Values, h: Any, marked: bool = True) -> Values:
         """Return, for each guard and (if `marked`) for each marker, the first-order change that counts as zero.
 

@@ -35,6 +35,7 @@ class SystemConstants(NamedTuple):
     - `rates`: fastest rate of change [1/s] for each combination of the sides of the switches.
     - `lifts`: for each event and kink, the distance by which its surface moves away after a tangential departure.
     - `slow`: for each event, the rate of its function that counts as zero after an impact.
+    - `holds`: for each event, the magnitude of the function that is positive while the motion can stay on its surface.
     """
 
     p: Mapping[str, Any]
@@ -43,6 +44,7 @@ class SystemConstants(NamedTuple):
     rates: tuple[Any, ...]
     lifts: tuple[Any, ...]
     slow: tuple[Any, ...]
+    holds: tuple[Any, ...]
 
 
 class Motion(NamedTuple):

@@ -14,7 +14,7 @@ from vibrojax.systems.equations import SECTION, TIME, SystemEquations
 from vibrojax.systems.events import Impact, Switch
 from vibrojax.systems.flow import SystemConstants
 from vibrojax.systems.numbers import Magnitude, Rounded
-from vibrojax.systems.transitions import LIFT_ROUNDINGS, free_modes
+from vibrojax.systems.transitions import LIFT_ROUNDINGS, free_modes, is_stop
 
 DEFECT_TOLERANCES = 100.0
 """Greatest defect of the series at the end of a step, in tolerances: how far its slope is from the field there. Where
@@ -43,7 +43,7 @@ class SystemScales(SystemEquations):
         zero = dict.fromkeys(self._own, like) | {name: like + x for name, x in self._discrete.items()}
         none = (like,) * len(self.events)
         typical = zero | dict.fromkeys(self.redundant, like)
-        c = SystemConstants(values, period, typical, (), none + (like,) * len(self._flow.kinks), none)
+        c = SystemConstants(values, period, typical, (), none + (like,) * len(self._flow.kinks), none, none)
         return c._replace(rates=self._flow.fastest(c, free_modes(self._flow, c, like, zero, like), like, zero))
 
     def scaled(self, c: SystemConstants, state: Values) -> SystemConstants:
@@ -52,9 +52,9 @@ class SystemScales(SystemEquations):
         like = 0.0 * state[0]
         # A lane and its orbit begin in different states, and must come to rest after the same bounce.
         rest = {name: x if name in self._discrete else like for name, x in y.items()}
-        _, _, from_rest = self._magnitudes(c, like, rest)
+        _, _, from_rest, _ = self._magnitudes(c, like, rest)
         c = c._replace(rates=self._flow.fastest(c, free_modes(self._flow, c, t, y, like), t, y))
-        typical, surfaces, closing = self._magnitudes(c, t + like, {name: x + like for name, x in y.items()})
+        typical, surfaces, closing, holds = self._magnitudes(c, t + like, {name: x + like for name, x in y.items()})
         eps = jnp.finfo(like.dtype).eps
         return c._replace(
             typical=typical,
@@ -62,10 +62,11 @@ class SystemScales(SystemEquations):
             slow=tuple(
                 AT_REST * eps**0.5 * jnp.fmax(usual, 0.5 * own) for usual, own in zip(from_rest, closing, strict=True)
             ),
+            holds=tuple(holds),
         )
 
-    def _magnitudes(self, c: SystemConstants, t: Any, y: dict[str, Any]) -> tuple[dict[str, Any], list[Any], list[Any]]:
-        """Return magnitudes of states, surfaces of events, and closing rates of stops in a motion from `y`."""
+    def _magnitudes(self, c: SystemConstants, t: Any, y: dict[str, Any]) -> tuple[dict[str, Any], Any, Any, Any]:
+        """Return magnitudes in a motion from `y`: states, surfaces, closing rates of stops, and `Motion.margins`."""
         like = 0.0 * t
         speed, typical = jnp.stack(c.rates).min(axis=0), {name: jnp.abs(x) for name, x in y.items()}
         mode = free_modes(self._flow, c, t, y, like)
@@ -76,14 +77,15 @@ class SystemScales(SystemEquations):
             typical = {name: jnp.maximum(size, _size(sizes[name]) / speed) for name, size in typical.items()}
         known = {name: Magnitude(y[name], size) for name, size in typical.items()}
         clock = Magnitude(t, time + like)
-        surfaces = [_size(value) + like for value in self._flow.values(c, mode, clock, known)]
+        motion = self._flow.at(c, mode, clock, known)
+        surfaces, holds = ([_size(x) + like for x in part] for part in (motion.surfaces, motion.margins))
         closing = [
             _size(self._flow.closing(c, mode, index, clock, known)) + like if isinstance(event, Impact) else like
             for index, event in enumerate(self.events)
         ]
         if self._section_function is not None:
             typical[SECTION] = _size(self._section_value(c, known)) + like
-        return typical, surfaces, closing
+        return typical, surfaces, closing, holds
 
     def rate(self, c: SystemConstants, mode: Values) -> Any:
         where = [mode[index] for index, event in enumerate(self.events) if isinstance(event, Switch)]
@@ -149,6 +151,13 @@ class SystemScales(SystemEquations):
         noise = ROUNDINGS * jnp.finfo(sizes[0].dtype).eps
         markers = [sizes[self.place(marker.velocity)] for marker in self.markers if marked]
         return tuple(noise * size for size in (*guards, *markers))
+
+    def typical_guard_values(self, c: SystemConstants, mode: Values, state: Values) -> Values:
+        # They are the same in all steps of a motion: what depends on where steps begin would have no derivative.
+        sizes = [lift / (LIFT_ROUNDINGS * jnp.finfo(lift.dtype).eps) for lift in c.lifts]
+        for index, event in enumerate(self.events):
+            sizes[index] = jnp.where(mode[index] == (1 if is_stop(event) else 0), c.holds[index], sizes[index])
+        return (*sizes, *(() if self._period is None else (c.period,)))
 
     def slope_resolutions(self, c: SystemConstants, mode: Values, state: Values, h: Any, marked: bool = True) -> Values:
         return tuple(SLOPE_ROUNDINGS * small for small in self.resolutions(c, mode, state, marked))
