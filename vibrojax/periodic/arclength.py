@@ -54,8 +54,13 @@ CORNER_TURN, CROSSING_TURN = 1.0, 1.4
 CORNER_GROWTH, STEP_GROWTH = 5.0, 2.0
 """Largest growth factors of the step length: for steps up to `CORNER`, and for longer steps."""
 
-FACING = 0.01
-"""Distance at which the margin behind a change of events is compared, relative to the step across the change."""
+FACING, FACED = 0.01, 10.0
+"""Distance at which the margin behind a change of events is compared, and distance within which it must not vanish
+ahead, relative to the step across the change. Parts of a branch that meet at a small angle are closer to each other than
+to the corner."""
+
+AT_CORNER = 1e-10
+"""Margin up to which a point is the corner itself, from which the other part of the branch is found."""
 
 LOOP = 1.9
 """Length of a closed loop, at least, relative to the distance of its far side."""
@@ -250,12 +255,14 @@ class _ActiveBranches:
     def _faces_corner(self, now: Points, taken: PerLane) -> Flags:
         """Return a mask of points, behind a change of events, from which the branch would lead back to the change.
 
-        Two parts of a branch may lie on the same side of a graze. The margin then vanishes ahead, within the step.
+        Two parts of a branch may lie on the same side of a graze. The margin then vanishes ahead, and behind its zero the
+        events change again.
         """
         if not len(taken):
             return np.zeros(0, bool)
-        ahead = now.u + FACING * taken[:, None] * now.tangent
-        return self._problem.evaluate(now.family, ahead).margin < (1 - FACING) * now.margin
+        ahead = self._problem.evaluate(now.family, now.u + FACING * taken[:, None] * now.tangent)
+        leads_back = (ahead.margin < (1 - FACING / FACED) * now.margin) | (ahead.signature != now.signature).any(axis=1)
+        return leads_back & (now.margin > AT_CORNER)
 
     def _shrinks(self, now: Points) -> Flags:
         """Return a mask of points at which the amplitude of orbits around an equilibrium has nearly vanished."""
