@@ -56,8 +56,8 @@ CORNER_GROWTH, STEP_GROWTH = 5.0, 2.0
 
 FACING, FACED = 0.01, 10.0
 """Distance at which the margin behind a change of events is compared, and distance within which it must not vanish
-ahead, relative to the step across the change. Parts of a branch that meet at a small angle are closer to each other than
-to the corner."""
+ahead, relative to the step across the change. Parts of a branch that meet at a small angle are closer to each other
+than to the corner."""
 
 AT_CORNER = 1e-10
 """Margin up to which a point is the corner itself, from which the other part of the branch is found."""
@@ -255,8 +255,8 @@ class _ActiveBranches:
     def _faces_corner(self, now: Points, taken: PerLane) -> Flags:
         """Return a mask of points, behind a change of events, from which the branch would lead back to the change.
 
-        Two parts of a branch may lie on the same side of a graze. The margin then vanishes ahead, and behind its zero the
-        events change again.
+        Two parts of a branch may lie on the same side of a graze. The margin then vanishes ahead, and behind its zero
+        the events change again.
         """
         if not len(taken):
             return np.zeros(0, bool)
