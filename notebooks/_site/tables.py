@@ -33,7 +33,7 @@ def of_all_scenes(listed: Callable[[str], pd.DataFrame]) -> pd.DataFrame:
     sources = [column for column in ("where", "scenes") if column in joined.columns]
     own = [column for column in joined.columns if column not in sources]
     rows = joined.groupby(own, sort=False)[sources].agg(lambda values: [*dict.fromkeys(values)]).reset_index()
-    rows["scenes"] = [shortened(names) for names in rows.scenes]
+    rows["scenes"] = ["" if (text := shortened(names)) == USUAL else text for names in rows.scenes]
     if "where" in rows:
         rows["where"] = [", ".join(CHOICE.sub(r"\1", place) for place in places) for places in rows["where"]]
         rows = rows.rename(columns={"where": "with"})
@@ -42,6 +42,10 @@ def of_all_scenes(listed: Callable[[str], pd.DataFrame]) -> pd.DataFrame:
 
 CHOICE = re.compile(r'^\w+ = "([\w-]+)".*')
 """The name in `friction = "stribeck" (eq. 5.9)`."""
+
+
+USUAL = "all but penetration"
+"""The scenes of most rows, which these rows do not name."""
 
 
 def shortened(names: list[str]) -> str:
