@@ -56,10 +56,7 @@ def write_page(
 
         vj.write_page(vj.run_sweep("regime-map"), "regime-map.html")
 
-    Select a map cell (a lane) by a click on the map or by arrow keys. The page shows the lane's motion in phase planes,
-    over time and as a spectrum, and the machine that moves. It also shows section crossings, multipliers, features, and
-    the command that simulates the motion. Plots can be zoomed and saved, and motions pinned
-    to compare them. The page's address stores the selection, so that a link restores it.
+    The guide to the interactive page describes what it shows.
 
     **Arguments:**
 
@@ -68,7 +65,7 @@ def write_page(
     - `over`: result of `borders` or `curves`, to draw on a map of the same parameters, or of `follow`, to draw over the
       returns of a sweep.
     - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
-    - `progress`: whether to report progress on stderr. A sweep is run again, with its orbits, to record motions.
+    - `progress`: whether to report progress. A sweep is run again, with its orbits, to record motions.
 
     **Returns:** the path.
 
@@ -98,7 +95,7 @@ def explore(
 ) -> "Explorer":
     """Return the explorer page of a dataset as a notebook widget; Python can read the map cell that a click selects.
 
-    JupyterLab, Jupyter Notebook from version 7 and VS Code show the widget. It loads nothing from the network.
+    JupyterLab, Jupyter Notebook from version 7 and VS Code show the widget.
 
     **Arguments:**
 

@@ -307,23 +307,20 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
         fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})
 
     Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed values
-    of variables of the orbit (period, forces, velocities, powers, rates). At a sample of points inside the bounds, the
-    motions from `start` are simulated. From the best of these points, the orbit is continued to all rows, and SciPy's
+    of variables of the orbit (period, forces, velocities, powers, rates). Motions from `start` are simulated at a
+    sample of points inside the bounds. From the best points, the orbit is continued to all rows, and SciPy's
     `least_squares` minimises the residuals with the derivatives of the orbits. Rows without a stable orbit at the end
-    of a search are left out. The best end has many rows and small residuals, by their likelihood. Attractors coexist:
-    observations of another motion are fitted by the wrong orbit, and their residuals show it.
+    of a search are left out; the likelihood selects among the ends of searches.
 
-    A recorded velocity of the bit over time, beside the rows or in place of them, is compared with the motion itself:
-    over a few returns it determines the friction (`mu`, `v_cr`). The state at its first sample is fitted too, unless it
-    is given.
+    A recorded velocity of the bit over time, beside the rows or in place of them, is compared with the motion itself.
+    The state at its first sample is fitted too, unless it is given.
 
         vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
 
     The Fisher information J'J of the residuals, in logarithms of positive parameters, has eigenvectors: combinations of
     powers of the parameters that the data determine, each with its relative error. The posterior is the normal
     approximation around the estimate (Laplace), in the same logarithms, or Student's t if the residuals give the error
-    of the observations. `nonlinearity` checks it: at draws of the posterior the motion is computed again and compared
-    with the linear prediction.
+    of the observations. `nonlinearity` compares the motion at draws of the posterior with the linear prediction.
 
     **Arguments:** `source`: path of a TOML file, or a dict, with
 

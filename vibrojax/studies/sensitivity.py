@@ -138,8 +138,7 @@ def sensitivity(
 
     The derivatives are those along the family of orbits, by the implicit function theorem at the fixed point of the
     return map: ds/dp = (1 - P_s)^-1 P_p for the state s at the section. Features are then measured over one period of
-    the orbit, with tangents along (ds/dp, dp) through all events. Nothing depends on the time in which the motion
-    settles, and unstable orbits have derivatives, too.
+    the orbit, with tangents along (ds/dp, dp) through all events. Unstable orbits have derivatives, too.
 
     **Arguments:**
 
@@ -150,7 +149,6 @@ def sensitivity(
       bundled sweep's, such as "drilling", means the scene if any argument of a point is given.
     - `by`: parameters of the scene, by default all.
     - `of`: variables at a point, by default all that vary smoothly. `settle`, `observe` [s]: as in a sweep.
-    - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset over the dimensions of the sweep; at a point, without these dimensions.
 
