@@ -85,10 +85,14 @@ def flags() -> pd.DataFrame:
 
 
 def fit() -> pd.DataFrame:
-    """Return the variables of a fit of the rate-of-penetration law."""
+    """Return the variables of a fit of the rate-of-penetration law, without the standard errors."""
     values = {name: ", ".join(about.flags) for name, about in OF_FITS.items()}
     values["r_squared_reason"] = "those of reason"
-    rows = [(name, x.units, x.along or "groups only", x.long_name, values[name]) for name, x in OF_FITS.items()]
+    rows = [
+        (name, about.units, about.along or "groups only", about.long_name, values[name])
+        for name, about in OF_FITS.items()
+        if not name.endswith("_stderr")
+    ]
     return pd.DataFrame(rows, columns=["variable", "units", "along", "meaning", "values"])
 
 

@@ -69,8 +69,8 @@ def write_page(
 
     **Returns:** the path.
 
-    **Raises:** `InputError` if the dataset holds nothing to show, or `over` or `sweep` does not belong to it, or
-    there is a file at `path` that this package has not written; `OSError` if the file cannot be written.
+    **Raises:** `InputError` if the dataset holds nothing to show, if `over` or `sweep` does not belong to it, or if
+    `path` is a file that this package has not written. `OSError` if the file cannot be written.
 
     **Example:**
 
@@ -99,10 +99,7 @@ def explore(
 
     **Arguments:**
 
-    - `ds`: any dataset of the package, or of an analysis with a picture.
-    - `over`: result of `borders` or `curves`, to draw on a map of the same parameters, or of `follow`, to draw over the
-      returns of a sweep.
-    - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
+    - `ds`, `over`, `sweep`: as for [vibrojax.write_page][].
     - `live`: whether the notebook's kernel simulates the motion of the selected map cell, with a slider for every
       parameter. If False, the sweep is run again, and the widget contains the motions of all lanes; it then works
       without a kernel. None: True if the dataset's scene is a scene of the package.

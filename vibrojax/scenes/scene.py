@@ -189,7 +189,7 @@ class Scene(ABC, Generic[C]):
         return self.field(c, mode, state)
 
     def smoothed_mode(self, c: C, mode: Values, state: Values, width: Any) -> Values:
-        """Return the mode for the measures of a smoothed motion, which sticks at sliding speeds below `width` [m/s]."""
+        """Return the mode that measures see in a smoothed motion: stick at sliding speeds below `width` [m/s]."""
         return mode
 
     def driving_part(self) -> "Scene[Any]":

@@ -104,7 +104,7 @@ class Analysis(Settings):
     """Name of the command, if it is not the kind."""
 
     variables: ClassVar[Mapping[str, Variable]] = {}
-    """Variables by name that sweeps do not have: units, meaning, type and flags of each."""
+    """Variables that the analysis adds to those of sweeps, by name: units, meaning, type and flags of each."""
 
     pictures: ClassVar[Sequence[PictureRule]] = ()
     """Picture rules for the analysis's datasets; the first rule that fits is used."""

@@ -292,7 +292,7 @@ def as_jax(
 
     - `scene`, `start`, `fixed` (SI): as in `simulate`.
     - `of`: features of orbits, as in `sensitivity`; `by`: parameters, in the order of the array.
-    - `at`: values of the parameters `by` at which the motion from `start` settles on the first orbit.
+    - `at`: values of these parameters for the first orbit, on which the motion from `start` settles.
     - `outside`: "nearest" for the values and gradients of the nearest orbit where the function is not valid, or "nan".
 
     **Returns:** a function of an array (parameters,), which returns a dict of scalars: the features `of`, `margin`,

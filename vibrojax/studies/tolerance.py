@@ -263,8 +263,8 @@ def tolerance(
     - Along `start`, for period, impact velocity, impact energy, peak force and rate of penetration:
       `NAME_least` and `NAME_most` over the samples where the quantity exists, and `NAME_least_sample` and
       `NAME_most_sample`, the samples that have these values (-1 if there is none).
-    - `regime_share` along `label` and `start`, `regime_kept`, the share of samples in the nominal regime, and
-      `irregular_share`, all without the refined samples.
+    - `regime_share` along `label` and `start`; `regime_kept`, the share of samples in the nominal regime;
+      `irregular_share`. Refined samples do not count in these shares.
     - The attribute `extremes` says how the extremes were obtained.
 
     **Raises:** `InputError` for an invalid name or value, or if no parameter has a tolerance.
