@@ -48,13 +48,26 @@ CHOICE = re.compile(r'^\w+ = "([\w-]+)".*')
 GROUPS = {"all but penetration": "", "all but penetration, rotary": "impacts", "all but rotary, vibro-impact": "rock"}
 """Names of frequent groups of scenes, which the page defines."""
 
-EXTREME = re.compile(r"(\w+)_(?:least|most)(?:_sample)?")
-"""A variable of tolerances: an extreme of another variable, or the sample at which it occurs."""
-
-EXTREMES = [
-    ("NAME_least, NAME_most", "of NAME", "least and greatest value of the samples; NAME: {}"),
-    ("NAME_least_sample, NAME_most_sample", "1", "sample with this value; -1: the quantity exists nowhere"),
-]
+SHARED = {
+    r"(\w+)_(?:least|most)": (
+        "NAME_least, NAME_most",
+        "of NAME",
+        "least and greatest value of the samples",
+        "tolerance",
+        "",
+    ),
+    r"(\w+)_(?:least|most)_sample": (
+        "NAME_least_sample, NAME_most_sample",
+        "1",
+        "sample with this value; -1: no sample has one",
+        "tolerance",
+        "",
+    ),
+    r"return_([xv]\d|compression)": ("return_NAME", "of NAME", "state at the return", "", ""),
+    r"orbit_([xv]\d|compression)": ("orbit_NAME", "of NAME", "state of the return map on the orbit", "", "all"),
+    r"(\w+_order)_conf": ("NAME_conf", "1", "half-width of the confidence interval of NAME", "study", ""),
+}
+"""Patterns of variables that share a row, and that row: variable, units, meaning, command and scenes."""
 
 
 def shortened(names: list[str]) -> str:
@@ -66,12 +79,15 @@ def shortened(names: list[str]) -> str:
 
 
 def variables() -> pd.DataFrame:
-    """Return the variables of all scenes. Extremes within tolerances have one row for all variables that have them."""
+    """Return the variables of all scenes; those that `SHARED` describes follow the others."""
     table = of_all_scenes(vj.list_variables)
-    extreme = table.variable.str.fullmatch(EXTREME.pattern)
-    named = ", ".join(dict.fromkeys(EXTREME.sub(r"\1", name) for name in table.variable[extreme]))
-    rows = [(name, unit, text.format(named), "tolerance", "") for name, unit, text in EXTREMES]
-    return pd.concat([table[~extreme], pd.DataFrame(rows, columns=table.columns)])
+    rows = []
+    for pattern, (variable, units, meaning, *rest) in SHARED.items():
+        names = table.variable.str.extract(f"^{pattern}$")[0]
+        listed = ", ".join(names.dropna().unique())
+        rows.append((variable, units, meaning if "_sample" in variable else f"{meaning}; NAME: {listed}", *rest))
+        table = table[names.isna()]
+    return pd.concat([table, pd.DataFrame(rows, columns=table.columns)])
 
 
 def flags() -> pd.DataFrame:

@@ -317,10 +317,9 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
 
         vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
 
-    The Fisher information J'J of the residuals, in logarithms of positive parameters, has eigenvectors: combinations of
-    powers of the parameters that the data determine, each with its relative error. The posterior is the normal
-    approximation around the estimate (Laplace), in the same logarithms, or Student's t if the residuals give the error
-    of the observations. `nonlinearity` compares the motion at draws of the posterior with the linear prediction.
+    The eigenvectors of the Fisher information J'J, in logarithms of positive parameters, are combinations of powers of
+    the parameters, each with its relative error. The posterior is the normal approximation in these logarithms, or
+    Student's t if the residuals give the error of the observations.
 
     **Arguments:** `source`: path of a TOML file, or a dict, with
 
@@ -328,15 +327,14 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     - `data`: path of a CSV file or, in a dict, a table. Headers are names of parameters and variables, with units as in
       `peak_impact_force (kN)`; columns `NAME_error` hold standard errors. In `drilling`, `C` [m/s] may be unknown too:
       then `rate_of_penetration` is C ln(relief).
-    - `history`: dataset of `simulate`, table, or path of a CSV or NetCDF file with the columns `time` [s] and `v1`
-      [m/s], the velocity of the bit relative to the drive, with other units as in `v1 (mm/s)`; `x1`, `x2`, `v2` begin
-      the search for the first state. Or a table `[history]` with this as `data`, `columns` (NAME = COLUMN, if columns
-      have other names), `window` (begin and end [s], by default all), `start` (the state at the first sample, as in
-      `simulate`), and the operating conditions that are columns of the rows. `[error]` v1 is the standard error [m/s]
-      of a sample.
-    - `[unknown]` NAME = [low, high]; `[error]` NAME = standard error of a variable (without errors, all values have
-      the same relative error, which the residuals give; a value below a hundredth of its variable's mean size has the
-      error of that hundredth); `[prior]` NAME = [mean, standard deviation].
+    - `history`: dataset of `simulate`, table, or path of a CSV or NetCDF file. Its columns are `time` [s] and `v1`
+      [m/s], the velocity of the bit relative to the drive; headers may have other units, as in `v1 (mm/s)`. `x1`, `x2`,
+      `v2` begin the search for the first state. A table `[history]` has this as `data`, and optionally `columns` (NAME
+      = COLUMN), `window` (begin and end [s]), `start` (the state at the first sample) and the operating conditions that
+      are columns of the rows. `[error]` v1 is the standard error [m/s] of a sample.
+    - `[unknown]` NAME = [low, high]; `[prior]` NAME = [mean, standard deviation]; `[error]` NAME = standard error of a
+      variable. Without errors, all values have the same relative error, which the residuals give; a value below a
+      hundredth of its variable's mean size has the error of that hundredth.
     - `searches` (3), `draws` (1000), `seed` (0), `title`.
 
     **Returns:** a dataset with `estimate`, `estimate_stderr`, the 95 % interval from `estimate_low` to `estimate_high`,

@@ -130,14 +130,10 @@ def fit_rop(
     irregular or have no usable values are left out and counted. Standard errors (HC3) are valid for noise of constant
     size and for noise proportional to the rate.
 
-    Rows of a rig log differ from lanes of a sweep:
-
-    - The loss is robust. From 30 rows on, rows are left out and listed (attribute `left_out_rows`) if their rate is far
-      from the law and from all rates at that weight, or if their weight is far from all others.
-    - If a form that ends at a founder weight describes the rows better than every form without, all forms are fitted to
-      the rows below this weight.
-    - From 50 rows on, the fit accounts for correlated noise of neighbouring rows. Leaving out blocks of rows gives the
-      standard errors, and the forms are compared by their predictions of each block from all others (`cv_error`).
+    For rows of a rig log, the loss is robust, and the law may end at a founder weight; the forms are then fitted to the
+    rows below it. From 30 rows on, wrong rows are left out and listed (attribute `left_out_rows`). From 50 rows on, the
+    fit accounts for correlated noise of neighbouring rows: leaving out blocks of rows gives the standard errors, and
+    the forms are compared by their predictions of each block from all others (`cv_error`).
 
     **Arguments:**
 
