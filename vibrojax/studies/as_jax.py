@@ -207,8 +207,7 @@ _INTERRUPTED = Event()
 class OrbitFunction:
     """Function of an array of parameters that gives features of a periodic orbit, made by [vibrojax.as_jax][].
 
-    `f(x)` returns a dict of scalars: the features, `margin`, `grazing_margin` and `valid`. It works within `jax.grad`,
-    `jax.jit` and `jax.vmap`, and can be pickled. `f.reason(x)` returns why `f` is not valid at `x`.
+    `f(x)` returns the dict that [vibrojax.as_jax][] describes, and `f.reason(x)` why f is not valid at x.
     """
 
     def __init__(self, branch: Branch, of: Sequence[str], outside: str) -> None:

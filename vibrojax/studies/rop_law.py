@@ -145,7 +145,6 @@ def fit_rop(
       column, the default is all columns except `along` and mean_force.
     - `robust`: the loss, "soft-l1", scaled by the median absolute deviation, or "squares"; by default soft-l1 for rows
       of a log and squares for a sweep. R² and AIC are computed from the plain residuals.
-    - `progress`: whether to report on stderr when the fit is done.
     - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
       {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: eta is then
