@@ -77,9 +77,9 @@ def orbits(
       another number of impacts, is unstable, or is not confirmed by a simulation.
     - `error_estimate`: infinite for a lane near an unstable orbit. An unstable orbit is found only if the lane stays on
       it, for example because of an exact symmetry.
-    - `orbit_residual`: the largest difference between an image under the map and the next state, in units of the
-      states' scales; `grazing_margin`: the distance from a change in the order of events, defined in the attribute
-      `orbits`.
+    - `orbit_residual`: the largest difference between the image of a state under the map and the orbit's next state, in
+      units of the states' scales; `grazing_margin`: the distance from a change in the order of events, defined in the
+      attribute `orbits`.
     - `orbit_cycles`: the minimal number of crossings per period. It is less than the lane's `cycles` if the lane is
       still settling on an orbit with a shorter period.
     - `nearby_cycles`: crossings per period of a stable orbit near an irregular or undecided lane, which the lane has
