@@ -357,8 +357,8 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
 
     **Example:**
 
-    >>> asked = {"scene": "vibro-impact", "maximise": "impact_velocity", "starts": ["stuck"]}
-    >>> asked |= {"vary": {"gamma": [0.6, 0.9]}, "subject": {"regime": "single-impact"}}
+    >>> spec = {"scene": "vibro-impact", "maximise": "impact_velocity", "starts": ["stuck"]}
+    >>> spec |= {"vary": {"gamma": [0.6, 0.9]}, "subject": {"regime": "single-impact"}}
     >>> best = vj.design(spec, progress=False).isel(candidate=0)
     >>> bool(best.feasible == 1), round(float(best.gamma), 2)
     (True, 0.6)
