@@ -55,7 +55,7 @@ myst_dmath_double_inline = True
 
 # Docstrings
 autodoc_member_order = "bysource"
-autodoc_typehints = "signature"
+autodoc_typehints = "none"
 autodoc_preserve_defaults = True
 autodoc_default_options = {"members": True}
 default_role = "code"

@@ -36,7 +36,6 @@ KEPT = [
      ["of 2,670 irregular lanes 52.1 % chaotic, 38.8 % not settled, 7.0 % periodic"]),
     ("attractors", "67 % of the points have one attractor, 30 % two, and 2 %", BENCHMARKS,
      ["(67.4 %)", "(30.3 %)", "(1.5 %)", "`drive` at 18.9 %", "`stuck` at 4.9 %"]),
-    ("attractors", "10,400 starts per second", BENCHMARKS, ["10,400 starts a second", "3,900 starts a second"]),
     ("rig_log", "above 500 ft/h, 180 klbf or 500 rpm", "vibrojax/io/riglog.py",
      ["500 * 0.3048 / 3600", "500 * RPM"]),
     ("rig_log", "is rejected above 5.4", "vibrojax/studies/rop_forms.py", ["BLOCK_LIMIT = 5.4"]),
@@ -110,25 +109,13 @@ def row(start: str) -> list[float]:
 
 
 def test_times_match_benchmarks():
-    """Compare with the time of the default map, and with the times and ratios of the race at an error of 1e-4."""
-    cells = [
-        [cell.strip() for cell in line.split("|")]
-        for line in (ROOT / BENCHMARKS).read_text().splitlines()
-        if line.startswith("| 1e-04")
-    ]
-    peers = {row[2]: (float(row[3]), float(row[5])) for row in cells if row[3] != "–"}
+    """Compare with the time of the default map, and with the time per simulated second at an error of 1e-4."""
+    lines = (ROOT / BENCHMARKS).read_text().splitlines()
+    own = next(line for line in lines if line.startswith("| 1e-04") and "| vibrojax |" in line)
     new, old = row("`vibrojax sweep regime-map` from a fresh process")
     early = row("the same, settled lanes ended early")[0] / (12_096 * 48.0)
     names = {3: "three", 4: "four", 5: "five", 6: "six", 7: "seven"}
-    costs = f"{names[round(1e6 * early)]} to {names[round(peers['vibrojax'][0])]}"
+    costs = f"{names[round(1e6 * early)]} to {names[round(float(own.split('|')[3]))]}"
     for page in (text_of("README.md"), text_of("how_it_works")):
         assert round(new) == round(old) and f"takes {new:.0f} s from nothing on two cores" in page
         assert f"costs {costs} microseconds" in page
-    for name, sentence in {
-        "SciPy, solve_ivp with events": "{:.0f} times faster than SciPy with events",
-        "diffrax, smoothed, adaptive": "{:.0f} times faster than diffrax with smoothed friction",
-        "diffrax with its events": "{:.0f} times faster than a loop of ours around diffrax",
-    }.items():
-        assert sentence.format(peers[name][1]) in text_of("how_it_works")
-    assert peers["numba, Dormand-Prince 5(4)"][1] == pytest.approx(1.0, abs=0.05)
-    assert f"is {1 / peers['numba, Taylor series'][1]:.1f} times faster" in text_of("how_it_works")

@@ -23,7 +23,7 @@ def rewrite(lines: list[str]) -> None:
     """Convert, in place, references, literal signs, and indented code, which would become a quotation."""
     result: list[str] = []
     code = example = False
-    for line in lines:
+    for line in (line for line in lines if line != "**Example:**"):  # code with prompts needs no label
         indent = len(line) - len(line.lstrip())
         begins = indent >= 4 and not code and bool(result) and not result[-1].strip() and not _in_list(result)
         if begins:

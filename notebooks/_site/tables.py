@@ -15,6 +15,7 @@ from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.io.variables import NATURES, VARIABLES
 from vibrojax.maps.read import read_sweep
 from vibrojax.physics.rock import ROCKS
+from vibrojax.pictures.axes import typeset
 from vibrojax.scenes import HasFriction
 from vibrojax.settings.toml import bundled_names
 from vibrojax.studies.rop_law import SCHEMA as OF_FITS
@@ -33,7 +34,7 @@ def of_all_scenes(listed: Callable[[str], pd.DataFrame]) -> pd.DataFrame:
     sources = [column for column in ("where", "scenes") if column in joined.columns]
     own = [column for column in joined.columns if column not in sources]
     rows = joined.groupby(own, sort=False)[sources].agg(lambda values: [*dict.fromkeys(values)]).reset_index()
-    rows["scenes"] = [shortened(names) for names in rows.scenes]
+    rows["scenes"] = [GROUPS.get(text := shortened(names), text) for names in rows.scenes]
     if "where" in rows:
         rows["where"] = [", ".join(CHOICE.sub(r"\1", place) for place in places) for places in rows["where"]]
         rows = rows.rename(columns={"where": "with"})
@@ -44,6 +45,31 @@ CHOICE = re.compile(r'^\w+ = "([\w-]+)".*')
 """The name in `friction = "stribeck" (eq. 5.9)`."""
 
 
+GROUPS = {"all but penetration": "", "all but penetration, rotary": "impacts", "all but rotary, vibro-impact": "rock"}
+"""Names of frequent groups of scenes, which the page defines."""
+
+SHARED = {
+    r"(\w+)_(?:least|most)": (
+        "NAME_least, NAME_most",
+        "of NAME",
+        "least and greatest value of the samples",
+        "tolerance",
+        "",
+    ),
+    r"(\w+)_(?:least|most)_sample": (
+        "NAME_least_sample, NAME_most_sample",
+        "1",
+        "sample with this value; -1: no sample has one",
+        "tolerance",
+        "",
+    ),
+    r"return_([xv]\d|compression)": ("return_NAME", "of NAME", "state at the return", "", ""),
+    r"orbit_([xv]\d|compression)": ("orbit_NAME", "of NAME", "state of the return map on the orbit", "", "all"),
+    r"(\w+_order)_conf": ("NAME_conf", "1", "half-width of the confidence interval of NAME", "study", ""),
+}
+"""Patterns of variables that share a row, and that row: variable, units, meaning, command and scenes."""
+
+
 def shortened(names: list[str]) -> str:
     """Return names of scenes as text: those that are missing, if there are fewer of them."""
     missing = [name for name in vj.SCENES if name not in names]
@@ -52,22 +78,37 @@ def shortened(names: list[str]) -> str:
     return f"all but {', '.join(missing)}" if len(missing) < len(names) else ", ".join(names)
 
 
+def variables() -> pd.DataFrame:
+    """Return the variables of all scenes; those that `SHARED` describes follow the others."""
+    table = of_all_scenes(vj.list_variables)
+    rows = []
+    for pattern, (variable, units, meaning, *rest) in SHARED.items():
+        names = table.variable.str.extract(f"^{pattern}$")[0]
+        listed = ", ".join(names.dropna().unique())
+        rows.append((variable, units, meaning if "_sample" in variable else f"{meaning}; NAME: {listed}", *rest))
+        table = table[names.isna()]
+    return pd.concat([table, pd.DataFrame(rows, columns=table.columns)])
+
+
 def flags() -> pd.DataFrame:
-    """Return the variables whose values are flags, with the meaning of each value."""
+    """Return the variables whose values are flags, with the meaning of each value; equal meanings share a row."""
     kept = {name: (about.first_flag, about.flags) for name, about in VARIABLES.items() if about.flags}
     kept |= {"nature": (0, NATURES), "special_kind": (0, SPECIAL_KINDS)}
-    return pd.DataFrame(
-        [
-            (name, ", ".join(f"{value} {flag}" for value, flag in enumerate(names, first)))
-            for name, (first, names) in kept.items()
-        ],
-        columns=["variable", "values"],
-    )
+    shared: dict[str, list[str]] = {}
+    for name, (first, names) in kept.items():
+        shared.setdefault(", ".join(f"{value} {flag}" for value, flag in enumerate(names, first)), []).append(name)
+    return pd.DataFrame([(", ".join(names), text) for text, names in shared.items()], columns=["variable", "values"])
 
 
 def fit() -> pd.DataFrame:
-    """Return the variables of a fit of the rate-of-penetration law."""
-    rows = [(name, x.units, x.along or "groups only", x.long_name, ", ".join(x.flags)) for name, x in OF_FITS.items()]
+    """Return the variables of a fit of the rate-of-penetration law, without the standard errors."""
+    values = {name: ", ".join(about.flags) for name, about in OF_FITS.items()}
+    values["r_squared_reason"] = "those of reason"
+    rows = [
+        (name, about.units, about.along or "groups only", about.long_name, values[name])
+        for name, about in OF_FITS.items()
+        if not name.endswith("_stderr")
+    ]
     return pd.DataFrame(rows, columns=["variable", "units", "along", "meaning", "values"])
 
 
@@ -97,7 +138,7 @@ def thesis() -> pd.DataFrame:
 TABLES: dict[str, Callable[[], pd.DataFrame]] = {
     "scenes": lambda: vj.list_scenes().reset_index(),
     "parameters": lambda: of_all_scenes(vj.list_parameters),
-    "variables": lambda: of_all_scenes(vj.list_variables),
+    "variables": variables,
     "settings": lambda: vj.list_settings().reset_index(),
     "flags": flags,
     "fit": fit,
@@ -105,7 +146,7 @@ TABLES: dict[str, Callable[[], pd.DataFrame]] = {
     "rocks": lambda: pd.DataFrame([{"rock": name} | asdict(rock) for name, rock in ROCKS.items()]),
     "sweeps": sweeps,
     "verdicts": lambda: thesis().verdict.value_counts().rename("results").reset_index(),
-    "differences": lambda: thesis().query("verdict == 'differs'").drop(columns="verdict"),
+    "differences": lambda: thesis().query("verdict == 'differs'").drop(columns=["verdict", "reading"]),
 }
 
 
@@ -131,7 +172,7 @@ def as_table(header: Iterable[object], rows: Iterable[Iterable[object]], literal
 
 
 def _text(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else "" if value is None else str(value)
+    return typeset(f"{value:g}" if isinstance(value, float) else "" if value is None else str(value))
 
 
 def _row(texts: Iterable[str], literal: bool) -> nodes.row:

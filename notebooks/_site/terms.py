@@ -10,6 +10,7 @@ from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.studies import WORDS
 
 PAGE = "files_and_symbols"
@@ -40,7 +41,8 @@ class CodeGlossary(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         self.env.note_reread()
         terms = sorted((WORDS | SITE_WORDS).items(), key=lambda item: item[0].lower())
-        lines = [line for term, meaning in terms for line in (term, f"  {meaning}.", "")]
+        kinds = {*SPECIAL_KINDS, "section point"}  # which the table of the guide to orbits describes
+        lines = [line for term, meaning in terms if term not in kinds for line in (term, f"  {meaning}.", "")]
         return self.parse_text_to_nodes("\n".join(["```{glossary}", *lines, "```"]))
 
 

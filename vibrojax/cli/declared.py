@@ -1,4 +1,4 @@
-"""What the source of a study declares: settings and class attributes, for `--help`, without importing the study.
+"""Settings and class attributes that the source of a study declares, for `--help`, without importing the study.
 
 A study imports xarray, SciPy or jax, which takes longer than everything else that `--help` does.
 """

@@ -108,7 +108,7 @@ class Array(NamedTuple):
 
 
 class Description(NamedTuple):
-    """What a call of a kernel needs besides the object code.
+    """Data that a call of a kernel needs besides the object code.
 
     - `key`: hash of the IR text, the processor and the version of llvmlite, under which the object code is cached.
     - `arguments`, `results`: types of the leaves; `tree`: the results, with their numbers as leaves.

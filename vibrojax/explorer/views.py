@@ -1,4 +1,4 @@
-"""What the explorer page shows of a dataset: its JSON document, and its motions.
+"""Contents of the explorer page of a dataset: its JSON document, and its motions.
 
 The analysis of the dataset's kind states the `view`: a map, families, a single motion, curves on a map, or plots.
 """
@@ -48,7 +48,7 @@ HISTORY_BINS = 1200
 
 
 class Contents(NamedTuple):
-    """What a page shows: the dataset, its JSON document, and its motions, which are computed as they are iterated."""
+    """Contents of a page: the dataset, its JSON document, and its motions, which are computed as they are iterated."""
 
     dataset: xr.Dataset
     document: Document

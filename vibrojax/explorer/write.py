@@ -56,10 +56,7 @@ def write_page(
 
         vj.write_page(vj.run_sweep("regime-map"), "regime-map.html")
 
-    Select a map cell (a lane) by a click on the map or by arrow keys. The page shows the lane's motion in phase planes,
-    over time and as a spectrum, and the machine that moves. It also shows section crossings, multipliers, features, and
-    the command that simulates the motion. Plots can be zoomed and saved, and motions pinned
-    to compare them. The page's address stores the selection, so that a link restores it.
+    The guide to the interactive page describes what it shows.
 
     **Arguments:**
 
@@ -68,12 +65,12 @@ def write_page(
     - `over`: result of `borders` or `curves`, to draw on a map of the same parameters, or of `follow`, to draw over the
       returns of a sweep.
     - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
-    - `progress`: whether to report progress on stderr. A sweep is run again, with its orbits, to record motions.
+    - `progress`: whether to report progress. A sweep is run again, with its orbits, to record motions.
 
     **Returns:** the path.
 
-    **Raises:** `InputError` if the dataset holds nothing to show, or `over` or `sweep` does not belong to it, or
-    there is a file at `path` that this package has not written; `OSError` if the file cannot be written.
+    **Raises:** `InputError` if the dataset holds nothing to show, if `over` or `sweep` does not belong to it, or if
+    `path` is a file that this package has not written. `OSError` if the file cannot be written.
 
     **Example:**
 
@@ -98,14 +95,11 @@ def explore(
 ) -> "Explorer":
     """Return the explorer page of a dataset as a notebook widget; Python can read the map cell that a click selects.
 
-    JupyterLab, Jupyter Notebook from version 7 and VS Code show the widget. It loads nothing from the network.
+    JupyterLab, Jupyter Notebook from version 7 and VS Code show the widget.
 
     **Arguments:**
 
-    - `ds`: any dataset of the package, or of an analysis with a picture.
-    - `over`: result of `borders` or `curves`, to draw on a map of the same parameters, or of `follow`, to draw over the
-      returns of a sweep.
-    - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
+    - `ds`, `over`, `sweep`: as for [vibrojax.write_page][].
     - `live`: whether the notebook's kernel simulates the motion of the selected map cell, with a slider for every
       parameter. If False, the sweep is run again, and the widget contains the motions of all lanes; it then works
       without a kernel. None: True if the dataset's scene is a scene of the package.

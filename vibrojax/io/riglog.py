@@ -87,16 +87,16 @@ def read_log(
 ) -> pd.DataFrame:
     """Read a rig log as it was exported (CSV, LAS, WITSML, xlsx) into a table in SI units.
 
-    Rows that are no drilling are dropped and counted: no rate or weight, no rotation, a bit off the bottom, a value
-    beyond reason, or a depth that falls (the longest sequence of rows whose depth does not fall stays). A table without
-    a column of a rig, such as one with relief and rate_of_penetration, keeps all its rows.
+    Rows without drilling are dropped and counted: without rate, weight or rotation, off the bottom, beyond the limits
+    of rigs, or with a falling depth. A table without a column of a rig, such as one with `relief` and
+    `rate_of_penetration`, keeps all its rows.
 
     **Arguments:**
 
     - `path`: the file, or a DataFrame with the columns of such a file.
     - `columns`: by quantity, the column and its unit, or a value for all rows, such as {"bit_diameter": "8.5 in"}.
     - `where`: one or several conditions that rows must meet: "WOB (klb) < 35", "depth (m) >= 1200", "time (h) > 2",
-      "Formation=shale". A condition on a quantity replaces its limit of reason.
+      "Formation=shale". A condition on a quantity replaces its limit.
     - `nulls`: further texts or numbers that stand for a missing value, beside -999.25, NULL, N/A, - and the like.
 
     **Returns:** a table with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N], `rate_of_penetration`

@@ -54,10 +54,8 @@ def orbits(
 
         orb = vj.orbits(ds)
 
-    The return map takes the state at one section crossing to the state at the next. An orbit with `cycles` crossings
-    per period is a fixed point of the `cycles`-th iterate of this map. Newton's method computes the orbit from a lane's
-    last crossings. The map's derivative includes all events, so the multipliers are those of the exact motion. An orbit
-    is stable if all its multipliers have moduli below 1.
+    An orbit with `cycles` section crossings per period is a fixed point of the `cycles`-th iterate of the return map.
+    Newton's method finds it from a lane's last crossings.
 
     In the scene `penetration` the beginning of a pulse replaces the section crossing. A lane is periodic if the map,
     iterated from its last pulse, comes back to the same state after 1 to 8 pulses.
@@ -67,7 +65,6 @@ def orbits(
     - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. A dataset does not contain the initial states for
       Newton's method, so its sweep is run again, at the coordinates of the dataset. A dataset with orbits is returned
       unchanged, unless its coordinates are not those of its sweep.
-    - `progress`: True to report progress on stderr.
 
     **Returns:** the sweep's dataset, with these additional variables over its dimensions. For a lane with a found
     orbit, `period` and the other measures are those of the orbit.
@@ -78,17 +75,17 @@ def orbits(
       *refused*: the lane cannot be run. *not-converged*: Newton's method has not converged. *near-grazing*: the orbit
       is so close to grazing that multipliers have no meaning. *another-orbit*: the orbit is too far from the lane, has
       another number of impacts, is unstable, or is not confirmed by a simulation.
-    - `error_estimate`: infinite for a lane near an unstable orbit. An unstable orbit is *found* only if the lane stays
-      on it although a single rounding error would drive it away, for example because of an exact symmetry.
-    - `orbit_residual`: the largest difference between an image under the map and the next state, in units of the
-      states' scales; `grazing_margin`: the distance from a change in the order of events, defined in the attribute
-      `orbits`.
+    - `error_estimate`: infinite for a lane near an unstable orbit. An unstable orbit is found only if the lane stays on
+      it, for example because of an exact symmetry.
+    - `orbit_residual`: the largest difference between the image of a state under the map and the orbit's next state, in
+      units of the states' scales; `grazing_margin`: the distance from a change in the order of events, defined in the
+      attribute `orbits`.
     - `orbit_cycles`: the minimal number of crossings per period. It is less than the lane's `cycles` if the lane is
       still settling on an orbit with a shorter period.
     - `nearby_cycles`: crossings per period of a stable orbit near an irregular or undecided lane, which the lane has
-      not reached; 0 if none was found; not computed in `penetration`. `nearby_impacts`: impacts per period of that
-      orbit; `nearby_distance`: the largest distance of the lane's last crossings from that orbit, in units of half the
-      peak-to-peak ranges of the states.
+      not reached; 0 if none was found; not computed in `penetration`. `nearby_impacts`: its impacts per period;
+      `nearby_distance`: the largest distance of the lane's last crossings from it, in units of half the peak-to-peak
+      ranges of the states.
 
     **Raises:** `InputError` if the source is not a sweep or the dataset of one, if the sweep cannot be run, or if the
     scene has neither a section nor pulses.

@@ -42,7 +42,7 @@ def natural_frequencies(p: Numbers, xp: Any = jnp) -> Float[Array, "*lanes 2"]:
     """Return the two undamped natural frequencies [rad/s] (source, eq. 5.16).
 
     The last axis has length 2, the lower frequency first. The frequencies are the roots of
-    w⁴ - w² (w1² + w2² (1 + beta)) + w1² w2² = 0, which follows from m1 x1'' = -k1 x1 - k2 (x1 - x2) and
+    w⁴ - w² (w1² + w2² (1 + beta)) + w1² w2² = 0. This follows from m1 x1'' = -k1 x1 - k2 (x1 - x2) and
     m2 x2'' = -k2 (x2 - x1). `xp`: the library of the arrays, jax.numpy or numpy.
     """
     w1_squared = p["k1"] / p["m1"]

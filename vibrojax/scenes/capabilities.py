@@ -1,6 +1,7 @@
 """Capabilities that only some scenes have; measures, pictures and checks test for them with `isinstance`.
 
-A scene acquires a capability by inheriting from its class and defining the abstract methods.
+A scene acquires a capability by inheriting from its class and defining the abstract methods. The functions that return
+forces accept arrays and Taylor series.
 """
 
 from abc import abstractmethod
@@ -56,10 +57,7 @@ class HasFriction(Scene[C]):
 
     @abstractmethod
     def pull(self, c: C, state: Values) -> Any:
-        """Return the net spring force on the bit [N]; friction is this force minus m1 x1''.
-
-        It accepts arrays and Taylor series.
-        """
+        """Return the net spring force on the bit [N]; friction is this force minus m1 x1''."""
 
     @abstractmethod
     def flight_rate(self, c: C) -> Any:
@@ -104,7 +102,7 @@ class HasImpacts(Scene[C]):
 
 
 class HasContact(HasImpacts[C]):
-    """A scene with a striker that hits the bit or a stop; impacts are measured, and regimes depend on their number.
+    """A scene with a striker that hits the bit or a stop, so that the forces and energies of impacts are measured.
 
     The mode `touching` is 1 in contact. Contact begins and ends at zeros of the guard `contact`.
 
@@ -120,7 +118,7 @@ class HasContact(HasImpacts[C]):
 
     @abstractmethod
     def contact_force(self, c: C, mode: Values, state: Values) -> Any:
-        """Return the contact force J [N], zero out of contact; arrays and Taylor series are accepted."""
+        """Return the contact force J [N], zero out of contact."""
 
     @abstractmethod
     def impact_rate(self, c: C, mode: Values, state: Values) -> Any:
@@ -172,7 +170,7 @@ class HasRock(Scene[C]):
         """Return the time scale of the bit on the rock [s], sqrt(m1/k3)."""
 
     def rock_force(self, c: C, mode: Values, state: Values) -> Any:
-        """Return the resistance N of the rock [N]; arrays and Taylor series are accepted."""
+        """Return the resistance N of the rock [N]."""
         which, compression = mode[self.mode_place("rock")], state[self.place("compression")]
         return rock.resistance(compression, self.stiffness(c), self.threshold(c), rock.part(which))
 
@@ -200,7 +198,7 @@ class Driven(Scene[C]):
 
     @abstractmethod
     def applied_force(self, c: C, mode: Values, state: Values) -> Any:
-        """Return the prescribed force I [N]; arrays and Taylor series are accepted."""
+        """Return the prescribed force I [N]."""
 
     @property
     def return_states(self) -> tuple[str, ...]:

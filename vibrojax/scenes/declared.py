@@ -126,9 +126,8 @@ class Section:
     A periodically forced motion is autonomous with one more state, the forcing's phase. A guard reduces that phase by
     one full period at a phase other than zero. A section `at` the phase is stroboscopic.
 
-    `typical(constants)` returns typical magnitudes of the positions by name. With it, a state's scale is at least 1e-3
-    of half its range and 1e-9 of its greatest magnitude since t = 0, so that a state that stands still or decays does
-    not decide. A motion is at rest if no position moves by more than 1e-6 of its greatest magnitude since t = 0.
+    `typical(constants)` returns typical magnitudes of the positions by name. With it, repeats and equilibria are
+    detected as for a `vj.System`.
 
     **Example:**
 

@@ -32,10 +32,9 @@ C = TypeVar("C")
 class Scene(ABC, Generic[C]):
     """A hybrid dynamical system.
 
-    A scene is a frozen dataclass. Its fields are the options that are the same for all lanes, such as a friction law.
-    Pass a scene object to `simulate` or a sweep instead of a name. The scenes of the package are classes in the files
-    of this folder; each file lists its classes in `SCENES`. A scene defines the attributes and abstract methods below.
-    Capabilities that only some scenes have are in [vibrojax.scenes.capabilities][].
+    A scene is a frozen dataclass. Its fields are the options that are the same for all lanes, such as a friction law. A
+    scene defines the attributes and abstract methods below. The capabilities that only some scenes have are in
+    [vibrojax.scenes.capabilities][].
 
     All functions are pure and take arrays of one shape (lanes). `field` and the guards' functions also take Taylor
     series, so they use +, -, *, / and [vibrojax.physics.elementary][].
@@ -47,7 +46,7 @@ class Scene(ABC, Generic[C]):
     - `starts`: names of the initial conditions, the default first.
     - `start_states`: states that an initial condition in vector form contains; all other states are then zero. Empty if
       there is only one initial condition.
-    - `measures`: names or objects of the gauges that measure the scene, see [vibrojax.measures][].
+    - `measures`: names or objects of the gauges that measure the scene.
     - `choices`: for each option that is specified by name, a registry of its values by name. An option that is a field
       of the dataclass takes the registry's value unchanged (`friction`, `pulse_shape`). Any other option sets several
       parameters: those that the value has as attributes (`rock` sets `threshold` and `k3`). A subclass extends the
@@ -190,7 +189,7 @@ class Scene(ABC, Generic[C]):
         return self.field(c, mode, state)
 
     def smoothed_mode(self, c: C, mode: Values, state: Values, width: Any) -> Values:
-        """Return the mode for the measures of a smoothed motion, which sticks at sliding speeds below `width` [m/s]."""
+        """Return the mode that measures see in a smoothed motion: stick at sliding speeds below `width` [m/s]."""
         return mode
 
     def driving_part(self) -> "Scene[Any]":

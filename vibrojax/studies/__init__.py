@@ -26,10 +26,10 @@ WORDS = {
     "relief P/D": "mean force on the bit over the force D (threshold) at which the rock yields",
     "regime": "how the striker moves: one impact a period (single-impact), several, none, or irregularly (irregular)",
     "orbit": "a motion that repeats exactly; stable if it attracts its neighbourhood",
-    "multiplier": "growth of a small distance from an orbit over one repeat; all moduli below 1: stable",
+    "multiplier": "factor by which a small distance from an orbit grows over one repeat; all moduli below 1: stable",
     "family": "orbits that form a continuous curve as one parameter changes, stable and unstable",
     "branch": "a part of a family; 0 is the first, others leave it at period doublings and branch points",
-    "special point": "where a family changes its stability, its order of events, or its direction",
+    "special point": "point of a family at which its stability, its order of events or its direction changes",
     "fold": "the family turns back, and a stable and an unstable orbit meet",
     "period-doubling": "the orbit loses its stability to one that repeats after twice as many returns",
     "torus": "the orbit loses its stability to a motion with a second frequency",
@@ -39,7 +39,7 @@ WORDS = {
     "section point": "the bit just reaches the drive's speed: from here on, the number of returns differs",
     "hopf": "the amplitude shrinks to zero at an equilibrium, which changes its stability",
     "end": "a bound is reached, or the reason why a family goes no further",
-    "reading R1, R2, ...": "how a passage of the source that can be read in two ways was read",
+    "reading R1, R2, ...": "interpretation of a passage of the source that can be read in two ways",
 }
 
 FAMILY_WORDS = tuple(word for word in WORDS if word not in ("lane", "relief P/D", "regime", "reading R1, R2, ..."))

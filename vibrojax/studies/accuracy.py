@@ -101,9 +101,8 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     **Arguments:**
 
     - `scenes`: names of the scenes; None: all scenes, or two scenes if `quick`.
-    - `quick`: whether to run only few settings and lanes, which takes some seconds: a test of the installation rather
-      than a measurement.
-    - `progress`: whether to report progress on stderr.
+    - `quick`: whether to run only a few settings and lanes, in some seconds, to test the installation rather than to
+      measure.
 
     **Returns:** a dataset along `setting` with run times, errors, and failures with their reasons. Its coordinates are
     the strings scene, method, precision and varied, and the `value` of the varied quantity.

@@ -76,8 +76,7 @@ class Analysis(Settings):
     A subclass provides `kind` and `run`, and usually `variables`, `picture` or `pictures`, and `summary`. If the
     subclass is a dataclass, its fields become command-line options: `along: str = "v"` becomes `--along`, and
     `field(metadata={"help": ...})` sets the help text. Pass an instance to [vibrojax.studies.analysis.analyse][], or
-    register the class under the entry point `vibrojax.analyses`. A registered class adds the command
-    `vibrojax KIND FILE`, and `plot`, `info`, `explore` and `list_variables` support its datasets.
+    register the class under the entry point `vibrojax.analyses`, which adds the command `vibrojax KIND FILE`.
 
     **Example:** the fraction of lanes in each regime
 
@@ -105,7 +104,7 @@ class Analysis(Settings):
     """Name of the command, if it is not the kind."""
 
     variables: ClassVar[Mapping[str, Variable]] = {}
-    """Variables by name that sweeps do not have: units, meaning, type and flags of each."""
+    """Variables that the analysis adds to those of sweeps, by name: units, meaning, type and flags of each."""
 
     pictures: ClassVar[Sequence[PictureRule]] = ()
     """Picture rules for the analysis's datasets; the first rule that fits is used."""
@@ -142,10 +141,7 @@ class Analysis(Settings):
         return draw(self.plots(drawable(ds), layers))
 
     def plots(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Picture | Figure":
-        """Return the plots that make the picture of a dataset, or a figure.
-
-        **Raises:** `InputError` if the dataset holds nothing to draw, or its picture accepts no overlays.
-        """
+        """Return the plots that make the picture of a dataset, or a figure; it raises the errors of `picture`."""
         from vibrojax.pictures.contents import Contents
         from vibrojax.pictures.overlays import refuse_overlays
 
@@ -219,9 +215,7 @@ def analyse(source: Source, analysis: Analysis | Any, progress: bool = True) -> 
 
     - `source`: input of the analysis: a dataset, or a sweep as `run_sweep` accepts it.
     - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. From then on, `picture` and the
-      other functions support its datasets in this process. For all processes, register the class under the entry point
-      `vibrojax.analyses` of an installed package.
-    - `progress`: whether to report progress on stderr.
+      other functions support its datasets in this process.
 
     **Returns:** the dataset, with the attribute `kind`.
 

@@ -207,8 +207,7 @@ _INTERRUPTED = Event()
 class OrbitFunction:
     """Function of an array of parameters that gives features of a periodic orbit, made by [vibrojax.as_jax][].
 
-    `f(x)` returns a dict of scalars: the features, `margin`, `grazing_margin` and `valid`. It works within `jax.grad`,
-    `jax.jit` and `jax.vmap`, and can be pickled. `f.reason(x)` returns why `f` is not valid at `x`.
+    `f(x)` returns the dict that [vibrojax.as_jax][] describes, and `f.reason(x)` why f is not valid at x.
     """
 
     def __init__(self, branch: Branch, of: Sequence[str], outside: str) -> None:
@@ -275,17 +274,15 @@ def as_jax(
         jax.grad(lambda x: f(x)["impact_energy"])(jnp.array([0.4, 0.75]))
 
     At its first use, the function finds the first orbit: the one on which the motion from `start` settles at the point
-    `at`. From then on it follows this orbit, which is continued to other parameters on the straight line. The result at
-    a point therefore does not depend on other calls or on other points of a batch. Without `at`, the first point that
-    is evaluated takes its place. The gradients are those of [vibrojax.sensitivity][]: by the implicit function theorem
-    at the orbit, through all events. `jax.grad`, `jax.jacfwd`, `jax.jacrev`, `jax.jit` and `jax.vmap` work, so do
-    optimizers that use them. A batch of `jax.vmap` is computed at once. Second derivatives are not available.
+    `at`. Further calls continue this orbit on the straight line to their point, so a result does not depend on other
+    calls. Without `at`, the first point that is evaluated takes its place. The gradients are those of
+    [vibrojax.sensitivity][]. `jax.grad`, `jax.jacfwd`, `jax.jacrev`, `jax.jit` and `jax.vmap` work. Second derivatives
+    are not available.
 
     The function is valid as long as the orbit exists, has the same numbers of section crossings and impacts, and is
-    stable. Beyond a graze, a fold or a border of the regime there is no such orbit: the result then belongs to the last
-    orbit on the straight line from the first one. An orbit that has become unstable is continued, with a
-    positive `margin`, so that stability can be a smooth constraint; it is not valid either. `f.reason(x)` returns the
-    reason as text.
+    stable. Elsewhere the result belongs to the last orbit on the straight line from the first one. An orbit that has
+    become unstable is continued, with a positive `margin`, so that stability can be a smooth constraint. `f.reason(x)`
+    returns the reason as text.
 
     Orbits are computed in float64, whatever the type of the argument is. Results have the type of the argument, at
     least float32.
@@ -294,7 +291,7 @@ def as_jax(
 
     - `scene`, `start`, `fixed` (SI): as in `simulate`.
     - `of`: features of orbits, as in `sensitivity`; `by`: parameters, in the order of the array.
-    - `at`: values of the parameters `by` at which the motion from `start` settles on the first orbit.
+    - `at`: values of these parameters for the first orbit, on which the motion from `start` settles.
     - `outside`: "nearest" for the values and gradients of the nearest orbit where the function is not valid, or "nan".
 
     **Returns:** a function of an array (parameters,), which returns a dict of scalars: the features `of`, `margin`,

@@ -79,20 +79,17 @@ def attractors(
 
         att = vj.attractors(ds)
 
-    Lanes of a grid point have the same motion if their orbits are equal, or, for irregular lanes, their statistics.
-    Irregular lanes are observed for 8 to 128 times as long as in the sweep, until their statistics have converged to
-    the resolution that distinguishes motions (see the dataset's attribute `attractors`).
+    Lanes of a grid point have the same motion if their orbits are equal, or, for irregular lanes, their statistics over
+    a longer observation. The dataset's attribute `attractors` states the resolution.
 
     Motions of neighbouring points are the same attractor if the orbit of one, continued to the other's parameters,
-    becomes the orbit of the other. An attractor keeps its number through grazes, changes of the regime label and period
-    doublings. An irregular motion has a number of its own. Numbers do not depend on the order of values on an axis; 0
-    is the attractor with the greatest fraction over the grid.
+    becomes the orbit of the other. Numbers do not depend on the order of values on an axis; 0 is the attractor with the
+    greatest fraction over the grid.
 
     **Arguments:**
 
     - `source`: dataset of a sweep over `start`, or a sweep as `run_sweep` accepts it. A sweep is run again if its
       dataset lacks orbits. With `lyapunov = true`, irregular lanes that had not settled are left out.
-    - `progress`: whether to report progress on stderr.
 
     **Returns:** a dataset.
 

@@ -86,7 +86,7 @@ class Line:
 
     @property
     def closed(self) -> bool:
-        """Whether the curve returns to its first point."""
+        """True if the curve returns to its first point."""
         return ENDINGS[CLOSED] in self.curve.notes
 
     @property
@@ -137,7 +137,7 @@ class Border(NamedTuple):
 
     @property
     def note(self) -> str:
-        """Where and why the curve ends, or why there is none."""
+        """Note on where and why the curve ends, or why there is none."""
         if self.line is not None:
             return "; ".join(self.line.curve.notes)
         return NO_CURVE if self.kind in CONTINUED else NO_EQUATIONS

@@ -54,19 +54,16 @@ def borders(
 
         cur = vj.borders(ds)
 
-    A single impact is a periodic orbit with one section crossing and one impact per period. The single impacts on which
-    the sweep's lanes settle are continued along the edges of the grid, as long as they are stable single impacts. Where
-    such an orbit is lost, a vertex is located. For each initial condition, curves through the vertices bound the region
-    in which this initial condition leads to a stable single impact. Further curves bound the region of all stable
-    single impacts, whatever initial condition leads to them.
+    The single impacts on which the sweep's lanes settle are continued along the edges of the grid. Where such an orbit
+    ends or loses its stability, a vertex is located. For each initial condition, curves through the vertices bound the
+    region in which it leads to a stable single impact. Further curves bound the region of all stable single impacts.
 
     **Arguments:**
 
     - `source`: the dataset of a sweep with a grid, or a sweep as in `run_sweep`. A sweep without orbits is run again.
     - `axes`: the two axes of the plane; by default gamma and beta, else the two axes with the most values.
     - `at`: either parameter with a value, such as `{"beta": 0.5}`. The points at which continued borders pass this
-      value are located like special points.
-    - `progress`: True to report progress on stderr.
+      value are located.
 
     **Returns:** a dataset.
 

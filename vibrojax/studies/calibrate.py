@@ -307,23 +307,19 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
         fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})
 
     Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed values
-    of variables of the orbit (period, forces, velocities, powers, rates). At a sample of points inside the bounds, the
-    motions from `start` are simulated. From the best of these points, the orbit is continued to all rows, and SciPy's
+    of variables of the orbit (period, forces, velocities, powers, rates). Motions from `start` are simulated at a
+    sample of points inside the bounds. From the best points, the orbit is continued to all rows, and SciPy's
     `least_squares` minimises the residuals with the derivatives of the orbits. Rows without a stable orbit at the end
-    of a search are left out. The best end has many rows and small residuals, by their likelihood. Attractors coexist:
-    observations of another motion are fitted by the wrong orbit, and their residuals show it.
+    of a search are left out; the likelihood selects among the ends of searches.
 
-    A recorded velocity of the bit over time, beside the rows or in place of them, is compared with the motion itself:
-    over a few returns it determines the friction (`mu`, `v_cr`). The state at its first sample is fitted too, unless it
-    is given.
+    A recorded velocity of the bit over time, beside the rows or in place of them, is compared with the motion itself.
+    The state at its first sample is fitted too, unless it is given.
 
         vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
 
-    The Fisher information J'J of the residuals, in logarithms of positive parameters, has eigenvectors: combinations of
-    powers of the parameters that the data determine, each with its relative error. The posterior is the normal
-    approximation around the estimate (Laplace), in the same logarithms, or Student's t if the residuals give the error
-    of the observations. `nonlinearity` checks it: at draws of the posterior the motion is computed again and compared
-    with the linear prediction.
+    The eigenvectors of the Fisher information J'J, in logarithms of positive parameters, are combinations of powers of
+    the parameters, each with its relative error. The posterior is the normal approximation in these logarithms, or
+    Student's t if the residuals give the error of the observations.
 
     **Arguments:** `source`: path of a TOML file, or a dict, with
 
@@ -331,15 +327,14 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     - `data`: path of a CSV file or, in a dict, a table. Headers are names of parameters and variables, with units as in
       `peak_impact_force (kN)`; columns `NAME_error` hold standard errors. In `drilling`, `C` [m/s] may be unknown too:
       then `rate_of_penetration` is C ln(relief).
-    - `history`: dataset of `simulate`, table, or path of a CSV or NetCDF file with the columns `time` [s] and `v1`
-      [m/s], the velocity of the bit relative to the drive, with other units as in `v1 (mm/s)`; `x1`, `x2`, `v2` begin
-      the search for the first state. Or a table `[history]` with this as `data`, `columns` (NAME = COLUMN, if columns
-      have other names), `window` (begin and end [s], by default all), `start` (the state at the first sample, as in
-      `simulate`), and the operating conditions that are columns of the rows. `[error]` v1 is the standard error [m/s]
-      of a sample.
-    - `[unknown]` NAME = [low, high]; `[error]` NAME = standard error of a variable (without errors, all values have
-      the same relative error, which the residuals give; a value below a hundredth of its variable's mean size has the
-      error of that hundredth); `[prior]` NAME = [mean, standard deviation].
+    - `history`: dataset of `simulate`, table, or path of a CSV or NetCDF file. Its columns are `time` [s] and `v1`
+      [m/s], the velocity of the bit relative to the drive; headers may have other units, as in `v1 (mm/s)`. `x1`, `x2`,
+      `v2` begin the search for the first state. A table `[history]` has this as `data`, and optionally `columns` (NAME
+      = COLUMN), `window` (begin and end [s]), `start` (the state at the first sample) and the operating conditions that
+      are columns of the rows. `[error]` v1 is the standard error [m/s] of a sample.
+    - `[unknown]` NAME = [low, high]; `[prior]` NAME = [mean, standard deviation]; `[error]` NAME = standard error of a
+      variable. Without errors, all values have the same relative error, which the residuals give; a value below a
+      hundredth of its variable's mean size has the error of that hundredth.
     - `searches` (3), `draws` (1000), `seed` (0), `title`.
 
     **Returns:** a dataset with `estimate`, `estimate_stderr`, the 95 % interval from `estimate_low` to `estimate_high`,

@@ -44,27 +44,24 @@ def picture(
 ) -> Figure:
     """Draw the picture that fits a dataset.
 
-    It shows a motion, section crossings, regimes, rates of penetration, a fitted law, families, borders or attractors.
-
     **Arguments:**
 
     - `ds`: a dataset of `simulate`, a sweep, or an analysis.
     - `variable`: name of a variable to draw instead, over all varied axes; or a list of up to four names, for a run up
       to eight. A variable at the returns, such as "return_x", gives the bifurcation diagram of that state.
     - `where`: values by name of axis or coordinate, in the dataset's units; only lanes with these values are drawn.
-      Example: `{"delta": 0.005, "start": "stuck"}`. Numbers must be accurate to four digits. Of more than 300,000
-      lanes, only every second value of the longest axes is drawn, or every third, ...
+      Example: `{"delta": 0.005, "start": "stuck"}`. Numbers must be accurate to four digits. At most 300,000 lanes are
+      drawn.
     - `colours`: name of a matplotlib colour map for quantities; regimes, formulas of the fitted law and initial
       conditions keep their colours.
     - `over`: datasets to draw on top. Families of orbits, from `follow`, are drawn over the section crossings of a
       sweep along the same parameter, or over lanes carried along it. Borders, from `borders`, are drawn over the map of
       regimes.
     - `diagram`: name of a diagram to draw instead. "campbell" draws the frequencies of a sweep's motions, the natural
-      frequencies and the multiples of the rotation over the speed. "rate-over-force" draws the rate of penetration over
-      the mean force, with the onset of penetration. "chart" draws the robust single impact over two parameters, with
-      lines of energy, peak force, rate of penetration and blows per minute.
+      frequencies and the multiples of the rotation over the speed; "rate-over-force" the rate of penetration over the
+      mean force; "chart" the robust single impact over two parameters.
     - `width`: width of the picture, such as "85mm" or "170mm" for a column or a page of a journal, or a number of
-      millimetres. Panels move below each other, and type becomes smaller, where they need to.
+      millimetres.
 
     **Returns:** a figure that pyplot does not manage.
 

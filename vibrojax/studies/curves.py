@@ -64,8 +64,8 @@ def curves(
     """Continue the special points of families of orbits in a second parameter, as curves in the plane of both.
 
     Each fold, period doubling, torus, grazing, stick and Hopf point is continued both ways, until a parameter reaches a
-    bound. The family's parameter keeps the bounds that it has in the family. Points of codimension two on the curves
-    are located and named. The other curves that begin there are followed, too, up to a limit that notes mention.
+    bound. The family's parameter keeps its bounds. Points of codimension two are located and named. The other curves
+    that begin there are followed, up to a limit that notes mention.
 
     **Arguments:**
 
@@ -73,8 +73,7 @@ def curves(
     - `by`: second parameter; `span`: its lower and upper bound, which enclose its value in the family.
     - `special`: index of one special point of the family, or several; by default all that can be continued.
     - `at`: either parameter with a value, such as `{"beta": 0.5}`. The points at which curves pass this value are
-      located like special points.
-    - `progress`: True to report progress on stderr.
+      located.
 
     **Returns:** a dataset.
 

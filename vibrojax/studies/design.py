@@ -332,18 +332,16 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
         best = vj.design("design.toml")
         best.isel(candidate=0)
 
-    A coarse map over the varied parameters, from every start, gives the points from which SLSQP begins, with the
-    derivatives of the periodic orbits. Lanes then improve what they find, where a stick phase appears, or where a
-    border of the regime ends the search. Candidates are simulated again from every start, at all corners of the
-    tolerance box and at 256 draws; those that fail are repaired, or left out. Worst values are those of these samples,
-    no bounds of the tolerance box: where `irregular_share` is above 0, they depend on the time of observation as well.
+    A coarse map gives the points from which SLSQP begins, with the derivatives of the periodic orbits. Simulations then
+    search around each optimum. Candidates are simulated again from every start, at all corners of the tolerance box and
+    at 256 draws. Worst values are those of these samples, not bounds of the box; if `irregular_share` is above 0, they
+    also depend on the time of observation.
 
     **Arguments:**
 
     - `source`: path of a TOML file, a bundled name such as "energy", or a dict with the same structure: `scene`,
       `maximise`, `vary`, and optionally `robust`, `subject`, `tolerance`, `parameters`, `starts`, `run`, `front`,
       `title`.
-    - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset along `candidate`, best first:
 
@@ -355,12 +353,12 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
     - along `map`: the coarse map.
 
     **Raises:** `InputError` for an invalid design, if there is no feasible point, or if the objective is 0 at all of
-    them: the message says which requirement cannot be met, and how near the search came.
+    them.
 
     **Example:**
 
-    >>> asked = {"scene": "vibro-impact", "maximise": "impact_velocity", "starts": ["stuck"]}
-    >>> asked |= {"vary": {"gamma": [0.6, 0.9]}, "subject": {"regime": "single-impact"}}
+    >>> spec = {"scene": "vibro-impact", "maximise": "impact_velocity", "starts": ["stuck"]}
+    >>> spec |= {"vary": {"gamma": [0.6, 0.9]}, "subject": {"regime": "single-impact"}}
     >>> best = vj.design(spec, progress=False).isel(candidate=0)
     >>> bool(best.feasible == 1), round(float(best.gamma), 2)
     (True, 0.6)

@@ -1,4 +1,4 @@
-"""What a design asks for: its file, the assessment of a point by its lanes, and why no point is feasible."""
+"""Requirements of a design: its file, the assessment of a point by its lanes, and why no point is feasible."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass

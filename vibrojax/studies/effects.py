@@ -231,10 +231,8 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
         ds = vj.study("drill")
         ds.total_order.sel(of="impact_energy").to_pandas()
 
-    The study runs Saltelli's sample of the box, and the corners of a two-level factorial design. For each variable in
-    `of` it returns Sobol indices with confidence intervals, and the effects and interactions of the factorial design.
-    Up to eight parameters, all corners are run. Beyond, a fraction of resolution V is run, whose effects and
-    interactions of two parameters are not confounded with each other.
+    The study runs Saltelli's sample of the box for Sobol indices, and the corners of a two-level factorial design for
+    effects and interactions. With more than eight parameters, it runs a fraction of the corners, of resolution V.
 
     **Arguments:**
 
@@ -242,7 +240,6 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
       `of`, a list of variables of the scene's sweeps, or "share_single_impact"; and [vary] with NAME = [low, high] for
       up to twelve parameters. Optional are [parameters], `starts` and [run] as in a sweep, `samples` (base samples, a
       power of two: 256) and `seed` (0). D parameters take (2 D + 2) lanes per base sample and start.
-    - `progress`: whether to report progress on stderr.
 
     **Returns:** a dataset over `of`, `parameter` and `other` (the parameters again).
 

@@ -60,9 +60,8 @@ def follow(
 
     The family begins with the orbit on which the motion at `along` = `at` settles, with an `orbit` that is given, or at
     the hopf points of a family of equilibria. If the motion settles at an equilibrium, the family is one of equilibria.
-    Pseudo-arclength continuation follows the family in both directions. It passes folds, and corners where an impact or
-    a stick phase begins or vanishes. At period doublings it also follows the branches with twice the period.
-    Changes in the order of events are handled automatically.
+    Pseudo-arclength continuation follows it in both directions, through folds and changes in the order of events, and
+    onto doubled branches.
 
     **Arguments:**
 
@@ -74,13 +73,11 @@ def follow(
     - `orbit`: `{"states": [...], "period": ...}`, an orbit at `at`, stable or not: states on it, ordered as in `start`
       (of a forced system at the beginning of a forcing period), and its period [s]. Newton's method corrects them.
     - `from_hopf`: a family of equilibria, or its file. One branch begins at each of its hopf points, if no other branch
-      has led there. The parameters are those of the family, `along` and `span` as well, unless they are given; `at` is
-      not needed.
+      has led there. `along`, `span` and the parameters default to those of the family; `at` is not needed.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation, which must cover nine section crossings.
       The defaults are the scene's, as in a sweep.
     - `cycles`: largest number of section crossings per period of doubled branches, 1 to 8; 1 excludes such branches. 0:
       follow equilibria; Newton's method finds the first, stable or not, from the states of `start`.
-    - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset.
 
@@ -89,25 +86,23 @@ def follow(
       motion, `period` [s] the mean time between crossings, and `impacts` the number of impacts per period of the
       motion. Further variables are the state at the section (`orbit_x1` and so on) and the scene's measures.
     - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf, branch-point, end,
-      or the name of a system's switch), `special_value` (the parameter's value), `special_branch`, and `special_note`.
+      or the name of a system's switch), `special_value` (of the parameter), `special_branch`, and `special_note`.
 
     At a *grazing* point, an impact or another event that is not a stick begins or vanishes. For other events than
     impacts, the note contains the name of the mode that changes, for example where rock begins to yield. Multipliers at
-    a special point are those on the side from which the point was reached, or of the side without the impact where only
-    that side has orbits next to it; next to a grazing impact they are valid over a very small distance only. At a
-    *hopf* point the amplitude is zero: the branch ends at an equilibrium, whose linear stability locates the point. A
-    doubled branch that connects two period doublings is listed once.
+    a special point are those on the side from which the point was reached. If only the side without the impact has
+    orbits nearby, they are those of that side. Next to a grazing impact they are valid over a very small distance only.
+    A doubled branch that connects two period doublings is listed once.
 
     Families of autonomous systems without events do not depend on the section: they are solved over parts of the period
-    (multiple shooting), with a phase condition that moves along. At a *branch-point* two families cross; the other one
-    is followed in both directions, as the next `branch`. Mirror images of orbits are orbits of their own. An orbit that
-    does not cross the section has NaN for its state there.
+    (multiple shooting), with a phase condition that moves along. Mirror images of orbits are orbits of their own. An
+    orbit that does not cross the section has NaN for its state there.
 
-    A family of equilibria has `cycles` 0, NaN as `period`, the states of the equilibrium in place of those at the
-    section, and instead of multipliers the eigenvalues of the field's derivative, `eigenvalue_re` and `eigenvalue_im`
-    [1/s] along `eigenvalue`, by falling real part. Its special points are fold, branch-point, hopf and end, and where
-    the formula of the field changes *grazing* or the name of the switch; there the family may turn back. Of several
-    families, those without a first equilibrium have no point.
+    A family of equilibria has `cycles` 0, NaN as `period`, and the states of the equilibrium in place of those at the
+    section. Instead of multipliers it has the eigenvalues of the field's derivative, `eigenvalue_re` and
+    `eigenvalue_im` [1/s] along `eigenvalue`, by falling real part. Its special points are fold, branch-point, hopf and
+    end. Where the formula of the field changes, the kind is *grazing* or the name of the switch, and the family may
+    turn back. Of several families, those without a first equilibrium have no point.
 
     **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 

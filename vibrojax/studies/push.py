@@ -162,8 +162,8 @@ def smallest_push(
     after which the motion does not return to the cycle is called leaving.
 
     A first scan tries pushes up to a bound. Further scans below the smallest leaving push follow, until they find no
-    smaller one. The bracket of this push is then narrowed. Basins of attraction have holes, and a hole narrower than
-    the spacing of the scans is missed. The result is therefore the smallest leaving push that was found.
+    smaller one. The bracket of this push is then narrowed. A hole of the basin that is narrower than the spacing of the
+    scans is missed.
 
     **Arguments:**
 
@@ -174,7 +174,6 @@ def smallest_push(
       peak-to-peak range of a position over the cycle, and for a velocity that of its position times 2 pi/period.
     - `scan`: number of pushes per scan and direction; `precision`: relative width of the final bracket.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation; by default as in a sweep of the scene.
-    - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset.
 

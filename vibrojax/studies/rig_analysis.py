@@ -74,20 +74,20 @@ def rig(
     nulls: Nulls = None,
     units: str = "driller",
 ) -> xr.Dataset:
-    """Compute from a rig log what drilling engineers look at: specific energies, founder point, stick-slip.
+    """Compute specific energies, founder point and stick-slip index from a rig log.
 
         log = vj.rig("log.csv", columns={"bit_diameter": "8.5 in"})
         vj.picture(log)
 
     With the weight W [N], the rotary speed omega [rad/s], the torque T [N m], the rate R [m/s] and the area A of a bit
     of the given diameter, the mechanical specific energy is W/A + omega T/(A R) (Teale 1965). In field units this is 4
-    WOB/(pi D²) + 480 TOR RPM/(D² ROP). The percussive one is the power of the impacts over A R. It needs the column or
-    value `impact_power`, which rotary rigs do not have.
+    WOB/(pi D²) + 480 TOR RPM/(D² ROP). The percussive one is the power of the impacts over A R, from the column or
+    value `impact_power`.
 
     The founder point is the weight above which the rate does not rise, if the data show one: see [vibrojax.fit_rop][].
 
-    At least three definitions of the stick-slip index are in use. `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the
-    surface torque. A `stick_slip_index` of the log is kept as given.
+    `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the surface torque. A `stick_slip_index` of the log is kept as
+    given.
 
     **Arguments:** `source`, `columns`, `where`, `nulls`: as for [vibrojax.read_log][]; `units`: of pictures and
     summaries, "driller" (m/h, rpm, kN, MPa) or "si". The dataset is in SI units.

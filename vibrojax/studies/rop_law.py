@@ -127,20 +127,13 @@ def fit_rop(
     """Fit the rate-of-penetration law (source, eq. 6.4) in three readings, and three rivals, to each group of lanes.
 
     A lane at zero rate is censored: it contributes only if a form predicts a positive rate. Lanes that failed, are
-    irregular or have no usable values are left out and counted. Standard errors follow from the Jacobian and the
-    residual of each lane (HC3). They are therefore valid for noise of constant size as well as for noise proportional
-    to the rate.
+    irregular or have no usable values are left out and counted. Standard errors (HC3) are valid for noise of constant
+    size and for noise proportional to the rate.
 
-    Rows of a rig log differ from lanes of a sweep:
-
-    - The loss of a residual is robust. From 30 rows on, rows are left out and listed (attribute `left_out_rows`) if
-      their rate is far from the law and from all rates at that weight, or if their weight is far from all others.
-    - The law ends at the founder weight, if the data show one: above it the rate stays or falls. The data show one if
-      a form with a founder weight describes them better than every form without, beyond chance. All forms are then
-      fitted to the rows below it.
-    - The noise of neighbouring rows is correlated. From 50 rows on, a fit subtracts from each row what the preceding
-      one predicts of its noise. Leaving out blocks of rows gives the standard errors, and the forms are compared by
-      the rates of each block, predicted from all other blocks (`cv_error`).
+    For rows of a rig log, the loss is robust, and the law may end at a founder weight; the forms are then fitted to the
+    rows below it. From 30 rows on, wrong rows are left out and listed (attribute `left_out_rows`). From 50 rows on, the
+    fit accounts for correlated noise of neighbouring rows: leaving out blocks of rows gives the standard errors, and
+    the forms are compared by their predictions of each block from all others (`cv_error`).
 
     **Arguments:**
 
@@ -152,7 +145,6 @@ def fit_rop(
       column, the default is all columns except `along` and mean_force.
     - `robust`: the loss, "soft-l1", scaled by the median absolute deviation, or "squares"; by default soft-l1 for rows
       of a log and squares for a sweep. R² and AIC are computed from the plain residuals.
-    - `progress`: whether to report on stderr when the fit is done.
     - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
       {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: eta is then
@@ -164,8 +156,7 @@ def fit_rop(
     NaN if the form does not have it or the lanes do not identify it. Over the groups: `founder_weight` [N] with its
     standard error, NaN if there is none, and `founder_fall` [m/s/N], the fall above it. The attribute `verdict` is the
     form that the data of all groups support, or "none"; `left_out_rows` lists wrong rows of a log. Over the groups and
-    `lane`, the dataset holds the data: data_relief [1], data_rate_of_penetration [m/s], and `data_use`. The guide lists
-    all variables.
+    `lane`, the dataset holds the data: data_relief [1], data_rate_of_penetration [m/s], and `data_use`.
 
     **Raises:** `InputError`.
 

@@ -138,19 +138,17 @@ def sensitivity(
 
     The derivatives are those along the family of orbits, by the implicit function theorem at the fixed point of the
     return map: ds/dp = (1 - P_s)^-1 P_p for the state s at the section. Features are then measured over one period of
-    the orbit, with tangents along (ds/dp, dp) through all events. Nothing depends on the time in which the motion
-    settles, and unstable orbits have derivatives, too.
+    the orbit, with tangents along (ds/dp, dp) through all events. Unstable orbits have derivatives, too.
 
     **Arguments:**
 
     - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. Unless the dataset has orbits
       (`orbits = true`), its sweep is run again.
-    - Instead of a sweep, a scene: its name, or the scene itself. The derivatives are then those of the orbit on which
-      the motion from `start` settles at one point, the `parameters` (SI, as in `simulate`). A name that is also a
+    - Instead of a sweep, a scene: its name, or the scene itself. The derivatives are then taken at one point, the
+      `parameters` (SI, as in `simulate`), of the orbit on which the motion from `start` settles. A name that is also a
       bundled sweep's, such as "drilling", means the scene if any argument of a point is given.
     - `by`: parameters of the scene, by default all.
     - `of`: variables at a point, by default all that vary smoothly. `settle`, `observe` [s]: as in a sweep.
-    - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset over the dimensions of the sweep; at a point, without these dimensions.
 

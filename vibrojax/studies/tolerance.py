@@ -244,10 +244,8 @@ def tolerance(
         box.impact_velocity_least  # m/s, the worst of the samples from each start
 
     The samples are the nominal point, all corners of the box, the centres of its edges, and 64 Sobol points inside it.
-    Each sample runs from every start. From the extreme samples of periodic motions, a search with shrinking steps,
-    along the parameters and in the direction that their sensitivities predict, simulates further points; those that are
-    more extreme become samples, too. Between the samples the behaviour is not known: the extremes are not bounds of the
-    box, least of all where motions are irregular.
+    Each sample runs from every start. A search around the extreme samples of periodic motions, along the parameters and
+    their sensitivities, adds more extreme points. The extremes are not bounds of the box.
 
     **Arguments:**
 
@@ -255,9 +253,8 @@ def tolerance(
     - `parameters`: parameters of the scene (SI), as in `simulate`. A pair (nominal value, half-width) is a tolerance;
       at least one parameter and at most six have one.
     - `start`: initial condition, a name or a vector, or a list of these; by default those of a sweep of the scene
-      (drive and stuck), without other named starts such as touching.
+      (`drive` and `stuck`).
     - `run`: settings of the simulation, as in the table `[run]` of a sweep file.
-    - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset.
 
@@ -266,8 +263,8 @@ def tolerance(
     - Along `start`, for period, impact velocity, impact energy, peak force and rate of penetration:
       `NAME_least` and `NAME_most` over the samples where the quantity exists, and `NAME_least_sample` and
       `NAME_most_sample`, the samples that have these values (-1 if there is none).
-    - `regime_share` along `label` and `start`, `regime_kept`, the share of samples in the nominal regime, and
-      `irregular_share`, all without the refined samples.
+    - `regime_share` along `label` and `start`; `regime_kept`, the share of samples in the nominal regime;
+      `irregular_share`. Refined samples do not count in these shares.
     - The attribute `extremes` says how the extremes were obtained.
 
     **Raises:** `InputError` for an invalid name or value, or if no parameter has a tolerance.

@@ -87,13 +87,12 @@ def simulate(
     - `step`: maximum step size, or the step size of the smoothed method [s].
     - `smoothing`: width of the friction switch [m/s].
     - `sampling`: interval of the samples [s]; by default a twentieth of the contact's duration, 1 ms without contact.
-    - `progress`: whether to show progress on stderr.
 
     **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], stuck; with rock also x3, x4,
     v3, rock_force and applied_force [N]. Along `event`, the dataset has the times and kinds of events. Scalar variables
-    describe the last part of the motion, with the same names and definitions as in a sweep: regime, period and so on,
-    with rock the rate of penetration. The attribute `run` contains the settling and observation times. The observation
-    takes a sixth of the duration, or half of a short duration. A diffrax solver gives neither events nor these scalars.
+    describe the last part of the motion, as in a sweep: regime, period and so on. The attribute `run` contains the
+    settling and observation times. The observation takes a sixth of the duration, or half of a short duration. A
+    diffrax solver gives neither events nor these scalars.
 
     **Raises:** `InputError` if a name or value is wrong, or, before the simulation, if steps or samples are too many.
 

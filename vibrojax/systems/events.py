@@ -29,8 +29,8 @@ class Impact:
 
     - `gap`: function `gap(t, y, p)`, positive while the bodies are apart.
     - `velocity`: name of the state that jumps.
-    - `restitution`: coefficient of restitution, a number or a function of `p`. The jump changes the rate of the gap to
-      its negative, times this coefficient (Newton's law, also for a stop that moves).
+    - `restitution`: coefficient of restitution, a number or a function of `p`. The jump multiplies the rate of the gap
+      by minus this coefficient (Newton's law, also for a stop that moves).
     - `reset`: instead of `velocity` and `restitution`, a function `reset(t, y, p)`, or `reset(t, y, p, s)` with the
       sides of switches and the discrete states, that returns new values of states and discrete states by name. Such a
       stop cannot hold the motion: bounces that accumulate end as a failed lane.

@@ -77,7 +77,7 @@ class Constraint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Dependences:
-    """How the functions of a system depend on one another, as random states reveal it.
+    """Dependences between the functions of a system, as random states reveal them.
 
     - `still`: for each impact whose gap is a position, up to its sign and a constant, that sign (by index).
     - `speeds`: the states that are the rate of change of another state, by the name of that state.

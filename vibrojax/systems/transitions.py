@@ -26,7 +26,7 @@ NEAR_ROUNDINGS = 64.0
 
 
 class Places(NamedTuple):
-    """Where a state lies, by index of the event, as masks of lanes.
+    """Position of a state relative to each event, by the event's index, as masks of lanes.
 
     - `open`: the mode of the event is to be determined. - `near`: the state is on the event's surface.
     - `touches`: for stops, the state is within the distance in which a long rest drifts.
