@@ -401,10 +401,13 @@ def _below(groups: Facets, sheet: Sheet, with_c: bool) -> Sheet:
     if is_cloud:  # below the curves
         looks = {use: look | {"order": 1.5} for use, look in looks.items()}
         looks["fitted"] |= {"colour": FAINT}
-    plots = []
+    plots, outside = [], dict.fromkeys(_USES, 0)
     for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
-        (factor, unit), (_, text) = _rate_scale(group, _RATE), _force_scale(group)
+        (factor, unit), (across_factor, text) = _rate_scale(group, _RATE), _force_scale(group)
         layers, right, top = _group_layers(group, factor, looks)
+        for use, mask in _use_masks(group).items():
+            x, y = across_factor * group[_RELIEF].values[mask], factor * group[_RATE].values[mask]
+            outside[use] += int((_beyond(x, right) | _beyond(y, top)).sum())
         across = Axis(text if k + wide >= len(groups) else "", limits=right, group="force" if layers else "")
         up = Axis(with_unit("rate of penetration", unit) if k % wide == 0 else "", limits=top, zero="no penetration")
         standing = group["standing"].values
@@ -414,7 +417,8 @@ def _below(groups: Facets, sheet: Sheet, with_c: bool) -> Sheet:
             title = "\n".join(filter(None, (title, f"C = {c:.3g} ± {error:.1g} {pretty_unit(unit)}")))
         plots.append(Plot(layers, across, up, title, divmod(k, wide), at(group)))
     shown = {use for group in groups.data for use in _use_masks(group)}
-    keys = [dots(label=text, **looks[use] | {"size": 4.5}) for use, (text, _) in _USES.items() if use in shown]
+    texts = {use: text + f",\n{outside[use]} beyond the panel" * bool(outside[use]) for use, (text, _) in _USES.items()}
+    keys = [dots(label=texts[use], **looks[use] | {"size": 4.5}) for use in _USES if use in shown]
     height = (_ROW_HEIGHT if len(groups) > 1 else _ONE_HEIGHT) * deep
     above = Sheet(plots, (6.4, height), (1.0,) * wide, (1.0,) * deep)
     size_of_all = max(sheet.size[0], _LEAST_WIDTH), sheet.size[1] + height
@@ -453,6 +457,11 @@ def _group_layers(group: xr.Dataset, factor: float, looks: dict[str, Look]) -> t
     right = across * (low - room), across * (high + room)  # without weights beyond reason
     # The limits clip the curve of a form far from the data.
     return layers, right, (-0.06 * top, 1.1 * top) if top > 0 else (None, None)
+
+
+def _beyond(values: np.ndarray, limits: _Limits) -> np.ndarray:
+    low, high = limits
+    return np.zeros(values.shape, bool) if low is None or high is None else (values < low) | (values > high)
 
 
 def _force_scale(group: xr.Dataset) -> tuple[float, str]:
