@@ -59,7 +59,7 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
 
     **Arguments:** `sweep`: the sweep of the dataset, if there is one.
     """
-    if sweep is not None and has_lanes_of(ds, sweep):
+    if sweep is not None and LANE not in ds and has_lanes_of(ds, sweep):
         numbers = xr.DataArray(sweep.over_dims(np.arange(sweep.lanes)).astype(np.int32), dims=sweep.dims)
         ds = ds.assign({LANE: numbers.squeeze([name for name in sweep.dims if name not in ds.dims])})
     if START in ds.dims and START in ds.coords:
@@ -114,7 +114,8 @@ def _shown_variables(ds: xr.Dataset) -> list[str]:
     ):  # fractions are more informative than single regimes
         leading.remove("share")
         leading.insert(0, "share")
-    first = [name for name in names if name == diagram or name.startswith(("push_", "objective"))]
+    leads = ("objective",) if LANE in ds else ("push_", "objective")  # of pushes with motions, the regimes lead
+    first = [name for name in names if name == diagram or name.startswith(leads)]
     return list(dict.fromkeys([*first, *leading, *names]))
 
 
@@ -154,7 +155,7 @@ def first_cell(ds: xr.Dataset, variables: list[Document], along: list[str]) -> d
         return {FORM: int(aic.argmin(FORM))} if aic.notnull().any() else {}
     if "sign" in ds.dims:
         counts = [x.notnull().sum([d for d in x.dims if d != "sign"]) for x in ds.values() if "sign" in x.dims]
-        return {"sign": int(np.argmax(np.sum([x.values for x in counts], axis=0)))}
+        return {"sign": int(np.argmax(np.sum([x.values for x in counts], axis=0))), "motion": 0}
     if {"share", "lane_attractor"} <= set(ds.variables):
         middle = {str(name): size // 2 for name, size in ds["share"].sizes.items() if name != "attractor"}
         return middle | {"attractor": int(ds["share"].isel(middle).argmax("attractor"))}

@@ -77,9 +77,9 @@ def maps_of(
 ) -> Sheet:
     """Return maps of `values` over `x` and `y`, one for each facet, in the colours of all facets.
 
-    Up to three facets have one row each, four or more quantities of a single facet two columns, or three if the last row
-    is then fuller. With more facets, the maps of each quantity are a block of rows. `points`: whether the lanes are a
-    list of points, rather than a grid.
+    Up to three facets have one row each. Four or more quantities of a single facet have two columns, or three if the
+    last row is then fuller. With more facets, the maps of each quantity are a block of rows. `points`: whether the
+    lanes are a list of points, rather than a grid.
     """
     count, many = len(panels), len(values)
     if blocks := count > _MOST_BESIDE:

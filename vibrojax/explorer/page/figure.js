@@ -53,10 +53,13 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
   }
 }
 
-/** The value of the chosen cell along a direction of the page, as the plot shows it; undefined without one. */
+/** Where a value of a direction is along its axis; names are numbered. */
+const placeOf = ({ numeric, values, factor }, k) => (numeric ? (typeof values[k] === "number" ? values[k] * factor : undefined) : k);
+
+/** The place of the chosen cell along a direction of the page; undefined without one. */
 function chosenAt(page, id) {
-  const direction = id && page.direction(id), value = direction?.column.values[page.cell[direction.axis.name]];
-  return typeof value === "number" ? value * direction.column.factor : undefined;
+  const direction = id && page.direction(id);
+  return direction ? placeOf(direction.column, page.cell[direction.axis.name]) : undefined;
 }
 
 export class Figure {
@@ -111,7 +114,7 @@ export class Figure {
     for (const [name, some] of byAxis) {
       let least = Infinity;
       page.grid.axes.get(name).values.forEach((_, k) => {
-        const away = Math.hypot(...some.map(([way, scale, pixel]) => scale(way.column.values[k] * way.column.factor) - pixel));
+        const away = Math.hypot(...some.map(([way, scale, pixel]) => scale(placeOf(way.column, k)) - pixel));
         if (away < least) { least = away; cell[name] = k; }
       });
     }

@@ -239,6 +239,7 @@ class Page {
       if (axis.columns.length) for (const column of axis.columns) found[column.name] = column.values[this.cell[axis.name]];
       if (!axis.columns.length || !axis.numeric) found[axis.name] = axis.values[this.cell[axis.name]];
     }
+    for (const name of this.data.run?.states ?? []) if (this.grid.variables.has(`start_${name}`)) found[`start_${name}`] = this.grid.value(`start_${name}`, this.cell);
     return found;
   }
 
