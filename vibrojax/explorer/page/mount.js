@@ -156,6 +156,10 @@ class Page {
   redraw() {
     this.draw();
     this.current?.draw?.();
+    // On a phone the sheet leaves the first plot free, where that leaves enough of the sheet.
+    const plot = [...this.element.querySelectorAll(".vx-left :is(.vx-map, .vx-panel)")].find((one) => one.offsetHeight), { innerHeight, scrollY } = window;
+    const room = plot ? innerHeight - (plot.getBoundingClientRect().bottom + scrollY) - 6 : Infinity;
+    this.element.style.setProperty("--sheet", `${Math.min(0.44 * innerHeight, Math.max(room, 0.28 * innerHeight))}px`);
   }
 
   /** In place of a map: a trajectory from its beginning. */
