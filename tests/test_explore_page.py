@@ -448,3 +448,12 @@ def test_legend_of_family_lists_what_occurs_in_visible_colours(browser: Any, tmp
         })"""
         brightest = opened.evaluate(drawn)
         assert len(brightest) == len(runs | kinds) and min(brightest) > 120
+        plot = opened.page.locator(".vx-figure canvas[role=img]").first
+        plot.evaluate("c => vibrojax.plots.find(one => one.canvas === c).tools.set([[0.95, 1.05], [-1e3, 1e3]])")
+        link = opened.evaluate("location.hash")
+    with OpenPage(browser, tmp_path / "family.html", link) as reopened:
+        plot = reopened.page.locator(".vx-figure canvas[role=img]").first
+        assert plot.evaluate("c => c.zoom") == [[0.95, 1.05], [-1000, 1000]]
+        plot.press("ArrowRight")  # reads the first value that is seen, not one beside the zoom
+        read = reopened.page.locator(".vx-figure .vx-tip").first.inner_text().split()[-2]
+        assert 0.95 <= float(read) <= 1.05

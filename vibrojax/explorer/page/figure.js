@@ -4,6 +4,9 @@ import { el } from "./dom.js";
 import { interactive } from "./interact.js";
 import { entry, FONT, framed, inkOf, legible, line, mark, numberText, read } from "./plots.js";
 
+/** The colour of signs in a legend that stand for marks of any colour. */
+const INK = "#222222";
+
 /** Draw items of a description, and have their values read; cells need `levels`, their unpacked indices. */
 export function drawItems(c, items, sx, sy, ink, keys = []) {
   const nameOf = (item, colour, ...shapes) => item.label || (keys.find((key) => key.colour === colour && (!shapes.length || shapes.includes(key.shape)))?.text ?? "");
@@ -20,7 +23,7 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
         if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, ink.plate, shade);
         else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(own) !== own ? ink.faint : size > 2.6 ? ink.plate : null);
       });
-      read(nameOf(item, colours[0], item.shape, "line"), x.map((value) => value ?? NaN), y.map((value) => value ?? NaN));
+      read(nameOf(item, colours[0], item.shape, "line"), x, y);
     } else if (item.kind === "area") {
       c.globalAlpha = item.alpha;
       c.fillStyle = item.colour === "hatched" ? ink.undefined : item.alpha < 1 ? colour(item.colour) : item.colour;
@@ -62,6 +65,16 @@ function chosenAt(page, id) {
   return direction ? placeOf(direction.column, page.cell[direction.axis.name]) : undefined;
 }
 
+/** The entries of a legend for what a plot shows. */
+function keysIn({ items }, keys) {
+  const shows = { line: ["line", "points"], patch: ["area", "cells"], scale: ["points", "cells", "line"] };
+  return keys.filter((key) => items.some((item) => {
+    const own = item.colours ?? [item.colour], drawn = (shows[key.shape] ?? ["points"]).includes(item.kind);
+    if (key.shape === "scale") return drawn && (item.kind === "cells" ? !Object.keys(item.names).length : own.length > 1);
+    return item.label === key.text || (drawn && (own.includes(key.colour) || (key.colour === INK && item.shape === key.shape)));
+  }));
+}
+
 export class Figure {
   constructor(page, data) {
     this.page = page;
@@ -84,9 +97,11 @@ export class Figure {
     const canvas = el("canvas", { role: "img", "aria-label": words });
     const draw = (paper) => this.paint(paper, plot);
     const tools = interactive(canvas, draw, {
-      about: () => this.page.about(words, { keys, name: words, notes: [this.page.data.title, this.page.data.common] }),
+      about: () => this.page.about(words, { keys: keysIn(plot, keys), name: words, notes: [this.page.data.title, this.page.data.common] }),
       click: plot.x.direction || plot.y.direction ? (place) => this.pick(canvas, plot, place) : undefined,
+      zoomed: () => this.page.tell(),
     });
+    this.page.keepZoom(canvas, tools);
     const size = `${plot.wide ? " vx-wideplot" : ""}${plot.low ? " vx-lowplot" : ""}${plot.x.direction ? " vx-linked" : ""}`;
     const figure = el("figure", { class: `vx-panel${size}` }, el("figcaption", {}, el("span", { text: plot.title || words }), tools.menu), canvas, tools.band);
     return { figure, track: plot.track, draw: () => draw(canvas) };

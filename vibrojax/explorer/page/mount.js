@@ -34,6 +34,8 @@ class Page {
     this.cell = Object.fromEntries(data.axes.map((axis) => [axis.name, data.first?.[axis.name] ?? 0]));
     this.shown = { variable: data.variables[0]?.name, x: null, y: null, region: true, borders: "own", only: "", returns: null };
     this.asked = 0;
+    this.plots = [];
+    this.zooms = {};
   }
 
   async begin(state) {
@@ -270,7 +272,7 @@ class Page {
 
   get state() {
     const { shown, cell } = this;
-    return fragmentOf(this.data, { shown, cell, scheme: this.element.dataset.scheme, pins: this.pins.state, zoom: this.map.zoom });
+    return fragmentOf(this.data, { shown, cell, scheme: this.element.dataset.scheme, pins: this.pins.state, zoom: this.map.zoom, zooms: this.plots.map(({ canvas }) => canvas.zoom) });
   }
 
   restore(state) {
@@ -291,8 +293,13 @@ class Page {
     if (shown.borders === "own" && !this.grid.axes.has("start")) shown.borders = "any";
     if (said.scheme) this.element.dataset.scheme = said.scheme;
     this.mapTools.set(said.zoom, true);
+    this.zooms = said.zooms;
+    this.plots.forEach(({ tools }, k) => tools.set(this.zooms[k] ?? null, true));
     this.nameScheme();
   }
+
+  /** Keep the zoom of a plot in the fragment. */
+  keepZoom(canvas, tools) { tools.set(this.zooms[this.plots.push({ canvas, tools }) - 1] ?? null, true); }
 
   /** What the drawing of the machine needs to know of the chosen cell: the drive's speed and the gap. */
   machineOf() {

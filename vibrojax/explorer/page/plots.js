@@ -270,10 +270,19 @@ let readings = null;
  * Have values of the plot that is being drawn read where they are pointed at: `xs`, `ys` in data coordinates; `texts`:
  * what is read there, by default both coordinates; `edges`: [x, y] of cells, of which ys has the rows.
  */
-export const read = (name, xs, ys, more = {}) => { if (xs.length) readings?.push({ name, xs, ys, ...more }); };
+export const read = (name, xs, ys, more = {}) => { if (xs.length) readings?.push({ name, xs: numbers(xs), ys: numbers(ys), ...more }); };
+const numbers = (values) => Array.from(values, (x) => x ?? NaN);
 
-/** A value along an axis as it is read: its label, and the value or the name of its tick. */
-export function readText({ label = "", said = label, ticks: named, log }, value) {
-  const [, words, unit = ""] = /^(.*?)(?: \[(.*)\])?$/.exec(said.replaceAll("\n", " ")), tick = log ? null : named?.find(([at]) => Math.abs(at - value) < 1e-9);
-  return [words, tick ? tick[1] : `${numberText(value, 5)} ${unit}`.trim()].filter(Boolean).join(" ");
+/** The name of a value along an axis: of the nearest tick where the ticks are names, else of a tick at the value; null without one. */
+export function nameAt({ ticks: named = [], log }, value) {
+  if (!named.length || log || !Number.isFinite(value)) return null;
+  const [at, text] = named.reduce((best, tick) => (Math.abs(tick[0] - value) < Math.abs(best[0] - value) ? tick : best));
+  return Math.abs(at - value) < 1e-9 || !named.some(([, each]) => /\d/.test(each)) ? text : null;
+}
+
+/** A value along an axis as it is read: its label, and its name or the value. */
+export function readText(axis, value) {
+  const { label = "", said = label, log, limits } = axis, [, words, unit = ""] = /^(.*?)(?: ?\[(.*?)\].*)?$/.exec(said.replaceAll("\n", " "));
+  const exact = !log && limits && Math.abs(value) < 1e-9 * (limits[1] - limits[0]) ? 0 : value;
+  return [words, nameAt(axis, value) ?? `${numberText(exact, 5)} ${unit}`.trim()].filter(Boolean).join(" ");
 }
