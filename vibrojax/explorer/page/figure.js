@@ -19,9 +19,9 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       const { colours, sizes } = item;
       x.forEach((value, k) => {
         if (value === null || y[k] === null) return;
-        const own = colours[k % colours.length] ?? "#222222", shade = item.hollow ? colour(own) : own, size = Math.max(1.4, sizes[k % sizes.length] ?? 2.5);
-        if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, ink.plate, shade);
-        else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(own) !== own ? ink.faint : size > 2.6 ? ink.plate : null);
+        const own = colours[k % colours.length] ?? "#222222", shade = colours.length === 1 ? colour(own) : own, size = Math.max(1.4, sizes[k % sizes.length] ?? 2.5);
+        if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, ink.plate, colour(own));
+        else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(shade) !== shade ? ink.faint : size > 2.6 ? ink.plate : null);
       });
       read(nameOf(item, colours[0], item.shape, "line"), x, y);
     } else if (item.kind === "area") {
@@ -113,7 +113,7 @@ export class Figure {
     framed(canvas, ink, axis(plot.x), { ...axis(plot.y), bare: plot.bare && !canvas.source }, (c, sx, sy, box) => {
       drawItems(c, plot.items, sx, sy, ink, page.data.figure.keys);
       const [x, y] = [chosenAt(page, plot.x.direction), chosenAt(page, plot.y.direction)];
-      if (canvas.source) return;  // a file shows no cursor
+      if (canvas.source || Object.entries(plot.at).some(([name, k]) => page.cell[name] !== k)) return;  // no cursor in a file, and beside the chosen cell
       if (x !== undefined) line(c, [x, x], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [3, 3]);
       if (y !== undefined) line(c, [sx.inverse(box.left), sx.inverse(box.right)], [y, y], sx, sy, ink.ink, 1.2, [3, 3]);
     }, { square: plot.square, grid: !plot.items.some((item) => item.kind === "cells") });
