@@ -17,7 +17,6 @@ matplotlib.
 
 import base64
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from io import BytesIO
 from typing import Any
 
@@ -107,8 +106,8 @@ def _plots(
     directions = {name: way for name, way in columns.items() if name in ds.variables and ds[name].dtype.kind in "fiu"}
     titles: dict[int, str] = {}
     # In a picture, panels share the labels at the left and at the bottom; on the page each has its own.
-    ups = {plot.span[0]: plot.y for plot in reversed(part.plots) if plot.y.label}
-    acrosses = {plot.span[1]: plot.x for plot in part.plots if plot.x.label}
+    ups = {plot.span[0]: plot.y.label for plot in reversed(part.plots) if plot.y.label and plot.y.ticks is None}
+    acrosses = {plot.span[1]: plot.x.label for plot in part.plots if plot.x.label and plot.x.ticks is None}
     beside: str | None = None
     height = part.size[1] - (part.above.size[1] if part.above else 0.0)
     for plot in resolved(part.plots):
@@ -128,8 +127,8 @@ def _plots(
         bare, beside = track and beside == plot.y.label, plot.y.label if track else None
         yield {
             "title": title,
-            "x": _axis(_labelled(plot.x, acrosses.get(column)), x),
-            "y": _axis(_labelled(plot.y, ups.get(row)), y),
+            "x": _axis(plot.x, x, acrosses.get(column, "")),
+            "y": _axis(plot.y, y, ups.get(row, "")),
             "at": at,
             "wide": bool(share >= WIDE_SHARE),
             "low": bool(height * sum(part.heights[row : row + deep]) / sum(part.heights) < LOW_INCHES),
@@ -138,12 +137,6 @@ def _plots(
             "bare": bare,
             "items": items_of(plot),
         }
-
-
-def _labelled(axis: Axis, shared: Axis | None) -> Axis:
-    """Return an axis of numbers without a label with that of the axis below it or at its left."""
-    unlabelled = shared is not None and not axis.label and axis.ticks is None and shared.ticks is None
-    return replace(axis, label=shared.label) if unlabelled and shared is not None else axis
 
 
 def _image(figure: Figure) -> Document:
@@ -158,10 +151,10 @@ def _plain(text: str) -> str:
     return one_line(" ".join(text.split()), LABEL_MAX_CHARACTERS)
 
 
-def _axis(axis: Axis, direction: str | None) -> Document:
+def _axis(axis: Axis, direction: str | None, shared: str) -> Document:
     ticks = None if axis.ticks is None else [[json_value(float(x)), _plain(text)] for x, text in axis.ticks]
     return {
-        "label": _plain(axis.label),
+        "label": _plain(axis.label or (shared if axis.ticks is None else "")),
         "limits": [json_value(float(end or 0.0)) for end in axis.limits],
         "log": axis.log,
         "reversed": axis.reversed,

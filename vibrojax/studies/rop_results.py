@@ -405,9 +405,10 @@ def _below(groups: Facets, sheet: Sheet, with_c: bool) -> Sheet:
     for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
         (factor, unit), (across_factor, text) = _rate_scale(group, _RATE), _force_scale(group)
         layers, right, top = _group_layers(group, factor, looks)
+        places = np.stack([across_factor * group[_RELIEF].values, factor * group[_RATE].values], axis=-1)
+        low, high = np.array([right, top], float).T  # NaN without limits
         for use, mask in _use_masks(group).items():
-            x, y = across_factor * group[_RELIEF].values[mask], factor * group[_RATE].values[mask]
-            outside[use] += int((_beyond(x, right) | _beyond(y, top)).sum())
+            outside[use] += int(((places < low) | (places > high))[mask].any(axis=1).sum())
         across = Axis(text if k + wide >= len(groups) else "", limits=right, group="force" if layers else "")
         up = Axis(with_unit("rate of penetration", unit) if k % wide == 0 else "", limits=top, zero="no penetration")
         standing = group["standing"].values
@@ -457,11 +458,6 @@ def _group_layers(group: xr.Dataset, factor: float, looks: dict[str, Look]) -> t
     right = across * (low - room), across * (high + room)  # without weights beyond reason
     # The limits clip the curve of a form far from the data.
     return layers, right, (-0.06 * top, 1.1 * top) if top > 0 else (None, None)
-
-
-def _beyond(values: np.ndarray, limits: _Limits) -> np.ndarray:
-    low, high = limits
-    return np.zeros(values.shape, bool) if low is None or high is None else (values < low) | (values > high)
 
 
 def _force_scale(group: xr.Dataset) -> tuple[float, str]:

@@ -57,7 +57,7 @@ class Page {
     this.resized = new ResizeObserver(() => this.redraw());
     this.resized.observe(this.element);
     this.scheme = window.matchMedia("(prefers-color-scheme: dark)");
-    this.onScheme = () => this.redraw();
+    this.onScheme = () => { this.nameScheme(); this.redraw(); };
     this.scheme.addEventListener("change", this.onScheme);
     await this.grid.loadAll();
     await this.pick(this.cell);
@@ -380,6 +380,7 @@ class Page {
   }
 
   nameScheme() {
+    this.element.classList.toggle("vx-dark", this.dark);
     this.theme.textContent = this.dark ? "Light" : "Dark";
     this.theme.setAttribute("aria-label", `Switch to the ${this.dark ? "light" : "dark"} scheme`);
   }
