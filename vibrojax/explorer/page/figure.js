@@ -7,9 +7,9 @@ import { entry, FONT, framed, inkOf, legible, line, mark, numberText, read } fro
 /** The colour of signs in a legend that stand for marks of any colour. */
 const INK = "#222222";
 
-/** Draw items of a description, and have their values read; cells need `levels`, their unpacked indices. */
+/** Draw items of a description, and have their values read by the last key that looks the same; cells need `levels`, their unpacked indices. */
 export function drawItems(c, items, sx, sy, ink, keys = []) {
-  const nameOf = (item, colour, ...shapes) => item.label || (keys.find((key) => key.colour === colour && (!shapes.length || shapes.includes(key.shape)))?.text ?? "");
+  const nameOf = (item, colour, ...shapes) => item.label || (keys.findLast((key) => key.colour === colour && (!shapes.length || shapes.includes(key.shape)))?.text ?? "");
   for (const item of items) {
     const { x, y } = item, colour = (text) => legible(text, ink);
     if (item.kind === "line") {
@@ -33,7 +33,7 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       c.fill();
       c.globalAlpha = 1;
       const name = nameOf(item, item.colour, "patch"), half = x.length / 2, top = y.slice(half).reverse();
-      if (item.at) read(name, [item.at[0]], [item.at[1]]);
+      if (item.at) read(name, [item.at[0]], [item.at[1]], { edges: [[x[0], x[1]], [y[0], y[2]]] });
       else if (name) read(name, x.slice(0, half), top, { texts: top.map((high, k) => numberText(high - y[k])) });
     } else if (item.kind === "cells" && item.levels) {
       const wide = x.length - 1, across = [], up = [];

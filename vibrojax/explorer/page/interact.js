@@ -31,7 +31,7 @@ export function readingAt({ frame, readings = [] }, [px, py]) {
     });
   }
   const inside = (edges, value) => edges.findIndex((edge, k) => k > 0 && (value - edges[k - 1]) * (value - edge) <= 0) - 1;
-  for (const series of found ? [] : readings.filter((one) => one.edges)) {
+  for (const series of found?.series.name ? [] : readings.filter((one) => one.edges)) {
     const [i, j] = [inside(series.edges[0], frame.x.inverse(px)), inside(series.edges[1], frame.y.inverse(py))], k = j * (series.edges[0].length - 1) + i;
     if (i >= 0 && j >= 0) found = { series, k, x: series.xs[k], y: series.ys[k] };
   }
@@ -90,7 +90,7 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
     const { x: sx, y: sy, xAxis, yAxis } = canvas.frame, { series, k } = found, [u, v] = [sx(found.x) + canvas.offsetLeft, sy(found.y) + canvas.offsetTop];
     const up = readText(series.name ? { ...yAxis, said: (yAxis.said ?? yAxis.label ?? "").replace(/^[^[]*(?=\[|$)/, " ") } : yAxis, found.y), text = series.texts?.[k];
     canvas.parentNode.append(ring, tip);
-    tip.replaceChildren(...[[series.name, text ?? up].filter(Boolean).join(": "), ...(series.edges ? [readText(yAxis, found.y)] : []), readText(xAxis, found.x)].map((line, n) => el(n ? "span" : "b", { text: line })));
+    tip.replaceChildren(...[[series.name, text ?? up].filter(Boolean).join(": "), ...(text && series.edges ? [readText(yAxis, found.y)] : []), readText(xAxis, found.x)].map((line, n) => el(n ? "span" : "b", { text: line })));
     ring.style.cssText = `left:${u}px;top:${v}px`;
     tip.style.left = `${Math.max(2, Math.min(u + 12, canvas.parentNode.clientWidth - tip.offsetWidth - 2))}px`;
     tip.style.top = `${v > canvas.offsetTop + canvas.clientHeight / 2 ? v - tip.offsetHeight - 10 : v + 12}px`;

@@ -271,7 +271,7 @@ let readings = null;
 
 /**
  * Have values of the plot that is being drawn read where they are pointed at: `xs`, `ys` in data coordinates; `texts`:
- * what is read there, by default both coordinates; `edges`: [x, y] of cells, of which ys has the rows.
+ * what is read there, by default both coordinates; `edges`: [x, y] of cells, of which ys has the rows, or of a bar.
  */
 export const read = (name, xs, ys, more = {}) => { if (xs.length) readings?.push({ name, xs: numbers(xs), ys: numbers(ys), ...more }); };
 const numbers = (values) => Array.from(values, (x) => x ?? NaN);
