@@ -169,7 +169,9 @@ def test_files_say_what_they_show(browser: Any, files: dict[str, Path]) -> None:
         filtered, text = _saved(opened, ".vx-map", "SVG")
         assert filtered.startswith("impact_velocity_delta=5mm_start=drive_") and "shown: " in text
         texts = [str(one.text) for one in fromstring(content).iter("{http://www.w3.org/2000/svg}text")]
-        assert "impact velocity [m/s]" in texts and any("Δ\u00a0=\u00a0−5 mm" in one for one in texts)
+        assert {"impact velocity [m/s]", "source's best region"} <= set(texts) and any(
+            "Δ\u00a0=\u00a0−5 mm" in one for one in texts
+        )
         extend = opened.evaluate("vibrojax.variable.extend")
         assert (extend != "neither") == bool(re.search(r'<path d="M[^"]*L[^"]*L[^"]*Z" fill="#', content))
     with OpenPage(browser, files["few"]) as opened:
