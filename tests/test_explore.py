@@ -325,3 +325,18 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     look = {"shape": "line", "colour": "#112233", "dash": line["dash"], "marker": "s", "hollow": False}
     assert law == {"text": "law"} | look and line["label"] == "law"
     json.dumps(document, allow_nan=False)
+
+
+def test_plots_of_a_page_have_the_labels_that_panels_share() -> None:
+    """Each plot stands alone on a page: it has the label at the left of its row, but not beside named ticks."""
+    line, names = Line([0.0, 1.0], [2.0, 3.0]), Axis(ticks=[(0.0, "beta"), (1.0, "gamma")])
+    time, rate = Axis("time [s]"), Axis("rate [m/h]")
+    plots = [
+        Plot([line], Axis(), rate, place=(0, 0)),
+        Plot([line], Axis(), Axis(), place=(0, 1)),
+        Plot([line], time, rate, place=(1, 0)),
+        Plot([line], names, names, place=(1, 1)),
+    ]
+    shown = figure_document([Sheet(plots)], xr.Dataset(), [])["plots"]
+    labels = [(plot["x"]["label"], plot["y"]["label"]) for plot in shown]
+    assert labels == [("time [s]", "rate [m/h]"), ("", "rate [m/h]"), ("time [s]", "rate [m/h]"), ("", "")]

@@ -55,9 +55,11 @@ def browser() -> Iterator[Any]:
 class OpenPage:
     """An open page, with the messages of its console (`heard`) and its requests (`asked`)."""
 
-    def __init__(self, browser: Any, path: Path, fragment: str = "", width: int = 1280, scheme: str = "light") -> None:
+    def __init__(
+        self, browser: Any, path: Path, fragment: str = "", width: int = 1280, scheme: str = "light", **more: object
+    ) -> None:
         viewport = {"width": width, "height": 900}
-        self.page, self.heard, self.asked = new_page(browser, viewport=viewport, color_scheme=scheme)
+        self.page, self.heard, self.asked = new_page(browser, viewport=viewport, color_scheme=scheme, **more)
         self.page.goto(path.as_uri() + fragment)
         self.page.wait_for_selector("[data-ready]")
 
@@ -167,7 +169,9 @@ def test_files_say_what_they_show(browser: Any, files: dict[str, Path]) -> None:
         filtered, text = _saved(opened, ".vx-map", "SVG")
         assert filtered.startswith("impact_velocity_delta=5mm_start=drive_") and "shown: " in text
         texts = [str(one.text) for one in fromstring(content).iter("{http://www.w3.org/2000/svg}text")]
-        assert "impact velocity [m/s]" in texts and any("Δ\u00a0=\u00a0−5 mm" in one for one in texts)
+        assert {"impact velocity [m/s]", "source's best region"} <= set(texts) and any(
+            "Δ\u00a0=\u00a0−5 mm" in one for one in texts
+        )
         extend = opened.evaluate("vibrojax.variable.extend")
         assert (extend != "neither") == bool(re.search(r'<path d="M[^"]*L[^"]*L[^"]*Z" fill="#', content))
     with OpenPage(browser, files["few"]) as opened:
@@ -285,6 +289,46 @@ def test_page_is_readable_at_390_pixels(browser: Any, files: dict[str, Path]) ->
             "['.vx-left', '.vx-side', '.vx-table'].map(s => document.querySelector(s).getBoundingClientRect().top)"
         )
         assert order == sorted(order)
+
+
+SMALL_TARGETS = """() => [...document.querySelectorAll(".vibrojax :is(button, select, summary, input, .vx-why)")]
+    .map(one => one.type === "checkbox" ? one.closest("label") : one)
+    .filter(one => one.checkVisibility() && Math.min(one.offsetWidth, one.offsetHeight) < 40)
+    .map(one => `${one.tagName} ${one.className} ${one.offsetWidth} x ${one.offsetHeight}`)"""
+
+
+def test_phone_with_touch(browser: Any, files: dict[str, Path]) -> None:
+    """The sheet leaves the map free, fingers reach every control, a tap reads values, and a zoom moves no plot."""
+    with OpenPage(browser, files["few"], width=390, is_mobile=True, has_touch=True) as opened:
+        page, map_canvas = opened.page, opened.page.locator(".vx-over")
+        wait_for(page, "vibrojax.element.style.getPropertyValue('--sheet') !== ''")
+        place = "s => document.querySelector(s).getBoundingClientRect().toJSON()"
+        assert opened.evaluate(place, ".vx-map")["bottom"] <= opened.evaluate(place, ".vx-sheet")["top"] < 640
+        assert opened.evaluate(SMALL_TARGETS) == []
+        assert opened.evaluate("document.scrollingElement.scrollWidth") <= 390
+
+        at = opened.evaluate("[vibrojax.view.frame.x(0.7), vibrojax.view.frame.y(0.4)]")
+        map_canvas.tap(position={"x": at[0], "y": at[1]})
+        opened.settled()
+        assert opened.cell["beta"] == opened.cell["gamma"] == 1
+        assert "γ = 0.7" in page.locator(".vx-map > .vx-tip").inner_text()
+        plane = page.locator(".vx-panel.vx-half canvas[role=img]").first
+        at = plane.evaluate("c => { const r = c.readings[0]; return [c.frame.x(r.xs[9]), c.frame.y(r.ys[9])]; }")
+        plane.tap(position={"x": at[0], "y": at[1]})
+        assert re.search(r"x₁ \S+ mm", page.locator(".vx-panel.vx-half .vx-tip").first.inner_text())
+
+        inside = """one => [one, one.closest(".vx-panel, .vx-map")].map(each => each.getBoundingClientRect())
+            .map(({ top, height }, k, [{ top: first }]) => [top - first, height])"""
+        for plot in (".vx-panel.vx-half", ".vx-map"):
+            drawn = page.locator(f"{plot} canvas:not(.vx-moment)").first
+            menu = page.locator(f"{plot} .vx-menu summary").first
+            before, size = drawn.evaluate(inside), menu.bounding_box()
+            assert min(size["width"], size["height"]) >= 44
+            menu.tap()
+            page.locator(plot).first.get_by_role("button", name="Zoom in").tap()
+            assert page.locator(f"{plot} .vx-reset").first.is_visible() and drawn.evaluate("c => c.zoom") is not None
+            assert drawn.evaluate(inside) == before
+        assert opened.heard == []
 
 
 def test_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[str, Path]) -> None:
@@ -406,3 +450,12 @@ def test_legend_of_family_lists_what_occurs_in_visible_colours(browser: Any, tmp
         })"""
         brightest = opened.evaluate(drawn)
         assert len(brightest) == len(runs | kinds) and min(brightest) > 120
+        plot = opened.page.locator(".vx-figure canvas[role=img]").first
+        plot.evaluate("c => vibrojax.plots.find(one => one.canvas === c).tools.set([[0.95, 1.05], [-1e3, 1e3]])")
+        link = opened.evaluate("location.hash")
+    with OpenPage(browser, tmp_path / "family.html", link) as reopened:
+        plot = reopened.page.locator(".vx-figure canvas[role=img]").first
+        assert plot.evaluate("c => c.zoom") == [[0.95, 1.05], [-1000, 1000]]
+        plot.press("ArrowRight")  # reads the first value that is seen, not one beside the zoom
+        read = reopened.page.locator(".vx-figure .vx-tip").first.inner_text().split()[-2]
+        assert 0.95 <= float(read) <= 1.05

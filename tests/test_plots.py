@@ -316,6 +316,16 @@ def test_many_starts_at_each_point_are_shares_and_dots():
     assert (strip.layers[0].values[0] == np.where(single > 0, 3, 6)).all()  # stacked from the bottom
 
 
+def test_last_row_of_maps_is_as_full_as_possible():
+    """The regime and four shares are rows of three and two, the regime and three shares two rows of two."""
+    for count, rows in ((4, [3, 2]), (3, [2, 2])):
+        ds = basin(sample(16), LONG)
+        ds["regime"][{"start": slice(0, count)}] = np.arange(count) + 2
+        ds["regime"][{"start": slice(count, None)}] = 3
+        of_rows = [plot.place[0] for plot in sheet_of(ds).plots]
+        assert [of_rows.count(row) for row in range(2)] == rows and len(of_rows) == sum(rows)
+
+
 # One axis.
 
 
@@ -490,6 +500,15 @@ def test_hertz_is_used_only_for_frequencies(name, long_name, symbol, unit, shown
     assert label(data).replace("\n", " ").endswith(f" [{shown}]")
     assert value_text(data, 10.0).endswith(f" = 10 {shown}")
     assert scale(data)[0] == 1.0  # values are not converted, so none can be off by 2 pi
+
+
+def test_rows_beyond_the_panel_of_a_fit_are_counted():
+    """The fitted rows set the limits; the legend counts the other rows above the panel and at its right."""
+    uses = {"flag_values": np.arange(4), "flag_meanings": "fitted censored above-founder left-out"}
+    data = {"relief": [0.5, 1.0, 1.5, 1.0, 9.0, 1.2], "rate_of_penetration": [0.1, 0.2, 0.3, 5.0, 0.2, 0.2]}
+    fit = law({}).assign({f"data_{name}": ("lane", values) for name, values in data.items()})
+    fit["data_use"] = ("lane", [0, 0, 0, 3, 3, 3], uses)
+    assert "left out of the fit,\n2 beyond the panel" in labels(sheet_of(fit)) and "data" in labels(sheet_of(fit))
 
 
 # Figures and files.

@@ -6,8 +6,9 @@ import pytest
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.explorer import contents_of
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
-from vibrojax.studies.push import push_lines
+from vibrojax.studies.push import Pushes, push_lines
 
 PARAMETERS = {"beta": 0.4, "delta": 0.005}
 STATES = ("x1", "v1", "x2", "v2")
@@ -51,6 +52,22 @@ def test_smallest_push_leaves_and_next_smaller_returns(strong_cycle):
     assert int(strong_cycle.regime_x1[1]) == IRREGULAR
     velocity = run_after_pushes(strong_cycle, "x1", [0.0, push - bracket, push], gamma=0.75).impact_velocity.values
     assert velocity[1] == pytest.approx(velocity[0], rel=1e-6) and velocity[2] < 0.3 * velocity[0]
+
+
+def test_page_shows_motions_on_cycle_and_after_push(strong_cycle):
+    """The one push that leaves has a lane of its own; all other directions return to the working cycle."""
+    machine, sweep = Pushes().page_lanes(strong_cycle)
+    assert machine.lane_number.dims == ("sign", "motion")
+    assert machine.lane_number.values.tolist() == [[0] * 5, [0, 1, 0, 0, 0]]
+    assert machine.regime.values.tolist() == [[SINGLE_IMPACT] * 5, [SINGLE_IMPACT, IRREGULAR, *[SINGLE_IMPACT] * 3]]
+    cycle, pushed = sweep.starts.vectors
+    assert (pushed - cycle).tolist() == pytest.approx([float(strong_cycle.push_x1[1]), 0, 0, 0], abs=1e-15)
+    contents = contents_of(strong_cycle, progress=False)
+    on_cycle, after_push = contents.cells
+    assert on_cycle.kind == "orbit" and on_cycle.duration == pytest.approx(float(strong_cycle.period), rel=1e-6)
+    assert after_push.kind == "motion"
+    bars = contents.document["figure"]["plots"][0]
+    assert bars["x"]["direction"] == "sign" and bars["at"] == {"motion": 1}
 
 
 def test_fine_scan_finds_no_smaller_push(strong_cycle):

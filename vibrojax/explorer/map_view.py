@@ -59,7 +59,7 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
 
     **Arguments:** `sweep`: the sweep of the dataset, if there is one.
     """
-    if sweep is not None and has_lanes_of(ds, sweep):
+    if sweep is not None and LANE not in ds and has_lanes_of(ds, sweep):
         numbers = xr.DataArray(sweep.over_dims(np.arange(sweep.lanes)).astype(np.int32), dims=sweep.dims)
         ds = ds.assign({LANE: numbers.squeeze([name for name in sweep.dims if name not in ds.dims])})
     if START in ds.dims and START in ds.coords:
@@ -114,7 +114,8 @@ def _shown_variables(ds: xr.Dataset) -> list[str]:
     ):  # fractions are more informative than single regimes
         leading.remove("share")
         leading.insert(0, "share")
-    first = [name for name in names if name == diagram or name.startswith(("push_", "objective"))]
+    leads = ("objective",) if LANE in ds else ("push_", "objective")  # of pushes with motions, the regimes lead
+    first = [name for name in names if name == diagram or name.startswith(leads)]
     return list(dict.fromkeys([*first, *leading, *names]))
 
 
@@ -123,6 +124,8 @@ def _first_axes(ds: xr.Dataset) -> list[str]:
 
     An empty name stands for a curve. Attractors have the basins over two states of the initial conditions.
     """
+    if LANE in ds and "motion" in ds.dims:  # pushes: the names of the motions have room at the left
+        return ["sign", "motion"]
     if FORM in ds.dims and len(groups := [name for name in contents.lane_dims(ds) if ds.sizes[name] > 1]) == 1:
         return [*groups, ""]
     if len(states := _basin_states(ds)) > 1:
@@ -154,7 +157,11 @@ def first_cell(ds: xr.Dataset, variables: list[Document], along: list[str]) -> d
         return {FORM: int(aic.argmin(FORM))} if aic.notnull().any() else {}
     if "sign" in ds.dims:
         counts = [x.notnull().sum([d for d in x.dims if d != "sign"]) for x in ds.values() if "sign" in x.dims]
-        return {"sign": int(np.argmax(np.sum([x.values for x in counts], axis=0)))}
+        first = {"sign": int(np.argmax(np.sum([x.values for x in counts], axis=0)))}
+        if "motion" in ds.dims:  # the first of those that leave the working cycle
+            leaves = (ds["regime"] != ds["regime"].isel(motion=0)).isel(first)
+            first["motion"] = int(leaves.any([name for name in leaves.dims if name != "motion"]).argmax("motion"))
+        return first
     if {"share", "lane_attractor"} <= set(ds.variables):
         middle = {str(name): size // 2 for name, size in ds["share"].sizes.items() if name != "attractor"}
         return middle | {"attractor": int(ds["share"].isel(middle).argmax("attractor"))}

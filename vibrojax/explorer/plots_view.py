@@ -105,6 +105,9 @@ def _plots(
     }
     directions = {name: way for name, way in columns.items() if name in ds.variables and ds[name].dtype.kind in "fiu"}
     titles: dict[int, str] = {}
+    # In a picture, panels share the labels at the left and at the bottom; on the page each has its own.
+    ups = {plot.span[0]: plot.y.label for plot in reversed(part.plots) if plot.y.label and plot.y.ticks is None}
+    acrosses = {plot.span[1]: plot.x.label for plot in part.plots if plot.x.label and plot.x.ticks is None}
     beside: str | None = None
     height = part.size[1] - (part.above.size[1] if part.above else 0.0)
     for plot in resolved(part.plots):
@@ -124,8 +127,8 @@ def _plots(
         bare, beside = track and beside == plot.y.label, plot.y.label if track else None
         yield {
             "title": title,
-            "x": _axis(plot.x, x),
-            "y": _axis(plot.y, y),
+            "x": _axis(plot.x, x, acrosses.get(column, "")),
+            "y": _axis(plot.y, y, ups.get(row, "")),
             "at": at,
             "wide": bool(share >= WIDE_SHARE),
             "low": bool(height * sum(part.heights[row : row + deep]) / sum(part.heights) < LOW_INCHES),
@@ -148,10 +151,10 @@ def _plain(text: str) -> str:
     return one_line(" ".join(text.split()), LABEL_MAX_CHARACTERS)
 
 
-def _axis(axis: Axis, direction: str | None) -> Document:
+def _axis(axis: Axis, direction: str | None, shared: str) -> Document:
     ticks = None if axis.ticks is None else [[json_value(float(x)), _plain(text)] for x, text in axis.ticks]
     return {
-        "label": _plain(axis.label),
+        "label": _plain(axis.label or (shared if axis.ticks is None else "")),
         "limits": [json_value(float(end or 0.0)) for end in axis.limits],
         "log": axis.log,
         "reversed": axis.reversed,

@@ -89,7 +89,7 @@ def contents_of(
         document["figure"] = _picture_document(ds, document)
     elif (lanes := analysis_of(ds).page_lanes(ds)) is not None:
         document = map_document(*lanes)
-        document["figure"] = figure_document(analysis_of(ds).page_figures(ds), ds, document["axes"], maps=True)
+        document["figure"] = figure_document(analysis_of(ds).page_figures(ds), lanes[0], document["axes"], maps=True)
         document["without"] = _rerun_problem(lanes[1])
         cells = lane_cells(lanes[1], progress)
     else:

@@ -51,7 +51,7 @@ Values = Sequence[Value]
 _MOST_BESIDE = 3  # for up to this many facets, quantities are to the right of the regimes, else below
 _MOST_COLUMNS = 6
 _NARROW, _NARROW_COLUMNS = 4.5, 2  # width [inch] of a picture up to which many facets show one quantity, in two columns
-_SQUARE_FROM = 4  # number of quantities from which a single facet has two columns
+_SQUARE_FROM, _SQUARE_COLUMNS = 4, (2, 3)  # number of quantities from which a single facet has several rows
 _MOST_RATES = {1: 4, 2: 3, 3: 3}  # quantities on maps of rates, by the number of facets; else only the rate
 _MOST_RATE_FACETS = 9
 _MANY_VALUES = 4  # number of quantities from which on half as many facets are drawn
@@ -77,8 +77,9 @@ def maps_of(
 ) -> Sheet:
     """Return maps of `values` over `x` and `y`, one for each facet, in the colours of all facets.
 
-    Up to three facets have one row each, four or more quantities of a single facet two columns. With more facets, the
-    maps of each quantity are a block of rows. `points`: whether the lanes are a list of points, rather than a grid.
+    Up to three facets have one row each. Four or more quantities of a single facet have two columns, or three if the
+    last row is then fuller. With more facets, the maps of each quantity are a block of rows. `points`: whether the
+    lanes are a list of points, rather than a grid.
     """
     count, many = len(panels), len(values)
     if blocks := count > _MOST_BESIDE:
@@ -86,7 +87,9 @@ def maps_of(
         block = 1 + max(row for row, _ in of_facets)
         places = [(row + i * block, column) for row, column in of_facets for i in range(many)]
     else:
-        across = 2 if count == 1 and many >= _SQUARE_FROM else many
+        across = many
+        if count == 1 and many >= _SQUARE_FROM:
+            across = min(_SQUARE_COLUMNS, key=lambda wide: -many % wide / wide)
         places = [divmod(k, across) for k in range(count * many)]
     deep, wide = (max(ends) + 1 for ends in zip(*places, strict=True))
     width, height = (2.75 if wide <= 4 else 2.2, 2.1) if blocks else (3.4 if wide > 1 else 4.4, 2.7)

@@ -9,12 +9,15 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.errors import Place, shown, suggestion
-from vibrojax.io.attributes import flags
+from vibrojax.errors import InputError, Place, shown, suggestion
+from vibrojax.io.attributes import flags, parameters_of, run_of
 from vibrojax.io.variables import VARIABLES, Variable, orbit_name
 from vibrojax.lanes.inputs import Index
+from vibrojax.maps.dataset import coordinates
 from vibrojax.maps.machines import Machines
+from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_sweep
+from vibrojax.maps.starts import VECTOR
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import EQUILIBRIUM, IRREGULAR, UNDECIDED
 from vibrojax.periodic.lane_stages import plan_of, run_lanes
@@ -29,6 +32,7 @@ from vibrojax.pictures.starts import SYMBOLS
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.settings.fields import setting
+from vibrojax.settings.names import known_options
 from vibrojax.settings.values import as_table, quantity
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.subjects import MachineAnalysis, answered
@@ -38,6 +42,8 @@ _SIDES = {-1: ("#0072B2", "v", "negative push"), 1: ("#D55E00", "^", "positive p
 _RETURNS: Look = {"edge": "#B3B3B3", "hatch": "//"}  # every push tried returns
 _BOUND: Look = {"colour": "#808080", "dash": "--", "width": 0.9}
 _EDGE = "#595959"
+_MOTION = "motion"
+"""Dimension of the explorer page: the motion on the working cycle, and after the smallest push in each state."""
 
 
 def smallest_pushes(ds: xr.Dataset) -> Sheet:
@@ -88,7 +94,8 @@ def _curves(ds: xr.Dataset, state: str) -> Plot:
     layers.append(Line(x[order], bound[order], **_BOUND))
     top = 1.12 * float(np.nanmax([bound, *(push.transpose("sign", ...).values * factor)]))
     across = axis(ds[over], group="over") if over in ds.coords else Axis("machine", group="over")
-    return Plot(layers, across, Axis(_words(state, unit), limits=(-0.03 * top, top or 1.0)))
+    up = Axis(_words(state, unit), limits=(-0.03 * top, top or 1.0))
+    return Plot(layers, across, up, at={_MOTION: _after(state)})
 
 
 def _sides(ds: xr.Dataset, state: str) -> Plot:
@@ -110,7 +117,12 @@ def _sides(ds: xr.Dataset, state: str) -> Plot:
     ticks = [(float(k), _SIDES[int(sign)][2]) for k, sign in enumerate(ds["sign"].values)]
     top = 1.13 * float(np.nanmax([bound, *(push.values * factor)]))
     size_axis = Axis(_words(state, unit), limits=(0.0, top or 1.0), ticks=None if stable else [])
-    return Plot(layers, Axis(ticks=ticks, limits=(-0.6, len(push) - 0.4), group="over"), size_axis, grid="")
+    across = Axis(name="sign", ticks=ticks, limits=(-0.6, len(push) - 0.4), group="over")
+    return Plot(layers, across, size_axis, at={_MOTION: _after(state)}, grid="")
+
+
+def _after(state: str) -> str:
+    return f"after the push in {SYMBOLS.get(state, state)}"
 
 
 def _words(state: str, unit: str) -> str:
@@ -348,6 +360,43 @@ class Pushes(MachineAnalysis[Machines]):
                 bounds[swing.velocity] = bounds[swing.position] * 2 * np.pi / cycle["period"].values
         bounds |= {name: np.full(cycle.sizes["point"], x) for name, x in self.most.items()}
         return np.stack([bounds[name] for name in system.start_states], axis=1)
+
+    def page_lanes(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
+        """Return the machines with the number of the lane of each motion, and the sweep of these lanes.
+
+        Motions are those on the working cycle and after the smallest push in each state variable; if every push
+        returns, that is the working cycle.
+        """
+        states, over = _pushed(ds), (POINT, "sign", _MOTION)
+        machines = (ds if POINT in ds.dims else ds.expand_dims(POINT)).transpose(POINT, "sign", ...)
+        count, names = machines.sizes[POINT], [orbit_name(name) for name in states]
+        cycle = np.stack([machines[x].values if x in ds else np.zeros(count) for x in names], axis=-1)
+        pushes, ends = (np.stack([machines[part + x].values for x in states], -1) for part in (_PUSH, "regime_"))
+        pushes = np.nan_to_num(pushes * machines["sign"].values[:, None])[..., None] * np.eye(len(states))
+        begin = cycle[:, None, None] + np.pad(pushes, [(0, 0), (0, 0), (1, 0), (0, 0)])
+        ends = np.pad(ends, [(0, 0), (0, 0), (1, 0)])
+        regime = np.where(ends > 0, ends, machines["regime"].values[:, None, None])
+
+        machine = np.broadcast_to(np.arange(count)[:, None, None], regime.shape)
+        known, number = np.isfinite(begin).all(axis=-1), np.full(regime.shape, -1, np.int32)
+        lanes, index = np.unique(np.column_stack([machine[known], begin[known]]), axis=0, return_inverse=True)
+        number[known] = index.ravel()
+        columns = {str(name): x.values for name, x in machines.coords.items() if x.dims == (POINT,) and name != POINT}
+        points = {name: x[lanes[:, 0].astype(int)].tolist() for name, x in columns.items()}
+        points |= {VECTOR + name: x.tolist() for name, x in zip(states, lanes.T[1:], strict=True)}
+        fixed = parameters_of(ds) | {name: ds.attrs[name] for name in known_options() if name in ds.attrs}
+        run = {name: x for name, x in run_of(ds).items() if name in self.run_settings}
+        scene = str(ds.attrs.get("scene", ""))
+        try:
+            sweep = read_sweep({"scene": scene, "parameters": fixed, "points": points, "run": run, "unusual": True})
+        except InputError:  # a system without a name
+            return None
+        held: dict[str, Any] = {"regime": (over, regime, ds["regime"].attrs), "lane_number": (over, number)}
+        held["period"] = machines["period"].assign_attrs(long_name="period of the working cycle")
+        for name, x in zip(states, np.moveaxis(begin, -1, 0), strict=True):
+            held[VECTOR + name] = over, x, coordinates(sweep, {})[VECTOR + name][2]
+        shown = machines.assign(held).assign_coords({_MOTION: ["on the working cycle", *map(_after, states)]})
+        return (shown if POINT in ds.dims else shown.isel({POINT: 0}, drop=True)), sweep
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return a line for each machine, state variable and sign of the push."""

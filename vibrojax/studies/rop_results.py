@@ -401,10 +401,14 @@ def _below(groups: Facets, sheet: Sheet, with_c: bool) -> Sheet:
     if is_cloud:  # below the curves
         looks = {use: look | {"order": 1.5} for use, look in looks.items()}
         looks["fitted"] |= {"colour": FAINT}
-    plots = []
+    plots, outside = [], dict.fromkeys(_USES, 0)
     for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
-        (factor, unit), (_, text) = _rate_scale(group, _RATE), _force_scale(group)
+        (factor, unit), (across_factor, text) = _rate_scale(group, _RATE), _force_scale(group)
         layers, right, top = _group_layers(group, factor, looks)
+        places = np.stack([across_factor * group[_RELIEF].values, factor * group[_RATE].values], axis=-1)
+        low, high = np.array([right, top], float).T  # NaN without limits
+        for use, mask in _use_masks(group).items():
+            outside[use] += int(((places < low) | (places > high))[mask].any(axis=1).sum())
         across = Axis(text if k + wide >= len(groups) else "", limits=right, group="force" if layers else "")
         up = Axis(with_unit("rate of penetration", unit) if k % wide == 0 else "", limits=top, zero="no penetration")
         standing = group["standing"].values
@@ -414,7 +418,8 @@ def _below(groups: Facets, sheet: Sheet, with_c: bool) -> Sheet:
             title = "\n".join(filter(None, (title, f"C = {c:.3g} ± {error:.1g} {pretty_unit(unit)}")))
         plots.append(Plot(layers, across, up, title, divmod(k, wide), at(group)))
     shown = {use for group in groups.data for use in _use_masks(group)}
-    keys = [dots(label=text, **looks[use] | {"size": 4.5}) for use, (text, _) in _USES.items() if use in shown]
+    texts = {use: text + f",\n{outside[use]} beyond the panel" * bool(outside[use]) for use, (text, _) in _USES.items()}
+    keys = [dots(label=texts[use], **looks[use] | {"size": 4.5}) for use in _USES if use in shown]
     height = (_ROW_HEIGHT if len(groups) > 1 else _ONE_HEIGHT) * deep
     above = Sheet(plots, (6.4, height), (1.0,) * wide, (1.0,) * deep)
     size_of_all = max(sheet.size[0], _LEAST_WIDTH), sheet.size[1] + height

@@ -37,7 +37,7 @@ function textOf(page, motion) {
 }
 
 function head(page, motion) {
-  let text = page.data.without ?? "no motion is kept of this dataset";
+  let text = page.data.without || "no motion is kept here";
   if (motion) text = textOf(page, motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "");
   const [badge, meaning] = regimeOf(page, motion), moves = motion && motion.kind !== "none";
   return el("div", { class: "vx-cellhead" }, el("h2", { text: page.titleOf() }), ...badge,

@@ -74,7 +74,9 @@ function facetControl(page, make, facet) {
   const { grid } = page, axis = grid.axes.get(facet), name = `at-${facet}`, at = page.cell[facet];
   const pick = (value) => page.pick({ ...page.cell, [facet]: value });
   if (axis.values.length > MOST_OPTIONS) return make.number(name, shortName(axis), at, axis.values.length - 1, pick);
+  const columns = axis.columns.filter((one) => !one.silent && new Set(one.values).size > 1);
   const text = (k) => {
+    if (columns.length === 1) return grid.coordinateText(columns[0], k);
     if (!axis.numeric) return axis.values[k];
     return axis.columns.length ? `${k}` : grid.coordinateText(axis, k).replace(/^.*= /, "");
   };

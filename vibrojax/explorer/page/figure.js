@@ -4,9 +4,12 @@ import { el } from "./dom.js";
 import { interactive } from "./interact.js";
 import { entry, FONT, framed, inkOf, legible, line, mark, numberText, read } from "./plots.js";
 
-/** Draw items of a description, and have their values read; cells need `levels`, their unpacked indices. */
+/** The colour of signs in a legend that stand for marks of any colour. */
+const INK = "#222222";
+
+/** Draw items of a description, and have their values read by the last key that looks the same; cells need `levels`, their unpacked indices. */
 export function drawItems(c, items, sx, sy, ink, keys = []) {
-  const nameOf = (item, colour, ...shapes) => item.label || (keys.find((key) => key.colour === colour && (!shapes.length || shapes.includes(key.shape)))?.text ?? "");
+  const nameOf = (item, colour, ...shapes) => item.label || (keys.findLast((key) => key.colour === colour && (!shapes.length || shapes.includes(key.shape)))?.text ?? "");
   for (const item of items) {
     const { x, y } = item, colour = (text) => legible(text, ink);
     if (item.kind === "line") {
@@ -16,11 +19,11 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       const { colours, sizes } = item;
       x.forEach((value, k) => {
         if (value === null || y[k] === null) return;
-        const own = colours[k % colours.length] ?? "#222222", shade = item.hollow ? colour(own) : own, size = Math.max(1.4, sizes[k % sizes.length] ?? 2.5);
-        if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, ink.plate, shade);
-        else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(own) !== own ? ink.faint : size > 2.6 ? ink.plate : null);
+        const own = colours[k % colours.length] ?? "#222222", shade = colours.length === 1 ? colour(own) : own, size = Math.max(1.4, sizes[k % sizes.length] ?? 2.5);
+        if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, ink.plate, colour(own));
+        else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(shade) !== shade ? ink.faint : size > 2.6 ? ink.plate : null);
       });
-      read(nameOf(item, colours[0], item.shape, "line"), x.map((value) => value ?? NaN), y.map((value) => value ?? NaN));
+      read(nameOf(item, colours[0], item.shape, "line"), x, y);
     } else if (item.kind === "area") {
       c.globalAlpha = item.alpha;
       c.fillStyle = item.colour === "hatched" ? ink.undefined : item.alpha < 1 ? colour(item.colour) : item.colour;
@@ -30,7 +33,7 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       c.fill();
       c.globalAlpha = 1;
       const name = nameOf(item, item.colour, "patch"), half = x.length / 2, top = y.slice(half).reverse();
-      if (item.at) read(name, [item.at[0]], [item.at[1]]);
+      if (item.at) read(name, [item.at[0]], [item.at[1]], { edges: [[x[0], x[1]], [y[0], y[2]]] });
       else if (name) read(name, x.slice(0, half), top, { texts: top.map((high, k) => numberText(high - y[k])) });
     } else if (item.kind === "cells" && item.levels) {
       const wide = x.length - 1, across = [], up = [];
@@ -53,10 +56,23 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
   }
 }
 
-/** The value of the chosen cell along a direction of the page, as the plot shows it; undefined without one. */
+/** Where a value of a direction is along its axis; names are numbered. */
+const placeOf = ({ numeric, values, factor }, k) => (numeric ? (typeof values[k] === "number" ? values[k] * factor : undefined) : k);
+
+/** The place of the chosen cell along a direction of the page; undefined without one. */
 function chosenAt(page, id) {
-  const direction = id && page.direction(id), value = direction?.column.values[page.cell[direction.axis.name]];
-  return typeof value === "number" ? value * direction.column.factor : undefined;
+  const direction = id && page.direction(id);
+  return direction ? placeOf(direction.column, page.cell[direction.axis.name]) : undefined;
+}
+
+/** The entries of a legend for what a plot shows. */
+function keysIn({ items }, keys) {
+  const shows = { line: ["line", "points"], patch: ["area", "cells"], scale: ["points", "cells", "line"] };
+  return keys.filter((key) => items.some((item) => {
+    const own = item.colours ?? [item.colour], drawn = (shows[key.shape] ?? ["points"]).includes(item.kind);
+    if (key.shape === "scale") return drawn && (item.kind === "cells" ? !Object.keys(item.names).length : own.length > 1);
+    return item.label === key.text || (drawn && (own.includes(key.colour) || (key.colour === INK && item.shape === key.shape)));
+  }));
 }
 
 export class Figure {
@@ -81,9 +97,11 @@ export class Figure {
     const canvas = el("canvas", { role: "img", "aria-label": words });
     const draw = (paper) => this.paint(paper, plot);
     const tools = interactive(canvas, draw, {
-      about: () => this.page.about(words, { keys, name: words, notes: [this.page.data.title, this.page.data.common] }),
+      about: () => this.page.about(words, { keys: keysIn(plot, keys), name: words, notes: [this.page.data.title, this.page.data.common] }),
       click: plot.x.direction || plot.y.direction ? (place) => this.pick(canvas, plot, place) : undefined,
+      zoomed: () => this.page.tell(),
     });
+    this.page.keepZoom(canvas, tools);
     const size = `${plot.wide ? " vx-wideplot" : ""}${plot.low ? " vx-lowplot" : ""}${plot.x.direction ? " vx-linked" : ""}`;
     const figure = el("figure", { class: `vx-panel${size}` }, el("figcaption", {}, el("span", { text: plot.title || words }), tools.menu), canvas, tools.band);
     return { figure, track: plot.track, draw: () => draw(canvas) };
@@ -95,7 +113,7 @@ export class Figure {
     framed(canvas, ink, axis(plot.x), { ...axis(plot.y), bare: plot.bare && !canvas.source }, (c, sx, sy, box) => {
       drawItems(c, plot.items, sx, sy, ink, page.data.figure.keys);
       const [x, y] = [chosenAt(page, plot.x.direction), chosenAt(page, plot.y.direction)];
-      if (canvas.source) return;  // a file shows no cursor
+      if (canvas.source || Object.entries(plot.at).some(([name, k]) => page.cell[name] !== k)) return;  // no cursor in a file, and beside the chosen cell
       if (x !== undefined) line(c, [x, x], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [3, 3]);
       if (y !== undefined) line(c, [sx.inverse(box.left), sx.inverse(box.right)], [y, y], sx, sy, ink.ink, 1.2, [3, 3]);
     }, { square: plot.square, grid: !plot.items.some((item) => item.kind === "cells") });
@@ -111,7 +129,7 @@ export class Figure {
     for (const [name, some] of byAxis) {
       let least = Infinity;
       page.grid.axes.get(name).values.forEach((_, k) => {
-        const away = Math.hypot(...some.map(([way, scale, pixel]) => scale(way.column.values[k] * way.column.factor) - pixel));
+        const away = Math.hypot(...some.map(([way, scale, pixel]) => scale(placeOf(way.column, k)) - pixel));
         if (away < least) { least = away; cell[name] = k; }
       });
     }

@@ -8,8 +8,8 @@ function nearest(values, wanted) {
   return best;
 }
 
-/** The fragment, without its #, of {shown, cell, scheme} of a page; a scheme only where one was chosen. */
-export function fragmentOf(data, { shown, cell, scheme, pins, zoom }) {
+/** The fragment, without its #, of {shown, cell, scheme, pins, zoom, zooms} of a page; a scheme only where one was chosen. */
+export function fragmentOf(data, { shown, cell, scheme, pins, zoom, zooms = [] }) {
   const parts = [["variable", shown.variable]];
   if (shown.x) parts.push(["x", shown.x], ["y", shown.y ?? ""]);
   for (const axis of data.axes) {
@@ -20,12 +20,12 @@ export function fragmentOf(data, { shown, cell, scheme, pins, zoom }) {
   if (!shown.region) parts.push(["region", "off"]);
   if (data.curves) parts.push(["borders", shown.borders]);
   if (pins) parts.push(["pins", pins]);
-  if (zoom) parts.push(["zoom", zoom.flat().map((end) => Number(end.toPrecision(6))).join("_")]);
+  [zoom, ...zooms].forEach((one, k) => { if (one) parts.push([k ? `zoom.${k - 1}` : "zoom", one.flat().map((end) => Number(end.toPrecision(6))).join("_")]); });
   if (scheme) parts.push(["scheme", scheme]);
   return parts.map(([name, value]) => `${name}=${encodeURIComponent(value)}`).join("&");
 }
 
-/** What a fragment says: {variable, x, y, cell, region, borders, zoom, scheme}, null or left out what it does not say. */
+/** What a fragment says: {variable, x, y, cell, region, borders, zoom, zooms: of plots by number, scheme}, null or left out what it does not say. */
 export function readFragment(data, text) {
   const given = new URLSearchParams(text.replace(/^#/, "")), cell = {};
   for (const axis of data.axes) {
@@ -33,7 +33,10 @@ export function readFragment(data, text) {
     if (said === null || said === "" || !Number.isFinite(value)) continue;
     cell[axis.name] = byValue(axis) ? nearest(axis.values, value) : Math.max(0, Math.min(axis.values.length - 1, Math.round(value)));
   }
-  const [left, right, low, high] = (given.get("zoom") ?? "").split("_").map(Number);
+  const limits = (text) => {
+    const [left, right, low, high] = (text ?? "").split("_").map(Number);
+    return left < right && low < high ? [[left, right], [low, high]] : null;
+  };
   const oneOf = (name, known) => (known.includes(given.get(name)) ? given.get(name) : null);
   return {
     variable: given.get("variable"), x: given.get("x"), y: given.get("y"), cell,
@@ -41,7 +44,8 @@ export function readFragment(data, text) {
     only: /^(stable|(stable )?\d+)$/.test(given.get("only") ?? "") ? given.get("only") : "",
     borders: oneOf("borders", ["own", "any", "off"]),
     scheme: oneOf("scheme", ["dark", "light"]),
-    zoom: left < right && low < high ? [[left, right], [low, high]] : null,
+    zoom: limits(given.get("zoom")),
+    zooms: Object.fromEntries([...given].filter(([name]) => /^zoom\.\d+$/.test(name)).map(([name, text]) => [name.slice(5), limits(text)])),
     pins: given.get("pins") ?? "",
   };
 }

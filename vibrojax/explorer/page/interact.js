@@ -1,7 +1,7 @@
 // What a plot offers besides being seen: its values, a box to zoom into, panning, pinching, reset, and files of it.
 import { el } from "./dom.js";
 import { csvOf, download, fileName, picture } from "./paper.js";
-import { readText } from "./plots.js";
+import { nameAt, readText } from "./plots.js";
 
 const LEAST_DRAG = 6, NEAR = 26, DOUBLE_CLICK = 260;
 
@@ -31,7 +31,7 @@ export function readingAt({ frame, readings = [] }, [px, py]) {
     });
   }
   const inside = (edges, value) => edges.findIndex((edge, k) => k > 0 && (value - edges[k - 1]) * (value - edge) <= 0) - 1;
-  for (const series of found ? [] : readings.filter((one) => one.edges)) {
+  for (const series of found?.series.name ? [] : readings.filter((one) => one.edges)) {
     const [i, j] = [inside(series.edges[0], frame.x.inverse(px)), inside(series.edges[1], frame.y.inverse(py))], k = j * (series.edges[0].length - 1) + i;
     if (i >= 0 && j >= 0) found = { series, k, x: series.xs[k], y: series.ys[k] };
   }
@@ -43,8 +43,8 @@ function tableOf({ readings = [], frame }) {
   const name = (axis, other) => axis?.said || axis?.label || other, names = readings.some((one) => one.name), texts = readings.some((one) => one.texts), columns = {};
   const all = (of) => readings.flatMap((one) => one.xs.map((_, k) => of(one, k)));
   if (names) columns.name = all((one) => one.name);
-  columns[name(frame?.xAxis, "x")] = all((one, k) => one.xs[k]);
-  columns[name(frame?.yAxis, "y")] = all((one, k) => one.ys[k]);
+  columns[name(frame?.xAxis, "x")] = all((one, k) => nameAt(frame.xAxis, one.xs[k]) ?? one.xs[k]);
+  columns[name(frame?.yAxis, "y")] = all((one, k) => nameAt(frame.yAxis, one.ys[k]) ?? one.ys[k]);
   if (texts) columns.value = all((one, k) => one.texts?.[k] ?? "");
   return columns;
 }
@@ -78,6 +78,7 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
     const box = canvas.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   };
+  const isInside = ([x, y], { left, right, top, bottom }) => x > left - 1 && x < right + 1 && y > top - 1 && y < bottom + 1;
   const inside = ([x, y], { box }) => [Math.max(box.left, Math.min(box.right, x)), Math.max(box.top, Math.min(box.bottom, y))];
   const middleOf = ([a, b]) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], apart = ([a, b]) => Math.hypot(a[0] - b[0], a[1] - b[1]);
 
@@ -89,7 +90,7 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
     const { x: sx, y: sy, xAxis, yAxis } = canvas.frame, { series, k } = found, [u, v] = [sx(found.x) + canvas.offsetLeft, sy(found.y) + canvas.offsetTop];
     const up = readText(series.name ? { ...yAxis, said: (yAxis.said ?? yAxis.label ?? "").replace(/^[^[]*(?=\[|$)/, " ") } : yAxis, found.y), text = series.texts?.[k];
     canvas.parentNode.append(ring, tip);
-    tip.replaceChildren(...[[series.name, text ?? up].filter(Boolean).join(": "), ...(series.edges ? [readText(yAxis, found.y)] : []), readText(xAxis, found.x)].map((line, n) => el(n ? "span" : "b", { text: line })));
+    tip.replaceChildren(...[[series.name, text ?? up].filter(Boolean).join(": "), ...(text && series.edges ? [readText(yAxis, found.y)] : []), readText(xAxis, found.x)].map((line, n) => el(n ? "span" : "b", { text: line })));
     ring.style.cssText = `left:${u}px;top:${v}px`;
     tip.style.left = `${Math.max(2, Math.min(u + 12, canvas.parentNode.clientWidth - tip.offsetWidth - 2))}px`;
     tip.style.top = `${v > canvas.offsetTop + canvas.clientHeight / 2 ? v - tip.offsetHeight - 10 : v + 12}px`;
@@ -99,11 +100,12 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
     canvas.addEventListener("pointermove", (event) => tell(from && dragged ? null : canvas.frame && readingAt(canvas, place(event))));
     for (const name of ["pointerleave", "blur"]) canvas.addEventListener(name, () => tell(null));
     canvas.addEventListener("keydown", (event) => {
-      const [along, across] = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1], Home: [-1e9, 0], End: [1e9, 0] }[event.key] ?? [0, 0], { readings = [], frame } = canvas;
-      if ((!along && !across) || !frame || !readings.length || event.ctrlKey || event.metaKey || event.altKey) return;
+      const [along, across] = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1], Home: [-1e9, 0], End: [1e9, 0] }[event.key] ?? [0, 0], { frame } = canvas;
+      const seen = ({ xs, ys }) => [...xs.keys()].filter((k) => isInside([frame.x(xs[k]), frame.y(ys[k])], frame.box)), readings = frame ? canvas.readings.filter((one) => seen(one).length) : [];
+      if ((!along && !across) || !readings.length || event.ctrlKey || event.metaKey || event.altKey) return;
       event.preventDefault();
       const at = Math.max(0, readings.indexOf(shown?.series)), series = readings[(at + (shown ? across : 0) + readings.length) % readings.length];
-      const known = series.xs.flatMap((x, k) => (Number.isFinite(x) && Number.isFinite(series.ys[k]) ? [k] : [])), next = known.findIndex((k) => k >= (shown?.k ?? 0));
+      const known = seen(series), next = known.findIndex((k) => k >= (shown?.k ?? 0));
       const k = known[Math.max(0, Math.min(known.length - 1, (next < 0 ? known.length - 1 : next) + (shown ? along * (event.shiftKey ? 10 : 1) : 0)))];
       if (k !== undefined) tell({ series, k, x: series.xs[k], y: series.ys[k] });
     });

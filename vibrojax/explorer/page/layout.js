@@ -43,7 +43,7 @@ export function layOut(page) {
   });
   page.mapTools = tools;
   const figure = page.figure ? [el("section", { "aria-label": "Plots of the analysis" }, page.figure.element)] : [];
-  const first = figure.length && !data.family && !data.variables[0]?.inner && ((data.view ?? []).filter(Boolean).length < 2 || data.view[0].includes(":")), mapParts = [page.controls,
+  const first = figure.length && !data.family && !data.variables[0]?.inner && ((data.view ?? []).filter(Boolean).length < 2 || !data.view.every((name) => data.axes.find((axis) => axis.name === name)?.numeric)), mapParts = [page.controls,
     el("div", { class: "vx-map" }, el("div", { class: "vx-caption" }, page.caption, tools.menu), page.map, page.over, page.tip, tools.band), page.legend, page.live, page.slices];
   page.theme = el("button", { type: "button", class: "vx-theme", onclick: () => page.switchScheme() });
   const computing = page.computing ? [page.computing.element] : [];

@@ -34,6 +34,8 @@ class Page {
     this.cell = Object.fromEntries(data.axes.map((axis) => [axis.name, data.first?.[axis.name] ?? 0]));
     this.shown = { variable: data.variables[0]?.name, x: null, y: null, region: true, borders: "own", only: "", returns: null };
     this.asked = 0;
+    this.plots = [];
+    this.zooms = {};
   }
 
   async begin(state) {
@@ -55,7 +57,7 @@ class Page {
     this.resized = new ResizeObserver(() => this.redraw());
     this.resized.observe(this.element);
     this.scheme = window.matchMedia("(prefers-color-scheme: dark)");
-    this.onScheme = () => this.redraw();
+    this.onScheme = () => { this.nameScheme(); this.redraw(); };
     this.scheme.addEventListener("change", this.onScheme);
     await this.grid.loadAll();
     await this.pick(this.cell);
@@ -156,6 +158,10 @@ class Page {
   redraw() {
     this.draw();
     this.current?.draw?.();
+    // On a phone the sheet leaves the first plot free, where that leaves enough of the sheet.
+    const plot = [...this.element.querySelectorAll(".vx-left :is(.vx-map, .vx-panel)")].find((one) => one.offsetHeight), { innerHeight, scrollY } = window;
+    const room = plot ? innerHeight - (plot.getBoundingClientRect().bottom + scrollY) - 6 : Infinity;
+    this.element.style.setProperty("--sheet", `${Math.min(0.44 * innerHeight, Math.max(room, 0.28 * innerHeight))}px`);
   }
 
   /** In place of a map: a trajectory from its beginning. */
@@ -239,6 +245,7 @@ class Page {
       if (axis.columns.length) for (const column of axis.columns) found[column.name] = column.values[this.cell[axis.name]];
       if (!axis.columns.length || !axis.numeric) found[axis.name] = axis.values[this.cell[axis.name]];
     }
+    for (const name of this.data.run?.states ?? []) if (this.grid.variables.has(`start_${name}`)) found[`start_${name}`] = this.grid.value(`start_${name}`, this.cell);
     return found;
   }
 
@@ -265,7 +272,7 @@ class Page {
 
   get state() {
     const { shown, cell } = this;
-    return fragmentOf(this.data, { shown, cell, scheme: this.element.dataset.scheme, pins: this.pins.state, zoom: this.map.zoom });
+    return fragmentOf(this.data, { shown, cell, scheme: this.element.dataset.scheme, pins: this.pins.state, zoom: this.map.zoom, zooms: this.plots.map(({ canvas }) => canvas.zoom) });
   }
 
   restore(state) {
@@ -286,8 +293,13 @@ class Page {
     if (shown.borders === "own" && !this.grid.axes.has("start")) shown.borders = "any";
     if (said.scheme) this.element.dataset.scheme = said.scheme;
     this.mapTools.set(said.zoom, true);
+    this.zooms = said.zooms;
+    this.plots.forEach(({ tools }, k) => tools.set(this.zooms[k] ?? null, true));
     this.nameScheme();
   }
+
+  /** Keep the zoom of a plot in the fragment. */
+  keepZoom(canvas, tools) { tools.set(this.zooms[this.plots.push({ canvas, tools }) - 1] ?? null, true); }
 
   /** What the drawing of the machine needs to know of the chosen cell: the drive's speed and the gap. */
   machineOf() {
@@ -368,6 +380,7 @@ class Page {
   }
 
   nameScheme() {
+    this.element.classList.toggle("vx-dark", this.dark);
     this.theme.textContent = this.dark ? "Light" : "Dark";
     this.theme.setAttribute("aria-label", `Switch to the ${this.dark ? "light" : "dark"} scheme`);
   }

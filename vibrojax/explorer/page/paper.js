@@ -112,12 +112,12 @@ export function drawBar(c, { low, high, log, extend, map }, left, top, width, in
  * `type`: "png" or "svg".
  */
 export async function picture(canvas, draw, { title = "", notes = [], keys = [], bar = null }, type) {
-  const root = canvas.closest(".vibrojax"), scheme = root.dataset.scheme;
-  root.dataset.scheme = "light";
+  const root = canvas.closest(".vibrojax"), dark = root.classList.contains("vx-dark");
+  root.classList.remove("vx-dark");
   try {
     return sheetOf(canvas, draw, title, notes, keys, bar, type);
   } finally {
-    if (scheme) root.dataset.scheme = scheme; else delete root.dataset.scheme;
+    root.classList.toggle("vx-dark", dark);
   }
 }
 
@@ -171,7 +171,7 @@ export function download(content, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
-const field = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : String(value));
+const field = (value) => (Number.isNaN(value) ? "" : /[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : String(value));
 
 /** Columns {name: values} as CSV. */
 export function csvOf(columns) {

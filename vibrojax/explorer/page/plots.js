@@ -26,12 +26,15 @@ function hatched(ground, colour) {
   return c.createPattern(tile, "repeat");
 }
 
-/** From 0 of black to 1 of white; of a colour #rrggbb. */
-const brightness = (colour) => [1, 3, 5].reduce((sum, k) => sum + parseInt(colour.slice(k, k + 2), 16), 0) / 765;
+/** Red, green and blue of a colour #rrggbb. */
+const partsOf = (colour) => [1, 3, 5].map((k) => parseInt(colour.slice(k, k + 2), 16));
+const brightness = (colour) => partsOf(colour).reduce((sum, x) => sum + x, 0) / 765;
 
-/** A colour of the pictures, or the ink's own where it would not be seen on the plate. */
+/** A colour of the pictures; where it would not be seen on the plate, mixed with the ink, or the ink in place of a grey. */
 export function legible(colour, ink) {
-  return Math.abs(brightness(colour) - brightness(ink.plate)) < 0.2 ? ink.ink : colour;
+  if (Math.abs(brightness(colour) - brightness(ink.plate)) >= 0.2) return colour;
+  const own = partsOf(colour), to = partsOf(ink.ink);
+  return Math.max(...own) - Math.min(...own) < 40 ? ink.ink : `#${own.map((x, k) => Math.round((x + to[k]) / 2).toString(16).padStart(2, "0")).join("")}`;
 }
 
 /** A number as it is read: `digits` significant ones, a true minus, no trailing noise. */
@@ -115,7 +118,7 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
   if (y.bare) y = { ...y, said: y.label, label: "" };
   c.font = `11px ${FONT}`;
   c.textBaseline = "middle";
-  const textOf = (axis, value) => (axis.bare ? "" : numberText(Math.abs(value) < 1e-12 * (axis.limits[1] - axis.limits[0]) ? 0 : value, 5));
+  const textOf = (axis, value) => (axis.bare ? "" : numberText(!axis.log && Math.abs(value) < 1e-12 * (axis.limits[1] - axis.limits[0]) ? 0 : value, 5));
   const yTicks = options.empty ? [] : y.ticks ?? ticks(...y.limits, Math.max(3.2, height / 42), y.log).map((v) => [v, textOf(y, v)]);
   const wide = Math.max(0, ...yTicks.map(([, text]) => c.measureText(text).width));
   const left = Math.round(options.left ?? wide + (y.label ? 30 : 12)), bottom = x.label ? 36 : 20, top = options.top ?? 8;
@@ -268,12 +271,21 @@ let readings = null;
 
 /**
  * Have values of the plot that is being drawn read where they are pointed at: `xs`, `ys` in data coordinates; `texts`:
- * what is read there, by default both coordinates; `edges`: [x, y] of cells, of which ys has the rows.
+ * what is read there, by default both coordinates; `edges`: [x, y] of cells, of which ys has the rows, or of a bar.
  */
-export const read = (name, xs, ys, more = {}) => { if (xs.length) readings?.push({ name, xs, ys, ...more }); };
+export const read = (name, xs, ys, more = {}) => { if (xs.length) readings?.push({ name, xs: numbers(xs), ys: numbers(ys), ...more }); };
+const numbers = (values) => Array.from(values, (x) => x ?? NaN);
 
-/** A value along an axis as it is read: its label, and the value or the name of its tick. */
-export function readText({ label = "", said = label, ticks: named, log }, value) {
-  const [, words, unit = ""] = /^(.*?)(?: \[(.*)\])?$/.exec(said.replaceAll("\n", " ")), tick = log ? null : named?.find(([at]) => Math.abs(at - value) < 1e-9);
-  return [words, tick ? tick[1] : `${numberText(value, 5)} ${unit}`.trim()].filter(Boolean).join(" ");
+/** The name of a value along an axis: of the nearest tick where the ticks are names, else of a tick at the value; null without one. */
+export function nameAt({ ticks: named = [], log }, value) {
+  if (!named.length || log || !Number.isFinite(value)) return null;
+  const [at, text] = named.reduce((best, tick) => (Math.abs(tick[0] - value) < Math.abs(best[0] - value) ? tick : best));
+  return Math.abs(at - value) < 1e-9 || !named.some(([, each]) => /\d/.test(each)) ? text : null;
+}
+
+/** A value along an axis as it is read: its label, and its name or the value. */
+export function readText(axis, value) {
+  const { label = "", said = label, log, limits } = axis, [, words, unit = ""] = /^(.*?)(?: ?\[(.*?)\].*)?$/.exec(said.replaceAll("\n", " "));
+  const exact = !log && limits && Math.abs(value) < 1e-9 * (limits[1] - limits[0]) ? 0 : value;
+  return [words, nameAt(axis, value) ?? `${numberText(exact, 5)} ${unit}`.trim()].filter(Boolean).join(" ");
 }

@@ -1,6 +1,7 @@
 // Below the map: the variable along both directions through the chosen cell; of a trajectory its whole course.
 import { colourName, drawCourse, groupsOf } from "./cell.js";
 import { el } from "./dom.js";
+import { labelOf } from "./grid.js";
 import { interactive } from "./interact.js";
 import { csvOf } from "./paper.js";
 import { entry, framed, inkOf, limitsAndTicks, limitsOf, line, mark, read } from "./plots.js";
@@ -38,7 +39,7 @@ function drawSlice(page, figure, direction, other) {
     : { ...limitsAndTicks(ys), label: variable.units };
   const named = column.numeric ? undefined : column.values.map((text, i) => [i, text]);
   const right = { limits: limitsOf([xs], 0.02), label: column.units ? `${column.symbol} [${column.units}]` : column.symbol, log: column.log, ticks: named };
-  const draw = (paper, ink = inkOf(paper)) => framed(paper, ink, right, paper.source && !variable.flags ? { ...up, label: variable.label.replace("\n", " ") } : up, (c, sx, sy, box) => {
+  const draw = (paper, ink = inkOf(paper)) => framed(paper, ink, paper.source ? { ...right, label: labelOf(column) } : right, paper.source && !variable.flags ? { ...up, label: variable.label.replace("\n", " ") } : up, (c, sx, sy, box) => {
     const size = Math.max(1.6, Math.min(2.6, (box.right - box.left) / xs.length / 2));  // a rim would hide the colour of many
     if (!variable.flags && column.numeric) line(c, xs, ys, sx, sy, ink.faint, 1.2);
     read("", xs, ys, { texts: values.map((value) => grid.valueText(variable, value)) });
@@ -76,8 +77,9 @@ export function drawWhole(page) {
     page.courses = groups.map((columns, k) => {
       const canvas = el("canvas", { role: "img", "aria-label": "The whole course over time" }), words = columns.map((one) => one.long_name).join(", ");
       const tools = interactive(canvas, (paper) => drawCourse(paper, history, columns, k === groups.length - 1), {
-        about: () => page.about(words, { keys: keys(columns) }), files: [["CSV", "csv", () => csvOf(Object.fromEntries([["time [s]", history.time], ...columns.map((one) => [one.name, history[one.name]])].map(([name, x]) => [name, Array.from(x)])))]],
+        about: () => page.about(words, { keys: keys(columns) }), zoomed: () => page.tell(), files: [["CSV", "csv", () => csvOf(Object.fromEntries([["time [s]", history.time], ...columns.map((one) => [one.name, history[one.name]])].map(([name, x]) => [name, Array.from(x)])))]],
       });
+      page.keepZoom(canvas, tools);
       return { tools, figure: el("figure", { class: "vx-whole vx-panel" }, el("figcaption", {}, el("ul", { class: "vx-keys" }, ...keys(columns).map((key) => entry(key))), tools.menu), el("div", { class: "vx-stack" }, canvas, tools.band)) };
     });
     slices.replaceChildren(...page.courses.map((one) => one.figure));
