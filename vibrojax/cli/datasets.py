@@ -64,10 +64,10 @@ def plot(options: Options) -> None:
         parts += filter(None, [options.colours, options.width])
         parts += ["over", *shortened([name.stem for name in above])] if above else []
         view = View.of(options, path, PICTURES, parts)
-        asked = options.variable, where, options.colours, over, options.diagram, options.width
+        choices = options.variable, where, options.colours, over, options.diagram, options.width
         notes: list[str] = []
         with timed("draw"):
-            picture, replaces = view.write(lambda path: notes.append(save_picture(dataset, path, *asked)))
+            picture, replaces = view.write(lambda path: notes.append(save_picture(dataset, path, *choices)))
     notes += ["replaces another picture"] if replaces and not options.out else []
     if not options.quiet:
         print(": ".join(filter(None, (str(picture), "; ".join(filter(None, notes))))))

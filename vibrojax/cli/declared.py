@@ -24,8 +24,8 @@ class DeclaredSetting(NamedTuple):
 
 def summary_of(module: str, name: str) -> str:
     """Return the first line of the docstring of a class, without its full stop; parsing the module takes longer."""
-    found = re.search(rf'^class {name}\b[^:]*:\n    """(.+?)\.?("""|\n)', _source(module), re.MULTILINE)
-    return found[1] if found else ""
+    match = re.search(rf'^class {name}\b[^:]*:\n    """(.+?)\.?("""|\n)', _source(module), re.MULTILINE)
+    return match[1] if match else ""
 
 
 @cache

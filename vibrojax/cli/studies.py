@@ -132,23 +132,23 @@ def _run_file(analysis_class: "type[FileAnalysis[Any]]", options: Options) -> No
 
     analysis = analysis_class()
     columns = read_columns(options.columns or []) if analysis.columns else None
-    asked, stem = analysis.asked(options.file, columns), Path(options.file).stem
+    request, stem = analysis.asked(options.file, columns), Path(options.file).stem
     default = f"{stem}.nc" if stem.endswith(analysis.kind) else f"{stem}-{analysis.kind}.nc"
     if analysis.chunks:
         _advise_to_go_on(options, str(options.command), options.file, "-o", options.out or default)
-    _answer(options, analysis, asked, default)
+    _answer(options, analysis, request, default)
 
 
-def _answer(options: Options, analysis: "CheckedAnalysis[Any]", asked: Any, default: str) -> None:
+def _answer(options: Options, analysis: "CheckedAnalysis[Any]", request: Any, default: str) -> None:
     """Compute and print what an analysis has checked, unless its file holds the result."""
     from vibrojax.studies.analysis import checked_result
 
     def computed(out: Path) -> "nullcontext[xarray.Dataset]":
-        dataset = analysis.compute_beside(asked, out, not options.fresh, not options.quiet)
+        dataset = analysis.compute_beside(request, out, not options.fresh, not options.quiet)
         return nullcontext(checked_result(analysis, dataset))
 
-    found = result(options, default, analysis.identity(asked), computed, numbered=analysis.numbered)
-    found.print(options, facts=analysis.facts(found.dataset, asked) if options.json else None)
+    ds = result(options, default, analysis.identity(request), computed, numbered=analysis.numbered)
+    ds.print(options, facts=analysis.facts(ds.dataset, request) if options.json else None)
 
 
 def _run_sweep(analysis_class: "type[Analysis]", options: Options) -> None:
@@ -231,7 +231,7 @@ def orbits(options: Options) -> None:
         _advise_to_go_on(options, "orbits", file, "-o", str(out))
         return nullcontext(run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet))
 
-    found = result(
+    ds = result(
         options,
         f"{Path(file).stem if is_dataset else sweep.name}-orbits.nc",
         sweep.identity(),
@@ -240,8 +240,8 @@ def orbits(options: Options) -> None:
         counted=lambda _: f": {counted(sweep.lanes, 'lane')}",
         variables=("stable", "multiplier_abs", "regime"),  # of the multipliers, the largest is drawn
     )
-    part = lane_parts(found.dataset)["orbits"]
-    found.print(options, part.lines, part.facts)
+    part = lane_parts(ds.dataset)["orbits"]
+    ds.print(options, part.lines, part.facts)
 
 
 _CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
@@ -272,13 +272,13 @@ def curves(options: Options) -> None:
     at = None if options.at is None else named_values(place.at("--at"), [options.at])[1]
     ends = settings["from"], settings["to"]
     spec = read_curves(open_dataset(file), settings["by"], ends, settings.get("special"), at)
-    found = result(
+    ds = result(
         options,
         f"{file.stem}-{spec.by}.nc",
         spec.identity(),
         lambda _: nullcontext(continue_curves(spec, progress=not options.quiet)),
     )
-    found.print(options, facts=curves_facts(found.dataset) if options.json else None)
+    ds.print(options, facts=curves_facts(ds.dataset) if options.json else None)
 
 
 _READING = (
@@ -336,7 +336,7 @@ def fit(options: Options) -> None:
     identity |= {f"columns.{name}": text for name, text in columns.items()}
     with timed("fit"):
         law = fit_groups(groups)
-    found = result(options, f"{file.stem}-fit.nc", identity, lambda _: nullcontext(law), reused=False)
+    ds = result(options, f"{file.stem}-fit.nc", identity, lambda _: nullcontext(law), reused=False)
     facts = law_facts(law)
     sources = log_lines(law)
     lane = "a row of the CSV" if "columns" in law.attrs else WORDS["lane"]
@@ -353,7 +353,7 @@ def fit(options: Options) -> None:
     ]
     if options.quiet and not options.json:
         print("\n".join(lines))
-    found.print(options, lines, {"file": options.file, **facts})
+    ds.print(options, lines, {"file": options.file, **facts})
 
 
 def _given(reading: Mapping[str, Sequence[str] | None]) -> dict[str, str]:

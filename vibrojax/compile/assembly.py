@@ -89,7 +89,7 @@ def each(function: Callable[..., Entry], *values: Value) -> Value:
     if any(value.shape != values[0].shape for value in values):
         values = np.broadcast_arrays(*values)
     entries = zip(*(value.ravel().tolist() for value in values), strict=True)
-    return np.fromiter((function(*some) for some in entries), object, values[0].size).reshape(values[0].shape)
+    return np.fromiter((function(*elements) for elements in entries), object, values[0].size).reshape(values[0].shape)
 
 
 def element(dtype: np.dtype) -> str:

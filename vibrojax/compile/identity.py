@@ -286,10 +286,10 @@ def _known_name(x: Any) -> str | None:
     if name in UNCERTAIN or "random" in module.split("."):
         raise Unidentified(f"{module}.{name}")
     try:
-        found = operator.attrgetter(name)(sys.modules[module])
+        value = operator.attrgetter(name)(sys.modules[module])
     except (KeyError, AttributeError):
         return None
-    return f"{module}.{name}" if found is x else None
+    return f"{module}.{name}" if value is x else None
 
 
 def _is_jax_array(x: Any) -> bool:

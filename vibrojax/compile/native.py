@@ -267,7 +267,7 @@ def _described(function: Callable[..., Any], *examples: Any, registers: int, lev
     """Trace a function and translate the trace."""
     traced = trace(function, *examples)
     inner = traced.jaxpr.jaxpr
-    arguments, results = (tuple(Array.of(var.aval) for var in some) for some in (inner.invars, inner.outvars))
+    arguments, results = (tuple(Array.of(var.aval) for var in variables) for variables in (inner.invars, inner.outvars))
     refuse_if(not any(kind.varies for kind in arguments), "no argument has lanes")
     structure: Any = jax.tree.structure(traced.out_info)
     widest = max((kind.dtype.itemsize for kind in arguments if kind.dtype.kind == "f"), default=8)

@@ -165,7 +165,7 @@ def first_cell(ds: xr.Dataset, variables: list[Document], along: list[str]) -> d
     if {"share", "lane_attractor"} <= set(ds.variables):
         middle = {str(name): size // 2 for name, size in ds["share"].sizes.items() if name != "attractor"}
         return middle | {"attractor": int(ds["share"].isel(middle).argmax("attractor"))}
-    regime = next((one for one in variables if one["name"] == "regime" and one["flags"]), None)
+    regime = next((variable for variable in variables if variable["name"] == "regime" and variable["flags"]), None)
     flag = next((key for key, name in (regime or {"flags": {}})["flags"].items() if name == "single-impact"), None)
     if regime is None or flag is None:
         return {}

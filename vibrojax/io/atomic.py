@@ -78,8 +78,8 @@ def restore(path: Path, before: Path | None = None) -> None:
     """
     if path.exists():
         return
-    found = _leftovers(path, "before") if before is None else [before]
-    for other in found[:1]:
+    leftovers = _leftovers(path, "before") if before is None else [before]
+    for other in leftovers[:1]:
         with suppress(OSError):  # there is none, or another process has restored it
             other.rename(path)
 

@@ -178,8 +178,8 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
             raise Place("columns", name).error(fault)
     notes: list[str] = []
     is_field = any(normalised(cell) == _FIELD_SIGN for cell in header)
-    found = [(*recognise(cell), index, cell) for index, cell in enumerate(header) if cell and index not in taken]
-    known = [item for item in found if item[0] in KNOWN and (item[1] is not None or item[0] in (*LAW, *RIG))]
+    recognised = [(*recognise(cell), index, cell) for index, cell in enumerate(header) if cell and index not in taken]
+    known = [item for item in recognised if item[0] in KNOWN and (item[1] is not None or item[0] in (*LAW, *RIG))]
     # A column with its quantity's name comes first, then those that name a unit.
     for quantity, unit, index, cell in sorted(known, key=lambda item: (not is_own(item[3], item[0]), item[1] is None)):
         name = str(quantity)

@@ -369,12 +369,12 @@ def _no_drilling(values: Mapping[str, Rows], free: Collection[str]) -> list[tupl
         (DEPTH, "missing depth", np.isnan),
         (BIT_DEPTH, "off bottom", lambda x: x < depth - OFF_BOTTOM),
     ]
-    found = [(reason, np.asarray(is_so(values[name]))) for name, reason, is_so in tests if name in values]
+    masks = [(reason, np.asarray(is_so(values[name]))) for name, reason, is_so in tests if name in values]
     for name, word in ((RATE, "rate"), (WEIGHT, "weight"), (ROTATION_SPEED, "rotation")):
         if name in values:
             limit = np.inf if name in free else LIMITS[name]
-            found.append((f"{word} beyond reason", (values[name] < 0) | (values[name] > limit)))
-    return found
+            masks.append((f"{word} beyond reason", (values[name] < 0) | (values[name] > limit)))
+    return masks
 
 
 def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines: Int[np.ndarray, " rows"]) -> Mask:

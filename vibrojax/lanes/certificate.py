@@ -74,8 +74,8 @@ def _state_differences(fine: Features, coarse: Features, states: Sequence[str]) 
         if (key := state_name(name)) in fine:
             last = np.arange(fine[key].shape[1])[::-1] < fine["cycles"][:, None]
             pairs.append(tuple(np.sum(run[key], axis=1, where=last) / fine["cycles"] for run in (fine, coarse)))
-        for one, other in pairs:
-            yield np.abs(one - other) / fine[f"{name}_scale"]
+        for first, other in pairs:
+            yield np.abs(first - other) / fine[f"{name}_scale"]
 
 
 def error_under_pulses(

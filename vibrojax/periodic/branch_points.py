@@ -53,9 +53,9 @@ class FamilyLocator(Locator):
         brackets = branches.brackets(np.arange(len(branches.lane) - 1))
         with np.errstate(all="ignore"):
             crossing = np.flatnonzero(crosses(brackets) & ~brackets.changes_events)
-            found = [point for k in crossing if (point := branch_point(self.problem, brackets.of([k]))) is not None]
-        self._crossed = np.array([int(point.place[0]) for point in found], int)
-        return Brackets.join([super().__call__(branches), *found])
+            points = [point for k in crossing if (point := branch_point(self.problem, brackets.of([k]))) is not None]
+        self._crossed = np.array([int(point.place[0]) for point in points], int)
+        return Brackets.join([super().__call__(branches), *points])
 
     def accepted(self, brackets: Brackets, shrunk: Brackets, test: TestFunction, lanes: Index) -> Brackets:
         """Return the special points among shrunk brackets; where two branches cross, there is no fold."""
@@ -110,8 +110,8 @@ def branch_point(problem: Problem, bracket: Brackets) -> Brackets | None:
     u, slope = _between(known, row, _zero(values, low, high), low, high)
     point = problem.evaluate(begin.family, u)
     for _ in range(POLISHING_STEPS):  # in all directions but those of the two branches
-        left, sizes, right = np.linalg.svd(point.matrix[0], full_matrices=False)
-        change = (left[:, :-1].T @ point.off[0]) / sizes[:-1] @ right[:-1]
+        w, sizes, right = np.linalg.svd(point.matrix[0], full_matrices=False)
+        change = (w[:, :-1].T @ point.off[0]) / sizes[:-1] @ right[:-1]
         point = problem.evaluate(begin.family, point.u - change)
     point = point._replace(tangent=slope / np.linalg.norm(slope, axis=1, keepdims=True))
     if not point.residual[0] < CROSSED_RESIDUAL:
@@ -179,8 +179,8 @@ def _between(
 
 def second_tangent(problem: Problem, point: Points) -> np.ndarray | None:
     """Return the tangent of the other branch at a branch point, from the algebraic bifurcation equation."""
-    left, _, right = np.linalg.svd(point.matrix[0])
-    null, psi, t = right[-2:], left[:, -1], point.tangent[0]
+    w, _, right = np.linalg.svd(point.matrix[0])
+    null, psi, t = right[-2:], w[:, -1], point.tangent[0]
     d = null[0] - (null[0] @ t) * t, null[1] - (null[1] @ t) * t
     other = max(d, key=lambda x: float(np.linalg.norm(x)))
     other = other / np.linalg.norm(other)

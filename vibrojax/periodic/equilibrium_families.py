@@ -159,10 +159,10 @@ class EquilibriumLocator(FamilyLocator):
 
     def __call__(self, branches: Branches) -> Brackets:
         """Return the special points; at a fold, a pair whose frequency vanishes is no hopf point (Bogdanov-Takens)."""
-        found = super().__call__(branches)
-        folds = found.near.u[found.kind == FOLD]
-        apart = np.abs(found.near.u[:, None] - folds[None]).max(axis=2).min(axis=1, initial=np.inf)
-        return found.of((found.kind != HOPF) | (apart > SAME_POINT))
+        segments = super().__call__(branches)
+        folds = segments.near.u[segments.kind == FOLD]
+        apart = np.abs(segments.near.u[:, None] - folds[None]).max(axis=2).min(axis=1, initial=np.inf)
+        return segments.of((segments.kind != HOPF) | (apart > SAME_POINT))
 
     def tests(self, family: Index) -> Iterable[tuple[int, Flags, Test]]:
         every = np.ones(len(family), bool)

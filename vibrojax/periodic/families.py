@@ -306,8 +306,10 @@ def drop_duplicates(segments: list[Segment], problem: Problem) -> list[Segment]:
     def is_crossed(segment: Segment) -> bool:
         """Return whether an earlier branch, which is not the one that it left, leads through its first point."""
         assert segment.parent is not None and segment.crossing is not None
-        left = segment.parent.branch
-        earlier = [s for s in segments if s.family == segment.family and s.branch < segment.branch and s.branch != left]
+        parent = segment.parent.branch
+        earlier = [
+            s for s in segments if s.family == segment.family and s.branch < segment.branch and s.branch != parent
+        ]
         marks = [
             invariants(problem, m.orbit)
             for s in earlier

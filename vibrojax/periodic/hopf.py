@@ -66,10 +66,10 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
     value, frequency = float(problem.values(family, last.u)[0, 0]), 2 * np.pi / float(last.times[0, 0])
     tolerance = LOCATED_WITHIN * float(problem.unit[family[0], 0])
     other = predicted if abs(predicted - value) > tolerance else value + 2 * tolerance
-    found = hopf_near(scene, along, parameters, guess, scale, frequency, (value, other), tolerance)
-    if found is None or not problem.first[family[0], 0] <= found[0] <= problem.last[family[0], 0]:
+    hopf = hopf_near(scene, along, parameters, guess, scale, frequency, (value, other), tolerance)
+    if hopf is None or not problem.first[family[0], 0] <= hopf[0] <= problem.last[family[0], 0]:
         return None
-    located, known, eigenvalue, vector = found
+    located, known, eigenvalue, vector = hopf
     near = abs(located - predicted) < EXTRAPOLATION_ERROR * max(abs(located - value), base)
     if not near or abs(eigenvalue.imag / frequency - 1) > SAME_FREQUENCY:
         return None
@@ -90,10 +90,10 @@ def timed_hopf_point(problem: TimedProblem, pair: Points) -> Points | None:
     multiple = last.times.shape[1]
     guess, size, parameters = _surroundings(problem, last)
     frequency = 2 * np.pi * multiple / float(pair.period.mean())
-    found = hopf_near(problem.scene, along, parameters, guess, size, frequency, (first, second), 1e-14 * unit)
-    if found is None or abs(found[0] - (first + second) / 2) > 0.5 * unit:
+    hopf = hopf_near(problem.scene, along, parameters, guess, size, frequency, (first, second), 1e-14 * unit)
+    if hopf is None or abs(hopf[0] - (first + second) / 2) > 0.5 * unit:
         return None
-    located, known, eigenvalue, vector = found
+    located, known, eigenvalue, vector = hopf
     period = multiple * 2 * np.pi / eigenvalue.imag
     states = np.repeat(known.states[None, None], problem.cycles(pair.u), axis=1)
     u = problem.timed_unknowns(family, states, np.array([period]), np.array([[located]]))
@@ -168,9 +168,9 @@ def orbit_at_hopf(
     states = np.stack([np.broadcast_to(known.states, ellipse.shape), known.states + ellipse])[:, None]
     centre, orbit = (timed.timed_unknowns(family, x, period, np.array([[value]])) for x in states)
     for amplitude in AMPLITUDES:
-        at = _away_from(timed, centre, orbit, amplitude)
-        if at is not None and at.swing[0] > amplitude / 10:
-            return timed, at.u[0]
+        begin = _away_from(timed, centre, orbit, amplitude)
+        if begin is not None and begin.swing[0] > amplitude / 10:
+            return timed, begin.u[0]
     return None
 
 

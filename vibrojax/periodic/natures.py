@@ -247,9 +247,9 @@ def exponents_of_orbits(
             orbit = Orbits.find(scene, values, guess, scale.T[lanes], REACH, segments)
             own = np.log(np.abs(orbit.multipliers[:, 0])) / orbit.times.sum(axis=1)
             doubtful = np.fmax(error[lanes], error[lanes] + np.abs(own - exponent[lanes]))
-        found = orbit.converged & ~np.isnan(own)
-        error[lanes] = np.where(found, 0.0, doubtful)
-        exponent[lanes] = np.where(found, own, exponent[lanes])
+        sound = orbit.converged & ~np.isnan(own)
+        error[lanes] = np.where(sound, 0.0, doubtful)
+        exponent[lanes] = np.where(sound, own, exponent[lanes])
 
 
 def has_embedded_orbit(

@@ -252,21 +252,21 @@ class Problem:
         """
         near = np.minimum(*(np.abs(multipliers(x.product) - 1).min(axis=1, initial=np.inf) for x in (last, now)))
         lanes = np.flatnonzero((near < CRITICAL) & (now.signature == last.signature).all(axis=1))
-        left = np.zeros(len(now.u), bool)
+        departed = np.zeros(len(now.u), bool)
         if not len(lanes):
-            return left
+            return departed
         back, target, row = now.of(lanes), last.u[lanes], now.tangent[lanes]
         level = np.einsum("ij,ij->i", row, target)
         u = back.u + (level - np.einsum("ij,ij->i", row, back.u))[:, None] * row
         for _ in range(BACK_ITERATIONS):
-            at = self.evaluate(back.family, u)
+            point = self.evaluate(back.family, u)
             short = np.einsum("ij,ij->i", row, u) - level
-            u = u + np.nan_to_num(solve_bordered(at.matrix, row, -np.column_stack([at.off, short])))
-        off, shift = u - target, self.shift(at)
+            u = u + np.nan_to_num(solve_bordered(point.matrix, row, -np.column_stack([point.off, short])))
+        off, shift = u - target, self.shift(point)
         off = np.linalg.norm(off - np.einsum("ij,ij->i", off, shift)[:, None] * shift, axis=1)
         step = np.linalg.norm(now.u[lanes] - target, axis=1)
-        left[lanes] = (at.residual < BACK_RESIDUAL) & (off > OTHER_ORBIT * step)
-        return left
+        departed[lanes] = (point.residual < BACK_RESIDUAL) & (off > OTHER_ORBIT * step)
+        return departed
 
     def evaluate(self, family: Index, u: Unknowns) -> Points:
         """Evaluate the equations at the unknowns `u` of lanes; `family`: index of each lane's family."""

@@ -71,12 +71,12 @@ def suggest_by_meaning(word: str, parameters: Iterable[Parameter]) -> str:
 
 def _rank(word: str, parameter: Parameter) -> tuple[int, int]:
     """Return how many words of `word` are in the long name, and 2 if its noun is one, 1 if an attribute is, else 0."""
-    wanted = [{part, *(key for key, names in _SYNONYMS.items() if part in names.split())} for part in _words(word)]
+    synonyms = [{part, *(key for key, names in _SYNONYMS.items() if part in names.split())} for part in _words(word)]
     # The noun phrase with which the long name begins: `gap` of "gap between striker and bit".
     noun = re.split(r"\s+(?:between|of|at|per|that|with)\b|\s*\(", printable(parameter.long_name))[0]
     head = [part for part in _words(noun) if part.isalpha()]
-    count = sum(bool(part & set(_words(parameter.long_name))) for part in wanted)
-    known = set().union(*wanted) if wanted else set()
+    count = sum(bool(part & set(_words(parameter.long_name))) for part in synonyms)
+    known = set().union(*synonyms) if synonyms else set()
     return count, 2 if head and head[-1] in known else int(bool(known & set(head)))
 
 

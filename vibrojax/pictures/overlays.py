@@ -109,9 +109,9 @@ def check_families(ds: xr.Dataset, layers: Sequence[xr.Dataset], x: str) -> None
         known = _parameter_values(ds)
         for name, values in _parameter_values(over).items():
             if name in known and name != x and not np.isclose(values[:, None], known[name], rtol=SAME_DIGITS).any():
-                given, wanted = (", ".join(map(number, part[:5])) for part in (values, known[name]))
+                given, expected = (", ".join(map(number, part[:5])) for part in (values, known[name]))
                 advice = "follow families of the same value"
-                raise InputError(f"over: the families are of {name} = {given}, the returns of {wanted}; {advice}")
+                raise InputError(f"over: the families are of {name} = {given}, the returns of {expected}; {advice}")
 
 
 def variable_over(returns: str) -> str:

@@ -161,9 +161,9 @@ def level(y: float, **look: Any) -> Line:
 
 def bars(places: Places, low: Places, high: Places) -> tuple[np.ndarray, np.ndarray]:
     """Return the path of separate bars from `low` to `high`, such as errors: places along one axis, and the other."""
-    at, begin, end = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, float)) for x in (places, low, high)))
-    gap = np.full(at.shape, np.nan)
-    return np.stack([at, at, gap], axis=1).ravel(), np.stack([begin, end, gap], axis=1).ravel()
+    place, begin, end = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, float)) for x in (places, low, high)))
+    gap = np.full(place.shape, np.nan)
+    return np.stack([place, place, gap], axis=1).ravel(), np.stack([begin, end, gap], axis=1).ravel()
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,9 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = Non
     layers = overlays.as_layers(over)
     overlays.check_families(ds, layers, along)
     others = [name for name in ds[REGIME].dims if name not in (START, along)]
-    lines = [ds.isel(dict(zip(others, at, strict=True))) for at in np.ndindex(*(ds.sizes[name] for name in others))]
+    lines = [
+        ds.isel(dict(zip(others, index, strict=True))) for index in np.ndindex(*(ds.sizes[name] for name in others))
+    ]
     keys: list[Layer] = []
     marks: list[Layer] = []
     for k, way in enumerate(starts_of(ds)):

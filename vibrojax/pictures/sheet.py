@@ -70,12 +70,12 @@ def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST_PANELS) -> Fac
     }
     indices = [dict(zip(sizes, pick, strict=True)) for pick in product(*picks.values())]
     titles = tuple(", ".join(index_text(ds, name, i) for name, i in index.items()) for index in indices)
-    some = [
+    texts = [
         f"{_listed(ds, name, pick)} ({len(pick)} of {sizes[name]} values)"
         for name, pick in picks.items()
         if len(pick) < sizes[name]
     ]
-    note = f"Too many panels to show all; here {'; '.join(some)}" if some else ""
+    note = f"Too many panels to show all; here {'; '.join(texts)}" if texts else ""
     return Facets(titles, tuple(ds.isel(index) for index in indices), tuple(counts.values()) or (1,), note)
 
 

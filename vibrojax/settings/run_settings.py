@@ -90,9 +90,9 @@ def read_settings(place: Place, values: dict[str, object], scene: Scene[Any]) ->
     return settings
 
 
-def check_error(place: Place, method: str, wanted: AccuracyRequest, least: float) -> None:
-    """Raise at `place` if the error tolerance in `wanted` is below `least`, the least that lanes of `method` meet."""
-    if wanted.error < least * (1 - 1e-9):
+def check_error(place: Place, method: str, request: AccuracyRequest, least: float) -> None:
+    """Raise at `place` if the error tolerance in `request` is below `least`, the least that lanes of `method` meet."""
+    if request.error < least * (1 - 1e-9):
         smallest = f"{1.005 * least:.2g}"  # rounded up
-        reach = f"method {shown(method)} reaches {smallest} in {wanted.precision}"
-        raise place.error(f"{wanted.error:g} cannot be reached; {reach}: give {smallest} or more")
+        reach = f"method {shown(method)} reaches {smallest} in {request.precision}"
+        raise place.error(f"{request.error:g} cannot be reached; {reach}: give {smallest} or more")

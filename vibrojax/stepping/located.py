@@ -74,14 +74,14 @@ class Located(Stepper):
     def degree(self) -> int:
         return self.order
 
-    def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
+    def accuracy(self, request: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
         coarsest = COARSEST_TOLERANCE if scene.autonomous else COARSEST_DRIVEN_TOLERANCE
         # The errors of period and impact velocity are mostly below the tolerance, but 100 times greater on hard lanes.
-        tolerance = max(min(1e-3 * wanted.error, coarsest), LEAST_TOLERANCE[wanted.precision])
-        return Accuracy(tolerance, LOCATED_STRIDE, wanted.step if wanted.step is not None else float("inf"))
+        tolerance = max(min(1e-3 * request.error, coarsest), LEAST_TOLERANCE[request.precision])
+        return Accuracy(tolerance, LOCATED_STRIDE, request.step if request.step is not None else float("inf"))
 
-    def least_error(self, wanted: AccuracyRequest) -> float:
-        return LEAST_TOLERANCE[wanted.precision]
+    def least_error(self, request: AccuracyRequest) -> float:
+        return LEAST_TOLERANCE[request.precision]
 
     def coarser(self, accuracy: Accuracy) -> Accuracy:
         return accuracy._replace(tolerance=accuracy.tolerance * self.coarser_by)

@@ -91,8 +91,8 @@ def root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> 
     """
     differentiable: Any = jax.custom_jvp(_iterated_root)
     differentiable.defjvp(_root_jvp)
-    found: jax.Array = differentiable(coefficients, zeros, guess, end)
-    return found
+    zero: jax.Array = differentiable(coefficients, zeros, guess, end)
+    return zero
 
 
 def _iterated_root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> "jax.Array":

@@ -83,17 +83,17 @@ class Smoothed(Stepper):
     def degree(self) -> int:
         return 3
 
-    def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
+    def accuracy(self, request: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
         # In the reference cases, the error due to the width is at most width^(3/4), with the width in m/s. The error
         # due to a step of 0.3 s per m/s of width is far below.
-        width = wanted.smoothing if wanted.smoothing is not None else max(wanted.error ** (4 / 3), LEAST_WIDTH)
-        return Accuracy(0.0, 0.3, wanted.step if wanted.step is not None else 0.3 * width, width)
+        width = request.smoothing if request.smoothing is not None else max(request.error ** (4 / 3), LEAST_WIDTH)
+        return Accuracy(0.0, 0.3, request.step if request.step is not None else 0.3 * width, width)
 
-    def least_error(self, wanted: AccuracyRequest) -> float:
+    def least_error(self, request: AccuracyRequest) -> float:
         # The error estimates of most settled lanes are between 0.25 and 0.8 times width^(3/4).
-        if wanted.smoothing is not None:
-            return float(min(wanted.smoothing, LEAST_WIDTH) ** (3 / 4))
-        return LEAST_WIDTH ** (3 / 4) if wanted.precision == "float64" else LEAST_FLOAT32_ERROR
+        if request.smoothing is not None:
+            return float(min(request.smoothing, LEAST_WIDTH) ** (3 / 4))
+        return LEAST_WIDTH ** (3 / 4) if request.precision == "float64" else LEAST_FLOAT32_ERROR
 
     def coarser(self, accuracy: Accuracy) -> Accuracy:
         step, width = self.coarser_by * accuracy.step, self.coarser_by * accuracy.smoothing

@@ -154,11 +154,11 @@ class Stepper(ABC):
         """Return the lanes after one step, and the step; if `marked`, steps end on markers in addition to guards."""
 
     @abstractmethod
-    def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
+    def accuracy(self, request: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
         """Return the settings for the requested error tolerance in `scene`; values chosen by the user are kept."""
 
-    def least_error(self, wanted: AccuracyRequest) -> float:
-        """Return the least error tolerance that lanes can meet with the other settings in `wanted`; 0 if unknown."""
+    def least_error(self, request: AccuracyRequest) -> float:
+        """Return the least error tolerance that lanes can meet with the other settings in `request`; 0 if unknown."""
         return 0.0
 
     @abstractmethod

@@ -221,8 +221,10 @@ def compared(features: Features, reference: Features) -> tuple[Int[np.ndarray, "
     error = reduce(np.fmax, [np.where(x == 0, 0.0, y) for x, y in zip(differences, relative, strict=True)])
     other = ~(error < OTHER_MOTION_ERROR)
     if "impacts" in reference:
-        found, expected = (np.asarray(x["impacts"], float) / np.maximum(x["cycles"], 1) for x in (features, reference))
-        other |= ~(np.abs(found - expected) <= 0.05 * np.maximum(expected, 1))
+        impacts, expected = (
+            np.asarray(x["impacts"], float) / np.maximum(x["cycles"], 1) for x in (features, reference)
+        )
+        other |= ~(np.abs(impacts - expected) <= 0.05 * np.maximum(expected, 1))
     return np.select([~features["finite"], ~features["finished"], other], [1, 2, 3], 0), error
 
 

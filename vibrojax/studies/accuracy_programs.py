@@ -142,8 +142,8 @@ class DiffraxProgram(Program):
         with in_precision(self.precision):
             numbers = (np.asarray(x, self.precision) for x in (SAMPLING, states, accuracy.smoothing))
             features = features_of(self.sweep.system, self._inputs(self.count)[0], *numbers)
-        found = {name: np.asarray(x) for name, x in features.items() if x.ndim == 1}
-        return found | {"finite": np.isfinite(states).all(axis=(0, 2)) | ~finished, "finished": finished}
+        measured = {name: np.asarray(x) for name, x in features.items() if x.ndim == 1}
+        return measured | {"finite": np.isfinite(states).all(axis=(0, 2)) | ~finished, "finished": finished}
 
     def _solve(self, worker: jax.Device, accuracy: Accuracy, times: Float[np.ndarray, " times"]) -> Features:
         """Return states (states, lanes, times) [s], numbers of steps, and whether the end was reached.

@@ -246,8 +246,8 @@ def _shares_at_point(ds: xr.Dataset) -> tuple[Plot, str]:
     for name in states:
         place = known.get(name.removeprefix(PREFIX))
         if place is None:  # the velocity that defines the section, which is zero there
-            found = np.isfinite(next(iter(known.values()), np.full(ds.sizes[ATTRACTOR], np.nan)))
-            place = np.where(found, 0.0, np.nan)
+            is_known = np.isfinite(next(iter(known.values()), np.full(ds.sizes[ATTRACTOR], np.nan)))
+            place = np.where(is_known, 0.0, np.nan)
         crossings.append(place * scale(spread[name])[0])
     inside = np.all([(end[0] <= p) & (p <= end[-1]) for p, end in zip(crossings, ends, strict=True)], axis=0)
     orbits = np.isfinite(crossings).all(axis=0)

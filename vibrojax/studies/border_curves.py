@@ -195,8 +195,8 @@ class ContinuedBorders:
             curves = follow_curves(problem, unknowns, bar.reach)
             bar.reach(2 * len(seeds))
         self._tried |= {vertex.loss for _, vertex in seeds}
-        found = [(curve, *seed) for curve, seed in zip(curves, seeds, strict=True)]
-        return [Line.through(problem, *each) for each in found if sum(len(part.u) for part in each[0].parts) > 1]
+        pairs = [(curve, *seed) for curve, seed in zip(curves, seeds, strict=True)]
+        return [Line.through(problem, *each) for each in pairs if sum(len(part.u) for part in each[0].parts) > 1]
 
     def cut(self, chain: list[Vertex]) -> list[Border]:
         """Divide a chain into pieces of one kind, on one curve or on none.

@@ -290,9 +290,9 @@ def _read_table(
             header, rows, numbers = cells.header, cells.rows, cells.rows.index.to_numpy()
             if len({*header}) < len(header):
                 raise place.at(f"line {cells.line}").error("has two columns of one name; give each column once")
-            wanted = [k for k, name in enumerate(header) if chosen is None or quantity_of(name)[0]]
-            mark, data = decimal_mark(rows[k] for k in wanted), {}
-            for k in wanted:
+            needed = [k for k, name in enumerate(header) if chosen is None or quantity_of(name)[0]]
+            mark, data = decimal_mark(rows[k] for k in needed), {}
+            for k in needed:
                 data[header[k]], bad = to_numbers(rows[k], mark, ())
                 for line, cell in rows[k][bad].items():
                     fault = f"{shown(str(cell).strip())} is not a number; write one, like 0.4, or leave it empty"
@@ -301,7 +301,7 @@ def _read_table(
         data = {name: x.values for name, x in data.variables.items() if x.ndim == 1}
     if not isinstance(data, (Mapping, pd.DataFrame)):
         raise place.error(f"{shown(data)} is no table; give one, a dataset, or the path of a CSV file")
-    found: dict[str, np.ndarray] = {}
+    columns: dict[str, np.ndarray] = {}
     for key in data:
         name, unit = quantity_of(str(key))
         here = place.at(f"column {key}")
@@ -310,7 +310,7 @@ def _read_table(
             raise here.error(f"is neither a parameter of the scene nor a variable of its orbits; {hint}")
         if not name:
             continue
-        if name in found:
+        if name in columns:
             raise here.error(f"is a second column of {name}; give one")
         scale = 1.0 if unit is None else factor(unit, units[name])
         if scale is None:
@@ -318,16 +318,16 @@ def _read_table(
         for value in jax.tree.leaves(data[key]):
             check_untraced(here.error, value)
         try:
-            found[name] = scale * np.asarray(data[key], float)
+            columns[name] = scale * np.asarray(data[key], float)
         except (TypeError, ValueError):
             raise here.error("does not hold numbers") from None
     for name, text in (chosen or {}).items():
-        if name not in found:
+        if name not in columns:
             raise home.at("columns").at(name).error(f"{shown(text)} is not a column of the recording")
-    shapes = {x.shape for x in found.values()}
+    shapes = {x.shape for x in columns.values()}
     if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
         raise place.error("its columns differ in length; give one value of each for every row")
     size = sum(next(iter(shapes), (0,)))
-    if found and not 0 < size <= MAX_OBSERVATIONS:
+    if columns and not 0 < size <= MAX_OBSERVATIONS:
         raise place.error(f"holds {size} rows with observations; give at least one, and at most {MAX_OBSERVATIONS}")
-    return found, numbers if len(numbers) else np.arange(size), place
+    return columns, numbers if len(numbers) else np.arange(size), place

@@ -116,10 +116,10 @@ class Problem:
         count = int(np.isfinite(self.values[used]).sum()) + int(np.isfinite(self.prior_error).sum())
         if count >= len(self.names) + (self.errors is None):
             return ""
-        wanted = counted(len(self.names), "unknown" if self.history else "unknown parameter")
-        wanted += " and the size of the noise" * (self.errors is None)
+        needed = counted(len(self.names), "unknown" if self.history else "unknown parameter")
+        needed += " and the size of the noise" * (self.errors is None)
         more = "give standard errors in [error], " if self.errors is None else "give a [prior], "
-        return f"{counted(count, 'value')} for {wanted}; add rows or observed variables, {more}or leave an unknown out"
+        return f"{counted(count, 'value')} for {needed}; add rows or observed variables, {more}or leave an unknown out"
 
     def free_of(self, theta: Theta) -> Theta:
         """Return the unknowns as the searches vary them: logarithms of positive ones, whose bounds may span decades."""
@@ -306,21 +306,21 @@ def fit_from(problem: Problem, model: Model, theta: Theta) -> Fit:
             break
 
         def residuals(free: np.ndarray, target: Target = target) -> np.ndarray:
-            at = problem.theta_of(free)
-            trial = model.predict(at)
-            return np.concatenate([target.residuals(trial, at), target.losses(trial.valid)])
+            theta = problem.theta_of(free)
+            trial = model.predict(theta)
+            return np.concatenate([target.residuals(trial, theta), target.losses(trial.valid)])
 
         def jacobian(free: np.ndarray, target: Target = target) -> np.ndarray:
-            at = problem.theta_of(free)
-            slopes = target.jacobian(model.predict(at)) * np.where(problem.low > 0, at, 1.0)
-            return np.concatenate([slopes, np.zeros((target.values.size, len(at)))])
+            theta = problem.theta_of(free)
+            slopes = target.jacobian(model.predict(theta)) * np.where(problem.low > 0, theta, 1.0)
+            return np.concatenate([slopes, np.zeros((target.values.size, len(theta)))])
 
         with np.errstate(all="ignore"):  # no derivative is different from 0 if, say, the bit never slides
-            found = least_squares(
+            solution = least_squares(
                 residuals, np.clip(problem.free_of(theta), low, high), jacobian, (low, high), x_scale="jac",
                 ftol=None, xtol=TOLERANCE, gtol=None, max_nfev=MAX_EVALUATIONS,
             )  # fmt: skip
-        theta = problem.theta_of(found.x)
+        theta = problem.theta_of(solution.x)
         prediction = model.predict(theta)
         # Observations come back in the first rounds only, so that the rounds end.
         back = prediction.valid if number < MAX_ROUNDS // 2 else prediction.valid & target.used

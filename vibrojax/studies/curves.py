@@ -400,9 +400,9 @@ def _points(problem: CurveProblem, curves: list[Curve]) -> tuple[dict[str, np.nd
     return columns(problem, parts), np.concatenate(number)
 
 
-def _crossings(problem: CurveProblem, curve: Curve, at: tuple[str, float]) -> list[Points]:
+def _crossings(problem: CurveProblem, curve: Curve, line: tuple[str, float]) -> list[Points]:
     with np.errstate(all="ignore"):
-        return [x for part in curve.parts for x in crossings(problem, part, problem.along.index(at[0]), at[1])]
+        return [x for part in curve.parts for x in crossings(problem, part, problem.along.index(line[0]), line[1])]
 
 
 def _parameter(problem: CurveProblem, name: str) -> dict[str, str]:

@@ -299,21 +299,21 @@ class Designs(FileAnalysis[DesignSpec]):
         return [SummaryPart("design", lines, {"design": facts})]
 
 
-def _front_columns(spec: DesignSpec, front: Front, found: Sequence[tuple[float, Assessment]]) -> dict[str, Any]:
+def _front_columns(spec: DesignSpec, front: Front, assessed: Sequence[tuple[float, Assessment]]) -> dict[str, Any]:
     """Return the variables along a front but the varied parameters; NaN where no feasible point was found."""
 
     def known(value: Callable[[Assessment], float]) -> list[float]:
-        return [value(a) if a.feasible else np.nan for _, a in found]
+        return [value(a) if a.feasible else np.nan for _, a in assessed]
 
     against, objective = front.against, spec.variable(spec.maximise)
     is_factor = against == "tolerance"
     limit = Variable("1", "factor of the tolerances") if is_factor else spec.variable(against, "limit of {}")
     feasible = DESIGN_VARIABLES["front_feasible"]
     data = {
-        "front_limit": limit.entry("front", [value for value, _ in found]),
+        "front_limit": limit.entry("front", [value for value, _ in assessed]),
         "front_objective": objective.entry("front", known(lambda a: a.objective)),
         "front_objective_worst": objective.entry("front", known(lambda a: a.worst)),
-        "front_feasible": feasible.entry("front", [a.feasible for _, a in found]),
+        "front_feasible": feasible.entry("front", [a.feasible for _, a in assessed]),
     }
     if not is_factor:
         reached = known(lambda a: extreme(a.held(against, slice(1)), front.end))

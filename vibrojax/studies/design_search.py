@@ -188,13 +188,13 @@ class Search:
         shapes = [(CHECK_RADIUS if done else radius) * np.eye(count) for done in smooth]
         patience = [1 if done else ZOOM_PATIENCE for done in smooth]
         for _ in range(ZOOM_ROUNDS):
-            active = [k for k, left in enumerate(patience) if left > 0]
+            active = [k for k, tries in enumerate(patience) if tries > 0]
             cubes = [2 * sampler.random(ZOOM_PROPOSALS[count > 2]) - 1 for _ in active]
             points = [np.clip(pools[k][0].unit + x @ shapes[k].T, 0.0, 1.0) for k, x in zip(active, cubes, strict=True)]
-            found = iter(self.assess([unit for own in points for unit in own], self.box))
+            assessments = iter(self.assess([unit for own in points for unit in own], self.box))
             for k, own in zip(active, points, strict=True):
                 best = pools[k][0]
-                pool = sorted([*pools[k], *(next(found) for _ in own)], key=lambda a: a.rank)[:ZOOM_ELITE]
+                pool = sorted([*pools[k], *(next(assessments) for _ in own)], key=lambda a: a.rank)[:ZOOM_ELITE]
                 moves = np.array([a.unit for a in pool]) - best.unit  # from the last best: steady progress widens it
                 shapes[k] = np.linalg.cholesky(3 * moves.T @ moves / len(moves) + 1e-14 * np.eye(count))
                 pools[k] = pool
@@ -228,7 +228,7 @@ class Search:
         spec, front = self.spec, self.spec.front
         assert front is not None
         limits = self._front_limits(points, results)
-        found: dict[float, Assessment] = {}
+        optima: dict[float, Assessment] = {}
         last: list[Assessment] = []
         for limit in sorted(limits, reverse=front.against == "tolerance" or front.end == "least"):
             if front.against == "tolerance":
@@ -242,9 +242,9 @@ class Search:
             checked = own.best(seeds, WARM_RADIUS)
             if last and min(checked, key=lambda a: a.rank).rank > last[0].rank:  # what held under a tighter limit
                 checked += own.verify(own.assess([a.unit for a in last], own.box))
-            found[limit] = min(checked, key=lambda a: a.rank)
-            last = [found[limit]] if found[limit].feasible else last
-        return [(limit, found[limit]) for limit in limits]
+            optima[limit] = min(checked, key=lambda a: a.rank)
+            last = [optima[limit]] if optima[limit].feasible else last
+        return [(limit, optima[limit]) for limit in limits]
 
     def _front_limits(self, points: Sequence[Assessment], results: Sequence[Assessment]) -> list[float]:
         """Return the limits of a front, by default from the least that the map reaches to that of the free optimum."""

@@ -23,8 +23,7 @@ from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.periodic.problem import UNITS_PER_SPAN, Problem, towards
 from vibrojax.periodic.return_map import MOST_STEPS
 from vibrojax.periodic.segments import Mark
-from vibrojax.periodic.timed_families import TimedContinuation
-from vibrojax.periodic.timed_orbits import at_section, free_problem, returning_orbit, through
+from vibrojax.periodic.timed_families import TimedContinuation, at_section, free_problem, returning_orbit, through
 from vibrojax.periodic.timed_problem import TimedProblem, has_free_phase
 from vibrojax.scenes import Scene
 from vibrojax.studies.family_dataset import families_dataset
@@ -182,8 +181,8 @@ def _equilibria(spec: FamilySpec, section: Problem, settle: float | None) -> xr.
         if settle:
             guess = np.asarray(Flow(scene)(own, guess, np.array([settle])).state)
         guesses.append(guess[:, 0])
-        found = equilibrium_near(scene, {name: float(x[0]) for name, x in own.items()}, guess[:, 0])
-        known |= {} if found is None else {number: found}
+        equilibrium = equilibrium_near(scene, {name: float(x[0]) for name, x in own.items()}, guess[:, 0])
+        known |= {} if equilibrium is None else {number: equilibrium}
     if not known:
         raise place.at("start").error(
             f"Newton's method finds no isolated equilibrium from {guesses[0].tolist()} at {along} = "
@@ -303,15 +302,15 @@ def _given_orbit(
     value = section.parameters[along][:1]
     begin = np.array([[own[name] for name in section.moving]])
     timed, [u] = through(section, family, begin, np.array([period]), value)
-    found, converged = timed.correct(family, u[None], towards(u[None], 1.0), u[None, -1])
+    point, converged = timed.correct(family, u[None], towards(u[None], 1.0), u[None, -1])
     if not converged[0]:
         raise place.error(
             f"Newton's method finds no periodic orbit near these states at {along} = {value[0]:g} "
-            f"(residual {found.residual[0]:.1e}); give states on an orbit, and its period"
+            f"(residual {point.residual[0]:.1e}); give states on an orbit, and its period"
         )
-    if np.abs(found.u[0] - u).max() > GIVEN_DISTANCE * np.abs(u).max():
-        raise place.error(ANOTHER.format(float(found.period[0])))
-    return timed, family, [found.u[0]]
+    if np.abs(point.u[0] - u).max() > GIVEN_DISTANCE * np.abs(u).max():
+        raise place.error(ANOTHER.format(float(point.period[0])))
+    return timed, family, [point.u[0]]
 
 
 def _traced_orbit(section: Problem, period: float, lane: xr.Dataset) -> Orbits:
@@ -329,10 +328,10 @@ def _traced_orbit(section: Problem, period: float, lane: xr.Dataset) -> Orbits:
     cycles = int(np.clip(round(period / np.diff(times[known]).mean()), 1, MOST_CYCLES))
     begin = np.array([[lane[f"return_{name}"].values.ravel()[known][0] for name in scene.return_states]])
     guess = Orbits.trace(scene, section.parameters, begin, cycles)
-    found = Orbits.find(scene, section.parameters, guess.states, scales=guess.scales)
-    if not found.converged[0]:
-        residual = f"residual {found.residual[0]:.1e}"
+    orbit = Orbits.find(scene, section.parameters, guess.states, scales=guess.scales)
+    if not orbit.converged[0]:
+        residual = f"residual {orbit.residual[0]:.1e}"
         raise place.error(f"Newton's method finds no periodic orbit near these states ({residual})")
-    if abs(found.times.sum() - period) > GIVEN_DISTANCE * period:
-        raise place.error(ANOTHER.format(float(found.times.sum())))
-    return found
+    if abs(orbit.times.sum() - period) > GIVEN_DISTANCE * period:
+        raise place.error(ANOTHER.format(float(orbit.times.sum())))
+    return orbit

@@ -273,16 +273,16 @@ class Families(MachineAnalysis[FamilySpec]):
         times, begin = (run.get("settle"), run.get("observe")), {"start": start, "from_hopf": self.from_hopf}
         return family_spec(scene, self.along, self.at, self.span, begin, *times, self.cycles, parameters)
 
-    def identity(self, asked: FamilySpec) -> dict[str, object]:
-        return asked.identity()
+    def identity(self, request: FamilySpec) -> dict[str, object]:
+        return request.identity()
 
-    def file_name(self, asked: FamilySpec) -> str:
-        return f"{asked.sweep.scene}-{asked.along}.nc"
+    def file_name(self, request: FamilySpec) -> str:
+        return f"{request.sweep.scene}-{request.along}.nc"
 
-    def compute(self, asked: FamilySpec, progress: bool = True) -> xr.Dataset:
-        return continue_families(asked, progress)
+    def compute(self, request: FamilySpec, progress: bool = True) -> xr.Dataset:
+        return continue_families(request, progress)
 
-    def facts(self, ds: xr.Dataset, asked: FamilySpec) -> Mapping[str, object]:
+    def facts(self, ds: xr.Dataset, request: FamilySpec) -> Mapping[str, object]:
         machine = {"scene": ds.attrs["scene"], "start": ds.attrs.get("start")}
         return {**machine, "parameters": attribute_of(ds, "parameters"), **family_facts(ds)}
 

@@ -49,9 +49,9 @@ def frequencies(ds: xr.Dataset) -> dict[str, xr.DataArray]:
     arrays = {name: xr.DataArray(x) for name, x in known.items() if name in _USED}
     given = {name: x.astype(float) for name, x in arrays.items() if x.dtype.kind in "fiu"}
     with np.errstate(all="ignore"):  # a dataset from elsewhere may hold any numbers
-        found = _computed(ds, given)
+        computed = _computed(ds, given)
     about = {name: {"units": unit, "long_name": words} for name, (words, unit) in _WORDS.items()}
-    return {name: x.rename(name).assign_attrs(about[name]) for name, x in found.items()}
+    return {name: x.rename(name).assign_attrs(about[name]) for name, x in computed.items()}
 
 
 def _computed(ds: xr.Dataset, given: dict[str, xr.DataArray]) -> dict[str, xr.DataArray]:

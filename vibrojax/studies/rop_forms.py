@@ -217,7 +217,7 @@ def minimise(model: Model, rate: Lanes, robust: bool, decay: Lanes | None = None
         scale = _BOUND * max(spread_of(whiten(residual, decay)[active]), _LEAST_SCALE) if turn else np.inf
         if turn > 1 and abs(scale - before) <= _SAME_SCALE * scale:
             break
-        found = least_squares(
+        solution = least_squares(
             lambda theta: whiten(model.residuals(theta, rate)[0], decay),
             theta,
             lambda theta: whiten(model.residuals(theta, rate)[1], decay),
@@ -226,7 +226,7 @@ def minimise(model: Model, rate: Lanes, robust: bool, decay: Lanes | None = None
             max_nfev=_MOST_EVALUATIONS,
             **dict.fromkeys(("ftol", "xtol", "gtol"), _ROBUST_TOLERANCE if turn else _TOLERANCE),
         )
-        theta, converged = found.x, found.status > 0 and bool(np.abs(found.x).max() < _LARGEST_THETA)
+        theta, converged = solution.x, solution.status > 0 and bool(np.abs(solution.x).max() < _LARGEST_THETA)
         residual, jacobian, active = model.residuals(theta, rate)
     if not (converged and np.isfinite(theta).all()):
         return None

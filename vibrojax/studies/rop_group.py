@@ -166,8 +166,8 @@ def clean(
         far[start:end] = end - start <= _LONGEST_SPIKE
     far &= far.sum() <= 1 + _MOST_SPIKES * weight.size
     keep, founder = ~far, Founder()
-    found = [search(form, relief[keep], rate[keep], robust) for form in FORMS if form.size == 2]
-    residuals = [minimum.residual for minimum in found if isinstance(minimum, Minimum)]
+    fits = [search(form, relief[keep], rate[keep], robust) for form in FORMS if form.size == 2]
+    residuals = [minimum.residual for minimum in fits if isinstance(minimum, Minimum)]
     residual = min(residuals, key=spread_of, default=None)
     for turn in range(2):
         wrong = _wrong_rates(residual, weight[keep]) if robust and residual is not None else np.zeros(keep.sum(), bool)
@@ -229,8 +229,8 @@ def find_founder(relief: Lanes, weight: Lanes, rate: Lanes, row: LaneBlocks) -> 
     for _ in range(2):  # the second time with the correlation of the first residuals
         decay = decay_of(rho, row)
         straight, best = (
-            min((_profile(model, x, y, at, decay) for model in models), key=lambda profile: profile.squares.min())
-            for at in (np.array([np.inf]), bends)
+            min((_profile(model, x, y, bend, decay) for model in models), key=lambda profile: profile.squares.min())
+            for bend in (np.array([np.inf]), bends)
         )
         rho = correlation(best.residual[:, np.argmin(best.squares)], row)
     for _ in range(_ZOOMS):

@@ -255,12 +255,14 @@ def _read_rows(source: Path | pd.DataFrame, columns: Columns, where: Where, null
 def _missing(place: Place, log: pd.DataFrame, missing: list[str]) -> InputError:
     """Return the error about quantities that a log lacks; it suggests the column that is likely meant."""
     free = [str(name) for name in log if name not in (*log.attrs["units"], LINE)]
-    wanted = RELIEF if len(missing) == 2 and nearest(RELIEF, free) else missing[0]
-    likely = [cell for cell in free if (unit := split_unit(cell)[1]) and factor(unit, KNOWN[wanted].unit) is not None]
+    missing_name = RELIEF if len(missing) == 2 and nearest(RELIEF, free) else missing[0]
+    likely = [
+        cell for cell in free if (unit := split_unit(cell)[1]) and factor(unit, KNOWN[missing_name].unit) is not None
+    ]
     hint = f"the file has {', '.join(free) or 'no others'}"
-    if like := likely[0] if likely else nearest(wanted, free):
-        unit = "" if split_unit(like)[1] or wanted == RELIEF else f" ({UNITS[KNOWN[wanted].unit][0]})"
-        hint = f"if {shown(like)} is it, rename it, or name it: --columns {shell_assignment(wanted, like + unit)}"
+    if like := likely[0] if likely else nearest(missing_name, free):
+        unit = "" if split_unit(like)[1] or missing_name == RELIEF else f" ({UNITS[KNOWN[missing_name].unit][0]})"
+        hint = f"if {shown(like)} is it, rename it, or name it: --columns {shell_assignment(missing_name, like + unit)}"
     if missing == [THRESHOLD]:
         hint += f', or for all rows: --columns {THRESHOLD}="150 kN", rock=granite or {THRESHOLD}=unknown'
     instead = "" if RATE in missing else f", or {RELIEF}"

@@ -165,7 +165,7 @@ class Trajectories(MachineAnalysis[Point]):
     def compute(self, point: Point, progress: bool = True) -> xr.Dataset:
         """Return the trajectory; raise `InputError` if settings contradict one another or take too many steps."""
         place, system = Place("simulate"), point.system
-        stepper, wanted = self._resolution(place, system)
+        stepper, request = self._resolution(place, system)
         duration = sum(system.usual_times) * (5 / 12) if self.duration is None else self.duration
         if duration < np.finfo(float).tiny:  # the clock rounds it to zero
             raise place.at("duration").error(f"{duration:g} s is too short; give a longer one")
@@ -174,24 +174,26 @@ class Trajectories(MachineAnalysis[Point]):
         with precision("float64"):
             constants = constants_at(place, point, stepper)
             times = self._times(place, system, constants, duration)
-            accuracy = (stepper or Smoothed()).accuracy(wanted, system)
+            accuracy = (stepper or Smoothed()).accuracy(request, system)
             most_steps = check_size(place, system, constants, duration, accuracy, stepper, len(times))
             if stepper is None:
                 state = system.start(constants, point.start, (1,))
-                rest = accuracy, self.solver or "Tsit5", 1e-3 * wanted.error
+                rest = accuracy, self.solver or "Tsit5", 1e-3 * request.error
                 motion, count, kind = adaptive(system, constants, state, times, *rest)
                 solver |= {"steps": count, **accuracy.described(), "solver": kind}
                 variables: dict[str, Any] = states_shown(system, motion, None, None)
             else:
                 bar = Progress(duration, "s simulated", progress and sys.stderr.isatty(), pace=False)
-                steps, found = recorded(point, stepper, constants, accuracy, duration, bar.reach, most_steps, progress)
+                steps, recording = recorded(
+                    point, stepper, constants, accuracy, duration, bar.reach, most_steps, progress
+                )
                 states, modes, step_of = sample(steps, times)
                 motion = SampledMotion(times, states, modes)
                 solver |= {"steps": len(steps.dt), **accuracy.described()}
                 moments, kinds = events(system, constants, steps)
                 variables = dict(states_shown(system, motion, steps, step_of))
                 begin, observe = window(system, duration)
-                about |= {"run": json.dumps({"settle": begin, "observe": observe})} if found else {}
+                about |= {"run": json.dumps({"settle": begin, "observe": observe})} if recording else {}
             smooth = stepper is None or stepper.smooths
             variables |= forces(system, constants, motion, accuracy.smoothing if smooth else None)
         LOG.info("chosen: %s, %d samples", json.dumps(solver), len(times))
@@ -201,7 +203,7 @@ class Trajectories(MachineAnalysis[Point]):
         if stepper is not None:
             variables["event_time"] = Variable("s", "time of the event").entry("event", moments)
             variables["event_kind"] = Variable("1", "what happened", np.int8, KINDS).entry("event", kinds)
-            variables |= found
+            variables |= recording
         if point.start is not None:
             about["start"] = point.start if isinstance(point.start, str) else json.dumps(list(point.start))
         return self.dataset(
@@ -228,15 +230,15 @@ class Trajectories(MachineAnalysis[Point]):
             raise place.at("smoothing").error(
                 f'has no use with method "{stepper.name}"; leave it out, or set method = "smoothed"'
             )
-        wanted = AccuracyRequest(1e-4 if self.error is None else self.error, self.step, self.smoothing)
+        request = AccuracyRequest(1e-4 if self.error is None else self.error, self.step, self.smoothing)
         if stepper is not None or self.smoothing is None:
-            least_error = (stepper or Smoothed()).least_error(wanted)
+            least_error = (stepper or Smoothed()).least_error(request)
         else:
-            least_error = LEAST_TOLERANCE[wanted.precision]  # as measured with diffrax's Tsit5 at a width of 1 cm/s
-        check_error(place.at("error"), stepper.name if stepper else "diffrax", wanted, least_error)
+            least_error = LEAST_TOLERANCE[request.precision]  # as measured with diffrax's Tsit5 at a width of 1 cm/s
+        check_error(place.at("error"), stepper.name if stepper else "diffrax", request, least_error)
         if stepper is None and isinstance(system, HasRock):
             raise place.at("method").error('"diffrax" supports no rock that yields; choose from located, smoothed')
-        return stepper, wanted
+        return stepper, request
 
     def _times(self, place: Place, scene: Scene[Any], constants: Any, duration: float) -> Float[np.ndarray, " samples"]:
         """Return the times of the samples [s], evenly spaced from 0 to `duration`."""

@@ -33,9 +33,9 @@ class Structure(Probe):
         field, still = self._with_discrete(self._field, self.takes_sides), dict.fromkeys(self._discrete, 0.0)
         self.function = self._with_kinks("field", lambda *arguments: {**field(*arguments), **still}, sided)
         self.surface_functions = tuple(self._with_kinks(*self._surface(event), []) for event in self._events)
-        one = Plain.of(np.ones(len(self._t)))
+        ones = Plain.of(np.ones(len(self._t)))
         self.limits = {
-            index: self._with_kinks(f"event {event.name}: normal", self._limits_of(event), [self._sides, one])
+            index: self._with_kinks(f"event {event.name}: normal", self._limits_of(event), [self._sides, ones])
             for index, event in enumerate(self._events)
             if isinstance(event, Friction)
         }
@@ -66,8 +66,8 @@ class Structure(Probe):
         t = Dual(self._t, Plain.of(rng.uniform(0.5, 1.5, len(self._t))), 1)
         y = {key: Dual(x, Plain.of(rng.uniform(0.5, 1.5, len(x))), 1) for key, x in self._y.items()}
         plain, numbers = Function(function, {}), {}
-        found = plain.found(t, y, self._p, *more)
-        for number, (kind, _) in found.items():
+        kinks = plain.found(t, y, self._p, *more)
+        for number, (kind, _) in kinks.items():
             if kind == "floor" and not self._same_floor(plain, number, t, y, more):
                 raise self._refuse(f"{place} takes the floor of a value that depends on states; write a vj.Impact")
             friction = next((event for event in self._events if place == f"event {event.name}: normal"), None)
@@ -87,11 +87,11 @@ class Structure(Probe):
 
         The sign is that above the section, on which the function `section(t, y, p)` is zero.
         """
-        above, found = section(self._t, self._y, self._p), {}
+        above, kinks = section(self._t, self._y, self._p), {}
         for index, event in enumerate(self._events):
             if not isinstance(event, Impact) and _proportional(value := self._value(event), above):
-                found[index] = float(np.sign(np.ravel(value / above)[0]))
-        return found
+                kinks[index] = float(np.sign(np.ravel(value / above)[0]))
+        return kinks
 
     def depends_on_time(self) -> bool:
         """Return whether the field or an event depends on the time."""

@@ -132,8 +132,8 @@ class System(SystemScales):
             # A single autonomous state cannot return to a section unless it jumps.
             returns = section is not None and (len(self._own) > 1 or isinstance(self, HasImpacts))
             self._measured = period is not None or returns
-            at = self._section_function or (lambda t, y, p: y[self._section_state] - self._level)
-            self._at_section = probe.events_at(at) if self._measured and period is None else {}
+            function = self._section_function or (lambda t, y, p: y[self._section_state] - self._level)
+            self._at_section = probe.events_at(function) if self._measured and period is None else {}
             speeds = self._flow.structure.speeds
             # The error of these positions follows from that of their velocities.
             self._integrated = frozenset(speeds) if set(speeds) < set(states) else frozenset()
@@ -253,7 +253,7 @@ def impact_unit(
     """
     rates = {name: units[speeds[name]] if name in speeds else _per_second(unit) for name, unit in units.items()}
     y = {name: Plain.of(0.3 + 0.2 * number) for number, name in enumerate(units)}
-    found: list[list[str]] = [[], [], []]
+    groups: list[list[str]] = [[], [], []]
     for event in filter(_is_impact, events):
         surface = lambda t, y, event=event: event.surface(t, y, p)  # noqa: E731
         slopes = {
@@ -261,10 +261,10 @@ def impact_unit(
             for name in y
         }
         known = list(dict.fromkeys(rates[name] for name, slope in slopes.items() if slope != 0))
-        found[0] += known if len(known) == 1 and all(abs(slope) in (0, 1) for slope in slopes.values()) else []
-        found[1] += [units[event.velocity]] if isinstance(event, Impact) and event.velocity else []
-        found[2] += known
-    return [*found[0], *found[1], *found[2], ImpactSystem.impact_unit][0]
+        groups[0] += known if len(known) == 1 and all(abs(slope) in (0, 1) for slope in slopes.values()) else []
+        groups[1] += [units[event.velocity]] if isinstance(event, Impact) and event.velocity else []
+        groups[2] += known
+    return [*groups[0], *groups[1], *groups[2], ImpactSystem.impact_unit][0]
 
 
 def _per_second(unit: str) -> str:
