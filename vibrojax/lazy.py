@@ -10,7 +10,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-__all__ = ["colors", "jax", "jnp", "lax", "linalg", "optimize", "pd", "ticker"]
+__all__ = ["colors", "jax", "jnp", "lax", "linalg", "optimize", "pd", "qmc", "ticker"]
 
 
 class _OnFirstUse:
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from jax import lax
     from matplotlib import colors, ticker
     from scipy import linalg, optimize
+    from scipy.stats import qmc
 else:
     jax, jnp, lax = map(_OnFirstUse, ("jax", "jax.numpy", "jax.lax"))
     pd, colors, ticker = map(_OnFirstUse, ("pandas", "matplotlib.colors", "matplotlib.ticker"))
-    linalg, optimize = map(_OnFirstUse, ("scipy.linalg", "scipy.optimize"))
+    linalg, optimize, qmc = map(_OnFirstUse, ("scipy.linalg", "scipy.optimize", "scipy.stats.qmc"))

@@ -8,9 +8,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import qmc
 
 from vibrojax.errors import Place, shown
+from vibrojax.lazy import qmc
 from vibrojax.maps.read import sweep_of
 from vibrojax.maps.sweep import Sweep
 from vibrojax.physics.parameters import Parameter

@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 
 from vibrojax.errors import Place, shown
 from vibrojax.io.tables import read_table
+from vibrojax.lazy import qmc
 from vibrojax.settings.fields import Settings, setting
 from vibrojax.settings.names import Names
 from vibrojax.settings.values import (
@@ -161,8 +162,6 @@ class _Sample(Settings):
         low, high = np.array([_read_side(place.at("box").at(name), side) for name, side in box.items()]).T
         random = np.random.default_rng(self.seed)
         if self.sample == "sobol":
-            from scipy.stats import qmc  # imported here because the import is slow
-
             sobol = qmc.Sobol(len(box), rng=random)
             unit = np.asarray(sobol.random_base2((self.count - 1).bit_length())[: self.count])
         else:

@@ -21,6 +21,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from vibrojax.pictures.fitting import SMALL, WIDTH, in_width
+from vibrojax.pictures.layout import PanelLayout, title_height
 from vibrojax.pictures.plots import (
     Area,
     Axis,
@@ -62,10 +63,14 @@ class OwnFigure(Figure):
     """A figure that pyplot does not manage, but that notebooks display."""
 
     def _repr_png_(self) -> bytes:
+        content = BytesIO()
         with settings():
-            content = BytesIO()
-            self.savefig(content, format="png", dpi=self.dpi)
+            self.save_png(content)
         return content.getvalue()
+
+    def save_png(self, target: Any, **about: Any) -> None:
+        """Write the figure as PNG at its resolution; `savefig` would first draw it once more, for the layout."""
+        FigureCanvasAgg(self).print_png(target, **about)
 
 
 def new_figure(width: float, height: float) -> OwnFigure:
@@ -86,6 +91,7 @@ def draw(picture: Picture | Figure) -> Figure:
     with settings(SMALL if width and width < sheet.size[0] else {}):
         sheet = in_width(sheet, width) if width else sheet
         figure = new_figure(*sheet.size)
+        figure.set_layout_engine(PanelLayout())
         heights = [part.size[1] for part in sheet.parts]
         heights[-1] = sheet.size[1] - sum(heights[:-1])
         grid: Any = GridSpec(len(heights), 1, figure, height_ratios=heights)
@@ -108,7 +114,6 @@ def _draw_plots(figure: Figure, whole: SubplotSpec, sheet: Sheet) -> None:
         row, column, deep, wide = plot.span
         panels.append(figure.add_subplot(grid[row : row + deep, column : column + wide]))
         _draw_plot(panels[-1], plot, plots)
-    figure.align_ylabels(panels)
     for value in {id(plot.scale): plot.scale for plot in plots if plot.scale is not None}.values():
         below = [axes for axes, plot in zip(panels, plots, strict=True) if plot.scale is value]
         wide = len({plot.place[1] for plot in plots if plot.scale is value})
@@ -128,8 +133,11 @@ def _draw_plot(axes: Axes, plot: Plot, plots: Sequence[Plot]) -> None:
     if plot.square:
         axes.set_aspect("equal")
     bold: dict[str, Any] = {"color": plot.title_colour, "fontweight": "bold"} if plot.title_colour else {}
-    axes.set_title(plain(plot.title), loc="center" if plot.has_cells or plot.square or bold else "left", **bold)
-    axes.set_title(plain(plot.remark), loc="right", fontsize=8)
+    axes.spines[["top", "right"]].set_in_layout(False)  # matplotlib would compute ticks to measure them
+    height: Any = title_height(axes)
+    is_centred = plot.has_cells or plot.square or bool(bold)
+    axes.set_title(plain(plot.title), loc="center" if is_centred else "left", y=height, **bold)
+    axes.set_title(plain(plot.remark), loc="right", y=height, fontsize=8)
     if plot.keys:
         place: dict[str, Any] = {"loc": plot.keys}
         if plot.keys in _ABOVE:

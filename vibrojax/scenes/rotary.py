@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+
 from vibrojax.errors import InputError, shown
 from vibrojax.lazy import jnp
 from vibrojax.physics.arrays import Array
@@ -165,11 +167,12 @@ class Rotary(HasFriction[Any]):
         All further states are zero.
         """
         v = c.drill.slip.v
-        zero = jnp.zeros(shape, v.dtype)
+        xp = np if isinstance(v, np.ndarray) else jnp  # outside of traces, jax would compile a program for zeros
+        zero = xp.zeros(shape, v.dtype)
         if name is None or isinstance(name, str):
             masses: Values = (zero, -v + zero if name == "stuck" else zero, zero, zero)
         else:
-            masses = tuple(jnp.full(shape, value, v.dtype) for value in name)
+            masses = tuple(xp.full(shape, value, v.dtype) for value in name)
         return (*masses, *(zero for _ in self.states[4:]))
 
     def scaled(self, c: Any, state: Values) -> Any:

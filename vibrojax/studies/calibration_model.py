@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
-from scipy.stats import qmc
 
 from vibrojax.errors import counted
+from vibrojax.lazy import qmc
 from vibrojax.maps.read import Point
 from vibrojax.studies.as_jax import Branch, settled_at
 from vibrojax.studies.calibration_history import VELOCITY, History

@@ -15,7 +15,7 @@ from vibrojax.io.kinds import kind_of
 from vibrojax.pictures import contents
 from vibrojax.pictures.colours import regime_value, value_of
 from vibrojax.pictures.contents import FORM, MULTIPLIER, POINT, REGIME, RETURN, TIME, Contents
-from vibrojax.pictures.draw import draw
+from vibrojax.pictures.draw import OwnFigure, draw
 from vibrojax.pictures.fitting import WIDTH, read_width
 from vibrojax.pictures.lines import curves, regime_lines
 from vibrojax.pictures.maps import map_sheet
@@ -25,7 +25,7 @@ from vibrojax.pictures.plots import Picture, Sheet
 from vibrojax.pictures.returns import bifurcation, hysteresis
 from vibrojax.pictures.selection import Value, select, thin_out, thinned_text
 from vibrojax.pictures.starts import many_starts, medians, medians_text, varied_states
-from vibrojax.pictures.style import COLOURS, drawable, settings
+from vibrojax.pictures.style import COLOURS, SAVED_DPI, drawable, settings
 from vibrojax.settings.values import check_distinct
 from vibrojax.studies.analysis import analysis_of
 
@@ -136,7 +136,11 @@ def save_picture(
     try:
         with settings(), atomic_write(path, "part") as part:
             metadata = {**_METADATA[suffix], PICTURE_KEYS[suffix]: source()}
-            figure.savefig(part, format=suffix[1:], metadata=metadata)
+            if suffix == ".png" and isinstance(figure, OwnFigure):
+                figure.set_dpi(SAVED_DPI)
+                figure.save_png(part, metadata=metadata)
+            else:
+                figure.savefig(part, format=suffix[1:], metadata=metadata)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another file") from None
     return thinned_text(select(ds, where) if where else ds)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize
 
 from vibrojax.io.variables import ORBIT_REASONS
+from vibrojax.lazy import optimize
 from vibrojax.periodic.derivatives import MODULUS, orbit_variables
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.studies.design_requirements import Assessment, DesignSpec, Unit
@@ -149,7 +149,7 @@ class BoxOrbits:
             box = zip(np.maximum(0.0, now.unit - radius), np.minimum(1.0, now.unit + radius), strict=True)
             done = False
             with suppress(LostOrbit):
-                end = minimize(
+                end = optimize.minimize(
                     lambda z: -z[-1], [*now.unit, now.rows[:objectives].min()], jac=lambda z: -np.eye(count + 1)[-1],
                     method="SLSQP", bounds=[*box, (None, None)], constraints=limits,
                     options={"maxiter": SLSQP_MAX_ITERATIONS, "ftol": 1e-9},

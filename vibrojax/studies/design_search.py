@@ -7,8 +7,8 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import qmc
 
+from vibrojax.lazy import qmc
 from vibrojax.maps.bounds import corners, draws
 from vibrojax.maps.run import run_sweep
 from vibrojax.studies.design_orbits import SAME_POINT, BoxOrbits, has_derivatives, orbit_gradient
