@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
+from types import FunctionType
 
 CACHES = ("JAX_COMPILATION_CACHE_DIR", "VIBROJAX_CACHE")
 """Caches that share compiled programs between test processes and the commands that tests run."""
@@ -55,7 +56,22 @@ CHECKED = [
 install_import_hook(CHECKED, "beartype.beartype")
 jaxtyping.jaxtyped = checked  # the import hook writes this decorator into the modules
 
-from vibrojax.compile import native, trust  # noqa: E402
+from vibrojax.compile import identity, native, trust  # noqa: E402
+
+visit = identity._Walk.visit
+
+
+def visit_unchecked(walk, x):
+    """Identify a function that no module names, such as that of a property, without its checks of types.
+
+    Otherwise its kernels have no digest, and each process traces them, which takes longer than all other parts of a test.
+    """
+    has_checks = isinstance(x, FunctionType) and x.__code__.co_filename == checked.__code__.co_filename
+    visit(walk, x.__wrapped__ if has_checks and identity._known_name(x) is None else x)
+
+
+visit_unchecked.__module__ = identity.__name__  # otherwise, the package counts as changed
+identity._Walk.visit = visit_unchecked
 
 LONGEST = (
     "test_systems_events.py",
