@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
+from types import FunctionType
 
 CACHES = ("JAX_COMPILATION_CACHE_DIR", "VIBROJAX_CACHE")
 """Caches that share compiled programs between test processes and the commands that tests run."""
@@ -19,6 +20,9 @@ atexit.register(lambda: [shutil.rmtree(folder, ignore_errors=True) for folder in
 # Threads of linear algebra wait for each other in a busy loop. On shared cores this takes forty times as long as the
 # work. (It takes effect in workers of pytest-xdist and in commands. In a single process, numpy is already loaded.)
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# XLA compiles without optimization, in half of the time, as kernels do.
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
 
 if tuple(int(part) for part in version("jax").split(".")[:3]) < (0, 11, 2):
     # The package sets the same flag for its own programs (`vibrojax.compile.xla`). Programs that tests compile
@@ -52,7 +56,22 @@ CHECKED = [
 install_import_hook(CHECKED, "beartype.beartype")
 jaxtyping.jaxtyped = checked  # the import hook writes this decorator into the modules
 
-from vibrojax.compile import native, trust  # noqa: E402
+from vibrojax.compile import identity, native, trust  # noqa: E402
+
+visit = identity._Walk.visit
+
+
+def visit_unchecked(walk, x):
+    """Identify a function that no module names, such as that of a property, without its checks of types.
+
+    Otherwise its kernels have no digest, and each process traces them. This takes longer than the rest of a test.
+    """
+    has_checks = isinstance(x, FunctionType) and x.__code__.co_filename == checked.__code__.co_filename
+    visit(walk, x.__wrapped__ if has_checks and identity._known_name(x) is None else x)
+
+
+visit_unchecked.__module__ = identity.__name__  # otherwise, the package counts as changed
+identity._Walk.visit = visit_unchecked
 
 LONGEST = (
     "test_systems_events.py",
@@ -89,18 +108,18 @@ def pytest_configure(config):
 COMPARED = ("test_trust.py", "test_own_objects.py", "test_random_systems.py")
 """Files whose own systems, scenes and laws are compared with XLA before kernels run them, as those of users are."""
 
+OPTIMIZED = ("test_trust.py", "test_hard_faults.py")
+"""Files whose kernels are compiled with optimization. Those of the second are also the ones of processes."""
+
 OWN_PACKAGES = trust.OWN_PACKAGES
 TEST_MODULES = tuple(name for path in Path(__file__).parent.rglob("*.py") for name in (path.stem, path.parent.name))
 
 
 def pytest_runtest_setup(item):
-    """Trust kernels of the tests' own code elsewhere: a comparison takes half of the time of a test of a system.
-
-    Kernels are compiled with optimization where they are what is tested.
-    """
+    """Trust kernels of the tests' own code elsewhere: a comparison takes half of the time of a test of a system."""
     compared = item.path.name in COMPARED or item.get_closest_marker("compared")
     trust.OWN_PACKAGES = OWN_PACKAGES if compared else OWN_PACKAGES + TEST_MODULES
-    of_kernels = item.path.name == "test_trust.py" or item.path.parent.name == "kernels"
+    of_kernels = item.path.name in OPTIMIZED or item.path.parent.name == "kernels"
     native.CODE_LEVEL = 2 if of_kernels else item.config.getoption("--code-level")
 
 

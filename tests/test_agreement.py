@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.studies.trajectory import feature_lines
 
 STATES = ("x1", "v1", "x2", "v2")
 STUCK = {"start": "stuck"}  # sticks, slips both ways, impacts; settles on a periodic orbit
@@ -71,6 +72,7 @@ def test_smoothed_matches_diffrax():
     smoothed = motion(STUCK, method="smoothed", smoothing=1e-2, step=1e-4)
     adaptive = motion(STUCK, solver="Tsit5", smoothing=1e-2, error=1e-6)
     assert position_error(smoothed, adaptive) < 1e-2 * bound(1e-2)
+    assert "regime" not in adaptive and feature_lines(adaptive) == []
 
 
 def test_smoothed_forces_match_located(located):

@@ -1,8 +1,8 @@
 """Test that analyses are looked up by the kind of a dataset, including those that other packages register."""
 
+import io
 import json
-import subprocess
-import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -34,12 +34,12 @@ def campbell(tmp_path_factory):
     (folder / "campbell-1.0.dist-info" / "entry_points.txt").write_text(entry_points)
     (folder / "campbell.py").write_text((OUTSIDE / "campbell.py").read_text())
     (folder / "speeds.toml").write_text(SWEEP)
-    code = (
-        f"import sys; sys.path.insert(0, {str(folder)!r}); from vibrojax.cli import main; sys.exit(main(sys.argv[1:]))"
-    )
-    words = ["campbell", "speeds.toml", "--orders", "3"]
-    completed = subprocess.run([sys.executable, "-c", code, *words], cwd=folder, capture_output=True, text=True)
-    assert completed.returncode == 0 and "picture" in completed.stdout, completed.stderr
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as printed:
+        patch.chdir(folder)
+        patch.syspath_prepend(folder)
+        offered_analyses.cache_clear()
+        assert main(["campbell", "speeds.toml", "--orders", "3"]) == 0
+    assert "picture" in printed.getvalue()
     return folder
 
 

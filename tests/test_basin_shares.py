@@ -8,11 +8,11 @@ import vibrojax as vj
 # Belt speed: published share of starts that end in steady sliding, and number of these starts. The source is the
 # paper's MATLAB program or, for speeds that it lacks, the test file of its successor.
 SHARES = {1.25: (0.0838, 5000), 1.4: (0.211, 5000), 1.5: (0.3165, 4000), 1.55: (0.3636, 5000), 1.775: (0.5552, 5000)}
-STARTS = {"sample": "sobol", "count": 2048, "seed": 1, "box": {"x": [-2.0, 2.0], "v": [0.0, 2.0]}}
+STARTS = {"sample": "sobol", "count": 1024, "seed": 1, "box": {"x": [-2.0, 2.0], "v": [0.0, 2.0]}}
 RUN = {"settle": 400.0, "observe": 60.0}
 
 
-def sliding(speeds, count=2048):
+def sliding(speeds, count=1024):
     """Return the share of starts that end in steady sliding, by speed."""
     tables = {"scene": BELT_OSCILLATOR, "starts": STARTS | {"count": count}, "grid": {"belt": speeds}, "run": RUN}
     return (vj.run_sweep(tables, progress=False).x_amplitude < 0.2).mean("start").values

@@ -28,7 +28,8 @@ def without_kernel(name):
     return Untranslated()
 
 
-@pytest.mark.parametrize("scene", [pytest.param("vibro-impact", marks=pytest.mark.long), "penetration"])
+@pytest.mark.long
+@pytest.mark.parametrize("scene", SWEEPS)
 def test_xla_matches_kernels(scene):
     """Compare all labels, and the features of lanes that repeat within the growth of rounding errors."""
     sweep = {"scene": scene, "grid": SWEEPS[scene], "run": RUN if scene == "vibro-impact" else {}}

@@ -42,7 +42,7 @@ def _calibrated(data, **settings):
 
 
 def test_true_parameters_are_recovered_without_noise(motion):
-    fit = _calibrated(_runs(motion), searches=2)
+    fit = _calibrated(_runs(motion))
     assert fit.estimate.values == pytest.approx([*TRUE_VALUES.values()], rel=1e-7)
     assert not fit.reason.any() and fit.freedom == 3 * len(SPEEDS) - 2
     assert fit.attrs["kind"] == "calibration"
@@ -92,10 +92,11 @@ def test_estimate_at_a_bound_is_flagged(motion):
     assert "at its bound" in lines[0] and "the data suggest values beyond a bound" in "\n".join(lines)
 
 
+@pytest.mark.long
 def test_law_without_a_rate_at_any_observation_is_refused():
     """Blows whose mean force stays below the threshold penetrate, but C ln(P/D) is negative there."""
     data = {"v (m/s)": [1.3, 1.7], "beta": [0.5, 0.5], "rate_of_penetration (mm/s)": [0.4, 1.6]}
-    about = {"scene": "drilling", "start": "stuck", "parameters": {"rock": "sandstone"}, "data": data}
+    about = {"scene": "drilling", "start": "stuck", "searches": 1, "parameters": {"rock": "sandstone"}, "data": data}
     with pytest.raises(vj.InputError, match=r"the law C ln\(P/D\) gives no rate up to P/D = 1"):
         vj.calibrate(about | {"unknown": {"C": [1e-4, 0.1]}, "error": {"rate_of_penetration": 1e-4}}, progress=False)
 

@@ -82,6 +82,7 @@ def test_carried_lanes_have_orbits():
     assert (lanes.stable == 1).all() and lanes.multiplier_abs.dims == ("gamma", "direction", "multiplier")
 
 
+@pytest.mark.long
 def test_jumps_agree_with_continuation():
     """Over the gap at beta 0.4 and gamma 0.6, there is hysteresis between the strong and the weak single impact.
 

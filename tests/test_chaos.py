@@ -115,7 +115,7 @@ def test_impact_oscillator():
 def test_exponents_of_long_periods():
     """A motion with one impact in 12 periods is longer than labels detect; its multipliers have a closed form."""
     lanes = {"damping": 0.01, "a": 0.5, "stop": 0.0}
-    cases = [(0.5, 0.99), (0.5, 1.02), (0.7, 0.99)]
+    cases = [(0.5, 0.99), (0.5, 1.02)]
     for r, ratio in cases:
         w = 24 * ratio
         orbit = oscillator_orbits(R=r, w=w, stiffness=1.0, n=12, **lanes)[-1]

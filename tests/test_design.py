@@ -64,6 +64,7 @@ def test_draws_within_tolerance_keep_limits_and_worst_values(designed):
         assert float(ds.impact_power.min()) >= float(best.objective_worst) * (1 - 1e-6)
 
 
+@pytest.mark.long
 def test_robust_design_has_best_worst_case_of_fine_scan():
     """A sliding minimum over the tolerance gives the worst case at every point of the scan."""
     change = {"robust": True, "tolerance": {"gamma": WIDE}, "subject": {"regime": "single-impact"}}
@@ -95,6 +96,7 @@ def test_points_of_front_match_simulations(designed):
         assert (lanes(gamma=designed.front_gamma + end).peak_impact_force <= designed.front_limit.values).all()
 
 
+@pytest.mark.long
 def test_lanes_alone_find_same_optimum(designed):
     table = DESIGN | {"run": RUN | {"orbits": False, "error": 1e-6}}
     del table["front"]
@@ -147,7 +149,11 @@ NARROW = {"vary": {"gamma": [0.7, 0.72]}, "tolerance": {}, "front": None}
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (NARROW | {"subject": {"peak_impact_force": {"most": 1e3}}}, "most 1000 N cannot be met; nearest: 16"),
+        pytest.param(
+            NARROW | {"subject": {"peak_impact_force": {"most": 1e3}}},
+            "most 1000 N cannot be met; nearest: 16",
+            marks=pytest.mark.long,
+        ),
         (
             NARROW | {"subject": {"regime": "impact-free"}},
             "impact-free from every start cannot be met; nearest: 0 of 1 lane at gamma = 0.7 (single-impact)",

@@ -184,21 +184,20 @@ def test_contact_closes_again_when_rock_yields():
 
 
 def test_sweep_of_coupled_drilling():
-    """Settled drilling lanes have the labels of the reference, and its measures to 1e-7."""
+    """A settled drilling lane has the label of the reference, and its measures to 1e-7."""
     run_for = {"settle": 10.0, "observe": 6.0}
     sweep = {
         "scene": "coupled-drilling",
         "starts": ["drive"],
-        "grid": {"zeta": [0.5, 0.7]},
+        "grid": {"zeta": [0.5]},
         "parameters": {"gamma": 0.6},
     }
-    dataset = vj.run_sweep(sweep | {"run": run_for}, progress=False).squeeze()
-    for zeta in (0.5, 0.7):
-        motion = run("coupled-drilling", gamma=0.6, zeta=zeta, **run_for)
-        expected, lane = measure(motion), dataset.sel(zeta=zeta)
-        assert label(motion, expected) == lane.regime.attrs["flag_meanings"].split()[int(lane.regime)]
-        for name in ("period", "impact_velocity", "rate_of_penetration", "mean_force", "stick_fraction", "drive_power"):
-            np.testing.assert_allclose(lane[name], expected[name], rtol=1e-7, atol=1e-9, err_msg=name)
+    lane = vj.run_sweep(sweep | {"run": run_for}, progress=False).squeeze()
+    motion = run("coupled-drilling", gamma=0.6, zeta=0.5, **run_for)
+    expected = measure(motion)
+    assert label(motion, expected) == lane.regime.attrs["flag_meanings"].split()[int(lane.regime)]
+    for name in ("period", "impact_velocity", "rate_of_penetration", "mean_force", "stick_fraction", "drive_power"):
+        np.testing.assert_allclose(lane[name], expected[name], rtol=1e-7, atol=1e-9, err_msg=name)
 
 
 def test_defaults_follow_the_model():

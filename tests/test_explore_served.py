@@ -48,21 +48,25 @@ def running_command(*arguments, **more):
         process.communicate()
 
 
-@pytest.mark.parametrize(
-    ("sent", "status", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "term")]
-)
-def test_command_serves_until_interrupted(file, sent, status, word):
-    with running_command("explore", file, "--live", "--no-browser") as process:
-        url = process.stdout.readline().strip()
-        port = int(re.fullmatch(r"http://127\.0\.0\.1:(\d+)/[\w-]{43,}/", url)[1])
-        assert "<title>" in urllib.request.urlopen(url, timeout=100).read().decode()
-        process.send_signal(sent)
-        out, err = process.communicate(timeout=200)
+def assert_ends(process, url, sent, file):
+    """Check that the command serves a page at `url`, until a signal ends it with one line."""
+    port = int(re.fullmatch(r"http://127\.0\.0\.1:(\d+)/[\w-]{43,}/", url)[1])
+    assert "<title>" in urllib.request.urlopen(url, timeout=100).read().decode()
+    process.send_signal(sent)
+    out, err = process.communicate(timeout=200)
+    status, word = {signal.SIGINT: (130, "interrupted"), signal.SIGTERM: (143, "term")}[sent]
     assert process.returncode == status and out == ""
     last = err.splitlines()[-1]
     assert last.startswith(f"vibrojax: {word}") and last.endswith(f"explore {file} --live") and "Traceback" not in err
     with pytest.raises(OSError):
         socket.create_connection(("127.0.0.1", port), 1).close()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_command_serves_until_interrupted(file, sent):
+    with running_command("explore", file, "--live", "--no-browser") as process:
+        assert_ends(process, process.stdout.readline().strip(), sent, file)
 
 
 @pytest.mark.parametrize(
@@ -80,8 +84,7 @@ def test_contradictory_options_are_refused(file, capsys, words, line):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="modes of files and signals")
-@pytest.mark.parametrize("sent", [signal.SIGINT])
-def test_browser_arguments_hold_no_token(file, tmp_path, sent):
+def test_browser_arguments_hold_no_token(file, tmp_path):
     """All users see the arguments of a browser. A private file, which is deleted at the end, leads it to the page."""
     browser, seen, folder = tmp_path / "browser", tmp_path / "seen", tmp_path / "temporary"
     browser.write_text(f'#!/bin/sh\nprintf "%s" "$*" > {seen}.part\nmv {seen}.part {seen}\n')
@@ -98,9 +101,8 @@ def test_browser_arguments_hold_no_token(file, tmp_path, sent):
         assert urlparse(url).path.strip("/") not in seen.read_text() and redirect.is_relative_to(folder)
         assert [path.stat().st_mode & 0o777 for path in (redirect, redirect.parent)] == [0o600, 0o700]
         [target] = re.findall(r'content="0; url=([^"]*)"', redirect.read_text())
-        assert "<title>" in urllib.request.urlopen(target, timeout=100).read().decode()
-        process.send_signal(sent)
-        process.communicate(timeout=200)
+        assert target == url
+        assert_ends(process, url, signal.SIGINT, file)
     assert not redirect.parent.exists()
 
 

@@ -69,15 +69,15 @@ POINT = ["simulate", "rotary", "duration=0.2"]
 
 def test_single_motions_are_numbered(folder, capsys):
     """A motion takes the next free number, or the number of an equal result, and replaces no other file."""
-    (folder / "rotary-3.nc").write_bytes(b"no netCDF at all")
+    (folder / "rotary-2.nc").write_bytes(b"no netCDF at all")
     (folder / "rotary-x.nc").mkdir()
-    for gamma, name in ((0.6, "rotary"), (0.7, "rotary-2"), (0.8, "rotary-4")):
+    for gamma, name in ((0.6, "rotary"), (0.7, "rotary-3")):
         assert main([*POINT, f"gamma={gamma}"]) == 0
         assert capsys.readouterr().out.splitlines()[-1] == f"{name}.nc; picture {name}.png"
         assert vj.open_dataset(folder / f"{name}.nc").attrs["parameters"].count(f'"gamma": {gamma}') == 1
     (folder / "rotary.nc").unlink()
-    assert main([*POINT, "gamma=0.8"]) == 0
-    assert "rotary-4.nc: is there already" in capsys.readouterr().out
+    assert main([*POINT, "gamma=0.7"]) == 0
+    assert "rotary-3.nc: is there already" in capsys.readouterr().out
     assert main([*POINT, "gamma=0.6"]) == 0 and "rotary.nc; picture" in capsys.readouterr().out
 
 

@@ -137,6 +137,7 @@ def test_family_begins_at_a_given_orbit():
         vj.follow(SUBCRITICAL, orbit={"states": [0.0, 3.0, 1.0], "period": 1.0}, **settings)
 
 
+@pytest.mark.long
 def test_forced_branches_cross():
     """1/x² of x' = (a + cos t) x - x³ is linear: orbits ±x meet that at rest at a = 0, where they turn back."""
     forced = vj.System(
@@ -200,7 +201,7 @@ def test_curves_bear_the_names_of_switches():
     assert np.array(curves.kind.attrs["flag_meanings"].split())[curves.kind.values].tolist() == ["right"]
 
 
-@pytest.mark.parametrize("x", [0.1, 0.5])
+@pytest.mark.parametrize("x", [0.1, pytest.param(0.5, marks=pytest.mark.long)])
 def test_bodies_that_friction_holds_are_no_equilibria(x):
     """Every |x| up to 0.3 is one; Newton's method from 0.5 ends at the last of them, which is none of its own."""
     held = vj.System(
@@ -275,6 +276,7 @@ def test_branches_that_nearly_meet_do_not_cross():
     assert family.orbit_x.values.max() == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.long
 def test_mirrored_branch_points_are_all_followed():
     """Two pitchforks at m = 0 and 1 that do not act upon each other have nine equilibria."""
 
@@ -288,6 +290,7 @@ def test_mirrored_branch_points_are_all_followed():
     assert [value for _, value in points(family, "branch-point")] == pytest.approx([0.0, 1.0, 1.0, 1.0], abs=1e-9)
 
 
+@pytest.mark.long
 def test_hopf_points_at_the_beginning_and_next_to_each_other():
     def field(t, y, p):
         m, n = p["m"], p["m"] - 1e-3
@@ -300,6 +303,7 @@ def test_hopf_points_at_the_beginning_and_next_to_each_other():
     assert [value for _, value in points(family, "hopf")] == pytest.approx([0.0, 1e-3], abs=1e-9)
 
 
+@pytest.mark.long
 def test_real_eigenvalues_of_opposite_sign_are_no_hopf_point():
     """At m = 0 the eigenvalues 1 and -1 sum to zero; the pair beside them keeps its real part -1/2."""
 
@@ -313,6 +317,7 @@ def test_real_eigenvalues_of_opposite_sign_are_no_hopf_point():
     assert kinds(family) == {"end"}
 
 
+@pytest.mark.long
 def test_equilibria_meet_a_switch_and_end_at_a_stop():
     """A spring under the load m stiffens at x = 0.3, a point that bears the name of the switch, and rests on the stop
     at x = d from m = 2 d - 0.3 on: beyond that the field has no equilibrium."""

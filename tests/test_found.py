@@ -76,11 +76,6 @@ def test_short_motion_that_repeats_has_its_period():
     assert "so far it repeats in each period of 3.1416 s; give duration=" in feature_lines(motion)[0]
 
 
-def test_diffrax_solver_gives_only_the_motion():
-    motion = vj.simulate("rotary", duration=0.2, solver="Tsit5", error=1e-2, progress=False)
-    assert "regime" not in motion and feature_lines(motion) == []
-
-
 def test_frequencies_are_outputs():
     """Compare with w1/2pi, w2/2pi, the roots of the frequency equation (sum and product), and impacts per minute."""
     motion = vj.simulate("vibro-impact", delta=0.005, start="stuck", striker_frequency=3.0, progress=False)

@@ -109,9 +109,9 @@ def verdicts(seed, draws, duration=20.0):
 @pytest.mark.parametrize("seed", [12] + [pytest.param(seed, marks=pytest.mark.long) for seed in (2, 17)])
 def test_trajectories_of_random_systems(seed):
     """Impacts, a reset, switches and friction together; the second start is exactly on a surface."""
-    outcomes = verdicts(seed, (0, 3, 5, 9))
+    outcomes = verdicts(seed, (0, 3))
     assert {key: verdict for key, verdict in outcomes.items() if verdict.kind not in ("agree", "doubtful")} == {}
-    assert sum(verdict.kind == "agree" for verdict in outcomes.values()) >= 3
+    assert sum(verdict.kind == "agree" for verdict in outcomes.values()) >= 2
 
 
 @pytest.mark.long

@@ -42,6 +42,7 @@ def test_start_on_the_surface_of_a_reset():
     assert ends(system, [1.0, -0.5], 8.0) == pytest.approx(right, abs=1e-8)
 
 
+@pytest.mark.long
 def test_slide_that_pauses_within_a_step():
     """y' = a sin(t + 3) - s slides on y = 0 except while |a sin| > 1, first for y' = a sin(t + 3) + 1 around 3 pi/2."""
     slide = vj.System(
@@ -155,6 +156,7 @@ def test_events_with_one_surface_are_refused():
         )
 
 
+@pytest.mark.long
 def test_two_surfaces_that_change_each_others_sliding():
     """x' = -2 a - b + 0.3, y' = -a - 2 b + 0.1 with a = sgn x, b = sgn y: both slide at 0, and do not before."""
     system = vj.System(
@@ -314,6 +316,7 @@ def test_integrate_and_fire():
     assert ds.cycles.values.ravel().tolist() == [1, 1] and ds.impacts.values.ravel().tolist() == [1, 1]
 
 
+@pytest.mark.long
 def test_relay_feedback_with_section_on_the_switch():
     """The relay -sgn(x) with the plant 1/(s + 1)³. After half a period h of its cycle, the state is reversed.
 
@@ -429,6 +432,7 @@ def test_argument_with_default_is_not_a_side():
     assert ends(loop, [1.0], 1.0) == pytest.approx([np.exp(-2.0)], abs=1e-7)
 
 
+@pytest.mark.long
 def test_motion_that_begins_on_a_sliding_surface():
     """On x + y = 0, x decays as exp(-t)."""
     assert ends(RELAY, [0.3, -0.3], 2.0)[0] == pytest.approx(0.3 * np.exp(-2.0), abs=1e-7)
@@ -458,6 +462,7 @@ def test_kernel_is_compared_with_xla_on_the_motion_asked_for(recwarn):
     assert not [warning for warning in recwarn if "kernel" in str(warning.message)]
 
 
+@pytest.mark.long
 def test_switch_on_the_first_state_of_a_system_without_section():
     """x'' = -sgn(x) from (0.5, 0) falls for 1 s, and then mirrors its fall."""
     system = vj.System(

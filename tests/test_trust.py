@@ -125,7 +125,7 @@ def test_sweep_with_a_fault_runs_on_xla(translation_fault):
 
 
 @pytest.mark.parametrize(
-    "where", ["guard", "gauge", *(pytest.param(name, marks=pytest.mark.long) for name in ("constants", "law"))]
+    "where", ["guard", *(pytest.param(name, marks=pytest.mark.long) for name in ("constants", "gauge", "law"))]
 )
 def test_comparison_names_differing_quantity(where, translation_fault):
     scene, quantity = FAULTY[where]
@@ -179,7 +179,7 @@ SOUND_SCENES = [
 ]
 
 
-IN_CI = ("coupled-drilling-stribeck",)
+IN_CI = ("rotary-stribeck",)
 
 
 def scene_id(scene):

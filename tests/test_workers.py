@@ -52,14 +52,20 @@ def assert_same(dataset, expected):
 
 
 def test_spawned_pool_in_memory(file, expected):
-    with ProcessPoolExecutor(2, mp_context=SPAWN) as executor:
+    with ProcessPoolExecutor(1, mp_context=SPAWN) as executor:
         assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
 
 
 def test_dask_cluster(file, expected):
     distributed = pytest.importorskip("distributed")
     out = file.with_name("out.nc")
-    options = {"processes": True, "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": 50}
+    options = {
+        "processes": False,
+        "protocol": "tcp",
+        "threads_per_worker": 1,
+        "dashboard_address": ":0",
+        "silence_logs": 50,
+    }
     with distributed.LocalCluster(1, **options) as cluster:
         address = cluster.scheduler_address.replace("tcp://", "dask://")
         assert main(["sweep", str(file), "-o", str(out), "--workers", address, "--quiet"]) == 0

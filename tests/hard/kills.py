@@ -64,12 +64,13 @@ class Kills:
         self.out, self.whole, self.chunks = folder / "out.nc", folder / "whole.nc", folder / "out.nc.chunks"
         (folder / "sweep.toml").write_text(SWEEP)
         (folder / "pool.py").write_text(POOL)
-        for _ in range(2):  # the first run compiles
-            began = time.monotonic()
-            process = self._start("-m", "vibrojax", "sweep", "sweep.toml", "-o", self.whole.name, "--quiet")
-            errors = process.communicate()[1]
-            assert process.returncode == 0, errors
-            self.duration = time.monotonic() - began
+        process = self._start("-m", "vibrojax", "sweep", "sweep.toml", "-o", self.whole.name, "--quiet")
+        while process.poll() is None and not any(folder.glob("whole.nc.chunks/*.zip")):
+            time.sleep(0.02)
+        began = time.monotonic()
+        errors = process.communicate()[1]
+        assert process.returncode == 0, errors
+        self.duration = time.monotonic() - began
 
     def run_once(self, most: int, backend: str = "alone") -> int:
         """Start over, kill at most `most` times, then let the sweep finish."""
@@ -80,9 +81,11 @@ class Kills:
         )
         while not self.out.exists():
             process = self._start(*words)
-            kill_at = time.monotonic() + self.random.uniform(0.0, 0.9 * self.duration)
+            kill_at = np.inf  # a random time after the first chunk
             while process.poll() is None:
                 self._look(seen)
+                if seen and kill_at == np.inf:
+                    kill_at = time.monotonic() + self.random.uniform(0.0, 0.9 * self.duration)
                 if kills < most and time.monotonic() > kill_at:
                     victims = [process.pid, *workers(process.pid)]
                     victim = self.random.choice(victims)
@@ -114,7 +117,7 @@ class Kills:
         seen |= finished
 
     def _start(self, *arguments: str) -> subprocess.Popen:
-        environment = os.environ | {"PYTHONPATH": str(ROOT), "VIBROJAX_CACHE": str(self.folder / "cache")}
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
         return subprocess.Popen(
             [sys.executable, *arguments],
             cwd=self.folder,

@@ -84,7 +84,7 @@ def traced():
     native.Kernel.found, native.Kernel.enter = found, entered
     native.CODE_LEVEL = 0  # the traces are the same, and compile faster
     for scene, grid, seconds in (
-        ("vibro-impact", {"v": [1.0, 1.5]}, 2.0),
+        ("rotary", {"v": [1.0, 1.5]}, 2.0),
         (oscillator(), {"omega": [1.8, 2.0]}, 9.0),
     ):
         vj.run_sweep({"scene": scene, "grid": grid, "run": {"settle": seconds, "observe": seconds}}, progress=False)
