@@ -214,7 +214,6 @@ def test_sticking_bit_slips_when_impact_force_ends():
     assert (counts[0] != counts[1]).any(axis=(0, 1)).all()
 
 
-@pytest.mark.long
 def test_hopf_points_follow_linear_stability_of_sliding():
     v, beta = 1.5, 0.4
     low, high = 0.89, 1.0

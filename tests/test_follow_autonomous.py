@@ -137,7 +137,6 @@ def test_family_begins_at_a_given_orbit():
         vj.follow(SUBCRITICAL, orbit={"states": [0.0, 3.0, 1.0], "period": 1.0}, **settings)
 
 
-@pytest.mark.long
 def test_forced_branches_cross():
     """1/x² of x' = (a + cos t) x - x³ is linear: orbits ±x meet that at rest at a = 0, where they turn back."""
     forced = vj.System(
@@ -317,7 +316,6 @@ def test_real_eigenvalues_of_opposite_sign_are_no_hopf_point():
     assert kinds(family) == {"end"}
 
 
-@pytest.mark.long
 def test_equilibria_meet_a_switch_and_end_at_a_stop():
     """A spring under the load m stiffens at x = 0.3, a point that bears the name of the switch, and rests on the stop
     at x = d from m = 2 d - 0.3 on: beyond that the field has no equilibrium."""

@@ -156,7 +156,6 @@ def test_events_with_one_surface_are_refused():
         )
 
 
-@pytest.mark.long
 def test_two_surfaces_that_change_each_others_sliding():
     """x' = -2 a - b + 0.3, y' = -a - 2 b + 0.1 with a = sgn x, b = sgn y: both slide at 0, and do not before."""
     system = vj.System(

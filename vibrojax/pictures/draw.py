@@ -1,8 +1,8 @@
 """Drawing of pictures by matplotlib: panels, legends, colour bars, title and note.
 
 Panels are placed by matplotlib's constrained layout, in a fraction of its time. Matplotlib finds the place of the label
-of an axis, and the height of a title, from all tick labels around, each time that it measures a panel: for 14 panels, it
-computes ticks a thousand times. Here, labels are placed once before panels, and titles stay where they are.
+of an axis, and the height of a title, from all tick labels around, each time that it measures a panel: for 14 panels,
+it computes ticks a thousand times. Here, labels are placed once before panels, and titles stay where they are.
 """
 
 from collections import defaultdict
