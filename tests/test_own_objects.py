@@ -91,6 +91,24 @@ def test_own_measure(usual):
     np.testing.assert_allclose(own.impact_velocity, usual.impact_velocity, rtol=1e-9)
 
 
+def test_measure_with_the_name_of_a_variable_of_the_package_is_refused():
+    """Its unit would take the place of the package's, which keeps the values."""
+
+    @dataclass(frozen=True)
+    class Period(Gauge):
+        variables: ClassVar[dict[str, tuple[str, str]]] = {"period": ("m s-1", "greatest speed")}
+
+        def read(self, scene, c, carry, whole):
+            return {"period": whole.time}
+
+    @dataclass(frozen=True)
+    class Renamed(VibroImpact):
+        measures = (*VibroImpact.measures, Period())
+
+    with pytest.raises(vj.InputError, match="Period declares period, which is a variable of vibrojax; give it another"):
+        sweep(Renamed())
+
+
 def test_objects_of_installed_package(tmp_path):
     """Its law, scene, stepper and gauge have names. Unusable objects are left out, each with a line that says why."""
     (tmp_path / "mine.py").write_text(

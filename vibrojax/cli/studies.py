@@ -162,7 +162,7 @@ def _run_sweep(analysis_class: "type[Analysis]", options: Options) -> None:
     kind, file, progress = analysis_class.kind, str(options.file), not options.quiet
     given = {name: text for name in settings_of(analysis_class) if (text := getattr(options, name)) is not None}
     settings = {name: _setting(settings_of(analysis_class)[name], text) for name, text in given.items()}
-    analysis = analysis_class(**settings)
+    analysis = analysis_class(**settings).checked(Place(kind))
     is_dataset = file.endswith(".nc")
     source: Any = open_dataset(Path(file)) if is_dataset else file
     sweep = analysis.sweep(source) if isinstance(analysis, SweepAnalysis) else None
@@ -194,7 +194,7 @@ def _run_sweep(analysis_class: "type[Analysis]", options: Options) -> None:
 
 
 def _setting(field: "Field[Any]", text: str) -> object:
-    """Return the value of an option in the type of its field: a number, a string, or a tuple of strings."""
+    """Return the value of an option in the type of its field: a number, true or false, a string, or a tuple of strings."""
     option, kind = _option(field.name), str(getattr(field.type, "__name__", field.type))
     if kind.startswith("tuple"):
         items = [item.strip() for item in text.split(",")]
@@ -202,6 +202,10 @@ def _setting(field: "Field[Any]", text: str) -> object:
             example = field.metadata.get("example", "A,B")
             raise InputError(f"{option}: {shown(text)} is not a pair of names; write two, like {example}")
         return tuple(items)
+    if kind == "bool":
+        if text not in ("true", "false"):
+            raise InputError(f"{option}: {shown(text)} is neither true nor false")
+        return text == "true"
     try:
         return float(text) if kind.startswith("float") else int(text) if kind.startswith("int") else text
     except ValueError:

@@ -6,6 +6,7 @@ A return interval is the time between two successive crossings of the Poincaré 
 from typing import Any
 
 from vibrojax.errors import InputError, shown
+from vibrojax.io.variables import VARIABLES
 from vibrojax.measures.gauge import Gauge, Moment, Return, Whole
 from vibrojax.measures.impacts import Hole, Impacts, PulseRecorder
 from vibrojax.measures.ledger import MOST_CYCLES
@@ -56,6 +57,10 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
     if unknown:
         raise InputError(f"scene: {scene.name} measures {shown(unknown[0])}; choose from {', '.join(GAUGES)}")
     named = [gauge_named(gauge) for gauge in scene.measures]
+    for gauge in named:
+        if own := [name for name in gauge.variables if name in VARIABLES]:
+            gives = f"{type(gauge).__name__} declares {own[0]}, which is a variable of vibrojax"
+            raise InputError(f"scene: {scene.name}: {gives}; give it another name")
     always = (Swings(), Impacts()) if isinstance(scene, HasImpacts) else (Swings(),)
     missing = [gauge for gauge in always if not any(isinstance(other, type(gauge)) for other in named)]
     gauges = (*missing, *named)

@@ -78,15 +78,15 @@ class Gauge(ABC, Generic[K]):
     **Example:**
 
     >>> class Returns(vj.Gauge):  # the number of whole returns; `step` and `section` would record more
-    ...     variables = {"returns": ("1", "whole returns in the observation")}
+    ...     variables = {"whole_returns": ("1", "whole returns in the observation")}
     ...
     ...     def read(self, scene, c, carry, whole):
-    ...         return {"returns": whole.returns}
+    ...         return {"whole_returns": whole.returns}
     >>> class Counted(vj.SCENES["rotary"]):
     ...     name = "counted"
     ...     measures = (*vj.SCENES["rotary"].measures, Returns())
     >>> ds = vj.run_sweep({"scene": Counted(), "starts": ["drive"], "grid": {"v": [1.0, 1.5]}}, progress=False)
-    >>> ds.returns.values.ravel().tolist()
+    >>> ds.whole_returns.values.ravel().tolist()
     [38.0, 10.0]
     """
 

@@ -46,7 +46,7 @@ def setting(
     - `later`: True for a setting that an earlier version did not have. It is in the identity only where it differs from
       its default, so that earlier results keep their identity.
     """
-    about = {"help": meaning, "results": results, "later": later}
+    about = {"help": meaning, "results": results, "later": later, "is_checked": read is None}
     if read is None and choices:
         names = tuple(choices)
         read = lambda place, value: choice(place, value, names)  # noqa: E731
@@ -83,6 +83,15 @@ class Settings:
 
     def check(self, place: Place) -> None:
         """Raise `InputError` if settings contradict one another."""
+
+    def checked(self, place: Place) -> Self:
+        """Return the settings after a check of those with limits or choices, also if the object was made directly."""
+        for name, item in settings_of(type(self)).items():
+            value = getattr(self, name)
+            if item.metadata.get("is_checked") and value != item.default:
+                read_setting(place.at(name), item, value)
+        self.check(place)
+        return self
 
     def described(self) -> dict[str, object]:
         """Return the settings on which results depend, including defaults, as JSON values."""

@@ -64,6 +64,8 @@ def read_source(source: str | PathLike[str] | Mapping[str, object], noun: str = 
     `noun`: "sweep", or "study", "design" or "calibration", which are read in the same way. In a dict, a scene, a
     friction law or a stepper may be an object instead of a name.
     """
+    if hasattr(source, "data_vars"):
+        raise InputError(f"{noun}: a dataset is not a {noun}; give a path, a bundled name or a dict")
     if isinstance(source, Mapping):
         tables = plain_table(Place(noun), source)
         return Source(noun, noun, Path(), render(tables), tables)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import xarray as xr
 
-from vibrojax.errors import InputError, printable, shown
+from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.io.kinds import KIND, check_structure, dataset_attributes, kind_of
 from vibrojax.io.variables import Variable, described
 from vibrojax.settings.fields import Settings
@@ -80,11 +80,13 @@ class Analysis(Settings):
 
     **Example:** the fraction of lanes in each regime
 
+    >>> import xarray as xr
     >>> class Shares(vj.Analysis):
     ...     kind = "shares"
     ...     variables = {"share": vj.Variable("1", "share of lanes")}
     ...     def run(self, source, progress=True):
-    ...         regime = vj.run_sweep(source, progress=progress).regime
+    ...         lanes = source if isinstance(source, xr.Dataset) else vj.run_sweep(source, progress=progress)
+    ...         regime = lanes.regime
     ...         flags = regime.attrs["flag_values"]
     ...         share = [float((regime == flag).mean()) for flag in flags]
     ...         return self.dataset({"share": ("flag", share)}, {"flag": flags}, title="Shares of regimes")
@@ -237,7 +239,7 @@ def analyse(source: Source, analysis: Analysis | Any, progress: bool = True) -> 
     kind = analysis.kind
     if not kind.isprintable() or not kind.replace("-", "").isalnum() or kind != kind.lower():
         raise InputError(f"analyse: kind {kind!r} of {type(analysis).__name__} is not a name of small letters and -")
-    return checked_result(analysis, analysis.run(source, progress))
+    return checked_result(analysis, analysis.checked(Place(kind)).run(source, progress))
 
 
 def checked_result(analysis: Analysis, ds: xr.Dataset) -> xr.Dataset:
