@@ -194,7 +194,7 @@ def _run_sweep(analysis_class: "type[Analysis]", options: Options) -> None:
 
 
 def _setting(field: "Field[Any]", text: str) -> object:
-    """Return the value of an option in the type of its field: a number, true or false, a string, or a tuple of strings."""
+    """Return the value of an option in the type of its field: a number, true or false, a string, or several strings."""
     option, kind = _option(field.name), str(getattr(field.type, "__name__", field.type))
     if kind.startswith("tuple"):
         items = [item.strip() for item in text.split(",")]
