@@ -87,7 +87,7 @@ class Gauge(ABC, Generic[K]):
     ...     measures = (*vj.SCENES["rotary"].measures, Returns())
     >>> ds = vj.run_sweep({"scene": Counted(), "starts": ["drive"], "grid": {"v": [1.0, 1.5]}}, progress=False)
     >>> ds.whole_returns.values.ravel().tolist()
-    [38.0, 10.0]
+    [37.0, 9.0]
     """
 
     summed: ClassVar[tuple[str, ...]] = ()
