@@ -363,4 +363,5 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
     >>> bool(best.feasible == 1), round(float(best.gamma), 2)
     (True, 0.6)
     """
-    return Designs().run(source, progress)
+    designs = Designs()
+    return designs.compute(designs.asked(source), progress)
