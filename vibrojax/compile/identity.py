@@ -124,7 +124,6 @@ def _is_replaced(value: FunctionType | type) -> bool:
     return _is_users(value.__module__)
 
 
-@cache
 def _is_users(module: str | None) -> bool:
     """Return whether a module is neither of a known nor of another library."""
     return _top(module) not in KNOWN and not _is_library(_top(module))

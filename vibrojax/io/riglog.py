@@ -45,6 +45,7 @@ from vibrojax.io.tables import (
     cells_of,
     decimal_mark,
     is_number,
+    line_ranges,
     read_cells,
     to_numbers,
 )
@@ -73,7 +74,6 @@ LIMITS = {RATE: 500 * 0.3048 / 3600, WEIGHT: 800e3, ROTATION_SPEED: 500 * RPM, "
 
 _DAY = 86400.0
 _CLOCK = r"\d{1,2}:\d\d(:\d\d(\.\d*)?)?"
-_MOST_LINES_LISTED = 12
 
 Source: TypeAlias = str | PathLike[str] | pd.DataFrame
 Where: TypeAlias = str | Sequence[str] | Mapping[str, object] | None
@@ -399,14 +399,6 @@ def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines:
         dropped[rows[position]] = False
         position = int(previous[position])
     return dropped
-
-
-def line_ranges(lines: Int[np.ndarray, " lines"]) -> str:
-    """Return line numbers as text such as "3, 7-9", at most a dozen ranges."""
-    parts = np.split(lines, np.flatnonzero(np.diff(lines) > 1) + 1)
-    texts = [f"{part[0]}" if part.size == 1 else f"{part[0]}-{part[-1]}" for part in parts]
-    more = f" and {len(texts) - _MOST_LINES_LISTED} ranges more" if len(texts) > _MOST_LINES_LISTED else ""
-    return ", ".join(texts[:_MOST_LINES_LISTED]) + more
 
 
 # Datasets

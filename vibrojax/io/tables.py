@@ -10,13 +10,15 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from vibrojax.errors import InputError, Place, counted, nearest, shown
 from vibrojax.io.files import read_regular
 from vibrojax.io.log_columns import recognise
 from vibrojax.lazy import pd
 from vibrojax.physics.units import is_unit
+
+_MOST_LINES_LISTED = 12
 
 MOST_LISTED = 10
 """Number of faults that a message lists."""
@@ -357,3 +359,11 @@ def _read_las(place: Place, text: str) -> Cells:
         raise place.at(f"line {begins['A']}").error(_NO_ROWS)
     nulls = {str(las.well["NULL"].value)} if "NULL" in las.well else set[str]()
     return Cells(header, begins["C"], _table(rows), frozenset(nulls))
+
+
+def line_ranges(lines: Int[np.ndarray, " lines"]) -> str:
+    """Return line numbers as text such as "3, 7-9", at most a dozen ranges."""
+    parts = np.split(lines, np.flatnonzero(np.diff(lines) > 1) + 1)
+    texts = [f"{part[0]}" if part.size == 1 else f"{part[0]}-{part[-1]}" for part in parts]
+    more = f" and {len(texts) - _MOST_LINES_LISTED} ranges more" if len(texts) > _MOST_LINES_LISTED else ""
+    return ", ".join(texts[:_MOST_LINES_LISTED]) + more

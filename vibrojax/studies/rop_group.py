@@ -1,17 +1,20 @@
-"""Fit of one group of lanes: wrong rows, the founder weight, and every form.
+"""Fit of one group of lanes: wrong rows, the founder weight, and every form; and the groups of a fit.
 
 The rows of a log are in order of depth. Neighbours are correlated, so that rows are neither drawn nor left out one by
 one, but in blocks that are longer than the correlation.
 """
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from jaxtyping import Float
 from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
+from vibrojax.io.attributes import flags
 from vibrojax.studies.rop_forms import (
     AIC_LIMIT,
     BLOCK_LIMIT,
@@ -377,3 +380,30 @@ def _coefficients(minimum: Minimum, rate: Lanes, block: LaneBlocks | None) -> di
         "aic": rate.size * (np.log(max(squares / rate.size, _EPSILON**2)) + 2 * np.log(unit)) + 2 * size,
         "degrees_of_freedom": int(minimum.active.sum()) - size,
     }
+
+
+def groups_of(fit: xr.Dataset) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Yield the name of each group, such as "force=200000 N, rock=granite", and a table of its forms, by name."""
+    dims = [dim for dim in fit["aic"].dims if dim != "form"]
+    whole = fit.drop_dims([dim for dim in fit.dims if dim not in (*dims, "form")])
+    table = whole.to_dataframe(dim_order=[*dims, "form"]).reset_index()
+    for name in ("reason", "r_squared_reason", "standing"):
+        table[name] = table[name].map(flags(fit[name]))
+    names = [name for name in table if name in dims or (name in fit.coords and name != "form" and fit[name].dims)]
+    # A dimension without values of its own has a name only if nothing else distinguishes its groups.
+    named = {dim for name in names if name in fit.coords for dim in fit[name].dims}
+    names = [name for name in names if name in fit.coords or name not in named]
+    for _, part in table.groupby(np.arange(len(table)) // fit.sizes["form"]):
+        first = part.iloc[0]
+        texts = [f"{name}={_text(fit, name, first[name])}" for name in names]
+        yield ", ".join(texts) or "all lanes", part.set_index("form")
+
+
+def _text(fit: xr.Dataset, name: str, value: Any) -> str:
+    unit = fit[name].attrs.get("units", "1")
+    return (f"{value:.6g}" if isinstance(value, float) else str(value)) + ("" if unit == "1" else f" {unit}")
+
+
+def founder_of(group: pd.DataFrame) -> Founder:
+    """Return the founder weight of a group."""
+    return Founder(*(float(group[f"founder_{name}"].iloc[0]) for name in Founder._fields[:4]))

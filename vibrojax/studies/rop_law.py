@@ -34,7 +34,8 @@ from vibrojax.io.log_columns import (
     checked_columns,
     split_unit,
 )
-from vibrojax.io.riglog import Nulls, Where, line_ranges, log_lines, read_needed, to_dataset
+from vibrojax.io.riglog import Nulls, Where, log_lines, read_needed, to_dataset
+from vibrojax.io.tables import line_ranges
 from vibrojax.io.variables import Variable, described
 from vibrojax.measures.labels import FAILED, IRREGULAR
 from vibrojax.physics.meanings import suggest_coordinate

@@ -3,7 +3,6 @@
 A *group* is a set of lanes with a law of its own; a *form* is a formula of the law.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +12,7 @@ import xarray as xr
 from scipy.special import stdtrit
 
 from vibrojax.errors import counted
-from vibrojax.io.attributes import attribute_of, flags, table_of
+from vibrojax.io.attributes import attribute_of, table_of
 from vibrojax.io.log_columns import RATE
 from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log, log_lines
 from vibrojax.physics.units import factor
@@ -42,7 +41,7 @@ from vibrojax.pictures.sheet import Facets, at, facets
 from vibrojax.pictures.style import IMPACT
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, FORMULAS, LOGARITHMIC, SAME_AS_ONSET, Standing
-from vibrojax.studies.rop_group import COEFFICIENTS, LEAST_DEGREES_OF_FREEDOM, Founder
+from vibrojax.studies.rop_group import COEFFICIENTS, LEAST_DEGREES_OF_FREEDOM, Founder, founder_of, groups_of
 
 _ONSET_STANDARD_ERRORS = 2.0  # by which an onset is below 1 before the verdict says so
 _GROUPS_LISTED = 12
@@ -73,33 +72,6 @@ _Limits = tuple[float | None, float | None]
 
 
 # Text
-
-
-def groups_of(fit: xr.Dataset) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield the name of each group, such as "force=200000 N, rock=granite", and a table of its forms, by name."""
-    dims = [dim for dim in fit["aic"].dims if dim != "form"]
-    whole = fit.drop_dims([dim for dim in fit.dims if dim not in (*dims, "form")])
-    table = whole.to_dataframe(dim_order=[*dims, "form"]).reset_index()
-    for name in ("reason", "r_squared_reason", "standing"):
-        table[name] = table[name].map(flags(fit[name]))
-    names = [name for name in table if name in dims or (name in fit.coords and name != "form" and fit[name].dims)]
-    # A dimension without values of its own has a name only if nothing else distinguishes its groups.
-    named = {dim for name in names if name in fit.coords for dim in fit[name].dims}
-    names = [name for name in names if name in fit.coords or name not in named]
-    for _, part in table.groupby(np.arange(len(table)) // fit.sizes["form"]):
-        first = part.iloc[0]
-        texts = [f"{name}={_text(fit, name, first[name])}" for name in names]
-        yield ", ".join(texts) or "all lanes", part.set_index("form")
-
-
-def _text(fit: xr.Dataset, name: str, value: Any) -> str:
-    unit = fit[name].attrs.get("units", "1")
-    return (f"{value:.6g}" if isinstance(value, float) else str(value)) + ("" if unit == "1" else f" {unit}")
-
-
-def founder_of(group: pd.DataFrame) -> Founder:
-    """Return the founder weight of a group."""
-    return Founder(*(float(group[f"founder_{name}"].iloc[0]) for name in Founder._fields[:4]))
 
 
 def law_facts(fit: xr.Dataset) -> dict[str, Any]:
