@@ -119,8 +119,8 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
         words = sys.argv[1:] if argv is None else argv
         _, unknown = _parser(words).parse_known_args(words, options)
         if unknown:
-            before, command = (f"{options.command}: ", f" {options.command}") if options.command else ("", "")
-            raise InputError(f"{before}unrecognized arguments: {' '.join(unknown)}; see vibrojax{command} --help")
+            before, after = (f"{options.command}: ", f" {options.command}") if options.command else ("", "")
+            raise InputError(f"{before}unrecognized arguments: {' '.join(unknown)}; see vibrojax{after} --help")
         if options.version:
             print(f"vibrojax {package_version()}")
         elif options.command is None:
