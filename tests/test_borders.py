@@ -188,6 +188,10 @@ def test_lines_outside_the_plane_are_refused(sweep):
             {"grid": {"beta": [0.3, 0.4], "striker_frequency": [2.0, 3.0]}},
             "give gamma, which it replaces: gamma = striker_frequency/bit_frequency",
         ),
+        (
+            {"scene": "drilling", "grid": {"gamma": [0.6, 0.7], "k3": [1e8, 2e8]}},
+            'k3 does not act on the orbits of scene "drilling".*coupled-drilling',
+        ),
     ],
 )
 def test_sweep_without_plane_is_refused(change, message):

@@ -19,7 +19,7 @@ STATES = ("orbit_x1", "orbit_x2", "orbit_v2")
 
 
 def follow_drill(**more):
-    return vj.follow("vibro-impact", progress=False, **more)
+    return vj.follow(**({"scene": "vibro-impact", "progress": False} | more))
 
 
 def specials(family, kind, branch=0):
@@ -242,7 +242,12 @@ def test_lanes_near_orbits_stay_only_if_orbits_are_stable(line):
 
 @pytest.mark.parametrize(
     ("more", "says"),
-    [({"span": 0.5}, "span"), ({"beta": []}, "empty"), ({"beta": 0.3, "at": 0.3}, "irregular")],
+    [
+        ({"span": 0.5}, "span"),
+        ({"beta": []}, "empty"),
+        ({"beta": 0.3, "at": 0.3}, "irregular"),
+        ({"scene": "drilling", "along": "threshold", "at": 5e4, "span": (2e4, 1e5)}, "no orbit changes along it"),
+    ],
 )
 def test_wrong_input_is_refused(more, says):
     """The command (`test_follow_cli.py`) refuses the rest."""

@@ -13,10 +13,11 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrojax.errors import Place, shown
 from vibrojax.periodic.flow_map import moving_names
 from vibrojax.periodic.newton import chain, images_by_lane, multipliers, shooting_matrix, solve
 from vibrojax.periodic.return_map import Segments
-from vibrojax.scenes import Scene
+from vibrojax.scenes import SCENES, Scene
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy
 
 FAMILY_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
@@ -49,6 +50,15 @@ Unknowns = Float[np.ndarray, "lanes unknowns"]
 PerLane = Float[np.ndarray, " lanes"]
 PerSegment = Float[np.ndarray, " segments"]
 Flags = Bool[np.ndarray, " lanes"]
+
+
+def check_changes_orbits(place: Place, scene: Scene[Any], name: str) -> None:
+    """Raise `InputError` at `place` if the parameter `name` acts only on what the scene's driving part drives."""
+    if name not in scene.driving_part().parameters():
+        coupled = f"coupled-{scene.name}"
+        other = f", or use {coupled}, where it does" if coupled in SCENES else ""
+        fault = f"{name} does not act on the orbits of scene {shown(scene.name)}"
+        raise place.error(f"{fault}: no orbit changes along it; vary it in a sweep{other}")
 
 
 class Points(NamedTuple):

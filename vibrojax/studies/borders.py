@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.colors import ListedColormap, Normalize
 
-from vibrojax.errors import InputError, counted, printable, shown
+from vibrojax.errors import InputError, Place, counted, printable, shown
 from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS
 from vibrojax.io.variables import described
@@ -23,6 +23,7 @@ from vibrojax.maps.rerun import sweep_with_orbits
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
 from vibrojax.periodic.orbits import orbits_of
+from vibrojax.periodic.problem import check_changes_orbits
 from vibrojax.physics.parameters import REPLACED, substitutes
 from vibrojax.pictures.axes import axis, edges, margins, share_text, value_text, values_along
 from vibrojax.pictures.overlays import ANY, axes_of, beyond, border_layers
@@ -128,6 +129,8 @@ def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
         formula = ": gamma = striker_frequency/bit_frequency" if name == "striker_frequency" else ""
         instead = f"give {REPLACED[name]}, which it replaces{formula}"
         raise InputError(f"borders: {name} is not a parameter of the scene; {instead}")
+    for name in axes:
+        check_changes_orbits(Place("borders").at("axes"), sweep.system, name)
     return axes[0], axes[1]
 
 

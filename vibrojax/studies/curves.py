@@ -22,7 +22,7 @@ from vibrojax.periodic.curve_equations import EVENTS, CurveProblem
 from vibrojax.periodic.curve_following import Curve, crossings, follow_curves
 from vibrojax.periodic.event_map import conditions_of
 from vibrojax.periodic.orbits import Orbits
-from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, UNITS_PER_SPAN, Points
+from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, UNITS_PER_SPAN, Points, check_changes_orbits
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
 from vibrojax.physics.meanings import suggest_parameter
 from vibrojax.physics.parameters import ROTATION, differing
@@ -149,6 +149,7 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
         raise place.at("family").error("holds families of several rocks; follow those of one rock")
     if by in (*ROTATION, "rpm") and by != "v":
         raise place.at("by").error(f"{by} is not continued; give v")
+    check_changes_orbits(place.at("by"), names.system, by)
     low, high = read_span(place, names, by, span)
     kinds = continued_kinds(family)
     chosen = _special(place, special, family, kinds)
@@ -201,6 +202,8 @@ def _special(place: Place, special: object, family: xr.Dataset, kinds: list[str]
             raise place.error("the family has no special point that can be continued; follow it further")
         return continued
     given: list[Any] = list(special) if isinstance(special, list | tuple | np.ndarray) else [special]
+    if not given:
+        raise place.at("special").error("is empty; give numbers of special points, or leave it out")
     for k in given:
         if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < len(kinds):
             raise place.at("special").error(f"{shown(k)} is not a number from 0 to {len(kinds) - 1}")

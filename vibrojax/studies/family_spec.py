@@ -15,6 +15,7 @@ from vibrojax.io.kinds import kind_of
 from vibrojax.maps.machines import read_machines, several_and_single
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.ledger import MOST_CYCLES
+from vibrojax.periodic.problem import check_changes_orbits
 from vibrojax.physics.meanings import suggest_parameter
 from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION, resolved
 from vibrojax.settings.names import Names, read_names
@@ -107,6 +108,7 @@ def family_spec(
                 values = resolved(resolved(values) | {along: at})
                 instead += f"; {at:g} Hz is {replaced}={values[replaced]:.6g}"
         raise place.at("along").error(f"{shown(along)} is not a parameter of the scene; {instead}")
+    check_changes_orbits(place.at("along"), names.system, along)
     if along in parameters:
         hint = f"say where it begins by at={shown(fixed.get(along, 'VALUE'))}"
         raise place.at(along).error(f"is the parameter of the continuation; {hint}")
