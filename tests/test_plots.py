@@ -468,18 +468,24 @@ def test_states_of_systems_are_drawn_in_the_units_of_their_axes():
     np.testing.assert_allclose(over_time.layers[0].y, 200 * OSCILLATION["x"].values[-len(over_time.layers[0].y) :])
 
 
-def test_star_of_chart_is_robust_within_the_map():
-    """Everywhere is a single impact, strongest at the edge, where cells are not known to be robust."""
+@pytest.mark.parametrize("slope", [10.0, 1000.0])
+def test_star_of_chart_is_robust_within_the_map(slope):
+    """Everywhere is a single impact, strongest at the edge, where cells are not known to be robust.
+
+    Nowhere is the rock penetrated, and the slope may be steep.
+    """
     grid = np.linspace(0.3, 0.7, 5)
-    energy = 100 + 10 * np.add.outer(grid, grid)
+    energy = 100 + slope * np.add.outer(grid, grid)
     table = {
         "regime": (("beta", "gamma"), np.full((5, 5), SINGLE_IMPACT)),
         "impact_energy": (("beta", "gamma"), energy),
     }
     table["blow_frequency"] = (("beta", "gamma"), 0 * energy + 260.0)
+    penetrated = np.where(np.arange(5) == 0, 0.1, 0.0)  # only in cells that are not robust
+    table["rate_of_penetration"] = (("beta", "gamma"), 0 * energy + penetrated)
     sheet = chart(xr.Dataset(table, {"beta": grid, "gamma": grid}))
     assert np.argwhere(sheet.plots[0].layers[0].values == 2).tolist() == [[i, j] for i in (1, 2, 3) for j in (1, 2, 3)]
-    assert "Best robust cell: gamma = 0.6, beta = 0.6" in sheet.note
+    assert "Best robust cell, by impact energy at worst within the tolerance: gamma = 0.6, beta = 0.6" in sheet.note
     assert "robust: also within\ngamma ± 0.1,\nbeta ± 0.1" in [layer.label for layer in sheet.keys[0]]
 
 

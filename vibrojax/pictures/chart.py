@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
-from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
+from scipy.ndimage import binary_erosion, minimum_filter
 
 from vibrojax.errors import InputError
 from vibrojax.lazy import colors, ticker
@@ -31,11 +31,8 @@ from vibrojax.pictures.style import IMPACT
 SAME_MOTION = 0.02
 """Relative spread of the impact energy over the starts, up to which their motions count as one."""
 
-CLIFF = 0.4
-"""Difference of the impact energy between neighbouring cells, relative to the chart's greatest, from which another
-motion begins between them."""
-
-_ROBUST, _SINGLE, _OTHER = "#FFFFFF", "#FFF3C9", "#D9D9D9"
+_BOX = np.ones((3, 3), bool)  # a tolerance of one cell in both parameters
+_ROBUST, _SINGLE, _OTHER = "#FFFFFF", "#FFD97A", "#D9D9D9"
 _PANELS = ("impact_energy", "peak_impact_force"), ("rate_of_penetration", "impact_power", "blow_frequency")
 _LINES = {
     "impact_energy": ("impact energy", "#9A3B00"),
@@ -44,6 +41,7 @@ _LINES = {
     "impact_power": ("impact power", "#1B7837"),
     "blow_frequency": ("blows", "#6A1B5D"),
 }
+_AIMS = ("rate_of_penetration", "impact_power", "impact_energy")
 _WORST_IS_GREATEST = {"peak_impact_force"}
 _DASHES: tuple[Dash, ...] = ("-", "--")
 _LEVELS = 9  # approximate number of lines of a quantity
@@ -52,10 +50,10 @@ _LEVELS = 9  # approximate number of lines of a quantity
 def chart(ds: xr.Dataset) -> Sheet:
     """Draw the designer's chart of a sweep over two parameters: values are the worst over the starts.
 
-    White cells are robust: every start leads to the same stable single impact, and so it does within a tolerance of one
-    cell in both parameters. At the edge of the map, that is not known. Lines are the impact energy, the peak force, the
-    rate of penetration or the impact power, and the blows per minute. The star is the robust cell with the greatest
-    rate of penetration, else power, else energy.
+    White cells are robust: in the cell, and in the eight cells around it, all starts lead to one stable single impact.
+    At the edge of the map, that is not known. The impact may differ from cell to cell, so the star is the robust cell
+    whose worst value among these nine cells is best: of the rate of penetration, else of the power, else of the energy.
+    Lines are the impact energy, the peak force, the rate of penetration or the impact power, and the blows per minute.
 
     **Raises:** `InputError` if the dataset has no single impacts over two axes.
     """
@@ -67,13 +65,10 @@ def chart(ds: xr.Dataset) -> Sheet:
         raise InputError(f"chart: {', '.join(others)} varies as well; fix it, as in --where {others[0]}=VALUE")
     ds = ds.transpose(y, x, ...).sortby([x, y])
     single = _single(ds)
-    energy = np.nan_to_num(np.where(single, _worst(ds, "impact_energy"), np.nan))
-    box = np.ones((3, 3), bool)
-    cliff = maximum_filter(energy, footprint=box) - minimum_filter(energy, footprint=box) > CLIFF * energy.max()
-    robust = binary_erosion(single, box) & ~cliff
+    robust = binary_erosion(single, _BOX)
     names = [[name for name in group if name in ds and bool((ds[name] > 0).any())] for group in _PANELS]
     names[1] = list(dict.fromkeys((*names[1][:1], *names[1][-1:])))  # of rate and power only the first
-    best = _best(ds, robust, names)
+    aim, best = _best(ds, robust)
     marks = region(ds[x], ds[y])
     if best is not None:
         place = [[float(values_along(ds[name])[k])] for name, k in zip((x, y), best[::-1], strict=True)]
@@ -87,7 +82,7 @@ def chart(ds: xr.Dataset) -> Sheet:
     extra = [replace(mark, label="") for mark in marks]
     plots = [_panel(ds, (x, y), single.astype(int) + robust, group) for group in names]
     plots = [replace(plot, layers=[*plot.layers, *extra], place=(0, k)) for k, plot in enumerate(plots)]
-    note = "No cell is robust" if best is None else _best_text(ds, (x, y), best, names)
+    note = "No cell is robust" if best is None else _best_text(ds, (x, y), aim, best, names)
     about = margins(ds, "Values are the worst over the starts" if START in ds.dims else "", note)
     return Sheet(plots, (14.2, 5.2), keys=[keys], **about)
 
@@ -114,23 +109,28 @@ def _worst(ds: xr.Dataset, name: str) -> Float[np.ndarray, "y x"]:
     return np.asarray((ds[name].max(START) if name in _WORST_IS_GREATEST else ds[name].min(START)).values, float)
 
 
-def _best(ds: xr.Dataset, robust: np.ndarray, names: list[list[str]]) -> tuple[int, int] | None:
-    """Return the robust cell with the greatest rate of penetration, power or energy; None if nothing is robust."""
-    name = names[1][0] if len(names[1]) > 1 else "impact_energy"
-    values = np.where(robust, _worst(ds, name), np.nan)
-    if not (values > 0).any():
-        return None
-    row, column = np.unravel_index(np.nanargmax(values), values.shape)
-    return int(row), int(column)
+def _best(ds: xr.Dataset, robust: np.ndarray) -> tuple[str, tuple[int, int] | None]:
+    """Return the first of rate, power and energy that is not 0 around all robust cells, and the best cell.
+
+    The cell is None if no cell is robust.
+    """
+    if not robust.any():
+        return "", None
+    for name in (name for name in _AIMS if name in ds):
+        around = np.where(robust, minimum_filter(np.nan_to_num(_worst(ds, name)), footprint=_BOX), -np.inf)
+        if around.max() > 0:
+            break
+    row, column = np.unravel_index(around.argmax(), around.shape)
+    return name, (int(row), int(column))
 
 
-def _best_text(ds: xr.Dataset, axes: tuple[str, str], best: tuple[int, int], names: list[list[str]]) -> str:
+def _best_text(ds: xr.Dataset, axes: tuple[str, str], aim: str, best: tuple[int, int], names: list[list[str]]) -> str:
     place = ", ".join(value_text(ds[name], float(ds[name][k])) for name, k in zip(axes, best[::-1], strict=True))
     words = []
     for name in (name for group in names for name in group):
         factor, unit = scale(ds[name])
         words.append(f"{_LINES[name][0]} {number(factor * _worst(ds, name)[best])} {pretty_unit(unit)}")
-    return f"Best robust cell: {place}; {', '.join(words)}"
+    return f"Best robust cell, by {_LINES[aim][0]} at worst within the tolerance: {place}; {', '.join(words)}"
 
 
 def _panel(ds: xr.Dataset, over: tuple[str, str], kinds: np.ndarray, names: list[str]) -> Plot:
