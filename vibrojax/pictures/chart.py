@@ -127,7 +127,7 @@ def _best(ds: xr.Dataset, robust: np.ndarray) -> tuple[str, tuple[int, int] | No
 def _best_text(ds: xr.Dataset, axes: tuple[str, str], aim: str, best: tuple[int, int], names: list[list[str]]) -> str:
     place = ", ".join(value_text(ds[name], float(ds[name][k])) for name, k in zip(axes, best[::-1], strict=True))
     words = []
-    for name in (name for group in names for name in group):
+    for name in dict.fromkeys((*names[0], aim, *names[1])):
         factor, unit = scale(ds[name])
         words.append(f"{_LINES[name][0]} {number(factor * _worst(ds, name)[best])} {pretty_unit(unit)}")
     return f"Best robust cell, by {_LINES[aim][0]} at worst within the tolerance: {place}; {', '.join(words)}"
