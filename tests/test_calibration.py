@@ -92,6 +92,20 @@ def test_estimate_at_a_bound_is_flagged(motion):
     assert "at its bound" in lines[0] and "the data suggest values beyond a bound" in "\n".join(lines)
 
 
+def test_two_estimates_at_bounds_are_flagged(use_model):
+    """With mu held at its bound, the other unknown leaves its own."""
+    use_model(np.inf)
+    speeds = np.array([0.5, 1.0, 1.5, 2.0])
+    fit = _calibrated({"v": speeds, "period": 0.6 * speeds**5.5}, unknown=UNKNOWN | {"mu": [0.25, 0.35]})
+    assert fit.reason.values.tolist() == [REASONS.index("at-bound")] * 2
+
+
+def test_observations_in_another_unit_are_refused(motion):
+    runs = _runs(motion)
+    with pytest.raises(InputError, match=r'column period: values such as 229.* in ms, write "period \(ms\)"'):
+        _calibrated(runs | {"period": 1e3 * runs["period"]})
+
+
 @pytest.mark.long
 def test_law_without_a_rate_at_any_observation_is_refused():
     """Blows whose mean force stays below the threshold penetrate, but C ln(P/D) is negative there."""
@@ -300,6 +314,10 @@ REFUSED = [
     ({}, "2 values for 2 unknown parameters and the size of the noise; add rows"),
     ({"history": {"data": {"time": [0.0, 1.0]}}}, "v1: missing; columns time [s] and v1 [m/s] are needed"),
     ({"history": {"data": {"time": [0.0, 2.0, 1.0], "v1": [0.0] * 3}}}, "time: does not rise from sample to sample"),
+    (
+        {"history": {"time": np.arange(0.0, 1000.0, 2.0), "v1": np.zeros(500)}},
+        'more than half a period of the bit (0.251 s); if it is in ms, write "time (ms)"',
+    ),
     ({"history": {"data": {"time": [0.0, 1.0], "v1": [0.0] * 2}, "window": [3.0, 4.0]}}, "window: holds 0 samples"),
     (
         {"history": {"data": {"time": [0.0, 1.0]}, "columns": {"v1": "speed"}}},

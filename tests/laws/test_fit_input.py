@@ -204,6 +204,7 @@ def test_unit_factors():
     spelt |= {"c/min": "rad s-1", "tr/min": "rad s-1", "rev/min": "rad s-1", "galUS/min": "m3 s-1", "lb.F": "N m"}
     assert [unit for unit, si in spelt.items() if factor(unit, si) is None] == []
     assert factor("lb.ft", "N m") == pytest.approx(1.3558179483314) == factor("lbf-ft", "N m") == factor("lb.F", "N m")
+    assert factor("km/h", "m s-1") == pytest.approx(1 / 3.6) and factor("kJ", "J") == 1e3 and factor("N m", "J") == 1.0
     assert factor("1000 lbf", "N") == factor("klbf", "N") and factor("daN.m", "N m") == 10
     assert factor("kN/" * 700 + "m", "N") is None and factor("lbf", "N m") is None
     assert split_unit("ROP (m/h)") == ("ROP", "m/h") and split_unit("WOB (mean) [kN]") == ("WOB (mean)", "kN")

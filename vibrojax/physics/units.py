@@ -25,6 +25,7 @@ UNITS: dict[str, tuple[str, ...]] = {
     "N m": ("N m", "kN m", "ft lbf", "kft lbf"),
     "Pa": ("Pa", "kPa", "MPa", "bar", "psi"),
     "W": ("W", "kW", "hp"),
+    "J": ("J", "kJ"),
     "m3 s-1": ("m3/s", "L/min", "gal/min"),
 }
 """Common units of each physical dimension. The keys are SI units as in datasets; the first unit of each tuple is the SI
@@ -46,6 +47,7 @@ _DEFINITIONS = """
     inch = 0.0254 m = in
     foot = 0.3048 m = ft = feet
     kft = 1e3 foot
+    km = 1e3 m
     ms = 1e-3 s
     us = 1e-6 s = us = µs
     min = 60 s
@@ -70,6 +72,8 @@ _DEFINITIONS = """
     kpa = 1e3 pa
     mpa = 1e6 pa
     bar = 1e5 pa
+    joule = N * m = j
+    kj = 1e3 joule
     watt = N * m / s = w
     kw = 1e3 w
     hp = 745.6998715822702 w

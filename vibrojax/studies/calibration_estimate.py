@@ -77,19 +77,25 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
     low, high, estimate = problem.low[:count], problem.high[:count], theta[:count]
     variance = 1.0 if given else max(cost / freedom, ORBIT_ERROR**2)
     noise = np.nan if given else float(np.sqrt(variance))
-    step = -np.linalg.lstsq(jacobian, residuals)[0]
-    margin = AT_BOUND * (problem.high - problem.low)
-    beyond = (theta < problem.low + margin) & (theta + step < problem.low)
-    beyond |= (theta > problem.high - margin) & (theta + step > problem.high)
-    free = jacobian * ~beyond
+    margin, free = AT_BOUND * (problem.high - problem.low), jacobian
+    beyond = np.zeros(len(theta), bool)
+    for _ in theta:  # with one unknown held at its bound, another one may step beyond its own
+        step = -np.linalg.lstsq(free, residuals)[0]
+        beyond |= (theta < problem.low + margin) & (theta + step < problem.low)
+        beyond |= (theta > problem.high - margin) & (theta + step > problem.high)
+        free = jacobian * ~beyond
     offset = np.linalg.norm(free @ np.linalg.lstsq(free, residuals)[0])
     far = offset > LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE
     if far and (history is None or best_along_step(problem, model, target, theta)[1] > LARGEST_FALL * variance):
         where = ", ".join(f"{name} = {x:.4g}" for name, x in zip(problem.names, theta, strict=True))
+        others = "give other bounds, another start, more searches, or leave out observations of other motions"
+        if beyond.any():
+            names = ", ".join(name for name, at_bound in zip(problem.names, beyond, strict=True) if at_bound)
+            others = f"{names}: at-bound, the data suggest values beyond; widen the bounds, or examine the model"
         raise InputError(
             f"{file}: no search has reached a minimum of the residuals; the best one ended at "
             f"{where}, where {target.used.sum()} of {counted(len(problem.labels), 'observation')} have an orbit; "
-            "give other bounds, another start, more searches, or leave out observations of other motions"
+            f"{others}"
         )
     # Unknown states follow the parameters: what they cannot compensate determines the parameters.
     along = jacobian[:, count:]

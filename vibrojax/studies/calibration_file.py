@@ -21,7 +21,7 @@ from vibrojax.maps.read import read_point
 from vibrojax.periodic.derivatives import orbit_variables
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.parameters import Parameter
-from vibrojax.physics.units import factor
+from vibrojax.physics.units import factor, likely_units
 from vibrojax.settings.fields import Settings, given, setting, settings_of
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import Source, plain, read_source
@@ -138,7 +138,7 @@ def read_calibration(
         none, count = np.zeros(len(history.states)), len(labels)
         low, high = np.append(low, -history.bound), np.append(high, history.bound)
         mean, width = np.append(mean, none), np.append(width, none + np.inf)
-        labels = np.append(labels, np.arange(len(history.times)))
+        labels = np.append(labels, labels.max(initial=-1) + 1 + np.arange(len(history.times)))
         pads = {name: (count, 0) if name == VELOCITY else (0, len(history.times)) for name in observed}
         observed = {name: np.pad(x, pads[name], constant_values=np.nan) for name, x in observed.items()}
         errors = {name: np.pad(x, pads[name], constant_values=np.nan) for name, x in errors.items()}
@@ -251,8 +251,18 @@ def _read_history(
     states = () if table.start is not None else tuple(system.states[system.place(name)] for name in system.start_states)
     guess = [float(np.nan_to_num(x[state.name][0])) if state.name in x else 0.0 for state in states]
     speed = SPEED_BOUND * float(np.abs(velocity).max()) or 1.0
+    point = read_point(place, file.scene, {**file.parameters, **own}, guess if table.start is None else table.start)
+    if {"m1", "k1"} <= point.parameters.keys():
+        step, period = (
+            float(np.median(np.diff(time))),
+            2 * np.pi * np.sqrt(point.parameters["m1"] / point.parameters["k1"]),
+        )
+        if step > period / 2:
+            fault = f"samples are {step:.3g} s apart, more than half a period of the bit ({period:.3g} s)"
+            unit = next(iter(likely_units(step, "s", (0.0, period / 2))))
+            raise home.at("time").error(f'{fault}; if it is in {unit}, write "time ({unit})"')
     return History(
-        point=read_point(place, file.scene, {**file.parameters, **own}, guess if table.start is None else table.start),
+        point=point,
         begin=float(time[0]),
         times=time - time[0],
         velocity=velocity,

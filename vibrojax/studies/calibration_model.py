@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 
-from vibrojax.errors import counted
+from vibrojax.errors import InputError, counted
+from vibrojax.io.variables import VARIABLES
 from vibrojax.lazy import qmc
 from vibrojax.maps.read import Point
+from vibrojax.physics.units import UNITS, likely_units
 from vibrojax.studies.as_jax import Branch, settled_at
 from vibrojax.studies.calibration_history import VELOCITY, History
 
@@ -32,6 +34,9 @@ SCREENED = 32
 
 SCREENED_ROWS = 4
 """Largest number of observations that are simulated at each of these points."""
+
+OTHER_UNIT = 10.0
+"""Ratio to all motions inside the bounds beyond which observations are in another unit, if one brings them back."""
 
 MAX_ROUNDS = 8
 """Number of fits from one point. Each has the observations and the weights that follow from the fit before."""
@@ -61,7 +66,7 @@ class Problem:
     - `conditions`: for each row the parameters that differ between rows, by name.
     - `of`: the observed variables; `values`: their values in the rows and at the samples of the history, NaN where
       there is none; `errors`: their standard errors, or None if the residuals shall give them.
-    - `labels`: number of each row's line in the file, or of the row; of samples their number.
+    - `labels`: number of each row's line in the file, or of the row; samples follow the last row.
     - `seed`: seed of the points at which searches begin.
     """
 
@@ -265,6 +270,8 @@ def starts(problem: Problem) -> list[tuple[Theta, int]]:
 
     The motions of a sample of points are simulated from the start, or over the history if there is nothing else.
     Different points may lead to different kinds of orbits, so that each search follows a branch of its own.
+
+    **Raises:** `InputError` if the observations of a variable are in another unit.
     """
     unit = qmc.Sobol(problem.parameters, seed=problem.seed).random(SCREENED)
     unit[0] = 0.5
@@ -286,10 +293,30 @@ def starts(problem: Problem) -> list[tuple[Theta, int]]:
             if name == RATE and CONSTANT in problem.names:
                 lanes[name] = thetas[:, [problem.names.index(CONSTANT)]] * np.log(lanes[RELIEF])
             if name in lanes:  # lanes do not have all features of orbits
+                _check_unit(name, problem.values[:, k], lanes[name][stable])
                 off = np.abs(lanes[name] / problem.values[rows, k] - 1)
                 cost += np.where(stable & (off < 1), off, 1.0)
     order = np.argsort(cost.sum(axis=1), kind="stable")
     return [(thetas[k], int(rows[stable[k].argmax()])) for k in order if stable[k].any()]
+
+
+def _check_unit(name: str, observed: np.ndarray, predicted: np.ndarray) -> None:
+    """Raise `InputError` if another unit brings the observations of a variable into the range of the motions."""
+    value, sizes = float(np.nanmedian(np.abs(observed))), np.abs(predicted[np.isfinite(predicted)])
+    if (
+        not sizes.size
+        or not 0 < sizes.min() <= sizes.max()
+        or sizes.min() / OTHER_UNIT <= value <= sizes.max() * OTHER_UNIT
+    ):
+        return
+    unit = VARIABLES[name].units
+    if likely := [*likely_units(value, unit, (sizes.min() / 2, 2 * sizes.max()))]:
+        own = UNITS[unit][0]
+        raise InputError(
+            f"calibrate: column {name}: values such as {value:.6g} {own} are far from those of the motions inside the "
+            f"bounds ({sizes.min():.4g} to {sizes.max():.4g} {own}); if they are in {likely[0]}, write "
+            f'"{name} ({likely[0]})"'
+        )
 
 
 def fit_from(problem: Problem, model: Model, theta: Theta) -> Fit:
