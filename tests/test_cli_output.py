@@ -87,3 +87,7 @@ def test_orbits_of_a_sweep_are_printed_as_json(here, capsys):
     assert (facts["dataset"], facts["picture"]) == ("strong-orbits.nc", "strong-orbits.png")
     assert facts["orbits"]["reason"] == {"found": 1}
     assert printed(capsys, "orbits", "strong.toml", "--json") == facts  # from the file
+    assert main(["orbits", "strong.toml"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert main(["orbits", "strong.toml", "--quiet"]) == 0
+    assert capsys.readouterr().out.splitlines() == lines[:-1] != []

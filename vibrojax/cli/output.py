@@ -136,9 +136,10 @@ class Result(NamedTuple):
     def print(
         self, options: Options, lines: Sequence[str] | None = None, facts: Mapping[str, object] | None = None
     ) -> None:
-        """Print the summary, as text or with `--json` as one object; `lines`, `facts`: by default the analysis's."""
-        if options.quiet and not options.json:
-            return
+        """Print the summary, as text or with `--json` as one object; `lines`, `facts`: by default the analysis's.
+
+        With `--quiet`, the text does not end with the names of the files.
+        """
         from vibrojax.studies.analysis import analysis_of
 
         parts = analysis_of(self.dataset).summary(self.dataset) if lines is None or facts is None else []
@@ -148,7 +149,8 @@ class Result(NamedTuple):
             print_json({**({k: x for p in parts for k, x in p.facts.items()} if facts is None else facts), **files})
         else:
             own = [line for part in parts for line in part.lines] if lines is None else lines
-            print("\n".join([*own, self.line]))
+            for line in [*own, *([] if options.quiet else [self.line])]:
+                print(line)
 
 
 def result(

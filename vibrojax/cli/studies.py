@@ -357,8 +357,6 @@ def fit(options: Options) -> None:
         "",
         *facts["verdict"],
     ]
-    if options.quiet and not options.json:
-        print("\n".join(lines))
     ds.print(options, lines, {"file": options.file, **facts})
 
 
