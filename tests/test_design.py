@@ -159,6 +159,8 @@ NARROW = {"vary": {"gamma": [0.7, 0.72]}, "tolerance": {}, "front": None}
         ),
         ({"subject": {"period": {"least": 2.0, "most": 1.0}}}, "contradictory: least 2 is above most 1"),
         ({"subject": {"perod": {"most": 1.0}}}, 'did you mean "period"?'),
+        ({"maximise": "power"}, "did you mean impact_power or drive_power?"),
+        ({"maximise": "rate_of_penetration"}, "scenes with one: coupled-drilling, drilling, penetration"),
         ({"tolerance": {"gamma": 0.8}}, "tolerance.gamma: 0.8 is too wide"),
         ({"vary": {"bit_frequency": [6.8, 7.4]}, "tolerance": {"k1": 1.0}}, "k1: follows from other"),
         ({"front": {"against": "tolerance", "from": 1.0}}, "front: from and to belong together"),

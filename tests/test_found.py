@@ -60,6 +60,8 @@ def test_undecided_motion_names_a_sufficient_duration():
     enough = float(line.rpartition("=")[2])
     longer = vj.simulate("vibro-impact", duration=enough, progress=False)
     assert longer["returns"] >= 9
+    still = vj.simulate("vibro-impact", v=0.0, duration=1.0, progress=False)
+    assert "the drive is at rest: give v above 0" in feature_lines(still)[0]
 
 
 def test_short_motion_that_repeats_has_its_period():

@@ -112,6 +112,15 @@ MISTAKES = {
             vj.Friction("belt", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law="coulumb", acts_on="v")
         ]
     },
+    "event belt: mass is 0; it must be above zero": {
+        "events": [
+            vj.Friction(
+                "belt", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v", mass=0.0
+            )
+        ]
+    },
+    "cannot see the discrete state heating": {"modes": {"heating": 1}},
+    "put a vj.Switch on it": {"field": lambda t, y, p: {"x": y["v"], "v": -(y["v"] > 0) * 1.0}},
     "the velocity on which it acts": {
         "events": [
             vj.Friction("belt", relative=lambda t, y, p: y["x"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")
@@ -147,6 +156,8 @@ def test_start_beyond_stop_fails_with_reason():
 def test_invalid_start_gives_one_line():
     with pytest.raises(vj.InputError, match=r"start: \[1.5, 0.0\]: the gap of stop_hit is -0.5; it must not be neg"):
         vj.simulate(IMPACT_OSCILLATOR, start=[1.5, 0.0], progress=False)
+    with pytest.raises(vj.InputError, match=r"omega: scene .* has no such parameter; choose from"):
+        vj.simulate(IMPACT_OSCILLATOR, start=[0.0, 0.0], omega=2.0, progress=False)
     with pytest.raises(vj.InputError, match=r"cannot be run \(beyond a stop\)"):
         vj.follow(IMPACT_OSCILLATOR, along="a", at=0.1, span=(0.05, 0.2), start=[1.5, 0.0], progress=False)
     power = vj.System("power", **(GOOD | {"field": lambda t, y, p: {"x": y["v"], "v": -(y["x"] ** 1.5)}}))

@@ -165,10 +165,10 @@ class Names:
         if name in _DERIVED and _DERIVED[name][0] in self.writable:
             return f"is not a parameter: {_DERIVED[name][1]}"
         if name in RunSettings.__dataclass_fields__:
-            return "is not a parameter; it belongs in [run]"
+            return f'is not a parameter; it belongs in [run], in Python run={{"{name}": ...}}'
         if name in (*TOP_KEYS, "points"):
             return "is not a parameter; it belongs at the top of the file"
-        if not hint and (elsewhere := self._meaning_elsewhere(name)):
+        if not hint and not isinstance(self.system, System) and (elsewhere := self._meaning_elsewhere(name)):
             return f"scene {shown(self.scene)} has no {elsewhere}"
         return f"scene {shown(self.scene)} has no such parameter; {suggest_parameter(name, self.writable)}"
 

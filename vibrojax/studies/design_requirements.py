@@ -19,6 +19,7 @@ from vibrojax.maps.sweep import Sweep, with_substitutes
 from vibrojax.measures.labels import REGIMES
 from vibrojax.physics.parameters import Parameter
 from vibrojax.pictures.axes import quantity_text
+from vibrojax.scenes import SCENES
 from vibrojax.settings.fields import Settings, given, setting
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import read_source
@@ -211,6 +212,15 @@ class DesignSpec:
         return "; ".join(words) or "none"
 
 
+def _unknown_variable(name: str, scene: str, known: Sequence[str]) -> str:
+    """Return a message on a variable that the scene lacks: scenes that have it, or else variables whose name has it."""
+    if owners := [other for other, kind in SCENES.items() if name in sweep_variables(kind())]:
+        return f"scene {shown(scene)} has no {name}; scenes with one: {', '.join(owners)}"
+    parts = [other for other in known if name in other.split("_")]
+    hint = f"did you mean {' or '.join(parts)}?" if parts else suggestion(name, known)
+    return f"no such variable as {shown(name)}; {hint}"
+
+
 def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpec:
     """Read and check a design; raise `InputError` with a one-line message at the first problem."""
     origin = read_source(source, "design")
@@ -223,6 +233,8 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
     along = ("", "multiplier")  # one value per lane, or along multipliers
     known = {name: about for name, about in sweep_variables(names.system).items() if about.along in along}
     smooth = [name for name in known if known[name].dtype == np.float64]
+    if isinstance(file.maximise, str) and file.maximise not in known:
+        raise place.at("maximise").error(_unknown_variable(file.maximise, names.scene, smooth))
     maximise = choice(place.at("maximise"), file.maximise, smooth)
     if file.robust and not tolerances:
         raise place.at("robust").error("there is no [tolerance] to be robust to; add one")
@@ -241,7 +253,7 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
         if name == "regime":
             continue
         if name != "share" and name not in known:
-            raise here.at(name).error(f"no such variable; {suggestion(name, ('share', *known))}")
+            raise here.at(name).error(_unknown_variable(name, names.scene, ("share", *known)))
         if not isinstance(entry, dict) or not entry:
             fault = f"{shown(entry)} is not a limit; write {{ least = ... }}, {{ most = ... }} or both"
             raise here.at(name).error(fault)

@@ -310,7 +310,9 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
         moves = "nothing moves" if speed is None else f"the bit moves steadily with the drive, at {speed:.4g} m/s"
         return f"equilibrium: {'the bit rests' if speed == 0 else moves}"
     if regime == "undecided" and returns < FEWEST_RETURNS:
-        advice = "give a longer duration"
+        still = parameters_of(ds).get("v") == 0 and "x1" in ds
+        at_rest = "the drive is at rest: give v above 0; a longer duration shows how the motion dies out"
+        advice = at_rest if still else "give a longer duration"
         if returns > 1:
             observed, last = run_of(ds)["observe"], float(ds["time"][-1])
             advice = f"give duration={DURATION_MARGIN * (FEWEST_RETURNS + 1) * period / observed * last:.2g}"

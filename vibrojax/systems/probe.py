@@ -134,7 +134,8 @@ class Probe:
                 f"field takes {arguments} arguments; write field(t, y, p), or field(t, y, p, s) with switches"
             )
         if switches and arguments == 3:
-            raise self._refuse(f"field(t, y, p) cannot see the switch {switches[0]}; write field(t, y, p, s)")
+            kind = "discrete state" if switches[0] in self._discrete else "switch"
+            raise self._refuse(f"field(t, y, p) cannot see the {kind} {switches[0]}; write field(t, y, p, s)")
         return arguments == 4
 
     def _check_events(self) -> None:
@@ -217,7 +218,9 @@ class Probe:
                 what = f"event {event.name}: normal"
                 self._number(what, self._call(what, event.force, self._t, self._y, self._p, self._sides))
                 what = f"event {event.name}: mass"
-                self._number(what, self._call(what, event.mass, self._p) if callable(event.mass) else event.mass)
+                mass = self._number(what, self._call(what, event.mass, self._p) if callable(event.mass) else event.mass)
+                if not bool((mass > 0).all()):
+                    raise self._refuse(f"{what} is {float(mass[0]):g}; it must be above zero")
             if isinstance(event, Impact) and event.reset is not None:
                 what = f"event {event.name}: reset"
                 sided = [self._sides] if required_arguments(event.reset) == 4 else []
