@@ -243,3 +243,24 @@ def test_curves_begin_at_the_selected_families(families):
             curves_of(ds, special)
     with pytest.raises(InputError, match="is not in the family"):
         problem_of(curves_of(families.isel(point=slice(2, 4)), [other]))
+
+
+def test_joined_sweeps_with_other_fixed_parameters_are_refused():
+    """The attributes of a joined dataset are those of one of them; a join of like sweeps has the same orbits."""
+    sweep = {"scene": "vibro-impact", "starts": ["stuck"], "run": {"settle": 20.0, "observe": 4.0}}
+    first, like, other = (
+        vj.run_sweep(sweep | {"grid": {"gamma": gamma}, "parameters": {"delta": delta}}, progress=False)
+        for gamma, delta in (([0.65, 0.7], 0.005), ([0.75, 0.8], 0.005), ([0.75, 0.8], -0.005))
+    )
+    joined = xr.combine_by_coords([first, like], combine_attrs="override")
+    assert vj.orbits(joined, progress=False).sizes["gamma"] == 4
+    with pytest.raises(InputError, match="2 lanes have another period than in the dataset"):
+        vj.orbits(xr.combine_by_coords([first, other], combine_attrs="override"), progress=False)
+
+
+def test_means_of_flags_are_not_drawn(datasets):
+    mean = datasets["names"].mean("beta", keep_attrs=True)
+    with pytest.raises(InputError, match="variable regime: .* flags") as error:
+        vj.picture(mean)
+    assert "\n" not in str(error.value)
+    assert vj.picture(datasets["names"].where(datasets["names"].beta > 0.3))

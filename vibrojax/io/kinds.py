@@ -209,6 +209,11 @@ def _check_variable(place: Place, name: str, data: xr.Variable) -> None:
         raise place.error(f"its values are not numbers, but {data.dtype}")
     if name in _DERIVED and known is not None and issubclass(known.dtype, np.integer) and data.dtype.kind not in "iu":
         raise place.error(f"its values are not whole numbers, but {data.dtype}")
+    check_flags(place, data)
+
+
+def check_flags(place: Place, data: xr.Variable) -> None:
+    """Raise `InputError` if a variable with flags has other values, as a mean of flags has."""
     meanings = data.attrs.get("flag_meanings")
     if meanings is None:
         return
@@ -220,4 +225,4 @@ def _check_variable(place: Place, name: str, data: xr.Variable) -> None:
     if data.dtype.kind in "fiu" and data.chunks is None and data.size <= MOST_CHECKED:
         unknown = np.setdiff1d(data.values[~np.isnan(data.values)], flags)
         if unknown.size:
-            raise place.error(f"{unknown[0]} is none of its flags {shown(flags.tolist())}")
+            raise place.error(f"{unknown[0]:g} is none of its flags {shown(flags.tolist())}; flags have no mean")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.errors import InputError, Place, shown
+from vibrojax.errors import InputError, Place, counted, shown
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.identity import IDENTITY, changes, identity_text
 from vibrojax.io.kinds import kind_of
@@ -45,6 +45,11 @@ hardest bundled lanes take 1e6 steps."""
 RERUN_MAX_STEPS = 3e9
 """Estimated steps of all lanes above which a dataset's sweep is not run again, about five minutes of one core. Analyses
 do not apply the limit if the dataset contains a value for each lane; pages, which run sweeps unasked, always do."""
+
+
+OTHER_PERIOD, OTHER_LANES = 1e-2, 1e-2
+"""Relative difference of the period from which on an orbit is not that of the stored lane, far above the error of a
+lane that is still settling; and share of such lanes up to which they may lie at the border of a basin."""
 
 
 def orbits(
@@ -99,7 +104,41 @@ def orbits(
     """
     if isinstance(source, xr.Dataset) and holds_orbits(source):
         return source
-    return run_sweep(sweep_with_orbits(source), progress=progress)
+    result = run_sweep(sweep_with_orbits(source), progress=progress)
+    if isinstance(source, xr.Dataset):
+        check_same_motions(source, result)
+    return result
+
+
+def check_same_motions(stored: xr.Dataset, result: xr.Dataset) -> None:
+    """Raise `InputError` if the orbits of a sweep that was run again are not those of the stored lanes.
+
+    So it is where sweeps with other fixed parameters were joined: the attributes are those of one of them. Of other
+    edited datasets, whose coordinates may be new, the lanes are computed without a comparison.
+    """
+    tables, names = tomllib.loads(str(stored.attrs["sweep"])), ("period", "cycles")
+    axes = tables.get("grid", {})
+    sizes = {
+        name: x.get("num", np.inf) if isinstance(x, dict) else len(x)
+        for name, x in axes.items()
+        if name in stored.sizes
+    }
+    if all(stored.sizes[name] <= size for name, size in sizes.items()):
+        return
+    if not all(name in stored and set(stored[name].dims) == set(result[name].dims) for name in names):
+        return
+    (before, cycles), (now, _) = (
+        [np.asarray(ds[name].transpose(*result[name].dims)) for name in names] for ds in (stored, result)
+    )
+    if before.shape != now.shape:
+        return
+    known = np.isfinite(before) & np.isfinite(now) & (cycles > 0) & (result["stable"].values == 1)
+    differing = known & (np.abs(before - now) > OTHER_PERIOD * np.abs(now))
+    if differing.sum() > OTHER_LANES * known.sum():
+        raise InputError(
+            f"orbits: {counted(int(differing.sum()), 'lane has', 'lanes have')} another period than in the dataset, "
+            "which may join sweeps with different fixed parameters; find the orbits of each sweep, and join the results"
+        )
 
 
 def sweep_with_orbits(source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep) -> Sweep:

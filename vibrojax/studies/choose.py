@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 from matplotlib import colormaps
 from matplotlib.figure import Figure
@@ -11,7 +12,7 @@ from vibrojax.errors import InputError, Place, nearest, shown, suggestion
 from vibrojax.io.atomic import atomic_write
 from vibrojax.io.files import source
 from vibrojax.io.identity import PICTURE_KEYS
-from vibrojax.io.kinds import kind_of
+from vibrojax.io.kinds import check_flags, kind_of
 from vibrojax.pictures import contents
 from vibrojax.pictures.colours import regime_value, value_of
 from vibrojax.pictures.contents import FORM, MULTIPLIER, POINT, REGIME, RETURN, TIME, Contents
@@ -77,6 +78,11 @@ def picture(
     """
     if not isinstance(ds, xr.Dataset):
         raise InputError(f"{shown(ds)} is not a dataset; open it first: vj.picture(vj.open_dataset(PATH))")
+    for name, data in ds.variables.items():
+        check_flags(Place(f"variable {name}"), data)
+        # Means of flags are float64 and may be flags by chance; where and missing lanes give float32, or NaN.
+        if "flag_meanings" in data.attrs and data.dtype == np.float64 and not np.isnan(data.values).any():
+            raise InputError(f"variable {name}: its flags are float64, as means are; reduce the data without {name}")
     if colours is not None and colours not in colormaps:
         like = nearest(str(colours), colormaps)
         right = f"did you mean {shown(like)}?" if like else "choose one of matplotlib's, like viridis or magma"
