@@ -1,5 +1,6 @@
 """Test that analyses are looked up by the kind of a dataset, including those that other packages register."""
 
+import importlib
 import io
 import json
 from contextlib import redirect_stdout
@@ -88,6 +89,13 @@ def test_broken_entry_point_is_refused_in_one_line(command):
     refused = command("broken", "speeds.toml", status=2)
     assert refused.count("\n") == 1 and "entry point vibrojax.analyses: broken" in refused
     command("scenes")  # does not import analyses that it does not need
+
+
+def test_fault_of_an_analysis_is_not_that_of_the_file(command, monkeypatch):
+    monkeypatch.setattr(importlib.import_module("campbell"), "np", None)
+    for words in (("info", "speeds-campbell.nc"), ("campbell", "speeds.toml", "-o", "other.nc")):
+        refused = command(*words, status=2)
+        assert refused.count("\n") == 1 and f"{words[0]}: the code of campbell fails (AttributeError" in refused
 
 
 class Medians(vj.Analysis):

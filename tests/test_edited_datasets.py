@@ -260,7 +260,7 @@ def test_joined_sweeps_with_other_fixed_parameters_are_refused():
 
 def test_means_of_flags_are_not_drawn(datasets):
     mean = datasets["names"].mean("beta", keep_attrs=True)
-    with pytest.raises(InputError, match="variable regime: .* flags") as error:
+    with pytest.raises(InputError, match=r"variable regime: .* flags") as error:
         vj.picture(mean)
     assert "\n" not in str(error.value)
     assert vj.picture(datasets["names"].where(datasets["names"].beta > 0.3))

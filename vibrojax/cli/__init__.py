@@ -154,17 +154,25 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
 
 
 def _run(run: Callable[[Options], None], options: Options) -> None:
-    """Run a command; report an inconsistent dataset as bad input, since a dataset may come from any source."""
+    """Run a command; report an inconsistent dataset as bad input, since a dataset may come from any source.
+
+    An error in the code of a registered analysis is reported as that of its package.
+    """
     try:
         run(options)
     except InputError:
         raise
     except _MALFORMED as error:
         file = str(getattr(options, "file", ""))
-        if not file.endswith(_DATASETS):
+        packages = {entry.module.partition(".")[0] for entry in _registered().values()} - {"vibrojax"}
+        modules = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
+        own = next((name for name in modules if name.partition(".")[0] in packages), None)
+        if not own and not file.endswith(_DATASETS):
             raise
         LOG.info("%s", "".join(traceback.format_exception(error)))
         about = f"{type(error).__name__}: {printable(error, 200)}"
+        if own:
+            raise InputError(f"{options.command}: the code of {own} fails ({about}); --verbose says where") from error
         raise InputError(f"{file}: its content does not fit together ({about}); --verbose says where") from error
 
 

@@ -117,12 +117,8 @@ def check_same_motions(stored: xr.Dataset, result: xr.Dataset) -> None:
     edited datasets, whose coordinates may be new, the lanes are computed without a comparison.
     """
     tables, names = tomllib.loads(str(stored.attrs["sweep"])), ("period", "cycles")
-    axes = tables.get("grid", {})
-    sizes = {
-        name: x.get("num", np.inf) if isinstance(x, dict) else len(x)
-        for name, x in axes.items()
-        if name in stored.sizes
-    }
+    axes = {name: axis for name, axis in tables.get("grid", {}).items() if name in stored.sizes}
+    sizes = {name: x.get("num", inf) if isinstance(x, dict) else len(x) for name, x in axes.items()}
     if all(stored.sizes[name] <= size for name, size in sizes.items()):
         return
     if not all(name in stored and set(stored[name].dims) == set(result[name].dims) for name in names):
