@@ -56,7 +56,7 @@ def test_smallest_push_leaves_and_next_smaller_returns(strong_cycle):
 
 def test_page_shows_motions_on_cycle_and_after_push(strong_cycle):
     """The one push that leaves has a lane of its own; all other directions return to the working cycle."""
-    machine, sweep = Pushes().page_lanes(strong_cycle)
+    machine, sweep = Pushes().page_cells(strong_cycle)
     assert machine.lane_number.dims == ("sign", "motion")
     assert machine.lane_number.values.tolist() == [[0] * 5, [0, 1, 0, 0, 0]]
     assert machine.regime.values.tolist() == [[SINGLE_IMPACT] * 5, [SINGLE_IMPACT, IRREGULAR, *[SINGLE_IMPACT] * 3]]

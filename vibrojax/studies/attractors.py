@@ -207,7 +207,7 @@ def _shares_along(ds: xr.Dataset, x: str) -> Sheet:
             stacked.append(Line(*bars(along[occurs], low[occurs], high[occurs]), "#333333", 0.7))
             if len(names) > 1:
                 velocity = np.where(occurs, facet[_VELOCITY].values[:, number] * scale(ds[_VELOCITY])[0], np.nan)
-                look: Look = {"marker": "o", "size": 2.6, "order": 2.5 - 0.001 * number, "clip": False}
+                look: Look = {"marker": "o", "size": 3.6, "order": 2.5 - 0.001 * number, "clip": False}
                 velocities.insert(0, Line(along, velocity, _colour(number), 1.3, **look))
         for i, (name, layers) in enumerate(zip(names, (stacked, velocities), strict=False)):
             up = Axis("share of starts [%]", limits=(0.0, 100.0), group=name)

@@ -361,7 +361,7 @@ class Pushes(MachineAnalysis[Machines]):
         bounds |= {name: np.full(cycle.sizes["point"], x) for name, x in self.most.items()}
         return np.stack([bounds[name] for name in system.start_states], axis=1)
 
-    def page_lanes(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
+    def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
         """Return the machines with the number of the lane of each motion, and the sweep of these lanes.
 
         Motions are those on the working cycle and after the smallest push in each state variable; if every push

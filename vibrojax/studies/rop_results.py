@@ -16,9 +16,9 @@ from vibrojax.io.attributes import attribute_of, table_of
 from vibrojax.io.log_columns import RATE
 from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log, log_lines
 from vibrojax.physics.units import factor
-from vibrojax.pictures.axes import margins, pretty_unit, scale, with_unit
+from vibrojax.pictures.axes import in_units, margins, pretty_unit, scale, with_unit
 from vibrojax.pictures.colours import form_colour
-from vibrojax.pictures.contents import FORM, POINT, law_in
+from vibrojax.pictures.contents import FORM, POINT, law_in, named_groups
 from vibrojax.pictures.lines import MOST_ROWS, longest_axis, rows_of
 from vibrojax.pictures.plots import (
     FAINT,
@@ -313,6 +313,12 @@ class Fits(Analysis):
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("columns", log_lines(ds))]
+
+    def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, None] | None:
+        """Return the groups, with rates in the unit of the plots; None if a map shows them."""
+        groups = named_groups(ds).drop_dims("lane", errors="ignore")
+        groups = in_units(groups, {"m s-1": _rate_scale(ds, "C")} if is_log(ds) else {})
+        return (groups, None) if groups["aic"].ndim < 3 else None
 
     def page_text(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("forms of the law", verdict(ds)), *self.summary(ds)]
