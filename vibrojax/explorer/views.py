@@ -107,14 +107,14 @@ def contents_of(
         document["figure"] = _picture_document(ds, document)
     elif view == "orbits" and text_of(ds, "scene") in SCENES:
         document, cells = curves_document(ds), orbit_cells(ds)
-    elif (shown_cells := analysis_of(ds).page_cells(ds)) is not None:
-        document = map_document(*shown_cells)
-        document["figure"] = figure_document(analysis_of(ds).page_figures(ds), shown_cells[0], document["axes"], maps=True)
-        if shown_cells[1] is None:
+    elif (held := analysis_of(ds).page_cells(ds)) is not None:
+        document = map_document(*held)
+        document["figure"] = figure_document(analysis_of(ds).page_figures(ds), held[0], document["axes"], maps=True)
+        if held[1] is None:
             document["map"] = False
         else:
-            document["without"] = _rerun_problem(shown_cells[1])
-            cells = lane_cells(shown_cells[1], progress)
+            document["without"] = _rerun_problem(held[1])
+            cells = lane_cells(held[1], progress)
     else:
         document, cells = _map_contents(ds, over, own, progress) if view not in ("plots", "orbits") else ({}, ())
         document = document or _plots_document(ds)
