@@ -57,6 +57,12 @@ def test_extremes_and_shares(box):
     assert float(box.irregular_share[0]) == 0.0 and "not bounds of the box" in box.attrs["extremes"]
 
 
+def test_page_has_the_motion_of_each_sample(box):
+    points, sweep = analysis_of(box).page_cells(box)
+    assert sweep.lanes == points.sizes["point"] * points.sizes["start"] == box.regime.size
+    assert (sweep.points["delta"] == box.delta.values).all() and (sweep.points["gamma"] == box.gamma.values).all()
+
+
 def closed_form(units):
     """Return lanes whose impact velocity is least inside the box and greatest at a corner, and whose period is odd."""
     x, y = units[:, :1] - 0.37, units[:, 1:] + 0.21
@@ -79,7 +85,7 @@ def test_refined_samples_are_consistent_and_irregular_boxes_say_so_first():
     machine = {"beta": 0.4, "gamma": (0.64, 0.0064), "delta": (-0.002, 0.001), "start": "drive"}
     box = vj.tolerance("vibro-impact", **machine, progress=False)
     sampled, refined = box.isel(sample=box.place != REFINED), box.isel(sample=box.place == REFINED)
-    assert refined.sizes["sample"] and box.attrs["lanes"] == box.sizes["sample"]
+    assert box.indexes["sample"].is_unique and refined.sizes["sample"] and box.attrs["lanes"] == box.sizes["sample"]
     assert float(box.impact_velocity_most[0]) > float(sampled.impact_velocity.max())
     assert (np.abs(refined.gamma - 0.64) <= 0.0064 * (1 + 1e-9)).all()
     alone = vj.run_sweep(

@@ -378,9 +378,9 @@ class Attractors(SweepAnalysis):
         unassigned, lanes = int(ds["unassigned"].sum()), ds[LANES].size
         share = ds["share"].values.reshape(ds["unassigned"].size, ds.sizes[ATTRACTOR])
         numbers, counts = np.unique((share > 0).sum(axis=1), return_counts=True)
-        points = ", ".join(f"{number} at {count}" for number, count in zip(numbers, counts, strict=True))
+        points = [f"{number} at {counted(count, 'point')}" for number, count in zip(numbers, counts, strict=True)]
         lines = [
-            f"at a point: {points} (attractors at points)",
+            f"attractors at a point: {', '.join(points)}",
             f"{unassigned} of {counted(lanes, 'lane')} unassigned ({100 * unassigned / max(lanes, 1):.1f} %)",
         ]
         regime, meanings = ds["regime"].values.reshape(share.shape), flags(ds["regime"])
@@ -389,7 +389,9 @@ class Attractors(SweepAnalysis):
             kinds, sizes = np.unique(regime[mask, number], return_counts=True)
             names = ", ".join(meanings[int(kinds[k])] for k in np.argsort(-sizes, kind="stable"))
             percent = 100 * share[:, number].mean()
-            lines.append(f"{number:>4}{percent:>7.1f} % of starts{int(mask.sum()):>7} points  {names}")
+            lines.append(
+                f"attractor {number}: {percent:.1f} % of starts, at {counted(int(mask.sum()), 'point')}: {names}"
+            )
         if share.shape[1] > _SHOWN:
             lines.append(f"and {share.shape[1] - _SHOWN} more of smaller shares")
         facts = {"shares": ds["share"].mean(grid).values, "unassigned": unassigned}

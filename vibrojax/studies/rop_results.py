@@ -358,9 +358,6 @@ def _form_keys(fit: xr.Dataset) -> list[Layer]:
     return keys
 
 
-# The data of each group
-
-
 def _groups_to_show(fit: xr.Dataset) -> Facets:
     """Return one facet per group, of at most six groups; no facets if the fit does not contain its data."""
     return facets(fit, (), _MOST_GROUPS) if {_RELIEF, _RATE, _USE} <= set(fit.data_vars) else Facets((), ())

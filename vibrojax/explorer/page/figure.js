@@ -95,14 +95,14 @@ export class Figure {
   plot(plot, keys) {
     const words = plot.title || [plot.y.label, plot.x.label].filter(Boolean).join(" over ").replace(/ \[[^\]]*\]/g, "") || "plot";
     const canvas = el("canvas", { role: "img", "aria-label": words });
-    const draw = (paper) => this.paint(paper, plot);
+    const draw = (paper) => this.paint(paper, plot), linked = plot.x.direction || plot.y.direction || Object.keys(plot.at).length || this.page.data.map === false;
     const tools = interactive(canvas, draw, {
       about: () => this.page.about(words, { keys: keysIn(plot, keys), name: words, notes: [this.page.data.title, this.page.data.common] }),
-      click: plot.x.direction || plot.y.direction || Object.keys(plot.at).length ? (place) => this.pick(canvas, plot, place) : undefined,
+      click: linked ? (place) => this.pick(canvas, plot, place) : undefined,
       zoomed: () => this.page.tell(),
     });
     this.page.keepZoom(canvas, tools);
-    const size = `${plot.wide ? " vx-wideplot" : ""}${plot.low ? " vx-lowplot" : ""}${plot.x.direction ? " vx-linked" : ""}`;
+    const size = `${plot.wide ? " vx-wideplot" : ""}${plot.low ? " vx-lowplot" : ""}${linked ? " vx-linked" : ""}`;
     const figure = el("figure", { class: `vx-panel${size}` }, el("figcaption", {}, el("span", { text: plot.title || words }), tools.menu), canvas, tools.band);
     // Of panels at other values than those of the controls, the page shows none.
     const names = Object.keys(plot.at), here = () => !this.page.shown.x && names.length > 0 && names.every((name) => plot.at[name] === this.page.cell[name]);
@@ -138,6 +138,7 @@ export class Figure {
     const dot = readingAt({ frame, readings: lists }, [px, py]);
     if (dot) { page.pick({ ...cell, point: dot.k, ...(lists.length > 1 ? { start: lists.indexOf(dot.series) } : {}) }); return; }
     const ways = [["x", px], ["y", py]].map(([name, pixel]) => [page.direction(plot[name].direction), frame[name], pixel]).filter(([way]) => way);
+    if (!ways.length && !Object.keys(plot.at).length) return;
     const byAxis = new Map();
     for (const way of ways) byAxis.set(way[0].axis.name, [...(byAxis.get(way[0].axis.name) ?? []), way]);
     for (const [name, some] of byAxis) {
