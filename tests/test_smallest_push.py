@@ -8,7 +8,7 @@ from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.explorer import contents_of
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
-from vibrojax.studies.push import Pushes, push_lines
+from vibrojax.studies.push import Pushes
 
 PARAMETERS = {"beta": 0.4, "delta": 0.005}
 STATES = ("x1", "v1", "x2", "v2")
@@ -110,7 +110,7 @@ def test_push_command(strong_cycle, tmp_path, capsys, monkeypatch):
     )
     stored = vj.open_dataset(tmp_path / "vibro-impact-push.nc")
     np.testing.assert_array_equal(stored.push_x1, strong_cycle.push_x1)
-    assert push_lines(stored) == push_lines(strong_cycle)
+    assert Pushes().summary(stored) == Pushes().summary(strong_cycle)
     assert main(["info", "vibro-impact-push.nc"]) == 0
     capsys.readouterr()
     other = ["push", "vibro-impact", *words[:-1], "scan=16"]
