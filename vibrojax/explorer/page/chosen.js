@@ -303,7 +303,7 @@ export function fillChosen(page, motion) {
   else page.side.replaceChildren(head(page, motion), ...(moves ? [page.player.element, el("ul", { class: "vx-keys" }, ...keysOfMotion(motion).map((key) => entry(key)))] : []),
     el("div", { class: "vx-panels" }, ...panels.map((one) => one.figure)), commands(page));
   page.player.set(motion, panels);
-  const summary = summaryOf(page), numbers = page.data.variables.length ? [page.numbers(motion)] : [];
+  const summary = summaryOf(page), numbers = [page.numbers(motion)].filter((one) => one.querySelector("tr"));
   if (page.data.map === false && !page.data.lanes) page.side.append(...formsOf(page), ...numbers.splice(0));
   page.table.replaceChildren(...formsOf(page).slice(page.data.map === false), ...(page.data.figure ? [...summary, ...numbers] : [...numbers, ...summary]));
   return () => { panels.forEach((one) => one.draw()); page.player.draw(); drawSigns(page.side); };

@@ -63,7 +63,7 @@ export function layOut(page) {
   page.element.classList.add("vibrojax");
   page.element.classList.toggle("vx-alone", data.kind === "plots" && !data.summary.length && !data.variables.length);
   page.element.classList.toggle("vx-still", !data.lanes && !data.history && data.map !== false);
-  page.element.classList.toggle("vx-cells", !data.lanes && data.map === false);
+  page.element.classList.toggle("vx-cells", !data.lanes && data.map === false && !data.axes.some(({ name }) => name === "form"));
   page.element.replaceChildren(
     el("header", { class: "vx-head" }, el("div", {}, el("h1", { text: data.title || data.scene }), ...notes), page.theme),
     el("div", { class: "vx-main" },
