@@ -30,7 +30,7 @@ from vibrojax.pictures.contents import POINT
 from vibrojax.pictures.plots import Layer, Look, Plot, Points, Sheet, dots, key, level
 from vibrojax.pictures.style import IMPACT
 from vibrojax.scenes import Scene
-from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.analysis import PictureRule, SummaryPart, checked_result
 from vibrojax.studies.subjects import MachineAnalysis
 
 PLACES = ("nominal", "corner", "edge", "interior", "refined")
@@ -103,7 +103,8 @@ def refine(
         return ds, units[:first], tried
     kept = [*range(first), *added.tolist()]
     whole = xr.concat(parts, "point", data_vars="minimal", join="override", combine_attrs="override")
-    return whole.isel(point=kept), units[kept], tried
+    numbered = {"point": np.arange(len(kept))} if "point" in whole.coords else {}  # each part has its own numbers
+    return whole.isel(point=kept).assign_coords(numbered), units[kept], tried
 
 
 def _goals(ds: xr.Dataset) -> Float[np.ndarray, "searches samples"]:
@@ -285,7 +286,7 @@ def tolerance(
     """
     analysis = Tolerances()
     box = analysis.machines(Place(analysis.kind), scene, parameters, start, run or {})
-    return analysis.compute(box, progress)
+    return checked_result(analysis, analysis.compute(box, progress))
 
 
 class Tolerances(MachineAnalysis[ToleranceBox]):
@@ -351,7 +352,7 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
             sweep = spec.sweep_over(units)
             counts = certified(sweep, {str(name): x.values for name, x in ds.data_vars.items()})
             ds = ds.assign_attrs(attributes(sweep, json.loads(ds.attrs["solver"]), counts, ds.attrs["wall_time_s"]))
-        ds = ds.rename(point="sample").assign_coords(sample=np.arange(len(units)))
+        ds = ds.rename(point="sample")
         regime = ds["regime"].transpose("sample", ...)
         rest, regimes = regime.dims[1:], regime.values[:drawn]
         shares = np.stack([(regimes == flag).mean(axis=0) for flag in range(len(REGIMES))])
