@@ -11,7 +11,7 @@ from jaxtyping import Float
 from vibrojax.errors import InputError, Place
 from vibrojax.io.attributes import text_of
 from vibrojax.io.log_columns import KNOWN, LINE, RATE, ROTATION_SPEED, WEIGHT
-from vibrojax.io.riglog import LIMITS_OF_LOGS, Nulls, Source, Where, log_lines, read_needed, to_dataset
+from vibrojax.io.riglog import LIMITS_OF_LOGS, Nulls, Source, Where, log_lines, read_log, to_dataset
 from vibrojax.io.variables import Variable
 from vibrojax.pictures.axes import margins, pretty_unit
 from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Sheet, dots, upright
@@ -106,7 +106,7 @@ def rig(
     >>> (log.specific_energy / 1e6).values.round().tolist()  # MPa
     [346.0, 312.0]
     """
-    table = read_needed(source, columns, where, nulls, name="rig")
+    table = read_log(source, columns, where, nulls)
     for header, name, median, likely in table.attrs["unusual"]:
         warn_if_far(Place(table.attrs["title"], f"column {header}"), KNOWN[name], median, likely)
     log = to_dataset(table)

@@ -34,7 +34,7 @@ from vibrojax.io.log_columns import (
     checked_columns,
     split_unit,
 )
-from vibrojax.io.riglog import Nulls, Where, log_lines, read_needed, to_dataset
+from vibrojax.io.riglog import Nulls, Where, log_lines, read_log, to_dataset
 from vibrojax.io.tables import line_ranges
 from vibrojax.io.variables import Variable, described
 from vibrojax.measures.labels import FAILED, IRREGULAR
@@ -226,8 +226,8 @@ def _read_rows(source: Path | pd.DataFrame, columns: Columns, where: Where, null
     columns = checked_columns(columns)
     if is_unknown := columns.get(THRESHOLD, "").strip() == "unknown":
         del columns[THRESHOLD]
-    log = read_needed(source, columns, where, nulls, _FOR_LAW, "fit_rop")
-    place = Place("fit_rop" if isinstance(source, pd.DataFrame) else str(source))
+    log = read_log(source, columns, where, nulls, _FOR_LAW)
+    place = Place("DataFrame" if isinstance(source, pd.DataFrame) else str(source))
     for header, name, median, likely in log.attrs["unusual"]:
         warn_if_far(place.at(f"column {header}"), KNOWN[name], median, likely)
     if FORCE not in log and WEIGHT in log:
