@@ -199,10 +199,12 @@ def cells_of(place: Place, table: "pd.DataFrame") -> Cells:
 
 def _table(place: Place, rows: Iterable[tuple[int, list[str]]]) -> "pd.DataFrame":
     """Return rows, each with its line, as a table indexed by line, in which short rows end in None."""
-    lines, cells = zip(*rows, strict=True) if (rows := list(rows)) else ((), ())
-    if not lines:
+    rows = list(rows)
+    if not rows:
         raise place.error(_NO_ROWS)
-    return pd.DataFrame(list(cells), index=lines, dtype=object)
+    width = max(len(cells) for _, cells in rows)
+    padded = [cells + [None] * (width - len(cells)) for _, cells in rows]
+    return pd.DataFrame(padded, index=[line for line, _ in rows], dtype=object)
 
 
 def _read_xlsx(place: Place, path: Path) -> "pd.DataFrame":
