@@ -17,18 +17,9 @@ from jaxtyping import Bool, Float
 
 from vibrojax.errors import InputError, Place, counted, shown, suggestion
 from vibrojax.io import log_columns as known
+from vibrojax.io import tables
 from vibrojax.io.attributes import attribute_of, table_of, text_of
 from vibrojax.io.log_columns import DEPTH, KNOWN, LINE, RATE, ROTATION_SPEED, TIME, WEIGHT, Column
-from vibrojax.io.tables import (
-    AMBIGUOUS_COMMAS,
-    cells_of,
-    decimal_mark,
-    is_number,
-    line_ranges,
-    listed_faults,
-    read_cells,
-    to_numbers,
-)
 from vibrojax.physics.units import UNITS, factor
 
 NULLS = frozenset(
@@ -107,24 +98,25 @@ def read_log(
     if not isinstance(path, (str, PathLike, pd.DataFrame)):
         raise InputError(f"read_log: {shown(path)} is no log; give a path or a DataFrame")
     place = Place("DataFrame" if isinstance(path, pd.DataFrame) else str(path))
-    cells = cells_of(place, path) if isinstance(path, pd.DataFrame) else read_cells(place, Path(path))
-    header, rows, lines = cells.header, cells.rows, cells.rows.index.to_numpy()
-    chosen, notes = known.choose_columns(place.at(f"line {cells.line}"), header, columns)
-    notes = [*cells.notes, *notes]
-    missing = NULLS | cells.nulls | {str(null).strip().casefold() for null in nulls or ()}
+    cells = tables.cells_of(place, path) if isinstance(path, pd.DataFrame) else tables.read_cells(place, Path(path))
+    header, lines = list(map(str, cells.columns)), cells.index.to_numpy()
+    chosen, notes = known.choose_columns(place.at(f"line {cells.attrs['line']}"), header, columns)
+    notes = [*cells.attrs["notes"], *notes]
+    missing = NULLS | cells.attrs["nulls"] | {str(null).strip().casefold() for null in nulls or ()}
     own = {column.index: key for key, column in chosen.items() if column.index is not None}
     is_needed = {key: key in needed or key in columns for key in chosen}
-    mark = decimal_mark(rows.iloc[:, k] for k in own if is_needed[own[k]]) or decimal_mark(rows.iloc[:, k] for k in own)
+    text = {key: cells.iloc[:, k] for k, key in own.items()}
+    mark = tables.decimal_mark(text[key] for key in text if is_needed[key]) or tables.decimal_mark(text.values())
     notes += ["commas are decimal marks"] * (mark == ",")
-    table: dict[str, np.ndarray] = {key: np.full(len(rows), column.value or 0.0) for key, column in chosen.items()}
+    table = {key: np.full(len(cells), (column.value or 0.0) / column.factor) for key, column in chosen.items()}
     table[LINE], faults = lines, list[tuple[int, str, str]]()
     for index, cell in enumerate(header):
-        text, key = rows.iloc[:, index].fillna("").str.strip(), own.get(index)
-        numbers, wrong = _times(header, chosen[key], rows) if key == TIME else to_numbers(text, mark, missing)
-        bad = text[wrong]
+        column, key = cells.iloc[:, index].fillna("").str.strip(), own.get(index)
+        numbers, wrong = _times(header, chosen[key], cells) if key == TIME else tables.to_numbers(column, mark, missing)
+        bad = column[wrong]
         if key is None:
             if cell not in ("", "row", *table):
-                table[cell] = text.to_numpy(object) if wrong.any() else numbers
+                table[cell] = column.to_numpy(object) if wrong.any() else numbers
             continue
         table[key] = numbers
         if is_needed[key] and key != TIME:
@@ -134,10 +126,10 @@ def read_log(
             notes.append(f"{key}: {fault}, such as {shown(bad.iloc[0])} in line {bad.index[0]}")
     if faults:
         faults.sort()
-        text = listed_faults([f"line {line}, column {name}: {shown(value)}" for line, name, value in faults])
+        listed = tables.listed_faults([f"line {line}, column {name}: {shown(value)}" for line, name, value in faults])
         right = f"correct them, or say that they stand for missing values: --nulls {shown(faults[0][2])}"
-        right = AMBIGUOUS_COMMAS if "," in faults[0][2] and not mark else right
-        raise place.error(f"{text}; {counted(len(faults), 'cell is not a number', 'cells are not numbers')}; {right}")
+        right = tables.AMBIGUOUS_COMMAS if "," in faults[0][2] and not mark else right
+        raise place.error(f"{listed}; {counted(len(faults), 'cell is not a number', 'cells are not numbers')}; {right}")
     unusual = _to_si(place, chosen, table, is_needed, notes)
     names = [(known.recognise(cell)[0] or "", cell) for cell in header]
     is_rig = known.RELIEF not in chosen and any(
@@ -161,16 +153,16 @@ def read_log(
     if not kept.any():
         texts = ", ".join(f"{name} {part.size}" for name, part in dropped.items())
         hint = f"; is a unit wrong? {unusual[0][3]}" if unusual else ""
-        raise place.at(f"line {lines[0]} to {lines[-1]}").error(f"no row is left of {len(rows)}: {texts}{hint}")
+        raise place.at(f"line {lines[0]} to {lines[-1]}").error(f"no row is left of {len(cells)}: {texts}{hint}")
     data = data[kept].reset_index(drop=True)
     data.attrs = {
         "title": Path(place.file).name,
         "rig": is_rig,
-        "rows_read": len(rows),
+        "rows_read": len(cells),
         "units": {key: KNOWN[key].unit for key in chosen},
         "sources": {key: column.described() for key, column in chosen.items()},
         "dropped": {name: part.size for name, part in dropped.items()},
-        "lines": {name: line_ranges(part) for name, part in dropped.items()},
+        "lines": {name: tables.line_ranges(part) for name, part in dropped.items()},
         "notes": notes,
         "unusual": unusual,
     }
@@ -191,15 +183,13 @@ def _to_si(
     unusual, faults, words = [], [], []
     for key, column in list(chosen.items()):
         numbers = np.abs(table[key][np.isfinite(table[key]) & (table[key] != 0)])
-        numbers = numbers if column.value is None else numbers / column.factor
         median = float(np.median(numbers)) if numbers.size else np.nan
         low, high = KNOWN[key].usual or (0.0, np.inf)
         if key == ROTATION_SPEED and column.assumed and not known.is_own(column.header, key):
             for unit, scale in {"rev/s": 60 * RPM, "rpm": RPM}.items():  # the last that fits
                 if low <= median * scale <= high:
                     chosen[key] = column = Column(column.header, column.index, unit, scale, assumed=True)
-        if column.value is None:
-            table[key] = column.factor * table[key]
+        table[key] = column.factor * table[key]
         if not numbers.size or (word := known.likely_words(key, column, median)) is None:
             continue
         fault = f"{key} {median:.6g} {column.unit} ({low:g} to {high:g} {UNITS[KNOWN[key].unit][0]})"
@@ -228,7 +218,7 @@ def _times(header: list[str], column: Column, rows: pd.DataFrame) -> tuple[Rows,
         (k for k, cell in enumerate(header) if known.recognise(cell)[0] == known.DATE and k != column.index), None
     )
     empty, scale = (cells == "").to_numpy(), column.factor
-    if date is None and all(is_number(cell) or not cell for cell in cells):
+    if date is None and all(tables.is_number(cell) or not cell for cell in cells):
         values, scale = pd.to_numeric(cells).to_numpy(float), 1.0
     elif date is None and cells[~empty].str.fullmatch(_CLOCK).mean() > 0.5:
         clock = cells.where(cells.str.fullmatch(_CLOCK)).where(cells.str.count(":") != 1, cells + ":00")
@@ -392,11 +382,10 @@ def log_lines(data: xr.Dataset) -> list[str]:
     """Return lines of text: the source and unit of each quantity, and what was dropped and why."""
     lines = []
     for name, source in table_of(data, "columns").items():
-        unit = source.get("unit", source.get("given_in"))
-        unit = f", taken as {unit}, since it names no unit" if source["assumed"] else f", in {unit}"
         si = UNITS[KNOWN[name].unit][0] if name in KNOWN else ""
         value = f"{source['value']:g} {si} for all rows" if "value" in source else f"column {shown(source['column'])}"
-        lines.append(f"{name}: {value}{unit if source['assumed'] or 'value' not in source else ''}")
+        unit = "" if "value" in source else f", in {source['unit']}"
+        lines.append(f"{name}: {value}{unit}{', since no unit is given' * source['assumed']}")
     if dropped := table_of(data, "dropped"):
         total, read = sum(about["rows"] for about in dropped.values()), attribute_of(data, "rows_read")
         lines.append(f"dropped {total} of {counted(read, 'row')}:")

@@ -5,8 +5,8 @@ import io
 import re
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
@@ -22,6 +22,8 @@ _MOST_LINES_LISTED = 12
 
 MOST_LISTED = 10
 """Number of faults that a message lists."""
+
+Frame: TypeAlias = "pd.DataFrame"
 
 AMBIGUOUS_COMMAS = "commas are ambiguous: they may be decimal marks, or separate thousands; write decimal points"
 
@@ -142,40 +144,29 @@ def to_numbers(
 # Files of logs
 
 
-@dataclass(frozen=True)
-class Cells:
-    """A table of text: `header` (names with their units) at a `line`; `rows`, indexed by line, a column per name.
+def read_cells(place: Place, path: Path) -> Frame:
+    """Return the cells of a file as texts; its kind is recognised by its content or its ending.
 
-    `nulls`: numbers that stand for a missing value in this file.
-    """
+    The columns have the names with their units, and the index is the number of the line. `attrs`: `line` (that of the
+    names), `nulls` (a set of the numbers that stand for a missing value in this file), and `notes`.
 
-    header: list[str]
-    line: int
-    rows: "pd.DataFrame"
-    nulls: frozenset[str] = frozenset()
-    notes: tuple[str, ...] = ()
-
-
-def read_cells(place: Place, path: Path) -> Cells:
-    """Return the cells of a file, whose kind is recognised by its content or its ending.
-
-    **Raises:** `InputError` if the file cannot be read, or a row has another width than the header (further cells may
+    **Raises:** `InputError` if the file cannot be read, or a row has another width than the names (further cells may
     be empty).
     """
     if path.suffix.lower() in (".xlsx", ".xlsm", ".xls"):
-        cells = _below_names(place, _read_xlsx(place, path))
+        cells, header = _below_names(place, _read_xlsx(place, path))
     elif (text := read_text(path, windows=True)).lstrip().startswith("~") or path.suffix.lower() == ".las":
-        cells = _read_las(place, text)
+        cells, header = _read_las(place, text)
     elif text.lstrip().startswith("<"):
-        cells = _read_witsml(place, text)
+        cells, header = _read_witsml(place, text)
     else:
-        cells = _below_names(place, _table(place, csv_rows(place, text)))
-    width, rows = len(cells.header), cells.rows
-    counts = rows.iloc[:, :width].notna().sum(axis=1) + (rows.iloc[:, width:].fillna("") != "").sum(axis=1)
+        cells, header = _below_names(place, _table(place, csv_rows(place, text)))
+    width = len(header)
+    counts = cells.iloc[:, :width].notna().sum(axis=1) + (cells.iloc[:, width:].fillna("") != "").sum(axis=1)
     if (wrong := counts[counts != width].astype(int)).size:
         listed = listed_faults([f"line {line} has {counted(count, 'cell')}" for line, count in wrong.items()])
         raise place.error(f"{listed}; {width} are needed, one a column")
-    return replace(cells, rows=rows.iloc[:, :width])
+    return cells.iloc[:, :width].set_axis(header, axis=1)
 
 
 def listed_faults(faults: Sequence[str]) -> str:
@@ -184,8 +175,8 @@ def listed_faults(faults: Sequence[str]) -> str:
     return "; ".join(faults[:MOST_LISTED]) + more
 
 
-def cells_of(place: Place, table: "pd.DataFrame") -> Cells:
-    """Return the cells of a DataFrame; in one that `read_log` returned, the quantities are in SI units."""
+def cells_of(place: Place, table: Frame) -> Frame:
+    """Return the cells of a DataFrame, as `read_cells` does; in one that `read_log` returned, quantities are in SI."""
     units = table.attrs["units"] if "sources" in table.attrs else {}
     table = table.reset_index() if any(table.index.names) else table
     lines = table["line"] if units and "line" in table else range(2, len(table) + 2)
@@ -193,21 +184,24 @@ def cells_of(place: Place, table: "pd.DataFrame") -> Cells:
     if table.empty:
         raise place.error(_NO_ROWS)
     names = [f"{name} ({units[name]})" if name in units else str(name) for name in table.columns]
-    rows = table.astype(object).where(table.notna(), "").map(str)
-    return Cells(names, 1, rows.set_axis(range(len(names)), axis=1).set_axis(lines))
+    cells = table.astype(object).where(table.notna(), "").map(str).set_axis(names, axis=1).set_axis(lines)
+    cells.attrs = {"line": 1, "nulls": set(), "notes": []}
+    return cells
 
 
-def _table(place: Place, rows: Iterable[tuple[int, list[str]]]) -> "pd.DataFrame":
-    """Return rows, each with its line, as a table indexed by line, in which short rows end in None."""
+def _table(place: Place, rows: Iterable[tuple[int, list[str]]], line: int = 1, nulls: Iterable[str] = ()) -> Frame:
+    """Return rows, each with its line, as `read_cells` does, with numbered columns; short rows end in None."""
     rows = list(rows)
     if not rows:
         raise place.error(_NO_ROWS)
     width = max(len(cells) for _, cells in rows)
     padded = [cells + [None] * (width - len(cells)) for _, cells in rows]
-    return pd.DataFrame(padded, index=[line for line, _ in rows], dtype=object)
+    table = pd.DataFrame(padded, index=[line for line, _ in rows], dtype=object)
+    table.attrs = {"line": line, "nulls": set(nulls), "notes": []}
+    return table
 
 
-def _read_xlsx(place: Place, path: Path) -> "pd.DataFrame":
+def _read_xlsx(place: Place, path: Path) -> Frame:
     try:
         content = io.BytesIO(read_regular(path))
         table = pd.read_excel(content, header=None, dtype=str, keep_default_na=False, engine="openpyxl")
@@ -220,8 +214,8 @@ def _read_xlsx(place: Place, path: Path) -> "pd.DataFrame":
     return table[(table != "").any(axis=1)]
 
 
-def _below_names(place: Place, table: "pd.DataFrame") -> Cells:
-    """Return the cells below the names, which stand above the first row of numbers.
+def _below_names(place: Place, table: Frame) -> tuple[Frame, list[str]]:
+    """Return the cells below the names, and the names, which stand above the first row of numbers.
 
     A row of units goes into the names. Of several other rows there, such as titles, that with most known names counts.
     """
@@ -247,7 +241,9 @@ def _below_names(place: Place, table: "pd.DataFrame") -> Cells:
         header.pop()
     says = {names: "", below: "holds the units of the columns"}
     notes = [f"line {table.index[k]} {says.get(k, 'holds no names and is not read')}" for k in range(above)]
-    return Cells(header, int(table.index[names]), table.iloc[above:], notes=tuple(notes[:names] + notes[names + 1 :]))
+    cells = table.iloc[above:]
+    cells.attrs = {"line": int(table.index[names]), "nulls": set(), "notes": notes[:names] + notes[names + 1 :]}
+    return cells, header
 
 
 def _with_unit(name: str, unit: str) -> str:
@@ -257,8 +253,8 @@ def _with_unit(name: str, unit: str) -> str:
     return f"{name} ({unit})" if is_wanted else name
 
 
-def _read_witsml(place: Place, text: str) -> Cells:
-    """Return the rows of `logData` in WITSML 1.3 or 1.4, with the units of its list or of its `logCurveInfo`."""
+def _read_witsml(place: Place, text: str) -> tuple[Frame, list[str]]:
+    """Return the rows and names of `logData` in WITSML 1.3 or 1.4, with units of its list or of its `logCurveInfo`."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise place.error("defines entities, which are not read; export the log without them, or as CSV")
     try:
@@ -277,12 +273,12 @@ def _read_witsml(place: Place, text: str) -> Cells:
     header = [_with_unit(name, unit.strip()) for name, unit in zip(names, units, strict=True)]
     lines = [number for number, line in enumerate(text.splitlines(), 1) if "<data>" in line]
     index = lines if len(lines) == len(rows) else range(1, len(rows) + 1)
-    nulls = frozenset((null.text or "").strip() for null in root.findall(".//{*}nullValue"))
-    return Cells(header, max(index[0] - 1, 1), _table(place, zip(index, rows, strict=True)), nulls)
+    nulls = [(null.text or "").strip() for null in root.findall(".//{*}nullValue")]
+    return _table(place, zip(index, rows, strict=True), max(index[0] - 1, 1), nulls), header
 
 
-def _read_las(place: Place, text: str) -> Cells:
-    """Return the rows of a LAS file of version 1.2, 2.0 (wrapped, too) or 3.0 with one log."""
+def _read_las(place: Place, text: str) -> tuple[Frame, list[str]]:
+    """Return the rows and the names of a LAS file of version 1.2, 2.0 (wrapped, too) or 3.0 with one log."""
     try:
         import lasio
     except ImportError:
@@ -314,8 +310,8 @@ def _read_las(place: Place, text: str) -> Cells:
         width, every = len(names), [(number, cell) for number, cells in rows for cell in cells if cell]
         groups = [every[k : k + width] for k in range(0, len(every), width)]
         rows = [(group[0][0], [cell for _, cell in group]) for group in groups]
-    nulls = {str(las.well["NULL"].value)} if "NULL" in las.well else set[str]()
-    return Cells(names, names_line, _table(place, rows), frozenset(nulls))
+    nulls = [str(las.well["NULL"].value)] if "NULL" in las.well else []
+    return _table(place, rows, names_line, nulls), names
 
 
 def line_ranges(lines: Int[np.ndarray, " lines"]) -> str:

@@ -1,4 +1,4 @@
-"""Fit of one group of lanes: wrong rows, the founder weight, and every form; and the groups of a fit.
+"""Fit of one group of lanes: wrong rows, the founder weight, and every form.
 
 The rows of a log are in order of depth. Neighbours are correlated, so that rows are neither drawn nor left out one by
 one, but in blocks that are longer than the correlation.
@@ -12,26 +12,8 @@ from jaxtyping import Float
 from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
-from vibrojax.studies.rop_forms import (
-    AIC_LIMIT,
-    BLOCK_LIMIT,
-    FORMS,
-    LEAST_SPREAD,
-    SAME_AS_ONSET,
-    LaneBlocks,
-    LaneFlags,
-    Lanes,
-    Minimum,
-    Model,
-    Reason,
-    Standing,
-    linear_problem,
-    moves_without,
-    search,
-    spread_of,
-    standings,
-    whiten,
-)
+from vibrojax.studies import rop_forms
+from vibrojax.studies.rop_forms import FORMS, LaneBlocks, LaneFlags, Lanes, Minimum, Model, search, spread_of, whiten
 
 LEAST_DEGREES_OF_FREEDOM = 2
 """Degrees of freedom below which forms are not compared: the correction of AIC for small samples, 2k(k + 1)/(n - k - 1)
@@ -251,7 +233,7 @@ def _profile(model: Model, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, 
     excess = np.maximum(weight - bends, 0.0)
     columns, law = model.columns(model.relief[:, None] * np.minimum(1.0, bends / weight)), rate
     for _ in range(1 + is_power):
-        slopes, target = linear_problem(model.form, columns, rate, law)
+        slopes, target = rop_forms.linear_problem(model.form, columns, rate, law)
         slopes = np.concatenate([slopes, -(excess * (rate > 0))[..., None]], axis=-1)
         slopes, target = whiten(slopes, decay), whiten(target, decay)
         normal, right = np.einsum("rbi,rbj->bij", slopes, slopes), np.einsum("rbi,rb->bi", slopes, target + 0 * excess)
@@ -288,7 +270,7 @@ def decay_of(rho: float, row: LaneBlocks) -> Lanes:
 
 def predictions_without(minimum: Minimum, rate: Lanes, block: LaneBlocks) -> Lanes:
     """Return the residuals of each block of rows, predicted from the fit to the rows of all other blocks."""
-    moved = minimum.theta + moves_without(minimum, block)
+    moved = minimum.theta + rop_forms.moves_without(minimum, block)
     return np.concatenate([minimum.model.residuals(theta, rate)[0][block == k] for k, theta in enumerate(moved)])
 
 
@@ -297,7 +279,7 @@ def predictions_without(minimum: Minimum, rate: Lanes, block: LaneBlocks) -> Lan
 
 def _fit_forms(relief: Lanes, rate: Lanes, robust: bool, unknown: bool, row: LaneBlocks | None) -> pd.DataFrame:
     """Return the values of every form, and compare the forms; `row`: the number of each row of a log."""
-    forms = [form for form in FORMS if not (unknown and form.name in SAME_AS_ONSET)]
+    forms = [form for form in FORMS if not (unknown and form.name in rop_forms.SAME_AS_ONSET)]
     found = {form.name: search(form, relief, rate, robust) for form in forms}
     minima = {name: x for name, x in found.items() if isinstance(x, Minimum)}
     rho, block, decay = 0.0, None, None
@@ -311,28 +293,28 @@ def _fit_forms(relief: Lanes, rate: Lanes, robust: bool, unknown: bool, row: Lan
             minima = {name: x for name, x in found.items() if isinstance(x, Minimum)}
     fits: dict[str, dict[str, Any]] = {}
     for name in NAMES:
-        reason = found.get(name, Reason.UNKNOWN_THRESHOLD)
+        reason = found.get(name, rop_forms.Reason.UNKNOWN_THRESHOLD)
         missing = {"reason": reason, "r_squared_reason": reason, "degrees_of_freedom": 0}
         fits[name] = _coefficients(minima[name], rate, block) if name in minima else missing
     table = pd.DataFrame.from_dict(fits, orient="index").reindex(columns=_COLUMNS)
-    table["used"], table["standing"] = rate.size, int(Standing.NOT_COMPARED)
+    table["used"], table["standing"] = rate.size, int(rop_forms.Standing.NOT_COMPARED)
     against = pd.Series(np.nan, table.index)
     if block is not None:
-        limit = BLOCK_LIMIT
+        limit = rop_forms.BLOCK_LIMIT
         for name, minimum in minima.items():
             residual = predictions_without(minimum, rate / rate.max(), block)
             table.loc[name, "cv_error"] = rate.max() * np.sqrt(np.mean(residual**2))
             against[name] = rate.size * np.log(max(np.mean(whiten(residual, decay) ** 2), _EPSILON**2))
     elif len(minima) == len(forms) and table["degrees_of_freedom"][list(minima)].min() >= LEAST_DEGREES_OF_FREEDOM:
-        limit = AIC_LIMIT if row is None else BLOCK_LIMIT
+        limit = rop_forms.AIC_LIMIT if row is None else rop_forms.BLOCK_LIMIT
         costs = np.array([2 * form.size for form in FORMS])
-        exact = rate.size * 2 * np.log(LEAST_SPREAD * rate.max())  # below it, forms are equally exact
+        exact = rate.size * 2 * np.log(rop_forms.LEAST_SPREAD * rate.max())  # below it, forms are equally exact
         independent = (1 - rho) / (1 + rho)  # correlated rows count as fewer independent ones
         against = independent * np.maximum(table["aic"] - costs, exact) + costs
     else:
         return table
     table["evidence_against"] = against - against.min()
-    table["standing"] = standings(table["evidence_against"].to_numpy(), NAMES, limit)
+    table["standing"] = rop_forms.standings(table["evidence_against"].to_numpy(), NAMES, limit)
     return table
 
 
@@ -346,28 +328,28 @@ def _coefficients(minimum: Minimum, rate: Lanes, block: LaneBlocks | None) -> di
     that the AIC of exact data is finite.
     """
     unit, size = float(rate.max()), minimum.theta.size
-    moves = moves_without(minimum, np.arange(rate.size) if block is None else block)
+    moves = rop_forms.moves_without(minimum, np.arange(rate.size) if block is None else block)
     square = moves.T @ moves
     if block is not None:
         student = float(stdtrit(len(moves) - size, _TWO_ERRORS[1])) / _TWO_ERRORS[0]
         square *= (len(moves) - 1) / len(moves) * student**2
     values, slopes = minimum.model.coefficients(minimum.theta)
     errors = np.sqrt(np.einsum("ci,ij,cj->c", slopes, square, slopes))
-    fit: dict[str, float | int] = {"reason": Reason.IDENTIFIED}
+    fit: dict[str, float | int] = {"reason": rop_forms.Reason.IDENTIFIED}
     if size == 2 and minimum.model.form.name != "power":
         # A horizontal line has C close to zero, and no onset.
         least = max(_LEAST_SLOPE, _LEAST_SLOPE_IN_ERRORS * float(np.sqrt(square[1, 1])))
         if abs(minimum.theta[1]) <= least or not np.isfinite(values[1]):
-            values[1], fit["reason"] = np.nan, Reason.NO_SLOPE
+            values[1], fit["reason"] = np.nan, rop_forms.Reason.NO_SLOPE
     errors[np.isnan(values)] = np.nan
     for name, scale, value, error in zip(COEFFICIENTS, (unit, 1.0, 1.0), values, errors, strict=True):
         fit |= {name: scale * value, f"{name}_stderr": scale * error}
     y = rate / unit
     squares, about_mean = float(np.sum(minimum.residual**2)), float(np.sum((y - y.mean()) ** 2))
-    varies = about_mean > rate.size * LEAST_SPREAD**2
+    varies = about_mean > rate.size * rop_forms.LEAST_SPREAD**2
     return fit | {
         "r_squared": 1 - squares / about_mean if varies else np.nan,
-        "r_squared_reason": Reason.IDENTIFIED if varies else Reason.CONSTANT_RATES,
+        "r_squared_reason": rop_forms.Reason.IDENTIFIED if varies else rop_forms.Reason.CONSTANT_RATES,
         "aic": rate.size * (np.log(max(squares / rate.size, _EPSILON**2)) + 2 * np.log(unit)) + 2 * size,
         "degrees_of_freedom": int(minimum.active.sum()) - size,
     }

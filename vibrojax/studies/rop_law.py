@@ -17,23 +17,10 @@ import pandas as pd
 import xarray as xr
 
 from vibrojax.errors import InputError, Place, counted, nearest, shell_assignment, shown, suggestion
+from vibrojax.io import log_columns as known
 from vibrojax.io.attributes import title_of
 from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.log_columns import (
-    DEPTH,
-    FORCE,
-    KNOWN,
-    LAW,
-    LINE,
-    RATE,
-    RELIEF,
-    RIG,
-    ROTATION_SPEED,
-    THRESHOLD,
-    WEIGHT,
-    checked_columns,
-    split_unit,
-)
+from vibrojax.io.log_columns import FORCE, KNOWN, LINE, RATE, RELIEF, THRESHOLD, WEIGHT
 from vibrojax.io.riglog import Nulls, Where, log_lines, read_log, to_dataset
 from vibrojax.io.tables import line_ranges
 from vibrojax.io.variables import Variable, described
@@ -64,7 +51,7 @@ USES = ("no-lane", "fitted", "censored", "left-out", "above-founder")
 """Flags of the variable `data_use`."""
 
 NO_VALUES = "without values, or with a negative rate"
-_FOR_LAW = frozenset((*LAW, WEIGHT, ROTATION_SPEED))  # faults in other columns do not stop a fit
+_FOR_LAW = frozenset((*known.LAW, WEIGHT, known.ROTATION_SPEED))  # faults in other columns do not stop a fit
 _SAME = 1e-6  # relative difference of thresholds of a group that are one
 _KEPT = (
     *("scene", "sweep", "parameters", "columns"),
@@ -251,7 +238,7 @@ def _read_rows(place: Place, source: Path | pd.DataFrame, columns: Columns, wher
     "unknown", or not given with a log of a rig, the relief is mean_force over its median, the attribute
     `reference_force` [N].
     """
-    columns = checked_columns(columns)
+    columns = known.checked_columns(columns)
     if is_unknown := columns.get(THRESHOLD, "").strip() == "unknown":
         del columns[THRESHOLD]
     log = read_log(source, columns, where, nulls, _FOR_LAW)
@@ -269,7 +256,8 @@ def _read_rows(place: Place, source: Path | pd.DataFrame, columns: Columns, wher
     needed = (RATE, FORCE, *([] if is_unknown else [THRESHOLD])) if by_force else (RATE, RELIEF)
     if missing := [name for name in needed if name not in log]:
         name, free = missing[0], [str(name) for name in log if name not in (*log.attrs["units"], LINE)]
-        likely = [cell for cell in free if (unit := split_unit(cell)[1]) and factor(unit, KNOWN[name].unit) is not None]
+        units = {cell: known.split_unit(cell)[1] for cell in free}
+        likely = [cell for cell, unit in units.items() if unit and factor(unit, KNOWN[name].unit) is not None]
         hint = f"the file has {', '.join(free) or 'no others'}"
         if like := likely[0] if likely else nearest(name, free):
             hint = f"if {shown(like)} is it, name it with its unit: --columns {shell_assignment(name, like)}"
@@ -341,9 +329,9 @@ def _grouped(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[st
                 hint = f"; {suggestion(str(name), own)}" if own else ": the data are not a table with columns"
                 here = place.at("by" if name in by else "along")
                 raise here.error(f"{shown(name)} is not a column of the data{hint}")
-        keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *RIG)]
+        keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *known.RIG)]
         table = pd.DataFrame({name: lanes[name].values for name in keys}, index=range(lanes.sizes[row]))
-        grouped = table.groupby(keys or np.zeros(len(table)), sort=DEPTH not in lanes.coords, dropna=False)
+        grouped = table.groupby(keys or np.zeros(len(table)), sort=known.DEPTH not in lanes.coords, dropna=False)
         group, lane = grouped.ngroup().to_numpy(), grouped.cumcount().to_numpy()
         first = np.flatnonzero(lane == 0)
         first = first[np.argsort(group[first])]
