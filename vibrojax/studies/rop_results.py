@@ -44,7 +44,7 @@ _USES: dict[str, tuple[str, Look]] = {
 }
 _MOST_GROUPS, _MOST_COLUMNS = 6, 3
 _PANEL_WIDTH, _PANEL_HEIGHT = 2.6, 2.8  # of a group [inch]
-_CLOUD = 300  # lanes from which on they are a faint cloud below the curves
+_CLOUD = 100  # lanes of a group from which on they are a faint cloud below the curves
 _CURVE_POINTS = 200
 _MOST_EVIDENCE = 30.0  # against a form, up to which it is drawn
 
@@ -242,35 +242,41 @@ def law_picture(fit: xr.Dataset) -> Sheet:
         return curves(fit, ["C"])
     if "reference_force" in fit.attrs:  # the threshold is unknown: some forms are the same curve as another one
         fit = fit.sel({FORM: [name for name in fit[FORM].values if name not in SAME_AS_ONSET]})
-    groups, along, count = facets(fit, (), _MOST_GROUPS), fit.attrs["along"], fit["C"].size // fit.sizes[FORM]
-    limit = BLOCK_LIMIT if fit["cv_error"].notnull().any() else AIC_LIMIT
-    notes = [f"Data and curves of {len(groups)} of {count} groups" * (len(groups) < count)]
-    along = "the rows of the table" if along == POINT else along
-    notes += [f"Fitted along {along}; bars and bands of one standard error of C"]
-    notes += [f"Evidence above {limit:g} rejects a form", LIMITS_OF_LOGS * is_log(fit)]
+    groups, count = facets(fit, (), _MOST_GROUPS), fit["C"].size // fit.sizes[FORM]
+    along = "the rows of the table" if fit.attrs["along"] == POINT else fit.attrs["along"]
+    notes = [
+        f"Data and curves of {len(groups)} of {count} groups" * (len(groups) < count),
+        f"Fitted along {along}; bars and bands of one standard error of C",
+        f"Evidence above {BLOCK_LIMIT if fit['cv_error'].notnull().any() else AIC_LIMIT:g} rejects a form",
+        LIMITS_OF_LOGS * is_log(fit),
+    ]
+    is_cloud = fit["data_use"].sizes["lane"] >= _CLOUD  # many lanes are small and faint, below the curves
+    look = Look(size=1.6, order=1.5, colour=FAINT) if is_cloud else Look(size=4.2, order=3.0)
+    looks = {use: look | about for use, (_, about) in _USES.items()}
     wide = min(len(groups), _MOST_COLUMNS)
     plots = [
-        _group_plot(group, title, divmod(k, wide), k + wide >= len(groups)) for k, (title, group) in enumerate(groups)
+        _group_plot(group, title, divmod(k, wide), k + wide >= len(groups), looks)
+        for k, (title, group) in enumerate(groups)
     ]
     used = {flag for group in groups.data for flag in np.unique(group["data_use"])}
     uses = [name for flag, name in flags(fit["data_use"]).items() if flag in used and name in _USES]
-    keys: list[list[Layer]] = [[], [dots(label=_USES[use][0], **{"size": 4.5} | _USES[use][1]) for use in uses]]
+    keys: list[list[Layer]] = [[], [dots(label=_USES[use][0], **looks[use] | {"size": 4.5}) for use in uses]]
     for name in map(str, fit[FORM].values):
         formula = FORMULAS[name]
         for text, sign in {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}.items():
             formula = formula.replace(text, sign)
         if len(groups) == 1:
-            formula += f"\nevidence against {float(fit['evidence_against'].sel({FORM: name}).squeeze()):.3g}"
+            formula += f"\nevidence against {float(fit['evidence_against'].sel({FORM: name}).squeeze()):.1f}"
         keys[0].append(key(f"{name}\n{formula}", dash=_DASHES.get(name, "-"), colour=form_colour(name)))
     size = max(_PANEL_WIDTH * wide, 4.5) + LEGEND_WIDTH, _PANEL_HEIGHT * -(-len(groups) // wide) + 0.8
     above, x = Sheet(plots, size, keys=keys, **margins(fit, *notes)), longest_axis(fit)
     if not x.name:
         return above
     shown = fit.sortby(x.name) if x.is_number else fit
-    shown = shown.assign(
-        {name: shown[name].where(shown["standing"] != Standing.REJECTED) for name in ("C", "C_stderr")}
-    )
-    shown["evidence_against"] = np.minimum(shown["evidence_against"], _MOST_EVIDENCE)
+    for name in ("C", "C_stderr"):
+        kept = shown[name].where(shown["standing"] != Standing.REJECTED)
+        shown = shown.assign({name: (_PER_HOUR * kept).assign_attrs(units="m h-1") if is_log(fit) else kept})
+    shown = shown.assign(evidence_against=np.minimum(shown["evidence_against"], _MOST_EVIDENCE))
 
     def draw(lines: list[Series], name: str) -> Plot:
         value = value_of(shown[name])
@@ -286,7 +292,7 @@ def law_picture(fit: xr.Dataset) -> Sheet:
     return replace(sheet, above=above, size=(max(size[0], sheet.size[0]), sheet.size[1] + size[1] - 0.8))
 
 
-def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: bool) -> Plot:
+def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: bool, looks: dict[str, Look]) -> Plot:
     """Draw the lanes of a group, and the curve of each form up to the founder weight and above it."""
     scale_of_rate, unit = (_PER_HOUR, "m/h") if is_log(group) else scale(group["data_rate_of_penetration"])
     threshold = float(group["data_threshold"])  # the mean force in kN is the abscissa where it is known
@@ -295,12 +301,7 @@ def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: 
     known, use = np.isfinite(relief) & np.isfinite(rate), group["data_use"].values
     masks = {name: known & (use == flag) for flag, name in flags(group["data_use"]).items() if name in _USES}
     seen = known & (relief > 0) & ~masks["left-out"]
-    size = float(np.clip(40 / np.sqrt(known.sum() + 1), 1.6, 4.2))
-    layers, look = list[Layer](), Look()
-    for name, mask in masks.items():
-        look = Look(size=size, order=1.5 if known.sum() >= _CLOUD else 3.0) | _USES[name][1]
-        look |= {"colour": FAINT} if name == "fitted" and known.sum() >= _CLOUD else {}
-        layers += [dots(across * relief[mask], rate[mask], **look)] if mask.any() else []
+    layers: list[Layer] = [dots(across * relief[x], rate[x], **looks[use]) for use, x in masks.items() if x.any()]
     axes = Axis(text * is_last), Axis(with_unit("rate of penetration", unit) * (place[1] == 0), zero="no penetration")
     if not seen.any():
         return Plot(layers, *axes, title, place, at(group))
@@ -313,7 +314,7 @@ def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: 
         of = group.sel({FORM: form.name})
         values, dash = [float(of[part]) for part in COEFFICIENTS], _DASHES.get(form.name, "-")
         curve = scale_of_rate * form.rate(eta, *values)
-        look = {"colour": form_colour(form.name), "width": 1.4, "dash": dash, "order": 2.0 + 0.5 * (dash != "-")}
+        look: Look = {"colour": form_colour(form.name), "width": 1.4, "dash": dash, "order": 2.0 + 0.5 * (dash != "-")}
         layers.append(Line(across * eta, curve, **look))
         if int(of["standing"]) == Standing.REJECTED:
             continue
