@@ -73,6 +73,9 @@ def test_command_of_another_package_writes_dataset_and_picture(campbell, monkeyp
 
 def test_help_info_and_plot_include_analysis_of_another_package(command):
     assert "campbell" in command("--help")
+    own = command("campbell", "--help")
+    assert "Draw the spectrum of the bit over the axis of a sweep" in " ".join(own.split())
+    assert own.index("--highest") < own.index("--orders")
     assert "highest frequency, Hz" in command("campbell", "--help")
     assert "spectrum  fundamental frequency from" in command("info", "speeds-campbell.nc")
     assert "strongest frequency of the bit" in command("scenes", "rotary")

@@ -109,6 +109,7 @@ def test_dry_run_only_prints_estimate(here, capsys):
         (["simulate", "rotary", "beta=1", "beta=2"], 'simulate: beta: "2" is a second value'),
         (["simulate", "rotary", "beta=0,4"], 'simulate: beta: "0,4" is text; write 0.4, with a point'),
         (["simulate"], "simulate: the following arguments are required: SCENE; see vibrojax simulate --help"),
+        (["scenes", "rotary", "x=1"], "scenes: unrecognized arguments: x=1; see vibrojax scenes --help"),
         (["simulate", "rotary", "start=[0,0"], 'simulate: start: "[0,0" is not a vector'),
     ],
 )

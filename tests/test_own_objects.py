@@ -188,11 +188,17 @@ def own_law(mu):
     [
         (lambda u, p: p["vx"] * u, "friction law mine: mu asks for 'vx'; there is vs"),
         (lambda u, p: "0.3", "friction law mine: mu gave str; it must give a number"),
+        (lambda u, p: p["vs"] * jnp.tanh(u), "friction law mine: mu uses a function that steps cannot expand; use "),
     ],
 )
 def test_wrong_laws_end_in_one_line(mu, message):
     with pytest.raises(vj.InputError, match=message):
         vj.simulate("rotary", friction=own_law(mu), duration=2.0, progress=False)
+
+
+def test_numbers_are_no_parameters_of_a_law():
+    with pytest.raises(vj.InputError, match="friction law mine: vs must be a parameter of that name"):
+        FrictionLaw("mine", "own", {"vs": 1.0}, lambda u, p: p["vs"] * u)
 
 
 def test_lanes_with_negative_friction_have_a_reason():

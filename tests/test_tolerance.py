@@ -80,6 +80,7 @@ def test_refined_samples_are_consistent_and_irregular_boxes_say_so_first():
     box = vj.tolerance("vibro-impact", **machine, progress=False)
     sampled, refined = box.isel(sample=box.place != REFINED), box.isel(sample=box.place == REFINED)
     assert refined.sizes["sample"] and box.attrs["lanes"] == box.sizes["sample"]
+    assert box["sample"].values.tolist() == list(range(box.sizes["sample"]))
     assert float(box.impact_velocity_most[0]) > float(sampled.impact_velocity.max())
     assert (np.abs(refined.gamma - 0.64) <= 0.0064 * (1 + 1e-9)).all()
     alone = vj.run_sweep(

@@ -161,6 +161,6 @@ def problem_of(error: Exception, known: Iterable[str] = ()) -> str:
         return f"asks for {error.args[0]!r}; there is {', '.join(known) or 'no such name'}"
     if "truth value" in text or "not supported between instances of" in text or "boolean conversion" in text:
         return "decides by a value (if, max or min); use vj.elementary.maximum and minimum"
-    if "__array_ufunc__" in text or "scalar" in text or "must be real number" in text:
+    if any(part in text for part in ("__array_ufunc__", "scalar", "must be real number", "Series'")):
         return CANNOT_EXPAND
     return f"fails with {type(error).__name__}: {text}"

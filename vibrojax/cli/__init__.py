@@ -117,7 +117,10 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
     options = Options()
     try:
         words = sys.argv[1:] if argv is None else argv
-        _parser(words).parse_args(words, options)
+        _, unknown = _parser(words).parse_known_args(words, options)
+        if unknown:
+            before, after = (f"{options.command}: ", f" {options.command}") if options.command else ("", "")
+            raise InputError(f"{before}unrecognized arguments: {' '.join(unknown)}; see vibrojax{after} --help")
         if options.version:
             print(f"vibrojax {package_version()}")
         elif options.command is None:

@@ -49,6 +49,8 @@ def study_command(kind: str, summary: str = "") -> Command:
     """
 
     def add(parser: Any) -> None:
+        if kind not in HOMES:
+            parser.description = str(_class_of(kind).__doc__ or summary).splitlines()[0].rstrip(".")
         for add_argument in _arguments(kind, _about(kind)):
             add_argument(parser)
 
@@ -74,7 +76,7 @@ def _about(kind: str) -> Mapping[str, Any]:
         name: DeclaredSetting(item.metadata.get("help", ""), item.default, item.metadata.get("metavar"))
         for name, item in settings_of(analysis).items()
     }
-    return {name: getattr(analysis, name) for name in dir(analysis)} | settings
+    return settings | {name: getattr(analysis, name) for name in dir(analysis) if name not in settings}
 
 
 def _class_of(kind: str) -> "type[Analysis]":

@@ -8,14 +8,14 @@ CPUs, or through XLA where no kernel can be made:
     def settle(scene, state, until): ...
 
 [vibrojax.compile.trusted_kernel][] returns the kernel itself, without the fallback to XLA. This folder does not depend
-on scenes. The caller's `policy` decides which calls depend on foreign code (code from outside this package). Kernels of
-foreign code are compared with XLA before the first of them runs.
+on scenes. The caller's `policy` decides which calls depend on foreign code (code from outside this package). If its
+instructions are not covered by the tests, it is compared with XLA before the first of its kernels runs.
 
 - `translation.py`, `assembly.py`, `native.py` and others: translation of jax's trace to LLVM's intermediate
   representation (IR), compilation; `cache.py`: the disk cache; `identity.py`: what decides a trace.
 - `xla.py`: XLA's options, functions that run block by block, devices, threads, precision.
-- `agreement.py`, `trust.py`: comparison of a kernel with XLA and of elementary functions with numpy; the decision which
-  compiler runs.
+- `foreign.py`, `agreement.py`, `trust.py`: whether foreign code needs a comparison; comparison of a kernel with XLA and
+  of elementary functions with numpy; the decision which compiler runs.
 
 A kernel has the semantics of jax. Each translation rule is correct for the types that it accepts. All other cases raise
 `Untranslatable`, and XLA runs the lanes. Three things differ from XLA on a CPU:

@@ -23,6 +23,7 @@ from jaxtyping import Int
 
 from vibrojax.compile import cache as store
 from vibrojax.compile.assembly import LANES, Untranslatable, dtype_of, refuse_if, varies
+from vibrojax.compile.foreign import needs_comparison
 from vibrojax.compile.identity import digest
 from vibrojax.compile.translation import KernelText, kernel_text
 from vibrojax.lazy import jax, jnp
@@ -113,6 +114,7 @@ class Description(NamedTuple):
     - `key`: hash of the IR text, the processor and the version of llvmlite, under which the object code is cached.
     - `arguments`, `results`: types of the leaves; `tree`: the results, with their numbers as leaves.
     - `width`: number of lanes of a group; `text`: memory of the workspace, and the IR text if the kernel was traced.
+    - `compared`: whether foreign code has instructions for which only a comparison with XLA can vouch.
     """
 
     key: str
@@ -121,6 +123,7 @@ class Description(NamedTuple):
     tree: Any
     width: int
     text: KernelText
+    compared: bool
 
 
 class Kernel:
@@ -238,7 +241,7 @@ class BoundKernel:
         if lanes.min() < 0 or lanes.max() >= self.lanes:
             raise IndexError(f"lanes {lanes.min()} to {lanes.max()} of arrays with {self.lanes} lanes")
         # The last group is filled with copies of a lane, whose results are equal.
-        kernel, (*_, width, text) = self._kernel, self._kernel.description
+        kernel, width, text = self._kernel, self._kernel.description.width, self._kernel.description.text
         index = np.concatenate([lanes, np.full(-len(lanes) % width, lanes[-1])]).astype(np.int64, copy=False)
         start = _workspace(text.fixed + text.per_lane * len(index), text.alignment)
         kernel.code(self._pointers.ctypes.data, start, index.ctypes.data, len(index), self.lanes)
@@ -275,7 +278,7 @@ def _described(function: Callable[..., Any], *examples: Any, registers: int, lev
     text = kernel_text(traced.jaxpr, width)
     key = sha256("\n".join((*_compiler(level), text.text)).encode()).hexdigest()
     tree = jax.tree.unflatten(structure, range(structure.num_leaves))
-    return Description(key, arguments, results, tree, width, text)
+    return Description(key, arguments, results, tree, width, text, needs_comparison(inner))
 
 
 def _level(level: int | None) -> int:

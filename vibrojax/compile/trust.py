@@ -1,9 +1,10 @@
-"""Choice of the compiler: kernels of foreign code run only if they agree with XLA.
+"""Choice of the compiler: kernels of foreign code run only if the tests or a comparison with XLA vouch for them.
 
 Foreign code (code from outside the package) may use any function of jax. A fault in its translation would silently give
-wrong numbers. So before a kernel of foreign code runs, the comparison of its `Subject` compares that code with XLA. If
-the results differ, XLA runs all code of the same owner, such as a scene. The disk cache stores the outcome under the
-hashes of the compared kernels and of each kernel that it allows, so that each owner is compared once.
+wrong numbers. So before a kernel runs in which foreign code has an instruction that the tests do not cover
+(`foreign.py`), the comparison of its `Subject` compares that code with XLA. If the results differ, XLA runs all code of
+the same owner, such as a scene. The disk cache stores the outcome under the hashes of the compared kernels and of each
+kernel that it allows, so that each owner is compared once.
 
 The tests compare the package's own code with XLA for the versions in `TESTED_VERSIONS`. With newer versions, the
 package's own code is compared at run time as well.
@@ -99,7 +100,7 @@ def trusted_kernel(
     registers: int = 1,
     derives: bool = False,
 ) -> Kernel:
-    """Return the kernel of `function(*static, *arguments)`, after a comparison with XLA if it runs foreign code.
+    """Return the kernel of `function(*static, *arguments)`, after a comparison with XLA if foreign code needs one.
 
     **Arguments:**
 
@@ -115,7 +116,7 @@ def trusted_kernel(
     if subject.owner in _refused:
         raise Untranslatable(_refused[subject.owner])
     kernel = kernel_for(function, static, *arguments, registers=registers)
-    if kernel.key not in _trusted:
+    if kernel.key not in _trusted and (kernel.description.compared or newer_than_tested()):
         with _lock:
             lock = _locks[subject.owner]
         with lock:

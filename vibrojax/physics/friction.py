@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from vibrojax.errors import asked, number_of
+from vibrojax.errors import InputError, asked, number_of
 from vibrojax.physics.arrays import Value
 from vibrojax.physics.elementary import arctan, exp, maximum
 from vibrojax.physics.parameters import Parameter, not_negative, positive, table
@@ -32,7 +32,7 @@ class FrictionLaw:
     **Arguments:**
 
     - `name`: name of the law in sweep files; `reference`: number of its equation in the source.
-    - `parameters`: the law's own parameters, by name.
+    - `parameters`: the law's own parameters, by name, from `vj.parameters.table`.
     - `mu`: function `mu(speed, p)`, the friction coefficient under the bit's weight at sliding speed `speed` >= 0
       [m/s]; `p` has the law's own parameters by name. `mu(0, p)` is the limit mu(0+), which defines the stick limit.
       The function uses +, -, *, / and the functions of [vibrojax.physics.elementary][], so that it accepts
@@ -56,6 +56,12 @@ class FrictionLaw:
     mu: Coefficient
     mu_impact: Coefficient | None = None
     flat_below: Callable[[Numbers], Any] | None = None
+
+    def __post_init__(self) -> None:
+        for name, parameter in self.parameters.items():
+            if getattr(parameter, "name", None) != name:
+                example = f'vj.parameters.table(vj.parameters.positive("{name}", 0.4, "1", "its meaning", "{name}"))'
+                raise InputError(f"friction law {self.name}: {name} must be a parameter of that name: {example}")
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         # A law of the package is sent to other processes by its name, so that it stays the same object there.

@@ -31,7 +31,7 @@ from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Look, 
 from vibrojax.pictures.sheet import MOST_PANELS, at, facets
 from vibrojax.pictures.starts import PREFIX, on_axes
 from vibrojax.studies import attractor_groups as grouping
-from vibrojax.studies.analysis import PictureRule, Source, SummaryPart
+from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, checked_result
 from vibrojax.studies.attractor_groups import Motion
 from vibrojax.studies.sweep_analysis import SweepAnalysis
 
@@ -117,7 +117,8 @@ def attractors(
     >>> att.impact_velocity.round(1).values.tolist()  # m/s: both are single impacts
     [[0.7, 3.0]]
     """
-    return Attractors().run(source, progress)
+    analysis = Attractors()
+    return checked_result(analysis, analysis.run(source, progress))
 
 
 def _columns(

@@ -28,7 +28,7 @@ from vibrojax.pictures.axes import axis, edges, margins, share_text, value_text,
 from vibrojax.pictures.overlays import ANY, axes_of, beyond, border_layers
 from vibrojax.pictures.plots import Cells, Plot, Sheet, Text, patch
 from vibrojax.scenes import HasImpacts
-from vibrojax.studies.analysis import PictureRule, Source, SummaryPart
+from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, checked_result
 from vibrojax.studies.border_curves import Border, ContinuedBorders, crossings_of
 from vibrojax.studies.border_grid import GridOrbit, OrbitGrid, OrbitLoss, Vertex, around_region
 from vibrojax.studies.sweep_analysis import SweepAnalysis
@@ -93,7 +93,8 @@ def borders(
     >>> cur.attrs["begun_from"].partition(";")[0].partition(" from ")[2]
     'points located on a grid of 2 x 2'
     """
-    return Borders(axes, at).run(source, progress)
+    analysis = Borders(axes, at)
+    return checked_result(analysis, analysis.run(source, progress))
 
 
 def line_of(sweep: Sweep, names: tuple[str, str], at: object) -> tuple[str, float] | None:

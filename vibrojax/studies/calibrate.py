@@ -16,7 +16,7 @@ from vibrojax.pictures.axes import margins, pretty_unit, scale, symbols_of, with
 from vibrojax.pictures.plots import FAINT, Axis, Bars, Layer, Line, Look, Plot, Sheet, dots, level, upright
 from vibrojax.pictures.style import BIT, IMPACT, other_colour
 from vibrojax.progress import Progress
-from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.analysis import PictureRule, SummaryPart, checked_result
 from vibrojax.studies.calibration_estimate import CALIBRATION_VARIABLES, VAGUE, estimated
 from vibrojax.studies.calibration_file import LAW, Calibration, read_calibration
 from vibrojax.studies.calibration_history import VELOCITY
@@ -352,4 +352,5 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     >>> f"{float(fit.estimate[0]):.2f}"
     '0.40'
     """
-    return Calibrations().run(source, progress)
+    analysis = Calibrations()
+    return checked_result(analysis, analysis.run(source, progress))

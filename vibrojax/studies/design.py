@@ -21,7 +21,7 @@ from vibrojax.pictures.contents import POINT
 from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Points, Sheet, colours_of, dots
 from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.progress import Progress
-from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.analysis import PictureRule, SummaryPart, checked_result
 from vibrojax.studies.design_requirements import (
     Assessment,
     DesignSpec,
@@ -364,4 +364,4 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
     (True, 0.6)
     """
     designs = Designs()
-    return designs.compute(designs.asked(source), progress)
+    return checked_result(designs, designs.run(source, progress))

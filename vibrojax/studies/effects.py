@@ -26,7 +26,7 @@ from vibrojax.pictures.style import BIT
 from vibrojax.settings.fields import given, setting
 from vibrojax.settings.toml import read_source
 from vibrojax.settings.values import check_distinct
-from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.analysis import PictureRule, SummaryPart, checked_result
 from vibrojax.studies.effects_sampling import (
     CONFIDENCE,
     REASONS,
@@ -261,7 +261,8 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
     >>> ds.effect.sel(of="impact_energy").idxmax().item()  # a faster drive strikes harder
     'v'
     """
-    return Studies().run(source, progress)
+    analysis = Studies()
+    return checked_result(analysis, analysis.run(source, progress))
 
 
 class Studies(FileAnalysis[Study]):

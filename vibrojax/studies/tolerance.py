@@ -27,7 +27,7 @@ from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_keys
 from vibrojax.pictures.plots import Layer, Look, Plot, Points, Sheet, dots, key, level
 from vibrojax.pictures.style import IMPACT
 from vibrojax.scenes import Scene
-from vibrojax.studies.analysis import PictureRule, SummaryPart
+from vibrojax.studies.analysis import PictureRule, SummaryPart, checked_result
 from vibrojax.studies.subjects import MachineAnalysis
 
 PLACES = ("nominal", "corner", "edge", "interior", "refined")
@@ -100,7 +100,8 @@ def refine(
         return ds, units[:first], tried
     kept = [*range(first), *added.tolist()]
     whole = xr.concat(parts, "point", data_vars="minimal", join="override", combine_attrs="override")
-    return whole.isel(point=kept), units[kept], tried
+    numbered = {"point": np.arange(len(kept))} if "point" in whole.coords else {}  # each part has its own numbers
+    return whole.isel(point=kept).assign_coords(numbered), units[kept], tried
 
 
 def _goals(ds: xr.Dataset) -> Float[np.ndarray, "searches samples"]:
@@ -278,7 +279,7 @@ def tolerance(
     """
     analysis = Tolerances()
     box = analysis.machines(Place(analysis.kind), scene, parameters, start, run or {})
-    return analysis.compute(box, progress)
+    return checked_result(analysis, analysis.compute(box, progress))
 
 
 class Tolerances(MachineAnalysis[ToleranceBox]):
