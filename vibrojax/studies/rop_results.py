@@ -232,7 +232,7 @@ def _comparison(group: pd.DataFrame) -> str:
 # The picture
 
 
-def law_picture(fit: xr.Dataset) -> Sheet:
+def law_lines(fit: xr.Dataset) -> Sheet:
     """Draw the data and curves of each group; below, C and the evidence over the longest axis of the groups.
 
     C is that of the forms that the data do not reject. Version 0.1 stored neither data nor evidence: C is drawn.
@@ -342,7 +342,7 @@ class Fits(Analysis):
     """The fit of the rate-of-penetration law to a sweep's dataset or to rig data."""
 
     kind = "fit"
-    pictures = (PictureRule("law", lambda held: held.law and {"aic", "C_stderr"} <= held.variables, law_picture),)
+    pictures = (PictureRule("law", lambda held: held.law and {"aic", "C_stderr"} <= held.variables, law_lines),)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("columns", log_lines(ds))]
