@@ -13,7 +13,8 @@ from vibrojax.io.attributes import text_of
 from vibrojax.io.log_columns import KNOWN, LINE, RATE, ROTATION_SPEED, WEIGHT
 from vibrojax.io.riglog import LIMITS_OF_LOGS, Nulls, Source, Where, log_lines, read_log, to_dataset
 from vibrojax.io.variables import Variable
-from vibrojax.pictures.axes import margins, pretty_unit
+from vibrojax.pictures.axes import in_units, margins, pretty_unit
+from vibrojax.pictures.contents import POINT
 from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Sheet, dots, upright
 from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.settings.values import choice, warn_if_far
@@ -53,6 +54,7 @@ _DRILLERS = {
     "N": (1e-3, "kN"),
     "N m": (1e-3, "kN m"),
     "J m-3": (1e-6, "MPa"),
+    "Pa": (1e-6, "MPa"),
 }
 """Factor and name of the units of drillers, by SI unit."""
 
@@ -165,13 +167,18 @@ def torque_stick_slip(time: Rows, torque: Rows) -> Rows:
     return result
 
 
+def vertical(ds: xr.Dataset) -> tuple[Axis, Rows]:
+    """Return the axis of the tracks, the depth or else the row, and its value of each row."""
+    name = "depth" if "depth" in ds and np.isfinite(ds["depth"].values).all() else "row"
+    height = ds[name].values.astype(float) if name == "depth" else np.arange(ds.sizes["row"], dtype=float)
+    ends = float(height.min()), float(height.max())
+    return Axis("depth [m]" if name == "depth" else "row", name, ends, reversed=True, group="depth"), height
+
+
 def rig_picture(ds: xr.Dataset) -> Sheet:
     """Draw the rate over the weight with the founder point, and the tracks over depth or row."""
     tracks = [name for name in TRACKS if name in ds and np.isfinite(ds[name].values).any()]
-    over = "depth" if "depth" in ds and np.isfinite(ds["depth"].values).all() else ""
-    height = ds[over].values if over else np.arange(ds.sizes["row"])
-    ends = float(height.min()), float(height.max())
-    down = Axis("depth [m]" if over else "row", over, ends, reversed=True, group="depth")
+    down, height = vertical(ds)
     founder, force = float(ds["founder_weight"]) * _unit(ds, "N")[0], _unit(ds, "N")[1]
     mark: list[Layer] = [upright(founder, colour=IMPACT, dash="--", width=1.0)] if np.isfinite(founder) else []
     plots = []
@@ -222,6 +229,16 @@ class Rigs(Analysis):
     def run(self, source: AnalysisSource, progress: bool = True) -> xr.Dataset:
         """Compute the measures, as [vibrojax.rig][] does."""
         return rig(source)
+
+    def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, None]:
+        """Return the rows as points over depth or row, in the units of the tracks."""
+        down, height = vertical(ds)
+        units = {} if ds.attrs.get("drawn_in") == "si" else _DRILLERS
+        rows = in_units(ds.drop_vars(down.name, errors="ignore"), units).rename(row=POINT)
+        return rows.assign_coords({down.name: (POINT, height, {"units": "m" * (down.name == "depth")})}), None
+
+    def page_text(self, ds: xr.Dataset) -> list[SummaryPart]:
+        return self.summary(ds)[::-1]
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return how the log was read, the founder point, the medians of the measures, and what the log can inform."""

@@ -17,9 +17,9 @@ from vibrojax.io.attributes import attribute_of, flags, table_of
 from vibrojax.io.log_columns import RATE
 from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log, log_lines
 from vibrojax.physics.units import factor
-from vibrojax.pictures.axes import margins, pretty_unit, scale, with_unit
+from vibrojax.pictures.axes import in_units, margins, pretty_unit, scale, with_unit
 from vibrojax.pictures.colours import form_colour, value_axis, value_of
-from vibrojax.pictures.contents import FORM, POINT, law_in
+from vibrojax.pictures.contents import FORM, POINT, law_in, named_groups
 from vibrojax.pictures.lines import Series, curves, longest_axis, row_per_facet, value_lines
 from vibrojax.pictures.plots import FAINT, Area, Axis, Dash, Layer, Line, Look, Plot, Sheet, bars, dots, key, upright
 from vibrojax.pictures.sheet import LEGEND_WIDTH, at, facets
@@ -31,6 +31,7 @@ from vibrojax.studies.rop_group import COEFFICIENTS, Founder
 _ONSET_STANDARD_ERRORS = 2.0  # by which an onset is below 1 before the verdict says so
 _GROUPS_LISTED = 12
 _PER_HOUR, _PER_STEP = 3600.0, 10e3  # the fall of the rate in m/h per 10 kN
+_PER_HOUR_OF_LOGS = {"m s-1": (_PER_HOUR, "m/h")}  # as drillers write rates
 _KEPT = ("undecided", "contains-chosen", "chosen")
 
 # The power law often coincides with the straight line, the literal form with the onset form: dashed and on top, they
@@ -273,9 +274,9 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     if not x.name:
         return above
     shown = fit.sortby(x.name) if x.is_number else fit
+    shown = in_units(shown, _PER_HOUR_OF_LOGS if is_log(fit) else {})
     for name in ("C", "C_stderr"):
-        kept = shown[name].where(shown["standing"] != Standing.REJECTED)
-        shown = shown.assign({name: (_PER_HOUR * kept).assign_attrs(units="m h-1") if is_log(fit) else kept})
+        shown = shown.assign({name: shown[name].where(shown["standing"] != Standing.REJECTED)})
     shown = shown.assign(evidence_against=np.minimum(shown["evidence_against"], _MOST_EVIDENCE))
 
     def draw(lines: list[Series], name: str) -> Plot:
@@ -346,6 +347,11 @@ class Fits(Analysis):
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("columns", log_lines(ds))]
+
+    def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, None] | None:
+        """Return the groups, with rates in the unit of the plots; None if a map shows them."""
+        groups = in_units(named_groups(ds).drop_dims("lane", errors="ignore"), _PER_HOUR_OF_LOGS if is_log(ds) else {})
+        return (groups, None) if groups["aic"].ndim < 3 else None
 
     def page_text(self, ds: xr.Dataset) -> list[SummaryPart]:
         return [SummaryPart("forms of the law", verdict(ds)), *self.summary(ds)]
