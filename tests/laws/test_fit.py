@@ -1,22 +1,18 @@
 """Test the fits of the law: recovery of coefficients, coverage of intervals, and reasons for missing estimates."""
 
-import sys
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 from scipy import optimize, stats
-from unchecked import unchecked
+from trials import rig_logs, unchecked
 
 from vibrojax.studies.rop_forms import FORMS, REASONS
 from vibrojax.studies.rop_law import fit_rop
 from vibrojax.studies.rop_results import verdict
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "notebooks"))
-from rig_logs import LAWS
-
+LAWS = rig_logs.LAWS
 C, ETA0, EXPONENT = 1.3e-3, 0.21, 1.4
 RELIEF = np.linspace(0.25, 1.5, 20)
 NAMES = [form.name for form in FORMS]

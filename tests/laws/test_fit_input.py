@@ -141,7 +141,7 @@ def test_parameters_are_converted_and_stay_coordinates(tmp_path):
             'wob: is not a quantity of rig data; did you mean "weight_on_bit"? choose from rate_of_penetration, '
             f"relief, mean_force, threshold, rock, {', '.join([*RIG, *(x for x in KNOWN if x not in LAW | RIG)])}",
         ),
-        ("Rate (m/h),WOB", {}, 'missing; if "Rate (m/h)" is it, rename it, or name it: --columns rate_of_penetration='),
+        ("Rate (m/h),WOB", {}, 'missing; if "Rate (m/h)" is it, name it with its unit: --columns rate_of_penetration='),
     ],
 )
 def test_wrong_columns_are_refused_in_one_line(tmp_path, header, columns, line):

@@ -99,7 +99,9 @@ def test_founder_is_told_by_formation():
     assert [layer.x[0] for layer in panels[0].layers if layer.label == "founder weight"] == pytest.approx(
         [160], rel=0.05
     )
-    assert panels[0].x.limits[0] > 40 and panels[0].x.limits[1] < 250 and panels[0].x.label == "mean force [kN]"
+    assert (
+        panels[0].x.limits[0] > 40 and panels[0].x.limits[1] < 250 and panels[0].x.label.startswith("mean force [kN]")
+    )
 
 
 @pytest.mark.parametrize("exponent", [None, 0.5, 1.0])
