@@ -223,7 +223,7 @@ def test_command_prints_tables_and_writes_fit(tmp_path, monkeypatch, capsys):
     assert printed[4].startswith("  onset") and "0.0013 ± " in printed[4]
     assert printed[9] == "force=300000 N: 8 lanes along frequency"
     assert "all groups together: the data support onset" in printed
-    assert "the log law holds in 2 of 2, as onset in 2" in printed
+    assert "the log law is not rejected in 2 of 2, as onset in 2" in printed
     assert printed[-3] == "  force=200000 N: C = 0.0013 m/s (0.0013 to 0.0013), onset"
     assert printed[-1] == "map-fit.nc; picture map-fit.png"
     stored = open_dataset("map-fit.nc")

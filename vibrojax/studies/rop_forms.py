@@ -5,7 +5,7 @@ read in three ways ("forms"): as printed, with P/D in percent, and as C ln(eta/e
 relief at which penetration begins. A straight line, a power law and a constant serve as comparison.
 
 A lane (here, one pair of relief and rate) at zero rate is censored; all others are *seen*. A censored lane has a
-residual only if the form predicts a positive rate.
+residual only if the form predicts a positive rate. Below its onset, a form predicts a rate of zero.
 
 Lanes of a log have correlated noise. *Whitening* subtracts from each residual what the preceding one predicts of it, so
 that the fit weights lanes by the independent information that they hold (Prais and Winsten 1954).
@@ -110,6 +110,9 @@ FORMULAS = {form.name: form.formula for form in FORMS}
 LOGARITHMIC = ("literal", "percent", "onset")
 """Names of the three readings of the source's law, eq. 6.4."""
 
+BEGINNING = ("onset", "line")
+"""Forms whose rate begins at a fitted onset: below it, they predict no penetration, whose noise may be positive."""
+
 SAME_AS_ONSET = ("literal", "percent")
 """Forms that have the same curve as the onset form if the threshold is unknown."""
 
@@ -145,9 +148,9 @@ class Model:
         if self.form.name == "power":
             predicted = np.exp(np.minimum(predicted, _LARGEST_EXPONENT))
             jacobian = predicted[:, None] * jacobian
-        seen = rate > 0
+        seen = rate > 0 if self.form.name not in BEGINNING else np.zeros(rate.size, bool)
         active = seen | (predicted > 0)
-        return np.where(seen, predicted - rate, np.maximum(predicted, 0.0)), jacobian * active[:, None], active
+        return np.where(active, predicted, 0.0) - rate, jacobian * active[:, None], active
 
     def coefficients(self, theta: Theta) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 coefficients"]]:
         """Return C, eta0 and exponent (NaN: the form has none), and their derivatives with respect to theta."""
@@ -169,10 +172,10 @@ class Model:
 def linear_problem(form: Form, columns: Columns, rate: ManyLanes, near: ManyLanes) -> tuple[Columns, ManyLanes]:
     """Return columns and targets of the linear least squares for theta over the seen lanes; censored lanes are zero.
 
-    The power law is linearised about the rates `near`.
+    Below the onset of the rates `near`, nothing is fitted. The power law is linearised about them.
     """
     if form.name != "power":
-        return (rate > 0)[..., None] * columns, rate
+        return ((rate > 0) & (near > 0))[..., None] * columns, rate
     near = np.where(rate > 0, near, 0.0)
     return near[..., None] * columns, rate - near + near * np.log(np.where(near > 0, near, 1.0))
 
@@ -219,7 +222,7 @@ def search(form: Form, relief: Lanes, rate: Lanes, robust: bool, decay: Lanes | 
     columns, target = linear_problem(form, model.columns(relief), rate, rate)
     theta, converged, scale = np.linalg.lstsq(whiten(columns, decay), whiten(target, decay))[0], True, np.inf
     residual, jacobian, active = model.residuals(theta, rate)
-    is_solved = form.name != "power" and not (active & ~seen).any()
+    is_solved = form.name != "power" and np.array_equal(active, seen)
     for turn in range(is_solved, 1 + _SCALE_ROUNDS * robust):  # turn 0: of squares
         before = scale
         scale = _BOUND * max(spread_of(whiten(residual, decay)[active]), _LEAST_SCALE) if turn else np.inf

@@ -232,7 +232,9 @@ def _profile(model: Model, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, 
     weight, rate, is_power = weight[:, None], rate[:, None], model.form.name == "power"
     excess = np.maximum(weight - bends, 0.0)
     columns, law = model.columns(model.relief[:, None] * np.minimum(1.0, bends / weight)), rate
-    for _ in range(1 + is_power):
+    for turn in range(2 if is_power else 3):
+        if turn and not is_power and (law[rate[:, 0] > 0] > 0).all():
+            break
         slopes, target = rop_forms.linear_problem(model.form, columns, rate, law)
         slopes = np.concatenate([slopes, -(excess * (rate > 0))[..., None]], axis=-1)
         slopes, target = whiten(slopes, decay), whiten(target, decay)
@@ -243,7 +245,7 @@ def _profile(model: Model, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, 
         theta = np.where(theta[:, 2:] >= 0, theta, np.pad(level, ((0, 0), (0, 1))))  # the rate never rises there
         law = np.einsum("rbi,bi->rb", columns, theta[:, :2])
         law = np.exp(np.minimum(law, _LARGEST_LOG_RATE)) if is_power else law
-    residual = np.where(rate > 0, law - theta[:, 2] * excess - rate, 0.0)
+    residual = np.where(rate > 0, np.maximum(law, 0.0) - theta[:, 2] * excess - rate, 0.0)
     squares = np.maximum(np.sum(whiten(residual, decay) ** 2, axis=0), _TINY)
     errors = np.sqrt(inverse[:, 2, 2] * squares / max(rate.size - 4, 1))
     return _Profile(model, squares, theta, errors, residual)

@@ -135,7 +135,7 @@ def recommended(fit: xr.Dataset, group: pd.DataFrame) -> dict[str, Any] | None:
     """Return the recommended C of a group, or None if there is none.
 
     For a log whose forms were compared over blocks of rows, it is that of the form that the data support. Otherwise it
-    is that of the likeliest reading of the log law, if the log law holds and C is positive.
+    is that of the likeliest reading of the log law, if that is not rejected and C is positive.
 
     The dictionary holds `form`, `C` [m/s] and the ends `low` and `high` of its 95 % interval [m/s], by Student's
     distribution, and, with rig data, the `unit` of the data's rate and these three in it (`in_unit`).
@@ -157,7 +157,7 @@ def recommended(fit: xr.Dataset, group: pd.DataFrame) -> dict[str, Any] | None:
 def verdict(fit: xr.Dataset) -> list[str]:
     """Return lines of text: the form that describes the data best, the founder weight, and the recommended C.
 
-    The log law holds if one of its three readings is not rejected.
+    The log law is not rejected if one of its three readings, with a slope, is not.
 
     **Arguments:** `fit`: a dataset that `fit_rop` returned.
     """
@@ -177,9 +177,11 @@ def verdict(fit: xr.Dataset) -> list[str]:
     if len(judged) > 1:
         together = str(fit.attrs["verdict"]).replace("none", "no single form")
         lines.append(f"all groups together: the data support {together}")
-    kept = pd.DataFrame({title: group["standing"].isin(_KEPT) for title, group in judged.items()}).loc[[*LOGARITHMIC]]
+    kept = pd.DataFrame(
+        {title: group["standing"].isin(_KEPT) & (group["reason"] == "identified") for title, group in judged.items()}
+    ).loc[[*LOGARITHMIC]]
     readings = "".join(f", as {name} in {count}" for name, count in kept.sum(axis=1).items() if count)
-    lines.append(f"the log law holds in {kept.any().sum()} of {len(judged)}{readings}")
+    lines.append(f"the log law is not rejected in {kept.any().sum()} of {len(judged)}{readings}")
     onsets = [judged[title].loc["onset"] for title in kept.columns[kept.loc["onset"]]]
     early = [x["eta0"] for x in onsets if x["eta0"] + _ONSET_STANDARD_ERRORS * x["eta0_stderr"] < 1]
     if early and not unknown:
