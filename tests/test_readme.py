@@ -1,4 +1,4 @@
-"""Test that every command of the README's table runs, on small files of the reader's own. Each also writes its result."""
+"""Test that every command of the README's table runs, on small files of the reader's own, and writes its result."""
 
 import re
 import shlex
