@@ -107,6 +107,7 @@ def test_default_name_and_other_settings(here, capsys):
     arguments = ["follow", "rotary", "along=v", "at=1.2", "from=1.1", "to=1.3", "settle=20"]
     assert main([*arguments, "--quiet"]) == 0 and (here / "rotary-v.nc").exists() and (here / "rotary-v.png").exists()
     assert main([*arguments, "--quiet"]) == 0
+    capsys.readouterr()
     other = [*arguments[:-1], "settle=21"]
     line = refusal_line(capsys, *other)
     assert line.startswith("rotary-v.nc: holds another result: run.settle was 20.0, is 21.0; --fresh replaces it")
