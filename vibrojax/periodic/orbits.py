@@ -327,12 +327,12 @@ class Orbits:
             goal = {name: np.where(share < 1, x + share * (end - x), end) for name, (x, end) in ends.items()}
             guess = here.states[active] + rate[active] * advance[:, None, None]
             orbit, good = correct(active, goal, guess)
-            jumps = np.zeros(len(active), bool)
-            other, index = _beyond_impacts(self.scene, goal, guess, np.flatnonzero(~good))
-            if len(index):
-                beyond, sound = correct(active[index], {name: x[index] for name, x in goal.items()}, other)
-                good[index] = jumps[index] = sound
-                _assign(orbit, index[sound], beyond.of(sound))
+            jumps, failed = np.zeros(len(active), bool), np.flatnonzero(~good)
+            other, passed = _beyond_impacts(self.scene, {name: x[failed] for name, x in goal.items()}, guess[failed])
+            if len(failed := failed[passed]):
+                beyond, sound = correct(active[failed], {name: x[failed] for name, x in goal.items()}, other[passed])
+                good[failed] = jumps[failed] = sound
+                _assign(orbit, failed[sound], beyond.of(sound))
             if by:
                 onward = np.flatnonzero(good & (share < 1))
                 slopes = orbit.of(onward).derivatives((), by).state_derivatives
@@ -443,21 +443,16 @@ def across_impacts(
     return [(np.asarray(gap), np.asarray(other).T) for gap, other in sides]
 
 
-def _beyond_impacts(
-    scene: Scene[Any], parameters: Mapping[str, PerOrbit], guess: States, index: Index
-) -> tuple[States, Index]:
-    """Return the guesses, and their indices, among those of `index` in which impacts have passed the section.
-
-    There, states that penetrate a stop are replaced by those on the other side of the impact.
-    """
-    own = {name: np.repeat(x[index], guess.shape[1]) for name, x in parameters.items()}
-    states = guess[index].reshape(-1, guess.shape[2])
-    passed = np.zeros(len(states), bool)
-    for gap, other in across_impacts(scene, own, states) if len(index) else []:
+def _beyond_impacts(scene: Scene[Any], parameters: Mapping[str, PerOrbit], guess: States) -> tuple[States, Mask]:
+    """Return guesses in which states that penetrate a stop are replaced by those across the impact, and their mask."""
+    count, cycles, rows = guess.shape
+    states = guess.reshape(-1, rows)
+    own = {name: np.repeat(x, cycles) for name, x in parameters.items()}
+    for gap, other in across_impacts(scene, own, states) if count else []:
         beyond = (gap < 0) & np.isfinite(other).all(axis=1)
-        states[beyond], passed = other[beyond], passed | beyond
-    of_lane = passed.reshape(len(index), guess.shape[1]).any(axis=1)
-    return states.reshape(len(index), *guess.shape[1:])[of_lane], index[of_lane]
+        states = np.where(beyond[:, None], other, states)
+    new = states.reshape(count, cycles, rows)
+    return new, (new != guess).any(axis=(1, 2))
 
 
 def _driving(scene: Scene[Any], parameters: Mapping[str, PerOrbit]) -> dict[str, PerOrbit]:

@@ -295,13 +295,14 @@ def as_jax(
     At its first use, the function finds the first orbit: the one on which the motion from `start` settles at the point
     `at`. Further calls continue this orbit on the straight line to their point, so a result does not depend on other
     calls. Without `at`, the first point that is evaluated takes its place. The gradients are those of
-    [vibrojax.sensitivity][]. `jax.grad`, `jax.jacfwd`, `jax.jacrev`, `jax.jit` and `jax.vmap` work. Second derivatives
-    are not available.
+    [vibrojax.sensitivity][]. `jax.grad`, `jax.jit` and `jax.vmap` work, and so do `jax.jacfwd` and `jax.jacrev` of the
+    features, without the boolean `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`.
+    Second derivatives are not available.
 
     The function is valid as long as the orbit exists, has the same numbers of section crossings and impacts, and is
-    stable. Elsewhere the result belongs to the last orbit on the straight line from the first one. An orbit that has
-    become unstable is continued, with a positive `margin`, so that stability can be a smooth constraint. `f.reason(x)`
-    returns the reason as text.
+    stable, and `simulate` admits the parameters. Elsewhere the result belongs to the last orbit on the straight line
+    from the first one, up to 1e-7 of the line. An orbit that has become unstable is continued, with a positive
+    `margin`, so that stability can be a smooth constraint. `f.reason(x)` returns the reason as text.
 
     Orbits are computed in float64, whatever the type of the argument is. Results have the type of the argument, at
     least float32.
@@ -316,8 +317,8 @@ def as_jax(
     **Returns:** a function of an array (parameters,), which returns a dict of scalars: the features `of`, `margin`,
     `grazing_margin`, and the boolean `valid`. `margin` is the natural logarithm of the largest modulus of the
     multipliers, negative if stable, and `grazing_margin` the distance from a change in the order of events. Features
-    are NaN if no motion from `start` is periodic at the first point or near it, or if the orbit does not have them
-    (without impacts, an impact velocity). The function can be pickled, with its first orbit.
+    and their gradients are NaN if no motion from `start` is periodic at the first point or near it, or if the orbit
+    does not have them (without impacts, an impact velocity). The function can be pickled, with its first orbit.
 
     **Raises:** `InputError` for an unknown name or a wrong value.
 
@@ -412,7 +413,7 @@ def _features(branch: Branch, outside: str) -> Callable[[jax.Array], jax.Array]:
         # the 0 in place of the slope, unless it is 0 itself.
         known = jnp.isfinite(slopes)
         huge = jnp.where(known, 1.0, jnp.finfo(slopes.dtype).max)
-        return values, (tangents[0] * huge * huge * jnp.where(known, slopes, 0.0) * huge * huge).sum(axis=-1)
+        return values, (tangents[0][None] * huge * huge * jnp.where(known, slopes, 0.0) * huge * huge).sum(axis=-1)
 
     return features
 
